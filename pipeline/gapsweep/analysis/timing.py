@@ -1,0 +1,54 @@
+"""What each representation costs, from the costs stored with its points.
+
+Processor times of different machines are never mixed: the machine that computed most
+points of a study is the one reported, the others' points are only counted.
+"""
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.status import Status
+from gapsweep.study.schema import POINT_DIMS
+
+_SWEPT = POINT_DIMS[3:]
+_COSTS = {
+    "cpu_time": ("s", "processor time per point"),
+    "nfev": ("1", "right-hand sides per point"),
+    "n_steps": ("1", "accepted steps per point"),
+    "n_rejected": ("1", "rejected steps per point"),
+    "n_contacts": ("1", "wall crossings per point"),
+}
+
+
+def timing(responses: xr.Dataset) -> xr.Dataset:
+    """Mean and median cost per point of every representation, stiffness and gap.
+
+    Parameters
+    ----------
+    responses : Dataset
+        As stored in ``responses.nc``.
+    """
+    host = responses["host"]
+    requested = responses["status"] != Status.NOT_REQUESTED
+    chosen = _busiest(host)
+    measured = requested & (host == chosen)
+    variables = {}
+    for name, (units, long_name) in _COSTS.items():
+        values = responses[name].where(measured)
+        for statistic, value in (("mean", values.mean(_SWEPT)), ("median", values.median(_SWEPT))):
+            attributes = {"units": units, "long_name": f"{long_name}, {statistic}"}
+            variables[f"{name}_{statistic}"] = value.assign_attrs(attributes)
+    for name, where in (("n_points", measured), ("n_points_elsewhere", requested & ~measured)):
+        count = where.sum(_SWEPT).astype("i4")
+        long_name = "sweep points measured" if name == "n_points" else "points of other machines"
+        variables[name] = count.assign_attrs(units="1", long_name=long_name)
+    names = str(host.attrs.get("flag_meanings", "")).split()
+    attributes = {n: responses.attrs[n] for n in ("title", "study", "numerics_fingerprint")}
+    attributes["measured_on"] = names[chosen] if 0 <= chosen < len(names) else ""
+    return xr.Dataset(variables).assign_attrs(attributes)
+
+
+def _busiest(host: xr.DataArray) -> int:
+    """Index of the machine with the most points; -1 if there is none."""
+    known = host.values[host.values >= 0]
+    return int(np.bincount(known).argmax()) if known.size else -1

@@ -1,0 +1,45 @@
+"""Every error that gapsweep raises on purpose.
+
+::
+
+    GapsweepError
+    ├── ModelError      a parameter, contact law or fit that cannot be used
+    ├── StudyError      a study file that cannot be run; carries one line per problem
+    ├── StoreError      a cache or NetCDF file that cannot be read or written
+    └── ClusterError    a Dask cluster that cannot be reached or was lost
+
+Each message names the value, the allowed range and the remedy. A sweep point that
+fails numerically raises nothing: its `Status` is part of the result.
+"""
+
+from collections.abc import Sequence
+
+
+class GapsweepError(Exception):
+    """Base of all errors that a user can cause and mend."""
+
+
+class ModelError(GapsweepError, ValueError):
+    """A parameter, contact law or fit that cannot be used."""
+
+
+class StudyError(GapsweepError, ValueError):
+    """A study that cannot be run.
+
+    Parameters
+    ----------
+    problems : sequence of str
+        One line per problem, all of them at once.
+    """
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = tuple(problems)
+
+
+class StoreError(GapsweepError, OSError):
+    """A cache or NetCDF file that cannot be read or written."""
+
+
+class ClusterError(GapsweepError, RuntimeError):
+    """A Dask cluster that cannot be reached or was lost."""

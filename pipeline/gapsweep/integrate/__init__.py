@@ -1,0 +1,1 @@
+"""How it is simulated: engines from an initial state to a trajectory."""

@@ -1,0 +1,1 @@
+"""What is simulated: the oscillator, its gap and the contact laws."""

@@ -1,0 +1,203 @@
+"""Least-squares fits of the contact force: polynomial and rational polynomial.
+
+Everything here is per unit contact stiffness. The exact force is proportional to `K_c`
+and so is every least-squares fit of it, therefore one fit serves all stiffnesses and its
+R² does not depend on `K_c`.
+
+Both fits use Chebyshev polynomials of ``u = x / fit_range``, which keep the normal
+equations well conditioned at every degree allowed (the monomial basis does not).
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from gapsweep.errors import ModelError
+from gapsweep.model.oscillator import Gap
+
+Array = NDArray[np.float64]
+
+N_FIT_POINTS = 8001
+MAX_DEGREE = 60
+MAX_RATIONAL_DEGREE = 20
+
+# Ten parameters need no more points than this, and the quoted errors of rational fits
+# (0.130 N for 5/3, soft symmetric) belong to it: docs/decisions/0002-fits.md.
+N_RATIONAL_POINTS = 401
+_N_STARTS = 48
+_SEED = 20260
+_SAME_RMSE = 1.0 + 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A fitted force per unit contact stiffness, ``N(u) / D(u)`` with ``u = x/fit_range``.
+
+    Attributes
+    ----------
+    numerator, denominator : tuple of float
+        Chebyshev coefficients, lowest degree first [m] and [-].
+    rmse : float
+        Root-mean-square error over the fit points [m]; times `K_c` in newtons.
+    r_squared : float
+        Coefficient of determination over the fit points [-].
+    """
+
+    numerator: tuple[float, ...]
+    denominator: tuple[float, ...]
+    rmse: float
+    r_squared: float
+
+
+def unit_force(x: Array, gap: Gap) -> Array:
+    """Exact contact force per unit stiffness [m]: zero in the gap, linear outside."""
+    # x - clip(x) rather than two masked branches: rounding leaves exactly 0.0 inside
+    # the gap, so a free step and a contact step agree bit for bit at the wall.
+    return x - np.clip(x, -gap.j_1, gap.j_2)
+
+
+def goodness(approximation: NDArray[np.floating], exact: Array) -> tuple[float, float]:
+    """Root-mean-square error and coefficient of determination of sampled forces."""
+    residual = float(np.sum((approximation - exact) ** 2))
+    total = float(np.sum((exact - np.mean(exact)) ** 2))
+    rmse = float(np.sqrt(residual / exact.size))
+    # A gap wider than the range leaves nothing to explain: any exact zero is a perfect fit.
+    return rmse, 1.0 - residual / total if total > 0.0 else float(residual == 0.0)
+
+
+@lru_cache(maxsize=256)
+def polynomial_fit(gap: Gap, degree: int, fit_range: float) -> Fit:
+    """Unweighted least-squares polynomial over 8001 uniform points of ``±fit_range``."""
+    if not 1 <= degree <= MAX_DEGREE:
+        raise ModelError(f"polynomial degree {degree}: must be in 1..{MAX_DEGREE}")
+    u = np.linspace(-1.0, 1.0, N_FIT_POINTS)
+    exact = unit_force(u * fit_range, gap)
+    used = _used_degrees(gap, degree, odd=True)
+    numerator = np.zeros(degree + 1)
+    columns = chebyshev.chebvander(u, degree)[:, used]
+    numerator[used] = np.linalg.lstsq(columns, exact, rcond=None)[0]
+    rmse, r_squared = goodness(chebyshev.chebval(u, numerator), exact)
+    return Fit(tuple(numerator.tolist()), (1.0,), rmse, r_squared)
+
+
+@lru_cache(maxsize=256)
+def rational_fit(gap: Gap, numerator: int, denominator: int, fit_range: float) -> Fit:
+    """Best pole-free rational polynomial over 401 uniform points of ``±fit_range``.
+
+    The numerator is linear and therefore eliminated (variable projection, Golub & Pereyra
+    1973); the denominator is searched from deterministic starts. The problem has many
+    local optima, about half of them with a pole inside the range: those are discarded.
+
+    Raises
+    ------
+    ModelError
+        If every optimum found has a pole inside the range; the message names it.
+    """
+    for name, degree in (("numerator", numerator), ("denominator", denominator)):
+        if not 1 <= degree <= MAX_RATIONAL_DEGREE:
+            raise ModelError(f"{name} degree {degree}: must be in 1..{MAX_RATIONAL_DEGREE}")
+    candidates = list(_rational_candidates(gap, numerator, denominator, fit_range))
+    pole_free = [c for c in candidates if not poles(c.denominator, fit_range)]
+    if not pole_free:
+        best = min(candidates, key=lambda c: c.rmse)
+        where = ", ".join(f"{1e3 * p:.4g}" for p in poles(best.denominator, fit_range))
+        raise ModelError(
+            f"ratpoly-{numerator}/{denominator} for gap {gap.label} mm: the best fit on "
+            f"±{1e3 * fit_range:g} mm has a pole at x = {where} mm; choose other degrees"
+        )
+    lowest = min(c.rmse for c in pole_free)
+    # Candidates are ordered with the symmetric one first; it wins a tie in rounding.
+    return next(c for c in pole_free if c.rmse <= lowest * _SAME_RMSE)
+
+
+def poles(denominator: tuple[float, ...], fit_range: float) -> list[float]:
+    """Real roots of the denominator inside ``±fit_range`` [m], ascending."""
+    # Vanishing leading coefficients would put spurious roots at infinity.
+    roots = chebyshev.chebroots(chebyshev.chebtrim(np.asarray(denominator), tol=1e-14))
+    real = roots.real[np.abs(roots.imag) < 1e-7]
+    return [float(r) * fit_range for r in np.sort(real) if abs(r) <= 1.0]
+
+
+def _used_degrees(gap: Gap, degree: int, *, odd: bool) -> NDArray[np.intp]:
+    """Degrees that may be non-zero: the force of a symmetric gap is odd in x."""
+    degrees = np.arange(degree + 1)
+    return degrees[degrees % 2 == int(odd)] if gap.j_1 == gap.j_2 else degrees
+
+
+def _rational_candidates(gap: Gap, n: int, m: int, fit_range: float) -> list[Fit]:
+    everything = np.arange(n + 1), np.arange(1, m + 1)
+    shapes = [everything]
+    if gap.j_1 == gap.j_2:
+        odd = np.arange(1, n + 1, 2)
+        even = np.arange(2, m + 1, 2)
+        shapes.insert(0, (odd, even))
+    candidates = []
+    for top, bottom in shapes:
+        problem = _Projection(gap, n, m, fit_range, top, bottom)
+        candidates += [problem.fit(problem.minimise(d)) for d in problem.starts()]
+    return candidates
+
+
+class _Projection:
+    """Residual of the best numerator as a function of the denominator alone."""
+
+    def __init__(
+        self,
+        gap: Gap,
+        n: int,
+        m: int,
+        fit_range: float,
+        top: NDArray[np.intp],
+        bottom: NDArray[np.intp],
+    ) -> None:
+        self.n, self.m, self.fit_range = n, m, fit_range
+        self.top, self.bottom = top, bottom
+        self.u = np.linspace(-1.0, 1.0, N_RATIONAL_POINTS)
+        self.exact = unit_force(self.u * fit_range, gap) / fit_range
+        self.numerator_basis = chebyshev.chebvander(self.u, n)[:, top]
+        self.denominator_basis = chebyshev.chebvander(self.u, m)[:, bottom]
+
+    def starts(self) -> list[Array]:
+        """Deterministic denominators: the constant one, then random pole-free ones."""
+        rng = np.random.default_rng(_SEED)
+        found = [np.zeros(self.bottom.size)]
+        while len(found) < (_N_STARTS if self.bottom.size else 1):
+            d = rng.uniform(-1.0, 1.0, self.bottom.size) * rng.uniform()
+            if not self.has_pole(d):
+                found.append(d)
+        return found
+
+    def has_pole(self, d: Array) -> bool:
+        return bool(np.min(1.0 + self.denominator_basis @ d) <= 0.0)
+
+    def columns(self, d: Array) -> Array:
+        values = 1.0 + self.denominator_basis @ d
+        # A grid point may fall on a root while the search passes over it.
+        values = np.where(np.abs(values) < 1e-12, 1e-12, values)
+        return np.asarray(self.numerator_basis / values[:, None])
+
+    def residual(self, d: Array) -> Array:
+        orthonormal = np.linalg.qr(self.columns(d))[0]
+        return np.asarray(self.exact - orthonormal @ (orthonormal.T @ self.exact))
+
+    def sum_of_squares(self, d: Array) -> float:
+        return float(np.sum(self.residual(d) ** 2))
+
+    def minimise(self, d: Array) -> Array:
+        if not d.size:
+            return d
+        return np.asarray(least_squares(self.residual, d, xtol=1e-12, ftol=1e-13, gtol=1e-14).x)
+
+    def fit(self, d: Array) -> Fit:
+        numerator, denominator = np.zeros(self.n + 1), np.zeros(self.m + 1)
+        solution = np.linalg.lstsq(self.columns(d), self.exact, rcond=None)[0]
+        numerator[self.top] = solution * self.fit_range
+        denominator[0] = 1.0
+        denominator[self.bottom] = d
+        values = chebyshev.chebval(self.u, numerator) / chebyshev.chebval(self.u, denominator)
+        rmse, r_squared = goodness(values, self.exact * self.fit_range)
+        return Fit(tuple(numerator.tolist()), tuple(denominator.tolist()), rmse, r_squared)

@@ -1,0 +1,94 @@
+"""The forced Duffing oscillator and its freeplay gap: frozen, checked parameters.
+
+The equation of motion, with `F_c` the contact force of `gapsweep.model.contact`::
+
+    x'' + 2 ζ ω_n x' + ω_n² x + (α/m) x³ + F_c(x)/m = (p/m) cos(ω t)
+"""
+
+import math
+from dataclasses import dataclass, fields
+
+from gapsweep.errors import ModelError
+
+
+def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = False) -> float:
+    """`value` as a finite float above `low`, or a `ModelError` that names it."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ModelError(f"{name} = {value!r}: must be a number") from None
+    if not math.isfinite(number):
+        raise ModelError(f"{name} = {number}: must be finite")
+    if number < low or (strict and number == low):
+        raise ModelError(f"{name} = {number:g}: must be {'>' if strict else '>='} {low:g}")
+    return number
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Oscillator:
+    """Mass on a linear and a cubic spring, damped and forced harmonically.
+
+    Parameters
+    ----------
+    zeta : float
+        Damping ratio [-], ``>= 0``.
+    omega_n : float
+        Natural frequency of the linear spring alone [Hz], ``> 0``.
+    mass : float
+        Mass m [kg], ``> 0``.
+    alpha : float
+        Cubic stiffness α [N/m³]; negative values soften.
+    forcing : float
+        Forcing amplitude p [N].
+    """
+
+    zeta: float = 0.03
+    omega_n: float = 5.0
+    mass: float = 3.0
+    alpha: float = 7e8
+    forcing: float = 4.0
+
+    def __post_init__(self) -> None:
+        lows = {"zeta": (0.0, False), "omega_n": (0.0, True), "mass": (0.0, True)}
+        for field in fields(self):
+            low, strict = lows.get(field.name, (-math.inf, False))
+            value = checked(field.name, getattr(self, field.name), low=low, strict=strict)
+            object.__setattr__(self, field.name, value)
+
+    @property
+    def omega_n_rad(self) -> float:
+        """Natural angular frequency [rad/s]."""
+        return 2.0 * math.pi * self.omega_n
+
+    @property
+    def decay_rate(self) -> float:
+        """Rate ζω_n at which free oscillations of the linear system decay [1/s]."""
+        return self.zeta * self.omega_n_rad
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Freeplay: the mass touches nothing while ``-j_1 <= x <= j_2``.
+
+    Parameters
+    ----------
+    j_1, j_2 : float
+        Distance of the lower and upper wall from the origin [m], ``>= 0``.
+    """
+
+    j_1: float
+    j_2: float
+
+    def __post_init__(self) -> None:
+        for name in ("j_1", "j_2"):
+            object.__setattr__(self, name, checked(name, getattr(self, name), low=0.0))
+
+    @property
+    def width(self) -> float:
+        """Distance between the walls [m]."""
+        return self.j_1 + self.j_2
+
+    @property
+    def label(self) -> str:
+        """Wall distances in millimetres, as ``"0.4/0.4"``."""
+        return f"{self.j_1 * 1e3:.12g}/{self.j_2 * 1e3:.12g}"

@@ -1,0 +1,48 @@
+"""One colour per representation, the same in every figure; safe for colour-blind readers."""
+
+from collections.abc import Sequence
+from typing import Any
+
+# Okabe & Ito (2008); the exact law is always black.
+_EXACT = "#000000"
+_FAMILIES = {
+    "piecewise-noevents": "#999999",
+    "poly": "#E69F00",
+    "ratpoly": "#CC79A7",
+    "tanh": "#0072B2",
+    "arctan": "#009E73",
+    "logarctan": "#D55E00",
+}
+_OTHER = "#56B4E9"
+_LINES = ("-", "--", ":", "-.")
+
+MATPLOTLIB: dict[Any, Any] = {
+    "figure.constrained_layout.use": True,
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "svg.hashsalt": "gapsweep",  # the same data give the same file
+}
+
+
+def colour(label: str) -> str:
+    """Colour of a representation, by its family."""
+    label = label.partition("@")[0]
+    if label == "piecewise":
+        return _EXACT
+    return _FAMILIES.get(label, _FAMILIES.get(label.partition("-")[0], _OTHER))
+
+
+def lines(labels: Sequence[str]) -> dict[str, str]:
+    """Line style of every representation: the first of a colour solid, the next dashed, ..."""
+    used: dict[str, int] = {}
+    styles = {}
+    for label in labels:
+        n = used.setdefault(colour(label), 0)
+        styles[label] = _LINES[n % len(_LINES)]
+        used[colour(label)] += 1
+    return styles

@@ -1,0 +1,1 @@
+"""What a sweep point answers: its steady response."""

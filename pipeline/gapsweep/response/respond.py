@@ -1,0 +1,285 @@
+"""The steady response of one sweep point.
+
+The motion runs until transients have decayed, which the damping decides: a disturbance
+shrinks like ``exp(-ζ ω_n t)``, so ``ln(1/settle_tol) / (ζ ω_n)`` seconds bring it down to
+`settle_tol` of itself. Then forcing periods are recorded, 8 at first and up to `n_periods`,
+until the stroboscopic section repeats. If it never does, the next window is tried until
+`t_max`; what has found no period by then is `unresolved`.
+"""
+
+import math
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.errors import ModelError
+from gapsweep.integrate.simulate import DEFAULT_ENGINE, ENGINES, tolerances
+from gapsweep.integrate.trajectory import Trajectory
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.response.section import period_multiple
+from gapsweep.status import Status
+
+Array = NDArray[np.float64]
+
+_COSTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
+_FIRST_WINDOW = 8
+# Two section points closer than this share of the amplitude are taken for one...
+_SAME_POINT = 1e-4
+# ... or closer than this multiple of what the solver's tolerances admit per step.
+_NOISE_FACTOR = 20.0
+
+
+class ResponseClass(IntEnum):
+    """What kind of motion the steady response is; the order is part of the schema."""
+
+    PERIODIC = 0
+    CHAOTIC = 1
+    UNRESOLVED = 2
+    FAILED = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Steady:
+    """When a response counts as steady, and how much of it is recorded.
+
+    Parameters
+    ----------
+    settle_tol : float
+        Share [-] of a disturbance that may be left when recording starts, in (0, 0.1].
+    t_max : float
+        Simulated time [s] after which no further window is tried, ``> 0``.
+    n_periods : int
+        Forcing periods in a full recording window, at least twice `max_period_multiple`.
+    max_period_multiple : int
+        Largest period multiple looked for, 1 to 256.
+    max_extrema : int
+        Extrema kept per point, 1 to 65536.
+    """
+
+    settle_tol: float = 1e-6
+    t_max: float = 60.0
+    n_periods: int = 64
+    max_period_multiple: int = 32
+    max_extrema: int = 256
+
+    def __post_init__(self) -> None:
+        if checked("settle_tol", self.settle_tol, low=0.0, strict=True) > 0.1:
+            raise ModelError(f"settle_tol = {self.settle_tol:g}: must be <= 0.1")
+        checked("t_max", self.t_max, low=0.0, strict=True)
+        for name, largest in (("max_period_multiple", 256), ("max_extrema", 65536)):
+            if not 1 <= getattr(self, name) <= largest:
+                raise ModelError(f"{name} = {getattr(self, name)}: must be in 1..{largest}")
+        if not 2 * self.max_period_multiple <= self.n_periods <= 10**6:
+            raise ModelError(
+                f"n_periods = {self.n_periods}: must be >= 2 max_period_multiple "
+                f"({2 * self.max_period_multiple}) and <= 1000000"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Response:
+    """Steady response of one sweep point; an attribute for every dataset variable.
+
+    Attributes
+    ----------
+    status : Status
+    response_class : ResponseClass
+    period_multiple : int
+        n of a period-n response, 0 if none was found.
+    extrema : tuple of float
+        Steady zero-velocity displacements [m] in order of time: over n periods if periodic,
+        else over the last window; at most `max_extrema`.
+    n_extrema : int
+        Their true count.
+    x_max, x_min, amplitude : float
+        Peak, trough and half their difference [m]; NaN if the point failed.
+    n_contacts, n_steps, n_rejected, nfev : int
+        Cost of the whole point, settling included.
+    t_settled : float
+        Simulated time [s] before the recorded window.
+    x_end, v_end : float
+        Last section point [m], [m/s]: where a sweep's next point starts.
+    cpu_time : float
+        Processor time of the integration [s].
+    message : str
+        Why the point failed, empty otherwise.
+    """
+
+    status: Status
+    response_class: ResponseClass = ResponseClass.FAILED
+    period_multiple: int = 0
+    extrema: tuple[float, ...] = ()
+    n_extrema: int = 0
+    x_max: float = math.nan
+    x_min: float = math.nan
+    amplitude: float = math.nan
+    n_contacts: int = 0
+    n_steps: int = 0
+    n_rejected: int = 0
+    nfev: int = 0
+    t_settled: float = math.nan
+    x_end: float = math.nan
+    v_end: float = math.nan
+    cpu_time: float = math.nan
+    message: str = ""
+
+
+def respond(
+    oscillator: Oscillator,
+    law: ContactLaw,
+    omega: float,
+    x_0: float = 0.0,
+    v_0: float = 0.0,
+    *,
+    engine: str = DEFAULT_ENGINE,
+    rtol: float | None = None,
+    atol: float | None = None,
+    steady: Steady | None = None,
+) -> Response:
+    """Find the steady response from one initial state.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+    law : ContactLaw
+    omega : float
+        Forcing frequency [Hz], ``> 0``.
+    x_0, v_0 : float
+        Initial displacement [m] and velocity [m/s], at forcing phase zero.
+    engine, rtol, atol
+        As in `gapsweep.simulate`.
+    steady : Steady, optional
+        When the response counts as steady.
+
+    Raises
+    ------
+    ModelError
+        If an argument is out of range. A numerical failure is no error but a `status`.
+    """
+    rtol, atol = tolerances(engine, rtol, atol)
+    checked("omega", omega, low=0.0, strict=True)
+    y_0 = checked("x_0", x_0), checked("v_0", v_0)
+    run = _Run(oscillator, law, omega, engine, rtol, atol, y_0)
+    return _steady_response(run, steady or Steady())
+
+
+@dataclass(slots=True)
+class _Run:
+    """A motion advanced by whole forcing periods, its cost and its current window."""
+
+    oscillator: Oscillator
+    law: ContactLaw
+    omega: float
+    engine: str
+    rtol: float
+    atol: float
+    y: tuple[float, float]
+    status: Status = Status.OK
+    n_periods: int = 0
+    cost: dict[str, Any] = field(default_factory=lambda: dict.fromkeys(_COSTS, 0))
+    section: Array = field(default_factory=lambda: np.empty((0, 2)))
+    t_extrema: Array = field(default_factory=lambda: np.empty(0))
+    extrema: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def t(self) -> float:
+        return self.n_periods / self.omega
+
+    def advance(self, n_periods: int, *, record: bool) -> None:
+        """Go on for whole periods. Each call starts at phase zero, so time never grows."""
+        duration = n_periods / self.omega
+        part: Trajectory = ENGINES[self.engine](
+            self.oscillator,
+            self.law,
+            self.omega,
+            self.y,
+            (0.0, duration),
+            rtol=self.rtol,
+            atol=self.atol,
+            record=record,
+        )
+        self.y, self.status = (part.x, part.v), part.status
+        for name in self.cost:
+            self.cost[name] += getattr(part, name)
+        if record:
+            self.t_extrema = np.append(self.t_extrema, self.t + part.t_extrema)
+            self.extrema = np.append(self.extrema, part.extrema)
+            self.section = np.append(self.section, part.section, axis=0)
+        self.n_periods += n_periods
+
+    def forget(self) -> None:
+        """Start an empty window here."""
+        self.section = np.empty((0, 2))
+        self.t_extrema = self.extrema = np.empty(0)
+
+    def period_multiple(self, largest: int) -> int:
+        scaled = self.section / (1.0, 2.0 * math.pi * self.omega)
+        reach = float(np.max(np.abs(self.extrema), initial=0.0))
+        noise = _NOISE_FACTOR * (self.atol + self.rtol * reach)
+        return period_multiple(scaled, max(noise, _SAME_POINT * reach), largest)
+
+
+def _steady_response(run: _Run, steady: Steady) -> Response:
+    rate = run.oscillator.decay_rate
+    needed = math.log(1.0 / steady.settle_tol) / rate if rate > 0.0 else math.inf
+    run.advance(math.ceil(min(needed, steady.t_max) * run.omega), record=False)
+    n, t_settled = 0, 0.0
+    while run.status is Status.OK and not n:
+        run.forget()
+        t_settled = run.t
+        n = _record_window(run, steady)
+        if run.t >= steady.t_max:
+            break
+    if run.status is not Status.OK:
+        return _failure(run)
+    # A window that repeats before the transient had time to decay proves nothing.
+    resolved = n > 0 and needed <= steady.t_max
+    return _result(run, steady, n, t_settled, resolved)
+
+
+def _record_window(run: _Run, steady: Steady) -> int:
+    """Record periods, doubling their number, until the section repeats; its multiple or 0."""
+    size = _FIRST_WINDOW
+    while len(run.section) < steady.n_periods and run.status is Status.OK:
+        run.advance(min(size, steady.n_periods) - len(run.section), record=True)
+        n = run.period_multiple(steady.max_period_multiple)
+        if n:
+            return n
+        size *= 2
+    return 0
+
+
+def _result(run: _Run, steady: Steady, n: int, t_settled: float, resolved: bool) -> Response:
+    last = run.t_extrema > run.t - n / run.omega if n else slice(None)
+    extrema = run.extrema[last]
+    # A response without a turning point in its window still has a position.
+    x_max, x_min = (float(f(extrema, initial=run.y[0])) for f in (np.max, np.min))
+    if extrema.size:
+        x_max, x_min = float(np.max(extrema)), float(np.min(extrema))
+    left_range = max(abs(x_max), abs(x_min)) > run.law.valid_range
+    status = Status.OK if resolved else Status.UNRESOLVED
+    return Response(
+        status=Status.OUT_OF_FIT_RANGE if left_range else status,
+        response_class=ResponseClass.PERIODIC if resolved else ResponseClass.UNRESOLVED,
+        period_multiple=n,
+        extrema=tuple(extrema[: steady.max_extrema].tolist()),
+        n_extrema=extrema.size,
+        x_max=x_max,
+        x_min=x_min,
+        amplitude=0.5 * (x_max - x_min),
+        t_settled=t_settled,
+        x_end=run.y[0],
+        v_end=run.y[1],
+        **run.cost,
+    )
+
+
+def _failure(run: _Run) -> Response:
+    left_range = not abs(run.y[0]) <= run.law.valid_range
+    status = Status.OUT_OF_FIT_RANGE if left_range else run.status
+    where = f"{run.status.label} before t = {run.t:.6g} s at x = {run.y[0]:.3g} m"
+    return Response(status=status, message=where, **run.cost)

@@ -1,0 +1,30 @@
+"""Outcome of a sweep point, as stored in datasets."""
+
+from enum import IntEnum
+
+
+class Status(IntEnum):
+    """How a simulation or a sweep point ended; the order is part of the dataset schema."""
+
+    OK = 0
+    NOT_REQUESTED = 1
+    UNRESOLVED = 2
+    OUT_OF_FIT_RANGE = 3
+    DIVERGED = 4
+    MODEL_INVALID = 5
+    STEP_UNDERFLOW = 6
+    CHATTER = 7
+    TIMED_OUT = 8
+    KILLED = 9
+    ERROR = 10
+    INTERRUPTED = 11
+
+    @property
+    def label(self) -> str:
+        """Name in lower case, as in the dataset's ``flag_meanings``."""
+        return self.name.lower()
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is no result; unresolved points and left fit ranges are results."""
+        return self > Status.OUT_OF_FIT_RANGE

@@ -1,0 +1,1 @@
+"""Where results live: the point cache and NetCDF files."""

@@ -1,0 +1,72 @@
+"""Schema of `responses.nc`: dimensions, coordinates, variables, units, flags.
+
+Written down once, here; the writer, the analyses and the documentation read this table.
+"""
+
+from dataclasses import dataclass
+
+from gapsweep.response.respond import ResponseClass
+from gapsweep.status import Status
+
+POINT_DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
+EXTREMUM = "extremum"
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One dataset variable.
+
+    Attributes
+    ----------
+    dtype : str
+        NumPy type code, or ``"str"``.
+    units : str
+        UDUNITS text, ``"1"`` if nondimensional.
+    long_name : str
+    missing : float
+        Value in cells that are no sweep point.
+    flags : tuple of (str, int)
+        Meanings and values, for flag variables.
+    """
+
+    dtype: str
+    units: str
+    long_name: str
+    missing: float = float("nan")
+    flags: tuple[tuple[str, int], ...] = ()
+
+
+STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
+CLASS_FLAGS = (("none", -1), *((c.name.lower(), int(c)) for c in ResponseClass))
+
+COORDINATES: dict[str, tuple[str, Variable]] = {
+    "representation": ("representation", Variable("str", "1", "representation of the contact")),
+    "K_c": ("K_c", Variable("f8", "N m-1", "contact stiffness")),
+    "gap": ("gap", Variable("str", "mm", "distances of the lower and upper wall from the origin")),
+    "j_1": ("gap", Variable("f8", "m", "distance of the lower wall from the origin")),
+    "j_2": ("gap", Variable("f8", "m", "distance of the upper wall from the origin")),
+    "omega": ("omega", Variable("f8", "Hz", "forcing frequency")),
+    "initial_condition": ("initial_condition", Variable("i4", "1", "number of the start")),
+    "x_0": ("initial_condition", Variable("f8", "m", "initial displacement")),
+    "v_0": ("initial_condition", Variable("f8", "m s-1", "initial velocity")),
+    "start": ("initial_condition", Variable("str", "1", "fixed, sweep_up or sweep_down")),
+}
+
+VARIABLES: dict[str, Variable] = {
+    "x_max": Variable("f8", "m", "peak displacement of the steady response"),
+    "x_min": Variable("f8", "m", "trough displacement of the steady response"),
+    "amplitude": Variable("f8", "m", "half the range of the steady response"),
+    "period_multiple": Variable("i4", "1", "forcing periods in one response period, 0: none", 0),
+    "response_class": Variable("i1", "1", "class of the steady response", -1, CLASS_FLAGS),
+    "n_extrema": Variable("i4", "1", "true number of steady extrema", 0),
+    "n_contacts": Variable("i8", "1", "wall crossings, in and out, over the whole run", 0),
+    "n_steps": Variable("i8", "1", "accepted steps over the whole run", 0),
+    "n_rejected": Variable("i8", "1", "rejected steps over the whole run", 0),
+    "nfev": Variable("i8", "1", "right-hand sides evaluated over the whole run", 0),
+    "t_settled": Variable("f8", "s", "simulated time before the recorded window"),
+    "cpu_time": Variable("f8", "s", "processor time of the integration, in the worker"),
+    "host": Variable("i2", "1", "machine on which cpu_time was measured", -1),
+    "status": Variable("i1", "1", "outcome of the sweep point", Status.NOT_REQUESTED, STATUS_FLAGS),
+}
+
+EXTREMA = Variable("f8", "m", "steady zero-velocity displacements, in order of time")

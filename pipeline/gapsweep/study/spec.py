@@ -1,0 +1,255 @@
+"""The study file: what may stand in it, checked all at once.
+
+pydantic models mirror the TOML tables. `parse` turns text into a checked `StudySpec` or
+raises one `StudyError` with a line per problem; `gapsweep.study.study` turns the spec into
+the plain immutable values that the rest of the package works with.
+"""
+
+import tomllib
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
+
+from gapsweep.errors import ModelError, StudyError
+from gapsweep.integrate.simulate import ENGINES, SMALLEST_RTOL
+from gapsweep.model.labels import canonical_label
+
+MAX_POINTS = 10**7
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=1, le=MAX_POINTS)]
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+Pair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+def _canonical(label: str) -> str:
+    """Canonical label, its protocol suffix kept."""
+    law, at, protocol = label.partition("@")
+    try:
+        return canonical_label(law) + at + protocol
+    except ModelError as error:
+        raise ValueError(str(error)) from None
+
+
+Label = Annotated[str, AfterValidator(_canonical)]
+
+
+class StudyTable(_Table):
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
+    title: Annotated[str, Field(max_length=10_000)] = ""
+
+
+class OscillatorTable(_Table):
+    zeta: NonNegative = 0.03
+    omega_n: Positive = 5.0
+    mass: Positive = 3.0
+    alpha: float = 7e8
+    forcing: float = 4.0
+
+
+class StepGrid(_Table):
+    start: Positive
+    stop: Positive
+    step: Positive
+
+    @property
+    def count(self) -> int:
+        # A stop that is a whole number of steps away is meant to be reached.
+        return int((self.stop - self.start) / self.step + 1e-9) + 1
+
+    def values(self) -> list[float]:
+        return [self.start + i * self.step for i in range(self.count)]
+
+
+class NumGrid(_Table):
+    start: Positive
+    stop: Positive
+    num: Count
+
+    @property
+    def count(self) -> int:
+        return self.num
+
+    def values(self) -> list[float]:
+        step = (self.stop - self.start) / max(self.num - 1, 1)
+        return [self.start + i * step for i in range(self.num)]
+
+
+def _ordered(grid: StepGrid | NumGrid) -> StepGrid | NumGrid:
+    if grid.stop < grid.start:
+        raise ValueError(f"stop {grid.stop:g} must be >= start {grid.start:g}")
+    return grid
+
+
+def _frequency_form(value: Any) -> str:
+    if isinstance(value, NumGrid) or (isinstance(value, dict) and "num" in value):
+        return "num"
+    return "step" if isinstance(value, StepGrid | dict) else "list"
+
+
+Frequencies = Annotated[
+    Annotated[list[Positive], Field(min_length=1), Tag("list")]
+    | Annotated[StepGrid, AfterValidator(_ordered), Tag("step")]
+    | Annotated[NumGrid, AfterValidator(_ordered), Tag("num")],
+    Discriminator(_frequency_form),
+]
+
+
+class SobolStarts(_Table):
+    sobol: Annotated[int, Field(ge=1, le=65536)]
+    x: Range
+    v: Range
+    seed: Annotated[int, Field(ge=0)] = 1
+
+    @model_validator(mode="after")
+    def _ascending(self) -> "SobolStarts":
+        for name, (low, high) in (("x", self.x), ("v", self.v)):
+            if not low < high:
+                raise ValueError(f"{name} = [{low:g}, {high:g}] must ascend")
+        return self
+
+
+def _start_form(value: Any) -> str:
+    if isinstance(value, str):
+        return "sweep"
+    return "sobol" if isinstance(value, SobolStarts | dict) else "list"
+
+
+Starts = Annotated[
+    Annotated[list[Range], Field(min_length=1), Tag("list")]
+    | Annotated[SobolStarts, Tag("sobol")]
+    | Annotated[Literal["sweep_up", "sweep_down"], Tag("sweep")],
+    Discriminator(_start_form),
+]
+
+
+class SweepTable(_Table):
+    representation: Annotated[list[Label], Field(min_length=1)]
+    K_c: Annotated[list[NonNegative], Field(min_length=1)]
+    gap: Annotated[list[Pair], Field(min_length=1)]
+    omega: Frequencies
+    initial_condition: Starts = [[0.0, 0.0]]
+
+    @property
+    def count(self) -> int:
+        """Sweep points, without expanding them."""
+        starts = self.initial_condition
+        n_starts = starts.sobol if isinstance(starts, SobolStarts) else len(starts)
+        n_omega = len(self.omega) if isinstance(self.omega, list) else self.omega.count
+        n_starts = 1 if isinstance(starts, str) else n_starts
+        return len(self.representation) * len(self.K_c) * len(self.gap) * n_omega * n_starts
+
+
+class SolverTable(_Table):
+    """Solver settings; None means "as above" (protocol) or the engine's default."""
+
+    engine: Literal[tuple(ENGINES)] | None = None  # type: ignore[valid-type]  # names live there
+    rtol: Annotated[float, Field(ge=SMALLEST_RTOL, le=0.1)] | None = None
+    atol: Positive | None = None
+    start_jitter: float = 0.0
+
+
+class SteadyTable(_Table):
+    settle_tol: Annotated[float, Field(gt=0, le=0.1)] = 1e-6
+    t_max: Positive = 60.0
+    n_periods: Annotated[int, Field(ge=2, le=10**6)] = 64
+    max_period_multiple: Annotated[int, Field(ge=1, le=256)] = 32
+    max_extrema: Annotated[int, Field(ge=1, le=65536)] = 256
+
+    @model_validator(mode="after")
+    def _long_enough(self) -> "SteadyTable":
+        if self.n_periods < 2 * self.max_period_multiple:
+            raise ValueError(
+                f"n_periods = {self.n_periods} must be >= 2 max_period_multiple "
+                f"= {2 * self.max_period_multiple}"
+            )
+        return self
+
+
+class FitTable(_Table):
+    range: Positive = 4e-3
+
+
+class StudySpec(_Table):
+    study: StudyTable
+    oscillator: OscillatorTable = OscillatorTable()
+    sweep: Annotated[list[SweepTable], Field(min_length=1)]
+    solver: SolverTable = SolverTable()
+    protocol: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")], SolverTable] = {}
+    steady: SteadyTable = SteadyTable()
+    fit: FitTable = FitTable()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "StudySpec":
+        labels = [label for block in self.sweep for label in block.representation]
+        used = {protocol for x in labels for protocol in x.split("@")[1:]}
+        problems = [
+            f"protocol {name!r} is used by a label but there is no [protocol.{name}]"
+            for name in sorted(used - set(self.protocol))
+        ]
+        count = sum(block.count for block in self.sweep)
+        if count > MAX_POINTS:
+            problems.append(f"{count} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+
+def parse(text: str, source: str = "study") -> StudySpec:
+    """Check the text of a study file.
+
+    Raises
+    ------
+    StudyError
+        One line per problem, each naming `source`, the key, the value and what is allowed.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise StudyError([f"{source}: not valid TOML: {error}"]) from None
+    return check(tables, source)
+
+
+def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
+    """Check the tables of a study; see `parse`."""
+    try:
+        return StudySpec.model_validate(tables)
+    except ValidationError as error:
+        raise StudyError([_problem(source, e) for e in error.errors()]) from None
+
+
+def _problem(source: str, error: Any) -> str:
+    """One line: where, the offending value, what is allowed."""
+    message = error["msg"].removeprefix("Value error, ")
+    message = message.replace("Input should be", "must be")
+    if error["type"] == "extra_forbidden":
+        message = "unknown key"
+    where = _path(error["loc"])
+    value = error["input"]
+    shown = "" if error["type"] == "missing" or isinstance(value, dict) else f" = {value!r:.80}"
+    return f"{source}: {where}{shown}: {message}" if where else f"{source}: {message}"
+
+
+def _path(loc: tuple[str | int, ...]) -> str:
+    """``("sweep", 0, "omega", "step", "step")`` as ``sweep[0].omega.step``."""
+    text = ""
+    for i, part in enumerate(loc):
+        # The tag of a union member is ours, not the user's.
+        if i and loc[i - 1] in ("omega", "initial_condition") and isinstance(part, str):
+            continue
+        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return text.lstrip(".")

@@ -1,0 +1,241 @@
+"""A study: its settings and the labelled grid of its sweep points."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from gapsweep.errors import StudyError
+from gapsweep.integrate.simulate import DEFAULT_ENGINE, tolerances
+from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.response.respond import Steady
+from gapsweep.study.points import FIXED, Point, Solver, Start, canonical, key
+from gapsweep.study.spec import (
+    MAX_POINTS,
+    SobolStarts,
+    SolverTable,
+    StudySpec,
+    SweepTable,
+    check,
+    parse,
+)
+
+Index = tuple[int, int, int, int, int]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Coordinates of the dataset and which of its cells are sweep points.
+
+    Attributes
+    ----------
+    representations : tuple of str
+        Labels in order of first appearance, protocol included.
+    K_c, omega : tuple of float
+        Ascending [N/m], [Hz].
+    gaps : tuple of Gap
+    starts : tuple of Start
+        In order of first appearance over the blocks.
+    requested : ndarray of bool, shape (representation, K_c, gap, omega, initial_condition)
+    """
+
+    representations: tuple[str, ...]
+    K_c: tuple[float, ...]
+    gaps: tuple[Gap, ...]
+    omega: tuple[float, ...]
+    starts: tuple[Start, ...]
+    requested: NDArray[np.bool_]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.requested.shape
+
+
+@dataclass(frozen=True)
+class Study:
+    """Everything a run needs to know; immutable.
+
+    Attributes
+    ----------
+    name, title : str
+    spec : StudySpec
+        The checked study file.
+    source : str
+        Where it came from, for messages.
+    """
+
+    spec: StudySpec
+    source: str = "study"
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Study":
+        """Read and check a study file.
+
+        Raises
+        ------
+        StudyError
+            If the file is missing or anything in it is wrong, one line per problem.
+        """
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except OSError as error:
+            raise StudyError([f"{path}: cannot be read: {error.strerror}"]) from None
+        except UnicodeDecodeError:
+            raise StudyError([f"{path}: not valid TOML: must be UTF-8 text"]) from None
+        return cls(parse(text, str(path)), str(path))._checked()
+
+    @classmethod
+    def from_dict(cls, tables: dict[str, Any], source: str = "study") -> "Study":
+        """Check a study given as the tables of its TOML file."""
+        return cls(check(tables, source), source)._checked()
+
+    def _checked(self) -> "Study":
+        cells = int(np.prod([len(axis) for axis in self._axes], dtype=np.int64))
+        if cells > MAX_POINTS:
+            raise StudyError(
+                [
+                    f"{self.source}: the blocks together span {cells} dataset cells, must be "
+                    f"<= {MAX_POINTS}; split them into several studies"
+                ]
+            )
+        return self
+
+    @property
+    def name(self) -> str:
+        return self.spec.study.name
+
+    @property
+    def title(self) -> str:
+        return self.spec.study.title or self.name
+
+    @property
+    def json(self) -> str:
+        """The checked study, defaults filled in, as JSON."""
+        return json.dumps(self.spec.model_dump(exclude_none=True), sort_keys=True)
+
+    @cached_property
+    def oscillator(self) -> Oscillator:
+        return Oscillator(**self.spec.oscillator.model_dump())
+
+    @cached_property
+    def steady(self) -> Steady:
+        return Steady(**self.spec.steady.model_dump())
+
+    def with_engine(self, engine: str) -> "Study":
+        """The same study on another engine."""
+        solver = self.spec.solver.model_copy(update={"engine": engine})
+        return Study(self.spec.model_copy(update={"solver": solver}), self.source)
+
+    @cached_property
+    def _solvers(self) -> dict[str, Solver]:
+        return {protocol: self._solver(protocol) for protocol in ("", *self.spec.protocol)}
+
+    def _solver(self, protocol: str) -> Solver:
+        """Solver settings, those of a protocol laid over ``[solver]``."""
+        tables = [self.spec.solver] + ([self.spec.protocol[protocol]] if protocol else [])
+        given = {k: v for t in tables for k, v in _given(t).items()}
+        engine = given.pop("engine", DEFAULT_ENGINE)
+        rtol, atol = tolerances(engine, given.pop("rtol", None), given.pop("atol", None))
+        return Solver(engine=engine, rtol=rtol, atol=atol, **given)
+
+    @cached_property
+    def _blocks(self) -> list[tuple[list[Any], ...]]:
+        return [_expanded(block) for block in self.spec.sweep]
+
+    @cached_property
+    def _axes(self) -> tuple[tuple[Any, ...], ...]:
+        unions = [
+            tuple(dict.fromkeys(value for block in self._blocks for value in block[axis]))
+            for axis in range(5)
+        ]
+        for ascending in (1, 3):
+            unions[ascending] = tuple(sorted(unions[ascending]))
+        return tuple(unions)
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The labelled grid: the union of all blocks."""
+        requested = np.zeros([len(axis) for axis in self._axes], dtype=bool)
+        places = [{value: i for i, value in enumerate(axis)} for axis in self._axes]
+        for block in self._blocks:
+            at = [[place[v] for v in values] for place, values in zip(places, block, strict=True)]
+            requested[np.ix_(*at)] = True
+        representations, K_c, gaps, omega, starts = self._axes
+        return Grid(representations, K_c, gaps, omega, starts, requested)
+
+    def point(self, index: Index) -> Point:
+        """The sweep point at a position of the grid."""
+        grid = self.grid
+        r, k, g, w, i = index
+        label, _, protocol = grid.representations[r].partition("@")
+        return Point(
+            oscillator=self.oscillator,
+            representation=label,
+            K_c=grid.K_c[k],
+            gap=grid.gaps[g],
+            omega=grid.omega[w],
+            start=grid.starts[i],
+            solver=self._solvers[protocol],
+            steady=self.steady,
+            fit_range=self.spec.fit.range,
+        )
+
+    def chains(self) -> Iterator[tuple[Index, ...]]:
+        """Indices of all sweep points, grouped: what must be computed in order, together.
+
+        A fixed start makes a chain of one. A sweep makes a chain of all its frequencies.
+        """
+        grid = self.grid
+        for r, k, g in np.ndindex(grid.shape[:3]):
+            for i, start in enumerate(grid.starts):
+                along = [int(w) for w in np.flatnonzero(grid.requested[r, k, g, :, i])]
+                if start.kind == FIXED:
+                    yield from (((r, k, g, w, i),) for w in along)
+                elif along:
+                    order = along if start.kind == "sweep_up" else along[::-1]
+                    yield tuple((r, k, g, w, i) for w in order)
+
+    def keys(self, chain: tuple[Index, ...]) -> list[str]:
+        """Content keys of a chain's points; each holds the key of the point before it."""
+        keys: list[str] = []
+        for index in chain:
+            keys.append(key(self.point(index), keys[-1] if keys else None))
+        return keys
+
+
+def _given(table: SolverTable) -> dict[str, Any]:
+    return {k: v for k, v in table.model_dump(exclude_unset=True).items() if v is not None}
+
+
+def _expanded(block: SweepTable) -> tuple[list[Any], ...]:
+    """A block's values along the five dimensions, canonical and without repeats."""
+    omega = block.omega if isinstance(block.omega, list) else block.omega.values()
+    values = (
+        block.representation,
+        [canonical(K_c) for K_c in block.K_c],
+        [Gap(canonical(j_1), canonical(j_2)) for j_1, j_2 in block.gap],
+        [canonical(w) for w in omega],
+        _starts(block.initial_condition),
+    )
+    return tuple(list(dict.fromkeys(v)) for v in values)
+
+
+def _starts(spec: list[list[float]] | SobolStarts | str) -> list[Start]:
+    if isinstance(spec, str):
+        return [Start(spec)]
+    if isinstance(spec, SobolStarts):
+        # Sobol points are balanced in powers of two; the first ones of the next power.
+        exponent = (spec.sobol - 1).bit_length()
+        unit = qmc.Sobol(d=2, scramble=True, rng=spec.seed).random_base2(exponent)[: spec.sobol]
+        low, high = zip(spec.x, spec.v, strict=True)
+        states = (np.array(low) + unit * (np.array(high) - np.array(low))).tolist()
+    else:
+        states = spec
+    return [Start(FIXED, canonical(x), canonical(v)) for x, v in states]
