@@ -18,8 +18,8 @@ from rich.progress import Progress as Bar
 
 from gapsweep import __version__, workflow
 from gapsweep.errors import GapsweepError
+from gapsweep.execution.execute import OnProgress, Progress
 from gapsweep.integrate.simulate import ENGINES
-from gapsweep.run.execute import OnProgress, Progress
 from gapsweep.study.study import Study
 
 FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130

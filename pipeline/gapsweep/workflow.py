@@ -16,11 +16,11 @@ from distributed import Client
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.timing import timing
 from gapsweep.errors import StoreError
+from gapsweep.execution.assemble import export
+from gapsweep.execution.execute import OnProgress, Progress, cluster, execute
+from gapsweep.execution.plan import Plan
+from gapsweep.execution.plan import plan as make_plan
 from gapsweep.report.html import write_report
-from gapsweep.run.assemble import export
-from gapsweep.run.execute import OnProgress, Progress, cluster, execute
-from gapsweep.run.plan import Plan
-from gapsweep.run.plan import plan as make_plan
 from gapsweep.store import netcdf
 from gapsweep.store.cache import Cache
 from gapsweep.study.study import Study

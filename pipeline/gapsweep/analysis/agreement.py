@@ -15,11 +15,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.analysis.statistics import SWEPT, mean, quantile
 from gapsweep.status import Status
 from gapsweep.study.schema import POINT_DIMS
 
 REFERENCE = "piecewise"
-_SWEPT = POINT_DIMS[3:]
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def agreement(responses: xr.Dataset) -> xr.Dataset | None:
             variables[f"{name}_{suffix}"] = _labelled(value, units, f"{long_name}, {label}")
     counts = {"n_compared": both, "n_points": requested}
     for name, what in counts.items():
-        count = what.sum(_SWEPT).astype("i4")
+        count = what.sum(SWEPT).astype("i4")
         variables[name] = _labelled(count, "1", f"sweep points {name.removeprefix('n_')}")
     result = xr.Dataset(variables).transpose(*POINT_DIMS)
     return result.assign_attrs(_kept(responses), reference=REFERENCE)
@@ -79,10 +79,10 @@ def _exists(responses: xr.Dataset) -> xr.DataArray:
 
 def _summaries(name: str, values: xr.DataArray) -> list[tuple[str, str, xr.DataArray]]:
     if name == "class_agreement":
-        return [("mean", "share of the compared points", values.mean(_SWEPT))]
+        return [("mean", "share of the compared points", mean(values))]
     return [
-        ("median", "median over frequencies and starts", values.median(_SWEPT)),
-        ("p95", "95th percentile", values.quantile(0.95, _SWEPT).drop_vars("quantile")),
+        ("median", "median over frequencies and starts", quantile(values, 0.5)),
+        ("p95", "95th percentile", quantile(values, 0.95)),
     ]
 
 

@@ -7,10 +7,9 @@ points of a study is the one reported, the others' points are only counted.
 import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.statistics import SWEPT, mean, quantile
 from gapsweep.status import Status
-from gapsweep.study.schema import POINT_DIMS
 
-_SWEPT = POINT_DIMS[3:]
 _COSTS = {
     "cpu_time": ("s", "processor time per point"),
     "nfev": ("1", "right-hand sides per point"),
@@ -35,11 +34,11 @@ def timing(responses: xr.Dataset) -> xr.Dataset:
     variables = {}
     for name, (units, long_name) in _COSTS.items():
         values = responses[name].where(measured)
-        for statistic, value in (("mean", values.mean(_SWEPT)), ("median", values.median(_SWEPT))):
+        for statistic, value in (("mean", mean(values)), ("median", quantile(values, 0.5))):
             attributes = {"units": units, "long_name": f"{long_name}, {statistic}"}
             variables[f"{name}_{statistic}"] = value.assign_attrs(attributes)
     for name, where in (("n_points", measured), ("n_points_elsewhere", requested & ~measured)):
-        count = where.sum(_SWEPT).astype("i4")
+        count = where.sum(SWEPT).astype("i4")
         long_name = "sweep points measured" if name == "n_points" else "points of other machines"
         variables[name] = count.assign_attrs(units="1", long_name=long_name)
     names = str(host.attrs.get("flag_meanings", "")).split()

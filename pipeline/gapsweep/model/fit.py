@@ -8,6 +8,7 @@ Both fits use Chebyshev polynomials of ``u = x / fit_range``, which keep the nor
 equations well conditioned at every degree allowed (the monomial basis does not).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -100,17 +101,26 @@ def rational_fit(gap: Gap, numerator: int, denominator: int, fit_range: float) -
     for name, degree in (("numerator", numerator), ("denominator", denominator)):
         if not 1 <= degree <= MAX_RATIONAL_DEGREE:
             raise ModelError(f"{name} degree {degree}: must be in 1..{MAX_RATIONAL_DEGREE}")
-    candidates = list(_rational_candidates(gap, numerator, denominator, fit_range))
+    name = f"ratpoly-{numerator}/{denominator} for gap {gap.label} mm"
+    return best_pole_free(
+        _rational_candidates(gap, numerator, denominator, fit_range), fit_range, name
+    )
+
+
+def best_pole_free(candidates: Sequence[Fit], fit_range: float, name: str) -> Fit:
+    """The candidate with the smallest error among those without a pole in the range.
+
+    Ties within rounding go to the earlier one.
+    """
     pole_free = [c for c in candidates if not poles(c.denominator, fit_range)]
     if not pole_free:
         best = min(candidates, key=lambda c: c.rmse)
         where = ", ".join(f"{1e3 * p:.4g}" for p in poles(best.denominator, fit_range))
         raise ModelError(
-            f"ratpoly-{numerator}/{denominator} for gap {gap.label} mm: the best fit on "
-            f"±{1e3 * fit_range:g} mm has a pole at x = {where} mm; choose other degrees"
+            f"{name}: the best fit on ±{1e3 * fit_range:g} mm has a pole at x = {where} mm; "
+            "choose other degrees"
         )
     lowest = min(c.rmse for c in pole_free)
-    # Candidates are ordered with the symmetric one first; it wins a tie in rounding.
     return next(c for c in pole_free if c.rmse <= lowest * _SAME_RMSE)
 
 
@@ -131,6 +141,7 @@ def _used_degrees(gap: Gap, degree: int, *, odd: bool) -> NDArray[np.intp]:
 def _rational_candidates(gap: Gap, n: int, m: int, fit_range: float) -> list[Fit]:
     everything = np.arange(n + 1), np.arange(1, m + 1)
     shapes = [everything]
+    # The symmetric form first: it wins a tie and is then odd to the last bit.
     if gap.j_1 == gap.j_2:
         odd = np.arange(1, n + 1, 2)
         even = np.arange(2, m + 1, 2)

@@ -47,7 +47,8 @@ def frequency_response(responses: xr.Dataset) -> Figure:
     _frequency_axis(axes, responses)
     axes.set_ylabel("amplitude [mm]")
     axes.set_ylim(bottom=0)
-    axes.legend(ncols=2)
+    if axes.lines:
+        axes.legend(ncols=2)
     return figure
 
 

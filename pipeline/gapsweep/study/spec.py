@@ -232,11 +232,20 @@ def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
         raise StudyError([_problem(source, e) for e in error.errors()]) from None
 
 
+_BOUNDS = {
+    "greater_than": ("gt", ">"),
+    "greater_than_equal": ("ge", ">="),
+    "less_than_equal": ("le", "<="),
+}
+
+
 def _problem(source: str, error: Any) -> str:
     """One line: where, the offending value, what is allowed."""
-    message = error["msg"].removeprefix("Value error, ")
-    message = message.replace("Input should be", "must be")
-    if error["type"] == "extra_forbidden":
+    message = error["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    if error["type"] in _BOUNDS:
+        name, sign = _BOUNDS[error["type"]]
+        message = f"must be {sign} {error['ctx'][name]:g}"
+    elif error["type"] == "extra_forbidden":
         message = "unknown key"
     where = _path(error["loc"])
     value = error["input"]

@@ -14,7 +14,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.run.plan import Chain, Plan
+from gapsweep.execution.plan import Chain, Plan
 from gapsweep.store.cache import Cache, Row
 from gapsweep.store.netcdf import writing
 from gapsweep.study.fingerprint import numerics_fingerprint
@@ -102,6 +102,9 @@ def _define(dataset: netCDF4.Dataset, grid: Grid, max_extrema: int) -> None:
     for name, variable in VARIABLES.items():
         _create(dataset, name, variable, POINT_DIMS, chunk)
     _create(dataset, "extrema", EXTREMA, (*POINT_DIMS, EXTREMUM), (*chunk, max_extrema))
+    auxiliary = [name for name, (dimension, _) in COORDINATES.items() if name != dimension]
+    for name in (*VARIABLES, "extrema"):
+        dataset[name].coordinates = " ".join(auxiliary)  # CF: coordinates that are no dimension
 
 
 def _create(

@@ -17,9 +17,9 @@ from distributed import Client, Future, LocalCluster, as_completed
 from distributed.scheduler import KilledWorker
 
 from gapsweep.errors import ClusterError
+from gapsweep.execution.plan import Chain, Plan
+from gapsweep.execution.task import REST, State, TaskResult, compute
 from gapsweep.response.respond import Response
-from gapsweep.run.plan import Chain, Plan
-from gapsweep.run.task import REST, State, TaskResult, compute
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Row
 from gapsweep.study.fingerprint import numerics_fingerprint
@@ -74,12 +74,9 @@ def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
         If the scheduler cannot be reached.
     """
     if scheduler is None:
-        with (
-            LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None
-            ) as local,
-            Client(local) as client,
-        ):
+        # A free port on the loopback: a second cluster on this machine must not disturb.
+        options = {"processes": True, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+        with LocalCluster(n_workers=workers, **options) as local, Client(local) as client:
             yield client
         return
     try:

@@ -1,0 +1,137 @@
+"""The command line as a user meets it: real processes, exit codes, one clear line per error."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+QUICK = """
+[study]
+name = "tiny"
+[[sweep]]
+representation = ["piecewise", "tanh-1e4"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = [12.0, 20.0]
+[steady]
+settle_tol = 1e-2
+n_periods = 16
+max_period_multiple = 8
+"""
+
+
+def gapsweep(folder, *arguments):
+    environment = {k: v for k, v in os.environ.items() if k != "GAPSWEEP_CACHE"}
+    command = [sys.executable, "-c", "from gapsweep.cli import main; main()", *arguments]
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120
+    )
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "tiny.toml").write_text(QUICK)
+    return tmp_path
+
+
+@pytest.fixture
+def finished(folder):
+    done = gapsweep(folder, "run", "tiny.toml")
+    assert (done.returncode, done.stdout.splitlines()[0]) == (
+        0,
+        "4 points: 0 from the cache, 4 computed",
+    ), done.stderr
+    return folder
+
+
+def test_run_writes_datasets_and_report(finished):
+    run = finished / "data" / "runs" / "tiny"
+    names = sorted(str(p.relative_to(run)) for p in run.rglob("*") if p.is_file())
+    assert names == ["agreement.nc", "report/index.html", "responses.nc", "timing.nc"]
+    page = (run / "report" / "index.html").read_text()
+    assert page.count("<svg") == 2
+    # XML namespaces are names, not requests; nothing else may point outside.
+    outside = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?(https?:[^"\'\s)]*)', page)
+    assert [url for url in outside if "w3.org" not in url] == []
+
+
+def test_plan_counts_hits_and_missing_points(finished):
+    text = (finished / "tiny.toml").read_text()
+    (finished / "more.toml").write_text(text.replace("20.0]", "20.0, 25.0]"))
+    numbers = json.loads(gapsweep(finished, "plan", "more.toml", "--json").stdout)
+    assert numbers.pop("expected_s") > 0
+    assert numbers == {"points": 6, "hits": 4, "missing": 2, "failed": 0}
+
+
+def test_plan_without_a_cache_creates_none(folder):
+    numbers = json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)
+    assert numbers == {"points": 4, "hits": 0, "missing": 4, "failed": 0, "expected_s": None}
+    assert not (folder / "data").exists()
+
+
+def test_report_is_rebuilt_from_the_datasets_alone(finished):
+    run = finished / "data" / "runs" / "tiny"
+    before = (run / "report" / "index.html").read_text()
+    (run / "report" / "index.html").unlink()
+    (finished / "data" / "cache.sqlite").unlink()
+    assert gapsweep(finished, "report", "data/runs/tiny").returncode == 0
+    assert (run / "report" / "index.html").read_text() == before
+
+
+def test_failed_points_end_with_their_own_exit_code(folder):
+    (folder / "springs.py").write_text("def bad(x):\n    return 1.0 if x == 0 else 1 / 0\n")
+    text = QUICK.replace('"tanh-1e4"', '"springs:bad"')
+    (folder / "tiny.toml").write_text(text)
+    done = gapsweep(folder, "run", "tiny.toml")
+    assert done.returncode == 3
+    assert "failed points: 2 error" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("[study]", "[study"), "tiny.toml: not valid TOML"),
+        (("tanh-1e4", "tanhh-1e4"), "sweep[0].representation[1] = 'tanhh-1e4': unknown"),
+        (("1.4e4]", "-1.4e4]"), "sweep[0].K_c[0] = -14000.0: must be >= 0"),
+        (("[[0.4e-3,", "[[-0.4e-3,"), "sweep[0].gap[0][0] = -0.0004: must be >= 0"),
+        (("12.0", "nan"), "sweep[0].omega[0] = nan: must be a finite number"),
+        (("12.0", "0"), "sweep[0].omega[0] = 0: must be > 0"),
+        (("n_periods", "periods"), "steady.periods = 16: unknown key"),
+    ],
+)
+def test_bad_study_is_one_clear_line(folder, change, message):
+    (folder / "tiny.toml").write_text(QUICK.replace(*change))
+    done = gapsweep(folder, "run", "tiny.toml")
+    assert done.returncode == 1
+    assert [message in line for line in done.stderr.splitlines()] == [True]
+    assert not (folder / "data").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("run", "none.toml"), "none.toml: cannot be read: No such file"),
+        (("run", "tiny.toml", "--out", "tiny.toml/out"), "tiny.toml/out: cannot be written"),
+        (("run", "tiny.toml", "--out", "/proc/out"), "/proc/out: cannot be written"),
+        (("run", "tiny.toml", "--scheduler", "tcp://127.0.0.1:9"), "tcp://127.0.0.1:9: cannot be"),
+        (("run", "tiny.toml", "--scheduler", "nonsense://x"), "nonsense://x: cannot be reached"),
+        (("run", "tiny.toml", "--cache", "tiny.toml"), "tiny.toml: file is not a database"),
+        (("plan", "none.toml"), "none.toml: cannot be read"),
+        (("report", "."), "responses.nc: no such file; 'gapsweep run' makes it"),
+    ],
+)
+def test_impossible_request_is_one_clear_line(folder, arguments, message):
+    done = gapsweep(folder, *arguments)
+    assert done.returncode == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    assert [message in line for line in done.stderr.splitlines()] == [True], done.stderr
+    assert sorted(p.name for p in folder.iterdir()) == ["tiny.toml"]
+
+
+def test_wrong_command_line_is_clicks_own(folder):
+    assert gapsweep(folder, "run").returncode == 2
+    assert gapsweep(folder, "run", "tiny.toml", "--workers", "0").returncode == 2
+    assert gapsweep(folder, "--help").returncode == 0

@@ -1,0 +1,184 @@
+"""Whole runs on real worker processes."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import gapsweep as gs
+from gapsweep import workflow
+from gapsweep.store.cache import Cache
+from gapsweep.study.schema import COORDINATES, POINT_DIMS, VARIABLES
+
+
+def poison(x: float) -> float:
+    """A law that kills its process as soon as the motion reaches 0.1 mm."""
+    if abs(x) > 1e-4:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 0.0
+
+
+def faulty(x: float) -> float:
+    """A law that raises once the motion reaches 0.1 mm."""
+    if abs(x) > 1e-4:
+        raise ArithmeticError("no force here")
+    return 0.0
+
+
+def run(tables, client, folder, name="out", **options):
+    study = gs.Study.from_dict(tables)
+    with gs.run(study, client, out=folder / name, cache=folder / f"{name}.sqlite", **options) as ds:
+        return ds.load()
+
+
+@pytest.fixture
+def responses(tables, client, tmp_path):
+    return run(tables, client, tmp_path)
+
+
+def test_dataset_has_every_dimension_unit_and_flag(responses):
+    assert responses["x_max"].dims == POINT_DIMS
+    assert responses["extrema"].dims == (*POINT_DIMS, "extremum")
+    for name, variable in VARIABLES.items():
+        assert responses[name].attrs["units"] == variable.units
+        assert responses[name].attrs["long_name"]
+        if variable.dtype.startswith("i"):
+            assert responses[name].dtype.kind == "i"
+            assert "_FillValue" not in responses[name].encoding
+    for name, (dimension, variable) in COORDINATES.items():
+        assert responses.coords[name].dims == (dimension,)
+        assert responses[name].attrs["units"] == variable.units
+    meanings = responses["status"].attrs["flag_meanings"].split()
+    assert meanings == [status.label for status in gs.Status]
+    assert len(responses["response_class"].attrs["flag_values"]) == 5
+    assert {"study_json", "numerics_fingerprint", "versions", "host"} <= set(responses.attrs)
+
+
+def test_dataset_holds_what_respond_returns(responses, tables):
+    study = gs.Study.from_dict(tables)
+    point = study.point((1, 0, 0, 1, 0))
+    solver = point.solver
+    expected = gs.respond(
+        point.oscillator, point.law, point.omega, engine=solver.engine, rtol=solver.rtol,
+        atol=solver.atol, steady=point.steady,
+    )  # fmt: skip
+    cell = responses.sel(representation="tanh-1e4", omega=12.0).squeeze()
+    for name in set(VARIABLES) - {"cpu_time", "host"}:
+        assert cell[name].item() == getattr(expected, name)
+    extrema = cell["extrema"].values
+    assert tuple(extrema[np.isfinite(extrema)]) == expected.extrema
+
+
+def test_workers_and_batches_do_not_change_a_bit(tables, client, tmp_path):
+    tables["sweep"].append(
+        tables["sweep"][0] | {"representation": ["piecewise"], "initial_condition": "sweep_down"}
+    )
+    first = run(tables, client, tmp_path, "one", batch=1)
+    second = run(tables, client, tmp_path, "seven", batch=7)
+    with workflow.cluster(workers=1) as alone:
+        third = run(tables, alone, tmp_path, "alone")
+    for other in (second, third):
+        xr.testing.assert_identical(
+            first.drop_vars("cpu_time").drop_attrs(), other.drop_vars("cpu_time").drop_attrs()
+        )
+
+
+def test_points_in_no_block_are_not_requested(tables, client, tmp_path):
+    tables["sweep"].append(tables["sweep"][0] | {"representation": ["piecewise"], "omega": [3.0]})
+    status = run(tables, client, tmp_path)["status"].sel(omega=3.0).squeeze()
+    assert status.values.tolist() == [0, gs.Status.NOT_REQUESTED, gs.Status.NOT_REQUESTED]
+
+
+def test_second_run_computes_nothing_and_starts_no_cluster(tables, client, tmp_path, monkeypatch):
+    first = run(tables, client, tmp_path)
+    monkeypatch.setattr(workflow, "cluster", None)
+    second = run(tables, None, tmp_path)
+    xr.testing.assert_identical(first.drop_attrs(), second.drop_attrs())
+
+
+def test_refined_grid_computes_only_the_new_points(tables, client, tmp_path):
+    tables["sweep"][0]["representation"] = ["piecewise"]
+    counts = []
+    for n in (3, 5, 9):
+        tables["sweep"][0]["omega"] = {"start": 10.0, "stop": 12.0, "num": n}
+        plan = workflow.plan(gs.Study.from_dict(tables), tmp_path / "out.sqlite")
+        counts.append((plan.n_missing, plan.n_hits))
+        run(tables, client, tmp_path)
+    assert counts == [(3, 0), (2, 3), (4, 5)]
+
+
+def test_upward_sweep_stays_on_the_upper_branch(tables, client, tmp_path):
+    block = tables["sweep"][0] | {"representation": ["piecewise"], "omega": [9.0, 10.0, 11.0]}
+    tables["sweep"] = [block, block | {"initial_condition": "sweep_up"}]
+    tables["solver"] = {"rtol": 1e-7, "atol": 1e-10}
+    amplitude = run(tables, client, tmp_path)["amplitude"].sel(omega=11.0).squeeze()
+    from_rest, swept = amplitude.values
+    assert swept > 4 * from_rest
+
+
+def test_interrupted_sweep_goes_on_where_it_was(tables, client, tmp_path):
+    block = tables["sweep"][0] | {"representation": ["piecewise"], "initial_condition": "sweep_up"}
+    tables["sweep"] = [block]
+    whole = run(tables, client, tmp_path, "whole")
+    study = gs.Study.from_dict(tables)
+    (chain,) = study.chains()
+    first = study.keys(chain)[0]
+    with Cache(tmp_path / "whole.sqlite") as full, Cache(tmp_path / "part.sqlite") as part:
+        part.commit([(full.rows([first])[first], {})])
+    resumed = run(tables, client, tmp_path, "part")
+    for name in ("x_max", "x_min", "n_steps", "extrema"):
+        xr.testing.assert_equal(whole[name], resumed[name])
+
+
+def test_law_that_raises_is_a_result_with_its_message(tables, client, tmp_path):
+    tables["sweep"][0]["representation"] = ["piecewise", f"{__name__}:faulty"]
+    status = run(tables, client, tmp_path)["status"].sel(representation=f"{__name__}:faulty")
+    assert set(status.values.ravel().tolist()) == {gs.Status.ERROR}
+    study = gs.Study.from_dict(tables)
+    (key,) = study.keys(((1, 0, 0, 0, 0),))
+    with Cache(tmp_path / "out.sqlite") as cache:
+        assert cache.rows([key])[key].response.message == "ArithmeticError: no force here"
+
+
+def test_law_that_kills_its_worker_spares_all_other_points(tables, tmp_path):
+    label = f"{__name__}:poison"
+    tables["sweep"][0] |= {"representation": ["piecewise", label], "omega": [7.0, 12.0]}
+    with workflow.cluster(workers=2) as fragile:
+        status = run(tables, fragile, tmp_path, batch=4)["status"]
+    assert set(status.sel(representation="piecewise").values.ravel().tolist()) == {gs.Status.OK}
+    assert set(status.sel(representation=label).values.ravel().tolist()) == {gs.Status.KILLED}
+
+
+def test_failed_points_are_computed_again_only_on_request(tables, client, tmp_path):
+    tables["sweep"][0] |= {"representation": [f"{__name__}:faulty"], "omega": [7.0]}
+    run(tables, client, tmp_path)
+    study = gs.Study.from_dict(tables)
+    again = [workflow.plan(study, tmp_path / "out.sqlite", retry_failed=r) for r in (False, True)]
+    assert [p.n_missing for p in again] == [0, 1]
+    assert again[0].n_failed == 1
+
+
+def test_a_cluster_started_elsewhere_is_used(tables, tmp_path):
+    with workflow.cluster(workers=1) as other:
+        ds = run(tables, None, tmp_path, scheduler=other.scheduler.address)
+    assert (ds["status"] == gs.Status.OK).all()
+
+
+def test_workers_with_other_numerics_are_refused(tables, client, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "gapsweep.execution.execute.numerics_fingerprint", lambda: "of another version"
+    )
+    with pytest.raises(gs.ClusterError, match=r"runs other numerics .* install the same gapsweep"):
+        run(tables, client, tmp_path)
+
+
+def test_no_worker_is_left_behind(tables, tmp_path):
+    with workflow.cluster(workers=2) as own:
+        pids = list(own.run(os.getpid).values())
+    deadline = time.monotonic() + 20
+    while any(os.path.exists(f"/proc/{pid}") for pid in pids):
+        assert time.monotonic() < deadline, "worker processes outlived their cluster"
+        time.sleep(0.05)

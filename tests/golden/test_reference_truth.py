@@ -1,0 +1,55 @@
+"""The reference engine against end states of independent high-precision methods."""
+
+import numpy as np
+import pytest
+from tests.conftest import golden
+
+import gapsweep as gs
+
+TIGHT = {"engine": "scipy", "rtol": 1e-10, "atol": 1e-13}
+LAWS = {"tanh": "tanh", "arctan": "arctan", "log-arctan": "logarctan"}
+
+
+def piecewise_run(row, **options):
+    scene = row["scene"]
+    names = ("zeta", "omega_n", "mass", "alpha", "forcing")
+    oscillator = gs.Oscillator(**{name: scene[name] for name in names})
+    law = gs.Piecewise(scene["K_c"], gs.Gap(scene["j_1"], scene["j_2"]))
+    start = {name: scene[name] for name in ("omega", "x_0", "v_0")}
+    return oscillator, gs.simulate(oscillator, law, **start, t_end=row["T"], **options)
+
+
+def scaled_error(oscillator, run, row, amplitude):
+    distances = abs(run.x - row["x_T"]), abs(run.v - row["v_T"]) / oscillator.omega_n_rad
+    return max(distances) / amplitude
+
+
+@pytest.mark.parametrize("row", golden("piecewise.json"))
+def test_exact_law_reaches_the_true_end_state(row):
+    oscillator, run = piecewise_run(row, **TIGHT)
+    amplitude = 0.5 * (row["tail_max"] - row["tail_min"])
+    tail = run.extrema[run.t_extrema > row["tail_from"]]
+    assert run.status is gs.Status.OK
+    assert scaled_error(oscillator, run, row, amplitude) < 1e-6
+    assert run.n_contacts == row["contact_transitions"]
+    assert len(run.section) == row["n_forcing_periods"]
+    np.testing.assert_allclose(tail.max(), row["tail_max"], atol=1e-6 * amplitude)
+    np.testing.assert_allclose(tail.min(), row["tail_min"], atol=1e-6 * amplitude)
+
+
+@pytest.mark.parametrize("row", golden("smooth.json"))
+def test_smooth_laws_reach_the_true_end_state(row):
+    label = f"{LAWS[row['representation']]}-{row['convergence']:g}"
+    law = gs.contact_law(label, row["K_c"], gs.Gap(row["j_1"], row["j_2"]))
+    oscillator = gs.Oscillator()
+    run = gs.simulate(oscillator, law, row["omega"], t_end=row["T"], **TIGHT)
+    last_period = run.t_extrema > row["T"] - 1.0 / row["omega"]
+    amplitude = np.abs(run.extrema[last_period]).max()
+    assert scaled_error(oscillator, run, row, amplitude) < 1e-6
+
+
+def test_a_stiffness_off_by_one_percent_is_noticed():
+    row = golden("piecewise.json")[1]
+    changed = row | {"scene": row["scene"] | {"K_c": 1.01 * row["scene"]["K_c"]}}
+    oscillator, run = piecewise_run(changed, **TIGHT)
+    assert scaled_error(oscillator, run, row, row["tail_max"]) > 1e-3

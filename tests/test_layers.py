@@ -1,0 +1,78 @@
+"""The architecture, enforced: who may import whom, and where outside libraries may appear."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import gapsweep
+
+PACKAGE = Path(gapsweep.__file__).parent
+LAYERS = (
+    {"errors", "status"},
+    {"model"},
+    {"integrate"},
+    {"response"},
+    {"study"},
+    {"store"},
+    {"execution"},
+    {"analysis"},
+    {"report"},
+    {"workflow"},
+    {"cli", "__init__"},
+)
+FENCES = {
+    "scipy": {"model", "integrate", "response", "study"},
+    "numba": {"model", "integrate", "response"},
+    "xarray": {"store", "execution", "analysis", "report", "workflow"},
+    "netCDF4": {"store", "execution"},
+    "dask": {"execution"},
+    "distributed": {"execution", "workflow"},
+    "matplotlib": {"report"},
+    "pydantic": {"study"},
+    "click": {"cli"},
+    "rich": {"cli"},
+    "jinja2": {"report"},
+}
+
+
+def part(path):
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def level(name):
+    return next(i for i, names in enumerate(LAYERS) if name in names)
+
+
+def imports(path):
+    """Modules imported at the top of a file, and those imported inside functions."""
+    tree = ast.parse(path.read_text())
+    top = set(map(id, tree.body))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, id(node) in top) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from ((f"{node.module}.{a.name}", id(node) in top) for a in node.names)
+
+
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_modules_import_only_what_stands_below_them(path):
+    here = part(path)
+    for name, at_top in imports(path):
+        library = name.split(".")[0]
+        if library == "gapsweep":
+            target = name.split(".")[1]
+            target = target if any(target in names for names in LAYERS) else "__init__"
+            assert target == here or level(target) < level(here) or name == "gapsweep.__version__"
+            assert at_top, f"{name} is imported inside a function"
+        elif library in FENCES:
+            assert here in FENCES[library], f"{library} does not belong into {here}"
+
+
+def test_public_names_exist_and_are_sorted():
+    assert sorted(gapsweep.__all__) == list(gapsweep.__all__)
+    assert all(hasattr(gapsweep, name) for name in gapsweep.__all__)
+    assert all(getattr(gapsweep, name).__doc__ for name in gapsweep.__all__)

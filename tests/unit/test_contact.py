@@ -1,0 +1,191 @@
+"""Contact laws: quoted errors, derivatives, symmetry, limits, refusals."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from numpy.testing import assert_allclose
+from tests import strategies as own
+
+import gapsweep as gs
+from gapsweep.model.fit import Fit, best_pole_free, poles
+
+SOFT = 1.4e4
+SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
+ASYMMETRIC = gs.Gap(0.0, 0.8e-3)
+
+
+def soft_spring(x: float) -> float:
+    return 1e3 * x
+
+
+@pytest.mark.parametrize(
+    ("label", "rmse"), [("tanh-1e4", "0.044"), ("arctan-1e4", "0.056"), ("logarctan-1e4", "0.376")]
+)
+def test_smooth_laws_have_the_published_static_errors(label, rmse):
+    error, r_squared = gs.static_error(gs.contact_law(label, SOFT, SYMMETRIC))
+    assert f"{error:.3f}" == rmse
+    assert r_squared > 0.998
+
+
+@pytest.mark.parametrize(("label", "rmse"), [("poly-13", "0.409"), ("ratpoly-5/3", "0.130")])
+def test_fits_have_the_published_static_errors(label, rmse):
+    law = gs.contact_law(label, SOFT, SYMMETRIC)
+    assert f"{law.rmse:.3f}" == rmse
+    assert law.r_squared > 0.998
+
+
+def test_asymmetric_logarctan_breaks_the_quality_rule():
+    error, r_squared = gs.static_error(gs.contact_law("logarctan-1e4", SOFT, ASYMMETRIC))
+    assert f"{error:.3f}" == "1.415"
+    assert f"{r_squared:.4f}" == "0.9974"
+
+
+@pytest.mark.parametrize("label", ["poly-21", "ratpoly-3/2"])
+def test_r_squared_of_a_fit_does_not_depend_on_stiffness(label):
+    very_soft, hard = (gs.contact_law(label, K_c, ASYMMETRIC) for K_c in (1.4e3, 1.4e6))
+    assert very_soft.r_squared == hard.r_squared
+    assert_allclose(hard.rmse, 1e3 * very_soft.rmse)
+
+
+def test_polynomial_is_the_least_squares_one():
+    law = gs.contact_law("poly-9", SOFT, ASYMMETRIC)
+    x = np.linspace(-4e-3, 4e-3, 8001)
+    residual = law.force(x) - gs.Piecewise(SOFT, ASYMMETRIC).force(x)
+    moments = [residual @ (x / 4e-3) ** n for n in range(10)]
+    assert_allclose(moments, 0.0, atol=1e-8 * np.linalg.norm(residual))
+
+
+def test_rational_fit_beats_polynomial_of_as_many_coefficients():
+    rational = gs.contact_law("ratpoly-5/3", SOFT, ASYMMETRIC)
+    assert not poles(rational.fit.denominator, rational.fit_range)
+    assert rational.rmse < 0.5 * gs.contact_law("poly-9", SOFT, ASYMMETRIC).rmse
+
+
+def test_rational_fit_with_a_pole_in_range_is_refused_by_name():
+    with_pole = Fit((0.0, 1.0), (1.0, 2.0), rmse=1.0, r_squared=0.9)  # 1 + 2u = 0 at u = -1/2
+    with pytest.raises(gs.ModelError, match=r"ratpoly-1/1: .* pole at x = -2 mm"):
+        best_pole_free([with_pole], 4e-3, "ratpoly-1/1")
+
+
+def test_fit_without_pole_is_preferred_to_a_better_one_with_pole():
+    with_pole = Fit((0.0, 1.0), (1.0, 2.0), rmse=1.0, r_squared=0.9)
+    without = Fit((0.0, 1.0), (1.0, 0.5), rmse=2.0, r_squared=0.8)
+    assert best_pole_free([with_pole, without], 4e-3, "any") is without
+
+
+@given(own.smooth_labels | own.fitted_labels, own.gaps, own.displacements)
+def test_derivative_is_the_slope_of_the_force(label, gap, x):
+    law = gs.contact_law(label, SOFT, gap)
+    h = 1e-9
+    slope = (law.force(x + h) - law.force(x - h)) / (2 * h)
+    # Over the width 2h the slope of a smoothing layer changes by up to K_c epsilon h.
+    epsilon = getattr(law, "epsilon", getattr(law, "gamma", 1e4))
+    tolerance = SOFT * (1e-4 + 2.0 * epsilon * h)
+    assert_allclose(law.derivative(x), slope, atol=tolerance, rtol=1e-4)
+
+
+@given(own.smooth_labels | own.fitted_labels, own.symmetric_gaps, own.displacements)
+def test_force_of_a_symmetric_gap_is_odd(label, gap, x):
+    law = gs.contact_law(label, SOFT, gap)
+    assert_allclose(law.force(-x), -law.force(x), atol=1e-9 * SOFT * 4e-3)
+
+
+@given(own.gaps, own.displacements)
+def test_exact_force_is_zero_in_the_gap_and_linear_outside(gap, x):
+    force = gs.Piecewise(SOFT, gap).force(x)
+    expected = SOFT * (x - gap.j_2) if x > gap.j_2 else SOFT * min(x + gap.j_1, 0.0)
+    assert force == expected
+
+
+@pytest.mark.parametrize("family", ["tanh", "arctan", "logarctan"])
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC, gs.Gap(0.0, 0.0)])
+def test_smooth_laws_tend_to_the_exact_one(family, gap):
+    errors = [gs.static_error(gs.contact_law(f"{family}-1e{e}", SOFT, gap))[0] for e in (4, 6, 8)]
+    rounding = 1e-13
+    assert errors[2] < 1e-2 * errors[0] + rounding
+    assert errors[2] <= errors[1] + rounding
+    assert errors[1] <= errors[0] + rounding
+
+
+@given(own.smooth_labels, own.displacements)
+def test_zero_gap_leaves_the_bare_contact_spring(label, x):
+    law = gs.contact_law(label, SOFT, gs.Gap(0.0, 0.0))
+    assert_allclose(law.force(x), SOFT * x, atol=1e-9)
+
+
+def test_exact_slope_jumps_between_zero_and_stiffness():
+    law = gs.Piecewise(SOFT, SYMMETRIC)
+    assert law.derivative([-1e-3, 0.0, 1e-3]).tolist() == [SOFT, 0.0, SOFT]
+
+
+def test_user_law_is_evaluated_and_differentiated():
+    law = gs.law(soft_spring, SOFT, SYMMETRIC)
+    assert_allclose(law.force([1e-3, -2e-3]), [1.0, -2.0])
+    assert_allclose(law.derivative(np.array([[1e-3]])), [[1e3]], rtol=1e-6)
+    assert "1e3 * x" in law.source
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: gs.Gap(-1e-3, 0.0), r"j_1 = -0.001: must be >= 0"),
+        (lambda: gs.Gap(0.0, math.nan), r"j_2 = nan: must be finite"),
+        (lambda: gs.Piecewise(-1.0, SYMMETRIC), r"K_c = -1: must be >= 0"),
+        (lambda: gs.Tanh(SOFT, SYMMETRIC, 0.0), r"epsilon = 0: must be > 0"),
+        (lambda: gs.LogArctan(SOFT, SYMMETRIC, math.inf), r"gamma = inf: must be finite"),
+        (lambda: gs.Polynomial(SOFT, SYMMETRIC, 61), r"degree 61: must be in 1..60"),
+        (lambda: gs.RationalPolynomial(SOFT, SYMMETRIC, 0, 1), r"degree 0: must be in 1..20"),
+        (lambda: gs.Oscillator(zeta=-0.1), r"zeta = -0.1: must be >= 0"),
+        (lambda: gs.Oscillator(omega_n=0.0), r"omega_n = 0: must be > 0"),
+        (lambda: gs.Oscillator(mass="heavy"), r"mass = 'heavy': must be a number"),
+        (lambda: gs.law(lambda x: 1 / x, SOFT, SYMMETRIC), r"raised ZeroDivisionError"),
+    ],
+)
+def test_bad_parameters_are_refused_by_name(build, message):
+    with pytest.raises(gs.ModelError, match=message):
+        build()
+
+
+@pytest.mark.parametrize(
+    ("label", "canonical"),
+    [
+        ("tanh-10000", "tanh-1e4"),
+        ("tanh-1e4", "tanh-1e4"),
+        ("arctan-2.50e+05", "arctan-2.5e5"),
+        ("logarctan-500", "logarctan-5e2"),
+        ("poly-013", "poly-13"),
+        ("ratpoly-5/3", "ratpoly-5/3"),
+        ("piecewise-noevents", "piecewise-noevents"),
+        ("my_module:spring", "my_module:spring"),
+    ],
+)
+def test_labels_have_one_spelling(label, canonical):
+    assert gs.canonical_label(label) == canonical
+    assert gs.canonical_label(canonical) == canonical
+
+
+@pytest.mark.parametrize(
+    "label",
+    [
+        "",
+        "tan-1e4",
+        "tanh",
+        "tanh-",
+        "tanh--1",
+        "tanh-inf",
+        "poly-0",
+        "poly-x",
+        "ratpoly-5",
+        "a:b:c",
+    ],
+)
+def test_unknown_labels_are_refused(label):
+    with pytest.raises(gs.ModelError, match=repr(label).replace("(", r"\(")):
+        gs.canonical_label(label)
+
+
+def test_label_of_a_missing_module_says_what_to_do():
+    with pytest.raises(gs.ModelError, match=r"no_such_module.*importable here and on every worker"):
+        gs.contact_law("no_such_module:spring", SOFT, SYMMETRIC)

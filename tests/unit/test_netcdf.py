@@ -1,0 +1,49 @@
+"""NetCDF files: complete or absent."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import gapsweep as gs
+from gapsweep.store import netcdf
+
+
+def small():
+    return xr.Dataset({"x": ("t", np.arange(3.0), {"units": "m", "long_name": "displacement"})})
+
+
+def test_written_dataset_is_read_back(tmp_path):
+    netcdf.write(small(), tmp_path / "sub" / "small.nc")
+    with gs.open(tmp_path / "sub" / "small.nc") as read:
+        xr.testing.assert_identical(read["x"].load(), small()["x"])
+        assert {"created", "versions", "host", "thread_settings"} <= set(read.attrs)
+
+
+def test_writer_that_fails_leaves_the_old_file_and_no_other(tmp_path):
+    path = tmp_path / "small.nc"
+    netcdf.write(small(), path)
+    before = path.read_bytes()
+
+    def write_half():
+        with netcdf.writing(path, {}) as dataset:
+            dataset.createDimension("t", 3)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_half()
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["small.nc"]
+
+
+@pytest.mark.parametrize("size", [0, 1, 100, 4000])
+def test_torn_file_is_refused_by_name(tmp_path, size):
+    path = tmp_path / "small.nc"
+    netcdf.write(small(), path)
+    path.write_bytes(path.read_bytes()[:size])
+    with pytest.raises(gs.StoreError, match=r"small.nc: cannot be read as NetCDF"):
+        gs.open(path)
+
+
+def test_missing_file_is_refused_by_name(tmp_path):
+    with pytest.raises(gs.StoreError, match=r"none.nc: cannot be read"):
+        gs.open(tmp_path / "none.nc")

@@ -1,0 +1,119 @@
+"""Steady responses: closed forms, energy balance, period multiples, outcomes."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import gapsweep as gs
+from gapsweep.response.section import period_multiple
+
+SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
+TIGHT = {"engine": "scipy", "rtol": 1e-8, "atol": 1e-12}
+
+
+def test_linear_oscillator_reaches_its_closed_form_amplitude():
+    oscillator = gs.Oscillator(alpha=0.0)
+    response = gs.respond(oscillator, gs.Piecewise(0.0, SYMMETRIC), 7.0, **TIGHT)
+    r = 7.0 / oscillator.omega_n
+    static = oscillator.forcing / (oscillator.mass * oscillator.omega_n_rad**2)
+    expected = static / math.hypot(1 - r**2, 2 * oscillator.zeta * r)
+    assert response.status is gs.Status.OK
+    assert response.period_multiple == 1
+    assert response.n_extrema == 2
+    assert_allclose(response.amplitude, expected, rtol=2e-6)
+
+
+def test_work_of_the_forcing_is_what_damping_takes():
+    oscillator, law, omega = gs.Oscillator(), gs.Piecewise(1.4e4, SYMMETRIC), 9.0
+    response = gs.respond(oscillator, law, omega, **TIGHT)
+    assert response.period_multiple == 1
+    run = gs.simulate(oscillator, law, omega, response.x_end, response.v_end, t_end=1 / omega,
+                      dense_output=True, **TIGHT)  # fmt: skip
+    t = np.linspace(0.0, 1 / omega, 4001)
+    _, v = run.sample(t)
+    power_in = oscillator.forcing * np.cos(2 * math.pi * omega * t) * v
+    power_out = 2 * oscillator.decay_rate * oscillator.mass * v**2
+    # Periodic integrands: the plain mean is exact to the motion's own accuracy.
+    assert_allclose(power_in[:-1].mean(), power_out[:-1].mean(), rtol=1e-4)
+
+
+def test_known_period_two_of_hard_asymmetric_contact():
+    # Known from an independent fixed-step method: period two with a peak of 0.423 mm.
+    law = gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3))
+    response = gs.respond(gs.Oscillator(), law, 21.75, **TIGHT)
+    assert_allclose(response.x_max, 0.423e-3, atol=0.0006e-3)
+    assert response.response_class is gs.ResponseClass.PERIODIC
+    assert response.period_multiple == 2
+
+
+def test_chaos_is_unresolved_not_periodic():
+    steady = gs.Steady(settle_tol=1e-3, t_max=8.0)
+    response = gs.respond(
+        gs.Oscillator(), gs.Piecewise(1.4e6, SYMMETRIC), 3.0, steady=steady, **TIGHT
+    )
+    assert response.status is gs.Status.UNRESOLVED
+    assert response.period_multiple == 0
+    assert response.n_extrema > len(response.extrema) == steady.max_extrema
+    assert response.x_min < response.x_max
+
+
+def test_light_damping_is_never_called_settled():
+    oscillator = gs.Oscillator(zeta=1e-5, alpha=0.0)
+    steady = gs.Steady(t_max=2.0)
+    response = gs.respond(oscillator, gs.Piecewise(0.0, SYMMETRIC), 5.0, steady=steady, **TIGHT)
+    assert response.status is gs.Status.UNRESOLVED
+    assert response.response_class is gs.ResponseClass.UNRESOLVED
+
+
+def test_response_that_leaves_the_fitted_range_keeps_its_values():
+    law = gs.Polynomial(1.4e4, SYMMETRIC, degree=3, fit_range=1e-3)
+    response = gs.respond(gs.Oscillator(), law, 10.0, **TIGHT)
+    assert response.x_max > law.fit_range
+    assert response.status is gs.Status.OUT_OF_FIT_RANGE
+
+
+def test_run_away_beyond_the_fitted_range_is_told_from_divergence():
+    softening = gs.Oscillator(alpha=-7e8)
+    fitted = gs.Polynomial(0.0, SYMMETRIC, degree=3)
+    exact = gs.Piecewise(0.0, SYMMETRIC)
+    outcomes = [gs.respond(softening, law, 5.0, x_0=5e-3).status for law in (fitted, exact)]
+    assert outcomes == [gs.Status.OUT_OF_FIT_RANGE, gs.Status.DIVERGED]
+
+
+def test_cost_counts_the_whole_point():
+    steady = gs.Steady(settle_tol=1e-2, n_periods=16, max_period_multiple=8)
+    law = gs.Piecewise(1.4e4, SYMMETRIC)
+    response = gs.respond(gs.Oscillator(), law, 9.0, steady=steady, **TIGHT)
+    settled = gs.simulate(gs.Oscillator(), law, 9.0, t_end=response.t_settled, **TIGHT)
+    assert response.nfev > settled.nfev
+    assert response.n_contacts > settled.n_contacts
+
+
+def test_period_multiple_is_the_smallest_repeat():
+    one = np.tile([[1.0, 0.0]], (16, 1))
+    three = np.tile([[1.0, 0.0], [2.0, 0.0], [1.0, 3.0]], (6, 1))
+    assert period_multiple(one, 1e-9, 8) == 1
+    assert period_multiple(three, 1e-9, 8) == 3
+    assert period_multiple(three, 1e-9, 2) == 0
+    assert period_multiple(three[:5], 1e-9, 8) == 0, "two whole repeats are needed"
+
+
+def test_slow_drift_is_no_period():
+    drifting = np.outer(np.arange(16), [1e-3, 0.0])
+    assert period_multiple(drifting, 1e-4, 8) == 0
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("settle_tol", 0.5, "settle_tol = 0.5: must be <= 0.1"),
+        ("t_max", -1.0, "t_max = -1: must be > 0"),
+        ("max_extrema", 0, "max_extrema = 0: must be in 1..65536"),
+        ("n_periods", 10, "n_periods = 10: must be >= 2 max_period_multiple"),
+    ],
+)
+def test_bad_steady_settings_are_refused_by_name(field, value, message):
+    with pytest.raises(gs.ModelError, match=message):
+        gs.Steady(**{field: value})

@@ -1,0 +1,230 @@
+"""Study files: expansion, canonical coordinates, keys, and all problems at once."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import gapsweep as gs
+from gapsweep.study import fingerprint, points
+from gapsweep.study.points import canonical
+
+
+def study_of(tables, **changes):
+    return gs.Study.from_dict(tables | changes)
+
+
+def problems(tables):
+    with pytest.raises(gs.StudyError) as caught:
+        gs.Study.from_dict(tables)
+    return caught.value.problems
+
+
+def all_keys(study):
+    return {i: k for chain in study.chains() for i, k in zip(chain, study.keys(chain), strict=True)}
+
+
+@given(st.floats(0.01, 100.0), st.floats(1e-3, 10.0), st.integers(1, 50), st.integers(2, 7))
+def test_refined_grids_contain_the_coarse_coordinates(start, step, n, factor):
+    coarse = [canonical(start + i * step) for i in range(n + 1)]
+    stop = start + n * step
+    by_num = [canonical(start + i * ((stop - start) / (n * factor))) for i in range(n * factor + 1)]
+    by_step = [canonical(start + i * (step / factor)) for i in range(n * factor + 1)]
+    assert set(coarse) <= set(by_num)
+    assert set(coarse) <= set(by_step)
+
+
+@given(st.floats(-1e6, 1e6))
+def test_canonical_is_idempotent_and_close(x):
+    assert canonical(canonical(x)) == canonical(x)
+    assert abs(canonical(x) - x) <= 5e-12 * abs(x)
+
+
+@pytest.mark.parametrize(
+    ("omega", "expected"),
+    [
+        ({"start": 0.1, "stop": 0.5, "step": 0.1}, [0.1, 0.2, 0.3, 0.4, 0.5]),
+        ({"start": 1.0, "stop": 2.0, "num": 5}, [1.0, 1.25, 1.5, 1.75, 2.0]),
+        ({"start": 1.0, "stop": 1.95, "step": 0.5}, [1.0, 1.5]),
+        ([3.0, 1.0, 3.0], [1.0, 3.0]),
+    ],
+)
+def test_frequency_grids_include_their_stop(tables, omega, expected):
+    tables["sweep"][0]["omega"] = omega
+    assert gs.Study.from_dict(tables).grid.omega == tuple(expected)
+
+
+def test_dataset_is_the_union_of_the_blocks(tables):
+    other = tables["sweep"][0] | {"K_c": [1.4e6], "representation": ["tanh-1e6"], "omega": [5.0]}
+    study = study_of(tables, sweep=[*tables["sweep"], other])
+    assert study.grid.shape == (4, 2, 1, 4, 1)
+    assert study.grid.requested.sum() == 9 + 1
+    assert study.grid.representations == ("piecewise", "tanh-1e4", "poly-13", "tanh-1e6")
+
+
+def test_labels_are_made_canonical(tables):
+    tables["sweep"][0]["representation"] = ["tanh-10000", "tanh-1e4"]
+    assert gs.Study.from_dict(tables).grid.representations == ("tanh-1e4",)
+
+
+def test_protocol_overrides_the_solver(tables):
+    tables["sweep"][0]["representation"] = ["piecewise", "piecewise@paper"]
+    study = study_of(
+        tables, solver={"rtol": 1e-8}, protocol={"paper": {"rtol": 1e-4, "atol": 1e-7}}
+    )
+    plain, paper = (study.point((r, 0, 0, 0, 0)).solver for r in (0, 1))
+    assert (plain.rtol, paper.rtol, paper.atol) == (1e-8, 1e-4, 1e-7)
+    assert study.point((1, 0, 0, 0, 0)).representation == "piecewise"
+
+
+def test_sobol_starts_are_reproducible_and_inside_their_box(tables):
+    box = {"sobol": 12, "x": [-2e-3, 2e-3], "v": [-0.05, 0.05], "seed": 3}
+    tables["sweep"][0]["initial_condition"] = box
+    starts = gs.Study.from_dict(tables).grid.starts
+    assert starts == gs.Study.from_dict(tables).grid.starts
+    assert len(set(starts)) == 12
+    assert all(abs(s.x_0) <= 2e-3 and abs(s.v_0) <= 0.05 for s in starts)
+
+
+def test_sweeps_are_chains_in_their_own_direction(tables):
+    down = tables["sweep"][0] | {"initial_condition": "sweep_down", "representation": ["piecewise"]}
+    study = study_of(tables, sweep=[down])
+    (chain,) = study.chains()
+    assert [study.grid.omega[i[3]] for i in chain] == [20.0, 12.0, 7.0]
+
+
+def test_key_of_a_sweep_point_depends_on_the_points_before_it(tables):
+    block = tables["sweep"][0] | {"initial_condition": "sweep_up", "representation": ["piecewise"]}
+    (chain,) = study_of(tables, sweep=[block]).chains()
+    longer = study_of(tables, sweep=[block | {"omega": [6.0, 7.0, 12.0, 20.0]}])
+    (long_chain,) = longer.chains()
+    assert not set(study_of(tables, sweep=[block]).keys(chain)) & set(longer.keys(long_chain))
+
+
+def test_keys_ignore_how_a_study_is_written(tables):
+    block = tables["sweep"][0]
+    rewritten = {
+        "sweep": [block | {"omega": [20, 12, 7], "K_c": [14000], "representation": [label]}
+                  for label in ("poly-013", "piecewise", "tanh-10000")],
+        "study": {"name": "other", "title": "another title"},
+        "steady": tables["steady"],
+    }  # fmt: skip
+    assert set(all_keys(study_of(tables)).values()) == set(all_keys(study_of(rewritten)).values())
+
+
+@pytest.mark.parametrize(
+    ("table", "change"),
+    [
+        ("oscillator", {"zeta": 0.031}),
+        ("oscillator", {"forcing": -4.0}),
+        ("solver", {"rtol": 1e-5}),
+        ("solver", {"start_jitter": 1e-9}),
+        ("steady", {"n_periods": 18}),
+    ],
+)
+def test_every_setting_that_moves_a_number_changes_every_key(tables, table, change):
+    before = set(all_keys(study_of(tables)).values())
+    changed = tables | {table: tables.get(table, {}) | change}
+    assert not before & set(all_keys(study_of(changed)).values())
+
+
+def test_fit_range_changes_only_the_keys_of_fits(tables):
+    before, after = all_keys(study_of(tables)), all_keys(study_of(tables, fit={"range": 5e-3}))
+    changed = {index[0] for index in before if before[index] != after[index]}
+    assert changed == {2}, "only poly-13 is fitted"
+
+
+def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path):
+    source = 'def f(x):\n    """Doc."""\n    return x * 2.0  # twice\n'
+    for folder in ("model", "integrate", "response"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "status.py").write_text("")
+    module = tmp_path / "model" / "helper.py"
+    prints = {}
+    for name, text in {
+        "first": source,
+        "cosmetic": source.replace("# twice", "").replace("Doc.", "Better doc.") + "\n\n",
+        "changed": source.replace("2.0", "2.1"),
+    }.items():
+        module.write_text(text)
+        fingerprint.numerics_fingerprint.cache_clear()
+        prints[name] = fingerprint.numerics_fingerprint(tmp_path)
+    fingerprint.numerics_fingerprint.cache_clear()
+    assert prints["first"] == prints["cosmetic"] != prints["changed"]
+
+
+def test_result_schema_is_part_of_the_key(tables, monkeypatch):
+    before = set(all_keys(study_of(tables)).values())
+    monkeypatch.setattr(points, "RESULT_SCHEMA", points.RESULT_SCHEMA + 1)
+    assert not before & set(all_keys(study_of(tables)).values())
+
+
+def test_all_problems_are_reported_at_once(tables):
+    bad = tables | {
+        "study": {"name": "../up", "colour": "red"},
+        "oscillator": {"zeta": -1.0, "mass": "3"},
+        "solver": {"engine": "magic", "rtol": 1e-20},
+    }
+    bad["sweep"][0] |= {
+        "representation": ["tan-1e4"],
+        "K_c": [-1.0, float("nan")],
+        "gap": [[0.4e-3, -0.4e-3], [1e-3]],
+        "omega": [0.0],
+    }
+    found = "\n".join(problems(bad))
+    for part in (
+        "study.name = '../up'",
+        "study.colour = 'red': unknown key",
+        "oscillator.zeta = -1.0: must be >= 0",
+        "oscillator.mass = '3': must be a valid number",
+        "solver.engine = 'magic'",
+        "solver.rtol = 1e-20: must be >= 1e-13",
+        "sweep[0].representation[0] = 'tan-1e4': unknown representation",
+        "sweep[0].K_c[0] = -1.0: must be >= 0",
+        "sweep[0].K_c[1] = nan: must be a finite number",
+        "sweep[0].gap[0][1] = -0.0004",
+        "sweep[0].gap[1]",
+        "sweep[0].omega[0] = 0.0: must be > 0",
+    ):
+        assert part in found
+
+
+@pytest.mark.parametrize(
+    ("omega", "part"),
+    [
+        ([], "at least 1 item"),
+        ({"start": 3.0, "stop": 1.0, "step": 1.0}, "stop 1 must be >= start 3"),
+        ({"start": 1.0, "stop": 3.0, "step": 0.0}, "sweep[0].omega.step = 0.0"),
+        ({"start": 1.0, "stop": 3.0}, "sweep[0].omega.step: Field required"),
+        ({"start": 1.0, "stop": 1e9, "step": 1e-3}, "sweep points: must be <= 10000000"),
+        ("all", "sweep[0].omega = 'all'"),
+    ],
+)
+def test_absurd_grids_are_refused_before_anything_is_allocated(tables, omega, part):
+    tables["sweep"][0]["omega"] = omega
+    (problem,) = problems(tables)
+    assert part in problem
+
+
+def test_sparse_blocks_that_span_a_huge_dataset_are_refused(tables):
+    block = tables["sweep"][0] | {"representation": ["piecewise"]}
+    n = 2000
+    wide = [
+        block | {"omega": {"start": 1.0, "stop": 30.0, "num": n}},
+        block | {"K_c": [float(k) for k in range(1, n)], "omega": [1.0]},
+        block | {"gap": [[j * 1e-6, 0.0] for j in range(1, 10)], "omega": [1.0]},
+    ]
+    (problem,) = problems(tables | {"sweep": wide})
+    assert "dataset cells" in problem
+
+
+def test_undefined_protocol_is_named(tables):
+    tables["sweep"][0]["representation"] = ["tanh-1e6@paper"]
+    (problem,) = problems(tables)
+    assert "there is no [protocol.paper]" in problem
+
+
+def test_points_carry_canonical_values(tables):
+    tables["sweep"][0]["omega"] = [0.1 + 0.2]
+    assert gs.Study.from_dict(tables).grid.omega == (0.3,)
+    assert np.isclose(0.3, 0.1 + 0.2)
