@@ -19,7 +19,7 @@ from rich.progress import Progress as Bar
 from gapsweep import __version__, workflow
 from gapsweep.errors import GapsweepError
 from gapsweep.execution.execute import OnProgress, Progress
-from gapsweep.integrate.simulate import ENGINES
+from gapsweep.integrate.problem import ENGINES
 from gapsweep.study.study import Study
 
 FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
@@ -31,7 +31,7 @@ _cache = click.option(
     type=click.Path(path_type=Path),
     help="Cache file.  [default: $GAPSWEEP_CACHE, else data/cache.sqlite]",
 )
-_engine = click.option("--engine", type=click.Choice(tuple(ENGINES)), help="Override [solver].")
+_engine = click.option("--engine", type=click.Choice(ENGINES), help="Override [solver].")
 _retry = click.option("--retry-failed", is_flag=True, help="Compute failed points again.")
 _workers = click.option(
     "--workers", type=click.IntRange(min=1), default=2, show_default=True, help="Local processes."

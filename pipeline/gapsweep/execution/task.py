@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from gapsweep.errors import ModelError
-from gapsweep.response.respond import Response, respond
+from gapsweep.integrate.problem import Solver
+from gapsweep.response.respond import Question, Response, respond_all
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import FIXED, Point
@@ -31,49 +32,79 @@ class TaskResult:
 
 def compute(chains: Sequence[tuple[Sequence[Point], State]]) -> TaskResult:
     """Body of a Dask task: chains of points, each with the state its first point starts from."""
-    results = [response for points, state in chains for response in responses(points, state)]
-    return TaskResult(results, platform.node(), numerics_fingerprint())
+    return TaskResult(responses(chains), platform.node(), numerics_fingerprint())
 
 
-def responses(points: Sequence[Point], state: State = REST) -> list[Response]:
-    """Steady responses of a chain of points; a failure is a response with its status.
+def responses(chains: Sequence[tuple[Sequence[Point], State]]) -> list[Response]:
+    """Steady responses of chains of points; a failure is a response with its status.
+
+    The first points of all chains advance together, then the second ones, and so on.
 
     Parameters
     ----------
-    points : sequence of Point
-    state : (float, float)
-        Displacement [m] and velocity [m/s] from which the first point starts if its start
-        is a sweep. Later ones go on from where the point before ended, if it did.
+    chains : sequence of (points, state)
+        `state`, displacement [m] and velocity [m/s], is where the first point starts if its
+        start is a sweep. Later ones go on from where the point before ended, if it did.
+
+    Returns
+    -------
+    list of Response
+        Chain by chain.
     """
-    found = []
-    for point in points:
-        response = _response(point, state)
-        if math.isfinite(response.x_end) and math.isfinite(response.v_end):
-            state = response.x_end, response.v_end
-        found.append(response)
-    return found
+    states = [state for _, state in chains]
+    found: list[list[Response]] = [[] for _ in chains]
+    for position in range(max((len(points) for points, _ in chains), default=0)):
+        here = [i for i, (points, _) in enumerate(chains) if position < len(points)]
+        together = [(chains[i][0][position], states[i]) for i in here]
+        for i, response in zip(here, _together(together), strict=True):
+            found[i].append(response)
+            if math.isfinite(response.x_end) and math.isfinite(response.v_end):
+                states[i] = response.x_end, response.v_end
+    return [response for chain in found for response in chain]
 
 
-def _response(point: Point, state: State) -> Response:
-    solver = point.solver
+def _together(points: Sequence[tuple[Point, State]]) -> list[Response]:
+    """Responses of independent points, those with one solver and law family in one call."""
+    answers: dict[int, Response] = {}
+    groups: dict[tuple[str, Solver], dict[int, Question]] = {}
+    for i, (point, state) in enumerate(points):
+        try:
+            question = _question(point, state)
+        except ModelError as error:
+            answers[i] = Response(status=Status.MODEL_INVALID, message=str(error))
+        else:
+            groups.setdefault((point.representation, point.solver), {})[i] = question
+    for group in groups.values():
+        answers |= zip(group, _timed(list(group.values())), strict=True)
+    return [answers[i] for i in range(len(points))]
+
+
+def _question(point: Point, state: State) -> Question:
     if point.start.kind == FIXED:
-        state = point.start.x_0 + solver.start_jitter, point.start.v_0
+        state = point.start.x_0 + point.start_jitter, point.start.v_0
+    return Question(
+        oscillator=point.oscillator,
+        law=point.law,
+        omega=point.omega,
+        x_0=state[0],
+        v_0=state[1],
+        solver=point.solver,
+        steady=point.steady,
+    )
+
+
+def _timed(questions: Sequence[Question]) -> list[Response]:
+    """Responses, each with its share of the processor time in proportion to its steps."""
     begin = time.thread_time()
     try:
-        law = point.law
-        begin = time.thread_time()
-        response = respond(
-            point.oscillator,
-            law,
-            point.omega,
-            *state,
-            engine=solver.engine,
-            rtol=solver.rtol,
-            atol=solver.atol,
-            steady=point.steady,
-        )
-    except ModelError as error:
-        response = Response(status=Status.MODEL_INVALID, message=str(error))
+        found = respond_all(questions)
     except Exception as error:  # the task boundary: whatever a point raises is its result
-        response = Response(status=Status.ERROR, message=f"{type(error).__name__}: {error}")
-    return replace(response, cpu_time=time.thread_time() - begin)
+        if len(questions) > 1:
+            return [response for question in questions for response in _timed([question])]
+        found = [Response(status=Status.ERROR, message=f"{type(error).__name__}: {error}")]
+    seconds = time.thread_time() - begin
+    n_steps = sum(response.n_steps for response in found)
+    return [
+        replace(r, cpu_time=seconds * (r.n_steps / n_steps if n_steps else 1.0 / len(found)))
+        for r in found
+    ]

@@ -24,6 +24,7 @@ from scipy.integrate import OdeSolution, solve_ivp
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
+from gapsweep.integrate.problem import Problem
 from gapsweep.integrate.trajectory import Trajectory
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.oscillator import Oscillator
@@ -35,7 +36,6 @@ Event = Callable[[float, Sequence[float]], float]
 
 # Below this tolerance RK45 needs ten times the steps of DOP853.
 TIGHT = 1e-6
-RTOL, ATOL = 1e-4, 1e-7
 
 # A displacement [m] that no machine survives; finite, so that blow-up is caught early.
 DIVERGED_AT = 1e3
@@ -140,62 +140,41 @@ class _Record:
         self.n_rejected += attempts // _STEP_NFEV[method] - n_steps
 
 
-def integrate(
-    oscillator: Oscillator,
-    law: ContactLaw,
-    omega: float,
-    y_0: State,
-    t_span: tuple[float, float],
-    *,
-    rtol: float = RTOL,
-    atol: float = ATOL,
-    record: bool = True,
-    dense_output: bool = False,
-) -> Trajectory:
-    """Integrate one point with scipy: RK45 for ``rtol >= 1e-6``, DOP853 below.
+def integrate(problem: Problem, rtol: float, atol: float) -> Trajectory:
+    """Integrate one motion with scipy: RK45 for ``rtol >= 1e-6``, DOP853 below.
 
     Parameters
     ----------
-    oscillator, law
-        The model.
-    omega : float
-        Forcing frequency [Hz].
-    y_0 : (float, float)
-        Displacement [m] and velocity [m/s] at the start.
-    t_span : (float, float)
-        Start and end [s]. The forcing phase at the start is wrapped, so that whole periods
-        before it cost no accuracy.
+    problem : Problem
+        The forcing phase at its start is wrapped, so that whole periods before it cost no
+        accuracy.
     rtol, atol : float
         Tolerances of `solve_ivp`; `atol` holds for both m and m/s.
-    record : bool
-        Whether extrema, contact times and section are wanted.
-    dense_output : bool
-        Whether the whole motion is kept for `Trajectory.sample`.
     """
-    t_0, t_end = t_span
-    theta_0 = 2.0 * math.pi * math.fmod(omega * t_0, 1.0)
-    scene = _Scene(oscillator, law, omega, theta_0, rtol, atol)
+    p = problem
+    theta_0 = 2.0 * math.pi * math.fmod(p.omega * p.t_0, 1.0)
+    scene = _Scene(p.oscillator, p.law, p.omega, theta_0, rtol, atol)
     run = _Record()
     # An overflow on the way to divergence is an outcome, not a fault of this code.
     with np.errstate(all="ignore"):
-        t, y = (_located if scene.located else _plain)(scene, run, y_0, t_end - t_0)
+        t, y = (_located if scene.located else _plain)(scene, run, (p.x_0, p.v_0), p.t_end - p.t_0)
     motion = _joined(run.pieces)
-    t_extrema, extrema = _extrema(motion) if record else (np.empty(0), np.empty(0))
+    t_extrema, extrema = _extrema(motion) if p.record else (np.empty(0), np.empty(0))
     return Trajectory(
-        t_0=t_0,
-        t=t_end if run.status is Status.OK else t_0 + t,
+        t_0=p.t_0,
+        t=p.t_end if run.status is Status.OK else p.t_0 + t,
         x=y[0],
         v=y[1],
         extrema=extrema,
-        t_extrema=t_0 + t_extrema,
-        t_contacts=t_0 + np.array(run.t_contacts) if record else np.empty(0),
-        section=_section(motion, scene, t) if record else np.empty((0, 2)),
+        t_extrema=p.t_0 + t_extrema,
+        t_contacts=p.t_0 + np.array(run.t_contacts) if p.record else np.empty(0),
+        section=_section(motion, scene, t) if p.record else np.empty((0, 2)),
         n_contacts=len(run.t_contacts),
         n_steps=run.n_steps,
         n_rejected=run.n_rejected,
         nfev=run.nfev,
         status=run.status,
-        motion=motion if dense_output else None,
+        motion=motion if p.dense_output else None,
     )
 
 

@@ -1,40 +1,21 @@
-"""One call for every engine, for one point or many."""
+"""One call for every engine, for one motion or many."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate import reference
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Problem, Solver
 from gapsweep.integrate.trajectory import Trajectories, Trajectory
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 
-ENGINES: dict[str, Callable[..., Trajectory]] = {"scipy": reference.integrate}
-DEFAULT_ENGINE = "scipy"
-DEFAULT_TOLERANCES = {"scipy": (reference.RTOL, reference.ATOL)}
 
-# Tighter than this the reference methods only add rounding.
-SMALLEST_RTOL = 1e-13
-
-
-def tolerances(engine: str, rtol: float | None, atol: float | None) -> tuple[float, float]:
-    """Checked tolerances, the engine's defaults where None.
-
-    Raises
-    ------
-    ModelError
-        If the engine is unknown or a tolerance out of range.
-    """
-    if engine not in ENGINES:
-        raise ModelError(f"engine = {engine!r}: must be one of {', '.join(ENGINES)}")
-    default_rtol, default_atol = DEFAULT_TOLERANCES[engine]
-    rtol = checked("rtol", default_rtol if rtol is None else rtol, low=SMALLEST_RTOL)
-    atol = checked("atol", default_atol if atol is None else atol, low=0.0, strict=True)
-    if rtol > 0.1:
-        raise ModelError(f"rtol = {rtol:g}: must be <= 0.1")
-    return rtol, atol
+def integrate(problems: Sequence[Problem], solver: Solver) -> list[Trajectory]:
+    """Integrate motions, each as if it were alone: the same numbers in any company."""
+    return [reference.integrate(problem, solver.rtol, solver.atol) for problem in problems]
 
 
 def simulate(
@@ -49,6 +30,8 @@ def simulate(
     engine: str = DEFAULT_ENGINE,
     rtol: float | None = None,
     atol: float | None = None,
+    controller: str = "native",
+    restart: bool = False,
     record: bool = True,
     dense_output: bool = False,
 ) -> Trajectory | Trajectories:
@@ -64,10 +47,9 @@ def simulate(
         Displacement [m] and velocity [m/s] at `t_0`; broadcast against `omega`.
     t_end, t_0 : float
         End and start [s], ``t_end > t_0``.
-    engine : str
-        ``"scipy"``, the reference.
-    rtol, atol : float, optional
-        Relative [-] and absolute [m, m/s] tolerance; None takes the engine's default.
+    engine, rtol, atol, controller, restart
+        As in `gapsweep.integrate.problem.Solver`; tolerances that are None take the engine's
+        defaults: compiled 1e-9 and 1e-12, scipy 1e-4 and 1e-7.
     record : bool
         Whether to keep extrema, contact times and section.
     dense_output : bool
@@ -82,28 +64,27 @@ def simulate(
     ModelError
         If an argument is out of range. A numerical failure is no error but a `status`.
     """
-    rtol, atol = tolerances(engine, rtol, atol)
+    solver = Solver.of(engine, rtol, atol, controller, restart)
     t_0, t_end = checked("t_0", t_0), checked("t_end", t_end)
     if t_end <= t_0:
         raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
     try:
-        points = np.broadcast(
-            np.asarray(omega, dtype=float), np.asarray(x_0, dtype=float), np.asarray(v_0, float)
-        )
+        points = np.broadcast(*(np.asarray(values, dtype=float) for values in (omega, x_0, v_0)))
     except ValueError as error:
         raise ModelError(f"omega, x_0, v_0: {error}") from None
-    runs = [
-        ENGINES[engine](
-            oscillator,
-            law,
-            checked("omega", w, low=0.0, strict=True),
-            (checked("x_0", x), checked("v_0", v)),
-            (t_0, t_end),
-            rtol=rtol,
-            atol=atol,
+    problems = [
+        Problem(
+            oscillator=oscillator,
+            law=law,
+            omega=checked("omega", w, low=0.0, strict=True),
+            x_0=checked("x_0", x),
+            v_0=checked("v_0", v),
+            t_0=t_0,
+            t_end=t_end,
             record=record,
             dense_output=dense_output,
         )
         for w, x, v in points
     ]
+    runs = integrate(problems, solver)
     return Trajectories(runs, points.shape) if points.shape else runs[0]

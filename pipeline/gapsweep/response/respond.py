@@ -8,7 +8,8 @@ until the stroboscopic section repeats. If it never does, the next window is tri
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
@@ -16,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.simulate import DEFAULT_ENGINE, ENGINES, tolerances
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Problem, Solver
+from gapsweep.integrate.simulate import integrate
 from gapsweep.integrate.trajectory import Trajectory
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
@@ -160,50 +162,87 @@ def respond(
     ModelError
         If an argument is out of range. A numerical failure is no error but a `status`.
     """
-    rtol, atol = tolerances(engine, rtol, atol)
-    checked("omega", omega, low=0.0, strict=True)
-    y_0 = checked("x_0", x_0), checked("v_0", v_0)
-    run = _Run(oscillator, law, omega, engine, rtol, atol, y_0)
-    return _steady_response(run, steady or Steady())
+    question = Question(
+        oscillator=oscillator,
+        law=law,
+        omega=checked("omega", omega, low=0.0, strict=True),
+        x_0=checked("x_0", x_0),
+        v_0=checked("v_0", v_0),
+        solver=Solver.of(engine, rtol, atol),
+        steady=steady or Steady(),
+    )
+    return respond_all([question])[0]
 
 
-@dataclass(slots=True)
-class _Run:
-    """A motion advanced by whole forcing periods, its cost and its current window."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """What a steady response is asked for: the checked arguments of `respond`."""
 
     oscillator: Oscillator
     law: ContactLaw
     omega: float
-    engine: str
-    rtol: float
-    atol: float
-    y: tuple[float, float]
-    status: Status = Status.OK
-    n_periods: int = 0
-    cost: dict[str, Any] = field(default_factory=lambda: dict.fromkeys(_COSTS, 0))
-    section: Array = field(default_factory=lambda: np.empty((0, 2)))
-    t_extrema: Array = field(default_factory=lambda: np.empty(0))
-    extrema: Array = field(default_factory=lambda: np.empty(0))
+    x_0: float
+    v_0: float
+    solver: Solver
+    steady: Steady
+
+
+def respond_all(questions: Sequence[Question]) -> list[Response]:
+    """Steady responses of many points with one solver, advanced together.
+
+    Each point is a generator that asks for stretches of motion; every round, the stretches
+    asked for by all points go to the engine in one call. No point sees the others.
+    """
+    walks = [_steady_response(_Run(q), q.steady) for q in questions]
+    answers: dict[int, Response] = {}
+    asked = {i: next(walk) for i, walk in enumerate(walks)}
+    while asked:
+        parts = integrate(list(asked.values()), questions[0].solver)
+        asked_next = {}
+        for i, part in zip(asked, parts, strict=True):
+            try:
+                asked_next[i] = walks[i].send(part)
+            except StopIteration as finished:
+                answers[i] = finished.value
+        asked = asked_next
+    return [answers[i] for i in range(len(questions))]
+
+
+Walk = Generator[Problem, Trajectory, None]
+
+
+class _Run:
+    """A motion advanced by whole forcing periods, its cost and its current window."""
+
+    def __init__(self, question: Question) -> None:
+        self.question = question
+        self.omega = question.omega
+        self.y = question.x_0, question.v_0
+        self.status = Status.OK
+        self.n_periods = 0
+        self.cost: dict[str, Any] = dict.fromkeys(_COSTS, 0)
+        self.section: Array
+        self.t_extrema: Array
+        self.extrema: Array
+        self.forget()
 
     @property
     def t(self) -> float:
         return self.n_periods / self.omega
 
-    def advance(self, n_periods: int, *, record: bool) -> None:
-        """Go on for whole periods. Each call starts at phase zero, so time never grows."""
-        duration = n_periods / self.omega
-        part: Trajectory = ENGINES[self.engine](
-            self.oscillator,
-            self.law,
-            self.omega,
-            self.y,
-            (0.0, duration),
-            rtol=self.rtol,
-            atol=self.atol,
+    def advance(self, n_periods: int, *, record: bool) -> Walk:
+        """Go on for whole periods. Each stretch starts at phase zero, so time never grows."""
+        part = yield Problem(
+            oscillator=self.question.oscillator,
+            law=self.question.law,
+            omega=self.omega,
+            x_0=self.y[0],
+            v_0=self.y[1],
+            t_end=n_periods / self.omega,
             record=record,
         )
         self.y, self.status = (part.x, part.v), part.status
-        for name in self.cost:
+        for name in _COSTS:
             self.cost[name] += getattr(part, name)
         if record:
             self.t_extrema = np.append(self.t_extrema, self.t + part.t_extrema)
@@ -219,19 +258,20 @@ class _Run:
     def period_multiple(self, largest: int) -> int:
         scaled = self.section / (1.0, 2.0 * math.pi * self.omega)
         reach = float(np.max(np.abs(self.extrema), initial=0.0))
-        noise = _NOISE_FACTOR * (self.atol + self.rtol * reach)
+        solver = self.question.solver
+        noise = _NOISE_FACTOR * (solver.atol + solver.rtol * reach)
         return period_multiple(scaled, max(noise, _SAME_POINT * reach), largest)
 
 
-def _steady_response(run: _Run, steady: Steady) -> Response:
-    rate = run.oscillator.decay_rate
+def _steady_response(run: _Run, steady: Steady) -> Generator[Problem, Trajectory, Response]:
+    rate = run.question.oscillator.decay_rate
     needed = math.log(1.0 / steady.settle_tol) / rate if rate > 0.0 else math.inf
-    run.advance(math.ceil(min(needed, steady.t_max) * run.omega), record=False)
+    yield from run.advance(math.ceil(min(needed, steady.t_max) * run.omega), record=False)
     n, t_settled = 0, 0.0
     while run.status is Status.OK and not n:
         run.forget()
         t_settled = run.t
-        n = _record_window(run, steady)
+        n = yield from _record_window(run, steady)
         if run.t >= steady.t_max:
             break
     if run.status is not Status.OK:
@@ -241,11 +281,12 @@ def _steady_response(run: _Run, steady: Steady) -> Response:
     return _result(run, steady, n, t_settled, resolved)
 
 
-def _record_window(run: _Run, steady: Steady) -> int:
+def _record_window(run: _Run, steady: Steady) -> Generator[Problem, Trajectory, int]:
     """Record periods, doubling their number, until the section repeats; its multiple or 0."""
     size = _FIRST_WINDOW
     while len(run.section) < steady.n_periods and run.status is Status.OK:
-        run.advance(min(size, steady.n_periods) - len(run.section), record=True)
+        wanted = min(size, steady.n_periods) - len(run.section)
+        yield from run.advance(wanted, record=True)
         n = run.period_multiple(steady.max_period_multiple)
         if n:
             return n
@@ -260,7 +301,7 @@ def _result(run: _Run, steady: Steady, n: int, t_settled: float, resolved: bool)
     x_max, x_min = (float(f(extrema, initial=run.y[0])) for f in (np.max, np.min))
     if extrema.size:
         x_max, x_min = float(np.max(extrema)), float(np.min(extrema))
-    left_range = max(abs(x_max), abs(x_min)) > run.law.valid_range
+    left_range = max(abs(x_max), abs(x_min)) > run.question.law.valid_range
     status = Status.OK if resolved else Status.UNRESOLVED
     return Response(
         status=Status.OUT_OF_FIT_RANGE if left_range else status,
@@ -279,7 +320,7 @@ def _result(run: _Run, steady: Steady, n: int, t_settled: float, resolved: bool)
 
 
 def _failure(run: _Run) -> Response:
-    left_range = not abs(run.y[0]) <= run.law.valid_range
+    left_range = not abs(run.y[0]) <= run.question.law.valid_range
     status = Status.OUT_OF_FIT_RANGE if left_range else run.status
     where = f"{run.status.label} before t = {run.t:.6g} s at x = {run.y[0]:.3g} m"
     return Response(status=status, message=where, **run.cost)

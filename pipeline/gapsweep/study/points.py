@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
+from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw, UserLaw
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
@@ -47,25 +48,6 @@ class Start:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solver:
-    """Engine and tolerances of a point.
-
-    Attributes
-    ----------
-    engine : str
-    rtol, atol : float
-        Relative [-] and absolute [m, m/s] tolerance.
-    start_jitter : float
-        Added to every fixed initial displacement [m], for exact-against-exact floors.
-    """
-
-    engine: str
-    rtol: float
-    atol: float
-    start_jitter: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
     """One sweep point, complete: all that its result depends on.
 
@@ -77,6 +59,8 @@ class Point:
         Contact stiffness [N/m] and forcing frequency [Hz].
     fit_range : float
         Half-width [m] of the range of fitted laws.
+    start_jitter : float
+        Added to a fixed initial displacement [m], for exact-against-exact floors.
     """
 
     oscillator: Oscillator
@@ -88,6 +72,7 @@ class Point:
     solver: Solver
     steady: Steady
     fit_range: float
+    start_jitter: float = 0.0
 
     @property
     def law(self) -> ContactLaw:

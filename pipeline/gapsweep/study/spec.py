@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from gapsweep.errors import ModelError, StudyError
-from gapsweep.integrate.simulate import ENGINES, SMALLEST_RTOL
+from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
 from gapsweep.model.labels import canonical_label
 
 MAX_POINTS = 10**7
@@ -157,9 +157,11 @@ class SweepTable(_Table):
 class SolverTable(_Table):
     """Solver settings; None means "as above" (protocol) or the engine's default."""
 
-    engine: Literal[tuple(ENGINES)] | None = None  # type: ignore[valid-type]  # names live there
-    rtol: Annotated[float, Field(ge=SMALLEST_RTOL, le=0.1)] | None = None
+    engine: Literal["compiled", "scipy"] | None = None
+    rtol: Annotated[float, Field(ge=SMALLEST_RTOL, le=LARGEST_RTOL)] | None = None
     atol: Positive | None = None
+    controller: Literal["native", "ode45"] | None = None
+    restart: bool | None = None
     start_jitter: float = 0.0
 
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from gapsweep.errors import StudyError
-from gapsweep.integrate.simulate import DEFAULT_ENGINE, tolerances
+from gapsweep.errors import ModelError, StudyError
+from gapsweep.integrate.problem import Solver
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.respond import Steady
-from gapsweep.study.points import FIXED, Point, Solver, Start, canonical, key
+from gapsweep.study.points import FIXED, Point, Start, canonical, key
 from gapsweep.study.spec import (
     MAX_POINTS,
     SobolStarts,
@@ -97,6 +97,10 @@ class Study:
         return cls(check(tables, source), source)._checked()
 
     def _checked(self) -> "Study":
+        try:
+            _ = self._protocols
+        except ModelError as error:
+            raise StudyError([f"{self.source}: solver: {error}"]) from None
         cells = int(np.prod([len(axis) for axis in self._axes], dtype=np.int64))
         if cells > MAX_POINTS:
             raise StudyError(
@@ -134,16 +138,15 @@ class Study:
         return Study(self.spec.model_copy(update={"solver": solver}), self.source)
 
     @cached_property
-    def _solvers(self) -> dict[str, Solver]:
-        return {protocol: self._solver(protocol) for protocol in ("", *self.spec.protocol)}
+    def _protocols(self) -> dict[str, tuple[Solver, float]]:
+        """Solver and start jitter by protocol; the empty name is plain ``[solver]``."""
+        return {name: self._protocol(name) for name in ("", *self.spec.protocol)}
 
-    def _solver(self, protocol: str) -> Solver:
-        """Solver settings, those of a protocol laid over ``[solver]``."""
-        tables = [self.spec.solver] + ([self.spec.protocol[protocol]] if protocol else [])
-        given = {k: v for t in tables for k, v in _given(t).items()}
-        engine = given.pop("engine", DEFAULT_ENGINE)
-        rtol, atol = tolerances(engine, given.pop("rtol", None), given.pop("atol", None))
-        return Solver(engine=engine, rtol=rtol, atol=atol, **given)
+    def _protocol(self, name: str) -> tuple[Solver, float]:
+        tables = [self.spec.solver] + ([self.spec.protocol[name]] if name else [])
+        given = {k: v for table in tables for k, v in _given(table).items()}
+        jitter = given.pop("start_jitter", 0.0)
+        return Solver.of(**given), jitter
 
     @cached_property
     def _blocks(self) -> list[tuple[list[Any], ...]]:
@@ -175,6 +178,7 @@ class Study:
         grid = self.grid
         r, k, g, w, i = index
         label, _, protocol = grid.representations[r].partition("@")
+        solver, start_jitter = self._protocols[protocol]
         return Point(
             oscillator=self.oscillator,
             representation=label,
@@ -182,9 +186,10 @@ class Study:
             gap=grid.gaps[g],
             omega=grid.omega[w],
             start=grid.starts[i],
-            solver=self._solvers[protocol],
+            solver=solver,
             steady=self.steady,
             fit_range=self.spec.fit.range,
+            start_jitter=start_jitter,
         )
 
     def chains(self) -> Iterator[tuple[Index, ...]]:

@@ -1,0 +1,110 @@
+"""What an engine is given: initial value problems and solver settings."""
+
+from dataclasses import dataclass
+
+from gapsweep.errors import ModelError
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.oscillator import Oscillator, checked
+
+# engine: default (rtol, atol)
+DEFAULT_TOLERANCES = {"compiled": (1e-9, 1e-12), "scipy": (1e-4, 1e-7)}
+ENGINES = tuple(DEFAULT_TOLERANCES)
+DEFAULT_ENGINE = "scipy"
+CONTROLLERS = ("native", "ode45")
+
+# Tighter than this all methods only add rounding.
+SMALLEST_RTOL = 1e-13
+LARGEST_RTOL = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """One motion to integrate.
+
+    Attributes
+    ----------
+    oscillator : Oscillator
+    law : ContactLaw
+    omega : float
+        Forcing frequency [Hz].
+    x_0, v_0 : float
+        State [m], [m/s] at `t_0`.
+    t_0, t_end : float
+        Start and end [s].
+    record : bool
+        Whether extrema, contact times and section are wanted.
+    dense_output : bool
+        Whether the whole motion is kept, for `Trajectory.sample`.
+    """
+
+    oscillator: Oscillator
+    law: ContactLaw
+    omega: float
+    x_0: float
+    v_0: float
+    t_end: float
+    t_0: float = 0.0
+    record: bool = True
+    dense_output: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solver:
+    """Engine and how it controls its error; `Solver.of` fills in an engine's defaults.
+
+    Parameters
+    ----------
+    engine : str
+        ``"compiled"``, or ``"scipy"`` for the reference.
+    rtol, atol : float
+        Relative [-] and absolute [m, m/s] tolerance.
+    controller : str
+        ``"native"``, or ``"ode45"`` for the step-size control of MATLAB's ode45 with its
+        Dormand–Prince 5(4) pair (compiled engine only).
+    restart : bool
+        Whether the solver starts anew at every located contact, as the paper's does. The
+        reference engine always does; the compiled one only if asked.
+
+    Raises
+    ------
+    ModelError
+        If a value is out of range.
+    """
+
+    engine: str
+    rtol: float
+    atol: float
+    controller: str = "native"
+    restart: bool = False
+
+    def __post_init__(self) -> None:
+        _one_of("engine", self.engine, ENGINES)
+        _one_of("controller", self.controller, CONTROLLERS)
+        if self.engine == "scipy" and self.controller != "native":
+            raise ModelError("controller = 'ode45': needs engine = 'compiled'")
+        object.__setattr__(self, "rtol", checked("rtol", self.rtol, low=SMALLEST_RTOL))
+        object.__setattr__(self, "atol", checked("atol", self.atol, low=0.0, strict=True))
+        if self.rtol > LARGEST_RTOL:
+            raise ModelError(f"rtol = {self.rtol:g}: must be <= {LARGEST_RTOL:g}")
+
+    @classmethod
+    def of(
+        cls,
+        engine: str = DEFAULT_ENGINE,
+        rtol: float | None = None,
+        atol: float | None = None,
+        controller: str = "native",
+        restart: bool = False,
+    ) -> "Solver":
+        """Solver settings, tolerances that are None taken from the engine's defaults."""
+        default = DEFAULT_TOLERANCES[_one_of("engine", engine, ENGINES)]
+        rtol, atol = (
+            d if given is None else given for d, given in zip(default, (rtol, atol), strict=True)
+        )
+        return cls(engine=engine, rtol=rtol, atol=atol, controller=controller, restart=restart)
+
+
+def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:
+    if value not in allowed:
+        raise ModelError(f"{name} = {value!r}: must be one of {', '.join(allowed)}")
+    return value
