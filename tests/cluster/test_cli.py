@@ -3,8 +3,10 @@
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -135,3 +137,32 @@ def test_wrong_command_line_is_clicks_own(folder):
     assert gapsweep(folder, "run").returncode == 2
     assert gapsweep(folder, "run", "tiny.toml", "--workers", "0").returncode == 2
     assert gapsweep(folder, "--help").returncode == 0
+
+
+def test_ctrl_c_stops_cleanly_and_the_next_run_resumes(folder):
+    slow = QUICK.replace("omega = [12.0, 20.0]", "omega = { start = 6.0, stop = 30.0, num = 40 }")
+    slow = slow.replace("settle_tol = 1e-2", "settle_tol = 1e-6")
+    (folder / "tiny.toml").write_text(slow + '[solver]\nengine = "scipy"\nrtol = 1e-8\n')
+    command = [sys.executable, "-c", "from gapsweep.cli import main; main()", "run", "tiny.toml"]
+    process = subprocess.Popen(
+        command, cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 60
+    while stored_points(folder) < 3:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    # A terminal sends the signal to the whole process group, workers included.
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors.strip().splitlines()[-1] == "interrupted; run again to resume"
+    assert "Traceback" not in errors
+    kept = json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)
+    assert 3 <= kept["hits"] < 80
+
+
+def stored_points(folder):
+    try:
+        return json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)["hits"]
+    except json.JSONDecodeError:
+        return 0

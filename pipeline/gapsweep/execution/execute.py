@@ -5,6 +5,9 @@ the study does not show in the scheduler's memory. When a worker dies, the point
 are tried again one by one; only a point that kills its worker alone is marked killed.
 """
 
+import logging
+import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -75,8 +78,16 @@ def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
     """
     if scheduler is None:
         # A free port on the loopback: a second cluster on this machine must not disturb.
-        options = {"processes": True, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-        with LocalCluster(n_workers=workers, **options) as local, Client(local) as client:
+        options: dict[str, Any] = {
+            "processes": True,
+            "threads_per_worker": 1,
+            "dashboard_address": "127.0.0.1:0",
+        }
+        # What goes wrong on a worker becomes the status of its points; its log only repeats it.
+        options["silence_logs"] = logging.CRITICAL
+        with _deaf_to_interrupts():
+            local = LocalCluster(n_workers=workers, **options)
+        with local, Client(local) as client:
             yield client
         return
     try:
@@ -88,6 +99,22 @@ def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
         ) from None
     with client:
         yield client
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes started in this block ignore Ctrl-C, which a terminal sends to all of them.
+
+    The client alone decides how a run ends; workers that die on their own only print.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
 
 
 def execute(
