@@ -4,7 +4,7 @@ from importlib.metadata import version
 
 from gapsweep.errors import ClusterError, GapsweepError, ModelError, StoreError, StudyError
 from gapsweep.integrate.simulate import simulate
-from gapsweep.integrate.trajectory import Trajectories, Trajectory
+from gapsweep.integrate.trajectory import Trajectory
 from gapsweep.model.contact import (
     Arctan,
     ContactLaw,
@@ -46,7 +46,6 @@ __all__ = [
     "Study",
     "StudyError",
     "Tanh",
-    "Trajectories",
     "Trajectory",
     "UserLaw",
     "canonical_label",

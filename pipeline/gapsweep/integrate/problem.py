@@ -1,15 +1,21 @@
 """What an engine is given: initial value problems and solver settings."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 
+Array = NDArray[np.float64]
+
 # engine: default (rtol, atol)
 DEFAULT_TOLERANCES = {"compiled": (1e-9, 1e-12), "scipy": (1e-4, 1e-7)}
 ENGINES = tuple(DEFAULT_TOLERANCES)
-DEFAULT_ENGINE = "scipy"
+DEFAULT_ENGINE = "compiled"
 CONTROLLERS = ("native", "ode45")
 
 # Tighter than this all methods only add rounding.
@@ -18,34 +24,51 @@ LARGEST_RTOL = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Problem:
-    """One motion to integrate.
+class Problems:
+    """Initial value problems, n of them, that an engine solves in one call.
 
     Attributes
     ----------
-    oscillator : Oscillator
-    law : ContactLaw
-    omega : float
+    oscillators : sequence of Oscillator, length n
+    laws : sequence of ContactLaw, length n
+    omega : ndarray, shape (n,)
         Forcing frequency [Hz].
-    x_0, v_0 : float
+    x_0, v_0 : ndarray, shape (n,)
         State [m], [m/s] at `t_0`.
-    t_0, t_end : float
-        Start and end [s].
-    record : bool
-        Whether extrema, contact times and section are wanted.
+    t_0, t_end : ndarray, shape (n,)
+        Start and end [s]. The forcing phase at the start is wrapped, so that whole periods
+        before it cost no accuracy.
+    record_from : ndarray, shape (n,)
+        Time [s] from which extrema, contact times and section are wanted; infinity: never.
     dense_output : bool
-        Whether the whole motion is kept, for `Trajectory.sample`.
+        Whether the motions are kept for sampling, from `record_from` on.
+    tangent : bool
+        Whether the variational equations are integrated along.
     """
 
-    oscillator: Oscillator
-    law: ContactLaw
-    omega: float
-    x_0: float
-    v_0: float
-    t_end: float
-    t_0: float = 0.0
-    record: bool = True
+    oscillators: Sequence[Oscillator]
+    laws: Sequence[ContactLaw]
+    omega: Array
+    x_0: Array
+    v_0: Array
+    t_0: Array
+    t_end: Array
+    record_from: Array
     dense_output: bool = False
+    tangent: bool = False
+
+    def __len__(self) -> int:
+        return len(self.omega)
+
+    def take(self, which: Sequence[int]) -> "Problems":
+        """Some of the problems, in the order given."""
+        arrays = ("omega", "x_0", "v_0", "t_0", "t_end", "record_from")
+        return replace(
+            self,
+            oscillators=[self.oscillators[i] for i in which],
+            laws=[self.laws[i] for i in which],
+            **{name: getattr(self, name)[list(which)] for name in arrays},
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

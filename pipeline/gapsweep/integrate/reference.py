@@ -24,8 +24,9 @@ from scipy.integrate import OdeSolution, solve_ivp
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
-from gapsweep.integrate.problem import Problem
-from gapsweep.integrate.trajectory import Trajectory
+from gapsweep.errors import ModelError
+from gapsweep.integrate.motion import SCALARS, Events, Motions, Sampler
+from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.status import Status
@@ -140,41 +141,66 @@ class _Record:
         self.n_rejected += attempts // _STEP_NFEV[method] - n_steps
 
 
-def integrate(problem: Problem, rtol: float, atol: float) -> Trajectory:
-    """Integrate one motion with scipy: RK45 for ``rtol >= 1e-6``, DOP853 below.
+def integrate(problems: Problems, solver: Solver) -> Motions:
+    """Integrate with scipy, one after the other: RK45 for ``rtol >= 1e-6``, DOP853 below.
 
-    Parameters
-    ----------
-    problem : Problem
-        The forcing phase at its start is wrapped, so that whole periods before it cost no
-        accuracy.
-    rtol, atol : float
-        Tolerances of `solve_ivp`; `atol` holds for both m and m/s.
+    `solver.atol` holds for both m and m/s. Everything is recorded, from the start.
     """
-    p = problem
-    theta_0 = 2.0 * math.pi * math.fmod(p.omega * p.t_0, 1.0)
-    scene = _Scene(p.oscillator, p.law, p.omega, theta_0, rtol, atol)
+    if problems.tangent:
+        raise ModelError("tangent=True: needs engine='compiled'")
+    runs = [_run(problems, i, solver) for i in range(len(problems))]
+    columns = {name: np.array([getattr(run, name) for run in runs]) for name in SCALARS}
+
+    def sampler(i: int) -> Sampler:
+        motion, t_0 = runs[i].motion, problems.t_0[i]
+        return lambda t: tuple(np.moveaxis(motion(t - t_0), -1, 0))
+
+    return Motions(events=lambda i: runs[i].events, sampler=sampler, **columns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Run:
+    """One finished motion; names as in `Motions`."""
+
+    t: float
+    x: float
+    v: float
+    status: Status
+    n_contacts: int
+    n_steps: int
+    n_rejected: int
+    nfev: int
+    events: Events
+    motion: PPoly
+
+
+def _run(problems: Problems, i: int, solver: Solver) -> _Run:
+    t_0, omega = float(problems.t_0[i]), float(problems.omega[i])
+    t_end = float(problems.t_end[i])
+    theta_0 = 2.0 * math.pi * math.fmod(omega * t_0, 1.0)
+    scene = _Scene(
+        problems.oscillators[i], problems.laws[i], omega, theta_0, solver.rtol, solver.atol
+    )
     run = _Record()
+    start = float(problems.x_0[i]), float(problems.v_0[i])
     # An overflow on the way to divergence is an outcome, not a fault of this code.
     with np.errstate(all="ignore"):
-        t, y = (_located if scene.located else _plain)(scene, run, (p.x_0, p.v_0), p.t_end - p.t_0)
+        t, y = (_located if scene.located else _plain)(scene, run, start, t_end - t_0)
     motion = _joined(run.pieces)
-    t_extrema, extrema = _extrema(motion) if p.record else (np.empty(0), np.empty(0))
-    return Trajectory(
-        t_0=p.t_0,
-        t=p.t_end if run.status is Status.OK else p.t_0 + t,
+    t_extrema, extrema = _extrema(motion)
+    t_contacts = np.array(run.t_contacts)
+    events = Events(t_0 + t_extrema, extrema, t_0 + t_contacts, _section(motion, scene, t))
+    return _Run(
+        t=t_end if run.status is Status.OK else t_0 + t,
         x=y[0],
         v=y[1],
-        extrema=extrema,
-        t_extrema=p.t_0 + t_extrema,
-        t_contacts=p.t_0 + np.array(run.t_contacts) if p.record else np.empty(0),
-        section=_section(motion, scene, t) if p.record else np.empty((0, 2)),
+        status=run.status,
         n_contacts=len(run.t_contacts),
         n_steps=run.n_steps,
         n_rejected=run.n_rejected,
         nfev=run.nfev,
-        status=run.status,
-        motion=motion if p.dense_output else None,
+        events=events,
+        motion=motion,
     )
 
 

@@ -1,21 +1,25 @@
 """One call for every engine, for one motion or many."""
 
-from collections.abc import Sequence
+import math
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate import reference
-from gapsweep.integrate.problem import DEFAULT_ENGINE, Problem, Solver
-from gapsweep.integrate.trajectory import Trajectories, Trajectory
+from gapsweep.integrate import compiled, reference
+from gapsweep.integrate.motion import Motions
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Problems, Solver
+from gapsweep.integrate.trajectory import Trajectory
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 
+_ENGINES = {"compiled": compiled.integrate, "scipy": reference.integrate}
 
-def integrate(problems: Sequence[Problem], solver: Solver) -> list[Trajectory]:
+
+def integrate(problems: Problems, solver: Solver) -> Motions:
     """Integrate motions, each as if it were alone: the same numbers in any company."""
-    return [reference.integrate(problem, solver.rtol, solver.atol) for problem in problems]
+    return _ENGINES[solver.engine](problems, solver)
 
 
 def simulate(
@@ -32,9 +36,9 @@ def simulate(
     atol: float | None = None,
     controller: str = "native",
     restart: bool = False,
-    record: bool = True,
     dense_output: bool = False,
-) -> Trajectory | Trajectories:
+    tangent: bool = False,
+) -> Trajectory:
     """Simulate the oscillator from given initial states.
 
     Parameters
@@ -50,14 +54,15 @@ def simulate(
     engine, rtol, atol, controller, restart
         As in `gapsweep.integrate.problem.Solver`; tolerances that are None take the engine's
         defaults: compiled 1e-9 and 1e-12, scipy 1e-4 and 1e-7.
-    record : bool
-        Whether to keep extrema, contact times and section.
     dense_output : bool
-        Whether to keep the motion for ``sample(t)``.
+        Whether ``sample(t)`` may be asked for.
+    tangent : bool
+        Whether to integrate the variational equations along, for ``monodromy``.
 
     Returns
     -------
-    Trajectory, or Trajectories if any of `omega`, `x_0`, `v_0` is an array.
+    Trajectory
+        Its attributes are arrays if any of `omega`, `x_0`, `v_0` is one.
 
     Raises
     ------
@@ -68,23 +73,43 @@ def simulate(
     t_0, t_end = checked("t_0", t_0), checked("t_end", t_end)
     if t_end <= t_0:
         raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
+    omega, x_0, v_0 = _broadcast(omega=omega, x_0=x_0, v_0=v_0)
+    n = omega.size
+    problems = Problems(
+        oscillators=[oscillator] * n,
+        laws=[law] * n,
+        omega=omega.ravel(),
+        x_0=x_0.ravel(),
+        v_0=v_0.ravel(),
+        t_0=np.full(n, t_0),
+        t_end=np.full(n, t_end),
+        record_from=np.full(n, math.inf),
+        tangent=tangent,
+    )
+
+    def solve(record_from: float, dense_output: bool) -> Motions:
+        recording = replace(
+            problems, record_from=np.full(n, record_from), dense_output=dense_output
+        )
+        return integrate(recording, solver)
+
+    return Trajectory(solve, t_0, omega.shape, dense_output)
+
+
+def _broadcast(**values: ArrayLike) -> list[NDArray[np.float64]]:
+    """Finite float arrays of one shape; `omega` positive."""
+    arrays = []
+    for name, value in values.items():
+        try:
+            array = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            raise ModelError(f"{name} = {value!r}: must be a number or numbers") from None
+        # The first value that fails names itself.
+        suspects = array[~np.isfinite(array) | ((array <= 0.0) & (name == "omega"))]
+        for suspect in suspects.flat:
+            checked(name, suspect, low=0.0 if name == "omega" else -math.inf, strict=True)
+        arrays.append(array)
     try:
-        points = np.broadcast(*(np.asarray(values, dtype=float) for values in (omega, x_0, v_0)))
+        return list(np.broadcast_arrays(*arrays))
     except ValueError as error:
         raise ModelError(f"omega, x_0, v_0: {error}") from None
-    problems = [
-        Problem(
-            oscillator=oscillator,
-            law=law,
-            omega=checked("omega", w, low=0.0, strict=True),
-            x_0=checked("x_0", x),
-            v_0=checked("v_0", v),
-            t_0=t_0,
-            t_end=t_end,
-            record=record,
-            dense_output=dense_output,
-        )
-        for w, x, v in points
-    ]
-    runs = integrate(problems, solver)
-    return Trajectories(runs, points.shape) if points.shape else runs[0]

@@ -1,24 +1,28 @@
-"""The result of one simulation."""
+"""The public result of `simulate`."""
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PPoly
 
 from gapsweep.errors import ModelError
+from gapsweep.integrate.motion import Events, Motions
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 
 
-def _empty() -> Array:
-    return np.empty(0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Trajectory:
-    """A simulated motion: its end, its events, its cost.
+    """One simulated motion, or an array of them: its end, its events, its cost.
+
+    Every attribute is a plain value for one motion. For an array of motions it is an array of
+    their shape; ragged lists (`extrema`, `section`, ...) become arrays of arrays.
+
+    Events and dense output come from a second, recording pass over the same motion when they are
+    first asked for: most runs need neither, and the motion does not depend on it by a single bit.
 
     Attributes
     ----------
@@ -27,83 +31,108 @@ class Trajectory:
         earlier if `status` is not ok.
     t_0 : float
         Start [s].
-    extrema, t_extrema : ndarray, shape (n,)
-        Displacements [m] and times [s] of all zero-velocity points in ``(t_0, t]``.
-    t_contacts : ndarray, shape (n_contacts,)
-        Times [s] at which the displacement crossed a wall, in or out.
-    section : ndarray, shape (n, 2)
-        Stroboscopic section: ``(x, v)`` at every whole forcing period in ``(t_0, t]``.
     n_contacts, n_steps, n_rejected, nfev : int
-        Wall crossings, accepted and rejected steps, right-hand sides evaluated.
+        Wall crossings (in and out, each counted once), accepted and rejected steps, right-hand
+        sides evaluated (for a Taylor method, expansions).
     status : Status
-        How the run ended.
-    motion : PPoly or None
-        Piecewise polynomial of ``(x, v)`` over ``t - t_0``, if asked for.
+        How the run ended; integers in an array.
+    monodromy : ndarray, shape (2, 2), or None
+        Derivative of the end state by the initial state, with ``tangent=True``.
     """
 
-    t_0: float
-    t: float
-    x: float
-    v: float
-    extrema: Array = field(default_factory=_empty)
-    t_extrema: Array = field(default_factory=_empty)
-    t_contacts: Array = field(default_factory=_empty)
-    section: Array = field(default_factory=lambda: np.empty((0, 2)))
-    n_contacts: int = 0
-    n_steps: int = 0
-    n_rejected: int = 0
-    nfev: int = 0
-    status: Status = Status.OK
-    motion: PPoly | None = None
+    def __init__(
+        self,
+        solve: Callable[[float, bool], Motions],
+        t_0: float,
+        shape: tuple[int, ...],
+        dense_output: bool,
+    ) -> None:
+        self._solve, self._has_dense_output = solve, dense_output
+        self._dense: tuple[float, Motions] | None = None
+        self.t_0 = t_0
+        self.shape = shape
+        motions = solve(math.inf, False)
+        self._n = len(motions.x)
+        self.t: Any = self._shaped(motions.t)
+        self.x: Any = self._shaped(motions.x)
+        self.v: Any = self._shaped(motions.v)
+        self.n_contacts: Any = self._shaped(motions.n_contacts)
+        self.n_steps: Any = self._shaped(motions.n_steps)
+        self.n_rejected: Any = self._shaped(motions.n_rejected)
+        self.nfev: Any = self._shaped(motions.nfev)
+        self.status: Any = self._shaped(motions.status) if shape else Status(motions.status[0])
+        self.monodromy = motions.monodromy
+        if motions.monodromy is not None:
+            self.monodromy = motions.monodromy.reshape((*shape, 2, 2))
+
+    def __repr__(self) -> str:
+        what = f"{self._n} motions" if self.shape else f"ends {self.status.label}"
+        return f"<gapsweep.Trajectory: {what}, {np.sum(self.n_steps)} steps>"
+
+    @property
+    def extrema(self) -> Array:
+        """Displacements [m] of all zero-velocity points in ``(t_0, t]``."""
+        return self._ragged("extrema")
+
+    @property
+    def t_extrema(self) -> Array:
+        """Times [s] of `extrema`."""
+        return self._ragged("t_extrema")
+
+    @property
+    def t_contacts(self) -> Array:
+        """Times [s] at which the displacement crossed a wall, in or out."""
+        return self._ragged("t_contacts")
+
+    @property
+    def section(self) -> Array:
+        """Stroboscopic section, shape (n, 2): ``(x, v)`` at every whole forcing period."""
+        return self._ragged("section")
 
     def sample(self, t: ArrayLike) -> tuple[Array, Array]:
         """Displacement [m] and velocity [m/s] at times `t` [s] within the run.
+
+        Parameters
+        ----------
+        t : array_like
+            Times [s]. For an array of motions the result has their shape, then that of `t`.
 
         Raises
         ------
         ModelError
             If the run kept no dense output, or a time lies outside it.
         """
-        if self.motion is None:
-            raise ModelError("no dense output was kept: simulate with dense_output=True")
+        if not self._has_dense_output:
+            raise ModelError("no dense output was asked for: simulate with dense_output=True")
         t = np.asarray(t, dtype=float)
-        inside = (t >= self.t_0) & (t <= self.t)
+        end = float(np.min(self.t))
+        inside = (t >= self.t_0) & (t <= end)
         if not np.all(inside):
             outside = float(t[~inside].flat[0])
-            raise ModelError(f"t = {outside:g} s: must be within {self.t_0:g}..{self.t:g} s")
-        y = self.motion(t - self.t_0)
-        return y[..., 0], y[..., 1]
+            raise ModelError(f"t = {outside:g} s: must be within {self.t_0:g}..{end:g} s")
+        motions = self._dense_from(float(np.min(t, initial=end)))
+        parts = [motions.sampler(i)(t.ravel()) for i in range(self._n)]
+        x, v = (np.reshape([part[k] for part in parts], self.shape + t.shape) for k in (0, 1))
+        return x, v
 
+    def _dense_from(self, t: float) -> Motions:
+        """Dense output from `t` on; kept, and made anew only for earlier times."""
+        if self._dense is None or self._dense[0] > t:
+            self._dense = t, self._solve(t, True)
+        return self._dense[1]
 
-class Trajectories:
-    """Many trajectories; every attribute of `Trajectory` as an array over the points.
+    @cached_property
+    def _events(self) -> list[Events]:
+        recorded = self._solve(self.t_0, False)
+        return [recorded.events(i) for i in range(self._n)]
 
-    Scalars become plain arrays, ragged lists (`extrema`, `t_extrema`, `t_contacts`,
-    `section`) arrays of arrays. Indexing gives the single trajectories, in C order.
-    """
+    def _shaped(self, values: NDArray[Any]) -> Any:
+        return values.reshape(self.shape) if self.shape else values[0].item()
 
-    def __init__(self, runs: list[Trajectory], shape: tuple[int, ...]) -> None:
-        self._runs = runs
-        self.shape = shape
-
-    def __len__(self) -> int:
-        return len(self._runs)
-
-    def __getitem__(self, index: int) -> Trajectory:
-        return self._runs[index]
-
-    def __getattr__(self, name: str) -> NDArray[np.generic]:
-        if name.startswith("_") or name not in Trajectory.__slots__:
-            raise AttributeError(name)
-        values = [getattr(run, name) for run in self._runs]
-        if not isinstance(values[0], np.ndarray | PPoly):
-            return np.array(values).reshape(self.shape)
+    def _ragged(self, name: str) -> Array:
+        values = [getattr(events, name) for events in self._events]
+        if not self.shape:
+            return np.asarray(values[0])
         ragged = np.empty(len(values), dtype=object)
         ragged[:] = values
         return ragged.reshape(self.shape)
-
-    def sample(self, t: ArrayLike) -> tuple[Array, Array]:
-        """Displacements [m] and velocities [m/s], shape of the points + shape of `t` [s]."""
-        samples = np.array([run.sample(t) for run in self._runs])
-        x, v = np.moveaxis(samples, 1, 0)
-        return x.reshape(self.shape + x.shape[1:]), v.reshape(self.shape + v.shape[1:])

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.problem import DEFAULT_ENGINE, Problem, Solver
+from gapsweep.integrate.motion import Events
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Problems, Solver
 from gapsweep.integrate.simulate import integrate
-from gapsweep.integrate.trajectory import Trajectory
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.response.section import period_multiple
@@ -187,17 +187,40 @@ class Question:
     steady: Steady
 
 
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Whole forcing periods that a point asks for, from phase zero, so that time never grows."""
+
+    question: Question
+    y: tuple[float, float]
+    n_periods: int
+    recorded: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """The stretch of motion that answers a `Stretch`."""
+
+    y: tuple[float, float]
+    status: Status
+    cost: tuple[int, ...]
+    events: Events
+
+
+Walk = Generator[Stretch, Part, None]
+
+
 def respond_all(questions: Sequence[Question]) -> list[Response]:
     """Steady responses of many points with one solver, advanced together.
 
     Each point is a generator that asks for stretches of motion; every round, the stretches
     asked for by all points go to the engine in one call. No point sees the others.
     """
-    walks = [_steady_response(_Run(q), q.steady) for q in questions]
+    walks = [_steady_response(_Run(question), question.steady) for question in questions]
     answers: dict[int, Response] = {}
     asked = {i: next(walk) for i, walk in enumerate(walks)}
     while asked:
-        parts = integrate(list(asked.values()), questions[0].solver)
+        parts = _integrated(list(asked.values()))
         asked_next = {}
         for i, part in zip(asked, parts, strict=True):
             try:
@@ -208,7 +231,29 @@ def respond_all(questions: Sequence[Question]) -> list[Response]:
     return [answers[i] for i in range(len(questions))]
 
 
-Walk = Generator[Problem, Trajectory, None]
+def _integrated(stretches: Sequence[Stretch]) -> list[Part]:
+    omega = np.array([s.question.omega for s in stretches])
+    problems = Problems(
+        oscillators=[s.question.oscillator for s in stretches],
+        laws=[s.question.law for s in stretches],
+        omega=omega,
+        x_0=np.array([s.y[0] for s in stretches]),
+        v_0=np.array([s.y[1] for s in stretches]),
+        t_0=np.zeros(len(stretches)),
+        t_end=np.array([s.n_periods for s in stretches]) / omega,
+        record_from=np.array([0.0 if s.recorded else math.inf for s in stretches]),
+    )
+    found = integrate(problems, stretches[0].question.solver)
+    costs = np.transpose([getattr(found, name) for name in _COSTS]).tolist()
+    return [
+        Part(
+            y=(float(found.x[i]), float(found.v[i])),
+            status=Status(found.status[i]),
+            cost=tuple(costs[i]),
+            events=found.events(i) if stretch.recorded else Events(),
+        )
+        for i, stretch in enumerate(stretches)
+    ]
 
 
 class _Run:
@@ -231,23 +276,14 @@ class _Run:
         return self.n_periods / self.omega
 
     def advance(self, n_periods: int, *, record: bool) -> Walk:
-        """Go on for whole periods. Each stretch starts at phase zero, so time never grows."""
-        part = yield Problem(
-            oscillator=self.question.oscillator,
-            law=self.question.law,
-            omega=self.omega,
-            x_0=self.y[0],
-            v_0=self.y[1],
-            t_end=n_periods / self.omega,
-            record=record,
-        )
-        self.y, self.status = (part.x, part.v), part.status
-        for name in _COSTS:
-            self.cost[name] += getattr(part, name)
-        if record:
-            self.t_extrema = np.append(self.t_extrema, self.t + part.t_extrema)
-            self.extrema = np.append(self.extrema, part.extrema)
-            self.section = np.append(self.section, part.section, axis=0)
+        """Go on for whole periods."""
+        part = yield Stretch(self.question, self.y, n_periods, record)
+        self.y, self.status = part.y, part.status
+        for name, cost in zip(_COSTS, part.cost, strict=True):
+            self.cost[name] += cost
+        self.t_extrema = np.append(self.t_extrema, self.t + part.events.t_extrema)
+        self.extrema = np.append(self.extrema, part.events.extrema)
+        self.section = np.append(self.section, part.events.section, axis=0)
         self.n_periods += n_periods
 
     def forget(self) -> None:
@@ -263,7 +299,7 @@ class _Run:
         return period_multiple(scaled, max(noise, _SAME_POINT * reach), largest)
 
 
-def _steady_response(run: _Run, steady: Steady) -> Generator[Problem, Trajectory, Response]:
+def _steady_response(run: _Run, steady: Steady) -> Generator[Stretch, Part, Response]:
     rate = run.question.oscillator.decay_rate
     needed = math.log(1.0 / steady.settle_tol) / rate if rate > 0.0 else math.inf
     yield from run.advance(math.ceil(min(needed, steady.t_max) * run.omega), record=False)
@@ -281,7 +317,7 @@ def _steady_response(run: _Run, steady: Steady) -> Generator[Problem, Trajectory
     return _result(run, steady, n, t_settled, resolved)
 
 
-def _record_window(run: _Run, steady: Steady) -> Generator[Problem, Trajectory, int]:
+def _record_window(run: _Run, steady: Steady) -> Generator[Stretch, Part, int]:
     """Record periods, doubling their number, until the section repeats; its multiple or 0."""
     size = _FIRST_WINDOW
     while len(run.section) < steady.n_periods and run.status is Status.OK:

@@ -1,4 +1,4 @@
-"""The reference engine against end states of independent high-precision methods."""
+"""Both engines against end states of independent high-precision methods."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,10 @@ from tests.conftest import golden
 
 import gapsweep as gs
 
-TIGHT = {"engine": "scipy", "rtol": 1e-10, "atol": 1e-13}
+# engine, tolerances, error allowed relative to the amplitude: exact law, smooth laws
+REFERENCE = ("scipy", 1e-10, 1e-13, 1e-6, 1e-6)
+COMPILED = ("compiled", 1e-12, 1e-15, 1e-9, 1e-8)
+both = pytest.mark.parametrize("engine", [REFERENCE, COMPILED], ids=lambda engine: engine[0])
 LAWS = {"tanh": "tanh", "arctan": "arctan", "log-arctan": "logarctan"}
 
 
@@ -24,32 +27,38 @@ def scaled_error(oscillator, run, row, amplitude):
     return max(distances) / amplitude
 
 
+@both
 @pytest.mark.parametrize("row", golden("piecewise.json"))
-def test_exact_law_reaches_the_true_end_state(row):
-    oscillator, run = piecewise_run(row, **TIGHT)
+def test_exact_law_reaches_the_true_end_state(row, engine):
+    name, rtol, atol, allowed, _ = engine
+    oscillator, run = piecewise_run(row, engine=name, rtol=rtol, atol=atol)
     amplitude = 0.5 * (row["tail_max"] - row["tail_min"])
     tail = run.extrema[run.t_extrema > row["tail_from"]]
     assert run.status is gs.Status.OK
-    assert scaled_error(oscillator, run, row, amplitude) < 1e-6
+    assert scaled_error(oscillator, run, row, amplitude) < allowed
     assert run.n_contacts == row["contact_transitions"]
     assert len(run.section) == row["n_forcing_periods"]
-    np.testing.assert_allclose(tail.max(), row["tail_max"], atol=1e-6 * amplitude)
-    np.testing.assert_allclose(tail.min(), row["tail_min"], atol=1e-6 * amplitude)
+    np.testing.assert_allclose(tail.max(), row["tail_max"], atol=allowed * amplitude)
+    np.testing.assert_allclose(tail.min(), row["tail_min"], atol=allowed * amplitude)
 
 
+@both
 @pytest.mark.parametrize("row", golden("smooth.json"))
-def test_smooth_laws_reach_the_true_end_state(row):
+def test_smooth_laws_reach_the_true_end_state(row, engine):
+    name, rtol, atol, _, allowed = engine
     label = f"{LAWS[row['representation']]}-{row['convergence']:g}"
     law = gs.contact_law(label, row["K_c"], gs.Gap(row["j_1"], row["j_2"]))
     oscillator = gs.Oscillator()
-    run = gs.simulate(oscillator, law, row["omega"], t_end=row["T"], **TIGHT)
+    run = gs.simulate(
+        oscillator, law, row["omega"], t_end=row["T"], engine=name, rtol=rtol, atol=atol
+    )
     last_period = run.t_extrema > row["T"] - 1.0 / row["omega"]
     amplitude = np.abs(run.extrema[last_period]).max()
-    assert scaled_error(oscillator, run, row, amplitude) < 1e-6
+    assert scaled_error(oscillator, run, row, amplitude) < allowed
 
 
 def test_a_stiffness_off_by_one_percent_is_noticed():
     row = golden("piecewise.json")[1]
     changed = row | {"scene": row["scene"] | {"K_c": 1.01 * row["scene"]["K_c"]}}
-    oscillator, run = piecewise_run(changed, **TIGHT)
+    oscillator, run = piecewise_run(changed, engine="compiled")
     assert scaled_error(oscillator, run, row, row["tail_max"]) > 1e-3

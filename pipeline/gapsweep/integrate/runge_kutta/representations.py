@@ -1,0 +1,111 @@
+"""Contact laws with their numbers, as the compiled loop wants them. All parameters may be arrays
+over points.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from . import laws
+from .smooth import ContactLaw
+
+
+def _rows(K_c, j_1, j_2, **extra):
+    values = np.broadcast_arrays(
+        *(np.asarray(a, dtype=float) for a in (K_c, j_1, j_2, *extra.values()))
+    )
+    q = np.zeros((*values[0].shape, laws.N_PARAMETERS))
+    q[..., laws.STIFFNESS], q[..., laws.WALL_LOW], q[..., laws.WALL_HIGH] = (
+        values[0],
+        -values[1],
+        values[2],
+    )
+    return q.reshape(-1, laws.N_PARAMETERS) if q.ndim > 1 else q, values[3:]
+
+
+def tanh(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike) -> ContactLaw:
+    """Freeplay smoothed with tanh; K_c [N/m], j_1, j_2 [m], epsilon [1/m]."""
+    q, (epsilon,) = _rows(K_c, j_1, j_2, epsilon=epsilon)
+    epsilon = epsilon.ravel() if q.ndim > 1 else epsilon
+    half_gap = 0.5 * (q[..., laws.WALL_HIGH] - q[..., laws.WALL_LOW])
+    q[..., laws.SHARPNESS], q[..., laws.HALF_GAP] = epsilon, half_gap
+    q[..., laws.CENTRE] = 0.5 * (q[..., laws.WALL_HIGH] + q[..., laws.WALL_LOW])
+    q[..., laws.DECAY] = np.exp(-4.0 * epsilon * half_gap)
+    q[..., laws.LAYER] = q[..., laws.SATURATION] = laws.TANH_SATURATION / epsilon
+    return ContactLaw(laws.Tanh(), q)
+
+
+def arctan(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike) -> ContactLaw:
+    """Freeplay smoothed with (2/pi) arctan; epsilon [1/m]."""
+    q, (epsilon,) = _rows(K_c, j_1, j_2, epsilon=epsilon)
+    q[..., laws.SHARPNESS] = epsilon.ravel() if q.ndim > 1 else epsilon
+    q[..., laws.LAYER] = laws.ARCTAN_LAYER / q[..., laws.SHARPNESS]
+    return ContactLaw(laws.Arctan(), q)
+
+
+def log_arctan(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, gamma: ArrayLike) -> ContactLaw:
+    """Integral of the arctan-smoothed stiffness, anchored at F_c(0) = 0; gamma [1/m]."""
+    q, (gamma,) = _rows(K_c, j_1, j_2, gamma=gamma)
+    gamma = gamma.ravel() if q.ndim > 1 else gamma
+    below, above = -q[..., laws.WALL_LOW], -q[..., laws.WALL_HIGH]  # x - wall at x = 0
+    logarithm = np.log((1.0 + (gamma * below) ** 2) / (1.0 + (gamma * above) ** 2))
+    at_zero = (
+        above * np.arctan(gamma * above)
+        - below * np.arctan(gamma * below)
+        + logarithm / (2.0 * gamma)
+    )
+    q[..., laws.SHARPNESS], q[..., laws.OFFSET] = gamma, -at_zero
+    q[..., laws.LAYER] = laws.ARCTAN_LAYER / gamma
+    return ContactLaw(laws.LogArctan(), q)
+
+
+def piecewise(
+    K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, *, restart: bool = False
+) -> ContactLaw:
+    """Exact freeplay without event location, or (`restart`) located with a fresh start at every
+    contact.
+    """
+    q, _ = _rows(K_c, j_1, j_2)
+    return ContactLaw(laws.Located() if restart else laws.Piecewise(), q)
+
+
+def polynomial(coefficients: ArrayLike, fit_range: float, j_1: float, j_2: float) -> ContactLaw:
+    """Chebyshev coefficients [N] in x / fit_range; the walls only serve to count passings."""
+    q, _ = _rows(1.0, j_1, j_2)
+    q[laws.RANGE] = fit_range
+    return ContactLaw(laws.Polynomial(np.ascontiguousarray(coefficients, dtype=float)), q)
+
+
+def rational_polynomial(
+    numerator: ArrayLike, denominator: ArrayLike, fit_range: float, j_1: float, j_2: float
+) -> ContactLaw:
+    """Quotient of Chebyshev series in x / fit_range, numerator in N."""
+    q, _ = _rows(1.0, j_1, j_2)
+    q[laws.RANGE] = fit_range
+    top, bottom = np.array(numerator, dtype=float), np.array(denominator, dtype=float)
+    # The loop takes a denominator that is not positive for a pole passed.
+    sign = np.sign(np.polynomial.chebyshev.chebval(0.0, bottom))
+    return ContactLaw(laws.RationalPolynomial(sign * top, sign * bottom), q)
+
+
+def user(
+    function: Callable[[float], float],
+    j_1: float = np.inf,
+    j_2: float = np.inf,
+    slope: Callable[[float], float] | None = None,
+    length: float = 1e-4,
+) -> ContactLaw:
+    """A scalar function F(x) [N] that numba can compile; compiled afresh in every process.
+
+    Without `slope` the tangent equations use central differences over ``1e-5 * length`` [m].
+    """
+    force = function if hasattr(function, "py_func") else njit(function)
+    if slope is None:
+        delta = 1e-5 * length
+        slope = njit(lambda x: (force(x + delta) - force(x - delta)) / (2.0 * delta))
+    elif not hasattr(slope, "py_func"):
+        slope = njit(slope)
+    q, _ = _rows(1.0, j_1, j_2)
+    return ContactLaw(laws.User(force, slope), q)

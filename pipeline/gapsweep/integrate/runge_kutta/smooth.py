@@ -1,0 +1,439 @@
+"""The compiled engine for smooth laws, users' laws, and the exact law without (or with restarted)
+location.
+
+`integrate` takes arrays of points and runs them in SIMD lanes: each lane has its own clock, step
+and
+end, and takes the next point of the batch when it is done.
+"""
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from gapsweep.integrate.jit import entry
+
+from . import lanes as ln
+from . import laws, simd, tableaux
+from .attempt import attempt
+from .lanes import load_point, unload_point
+from .recording import attend, new_scratch
+
+# Attempts per call: keyboard interrupts are seen between calls.
+_ATTEMPTS_PER_CALL = 2_000_000
+# Rows of the record buffer; a full buffer is drained and the loop entered again.
+_BUFFER_ROWS = 65536
+_DONE, _PAUSED = 0, 1
+# At this tolerance and tighter the order-8 method is the cheaper one (see bench_smooth.py).
+_HIGH_ORDER_FROM = 1e-2
+
+
+def _advance(
+    law,
+    tableau,
+    lane,
+    lane_int,
+    q,
+    k,
+    k_tangent,
+    probes,
+    scratch,
+    events,
+    counters,
+    table,
+    results,
+    settings,
+):
+    """Run lanes until all points are done or the event buffer could overflow.
+
+    All state is in the arguments, so calling again goes on where this call left off.
+    """
+    is_located = laws.is_located(law)
+    all_lanes = (np.int64(1) << simd.WIDTH) - 1
+    watched = all_lanes  # lanes that are not simply stepping
+    for _ in range(_ATTEMPTS_PER_CALL):
+        if counters[ln.N_EVENTS] > events.shape[0] - 3 * simd.WIDTH:
+            return _PAUSED
+        outcome = attempt(law, q, lane, tableau, k, k_tangent, settings)
+        attention = (
+            watched
+            | outcome.ended
+            | outcome.failed
+            | outcome.stopped
+            | outcome.recorded
+            | outcome.dipped
+        )
+        if attention == 0:
+            continue
+        n_idle = 0
+        watched = 0
+        for i in range(simd.WIDTH):
+            if (attention >> i) & 1 and lane_int[ln.MODE, i] != ln.IDLE:
+                status = attend(
+                    lane,
+                    lane_int,
+                    q,
+                    probes,
+                    scratch,
+                    events,
+                    counters,
+                    settings,
+                    outcome,
+                    is_located,
+                    i,
+                )
+                if status >= 0:
+                    unload_point(lane, lane_int, results, status, tableau.c.size - 1, i)
+                    if counters[ln.NEXT_POINT] < table.shape[0]:
+                        load_point(lane, lane_int, q, table, counters[ln.NEXT_POINT], i)
+                        counters[ln.NEXT_POINT] += 1
+            n_idle += lane_int[ln.MODE, i] == ln.IDLE
+            # An idle lane repeats attempts of length zero; nobody looks at it any more.
+            if lane_int[ln.MODE, i] != ln.STEPPING and lane_int[ln.MODE, i] != ln.IDLE:
+                watched |= np.int64(1) << i
+        if n_idle == simd.WIDTH:
+            return _DONE
+    return _PAUSED
+
+
+# One function, one specialisation per law type. A user's law is a type that exists in this process
+# only,
+# so it goes through a second dispatcher that leaves the disk cache alone.
+_advance_cached = entry(_advance)
+_advance_user = njit(nogil=True)(_advance)
+
+
+@dataclass(frozen=True, slots=True)
+class ContactLaw:
+    """A law with its numbers, ready for the loop; see the constructors in `representations`."""
+
+    kind: Any
+    q: NDArray[np.float64]
+    divided_by_mass: bool = True
+
+    def rows(self, mass: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+        """Parameter rows of n points, stiffness over mass, shape (n, N_PARAMETERS)."""
+        rows = np.array(np.broadcast_to(self.q, (n, laws.N_PARAMETERS)))
+        rows[:, laws.STIFFNESS] /= mass
+        return rows
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Result of `integrate`: arrays of shape (n_points,), and records sorted by point, then time.
+
+    Attributes
+    ----------
+    x, v, t : ndarray
+        State [m, m/s] and time [s] reached.
+    status : ndarray of int
+        0 ok, 3 out_of_fit_range, 4 diverged, 5 model_invalid, 6 step_underflow, 8 timed_out.
+    n_contacts, n_steps, n_rejected, nfev : ndarray of int
+        Wall passings in and out; accepted and rejected attempts; right-hand sides.
+    tangent : ndarray, shape (n_points, 2, 2)
+        Monodromy matrix of the run (identity unless asked for).
+    records : ndarray, shape (n_records, N_EVENT_COLUMNS)
+        See `extrema`, `section`, `steps`.
+    """
+
+    x: NDArray[np.float64]
+    v: NDArray[np.float64]
+    t: NDArray[np.float64]
+    status: NDArray[np.int64]
+    n_contacts: NDArray[np.int64]
+    n_steps: NDArray[np.int64]
+    n_rejected: NDArray[np.int64]
+    nfev: NDArray[np.int64]
+    tangent: NDArray[np.float64]
+    records: NDArray[np.float64]
+    _replay: dict[str, Any] = field(repr=False)
+
+    def _of_kind(self, kind: int, point: int) -> NDArray[np.float64]:
+        rows = self.records
+        return rows[(rows[:, ln.E_KIND] == kind) & (rows[:, ln.E_POINT] == point)]
+
+    def extrema(self, point: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Times [s] and displacements [m] of zero velocity."""
+        rows = self._of_kind(ln.EXTREMUM, point)
+        return rows[:, ln.E_T], rows[:, ln.E_X]
+
+    def section(self, point: int = 0) -> NDArray[np.float64]:
+        """(t, x, v) at whole forcing periods, shape (n, 3)."""
+        return self._of_kind(ln.SECTION, point)[:, [ln.E_T, ln.E_X, ln.E_V]]
+
+    def contacts(self, point: int = 0) -> NDArray[np.float64]:
+        """(t, x, v) of located contacts, shape (n, 3); with ``restart=True`` only."""
+        return self._of_kind(ln.CONTACT, point)[:, [ln.E_T, ln.E_X, ln.E_V]]
+
+    def sample(
+        self, t: ArrayLike, point: int = 0
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """x(t) [m] and v(t) [m/s], needs ``dense_output=True``.
+
+        Each value is one step of the same method from the start of the accepted step that holds
+        t: as accurate as the run itself, where an interpolant would lose orders.
+        """
+        steps = self._of_kind(ln.STEP, point)
+        t = np.atleast_1d(np.asarray(t, dtype=float))
+        if steps.size == 0:
+            raise ValueError(
+                "nothing to sample: run with dense_output=True and a record_from before t"
+            )
+        first, last = steps[0, ln.E_T], steps[-1, ln.E_T] + steps[-1, ln.E_H]
+        slack = 1e-12 * max(1.0, abs(last))
+        if t.min() < first - slack or t.max() > last + slack:
+            raise ValueError(f"t must lie in the recorded span [{first}, {last}] s")
+        at = np.clip(np.searchsorted(steps[:, ln.E_T], t, side="right") - 1, 0, len(steps) - 1)
+        return _replay_steps(self._replay, point, steps[at], t)
+
+
+def _replay_steps(replay, point, steps, t):
+    """One step of length t - t_step from each stored step start."""
+    n = len(t)
+    table = np.repeat(replay["table"][point : point + 1], n, axis=0)
+    length = np.maximum(t - steps[:, ln.E_T], 0.0)
+    table[:, ln.P_X], table[:, ln.P_V] = steps[:, ln.E_X], steps[:, ln.E_V]
+    end = steps[:, ln.E_TAU] + length * table[:, ln.P_FREQUENCY]
+    table[:, ln.P_PHASE] = steps[:, ln.E_TAU]
+    table[:, ln.P_END_TURNS] = np.floor(end)
+    table[:, ln.P_END_TAU] = end - np.floor(end)
+    table[:, ln.P_RECORD] = np.inf
+    settings = replay["settings"].copy()
+    # Any error is accepted and the first step is the whole way: exactly one step.
+    settings[ln.S_RTOL] = settings[ln.S_ATOL] = 1e200
+    settings[[ln.S_ODE45, ln.S_STOP_AT_LAYER, ln.S_TANGENT, ln.S_DENSE]] = 0.0
+    settings[ln.S_FIRST_STEP] = 1e100
+    results, _ = _run(replay["law"], replay["tableau"], table, settings)
+    return results[:, ln.R_X], results[:, ln.R_V]
+
+
+def _run(law, tableau, table, settings):
+    """Result table and records of a point table."""
+    width, n_stages = simd.WIDTH, tableau.c.size
+    lane, q = ln.aligned(ln.N_ROWS, width), ln.aligned(laws.N_PARAMETERS, width)
+    lane_int = np.zeros((ln.N_INT_ROWS, width), np.int64)
+    k, k_tangent = ln.aligned(n_stages, width), ln.aligned(2 * n_stages + 4, width)
+    probes, scratch = np.zeros((2 * ln.MAX_PROBES, width)), new_scratch()
+    records_on = settings[ln.S_DENSE] > 0.0 or bool(np.any(np.isfinite(table[:, ln.P_RECORD])))
+    rows = max(
+        _BUFFER_ROWS if records_on else 0, 4 * width
+    )  # one attempt writes up to 3 rows per lane
+    events = np.empty((rows, ln.N_EVENT_COLUMNS))
+    counters = np.zeros(2, np.int64)
+    results = np.zeros((len(table), ln.N_RESULTS))
+    lane[ln.EXACT] = 1.0
+    lane[ln.PERIOD] = 1.0
+    for i in range(min(width, len(table))):
+        load_point(lane, lane_int, q, table, i, i)
+        counters[ln.NEXT_POINT] += 1
+    # An idle lane computes along with length zero; harmless numbers keep it off the slow paths.
+    q[:, len(table) :] = q[:, :1]
+    advance = _advance_user if isinstance(law, laws.User) else _advance_cached
+    drained, state = [], _PAUSED
+    while state != _DONE:
+        state = advance(
+            law,
+            tableau,
+            lane,
+            lane_int,
+            q,
+            k,
+            k_tangent,
+            probes,
+            scratch,
+            events,
+            counters,
+            table,
+            results,
+            settings,
+        )
+        if counters[ln.N_EVENTS]:
+            drained.append(events[: counters[ln.N_EVENTS]].copy())
+            counters[ln.N_EVENTS] = 0
+    records = np.concatenate(drained) if drained else np.empty((0, ln.N_EVENT_COLUMNS))
+    return results, records[np.argsort(records[:, ln.E_POINT], kind="stable")]
+
+
+def _split_turns(start_phase, span, frequency):
+    """Whole turns and phase at the end, snapped to a whole turn where rounding alone separates
+    them.
+    """
+    end = start_phase + span * frequency
+    whole = np.rint(end)
+    is_whole = np.abs(end - whole) <= 1e-13 * (1.0 + np.abs(end))
+    turns = np.where(is_whole, whole, np.floor(end))
+    return turns, np.where(is_whole, 0.0, end - turns)
+
+
+def _phase(t_0: float, frequency: float) -> float:
+    """Fraction of a turn at t_0, exact for the doubles given; a rounded whole turn is 0."""
+    if t_0 == 0.0:
+        return 0.0
+    turns = Fraction(t_0) * Fraction(frequency)
+    fraction = float(turns - round(turns))
+    # Half a unit in the last place of t_0 and of the frequency is all that the caller can have
+    # meant.
+    if abs(fraction) <= 2.3e-16 * abs(float(turns)):
+        return 0.0
+    return fraction % 1.0
+
+
+def _point_table(
+    law, n, x_0, v_0, omega, t_0, t_end, record_from, zeta, omega_n, mass, alpha, forcing
+):
+    table = np.empty((n, ln.N_COLUMNS))
+    omega_n_rad = 2.0 * np.pi * omega_n
+    table[:, ln.P_X], table[:, ln.P_V], table[:, ln.P_FREQUENCY] = x_0, v_0, omega
+    phase = table[:, ln.P_PHASE] = [
+        _phase(float(t), float(f)) for t, f in zip(t_0, omega, strict=True)
+    ]
+    table[:, ln.P_END_TURNS], table[:, ln.P_END_TAU] = _split_turns(phase, t_end - t_0, omega)
+    table[:, ln.P_RECORD] = phase + (np.maximum(record_from, t_0) - t_0) * omega
+    table[:, ln.P_FORCING] = forcing / mass
+    table[:, ln.P_STIFFNESS] = omega_n_rad**2
+    table[:, ln.P_DAMPING] = 2.0 * zeta * omega_n_rad
+    table[:, ln.P_CUBIC] = alpha / mass
+    table[:, ln.P_LAW :] = law.rows(mass, n)
+    return table
+
+
+def _settings(
+    rtol, atol, tableau, controller, tangent, dense_output, x_bound, max_attempts, stop_at_layer
+):
+    settings = np.zeros(ln.N_SETTINGS)
+    settings[ln.S_RTOL], settings[ln.S_ATOL] = rtol, atol
+    settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = x_bound, max_attempts
+    settings[ln.S_ODE45] = controller == "ode45"
+    settings[ln.S_STOP_AT_LAYER] = stop_at_layer and controller != "ode45"
+    settings[ln.S_TANGENT], settings[ln.S_DENSE] = tangent, dense_output
+    settings[ln.S_EXPONENT] = tableau.exponent
+    return settings
+
+
+def integrate(
+    law: ContactLaw,
+    *,
+    omega: ArrayLike,
+    t_end: ArrayLike,
+    t_0: ArrayLike = 0.0,
+    x_0: ArrayLike = 0.0,
+    v_0: ArrayLike = 0.0,
+    record_from: ArrayLike = np.inf,
+    zeta: ArrayLike = 0.03,
+    omega_n: ArrayLike = 5.0,
+    mass: ArrayLike = 3.0,
+    alpha: ArrayLike = 7e8,
+    forcing: ArrayLike = 4.0,
+    rtol: float = 1e-9,
+    atol: float = 1e-12,
+    controller: str = "native",
+    method: tableaux.Tableau | None = None,
+    tangent: bool = False,
+    dense_output: bool = False,
+    x_bound: float = 1e3,
+    max_attempts: float = 1e9,
+    stop_at_layer: bool = True,
+) -> Run:
+    """Integrate many points of one law.
+
+    Parameters
+    ----------
+    law : ContactLaw
+        From `representations`; its parameters may be arrays over points.
+    omega, omega_n : array_like
+        Forcing and natural frequency [Hz], positive. All array arguments broadcast together.
+    t_0, t_end, record_from : array_like
+        Start, end, and start of recording [s]; ``record_from=inf`` records nothing.
+    x_0, v_0 : array_like
+        State at t_0 [m, m/s].
+    zeta, mass, alpha, forcing : array_like
+        Damping ratio [-], mass [kg], cubic stiffness [N/m^3], forcing amplitude [N].
+    rtol, atol : float
+        Tolerances; error per step below ``atol + rtol * abs(y)``.
+    controller : {"native", "ode45"}
+        "ode45" is Dormand-Prince 5(4) with the step control of MATLAB's ode45.
+    method : Tableau, optional
+        Overrides the choice by tolerance.
+    tangent : bool
+        Carry the 2 x 2 variational equations.
+    dense_output : bool
+        Keep every step from `record_from` on, for `Run.sample`.
+    x_bound : float
+        |x| beyond which a point is diverged [m].
+    max_attempts : float
+        Attempts after which a point is timed out.
+    stop_at_layer : bool
+        End native steps at the edges of a smoothing layer thinner than the step.
+
+    Returns
+    -------
+    Run
+        Flat over points, in the order of the broadcast arrays.
+    """
+    if controller not in ("native", "ode45"):
+        raise ValueError(f"controller must be 'native' or 'ode45', not {controller!r}")
+    if not (rtol > 0.0 and atol >= 0.0):
+        raise ValueError(f"need rtol > 0 and atol >= 0, got {rtol} and {atol}")
+    q_points = law.q[..., 0]
+    given = (
+        x_0,
+        v_0,
+        omega,
+        t_0,
+        t_end,
+        record_from,
+        zeta,
+        omega_n,
+        mass,
+        alpha,
+        forcing,
+        q_points,
+    )
+    arrays = [np.ravel(a).astype(float) for a in np.broadcast_arrays(*given)][:-1]
+    if not (np.all(arrays[2] > 0.0) and np.all(arrays[4] >= arrays[3])):
+        raise ValueError("omega must be positive and t_end not before t_0")
+    if method is None:
+        method = (
+            tableaux.DP5 if controller == "ode45" or rtol > _HIGH_ORDER_FROM else tableaux.DOP853
+        )
+    if dense_output and not np.all(np.isfinite(arrays[5])):
+        arrays[5] = np.where(np.isfinite(arrays[5]), arrays[5], arrays[3])
+    table = _point_table(law, arrays[0].size, *arrays)
+    settings = _settings(
+        rtol, atol, method, controller, tangent, dense_output, x_bound, max_attempts, stop_at_layer
+    )
+    if isinstance(law.kind, laws.Tanh):
+        # Where the tail, exp(-2 |z|), is far below the tolerance, the layer has no edge to stop at
+        # yet.
+        reach = (3.0 - 0.5 * np.log(rtol)) / laws.TANH_SATURATION
+        table[:, ln.P_LAW + laws.LAYER] *= min(1.0, max(0.1, reach))
+    results, records = _run(law.kind, method, table, settings)
+    return _result(law, method, table, settings, results, records, arrays[3])
+
+
+def _result(law, method, table, settings, results, records, t_0):
+    counts = {name: results[:, column].astype(np.int64) for name, column in _COUNTS.items()}
+    # Inside, times count from t_0 so that a late start loses no digits.
+    shifted = records.copy()
+    shifted[:, ln.E_T] += t_0[records[:, ln.E_POINT].astype(np.int64)]
+    return Run(
+        x=results[:, ln.R_X].copy(),
+        v=results[:, ln.R_V].copy(),
+        t=results[:, ln.R_T] + t_0,
+        tangent=results[:, ln.R_TANGENT :].reshape(-1, 2, 2).transpose(0, 2, 1).copy(),
+        records=shifted,
+        _replay={"law": law.kind, "tableau": method, "table": table, "settings": settings},
+        **counts,
+    )
+
+
+_COUNTS = {
+    "status": ln.R_STATUS,
+    "n_contacts": ln.R_CONTACTS,
+    "n_steps": ln.R_STEPS,
+    "n_rejected": ln.R_REJECTED,
+    "nfev": ln.R_NFEV,
+}

@@ -1,0 +1,226 @@
+"""Arithmetic on vectors of lanes, written as Python expressions and emitted as LLVM IR.
+
+An ``@intrinsic`` builds machine code by calling methods of an ``IRBuilder``; formulas written
+that way cannot be read. `Vec` and `Mask` wrap the emitted values, so that a formula of the
+stepping code reads as in a book and each operator emits one vector instruction:
+
+    with one ``Vec`` per lane group:   ``x_1 = fma(h, v, x)``
+    with one ``Mask`` for choices:     ``h = where(mask, t, h)``
+
+No reordering is allowed anywhere (no fast-math flag), and no operation mixes lanes: what one lane
+computes depends on nothing in its neighbours. That is what makes a point's result the same
+in every batch, bit for bit.
+"""
+
+from llvmlite import ir
+from numba.core import cgutils
+
+F64 = ir.DoubleType()
+I64 = ir.IntType(64)
+
+
+class Vec:
+    """A vector of doubles, one per lane, inside the function under construction."""
+
+    __slots__ = ("builder", "value")
+
+    def __init__(self, builder, value):
+        self.builder = builder
+        self.value = value
+
+    def constant(self, number):
+        """The same number in every lane."""
+        return Vec(
+            self.builder,
+            ir.Constant(self.value.type, [ir.Constant(F64, float(number))] * self.value.type.count),
+        )
+
+    def _other(self, other):
+        return other if isinstance(other, Vec) else self.constant(other)
+
+    def __add__(self, other):
+        return Vec(self.builder, self.builder.fadd(self.value, self._other(other).value))
+
+    def __sub__(self, other):
+        return Vec(self.builder, self.builder.fsub(self.value, self._other(other).value))
+
+    def __rsub__(self, other):
+        return self._other(other) - self
+
+    def __mul__(self, other):
+        return Vec(self.builder, self.builder.fmul(self.value, self._other(other).value))
+
+    def __truediv__(self, other):
+        return Vec(self.builder, self.builder.fdiv(self.value, self._other(other).value))
+
+    def __neg__(self):
+        return Vec(self.builder, self.builder.fneg(self.value))
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def _compare(self, operator, other):
+        return Mask(
+            self.builder, self.builder.fcmp_ordered(operator, self.value, self._other(other).value)
+        )
+
+    def __lt__(self, other):
+        return self._compare("<", other)
+
+    def __le__(self, other):
+        return self._compare("<=", other)
+
+    def __gt__(self, other):
+        return self._compare(">", other)
+
+    def __ge__(self, other):
+        return self._compare(">=", other)
+
+    def equals(self, other):
+        """Lanes where both are equal; false for NaN, as every comparison here."""
+        return self._compare("==", other)
+
+
+class Mask:
+    """One truth value per lane."""
+
+    __slots__ = ("builder", "value")
+
+    def __init__(self, builder, value):
+        self.builder = builder
+        self.value = value
+
+    def __and__(self, other):
+        return Mask(self.builder, self.builder.and_(self.value, other.value))
+
+    def __or__(self, other):
+        return Mask(self.builder, self.builder.or_(self.value, other.value))
+
+    def __invert__(self):
+        return Mask(self.builder, self.builder.not_(self.value))
+
+    def bits(self):
+        """The mask as a 64-bit integer, lane 0 in the lowest bit."""
+        width = self.value.type.count
+        return self.builder.zext(self.builder.bitcast(self.value, ir.IntType(width)), I64)
+
+
+def where(mask, a, b):
+    """`a` in the lanes of `mask`, `b` in the others; either may be a number."""
+    vec = a if isinstance(a, Vec) else b
+    return Vec(
+        vec.builder, vec.builder.select(mask.value, vec._other(a).value, vec._other(b).value)
+    )
+
+
+def minimum(a, b):
+    """Lane-wise smaller value (`b` where either is NaN)."""
+    return where(a < b, a, b)
+
+
+def maximum(a, b):
+    """Lane-wise larger value (`b` where either is NaN)."""
+    return where(a > b, a, b)
+
+
+def _call(name, *args):
+    vec = args[0]
+    vector = vec.value.type
+    full_name = f"llvm.{name}.v{vector.count}f64"
+    function = cgutils.get_or_insert_function(
+        vec.builder.module, ir.FunctionType(vector, [vector] * len(args)), full_name
+    )
+    return Vec(vec.builder, vec.builder.call(function, [vec._other(a).value for a in args]))
+
+
+def fma(a, b, c):
+    """``a * b + c``, in one instruction where the processor has one."""
+    return _call(
+        "fmuladd",
+        a,
+        b if isinstance(b, Vec) else a.constant(b),
+        c if isinstance(c, Vec) else a.constant(c),
+    )
+
+
+def absolute(a):
+    """``|a|``."""
+    return _call("fabs", a)
+
+
+def square_root(a):
+    """Square root, NaN for negative lanes."""
+    return _call("sqrt", a)
+
+
+def nearest_integer(a):
+    """`a` rounded to the nearest integer."""
+    return _call("rint", a)
+
+
+def copy_sign(magnitude, sign):
+    """`magnitude` with the sign of `sign`."""
+    return _call("copysign", magnitude, sign)
+
+
+# 2**52 as a double: its low 52 bits hold an integer, so adding it converts a small integer
+# to a double and back without the conversion instructions that AVX2 does not have.
+_MAGIC_BITS = 0x4330000000000000
+_MAGIC = 4503599627370496.0
+
+
+def _integers(vec, number):
+    return ir.Constant(
+        ir.VectorType(I64, vec.value.type.count), [ir.Constant(I64, number)] * vec.value.type.count
+    )
+
+
+def rough_log2(a):
+    """Base-2 logarithm of ``a >= 0``, piecewise linear between powers of two (error < 0.09).
+
+    Zero gives -1023 and infinity 1024: finite, so that a step size made of it stays finite.
+    """
+    builder = a.builder
+    bits = builder.bitcast(a.value, ir.VectorType(I64, a.value.type.count))
+    high = builder.or_(builder.lshr(bits, _integers(a, 32)), _integers(a, _MAGIC_BITS))
+    return (Vec(builder, builder.bitcast(high, a.value.type)) - _MAGIC) * 2.0**-20 - 1023.0
+
+
+def rough_exp2(a):
+    """Inverse of `rough_log2` for exponents within (-1000, 1000)."""
+    builder = a.builder
+    scaled = (a + 1023.0) * 2.0**20 + _MAGIC
+    bits = builder.bitcast(scaled.value, ir.VectorType(I64, a.value.type.count))
+    return Vec(builder, builder.bitcast(builder.shl(bits, _integers(a, 32)), a.value.type))
+
+
+def load_row(builder, pointer, row, width):
+    """Row `row` of a lane-major array (shape (rows, width)) as a `Vec`."""
+    vector = ir.VectorType(F64, width)
+    address = builder.bitcast(
+        builder.gep(pointer, [ir.Constant(I64, row * width)]), vector.as_pointer()
+    )
+    value = builder.load(address)
+    value.align = 8  # numpy promises no more
+    return Vec(builder, value)
+
+
+def store_row(pointer, row, vec):
+    """Write `vec` to row `row` of a lane-major array."""
+    builder, width = vec.builder, vec.value.type.count
+    address = builder.bitcast(
+        builder.gep(pointer, [ir.Constant(I64, row * width)]), vec.value.type.as_pointer()
+    )
+    builder.store(vec.value, address).align = 8
+
+
+def splat(builder, scalar, width):
+    """A scalar double in every lane."""
+    vector = ir.VectorType(F64, width)
+    one = builder.insert_element(
+        ir.Constant(vector, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0)
+    )
+    zeros = ir.Constant(
+        ir.VectorType(ir.IntType(32), width), [ir.Constant(ir.IntType(32), 0)] * width
+    )
+    return Vec(builder, builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), zeros))

@@ -1,0 +1,76 @@
+"""Machine code on disk: never stale, safe to share, and in a folder that can be written."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import gapsweep
+
+SOURCES = Path(gapsweep.__file__).parent
+RUN = """
+import gapsweep as gs
+law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+run = gs.simulate(gs.Oscillator(), law, 9.0, t_end=1.0, dense_output=True)
+x, _ = run.sample(0.5)
+print(run.x.hex(), run.n_contacts, float(x).hex())
+"""
+
+
+def start(package_parent, code_folder, **environment):
+    variables = os.environ | {
+        "PYTHONPATH": str(package_parent),
+        "NUMBA_CACHE_DIR": str(code_folder),
+    }
+    return subprocess.Popen(
+        [sys.executable, "-c", RUN],
+        env=variables | environment,
+        cwd=package_parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def printed(process):
+    out, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    return out.strip()
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """A copy of the package that a test may edit."""
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(SOURCES, tmp_path / "source" / "gapsweep", ignore=ignored)
+    return tmp_path / "source"
+
+
+def test_edited_helper_gives_new_numbers_in_the_next_process(copy, tmp_path):
+    before = printed(start(copy, tmp_path / "code"))
+    # Sampling enters compiled code in sample.py and evaluates polynomials in roots.py.
+    helper = copy / "gapsweep" / "integrate" / "taylor" / "roots.py"
+    text = helper.read_text()
+    assert text.count("    return value, slope\n") == 1
+    helper.write_text(text.replace("    return value, slope\n", "    return 2.0 * value, slope\n"))
+    after = printed(start(copy, tmp_path / "code"))
+    ((_, _, x_before), (_, _, x_after)) = before.split(), after.split()
+    assert float.fromhex(x_after) == 2.0 * float.fromhex(x_before)
+
+
+def test_processes_that_start_together_on_no_code_agree(copy, tmp_path):
+    together = [start(copy, tmp_path / "code") for _ in range(3)]
+    assert len({printed(process) for process in together}) == 1
+
+
+def test_unwritable_folders_fall_back_to_the_next(copy, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("no folder can be made below a file")
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    run = start(copy, blocked, XDG_CACHE_HOME=str(blocked), TMPDIR=str(temporary))
+    assert printed(run)
+    assert list(temporary.glob("gapsweep-*/gapsweep/compiled-*"))
