@@ -47,7 +47,9 @@ def level(name):
 def imports(path):
     """Modules imported at the top of a file, and those imported inside functions."""
     tree = ast.parse(path.read_text())
-    top = set(map(id, tree.body))
+    # What stands under a top-level `if TYPE_CHECKING` is at the top too.
+    guarded = [inner for node in tree.body if isinstance(node, ast.If) for inner in node.body]
+    top = set(map(id, tree.body + guarded))
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, id(node) in top) for alias in node.names)

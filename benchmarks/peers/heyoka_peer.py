@@ -46,10 +46,7 @@ class Heyoka:
         events = {}
         if self.form == "piecewise":
             force = force - q[_STIFFNESS] * (x - q[_WALL])
-            events["t_events"] = [
-                hy.t_event_batch(x - q[_J_2], callback=self._at_upper, cooldown=_COOLDOWN),
-                hy.t_event_batch(x + q[_J_1], callback=self._at_lower, cooldown=_COOLDOWN),
-            ]
+            events["t_events"] = self._contact_events(x)
         else:
             epsilon = float(self.form.partition(":")[2])
             below, above = x + q[_J_1], x - q[_J_2]
@@ -62,12 +59,19 @@ class Heyoka:
             [(x, v), (v, force)], start, tol=tolerance, pars=pars, **events
         )
 
-    def _at_upper(self, ta, sign, lane):
-        self.pars[_STIFFNESS, lane] = self.stiffness if sign > 0 else 0.0
-        self.pars[_WALL, lane] = self.j_2
-        return True
+    def _contact_events(self, x):
+        # Plain functions: heyoka copies callbacks, and of a bound method its object too.
+        def at_upper(ta, sign, lane):
+            self.pars[_STIFFNESS, lane] = self.stiffness if sign > 0 else 0.0
+            self.pars[_WALL, lane] = self.j_2
+            return True
 
-    def _at_lower(self, ta, sign, lane):
-        self.pars[_STIFFNESS, lane] = self.stiffness if sign < 0 else 0.0
-        self.pars[_WALL, lane] = -self.j_1
-        return True
+        def at_lower(ta, sign, lane):
+            self.pars[_STIFFNESS, lane] = self.stiffness if sign < 0 else 0.0
+            self.pars[_WALL, lane] = -self.j_1
+            return True
+
+        return [
+            hy.t_event_batch(x - hy.par[_J_2], callback=at_upper, cooldown=_COOLDOWN),
+            hy.t_event_batch(x + hy.par[_J_1], callback=at_lower, cooldown=_COOLDOWN),
+        ]

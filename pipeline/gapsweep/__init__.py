@@ -1,6 +1,8 @@
 """gapsweep: distributed parameter studies of oscillators with freeplay."""
 
+import importlib
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
 from gapsweep.errors import ClusterError, GapsweepError, ModelError, StoreError, StudyError
 from gapsweep.integrate.simulate import simulate
@@ -24,7 +26,19 @@ from gapsweep.store.netcdf import read as open
 from gapsweep.study.study import Study
 from gapsweep.workflow import run
 
+if TYPE_CHECKING:
+    from gapsweep.store.netcdf import read as open
+    from gapsweep.study.study import Study
+    from gapsweep.workflow import run
+
 __version__ = version("gapsweep")
+
+# Studies bring Dask, xarray and matplotlib; whoever only simulates need not wait for them.
+_ON_DEMAND = {
+    "Study": ("gapsweep.study.study", "Study"),
+    "open": ("gapsweep.store.netcdf", "read"),
+    "run": ("gapsweep.workflow", "run"),
+}
 
 __all__ = [
     "Arctan",
@@ -57,3 +71,10 @@ __all__ = [
     "simulate",
     "static_error",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _ON_DEMAND:
+        raise AttributeError(f"module 'gapsweep' has no attribute {name!r}")
+    module, attribute = _ON_DEMAND[name]
+    return getattr(importlib.import_module(module), attribute)

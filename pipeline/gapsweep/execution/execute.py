@@ -22,6 +22,7 @@ from distributed.scheduler import KilledWorker
 from gapsweep.errors import ClusterError
 from gapsweep.execution.plan import Chain, Plan
 from gapsweep.execution.task import REST, State, TaskResult, compute
+from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.response.respond import Response
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Row
@@ -31,6 +32,8 @@ from gapsweep.study.study import Study
 # Long against the price of a task (a millisecond), short against a user's patience.
 _TASK_SECONDS = 0.5
 _MAX_BATCH = 1000
+# Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
+_FIRST_BATCH = {"compiled": 16, "scipy": 1}
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
 _COMMIT_ROWS = 200
@@ -206,7 +209,7 @@ class _Execution:
         if self.batch is not None:
             return self.batch
         if not self.cpu_seconds:
-            return 1
+            return _FIRST_BATCH[self.study.spec.solver.engine or DEFAULT_ENGINE]
         per_point = self.cpu_seconds / self.progress.n_computed
         return max(1, min(_MAX_BATCH, round(_TASK_SECONDS / per_point)))
 

@@ -98,6 +98,8 @@ def _timed(questions: Sequence[Question]) -> list[Response]:
     begin = time.thread_time()
     try:
         found = respond_all(questions)
+    except ModelError as error:
+        found = [Response(status=Status.MODEL_INVALID, message=str(error)) for _ in questions]
     except Exception as error:  # the task boundary: whatever a point raises is its result
         if len(questions) > 1:
             return [response for question in questions for response in _timed([question])]

@@ -8,8 +8,10 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import numpy as np
+from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Events, Motions, Sampler, merged
 from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.integrate.runge_kutta import representations, smooth
@@ -101,11 +103,15 @@ def _exact(problems: Problems, solver: Solver) -> Motions:
 
 
 def _smooth(problems: Problems, solver: Solver) -> Motions:
-    run = smooth.integrate(
-        _kernel_law(problems.laws, restart=solver.restart),
-        controller=solver.controller,
-        **_common(problems, solver),
-    )
+    law = _kernel_law(problems.laws, restart=solver.restart)
+    try:
+        run = smooth.integrate(law, controller=solver.controller, **_common(problems, solver))
+    except NumbaError as error:
+        reason = str(error).strip().splitlines()[0]
+        raise ModelError(
+            f"{problems.laws[0]}: numba cannot compile it ({reason}); use arithmetic and math "
+            "functions only, or engine='scipy'"
+        ) from None
 
     def events(i: int) -> Events:
         t_extrema, extrema = run.extrema(i)

@@ -318,6 +318,9 @@ class UserLaw(ContactLaw):
         except (OSError, TypeError):
             raise ModelError(f"{self.name}: its source must be readable, in a .py file") from None
 
+    def __str__(self) -> str:
+        return self.name
+
     def force(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
         return np.reshape([float(self.function(float(v))) for v in x.ravel()], x.shape)
