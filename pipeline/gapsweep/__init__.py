@@ -22,9 +22,6 @@ from gapsweep.model.labels import canonical_label, contact_law, law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.respond import Response, ResponseClass, Steady, respond
 from gapsweep.status import Status
-from gapsweep.store.netcdf import read as open
-from gapsweep.study.study import Study
-from gapsweep.workflow import run
 
 if TYPE_CHECKING:
     from gapsweep.store.netcdf import read as open

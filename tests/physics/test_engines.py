@@ -1,0 +1,160 @@
+"""Engines through the public calls: against each other, an oracle, and in any company."""
+
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import gapsweep as gs
+from tests.oracles import exact_end_state
+
+SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
+TIGHT = {"rtol": 1e-12, "atol": 1e-15}
+LABELS = (
+    "piecewise",
+    "piecewise-noevents",
+    "poly-13",
+    "ratpoly-5/3",
+    "tanh-1e4",
+    "arctan-1e4",
+    "logarctan-1e4",
+)
+
+
+def linear_spring(x):
+    return 2e3 * x
+
+
+def prints_a_number(x):
+    return float(format(x))
+
+
+@given(
+    zeta=st.floats(0.01, 0.2),
+    omega_n=st.floats(2.0, 10.0),
+    alpha=st.floats(0.0, 1e9),
+    forcing=st.floats(1.0, 8.0),
+    stiffness=st.floats(3.0, 6.0),
+    j_1=st.floats(1e-5, 1e-3),
+    j_2=st.floats(1e-5, 1e-3),
+    omega=st.floats(0.5, 30.0),
+    place=st.floats(-0.9, 0.9),
+    v_0=st.floats(-0.05, 0.05),
+)
+def test_random_scenes_reach_the_end_state_of_an_independent_method(
+    zeta, omega_n, alpha, forcing, stiffness, j_1, j_2, omega, place, v_0
+):
+    oscillator = gs.Oscillator(zeta=zeta, omega_n=omega_n, alpha=alpha, forcing=forcing)
+    law = gs.Piecewise(10.0**stiffness, gs.Gap(j_1, j_2))
+    x_0 = place * (j_2 if place > 0 else j_1)
+    run = gs.simulate(oscillator, law, omega, x_0, v_0, t_end=1.0, tangent=True, **TIGHT)
+    # A touch that rounding alone decides belongs to no sequence of contacts.
+    tops = run.extrema
+    assume(np.all(np.abs(tops - j_2) > 1e-9) and np.all(np.abs(tops + j_1) > 1e-9))
+    x, v, n_contacts = exact_end_state(oscillator, law, omega, x_0, v_0, 1.0)
+    amplitude = max(np.abs(tops).max(initial=0.0), abs(v_0) / oscillator.omega_n_rad, abs(x_0))
+    # What a disturbance of the start by one part in 1e12 does to the end, at least 1e-9.
+    sensitivity = np.abs(run.monodromy / [[1, 1 / oscillator.omega_n_rad]]).max()
+    allowed = amplitude * max(1e-9, 1e-11 * sensitivity)
+    assert run.n_contacts == n_contacts
+    assert abs(run.x - x) < allowed
+    assert abs(run.v - v) / (oscillator.omega_n_rad + 2 * math.pi * omega) < 10 * allowed
+
+
+@pytest.mark.parametrize("label", LABELS)
+def test_a_point_is_the_same_alone_and_in_any_company(label):
+    law = gs.contact_law(label, 1.4e5, gs.Gap(0.0, 0.8e-3))
+    omega = np.linspace(3.0, 25.0, 37)
+    together = gs.simulate(gs.Oscillator(), law, omega, t_end=2.0)
+    backwards = gs.simulate(gs.Oscillator(), law, omega[::-1], t_end=2.0)
+    assert together.x.tobytes() == backwards.x[::-1].tobytes()
+    for i in (0, 17, 36):
+        alone = gs.simulate(gs.Oscillator(), law, omega[i], t_end=2.0)
+        assert (alone.x, alone.v, alone.nfev) == (together.x[i], together.v[i], together.nfev[i])
+        assert alone.extrema.tobytes() == together.extrema[i].tobytes()
+
+
+@pytest.mark.parametrize("label", [*LABELS, f"{__name__}:linear_spring"])
+def test_both_engines_find_the_same_steady_response(label):
+    law = gs.contact_law(label, 1.4e4, SYMMETRIC)
+    fast = gs.respond(gs.Oscillator(), law, 12.0, rtol=1e-10, atol=1e-13)
+    plain = gs.respond(gs.Oscillator(), law, 12.0, engine="scipy", rtol=1e-9, atol=1e-12)
+    assert fast.period_multiple == plain.period_multiple > 0
+    assert fast.n_extrema == plain.n_extrema
+    assert_allclose(sorted(fast.extrema), sorted(plain.extrema), atol=3e-9)
+    assert_allclose([fast.x_max, fast.x_min], [plain.x_max, plain.x_min], atol=3e-9)
+
+
+@pytest.mark.parametrize("label", ["piecewise", "tanh-1e4"])
+def test_sample_agrees_between_engines(label):
+    law = gs.contact_law(label, 1.4e4, SYMMETRIC)
+    t = np.linspace(0.0, 2.0, 301)
+    runs = [
+        gs.simulate(gs.Oscillator(), law, 9.0, t_end=2.0, engine=engine, rtol=1e-11, atol=1e-14,
+                    dense_output=True).sample(t)
+        for engine in ("compiled", "scipy")
+    ]  # fmt: skip
+    # scipy's dense output is of lower order than its steps.
+    assert_allclose(runs[0][0], runs[1][0], atol=2e-9)
+    assert_allclose(runs[0][1], runs[1][1], atol=1e-6)
+
+
+@pytest.mark.parametrize("controller", ["native", "ode45"])
+def test_restart_changes_the_price_not_the_motion(controller):
+    scene = gs.Oscillator(), gs.Piecewise(1.4e4, SYMMETRIC), 9.0
+    options = {"t_end": 2.0, "rtol": 1e-9, "atol": 1e-12}
+    located = gs.simulate(*scene, **options)
+    restarted = gs.simulate(*scene, restart=True, controller=controller, **options)
+    assert restarted.n_contacts == located.n_contacts
+    assert_allclose(restarted.x, located.x, atol=1e-8)
+    assert restarted.nfev > 3 * located.nfev
+
+
+def test_ode45_steps_over_contacts_it_does_not_locate():
+    law = gs.Piecewise(1.4e6, SYMMETRIC, located=False)
+    options = {"t_end": 1.0, "rtol": 1e-4, "atol": 1e-7}
+    ode45 = gs.simulate(gs.Oscillator(), law, 12.0, controller="ode45", **options)
+    located = gs.simulate(gs.Oscillator(), gs.Piecewise(1.4e6, SYMMETRIC), 12.0, **options)
+    # The kinks show as rejected steps, the price of not locating them.
+    assert ode45.n_rejected > 0.1 * ode45.n_steps
+    assert located.n_rejected == 0
+
+
+@pytest.mark.parametrize("label", LABELS)
+def test_area_contracts_at_the_rate_of_the_damping(label):
+    oscillator, law = gs.Oscillator(), gs.contact_law(label, 1.4e4, SYMMETRIC)
+    run = gs.simulate(oscillator, law, 9.0, t_end=0.5, tangent=True, **TIGHT)
+    expected = math.exp(-2.0 * oscillator.decay_rate * 0.5)
+    assert_allclose(np.linalg.det(run.monodromy), expected, rtol=1e-8)
+
+
+def test_memory_does_not_grow_with_the_length_of_a_run():
+    law = gs.Piecewise(1.4e4, SYMMETRIC)
+
+    def peak(t_end):
+        gs.simulate(gs.Oscillator(), law, 9.0, t_end=1.0)  # compiled before measuring
+        tracemalloc.start()
+        gs.simulate(gs.Oscillator(), law, 9.0, t_end=t_end)
+        size = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return size
+
+    assert peak(2000.0) < 1.1 * peak(20.0) + 10_000
+
+
+def test_law_that_numba_cannot_compile_says_what_to_do():
+    law = gs.law(prints_a_number, 1.4e4, SYMMETRIC)
+    with pytest.raises(gs.ModelError, match=r"prints_a_number: numba cannot compile .*engine='scipy'"):
+        gs.simulate(gs.Oscillator(), law, 9.0, t_end=0.1)
+
+
+def test_reference_engine_has_no_ode45_and_no_tangent():
+    scene = gs.Oscillator(), gs.Piecewise(1.4e4, SYMMETRIC), 9.0
+    with pytest.raises(gs.ModelError, match="needs engine = 'compiled'"):
+        gs.simulate(*scene, t_end=1.0, engine="scipy", controller="ode45")
+    with pytest.raises(gs.ModelError, match="needs engine='compiled'"):
+        gs.simulate(*scene, t_end=1.0, engine="scipy", tangent=True)
