@@ -8,9 +8,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from tests.oracles import exact_end_state
 
 import gapsweep as gs
-from tests.oracles import exact_end_state
 
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
@@ -148,7 +148,9 @@ def test_memory_does_not_grow_with_the_length_of_a_run():
 
 def test_law_that_numba_cannot_compile_says_what_to_do():
     law = gs.law(prints_a_number, 1.4e4, SYMMETRIC)
-    with pytest.raises(gs.ModelError, match=r"prints_a_number: numba cannot compile .*engine='scipy'"):
+    with pytest.raises(
+        gs.ModelError, match=r"prints_a_number: numba cannot compile .*engine='scipy'"
+    ):
         gs.simulate(gs.Oscillator(), law, 9.0, t_end=0.1)
 
 
