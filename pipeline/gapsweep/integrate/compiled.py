@@ -29,9 +29,6 @@ from gapsweep.model.contact import (
 
 Array = NDArray[np.float64]
 
-_CONTACTS = (record.ENTER_UPPER, record.LEAVE_UPPER, record.ENTER_LOWER, record.LEAVE_LOWER)
-_EXTREMA = (record.MINIMUM, record.MAXIMUM, record.INFLECTION)
-
 
 def integrate(problems: Problems, solver: Solver) -> Motions:
     """Integrate every problem; each result is the same to the last bit in any company."""
@@ -91,10 +88,12 @@ def _exact(problems: Problems, solver: Solver) -> Motions:
     run = exact.integrate(**_gap_arrays(problems.laws), **_common(problems, solver))
 
     def events(i: int) -> Events:
-        extrema = run.events(i, *_EXTREMA)
-        contacts = run.events(i, *_CONTACTS)
-        section = run.events(i, record.SECTION)
-        return Events(extrema[:, 0], extrema[:, 1], contacts[:, 0], section[:, 1:3])
+        rows = run.events(i)
+        # The kinds are numbered so: extrema, the section, then contacts.
+        kind = rows[:, 3]
+        extrema, section = rows[kind < record.SECTION], rows[kind == record.SECTION]
+        contacts = rows[kind > record.SECTION, 0]
+        return Events(extrema[:, 0], extrema[:, 1], contacts, section[:, 1:3])
 
     def sampler(i: int) -> Sampler:
         return lambda t: tuple(part[0] for part in run.sample(t, i))

@@ -18,7 +18,12 @@ from numba import config, njit
 
 # Called from compiled code alone: without the wrappers for Python and C, which take longer to
 # compile than a small function itself.
-internal = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_BARE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+allocating = njit(**_BARE)
+# Nor does a function count references to arrays unless it makes one: its callers own those that
+# it works on, and the atomic counts at each call would cost more than recording a step. numba
+# refuses to compile a function that does allocate under this option.
+internal = njit(**_BARE, _nrt=False)
 
 
 def entry(function: Callable[..., Any]) -> Any:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.jit import internal
+from gapsweep.integrate.jit import allocating
 
 from . import lanes as ln
 from . import laws
@@ -46,7 +46,7 @@ CLOSE_ENOUGH = 1e-5
 MAX_TRIES = 8
 
 
-@internal
+@allocating
 def first_step(lane, settings, exponent, i):
     """Length of a first step from rest: ode45's rule (also the native one), from the size of y'
     alone.
@@ -62,7 +62,7 @@ def first_step(lane, settings, exponent, i):
     return max(1.0 / rate if h * rate > 1.0 else h, 1e-17 * lane[ln.PERIOD, i])
 
 
-@internal
+@allocating
 def started(lane, lane_int, settings, exponent, i):
     """The acceleration at the start is known: choose the first step."""
     lane[ln.A, i] = lane[ln.A1, i]
@@ -74,7 +74,7 @@ def started(lane, lane_int, settings, exponent, i):
     lane_int[ln.MODE, i] = ln.STEPPING
 
 
-@internal
+@allocating
 def _coefficients(lane, b, i):
     """Interpolant of the last attempt: x into b[:6], its derivative into b[6:]."""
     position_coefficients(
@@ -84,13 +84,13 @@ def _coefficients(lane, b, i):
     derivative_coefficients(b, b[6:])
 
 
-@internal
+@allocating
 def _passings(q, before, after, i):
     low, high = q[laws.WALL_LOW, i], q[laws.WALL_HIGH, i]
     return int((before > high) != (after > high)) + int((before < low) != (after < low))
 
 
-@internal
+@allocating
 def count_dips(lane, q, scratch, i):
     """Wall passings (and leaving of a fit's range) by extrema inside a step with both ends on one
     side.
@@ -112,7 +112,7 @@ def count_dips(lane, q, scratch, i):
 # --- records --------------------------------------------------------------------------------------
 
 
-@internal
+@allocating
 def _record(lane, lane_int, events, counters, kind, t, x, v, i):
     row = events[counters[ln.N_EVENTS]]
     row[ln.E_KIND], row[ln.E_POINT] = kind, lane_int[ln.POINT, i]
@@ -121,14 +121,14 @@ def _record(lane, lane_int, events, counters, kind, t, x, v, i):
     counters[ln.N_EVENTS] += 1
 
 
-@internal
+@allocating
 def _is_recording(lane, t, i):
     """Whether time t (since the start) lies in the recorded part, to rounding."""
     turns = t * lane[ln.FREQUENCY, i] + lane[ln.PHASE_0, i]
     return turns >= lane[ln.RECORD_TURNS, i] - 1e-12 * (1.0 + abs(turns))
 
 
-@internal
+@allocating
 def _add_probe(lane_int, probes, theta, kind, i):
     """Insert a probe in order of time."""
     n = lane_int[ln.N_PROBES, i]
@@ -145,7 +145,7 @@ def _add_probe(lane_int, probes, theta, kind, i):
     lane_int[ln.N_PROBES, i] = n + 1
 
 
-@internal
+@allocating
 def _plan_probes(lane, lane_int, probes, scratch, i):
     """List the section points and extrema inside the accepted step."""
     lane_int[ln.N_PROBES, i] = lane_int[ln.PROBE, i] = lane_int[ln.TRIES, i] = 0
@@ -161,7 +161,7 @@ def _plan_probes(lane, lane_int, probes, scratch, i):
         _add_probe(lane_int, probes, found[m], ln.EXTREMUM, i)
 
 
-@internal
+@allocating
 def _begin_probing(lane, lane_int, probes, i):
     """Set the lane back to the start of the step and send the first probe."""
     for offset in range(6):
@@ -173,13 +173,13 @@ def _begin_probing(lane, lane_int, probes, i):
     lane_int[ln.MODE, i] = ln.PROBING
 
 
-@internal
+@allocating
 def _return_to_start(lane, i):
     for offset in range(5):
         lane[ln.X + offset, i] = lane[ln.OLD_X + offset, i]
 
 
-@internal
+@allocating
 def _probed(lane, lane_int, probes, events, counters, i):
     """Judge one probe; true when the last event of the step is recorded."""
     j = lane_int[ln.PROBE, i]
@@ -216,7 +216,7 @@ def _probed(lane, lane_int, probes, events, counters, i):
 # ----------------------------------------------------
 
 
-@internal
+@allocating
 def _first_root(scratch, target, best):
     b, found = scratch.b, scratch.found
     for j in range(6):
@@ -227,7 +227,7 @@ def _first_root(scratch, target, best):
     return min(best, found[0]) if n > 0 else best
 
 
-@internal
+@allocating
 def _first_edge(lane, q, scratch, is_located, i):
     """Theta at which the step first reaches a wall (located) or layer; above 1 if never."""
     best, x = 2.0, lane[ln.OLD_X, i]
@@ -243,7 +243,7 @@ def _first_edge(lane, q, scratch, is_located, i):
     return best
 
 
-@internal
+@allocating
 def _revoke(lane, q, is_located, i):
     """Undo the accepted step: it is repeated in part."""
     if not is_located:
@@ -256,7 +256,7 @@ def _revoke(lane, q, is_located, i):
     lane[ln.EXACT, i] = 2.0
 
 
-@internal
+@allocating
 def _cut(lane, lane_int, q, scratch, is_located, i):
     """Repeat the step up to the first edge; false if it does not reach one after all."""
     _coefficients(lane, scratch.b, i)
@@ -271,7 +271,7 @@ def _cut(lane, lane_int, q, scratch, is_located, i):
     return True
 
 
-@internal
+@allocating
 def _landing_wall(lane, q, i):
     """The wall that a located landing aims at."""
     if q[laws.ACTIVE_STIFFNESS, i] != 0.0:
@@ -280,7 +280,7 @@ def _landing_wall(lane, q, i):
     return high if abs(lane[ln.X1, i] - high) < abs(lane[ln.X1, i] - low) else low
 
 
-@internal
+@allocating
 def _landed(lane, lane_int, q, i):
     """Newton's method on the landing time; true when x is on the wall (and set to it exactly)."""
     wall = _landing_wall(lane, q, i)
@@ -299,7 +299,7 @@ def _landed(lane, lane_int, q, i):
     return True
 
 
-@internal
+@allocating
 def choose_mode(lane, q, i):
     """Contact mode of a located run from the present state: velocity, then acceleration, decide on
     a wall.
@@ -314,7 +314,7 @@ def choose_mode(lane, q, i):
         q[laws.ACTIVE_STIFFNESS, i], q[laws.ACTIVE_WALL, i] = q[laws.STIFFNESS, i], low
 
 
-@internal
+@allocating
 def _corrects_mode(lane, q, i):
     """Choose the mode of a start; true if the stiffness was another one."""
     before = q[laws.ACTIVE_STIFFNESS, i]
@@ -328,7 +328,7 @@ def _corrects_mode(lane, q, i):
 # ------------------------------------------------------------------------------------
 
 
-@internal
+@allocating
 def _failure_status(lane, q, settings, committed, i):
     x = lane[ln.X1, i]
     if not (np.isfinite(x) and abs(x) <= settings[ln.S_BOUND]):
@@ -340,7 +340,7 @@ def _failure_status(lane, q, settings, committed, i):
     return ln.STEP_UNDERFLOW
 
 
-@internal
+@allocating
 def after_events(lane, lane_int, q, i):
     """Go on after a step and all its events; true when the point has reached its end."""
     if lane_int[ln.LANDED, i]:
@@ -351,7 +351,7 @@ def after_events(lane, lane_int, q, i):
     return lane[ln.TURNS, i] == lane[ln.END_TURNS, i] and lane[ln.TAU, i] == lane[ln.END_TAU, i]
 
 
-@internal
+@allocating
 def attend(lane, lane_int, q, probes, scratch, events, counters, settings, outcome, is_located, i):
     """Look after lane i; the status if its point is over, else -1."""
     mode = lane_int[ln.MODE, i]

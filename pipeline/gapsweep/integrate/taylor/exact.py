@@ -389,8 +389,15 @@ def _run(points, statuses, degree, tangent, limits, dense_output):
 
 
 def _by_point(pieces):
+    """All rows in the order of their points; rows of one point keep theirs."""
     rows = np.concatenate(pieces) if len(pieces) > 1 else pieces[0]
-    return rows[np.argsort(rows[:, 0], kind="stable")]
+    points = rows[:, 0].astype(np.int64)
+    # numpy sorts keys of 16 bits in linear time, ten times as fast as wider ones
+    order = np.argsort((points & 0xFFFF).astype(np.uint16), kind="stable")
+    if len(points) and points.max() > 0xFFFF:
+        high = (points >> 16).astype(np.uint16)
+        order = order[np.argsort(high[order], kind="stable")]
+    return rows.take(order, axis=0)
 
 
 def _outcome(points, statuses, t_end, tangent, log, dense):

@@ -13,7 +13,8 @@ import numpy as np
 from gapsweep.integrate.jit import entry, internal
 
 from . import lane_rows as row
-from .record import record_step
+from .lane_ir import lowest_bit
+from .record import load_series, record_steps
 from .roots import first_exit, polynomial
 from .taylor_ir import SHORT_STEP, taylor_step
 
@@ -21,9 +22,6 @@ from .taylor_ir import SHORT_STEP, taylor_step
 RUNNING, OK, DIVERGED, STEP_UNDERFLOW, CHATTER = -1, 0, 4, 6, 7
 FINISHED, BUFFER_FULL, BUDGET_SPENT = 0, 1, 2
 IDLE = -1
-
-# of each lane in the answer of `taylor_step`
-_UNCLEAR, _DONE, _BAD, _RECORDED = (1 << k * row.WIDTH for k in range(4))
 
 
 @internal
@@ -56,12 +54,6 @@ def _commit_contact(lanes, k, side):
     has_gap = lanes[row.LOWER, k] < lanes[row.UPPER, k]
     lanes[row.MODE, k] = 0.0 if is_touching and has_gap else side
     lanes[row.N_CONTACTS, k] += 2.0 if is_touching and not has_gap else 1.0
-
-
-@internal
-def _load_series(coefficients, first, k, series):
-    for n in range(len(series)):
-        series[n] = coefficients[first + n, k]
 
 
 @internal
@@ -99,7 +91,7 @@ def _resolve(lanes, k, has_tangent, coefficients, work):
     lanes[row.N_STEPS, k] += 1.0
     if has_tangent:
         for j in range(2):
-            _load_series(coefficients, (order + 1) * (1 + j), k, work.reduced)
+            load_series(coefficients, (order + 1) * (1 + j), k, work.reduced)
             y, w = polynomial(work.reduced, order, step)
             lanes[row.TANGENT + 2 * j, k], lanes[row.TANGENT + 2 * j + 1, k] = y, w
     return is_done
@@ -143,6 +135,31 @@ def _finish(lanes, k, lane_point, points, statuses, outcome, progress):
 
 
 @internal
+def _settle(unclear, lanes, has_tangent, coefficients, work):
+    """Commit the steps of the lanes whose crossing was unclear. The lanes that end with it."""
+    done = 0
+    while unclear != 0:
+        k = lowest_bit(unclear)
+        unclear &= unclear - 1
+        load_series(coefficients, 0, k, work.series)
+        if _resolve(lanes, k, has_tangent, coefficients, work):
+            done |= 1 << k
+    return done
+
+
+@internal
+def _failed(suspects, lanes, x_bound, max_short):
+    """Those of the lanes `suspects` whose last step is not part of the motion."""
+    failed = 0
+    while suspects != 0:
+        k = lowest_bit(suspects)
+        suspects &= suspects - 1
+        if _failure(lanes, k, x_bound, max_short) != RUNNING:
+            failed |= 1 << k
+    return failed
+
+
+@internal
 def _attend(
     packed,
     lanes,
@@ -151,6 +168,7 @@ def _attend(
     statuses,
     progress,
     coefficients,
+    order,
     limits,
     log,
     dense,
@@ -160,26 +178,23 @@ def _attend(
     """See to the lanes that `taylor_step` named."""
     _, x_bound, max_short = limits
     has_tangent = len(coefficients) > len(work.series)
-    for k in range(row.WIDTH):
-        flags = packed >> k
-        is_unclear, is_done = flags & _UNCLEAR != 0, flags & _DONE != 0
-        is_bad, is_recorded = flags & _BAD != 0, flags & _RECORDED != 0
-        if not (is_unclear or is_done or is_bad or is_recorded):
-            continue
-        if is_unclear or is_recorded:
-            _load_series(coefficients, 0, k, work.series)
-        if is_unclear:
-            is_done = _resolve(lanes, k, has_tangent, coefficients, work)
+    unclear = packed & row.ALL_LANES
+    done = (packed >> row.WIDTH) & row.ALL_LANES
+    bad = (packed >> 2 * row.WIDTH) & row.ALL_LANES
+    recording = (packed >> 3 * row.WIDTH) & row.ALL_LANES
+    done |= _settle(unclear, lanes, has_tangent, coefficients, work)
+    failed = _failed(unclear | bad, lanes, x_bound, max_short)
+    recording &= ~failed
+    if recording != 0:
+        record_steps(lanes, recording, coefficients, order, lane_point, log, dense, fill, work)
+    ending = done | bad | failed
+    while ending != 0:
+        k = lowest_bit(ending)
+        ending &= ending - 1
         outcome = _failure(lanes, k, x_bound, max_short)
         if outcome == RUNNING:
-            if is_unclear or is_recorded:
-                record_step(lanes, k, is_unclear, lane_point[k], log, dense, fill, work)
-            if is_done:
-                outcome = OK
-            elif is_bad:
-                outcome = STEP_UNDERFLOW
-        if outcome != RUNNING:
-            _finish(lanes, k, lane_point, points, statuses, outcome, progress)
+            outcome = OK if (done >> k) & 1 != 0 else STEP_UNDERFLOW
+        _finish(lanes, k, lane_point, points, statuses, outcome, progress)
 
 
 @entry
@@ -218,7 +233,7 @@ def advance(
     limits : tuple of float
         rtol, x_bound [m], cap on successive short contact steps.
     log, dense : arrays
-        Buffers of `record_step`; `dense` with no rows: not wanted.
+        Buffers of `record_steps`; `dense` with no rows: not wanted.
     fill : int array, shape (2,)
         Rows used in `log` and `dense`. The caller drains the buffers and sets them to zero.
     work : roots.Work
@@ -232,7 +247,6 @@ def advance(
         FINISHED, BUFFER_FULL or BUDGET_SPENT.
     """
     rtol, x_bound, max_short = limits
-    records_all = 1.0 if len(dense) > 0 else 0.0
     for k in range(row.WIDTH):
         if lane_point[k] < IDLE:
             _load_next(lanes, k, lane_point, points, progress)
@@ -244,9 +258,7 @@ def advance(
             return FINISHED
         if fill[0] > log_room or fill[1] > dense_room:
             return BUFFER_FULL
-        packed = taylor_step(
-            lanes, coefficients, order, has_tangent, rtol, x_bound, max_short, records_all
-        )
+        packed = taylor_step(lanes, coefficients, order, has_tangent, rtol, x_bound, max_short)
         if packed != 0:
             _attend(
                 packed,
@@ -256,6 +268,7 @@ def advance(
                 statuses,
                 progress,
                 coefficients,
+                order,
                 limits,
                 log,
                 dense,

@@ -13,7 +13,9 @@ in every batch, bit for bit.
 """
 
 from llvmlite import ir
+from numba import types
 from numba.core import cgutils
+from numba.extending import intrinsic
 
 F64 = ir.DoubleType()
 I64 = ir.IntType(64)
@@ -194,6 +196,11 @@ def rough_exp2(a):
     return Vec(builder, builder.bitcast(builder.shl(bits, _integers(a, 32)), a.value.type))
 
 
+def is_nonzero(builder, bits):
+    """Condition for a branch: any bit of a 64-bit integer set."""
+    return builder.icmp_unsigned("!=", bits, ir.Constant(I64, 0))
+
+
 def load_row(builder, pointer, row, width):
     """Row `row` of a lane-major array (shape (rows, width)) as a `Vec`."""
     vector = ir.VectorType(F64, width)
@@ -224,3 +231,13 @@ def splat(builder, scalar, width):
         ir.VectorType(ir.IntType(32), width), [ir.Constant(ir.IntType(32), 0)] * width
     )
     return Vec(builder, builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), zeros))
+
+
+@intrinsic
+def lowest_bit(typingctx, bits):
+    """Position of the lowest set bit of an int64 that is not zero: the first lane of a mask."""
+
+    def codegen(context, builder, signature, args):
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), codegen

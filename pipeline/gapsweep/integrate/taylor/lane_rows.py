@@ -10,6 +10,7 @@ phase, hence time and phase cannot drift apart however long the run.
 # compiler cuts the wide values into registers, whose independent chains hide each other's
 # latency. At most 16: four masks of `WIDTH` bits are packed into one 64-bit answer.
 WIDTH = 16
+ALL_LANES = (1 << WIDTH) - 1  # as a mask
 
 # state
 X, V, TAU, CYCLE, MODE = range(5)
@@ -35,7 +36,7 @@ STEP, SIDE, TAU_0, CYCLE_0, MODE_0 = 28, 29, 30, 31, 32
 TAU_START, T_START = 33, 34  # phase and time [s] of the point's own start
 CONTACT_SCALE = 35  # [s]: as VELOCITY_SCALE, for the depth that a velocity reaches in contact
 MIN_STEP = 36  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
-# zero of the velocity within the last step: how many (TURN_*), and time and place of a single one
-TURNS, TURN_TIME, TURN_X = 37, 38, 39
-TURN_NONE, TURN_SINGLE, TURN_UNCLEAR = 0.0, 1.0, 2.0
-N_ROWS = 40
+# what the recording of the last step found: when the step began [s], zero of the velocity, and
+# state at the whole period within it
+START_TIME, TURN_TIME, TURN_X, SECTION_TIME, SECTION_X, SECTION_V = range(37, 43)
+N_ROWS = 43

@@ -2,8 +2,8 @@
 
 A polynomial in Bernstein form on an interval has at most as many roots there as its coefficients
 have sign changes, and exactly one if they change once. Intervals with more changes are halved
-(de Casteljau) until that decides, leftmost first. Only lanes that the bounds of `taylor_ir`
-leave unclear, and lanes that record extrema, come here.
+(de Casteljau) until that decides, leftmost first. Only single lanes come here: those whose crossing
+`taylor_ir`, or whose extrema `record`, could not decide for all lanes at once.
 """
 
 import math

@@ -34,6 +34,7 @@ from .lane_ir import (
     absolute,
     copy_sign,
     fma,
+    is_nonzero,
     load_row,
     maximum,
     minimum,
@@ -52,9 +53,9 @@ MAX_PERIODS_PER_STEP = 0.5
 # neglected term is smaller, but a run adds up the errors of some thirty steps per decay time.
 # With this factor the error at the end of the benchmark scenes is about rtol.
 SAFETY = 0.25
+CLOCK_SLACK = 1e-9  # of a period: a record_from meant as a whole period includes its section
 MAX_HALVINGS = 3
 NEWTON_STEPS = 3
-TURN_TOLERANCE = 1e-11  # of the step: x is stationary there, so that t matters little
 SHORT_STEP = 1e-6  # rad of the fastest frequency: contact steps shorter than this count as chatter
 _EPS = 2.0**-52
 
@@ -153,7 +154,7 @@ def _step_size(order, x, scale):
     return rough_exp2(-exponent)
 
 
-def _value_and_slope(series, t):
+def value_and_slope(series, t):
     """Polynomial and derivative at t by Horner's rule."""
     value, slope = series[-1], None
     for a in reversed(series[:-1]):
@@ -193,7 +194,6 @@ class _Shape:
         self.stays_above_lo = series[0] + (low - slack) >= lo
         self.stays_below_hi = series[0] + (high + slack) <= hi
         is_monotone = self.falls | self.rises
-        self.turns = ~is_monotone
         # Inside at the start, x leaves over `lo` at most once if it is monotone or concave,
         # over `hi` at most once if monotone or convex: then the end point decides.
         self.is_decided = (self.stays_above_lo | is_monotone | self.is_concave) & (
@@ -226,7 +226,7 @@ def _emit_decided_step(builder, series, h, lo, hi):
     step.add_incoming(halved.value, builder.block)
     count.add_incoming(ir.Constant(I64, 0), start)
     count.add_incoming(builder.add(count, ir.Constant(I64, 1)), builder.block)
-    is_open = builder.icmp_unsigned("!=", (~shape.is_decided).bits(), ir.Constant(I64, 0))
+    is_open = is_nonzero(builder, (~shape.is_decided).bits())
     may_go_on = builder.icmp_unsigned("<", count, ir.Constant(I64, MAX_HALVINGS))
     builder.cbranch(builder.and_(is_open, may_go_on), loop, done)
     builder.position_at_end(done)
@@ -251,53 +251,10 @@ def _crossing(series, h, wall, x_1, v_1):
     back = g_1 * 2.0 / (u_1 + copy_sign(root, u_1))
     t = h - h * maximum(minimum(back, back.constant(1.0)), 0.0 * back)
     for _ in range(NEWTON_STEPS):
-        value, slope = _value_and_slope(series, t)
+        value, slope = value_and_slope(series, t)
         t = t - (value - wall) / slope
-    value, slope = _value_and_slope(series, t)
+    value, slope = value_and_slope(series, t)
     return t, slope, value - wall
-
-
-def _emit_turns(builder, series, step, v_1, shape, is_recording):
-    """Zeros of the velocity within the step.
-
-    Returns
-    -------
-    turns : Vec
-        TURN_NONE or TURN_SINGLE where proved, TURN_UNCLEAR elsewhere.
-    t, x : Vec
-        Time and place of a single one, in the lanes of `is_recording`.
-    """
-    v_0 = series[1]
-    # A zero at the start belongs to the step before, one at the end to this step.
-    peaks = shape.is_concave & (v_0 > 0.0) & (v_1 <= 0.0)
-    dips = shape.is_convex & (v_0 < 0.0) & (v_1 >= 0.0)
-    is_single = peaks | dips
-    is_none = ~shape.turns | ((shape.is_concave | shape.is_convex) & ~is_single)
-    turns = where(is_none, v_0.constant(row.TURN_NONE), row.TURN_UNCLEAR)
-    before = builder.block
-    with builder.if_then(
-        builder.icmp_unsigned("!=", (is_single & is_recording).bits(), ir.Constant(I64, 0))
-    ):
-        velocity = [series[n] * float(n) for n in range(1, len(series))]
-        t = step * (v_0 / (v_0 - v_1))
-        for _ in range(NEWTON_STEPS):
-            value, slope = _value_and_slope(velocity, t)
-            t = t - value / slope
-        value, slope = _value_and_slope(velocity, t)
-        is_found = (
-            is_single & (t > 0.0) & (t <= step) & (absolute(value / slope) <= step * TURN_TOLERANCE)
-        )
-        x, _ = _value_and_slope(series, t)
-        found = where(is_found, v_0.constant(row.TURN_SINGLE), turns)
-        inside = builder.block
-    unresolved = turns
-    results = []
-    for skipped, computed in ((unresolved, found), (step, t), (step, x)):
-        phi = builder.phi(computed.value.type)
-        phi.add_incoming(skipped.value, before)
-        phi.add_incoming(computed.value, inside)
-        results.append(Vec(builder, phi))
-    return results
 
 
 def _emit_crossings(builder, series, h, end, outward, wants_root, wall):
@@ -314,7 +271,7 @@ def _emit_crossings(builder, series, h, end, outward, wants_root, wall):
     mask_type = wants_root.value.type
     none = ir.Constant(mask_type, [ir.Constant(ir.IntType(1), 0)] * mask_type.count)
     before = builder.block
-    with builder.if_then(builder.icmp_unsigned("!=", wants_root.bits(), ir.Constant(I64, 0))):
+    with builder.if_then(is_nonzero(builder, wants_root.bits())):
         t, v, residual = _crossing(series, h, wall, x_1, v_1)
         size = absolute(series[0]) + (absolute(series[1]) + absolute(v)) * absolute(t)
         is_exact = absolute(residual) <= size * (8 * _EPS)  # as near as rounding lets it come
@@ -339,7 +296,7 @@ def _emit_step(builder, lanes, coefficients, order, has_tangent, scalars):
     def store(r, vec):
         store_row(lanes, r, vec)
 
-    rtol, x_bound, max_short, records_all = (splat(builder, s, width) for s in scalars)
+    rtol, x_bound, max_short = (splat(builder, s, width) for s in scalars)
     x, v, tau, cycle, mode = (load(r) for r in (row.X, row.V, row.TAU, row.CYCLE, row.MODE))
     lower, upper = load(row.LOWER), load(row.UPPER)
     is_above, is_below = mode > 0.0, mode < 0.0
@@ -371,7 +328,7 @@ def _emit_step(builder, lanes, coefficients, order, has_tangent, scalars):
     # 2. which lanes leave their interval
     h, shape = _emit_decided_step(builder, series, h, lo, hi)
     is_last = is_last & (h >= left)
-    x_1, v_1 = _value_and_slope(series, h)
+    x_1, v_1 = value_and_slope(series, h)
     leaves_up, leaves_down = x_1 >= hi, x_1 <= lo
     leaves = leaves_up | leaves_down
     outward = where(leaves_up, x.constant(1.0), -1.0)
@@ -405,11 +362,8 @@ def _emit_step(builder, lanes, coefficients, order, has_tangent, scalars):
         | is_stuck
         | (n_short > max_short)
     )
-    clock = cycle_1 + tau_1 - load(row.RECORD_CLOCK)
-    is_recording = (clock >= -1e-9) & ~is_unclear
-    turns, turn_time, turn_x = _emit_turns(builder, series, step, v_1, shape, is_recording)
-    is_noteworthy = (turns > 0.0) | crosses | (cycle_1 > cycle) | (records_all > 0.0)
-    is_recorded = is_recording & is_noteworthy
+    # an unclear lane ends here or earlier
+    is_recording = cycle_1 + tau_1 - load(row.RECORD_CLOCK) >= -CLOCK_SLACK
 
     if has_tangent:
         for k in (0, 2):
@@ -418,7 +372,7 @@ def _emit_step(builder, lanes, coefficients, order, has_tangent, scalars):
             )
             for n, term in enumerate(solution):
                 store_row(coefficients, (order + 1) * (1 + k // 2) + n, term)
-            y, w = _value_and_slope(solution, step)
+            y, w = value_and_slope(solution, step)
             store(row.TANGENT + k, where(is_unclear, solution[0], y))
             store(row.TANGENT + k + 1, where(is_unclear, solution[1], w))
 
@@ -436,20 +390,15 @@ def _emit_step(builder, lanes, coefficients, order, has_tangent, scalars):
     store(row.TAU_0, tau)
     store(row.CYCLE_0, cycle)
     store(row.MODE_0, mode)
-    store(row.TURNS, turns)
-    store(row.TURN_TIME, turn_time)
-    store(row.TURN_X, turn_x)
 
     packed = is_unclear.bits()
-    for k, mask in enumerate((is_done, is_bad & ~is_unclear, is_recorded), start=1):
+    for k, mask in enumerate((is_done, is_bad & ~is_unclear, is_recording), start=1):
         packed = builder.or_(packed, builder.shl(mask.bits(), ir.Constant(I64, k * width)))
     return packed
 
 
 @intrinsic
-def taylor_step(
-    typingctx, lanes, coefficients, order, has_tangent, rtol, x_bound, max_short, records_all
-):
+def taylor_step(typingctx, lanes, coefficients, order, has_tangent, rtol, x_bound, max_short):
     """Advance every lane by one step.
 
     Parameters
@@ -462,19 +411,16 @@ def taylor_step(
     order, has_tangent : tuple of int
         Their *lengths* are the degree of the Taylor polynomial and 0 or 1. A tuple's length is
         part of its type, so each order is its own specialisation, compiled and cached by itself.
-    rtol, x_bound, max_short, records_all : float
-        Relative tolerance; bound of |x| [m]; cap on successive short contact steps; 1.0 if
-        every step is to be recorded.
+    rtol, x_bound, max_short : float
+        Relative tolerance; bound of |x| [m]; cap on successive short contact steps.
 
     Returns
     -------
     int64
         Four masks of WIDTH bits, lowest first: lanes not advanced because their crossing is
-        unclear; lanes at their end; lanes that failed; lanes with something to record.
+        unclear; lanes at their end; lanes that failed; lanes that record (an unclear one perhaps).
     """
-    signature = types.int64(
-        lanes, coefficients, order, has_tangent, rtol, x_bound, max_short, records_all
-    )
+    signature = types.int64(lanes, coefficients, order, has_tangent, rtol, x_bound, max_short)
     n_order, n_tangent = len(order), len(has_tangent)
 
     def codegen(context, builder, signature, args):
