@@ -24,7 +24,6 @@ from scipy.integrate import OdeSolution, solve_ivp
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
-from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import SCALARS, Events, Motions, Sampler
 from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
@@ -32,7 +31,10 @@ from gapsweep.model.oscillator import Oscillator
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
-State = tuple[float, float]
+# Displacement and velocity; with the tangent also the images of a unit displacement and of a
+# unit velocity at the start.
+State = tuple[float, ...]
+_UNIT_TANGENT = (1.0, 0.0, 0.0, 1.0)
 Event = Callable[[float, Sequence[float]], float]
 
 # Below this tolerance RK45 needs ten times the steps of DOP853.
@@ -64,6 +66,7 @@ class _Scene:
     theta_0: float
     rtol: float
     atol: float
+    tangent: bool
 
     @property
     def method(self) -> str:
@@ -85,6 +88,14 @@ class _Scene:
         wall = self.wall(mode)
         return lambda x: stiffness * (x - wall)
 
+    def slope(self, mode: int | None) -> Callable[[float], float]:
+        """Slope of `force`."""
+        if mode is None:
+            law = self.law
+            return lambda x: float(law.derivative(x))
+        stiffness = self.law.K_c if mode else 0.0
+        return lambda x: stiffness
+
     def rhs(self, mode: int | None) -> Callable[[float, Array], State]:
         o = self.oscillator
         damping, stiffness = 2.0 * o.decay_rate, o.omega_n_rad**2
@@ -97,11 +108,22 @@ class _Scene:
             drive = forcing * math.cos(omega_rad * t + theta_0)
             return v, drive - damping * v - (stiffness + cubic * x * x) * x - contact(x) / mass
 
-        return f
+        if not self.tangent:
+            return f
+        contact_slope = self.slope(mode)
+
+        def with_tangent(t: float, y: Array) -> State:
+            x, _, *tangent = y.tolist()
+            slope = stiffness + 3.0 * cubic * x * x + contact_slope(x) / mass
+            (a, a_dot), (b, b_dot) = tangent[:2], tangent[2:]
+            images = a_dot, -damping * a_dot - slope * a, b_dot, -damping * b_dot - slope * b
+            return (*f(t, y[:2]), *images)
+
+        return with_tangent
 
     def mode_at(self, t: float, y: State) -> int:
         """Contact mode; on a wall the direction of motion decides, then acceleration."""
-        x, v = y
+        x, v = y[:2]
         a = self.rhs(0)(t, np.array(y))[1]
         # A contact shorter than a picosecond cannot be told from a touch.
         heading = v if abs(v) > _TOUCH * abs(a) else a
@@ -146,16 +168,18 @@ def integrate(problems: Problems, solver: Solver) -> Motions:
 
     `solver.atol` holds for both m and m/s. Everything is recorded, from the start.
     """
-    if problems.tangent:
-        raise ModelError("tangent=True: needs engine='compiled'")
     runs = [_run(problems, i, solver) for i in range(len(problems))]
     columns = {name: np.array([getattr(run, name) for run in runs]) for name in SCALARS}
 
     def sampler(i: int) -> Sampler:
         motion, t_0 = runs[i].motion, problems.t_0[i]
-        return lambda t: tuple(np.moveaxis(motion(t - t_0), -1, 0))
+        return lambda t: tuple(np.moveaxis(motion(t - t_0), -1, 0)[:2])
 
-    return Motions(events=lambda i: runs[i].events, sampler=sampler, **columns)
+    monodromy = None
+    if problems.tangent:
+        columns_first = np.array([run.tangent for run in runs]).reshape(-1, 2, 2)
+        monodromy = columns_first.transpose(0, 2, 1)
+    return Motions(events=lambda i: runs[i].events, sampler=sampler, monodromy=monodromy, **columns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,6 +194,7 @@ class _Run:
     n_steps: int
     n_rejected: int
     nfev: int
+    tangent: State
     events: Events
     motion: PPoly
 
@@ -179,10 +204,18 @@ def _run(problems: Problems, i: int, solver: Solver) -> _Run:
     t_end = float(problems.t_end[i])
     theta_0 = 2.0 * math.pi * math.fmod(omega * t_0, 1.0)
     scene = _Scene(
-        problems.oscillators[i], problems.laws[i], omega, theta_0, solver.rtol, solver.atol
+        problems.oscillators[i],
+        problems.laws[i],
+        omega,
+        theta_0,
+        solver.rtol,
+        solver.atol,
+        problems.tangent,
     )
     run = _Record()
-    start = float(problems.x_0[i]), float(problems.v_0[i])
+    start: State = float(problems.x_0[i]), float(problems.v_0[i])
+    if problems.tangent:
+        start += _UNIT_TANGENT
     # An overflow on the way to divergence is an outcome, not a fault of this code.
     with np.errstate(all="ignore"):
         t, y = (_located if scene.located else _plain)(scene, run, start, t_end - t_0)
@@ -199,6 +232,7 @@ def _run(problems: Problems, i: int, solver: Solver) -> _Run:
         n_steps=run.n_steps,
         n_rejected=run.n_rejected,
         nfev=run.nfev,
+        tangent=y[2:],
         events=events,
         motion=motion,
     )
@@ -226,7 +260,7 @@ def _located(scene: _Scene, run: _Record, y_0: State, t_end: float) -> tuple[flo
         if stalled > _MAX_STALLED:
             run.status = Status.CHATTER
             break
-        y = (segment.wall, y[1])
+        y = (segment.wall, *y[1:])
         previous, mode = mode, scene.mode_at(t, y)
         # With both walls in one place a single crossing leaves one and enters the other.
         run.t_contacts += [t] * abs(mode - previous)
@@ -250,14 +284,14 @@ def _solve(
     )
     run.count(scene, solution.nfev, len(solution.t) - 1)
     motion = _polynomial(solution.sol)
-    x, v = solution.y[:, -1].tolist()
+    end = tuple(solution.y[:, -1].tolist())
     *contacts, diverged = solution.t_events
-    if diverged.size or not (math.isfinite(x) and math.isfinite(v)):
+    if diverged.size or not all(map(math.isfinite, end)):
         run.status = Status.DIVERGED
     elif solution.status < 0:
         run.status = Status.STEP_UNDERFLOW
     hit = [scene.wall(side) for side, times in zip(sides, contacts, strict=True) if times.size]
-    return _Segment(float(solution.t[-1]), (x, v), motion, hit[0] if hit else None)
+    return _Segment(float(solution.t[-1]), end, motion, hit[0] if hit else None)
 
 
 def _exits(mode: int | None) -> tuple[int, ...]:
@@ -319,16 +353,16 @@ def _cut(segment: _Segment, t_before: float, t_beyond: float, wall: float) -> _S
     last = int(np.searchsorted(segment.motion.x, t, side="left"))
     breaks = np.append(segment.motion.x[:last], t)
     motion = PPoly.construct_fast(segment.motion.c[:, : breaks.size - 1], breaks)
-    return _Segment(t, (wall, float(motion(t)[1])), motion, wall)
+    return _Segment(t, (wall, *motion(t)[1:].tolist()), motion, wall)
 
 
 def _polynomial(solution: OdeSolution) -> PPoly:
-    """The dense output of `solve_ivp` as one piecewise polynomial of ``(x, v)``."""
+    """The dense output of `solve_ivp` as one piecewise polynomial of the state."""
     breaks = np.asarray(solution.ts)
     h = np.diff(breaks)
     nodes = breaks[:-1, None] + h[:, None] * _NODES
     # Shared step ends belong to the step on their left or right: both give the same value.
-    values = solution(nodes.ravel()).reshape(2, h.size, _DEGREE + 1)
+    values = solution(nodes.ravel()).reshape(-1, h.size, _DEGREE + 1)
     powers = np.einsum("pn,ysn->psy", _TO_POWERS, values)
     powers /= h[None, :, None] ** np.arange(_DEGREE, -1, -1)[:, None, None]
     return PPoly.construct_fast(powers, breaks)
@@ -361,4 +395,4 @@ def _section(motion: PPoly, scene: _Scene, t_end: float) -> Array:
     phase = scene.theta_0 / (2.0 * math.pi)
     last = math.floor(scene.omega * t_end + phase + 1e-9)
     t = (np.arange(math.floor(phase + 1e-9) + 1, last + 1) - phase) / scene.omega
-    return np.asarray(motion(np.minimum(t, t_end)))
+    return np.asarray(motion(np.minimum(t, t_end)))[:, :2]
