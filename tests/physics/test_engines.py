@@ -136,14 +136,15 @@ def test_memory_does_not_grow_with_the_length_of_a_run():
     law = gs.Piecewise(1.4e4, SYMMETRIC)
 
     def peak(t_end):
-        gs.simulate(gs.Oscillator(), law, 9.0, t_end=1.0)  # compiled before measuring
+        gs.simulate(gs.Oscillator(), law, 9.0, t_end=t_end)  # compiled before measuring
         tracemalloc.start()
         gs.simulate(gs.Oscillator(), law, 9.0, t_end=t_end)
         size = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return size
 
-    assert peak(2000.0) < 1.1 * peak(20.0) + 10_000
+    # Its steps alone, kept, would take 40 MB.
+    assert peak(2000.0) < peak(20.0) + 200_000
 
 
 def test_law_that_numba_cannot_compile_says_what_to_do():

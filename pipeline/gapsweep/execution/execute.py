@@ -21,9 +21,10 @@ from distributed.scheduler import KilledWorker
 
 from gapsweep.errors import ClusterError
 from gapsweep.execution.plan import Chain, Plan
-from gapsweep.execution.task import REST, State, TaskResult, compute
+from gapsweep.execution.task import REST, TaskResult, compute
 from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.response.respond import Response
+from gapsweep.response.walk import State
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Row
 from gapsweep.study.fingerprint import numerics_fingerprint

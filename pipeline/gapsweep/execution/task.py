@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Solver
 from gapsweep.response.respond import Question, Response, respond_all
+from gapsweep.response.walk import Scene, State
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import FIXED, Point
 
-State = tuple[float, float]
 REST: State = (0.0, 0.0)
 
 
@@ -82,15 +82,10 @@ def _together(points: Sequence[tuple[Point, State]]) -> list[Response]:
 def _question(point: Point, state: State) -> Question:
     if point.start.kind == FIXED:
         state = point.start.x_0 + point.start_jitter, point.start.v_0
-    return Question(
-        oscillator=point.oscillator,
-        law=point.law,
-        omega=point.omega,
-        x_0=state[0],
-        v_0=state[1],
-        solver=point.solver,
-        steady=point.steady,
+    scene = Scene(
+        oscillator=point.oscillator, law=point.law, omega=point.omega, solver=point.solver
     )
+    return Question(scene=scene, start=state, steady=point.steady)
 
 
 def _timed(questions: Sequence[Question]) -> list[Response]:

@@ -1,10 +1,12 @@
-"""The steady response of one sweep point.
+"""The steady response of one sweep point: what it is, how stable, and how sure that is.
 
-The motion runs until transients have decayed, which the damping decides: a disturbance
-shrinks like ``exp(-ζ ω_n t)``, so ``ln(1/settle_tol) / (ζ ω_n)`` seconds bring it down to
-`settle_tol` of itself. Then forcing periods are recorded, 8 at first and up to `n_periods`,
-until the stroboscopic section repeats. If it never does, the next window is tried until
-`t_max`; what has found no period by then is `unresolved`.
+A disturbance shrinks like ``exp(-ζ ω_n t)``, so damping sets the time scale. After each pause a
+window of forcing periods is recorded. If the section contracts towards a repeat, shooting
+finds the periodic orbit itself; it is accepted only if it is close, stable, of that prime
+period, and if the motion then really approaches it. A motion that has found no orbit once
+transients must have decayed (`settle_tol`) is asked for its Lyapunov exponent: positive beyond
+three standard errors is chaotic, anything else goes on until `t_max` and is `unresolved` then.
+With ζ > 0 every area of the section shrinks by the same factor, so there is no third kind.
 """
 
 import math
@@ -17,22 +19,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import Events
-from gapsweep.integrate.problem import DEFAULT_ENGINE, Problems, Solver
-from gapsweep.integrate.simulate import integrate
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
-from gapsweep.response.section import period_multiple
+from gapsweep.response.section import converging_multiple, period_multiple
+from gapsweep.response.stability import (
+    Exponents,
+    Orbit,
+    floquet_multipliers,
+    is_own,
+    lyapunov,
+    shoot,
+)
+from gapsweep.response.walk import Part, Scene, State, Stretch, Walk, integrated
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 
-_COSTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
-_FIRST_WINDOW = 8
-# Two section points closer than this share of the amplitude are taken for one...
+_FIRST_WINDOW = 6
+# The next look comes when disturbances have shrunk to this share.
+_LOOK = 0.25
+# Section points closer than this share of the reach are taken for one...
 _SAME_POINT = 1e-4
-# ... or closer than this multiple of what the solver's tolerances admit per step.
-_NOISE_FACTOR = 20.0
+# ... and within this share shooting is worth a try.
+_CLOSE = 0.1
+# Curvature below this share of the largest possible one is an inflection.
+_FLAT = 1e-6
 
 
 class ResponseClass(IntEnum):
@@ -44,6 +56,14 @@ class ResponseClass(IntEnum):
     FAILED = 3
 
 
+class ExtremumKind(IntEnum):
+    """What a zero-velocity point is; the order is part of the schema."""
+
+    MINIMUM = -1
+    INFLECTION = 0
+    MAXIMUM = 1
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Steady:
     """When a response counts as steady, and how much of it is recorded.
@@ -51,9 +71,10 @@ class Steady:
     Parameters
     ----------
     settle_tol : float
-        Share [-] of a disturbance that may be left when recording starts, in (0, 0.1].
+        Share [-] of a disturbance that may be left when a motion without a period is taken
+        for settled, in (0, 0.1].
     t_max : float
-        Simulated time [s] after which no further window is tried, ``> 0``.
+        Simulated time [s] after which no further attempt is made, ``> 0``.
     n_periods : int
         Forcing periods in a full recording window, at least twice `max_period_multiple`.
     max_period_multiple : int
@@ -63,7 +84,7 @@ class Steady:
     """
 
     settle_tol: float = 1e-6
-    t_max: float = 60.0
+    t_max: float = 120.0
     n_periods: int = 64
     max_period_multiple: int = 32
     max_extrema: int = 256
@@ -95,14 +116,29 @@ class Response:
     extrema : tuple of float
         Steady zero-velocity displacements [m] in order of time: over n periods if periodic,
         else over the last window; at most `max_extrema`.
+    extremum_kind : tuple of int
+        `ExtremumKind` of each.
     n_extrema : int
         Their true count.
     x_max, x_min, amplitude : float
         Peak, trough and half their difference [m]; NaN if the point failed.
+    multipliers : tuple of float
+        Real and imaginary parts of the two Floquet multipliers over n periods, largest modulus
+        first; empty if not periodic.
+    multiplier_abs : float
+        Largest modulus [-]; NaN if not periodic.
+    lyapunov, lyapunov_error : float
+        Largest Lyapunov exponent [1/s] and its standard error; exact, from the multipliers,
+        if periodic.
+    section : tuple of float
+        Section points ``x, v, x, v, ...`` [m], [m/s]: the n of a periodic response, else the
+        last `max_period_multiple` of the window.
     n_contacts, n_steps, n_rejected, nfev : int
         Cost of the whole point, settling included.
     t_settled : float
-        Simulated time [s] before the recorded window.
+        Simulated time [s] after which the response was accepted.
+    t_simulated : float
+        Simulated time in all [s], shooting included.
     x_end, v_end : float
         Last section point [m], [m/s]: where a sweep's next point starts.
     cpu_time : float
@@ -115,19 +151,35 @@ class Response:
     response_class: ResponseClass = ResponseClass.FAILED
     period_multiple: int = 0
     extrema: tuple[float, ...] = ()
+    extremum_kind: tuple[int, ...] = ()
     n_extrema: int = 0
     x_max: float = math.nan
     x_min: float = math.nan
     amplitude: float = math.nan
+    multipliers: tuple[float, ...] = ()
+    multiplier_abs: float = math.nan
+    lyapunov: float = math.nan
+    lyapunov_error: float = math.nan
+    section: tuple[float, ...] = ()
     n_contacts: int = 0
     n_steps: int = 0
     n_rejected: int = 0
     nfev: int = 0
     t_settled: float = math.nan
+    t_simulated: float = math.nan
     x_end: float = math.nan
     v_end: float = math.nan
     cpu_time: float = math.nan
     message: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """What a steady response is asked for: the checked arguments of `respond`."""
+
+    scene: Scene
+    start: State
+    steady: Steady
 
 
 def respond(
@@ -162,52 +214,14 @@ def respond(
     ModelError
         If an argument is out of range. A numerical failure is no error but a `status`.
     """
-    question = Question(
+    scene = Scene(
         oscillator=oscillator,
         law=law,
         omega=checked("omega", omega, low=0.0, strict=True),
-        x_0=checked("x_0", x_0),
-        v_0=checked("v_0", v_0),
         solver=Solver.of(engine, rtol, atol),
-        steady=steady or Steady(),
     )
-    return respond_all([question])[0]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Question:
-    """What a steady response is asked for: the checked arguments of `respond`."""
-
-    oscillator: Oscillator
-    law: ContactLaw
-    omega: float
-    x_0: float
-    v_0: float
-    solver: Solver
-    steady: Steady
-
-
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """Whole forcing periods that a point asks for, from phase zero, so that time never grows."""
-
-    question: Question
-    y: tuple[float, float]
-    n_periods: int
-    recorded: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """The stretch of motion that answers a `Stretch`."""
-
-    y: tuple[float, float]
-    status: Status
-    cost: tuple[int, ...]
-    events: Events
-
-
-Walk = Generator[Stretch, Part, None]
+    start = checked("x_0", x_0), checked("v_0", v_0)
+    return respond_all([Question(scene=scene, start=start, steady=steady or Steady())])[0]
 
 
 def respond_all(questions: Sequence[Question]) -> list[Response]:
@@ -216,11 +230,11 @@ def respond_all(questions: Sequence[Question]) -> list[Response]:
     Each point is a generator that asks for stretches of motion; every round, the stretches
     asked for by all points go to the engine in one call. No point sees the others.
     """
-    walks = [_steady_response(_Run(question), question.steady) for question in questions]
+    walks = [_steady_response(question) for question in questions]
     answers: dict[int, Response] = {}
     asked = {i: next(walk) for i, walk in enumerate(walks)}
     while asked:
-        parts = _integrated(list(asked.values()))
+        parts = integrated(list(asked.values()))
         asked_next = {}
         for i, part in zip(asked, parts, strict=True):
             try:
@@ -231,132 +245,150 @@ def respond_all(questions: Sequence[Question]) -> list[Response]:
     return [answers[i] for i in range(len(questions))]
 
 
-def _integrated(stretches: Sequence[Stretch]) -> list[Part]:
-    omega = np.array([s.question.omega for s in stretches])
-    problems = Problems(
-        oscillators=[s.question.oscillator for s in stretches],
-        laws=[s.question.law for s in stretches],
-        omega=omega,
-        x_0=np.array([s.y[0] for s in stretches]),
-        v_0=np.array([s.y[1] for s in stretches]),
-        t_0=np.zeros(len(stretches)),
-        t_end=np.array([s.n_periods for s in stretches]) / omega,
-        record_from=np.array([0.0 if s.recorded else math.inf for s in stretches]),
-    )
-    found = integrate(problems, stretches[0].question.solver)
-    costs = np.transpose([getattr(found, name) for name in _COSTS]).tolist()
-    return [
-        Part(
-            y=(float(found.x[i]), float(found.v[i])),
-            status=Status(found.status[i]),
-            cost=tuple(costs[i]),
-            events=found.events(i) if stretch.recorded else Events(),
-        )
-        for i, stretch in enumerate(stretches)
-    ]
-
-
-class _Run:
-    """A motion advanced by whole forcing periods, its cost and its current window."""
-
-    def __init__(self, question: Question) -> None:
-        self.question = question
-        self.omega = question.omega
-        self.y = question.x_0, question.v_0
-        self.status = Status.OK
-        self.n_periods = 0
-        self.cost: dict[str, Any] = dict.fromkeys(_COSTS, 0)
-        self.section: Array
-        self.t_extrema: Array
-        self.extrema: Array
-        self.forget()
-
-    @property
-    def t(self) -> float:
-        return self.n_periods / self.omega
-
-    def advance(self, n_periods: int, *, record: bool) -> Walk:
-        """Go on for whole periods."""
-        part = yield Stretch(self.question, self.y, n_periods, record)
-        self.y, self.status = part.y, part.status
-        for name, cost in zip(_COSTS, part.cost, strict=True):
-            self.cost[name] += cost
-        self.t_extrema = np.append(self.t_extrema, self.t + part.events.t_extrema)
-        self.extrema = np.append(self.extrema, part.events.extrema)
-        self.section = np.append(self.section, part.events.section, axis=0)
-        self.n_periods += n_periods
-
-    def forget(self) -> None:
-        """Start an empty window here."""
-        self.section = np.empty((0, 2))
-        self.t_extrema = self.extrema = np.empty(0)
-
-    def period_multiple(self, largest: int) -> int:
-        scaled = self.section / (1.0, 2.0 * math.pi * self.omega)
-        reach = float(np.max(np.abs(self.extrema), initial=0.0))
-        solver = self.question.solver
-        noise = _NOISE_FACTOR * (solver.atol + solver.rtol * reach)
-        return period_multiple(scaled, max(noise, _SAME_POINT * reach), largest)
-
-
-def _steady_response(run: _Run, steady: Steady) -> Generator[Stretch, Part, Response]:
-    rate = run.question.oscillator.decay_rate
-    needed = math.log(1.0 / steady.settle_tol) / rate if rate > 0.0 else math.inf
-    yield from run.advance(math.ceil(min(needed, steady.t_max) * run.omega), record=False)
-    n, t_settled = 0, 0.0
-    while run.status is Status.OK and not n:
-        run.forget()
-        t_settled = run.t
-        n = yield from _record_window(run, steady)
-        if run.t >= steady.t_max:
+def _steady_response(question: Question) -> Generator[Stretch, Part, Response]:
+    walk, steady = Walk(question.scene, question.start), question.steady
+    rate = question.scene.oscillator.decay_rate
+    settle = math.log(1.0 / steady.settle_tol) / rate if rate > 0.0 else math.inf
+    pause = math.log(1.0 / _LOOK) / rate if rate > 0.0 else math.inf
+    window = _FIRST_WINDOW
+    exponents: Exponents | None = None
+    while walk.status is Status.OK:
+        duration = min(pause, max(settle, steady.t_max) - walk.t)
+        yield from walk.advance(max(1, math.ceil(duration * walk.omega)), record=False)
+        settled = walk.t >= settle
+        largest = steady.n_periods if settled else min(window, steady.n_periods)
+        orbit = yield from _find_orbit(walk, steady, largest)
+        if orbit is not None:
+            return _periodic(walk, steady, orbit)
+        if walk.status is not Status.OK:
             break
-    if run.status is not Status.OK:
-        return _failure(run)
-    # A window that repeats before the transient had time to decay proves nothing.
-    resolved = n > 0 and needed <= steady.t_max
-    return _result(run, steady, n, t_settled, resolved)
+        if settled:
+            if exponents is not None and exponents.is_positive:
+                # No orbit before the exponent was taken, and none after it: no transient.
+                return _aperiodic(walk, steady, exponents)
+            repeated = yield from _repeated(walk, steady)
+            if repeated is not None:
+                return _periodic(walk, steady, repeated)
+            exponents = yield from lyapunov(walk)
+        if walk.t >= steady.t_max and not (exponents is not None and exponents.is_positive):
+            return _aperiodic(walk, steady, exponents)
+        window *= 2
+    return _failure(walk)
 
 
-def _record_window(run: _Run, steady: Steady) -> Generator[Stretch, Part, int]:
-    """Record periods, doubling their number, until the section repeats; its multiple or 0."""
+def _find_orbit(
+    walk: Walk, steady: Steady, n_periods: int
+) -> Generator[Stretch, Part, Orbit | None]:
+    """Record a window, doubling it up to `n_periods`, until shooting finds the motion's orbit."""
+    walk.forget()
     size = _FIRST_WINDOW
-    while len(run.section) < steady.n_periods and run.status is Status.OK:
-        wanted = min(size, steady.n_periods) - len(run.section)
-        yield from run.advance(wanted, record=True)
-        n = run.period_multiple(steady.max_period_multiple)
-        if n:
-            return n
+    while len(walk.section) < n_periods and walk.status is Status.OK:
+        yield from walk.advance(min(size, n_periods) - len(walk.section), record=True)
         size *= 2
-    return 0
+        closeness = max(_CLOSE * walk.reach, walk.noise)
+        n = converging_multiple(walk.section, closeness, steady.max_period_multiple)
+        if n and walk.status is Status.OK:
+            orbit = yield from shoot(walk, n)
+            if orbit is not None and (yield from is_own(walk, orbit)):
+                return orbit
+    return None
 
 
-def _result(run: _Run, steady: Steady, n: int, t_settled: float, resolved: bool) -> Response:
-    last = run.t_extrema > run.t - n / run.omega if n else slice(None)
-    extrema = run.extrema[last]
+def _repeated(walk: Walk, steady: Steady) -> Generator[Stretch, Part, Orbit | None]:
+    """A settled motion that repeats itself, though shooting could not improve on it.
+
+    At loose tolerances the solver's noise is larger than any Newton residual allowed.
+    """
+    same = max(walk.noise, _SAME_POINT * walk.reach)
+    n = period_multiple(walk.section, same, steady.max_period_multiple)
+    if not n:
+        return None
+    part = yield from walk.probe(walk.y, n, record=True)
+    if part.status is not Status.OK or part.monodromy is None:
+        return None
+    multipliers = floquet_multipliers(part.monodromy)
+    if abs(multipliers[0]) >= 1.0:
+        return None
+    return Orbit(walk.y, n, multipliers, part, walk.section[-n:])
+
+
+def _periodic(walk: Walk, steady: Steady, orbit: Orbit) -> Response:
+    events = orbit.part.events
+    modulus = abs(orbit.multipliers[0])
+    duration = orbit.n / walk.omega
+    stability = {
+        "response_class": ResponseClass.PERIODIC,
+        "period_multiple": orbit.n,
+        "multipliers": tuple(orbit.multipliers.view(float).tolist()),
+        "multiplier_abs": float(modulus),
+        "lyapunov": math.log(modulus) / duration if modulus > 0.0 else -math.inf,
+        "lyapunov_error": 0.0,
+        "section": tuple(events.section.ravel().tolist()),
+        "x_end": orbit.y[0],
+        "v_end": orbit.y[1],
+    }
+    return _result(walk, steady, Status.OK, events.t_extrema, events.extrema, stability)
+
+
+def _aperiodic(walk: Walk, steady: Steady, exponents: Exponents | None) -> Response:
+    chaotic = exponents is not None and exponents.is_positive
+    section = walk.section[-steady.max_period_multiple :] * (1.0, 2.0 * math.pi * walk.omega)
+    stability = {
+        "response_class": ResponseClass.CHAOTIC if chaotic else ResponseClass.UNRESOLVED,
+        "lyapunov": exponents.largest if exponents is not None else math.nan,
+        "lyapunov_error": exponents.error if exponents is not None else math.nan,
+        "section": tuple(section.ravel().tolist()),
+        "x_end": walk.y[0],
+        "v_end": walk.y[1],
+    }
+    status = Status.OK if chaotic else Status.UNRESOLVED
+    return _result(walk, steady, status, walk.t_extrema, walk.extrema, stability)
+
+
+def _result(
+    walk: Walk,
+    steady: Steady,
+    status: Status,
+    t_extrema: Array,
+    extrema: Array,
+    stability: dict[str, Any],
+) -> Response:
     # A response without a turning point in its window still has a position.
-    x_max, x_min = (float(f(extrema, initial=run.y[0])) for f in (np.max, np.min))
-    if extrema.size:
-        x_max, x_min = float(np.max(extrema)), float(np.min(extrema))
-    left_range = max(abs(x_max), abs(x_min)) > run.question.law.valid_range
-    status = Status.OK if resolved else Status.UNRESOLVED
+    seen = extrema if extrema.size else np.array([walk.y[0]])
+    x_max, x_min = float(np.max(seen)), float(np.min(seen))
+    left_range = max(abs(x_max), abs(x_min)) > walk.scene.law.valid_range
+    kinds = _kinds(walk.scene, t_extrema, extrema)
+    kept = slice(steady.max_extrema)
     return Response(
         status=Status.OUT_OF_FIT_RANGE if left_range else status,
-        response_class=ResponseClass.PERIODIC if resolved else ResponseClass.UNRESOLVED,
-        period_multiple=n,
-        extrema=tuple(extrema[: steady.max_extrema].tolist()),
+        extrema=tuple(extrema[kept].tolist()),
+        extremum_kind=tuple(kinds[kept].tolist()),
         n_extrema=extrema.size,
         x_max=x_max,
         x_min=x_min,
         amplitude=0.5 * (x_max - x_min),
-        t_settled=t_settled,
-        x_end=run.y[0],
-        v_end=run.y[1],
-        **run.cost,
+        t_settled=walk.t,
+        t_simulated=walk.t_simulated,
+        **walk.cost,
+        **stability,
     )
 
 
-def _failure(run: _Run) -> Response:
-    left_range = not abs(run.y[0]) <= run.question.law.valid_range
-    status = Status.OUT_OF_FIT_RANGE if left_range else run.status
-    where = f"{run.status.label} before t = {run.t:.6g} s at x = {run.y[0]:.3g} m"
-    return Response(status=status, message=where, **run.cost)
+def _kinds(scene: Scene, t: Array, x: Array) -> NDArray[np.int64]:
+    """`ExtremumKind` of zero-velocity points, by the sign of the acceleration there.
+
+    `t` counts from a whole forcing period.
+    """
+    o = scene.oscillator
+    drive = o.forcing * np.cos(2.0 * math.pi * scene.omega * t)
+    springs = o.mass * o.omega_n_rad**2 * x + o.alpha * x**3 + scene.law.force(x)
+    force = drive - springs
+    is_turn = np.abs(force) > _FLAT * (abs(o.forcing) + np.abs(springs))
+    return np.where(is_turn, -np.sign(force), int(ExtremumKind.INFLECTION)).astype(np.int64)
+
+
+def _failure(walk: Walk) -> Response:
+    left_range = not abs(walk.y[0]) <= walk.scene.law.valid_range
+    status = Status.OUT_OF_FIT_RANGE if left_range else walk.status
+    where = f"{walk.status.label} before t = {walk.t:.6g} s at x = {walk.y[0]:.3g} m"
+    return Response(status=status, message=where, t_simulated=walk.t_simulated, **walk.cost)

@@ -25,6 +25,8 @@ from gapsweep.status import Status
 SCHEMA_VERSION = 1
 _BATCH = 500  # keys per query; SQLite allows 999 parameters everywhere
 
+_LISTS = {field.name for field in fields(Response) if field.default == ()}
+
 _TABLE = """
 CREATE TABLE results (
     key      TEXT PRIMARY KEY,  -- content key of the point
@@ -186,11 +188,10 @@ def _encoded(response: Response) -> str:
 
 
 def _decoded(text: str) -> Response:
-    values = json.loads(text)
-    for field in fields(Response):
-        if values[field.name] is None:
-            values[field.name] = math.nan
-    values["extrema"] = tuple(values["extrema"])
+    values: dict[str, Any] = {k: math.nan if v is None else v for k, v in json.loads(text).items()}
+    # What an older version did not know keeps its default.
+    for name in _LISTS & values.keys():
+        values[name] = tuple(values[name])
     values["status"] = Status(values["status"])
     values["response_class"] = ResponseClass(values["response_class"])
     return Response(**values)

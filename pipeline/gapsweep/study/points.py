@@ -14,7 +14,7 @@ from gapsweep.response.respond import Steady
 from gapsweep.study.fingerprint import normalised_source, numerics_fingerprint
 
 # Raised whenever the stored result of a point changes its form or meaning.
-RESULT_SCHEMA = 1
+RESULT_SCHEMA = 2
 
 FIXED = "fixed"
 SWEEPS = ("sweep_up", "sweep_down")
