@@ -24,6 +24,7 @@ from gapsweep.response.respond import Response, ResponseClass, Steady, respond
 from gapsweep.status import Status
 
 if TYPE_CHECKING:
+    from gapsweep.analysis.basins import basins
     from gapsweep.store.netcdf import read as open
     from gapsweep.study.study import Study
     from gapsweep.workflow import run
@@ -33,6 +34,7 @@ __version__ = version("gapsweep")
 # Studies bring Dask, xarray and matplotlib; whoever only simulates need not wait for them.
 _ON_DEMAND = {
     "Study": ("gapsweep.study.study", "Study"),
+    "basins": ("gapsweep.analysis.basins", "basins"),
     "open": ("gapsweep.store.netcdf", "read"),
     "run": ("gapsweep.workflow", "run"),
 }
@@ -59,6 +61,7 @@ __all__ = [
     "Tanh",
     "Trajectory",
     "UserLaw",
+    "basins",
     "canonical_label",
     "contact_law",
     "law",

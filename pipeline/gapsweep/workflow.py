@@ -27,7 +27,8 @@ from gapsweep.study.study import Study
 
 DEFAULT_CACHE = Path("data/cache.sqlite")
 RUNS = Path("data/runs")
-RESPONSES, AGREEMENT, TIMING = "responses.nc", "agreement.nc", "timing.nc"
+RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
+AGREEMENT, TIMING = "agreement.nc", "timing.nc"
 REPORT = Path("report/index.html")
 
 
@@ -171,7 +172,7 @@ def carry_out(
             )
     with Cache(cache_path(cache)) as store:
         failures = _failures(store, planned)
-        export(study, planned, store, folder / RESPONSES)
+        export(study, planned, store, folder / RESPONSES, folder / ATTRACTORS)
     analyse(folder)
     report(folder)
     return Outcome(folder, progress, failures)

@@ -59,7 +59,8 @@ def finished(finished_once, tmp_path):
 def test_run_writes_datasets_and_report(finished):
     run = finished / "data" / "runs" / "tiny"
     names = sorted(str(p.relative_to(run)) for p in run.rglob("*") if p.is_file())
-    assert names == ["agreement.nc", "report/index.html", "responses.nc", "timing.nc"]
+    stored = ["agreement.nc", "attractors.nc", "responses.nc", "timing.nc"]
+    assert names == sorted([*stored, "report/index.html"])
     page = (run / "report" / "index.html").read_text()
     assert page.count("<svg") == 2
     # XML namespaces are names, not requests; nothing else may point outside.

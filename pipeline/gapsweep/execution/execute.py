@@ -10,10 +10,10 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import dask
 from distributed import Client, Future, LocalCluster, as_completed
@@ -35,11 +35,14 @@ _TASK_SECONDS = 0.5
 _MAX_BATCH = 1000
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
+# A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.
+_CHAIN_PART = 16
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
 _COMMIT_ROWS = 200
 _CONNECT_SECONDS = 15
 
+T = TypeVar("T")
 Job = tuple[Chain, ...]
 OnProgress = Callable[["Progress"], None]
 
@@ -170,7 +173,8 @@ class _Execution:
         self.on_progress = on_progress
         self.progress = Progress(plan.n_points, plan.n_hits)
         self.missing = plan.missing
-        self.retries: deque[Job] = deque()
+        # Jobs that come before new ones: retries, and what is left of long sweeps.
+        self.waiting: deque[Job] = deque()
         self.in_flight: dict[Future, Job] = {}
         self.rows: list[tuple[Row, dict[str, Any]]] = []
         self.last_commit = time.monotonic()
@@ -189,7 +193,7 @@ class _Execution:
     def _refill(self, completed: as_completed) -> None:
         n_threads = sum(self.client.nthreads().values())
         while len(self.in_flight) < _WINDOW * max(n_threads, 1):
-            job = self.retries.popleft() if self.retries else self._next_job()
+            job = self.waiting.popleft() if self.waiting else self._next_job()
             if not job:
                 return
             future = self.client.submit(compute, self._payload(job), pure=False)
@@ -201,7 +205,7 @@ class _Execution:
         size, job, n_points = self._batch_size(), [], 0
         for chain in self.missing:
             job.append(chain)
-            n_points += chain.n_missing
+            n_points += min(chain.n_missing, _CHAIN_PART)
             if n_points >= size:
                 break
         return tuple(job)
@@ -216,7 +220,7 @@ class _Execution:
 
     def _payload(self, job: Job) -> list[tuple[list[Any], State]]:
         return [
-            ([self.study.point(i) for i in chain.indices[chain.n_done :]], self._state(chain))
+            ([self.study.point(i) for i in _part(chain.indices, chain)], self._state(chain))
             for chain in job
         ]
 
@@ -235,13 +239,13 @@ class _Execution:
         if error is None:
             self._store(job, future.result())
         elif isinstance(error, KilledWorker) and len(job) > 1:
-            self.retries.extend((chain,) for chain in job)
+            self.waiting.extend((chain,) for chain in job)
         else:
             killed = isinstance(error, KilledWorker)
             status = Status.KILLED if killed else Status.ERROR
             message = "its worker process died" if killed else f"{type(error).__name__}: {error}"
             failed = Response(status=status, message=message)
-            n_points = sum(chain.n_missing for chain in job)
+            n_points = sum(len(_part(chain.keys, chain)) for chain in job)
             self._store(job, TaskResult([failed] * n_points, "", numerics_fingerprint()))
 
     def _store(self, job: Job, result: TaskResult) -> None:
@@ -249,7 +253,7 @@ class _Execution:
         places = [
             (key, index)
             for chain in job
-            for key, index in list(zip(chain.keys, chain.indices, strict=True))[chain.n_done :]
+            for key, index in _part(list(zip(chain.keys, chain.indices, strict=True)), chain)
         ]
         for (key, index), response in zip(places, result.responses, strict=True):
             row = Row(key, response, result.host)
@@ -258,6 +262,10 @@ class _Execution:
             self.progress.n_failed += response.status.failed
             if response.cpu_time == response.cpu_time:
                 self.cpu_seconds += response.cpu_time
+        rest = [c for chain in job if (c := chain.after(_CHAIN_PART)).n_missing]
+        if rest:
+            self.commit()  # the next part starts where this one's rows say
+            self.waiting.extend((chain,) for chain in rest)
         due = time.monotonic() - self.last_commit > _COMMIT_SECONDS
         if due or len(self.rows) >= _COMMIT_ROWS:
             self.commit()
@@ -273,6 +281,11 @@ class _Execution:
         with suppress(Exception):
             self.client.cancel(list(self.in_flight))
         self.in_flight.clear()
+
+
+def _part(values: Sequence[T], chain: Chain) -> Sequence[T]:
+    """Of a chain's values, those of the points that its next task computes."""
+    return values[chain.n_done : chain.n_done + _CHAIN_PART]
 
 
 def _check_workers(client: Client) -> None:

@@ -1,7 +1,7 @@
 """What a run has to do: decided here, without doing any of it."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gapsweep.status import Status
 from gapsweep.study.study import Index, Study
@@ -27,6 +27,10 @@ class Chain:
     @property
     def n_missing(self) -> int:
         return len(self.keys) - self.n_done
+
+    def after(self, n: int) -> "Chain":
+        """The same chain when `n` more of its points are done."""
+        return replace(self, n_done=min(self.n_done + n, len(self.keys)))
 
 
 @dataclass(frozen=True, slots=True)

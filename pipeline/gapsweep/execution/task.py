@@ -19,6 +19,7 @@ from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import FIXED, Point
 
 REST: State = (0.0, 0.0)
+_RESTARTED = "the point before it failed: starts from the last settled one"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,8 @@ def responses(chains: Sequence[tuple[Sequence[Point], State]]) -> list[Response]
         here = [i for i, (points, _) in enumerate(chains) if position < len(points)]
         together = [(chains[i][0][position], states[i]) for i in here]
         for i, response in zip(here, _together(together), strict=True):
+            if found[i] and found[i][-1].status.failed:
+                response = replace(response, message=response.message or _RESTARTED)
             found[i].append(response)
             if math.isfinite(response.x_end) and math.isfinite(response.v_end):
                 states[i] = response.x_end, response.v_end

@@ -135,14 +135,14 @@ def poles(denominator: tuple[float, ...], fit_range: float) -> list[float]:
 def _used_degrees(gap: Gap, degree: int, *, odd: bool) -> NDArray[np.intp]:
     """Degrees that may be non-zero: the force of a symmetric gap is odd in x."""
     degrees = np.arange(degree + 1)
-    return degrees[degrees % 2 == int(odd)] if gap.j_1 == gap.j_2 else degrees
+    return degrees[degrees % 2 == int(odd)] if gap.is_symmetric else degrees
 
 
 def _rational_candidates(gap: Gap, n: int, m: int, fit_range: float) -> list[Fit]:
     everything = np.arange(n + 1), np.arange(1, m + 1)
     shapes = [everything]
     # The symmetric form first: it wins a tie and is then odd to the last bit.
-    if gap.j_1 == gap.j_2:
+    if gap.is_symmetric:
         odd = np.arange(1, n + 1, 2)
         even = np.arange(2, m + 1, 2)
         shapes.insert(0, (odd, even))

@@ -89,6 +89,11 @@ class Gap:
         return self.j_1 + self.j_2
 
     @property
+    def is_symmetric(self) -> bool:
+        """Whether both walls are equally far from the origin."""
+        return self.j_1 == self.j_2
+
+    @property
     def label(self) -> str:
         """Wall distances in millimetres, as ``"0.4/0.4"``."""
         return f"{self.j_1 * 1e3:.12g}/{self.j_2 * 1e3:.12g}"

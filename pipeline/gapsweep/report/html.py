@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.style import MATPLOTLIB, colour
+from gapsweep.response.respond import ResponseClass
 from gapsweep.status import Status
 from gapsweep.store.netcdf import replacing
 
@@ -153,9 +154,10 @@ def _summary(responses: xr.Dataset, rows: list[dict[str, Any]]) -> list[str]:
     status = responses["status"].values
     asked = status[status != Status.NOT_REQUESTED]
     unresolved, failed = (asked == Status.UNRESOLVED).sum(), (asked > Status.OUT_OF_FIT_RANGE).sum()
+    chaotic = (responses["response_class"].values == ResponseClass.CHAOTIC).sum()
     sentences.append(
-        f"Of {asked.size} sweep points {unresolved} found no period within the time allowed, "
-        f"{failed} failed."
+        f"Of {asked.size} sweep points {chaotic} are chaotic, {unresolved} unresolved, "
+        f"{failed} failed; all others are periodic."
     )
     return sentences
 

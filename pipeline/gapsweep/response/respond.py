@@ -4,9 +4,10 @@ A disturbance shrinks like ``exp(-ζ ω_n t)``, so damping sets the time scale. 
 window of forcing periods is recorded. If the section contracts towards a repeat, shooting
 finds the periodic orbit itself; it is accepted only if it is close, stable, of that prime
 period, and if the motion then really approaches it. A motion that has found no orbit once
-transients must have decayed (`settle_tol`) is asked for its Lyapunov exponent: positive beyond
-three standard errors is chaotic, anything else goes on until `t_max` and is `unresolved` then.
-With ζ > 0 every area of the section shrinks by the same factor, so there is no third kind.
+transients must have decayed (`settle_tol`) may still be in transient chaos: it is looked at again
+and again until `t_max`. What has found none by then is asked for its Lyapunov exponent: positive
+beyond three standard errors is chaotic, anything else is `unresolved`. With ζ > 0 every area of
+the section shrinks by the same factor, so there is no third kind.
 """
 
 import math
@@ -74,7 +75,8 @@ class Steady:
         Share [-] of a disturbance that may be left when a motion without a period is taken
         for settled, in (0, 0.1].
     t_max : float
-        Simulated time [s] after which no further attempt is made, ``> 0``.
+        Simulated time [s] after which a motion without a period is asked for its exponent,
+        ``> 0``. Transient chaos may last tens of seconds.
     n_periods : int
         Forcing periods in a full recording window, at least twice `max_period_multiple`.
     max_period_multiple : int
@@ -249,29 +251,21 @@ def _steady_response(question: Question) -> Generator[Stretch, Part, Response]:
     walk, steady = Walk(question.scene, question.start), question.steady
     rate = question.scene.oscillator.decay_rate
     settle = math.log(1.0 / steady.settle_tol) / rate if rate > 0.0 else math.inf
-    pause = math.log(1.0 / _LOOK) / rate if rate > 0.0 else math.inf
+    pause = math.log(1.0 / _LOOK) / rate if rate > 0.0 else steady.t_max
     window = _FIRST_WINDOW
-    exponents: Exponents | None = None
     while walk.status is Status.OK:
-        duration = min(pause, max(settle, steady.t_max) - walk.t)
-        yield from walk.advance(max(1, math.ceil(duration * walk.omega)), record=False)
+        yield from walk.advance(math.ceil(min(pause, steady.t_max) * walk.omega), record=False)
         settled = walk.t >= settle
         largest = steady.n_periods if settled else min(window, steady.n_periods)
         orbit = yield from _find_orbit(walk, steady, largest)
+        if orbit is None and settled:
+            orbit = yield from _repeated(walk, steady)
         if orbit is not None:
             return _periodic(walk, steady, orbit)
-        if walk.status is not Status.OK:
-            break
-        if settled:
-            if exponents is not None and exponents.is_positive:
-                # No orbit before the exponent was taken, and none after it: no transient.
-                return _aperiodic(walk, steady, exponents)
-            repeated = yield from _repeated(walk, steady)
-            if repeated is not None:
-                return _periodic(walk, steady, repeated)
+        if walk.t >= steady.t_max and walk.status is Status.OK:
             exponents = yield from lyapunov(walk)
-        if walk.t >= steady.t_max and not (exponents is not None and exponents.is_positive):
-            return _aperiodic(walk, steady, exponents)
+            if exponents is not None:
+                return _aperiodic(walk, steady, exponents)
         window *= 2
     return _failure(walk)
 
@@ -330,13 +324,13 @@ def _periodic(walk: Walk, steady: Steady, orbit: Orbit) -> Response:
     return _result(walk, steady, Status.OK, events.t_extrema, events.extrema, stability)
 
 
-def _aperiodic(walk: Walk, steady: Steady, exponents: Exponents | None) -> Response:
-    chaotic = exponents is not None and exponents.is_positive
+def _aperiodic(walk: Walk, steady: Steady, exponents: Exponents) -> Response:
+    chaotic = exponents.is_positive
     section = walk.section[-steady.max_period_multiple :] * (1.0, 2.0 * math.pi * walk.omega)
     stability = {
         "response_class": ResponseClass.CHAOTIC if chaotic else ResponseClass.UNRESOLVED,
-        "lyapunov": exponents.largest if exponents is not None else math.nan,
-        "lyapunov_error": exponents.error if exponents is not None else math.nan,
+        "lyapunov": exponents.largest,
+        "lyapunov_error": exponents.error,
         "section": tuple(section.ravel().tolist()),
         "x_end": walk.y[0],
         "v_end": walk.y[1],

@@ -115,11 +115,11 @@ def floquet_multipliers(monodromy: Array) -> NDArray[np.complex128]:
 def is_own(walk: Walk, orbit: Orbit) -> Generator[Stretch, Part, bool]:
     """Whether the motion itself approaches an orbit: the guard against a swapped attractor.
 
-    It goes on, unrecorded, for as long as its slowest multiplier needs to come near, and must
-    then be near, unless it is within the solver's noise already.
+    It is, if it is near and came closer over its recorded window. Else it goes on, unrecorded,
+    for as long as its slowest multiplier needs to come near, and must be near then.
     """
     before = _distance(walk, orbit)
-    if before <= walk.noise:
+    if before <= max(walk.noise, min(_NEAR * walk.reach, _CLOSER * _first_distance(walk, orbit))):
         return True
     goal = max(min(_CLOSER * before, _NEAR * walk.reach), walk.noise)
     modulus = max(abs(orbit.multipliers[0]), 1e-12)
@@ -133,6 +133,12 @@ def _distance(walk: Walk, orbit: Orbit) -> float:
     """Distance of the motion, at whole periods of the orbit, from its starting point [m]."""
     gap = np.array(walk.y) - np.array(orbit.y)
     return float(np.hypot(gap[0], gap[1] / (2.0 * math.pi * walk.omega)))
+
+
+def _first_distance(walk: Walk, orbit: Orbit) -> float:
+    """As `_distance`, at the first section point of the window that has the same phase [m]."""
+    first = walk.section[(len(walk.section) - 1) % orbit.n]
+    return float(np.hypot(*(first - scaled(np.array(orbit.y), walk.omega))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,11 +85,15 @@ def _solved(stretches: Sequence[Stretch], tangent: bool) -> list[Part]:
         tangent=tangent,
     )
     found = integrate(problems, stretches[0].scene.solver)
+    # A fit that was left on the way but did not run away goes on; where its steady response
+    # lies decides in the end.
+    arrived = found.t >= problems.t_end * (1.0 - 1e-9)
+    excused = arrived & (found.status == Status.OUT_OF_FIT_RANGE)
     costs = np.transpose([getattr(found, name) for name in COSTS]).tolist()
     return [
         Part(
             y=(float(found.x[i]), float(found.v[i])),
-            status=Status(found.status[i]),
+            status=Status.OK if excused[i] else Status(found.status[i]),
             cost=tuple(costs[i]),
             events=found.events(i) if stretch.recorded else Events(),
             monodromy=None if found.monodromy is None else found.monodromy[i],

@@ -5,11 +5,14 @@ Written down once, here; the writer, the analyses and the documentation read thi
 
 from dataclasses import dataclass
 
-from gapsweep.response.respond import ResponseClass
+from gapsweep.response.respond import ExtremumKind, ResponseClass
 from gapsweep.status import Status
 
 POINT_DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
 EXTREMUM = "extremum"
+SECTION_POINT = "section_point"
+ATTRACTOR = "attractor"
+MULTIPLIER = "multiplier"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +40,7 @@ class Variable:
 
 
 STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
+KIND_FLAGS = (("none", -9), *((k.name.lower(), int(k)) for k in ExtremumKind))
 CLASS_FLAGS = (("none", -1), *((c.name.lower(), int(c)) for c in ResponseClass))
 
 COORDINATES: dict[str, tuple[str, Variable]] = {
@@ -58,15 +62,50 @@ VARIABLES: dict[str, Variable] = {
     "amplitude": Variable("f8", "m", "half the range of the steady response"),
     "period_multiple": Variable("i4", "1", "forcing periods in one response period, 0: none", 0),
     "response_class": Variable("i1", "1", "class of the steady response", -1, CLASS_FLAGS),
+    "multiplier_abs": Variable("f8", "1", "largest modulus of the Floquet multipliers"),
+    "lyapunov": Variable("f8", "s-1", "largest Lyapunov exponent"),
+    "lyapunov_error": Variable("f8", "s-1", "standard error of the largest Lyapunov exponent"),
+    "attractor": Variable("i4", "1", "number of the attractor in its scene, -1: none", -1),
     "n_extrema": Variable("i4", "1", "true number of steady extrema", 0),
     "n_contacts": Variable("i8", "1", "wall crossings, in and out, over the whole run", 0),
     "n_steps": Variable("i8", "1", "accepted steps over the whole run", 0),
     "n_rejected": Variable("i8", "1", "rejected steps over the whole run", 0),
     "nfev": Variable("i8", "1", "right-hand sides evaluated over the whole run", 0),
-    "t_settled": Variable("f8", "s", "simulated time before the recorded window"),
+    "t_settled": Variable("f8", "s", "simulated time until the response was accepted"),
+    "t_simulated": Variable("f8", "s", "simulated time in all, shooting included"),
     "cpu_time": Variable("f8", "s", "processor time of the integration, in the worker"),
     "host": Variable("i2", "1", "machine on which cpu_time was measured", -1),
     "status": Variable("i1", "1", "outcome of the sweep point", Status.NOT_REQUESTED, STATUS_FLAGS),
 }
 
-EXTREMA = Variable("f8", "m", "steady zero-velocity displacements, in order of time")
+# Ragged lists: their extra dimension and what they hold; padded where they end.
+LISTS: dict[str, tuple[str, Variable]] = {
+    "extrema": (EXTREMUM, Variable("f8", "m", "steady zero-velocity displacements, in time order")),
+    "extremum_kind": (EXTREMUM, Variable("i1", "1", "kind of each extremum", -9, KIND_FLAGS)),
+    "section_x": (SECTION_POINT, Variable("f8", "m", "displacement at whole forcing periods")),
+    "section_v": (SECTION_POINT, Variable("f8", "m s-1", "velocity at whole forcing periods")),
+}
+
+# `attractors.nc`: over the scenes and `attractor`; names as in `responses.nc` where they are one.
+ATTRACTOR_VARIABLES: dict[str, Variable] = {
+    **{
+        name: VARIABLES[name]
+        for name in (
+            "period_multiple",
+            "response_class",
+            "x_max",
+            "x_min",
+            "multiplier_abs",
+            "lyapunov",
+            "lyapunov_error",
+        )
+    },
+    "basin_share": Variable("f8", "1", "share of the starts that end on the attractor"),
+    "basin_share_error": Variable("f8", "1", "standard error of the share"),
+    "mirror_of": Variable("i4", "1", "number of its mirror image, -1: none", -1),
+}
+MULTIPLIERS: dict[str, Variable] = {
+    "multiplier_real": Variable("f8", "1", "real part of the Floquet multipliers"),
+    "multiplier_imag": Variable("f8", "1", "imaginary part of the Floquet multipliers"),
+}
+N_ATTRACTORS = Variable("i4", "1", "number of attractors found", 0)

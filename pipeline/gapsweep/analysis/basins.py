@@ -1,0 +1,106 @@
+"""Basins of attraction: which attractor a grid of starts ends on."""
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from gapsweep.errors import ModelError
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.response.attractors import attractors, numbers
+from gapsweep.response.respond import Question, Steady, respond_all
+from gapsweep.response.walk import Scene
+
+_MAX_STARTS = 10**6
+_ATTRIBUTES = {
+    "attractor": ("1", "number of the attractor, -1: none"),
+    "x_max": ("m", "peak displacement of the attractor"),
+    "x_min": ("m", "trough displacement of the attractor"),
+    "period_multiple": ("1", "forcing periods in one period of the attractor, 0: none"),
+    "multiplier_abs": ("1", "largest modulus of the Floquet multipliers"),
+    "lyapunov": ("s-1", "largest Lyapunov exponent"),
+    "basin_share": ("1", "share of the starts that end on the attractor"),
+    "basin_share_error": ("1", "standard error of the share"),
+}
+
+
+def basins(
+    oscillator: Oscillator,
+    law: ContactLaw,
+    omega: float,
+    *,
+    x: ArrayLike,
+    v: ArrayLike,
+    engine: str = DEFAULT_ENGINE,
+    rtol: float | None = None,
+    atol: float | None = None,
+    steady: Steady | None = None,
+) -> xr.Dataset:
+    """Attractors over a grid of initial states.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+    law : ContactLaw
+    omega : float
+        Forcing frequency [Hz], ``> 0``.
+    x, v : array_like, shape (n_x,), (n_v,)
+        Initial displacements [m] and velocities [m/s], at forcing phase zero.
+    engine, rtol, atol, steady
+        As in `gapsweep.respond`.
+
+    Returns
+    -------
+    Dataset
+        ``attractor(v_0, x_0)``, the number of the attractor each start ends on (-1: none),
+        and over ``attractor_number`` what each attractor is.
+
+    Raises
+    ------
+    ModelError
+        If an argument is out of range.
+    """
+    starts_x, starts_v = (_axis(name, values) for name, values in (("x", x), ("v", v)))
+    if starts_x.size * starts_v.size > _MAX_STARTS:
+        raise ModelError(f"{starts_x.size} x {starts_v.size} starts: must be <= {_MAX_STARTS}")
+    scene = Scene(
+        oscillator=oscillator,
+        law=law,
+        omega=checked("omega", omega, low=0.0, strict=True),
+        solver=Solver.of(engine, rtol, atol),
+    )
+    questions = [
+        Question(scene=scene, start=(x_0, v_0), steady=steady or Steady())
+        for v_0 in starts_v.tolist()
+        for x_0 in starts_x.tolist()
+    ]
+    found = attractors(respond_all(questions), omega, symmetric=law.gap.is_symmetric)
+    ids = np.reshape(numbers(found, len(questions)), (starts_v.size, starts_x.size))
+    dataset = xr.Dataset(
+        {
+            "attractor": (("v_0", "x_0"), ids),
+            **{
+                name: (
+                    "attractor_number",
+                    np.array([getattr(a if hasattr(a, name) else a.response, name) for a in found]),
+                )
+                for name in list(_ATTRIBUTES)[1:]
+            },
+        },
+        coords={
+            "x_0": ("x_0", starts_x, {"units": "m", "long_name": "initial displacement"}),
+            "v_0": ("v_0", starts_v, {"units": "m s-1", "long_name": "initial velocity"}),
+        },
+        attrs={"omega": omega, "K_c": law.K_c, "gap": law.gap.label},
+    )
+    for name, (units, long_name) in _ATTRIBUTES.items():
+        dataset[name].attrs.update(units=units, long_name=long_name)
+    return dataset
+
+
+def _axis(name: str, values: ArrayLike) -> np.ndarray:
+    axis = np.atleast_1d(np.asarray(values, dtype=float)).ravel()
+    if not axis.size or not np.all(np.isfinite(axis)):
+        raise ModelError(f"{name}: must be finite numbers, at least one")
+    return axis

@@ -1,0 +1,242 @@
+"""Steady responses: known coexisting attractors, invariants, chaos, sweeps, grouping."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import gapsweep as gs
+from gapsweep.execution.task import responses
+from gapsweep.response.attractors import attractors, numbers
+from gapsweep.response.section import (
+    cloud_distance,
+    converging_multiple,
+    orbit_distance,
+    prime_multiple,
+)
+
+SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
+SOFT, HARD = 1.4e4, 1.4e6
+LABELS = (
+    "piecewise",
+    "piecewise-noevents",
+    "poly-13",
+    "ratpoly-5/3",
+    "tanh-1e4",
+    "arctan-1e4",
+    "logarctan-1e4",
+)
+
+
+def box(K_c, gap, omega, n=9):
+    """Attractors from n x n starts in |x| <= 1 mm, |v| <= 0.05 m/s."""
+    x, v = np.linspace(-1e-3, 1e-3, n), np.linspace(-0.05, 0.05, n)
+    return gs.basins(gs.Oscillator(), gs.Piecewise(K_c, gap), omega, x=x, v=v)
+
+
+@pytest.mark.parametrize(
+    ("K_c", "gap", "omega", "known"),
+    [
+        # Peaks in mm and period multiples, from fixed-step methods at several step sizes.
+        (HARD, ASYMMETRIC, 11.0, [(0.8257, 1), (0.8326, 3), (0.8605, 2), (0.8634, 3)]),
+        (HARD, SYMMETRIC, 16.0, [(0.146, 1), (0.45, 1)]),
+        (SOFT, SYMMETRIC, 19.0, [(0.1005, 1), (0.50, 3)]),
+        (HARD, ASYMMETRIC, 21.75, [(0.4229, 2), (0.8632, 1)]),
+    ],
+)
+def test_known_coexisting_attractors_are_found(K_c, gap, omega, known):
+    found = box(K_c, gap, omega)
+    pairs = zip(found["x_max"].values * 1e3, found["period_multiple"].values, strict=True)
+    for (peak, n), (known_peak, known_n) in zip(pairs, known, strict=True):
+        digits = len(str(known_peak).split(".")[1])
+        assert round(peak, digits) == known_peak
+        assert n == known_n
+    assert (found["multiplier_abs"] < 1).all()
+    assert_allclose(found["basin_share"].sum(), 1.0)
+
+
+@pytest.mark.parametrize("label", LABELS)
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC])
+def test_product_of_multipliers_is_fixed_by_the_damping(label, gap):
+    oscillator, law = gs.Oscillator(), gs.contact_law(label, SOFT, gap)
+    for omega in (9.0, 20.0):
+        response = gs.respond(oscillator, law, omega, rtol=1e-11, atol=1e-14)
+        assert response.response_class is gs.ResponseClass.PERIODIC
+        first, second = np.array(response.multipliers).view(complex)
+        duration = response.period_multiple / omega
+        expected = math.exp(-2.0 * oscillator.decay_rate * duration)
+        assert_allclose((first * second).real, expected, rtol=1e-4)
+        assert response.multiplier_abs == abs(first) < 1.0
+        assert_allclose(response.lyapunov, math.log(abs(first)) / duration)
+
+
+def test_chaos_has_a_positive_exponent():
+    law = gs.Piecewise(SOFT, ASYMMETRIC)
+    response = gs.respond(gs.Oscillator(), law, 14.0)
+    assert response.response_class is gs.ResponseClass.CHAOTIC
+    assert response.status is gs.Status.OK
+    assert response.lyapunov > 3 * response.lyapunov_error > 0
+    assert math.isnan(response.multiplier_abs)
+
+
+def test_exponents_of_the_tangent_and_of_neighbouring_motions_agree():
+    # Two motions 1e-9 m apart separate like exp(lambda t) while they are close.
+    law, omega = gs.Piecewise(SOFT, ASYMMETRIC), 14.0
+    response = gs.respond(gs.Oscillator(), law, omega)
+    x, v = np.reshape(response.section, (-1, 2)).T
+    t = math.ceil(1.0 * omega) / omega
+    near, far = (
+        gs.simulate(gs.Oscillator(), law, omega, x + d, v, t_end=t, rtol=1e-12, atol=1e-15)
+        for d in (0.0, 1e-9)
+    )
+    separation = np.hypot(far.x - near.x, (far.v - near.v) / (2 * math.pi * omega))
+    growth = np.log(separation / 1e-9) / t
+    spread = growth.std() / math.sqrt(len(growth))
+    assert abs(growth.mean() - response.lyapunov) < 5 * (spread + response.lyapunov_error)
+
+
+def test_mirror_twins_are_named():
+    found = box(HARD, SYMMETRIC, 3.0, n=6)
+    periodic = found["period_multiple"].values == 1
+    assert_allclose(found["x_max"][periodic], -found["x_min"][periodic][::-1], rtol=1e-6)
+    law = gs.Piecewise(HARD, SYMMETRIC)
+    pair = [gs.respond(gs.Oscillator(), law, 3.0, x) for x in (0.0, 1e-4, 2e-4, -1e-4, -3e-4)]
+    groups = attractors(pair, 3.0, symmetric=True)
+    twins = [g for g in groups if g.response.period_multiple == 1]
+    assert len(twins) == 2
+    assert [g.mirror_of for g in twins] == [1, 0]
+
+
+def test_symmetric_orbit_is_its_own_mirror_image():
+    (only,) = attractors(
+        [gs.respond(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0)], 9.0, symmetric=True
+    )
+    assert only.mirror_of == 0
+    assert only.basin_share == 1.0
+
+
+def test_start_order_does_not_change_the_attractors():
+    law = gs.Piecewise(HARD, ASYMMETRIC)
+    starts = np.linspace(-1e-3, 1e-3, 12)
+    found = [gs.respond(gs.Oscillator(), law, 11.0, float(x)) for x in starts]
+    ids = numbers(attractors(found, 11.0, symmetric=False), 12)
+    backwards = numbers(attractors(found[::-1], 11.0, symmetric=False), 12)
+    assert backwards[::-1] == ids
+    assert set(ids) == set(range(max(ids) + 1))
+
+
+def test_shooting_never_swaps_the_attractor_of_a_start():
+    # Where no transient chaos lets rounding choose the basin, brute force must agree.
+    law, omega = gs.Piecewise(SOFT, SYMMETRIC), 19.0
+    x, v = (a.ravel() for a in np.meshgrid(np.linspace(-1e-3, 1e-3, 7), [-0.03, 0.0, 0.04]))
+    settled = gs.simulate(gs.Oscillator(), law, omega, x, v, t_end=60.0)
+    window = gs.simulate(gs.Oscillator(), law, omega, settled.x, settled.v, t_end=6 / omega)
+    for i in range(len(x)):
+        response = gs.respond(gs.Oscillator(), law, omega, x[i], v[i])
+        assert_allclose(response.x_max, window.extrema[i].max(), atol=1e-8)
+        assert response.t_simulated < (24.4 + 64 / omega) / 2
+
+
+def test_extremum_kinds_alternate():
+    response = gs.respond(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 1.0)
+    kinds = np.array(response.extremum_kind)
+    assert len(kinds) == response.n_extrema == 18
+    assert np.all(kinds[1:] == -kinds[:-1])
+    assert response.extrema[int(np.argmax(response.extrema))] == response.x_max
+    assert kinds[np.argmax(response.extrema)] == 1
+
+
+def test_upward_sweep_rides_the_upper_branch_beyond_the_fitted_range():
+    tables = {
+        "study": {"name": "branch"},
+        "sweep": [
+            {
+                "representation": ["piecewise", "poly-13"],
+                "K_c": [SOFT],
+                "gap": [[0.4e-3, 0.4e-3]],
+                "omega": {"start": 9.0, "stop": 19.0, "step": 0.25},
+                "initial_condition": "sweep_up",
+            }
+        ],
+    }
+    study = gs.Study.from_dict(tables)
+    exact, fitted = (
+        responses([([study.point(i) for i in chain], (0.0, 0.0))]) for chain in study.chains()
+    )
+    peak = {w: 1e3 * r.x_max for w, r in zip(study.grid.omega, exact, strict=True)}
+    assert 3.8 < peak[14.0] < 4.2
+    assert max(peak.values()) == pytest.approx(6.3, abs=0.15)
+    assert 17.0 <= max(peak, key=peak.get) <= 18.0
+    left = [r for r in fitted if abs(r.x_max) > 4e-3]
+    assert left
+    assert all(r.status is gs.Status.OUT_OF_FIT_RANGE for r in left)
+
+
+def test_loose_tolerances_still_find_the_period():
+    response = gs.respond(
+        gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0, engine="scipy", rtol=1e-4, atol=1e-7
+    )
+    assert response.period_multiple == 1
+    assert response.multiplier_abs == pytest.approx(0.9006, abs=0.02)
+
+
+orbits = st.integers(1, 6).flatmap(
+    lambda n: st.lists(st.floats(-1, 1), min_size=2 * n, max_size=2 * n)
+)
+
+
+@given(orbits, st.integers(0, 5))
+def test_orbit_distance_ignores_where_the_orbit_starts(values, shift):
+    orbit = np.reshape(values, (-1, 2))
+    assert orbit_distance(orbit, np.roll(orbit, shift, axis=0)) == 0.0
+    other = orbit + np.array([0.5, 0.0])
+    assert orbit_distance(orbit, other) == pytest.approx(orbit_distance(other, orbit))
+
+
+def test_orbits_of_different_period_are_infinitely_apart():
+    assert orbit_distance(np.zeros((1, 2)), np.zeros((2, 2))) == math.inf
+
+
+@given(orbits, st.integers(1, 4))
+def test_prime_multiple_undoes_repetition(values, times):
+    orbit = np.reshape(values, (-1, 2))
+    prime = prime_multiple(orbit, 1e-12)
+    assert len(orbit) % prime == 0
+    assert prime_multiple(np.tile(orbit, (times, 1)), 1e-12) == prime
+
+
+def test_contraction_is_told_from_drift_and_growth():
+    k = np.arange(12.0)
+    towards = np.stack([0.8**k, np.zeros(12)], axis=1)
+    assert converging_multiple(towards, 1.0, 4) == 1
+    assert converging_multiple(towards, 1e-3, 4) == 0, "still too far apart"
+    away = np.stack([1e-3 * 1.2**k, np.zeros(12)], axis=1)
+    assert converging_multiple(away, 1.0, 1) == 0
+    alternating = np.stack([(-1.0) ** k * (1 + 0.1 * 0.8**k), np.zeros(12)], axis=1)
+    assert converging_multiple(alternating, 0.5, 4) == 2
+
+
+def test_one_outlier_does_not_separate_two_clouds():
+    rng = np.random.default_rng(3)
+    cloud = rng.normal(size=(40, 2))
+    other = np.vstack([cloud[1:], [[100.0, 0.0]]])
+    assert cloud_distance(cloud, other) < 1.0
+    assert cloud_distance(cloud, cloud + np.array([100.0, 0.0])) > 90.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"x": []}, "x: must be finite numbers, at least one"),
+        ({"v": [math.nan]}, "v: must be finite numbers"),
+        ({"omega": 0.0}, "omega = 0: must be > 0"),
+        ({"x": np.zeros(2000), "v": np.zeros(2000)}, "2000 x 2000 starts: must be <= 1000000"),
+    ],
+)
+def test_bad_grids_of_starts_are_refused(arguments, message):
+    given = {"omega": 9.0, "x": [0.0], "v": [0.0]} | arguments
+    with pytest.raises(gs.ModelError, match=message):
+        gs.basins(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
