@@ -154,7 +154,7 @@ def test_upward_sweep_rides_the_upper_branch_beyond_the_fitted_range():
         "study": {"name": "branch"},
         "sweep": [
             {
-                "representation": ["piecewise", "poly-13"],
+                "representation": ["piecewise", "ratpoly-5/3", "poly-13"],
                 "K_c": [SOFT],
                 "gap": [[0.4e-3, 0.4e-3]],
                 "omega": {"start": 9.0, "stop": 19.0, "step": 0.25},
@@ -163,16 +163,19 @@ def test_upward_sweep_rides_the_upper_branch_beyond_the_fitted_range():
         ],
     }
     study = gs.Study.from_dict(tables)
-    exact, fitted = (
+    exact, rational, polynomial = (
         responses([([study.point(i) for i in chain], (0.0, 0.0))]) for chain in study.chains()
     )
     peak = {w: 1e3 * r.x_max for w, r in zip(study.grid.omega, exact, strict=True)}
     assert 3.8 < peak[14.0] < 4.2
     assert max(peak.values()) == pytest.approx(6.3, abs=0.15)
     assert 17.0 <= max(peak, key=peak.get) <= 18.0
-    left = [r for r in fitted if abs(r.x_max) > 4e-3]
-    assert left
+    left = [r for r in rational if abs(r.x_max) > 4e-3]
+    assert len(left) > 10, "the rational fit follows beyond its range, and keeps its values"
     assert all(r.status is gs.Status.OUT_OF_FIT_RANGE for r in left)
+    ran_away = [r for r in polynomial if math.isnan(r.x_max)]
+    assert ran_away, "the polynomial falls off its range"
+    assert all(r.status is gs.Status.OUT_OF_FIT_RANGE and r.message for r in ran_away)
 
 
 def test_loose_tolerances_still_find_the_period():
