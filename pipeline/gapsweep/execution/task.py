@@ -6,14 +6,17 @@ them only because a task has a price of its own.
 
 import math
 import platform
-import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Solver
+from gapsweep.model.labels import contact_law
+from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.respond import Question, Response, respond_all
-from gapsweep.response.walk import Scene, State
+from gapsweep.response.walk import Scene, State, Stretch, integrated
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import FIXED, Point
@@ -69,17 +72,31 @@ def responses(chains: Sequence[tuple[Sequence[Point], State]]) -> list[Response]
 def _together(points: Sequence[tuple[Point, State]]) -> list[Response]:
     """Responses of independent points, those with one solver and law family in one call."""
     answers: dict[int, Response] = {}
-    groups: dict[tuple[str, Solver], dict[int, Question]] = {}
+    groups: dict[tuple[str, float, Solver], dict[int, Question]] = {}
     for i, (point, state) in enumerate(points):
         try:
             question = _question(point, state)
         except ModelError as error:
             answers[i] = Response(status=Status.MODEL_INVALID, message=str(error))
         else:
-            groups.setdefault((point.representation, point.solver), {})[i] = question
-    for group in groups.values():
-        answers |= zip(group, _timed(list(group.values())), strict=True)
+            kind = point.representation, point.fit_range, point.solver
+            groups.setdefault(kind, {})[i] = question
+    for kind, group in groups.items():
+        _warm_up(*kind)
+        answers |= zip(group, _answered(list(group.values())), strict=True)
     return [answers[i] for i in range(len(points))]
+
+
+@lru_cache(maxsize=256)
+def _warm_up(representation: str, fit_range: float, solver: Solver) -> None:
+    """Load or compile what a kind of point needs: no point's processor time may hold that."""
+    if solver.engine != "compiled":
+        return
+    # Whatever is wrong here is wrong with the points themselves, and said there.
+    with suppress(Exception):
+        law = contact_law(representation, 1.0, Gap(1e-4, 1e-4), fit_range)
+        scene = Scene(oscillator=Oscillator(), law=law, omega=5.0, solver=solver)
+        integrated([Stretch(scene, REST, 1, True, tangent) for tangent in (False, True)])
 
 
 def _question(point: Point, state: State) -> Question:
@@ -91,20 +108,13 @@ def _question(point: Point, state: State) -> Question:
     return Question(scene=scene, start=state, steady=point.steady)
 
 
-def _timed(questions: Sequence[Question]) -> list[Response]:
-    """Responses, each with its share of the processor time in proportion to its steps."""
-    begin = time.thread_time()
+def _answered(questions: Sequence[Question]) -> list[Response]:
+    """Responses; what a point raises is its own response, the others are asked again alone."""
     try:
-        found = respond_all(questions)
-    except ModelError as error:
-        found = [Response(status=Status.MODEL_INVALID, message=str(error)) for _ in questions]
+        return respond_all(questions)
     except Exception as error:  # the task boundary: whatever a point raises is its result
         if len(questions) > 1:
-            return [response for question in questions for response in _timed([question])]
-        found = [Response(status=Status.ERROR, message=f"{type(error).__name__}: {error}")]
-    seconds = time.thread_time() - begin
-    n_steps = sum(response.n_steps for response in found)
-    return [
-        replace(r, cpu_time=seconds * (r.n_steps / n_steps if n_steps else 1.0 / len(found)))
-        for r in found
-    ]
+            return [response for question in questions for response in _answered([question])]
+        invalid = isinstance(error, ModelError)
+        message = str(error) if invalid else f"{type(error).__name__}: {error}"
+        return [Response(status=Status.MODEL_INVALID if invalid else Status.ERROR, message=message)]

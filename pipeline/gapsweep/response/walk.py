@@ -6,6 +6,7 @@ of them sees the others.
 """
 
 import math
+import time
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -57,6 +58,7 @@ class Part:
     y: State
     status: Status
     cost: tuple[int, ...]
+    cpu_time: float
     events: Events
     monodromy: Array | None
 
@@ -84,7 +86,10 @@ def _solved(stretches: Sequence[Stretch], tangent: bool) -> list[Part]:
         record_from=np.array([0.0 if s.recorded else math.inf for s in stretches]),
         tangent=tangent,
     )
+    begin = time.thread_time()
     found = integrate(problems, stretches[0].scene.solver)
+    # What ran together shares the processor time in proportion to its steps.
+    seconds = (time.thread_time() - begin) * found.n_steps / max(found.n_steps.sum(), 1)
     # A fit that was left on the way but did not run away goes on; where its steady response
     # lies decides in the end.
     arrived = found.t >= problems.t_end * (1.0 - 1e-9)
@@ -95,6 +100,7 @@ def _solved(stretches: Sequence[Stretch], tangent: bool) -> list[Part]:
             y=(float(found.x[i]), float(found.v[i])),
             status=Status.OK if excused[i] else Status(found.status[i]),
             cost=tuple(costs[i]),
+            cpu_time=float(seconds[i]),
             events=found.events(i) if stretch.recorded else Events(),
             monodromy=None if found.monodromy is None else found.monodromy[i],
         )
@@ -112,7 +118,7 @@ class Walk:
         self.status = Status.OK
         self.n_periods = 0
         self.n_simulated = 0
-        self.cost: dict[str, Any] = dict.fromkeys(COSTS, 0)
+        self.cost: dict[str, Any] = {**dict.fromkeys(COSTS, 0), "cpu_time": 0.0}
         self.section: Array
         self.t_extrema: Array
         self.extrema: Array
@@ -166,3 +172,4 @@ class Walk:
         self.n_simulated += n_periods
         for name, cost in zip(COSTS, part.cost, strict=True):
             self.cost[name] += cost
+        self.cost["cpu_time"] += part.cpu_time
