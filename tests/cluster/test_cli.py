@@ -94,7 +94,7 @@ def test_report_is_rebuilt_from_the_datasets_alone(finished):
 def test_failed_points_end_with_their_own_exit_code(folder):
     (folder / "springs.py").write_text("def bad(x):\n    return 1.0 if x == 0 else 1 / 0\n")
     text = QUICK.replace('"tanh-1e4"', '"springs:bad"')
-    (folder / "tiny.toml").write_text(text)
+    (folder / "tiny.toml").write_text(text + '[solver]\nengine = "scipy"\n')
     done = gapsweep(folder, "run", "tiny.toml")
     assert done.returncode == 3
     assert "failed points: 2 error" in done.stderr

@@ -155,6 +155,7 @@ def test_law_that_kills_its_worker_spares_all_other_points(tables, tmp_path):
 
 def test_failed_points_are_computed_again_only_on_request(tables, client, tmp_path):
     tables["sweep"][0] |= {"representation": [f"{__name__}:faulty"], "omega": [7.0]}
+    tables["solver"] = {"engine": "scipy"}  # nothing to compile
     run(tables, client, tmp_path)
     study = gs.Study.from_dict(tables)
     again = [workflow.plan(study, tmp_path / "out.sqlite", retry_failed=r) for r in (False, True)]

@@ -40,7 +40,7 @@ _CHAIN_PART = 16
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
 _COMMIT_ROWS = 200
-_CONNECT_SECONDS = 15
+_CONNECT_SECONDS = 10
 
 T = TypeVar("T")
 Job = tuple[Chain, ...]

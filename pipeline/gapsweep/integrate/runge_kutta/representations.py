@@ -3,6 +3,7 @@ over points.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -97,15 +98,21 @@ def user(
     slope: Callable[[float], float] | None = None,
     length: float = 1e-4,
 ) -> ContactLaw:
-    """A scalar function F(x) [N] that numba can compile; compiled afresh in every process.
+    """A scalar function F(x) [N] that numba can compile; compiled once in every process.
 
     Without `slope` the tangent equations use central differences over ``1e-5 * length`` [m].
     """
+    q, _ = _rows(1.0, j_1, j_2)
+    return ContactLaw(_user_kind(function, slope, length), q)
+
+
+@lru_cache(maxsize=64)
+def _user_kind(function, slope, length):
+    # The dispatchers are part of the kernel's type: new ones would compile the kernel anew.
     force = function if hasattr(function, "py_func") else njit(function)
     if slope is None:
         delta = 1e-5 * length
         slope = njit(lambda x: (force(x + delta) - force(x - delta)) / (2.0 * delta))
     elif not hasattr(slope, "py_func"):
         slope = njit(slope)
-    q, _ = _rows(1.0, j_1, j_2)
-    return ContactLaw(laws.User(force, slope), q)
+    return laws.User(force, slope)
