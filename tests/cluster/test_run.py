@@ -10,6 +10,7 @@ import xarray as xr
 
 import gapsweep as gs
 from gapsweep import workflow
+from gapsweep.execution.task import responses as responses_of
 from gapsweep.store.cache import Cache
 from gapsweep.study.schema import COORDINATES, POINT_DIMS, VARIABLES
 
@@ -131,6 +132,17 @@ def test_interrupted_sweep_goes_on_where_it_was(tables, client, tmp_path):
     resumed = run(tables, client, tmp_path, "part")
     for name in ("x_max", "x_min", "n_steps", "extrema"):
         xr.testing.assert_equal(whole[name], resumed[name])
+
+
+def test_long_sweep_in_parts_equals_one_in_a_piece(tables, client, tmp_path):
+    omega = {"start": 8.0, "stop": 12.0, "num": 37}
+    block = tables["sweep"][0] | {"representation": ["piecewise"], "omega": omega}
+    tables["sweep"] = [block | {"initial_condition": "sweep_up"}]
+    parts = run(tables, client, tmp_path)
+    study = gs.Study.from_dict(tables)
+    (chain,) = study.chains()
+    whole = responses_of([([study.point(i) for i in chain], (0.0, 0.0))])
+    assert parts["x_max"].values.ravel().tolist() == [r.x_max for r in whole]
 
 
 def test_law_that_raises_is_a_result_with_its_message(tables, client, tmp_path):

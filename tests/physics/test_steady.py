@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import gapsweep as gs
 from gapsweep.execution.task import responses
+from gapsweep.report import figures
 from gapsweep.response.attractors import attractors, numbers
 from gapsweep.response.section import (
     cloud_distance,
@@ -56,6 +57,15 @@ def test_known_coexisting_attractors_are_found(K_c, gap, omega, known):
         assert n == known_n
     assert (found["multiplier_abs"] < 1).all()
     assert_allclose(found["basin_share"].sum(), 1.0)
+
+
+def test_basins_are_drawn_with_a_name_for_every_attractor():
+    found = box(SOFT, SYMMETRIC, 19.0, n=5)
+    axes, bar = figures.basins(found).axes
+    drawn = axes.collections[0].get_array()
+    assert np.array_equal(np.ravel(drawn), found["attractor"].values.ravel())
+    names = [tick.get_text() for tick in bar.get_yticklabels()]
+    assert [name.split(",")[0] for name in names] == ["P1", "P3"]
 
 
 @pytest.mark.parametrize("label", LABELS)

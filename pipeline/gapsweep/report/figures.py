@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import xarray as xr
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -71,6 +72,32 @@ def bifurcation(responses: xr.Dataset) -> Figure:
         axes.xaxis.set_tick_params(labelbottom=True)
     for axes in panels[::n_columns]:
         axes.set_ylabel("extrema [mm]")
+    return figure
+
+
+def basins(found: xr.Dataset) -> Figure:
+    """Attractor of every start, as returned by `gapsweep.basins`; white where there is none.
+
+    Parameters
+    ----------
+    found : Dataset
+        ``attractor(v_0, x_0)`` and what each attractor is.
+    """
+    figure = Figure(figsize=(0.75 * _WIDTH, 4.2))
+    axes = figure.subplots()
+    n = max(found.sizes["attractor_number"], 1)
+    ids = found["attractor"].where(found["attractor"] >= 0)
+    shades = colormaps["cividis"].resampled(n)
+    mesh = axes.pcolormesh(
+        found["x_0"] * _MM, found["v_0"] * _MM, ids, cmap=shades, vmin=-0.5, vmax=n - 0.5
+    )
+    bar = figure.colorbar(mesh, ax=axes, ticks=range(n))
+    peaks = zip(found["period_multiple"].values, found["x_max"].values, strict=True)
+    names = [f"{f'P{k}' if k else 'chaotic'}, peak {x * _MM:.4g} mm" for k, x in peaks]
+    bar.ax.set_yticklabels(names)
+    axes.set_xlabel("initial displacement [mm]")
+    axes.set_ylabel("initial velocity [mm/s]")
+    axes.grid(visible=False)
     return figure
 
 
