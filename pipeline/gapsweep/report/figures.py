@@ -83,7 +83,7 @@ def basins(found: xr.Dataset) -> Figure:
     found : Dataset
         ``attractor(v_0, x_0)`` and what each attractor is.
     """
-    figure = Figure(figsize=(0.75 * _WIDTH, 4.2))
+    figure = Figure(figsize=(0.75 * _WIDTH, 4.2), layout="constrained")
     axes = figure.subplots()
     n = max(found.sizes["attractor_number"], 1)
     ids = found["attractor"].where(found["attractor"] >= 0)
