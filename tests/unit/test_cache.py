@@ -47,7 +47,7 @@ def test_more_keys_than_one_query_takes(tmp_path):
         assert set(cache.rows(keys)) == set(keys)
 
 
-def test_damaged_row_is_not_returned(tmp_path):
+def test_damaged_row_is_missing(tmp_path):
     path = tmp_path / "cache.sqlite"
     with Cache(path) as cache:
         cache.commit([(row("a"), {}), (row("b"), {})])
@@ -58,6 +58,7 @@ def test_damaged_row_is_not_returned(tmp_path):
     db.close()
     with Cache(path) as cache:
         assert set(cache.rows(["a", "b"])) == {"b"}
+        assert set(cache.statuses(["a", "b"])) == {"b"}, "a plan must see it as missing"
 
 
 def test_file_that_is_no_database_is_refused(tmp_path):

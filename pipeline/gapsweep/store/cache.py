@@ -120,8 +120,9 @@ class Cache:
         self._db.execute("COMMIT")
 
     def statuses(self, keys: Iterable[str]) -> dict[str, Status]:
-        """Status of every key that is stored."""
-        return {key: Status(s) for key, s in self._select("key, status", keys)}
+        """Status of every key that is stored undamaged; the others are to be computed again."""
+        rows = self._select("key, response, checksum, status", keys)
+        return {key: Status(s) for key, text, check, s in rows if _checksum(key, text) == check}
 
     def cpu_times(self, keys: Iterable[str]) -> dict[str, float]:
         """Processor time [s] of every key that is stored and has one."""
