@@ -362,7 +362,10 @@ def test_left_fit_range_is_flagged_and_values_kept():
 def test_extrema_and_section_agree_with_scipy():
     p = (1.4e4, *GAP, 1e4)
     rhs = rhs_of(lambda x: tanh_force(x, *p), 3.0)
-    event = lambda t, y: y[1]  # noqa: E731
+
+    def event(t, y):
+        return y[1]
+
     ref = solve_ivp(
         rhs,
         (0, 2.0),
