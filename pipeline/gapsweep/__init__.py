@@ -5,38 +5,58 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from gapsweep.errors import ClusterError, GapsweepError, ModelError, StoreError, StudyError
-from gapsweep.integrate.simulate import simulate
-from gapsweep.integrate.trajectory import Trajectory
-from gapsweep.model.contact import (
-    Arctan,
-    ContactLaw,
-    LogArctan,
-    Piecewise,
-    Polynomial,
-    RationalPolynomial,
-    Tanh,
-    UserLaw,
-    static_error,
-)
-from gapsweep.model.labels import canonical_label, contact_law, law
 from gapsweep.model.oscillator import Gap, Oscillator
-from gapsweep.response.respond import Response, ResponseClass, Steady, respond
 from gapsweep.status import Status
 
 if TYPE_CHECKING:
     from gapsweep.analysis.basins import basins
+    from gapsweep.integrate.simulate import simulate
+    from gapsweep.integrate.trajectory import Trajectory
+    from gapsweep.model.contact import (
+        Arctan,
+        ContactLaw,
+        LogArctan,
+        Piecewise,
+        Polynomial,
+        RationalPolynomial,
+        Tanh,
+        UserLaw,
+        static_error,
+    )
+    from gapsweep.model.labels import canonical_label, contact_law, law
+    from gapsweep.response.respond import respond
+    from gapsweep.response.result import Response, ResponseClass, Steady
     from gapsweep.store.netcdf import read as open
     from gapsweep.study.study import Study
-    from gapsweep.workflow import run
+    from gapsweep.workflow import query, run
 
 __version__ = version("gapsweep")
 
-# Studies bring Dask, xarray and matplotlib; whoever only simulates need not wait for them.
+# numba, Dask, xarray and matplotlib take seconds to import: each comes with what needs it.
 _ON_DEMAND = {
-    "Study": ("gapsweep.study.study", "Study"),
-    "basins": ("gapsweep.analysis.basins", "basins"),
-    "open": ("gapsweep.store.netcdf", "read"),
-    "run": ("gapsweep.workflow", "run"),
+    **dict.fromkeys(("Response", "ResponseClass", "Steady"), "response.result"),
+    **dict.fromkeys(("canonical_label", "contact_law", "law"), "model.labels"),
+    **dict.fromkeys(
+        (
+            "Arctan",
+            "ContactLaw",
+            "LogArctan",
+            "Piecewise",
+            "Polynomial",
+            "RationalPolynomial",
+            "Tanh",
+            "UserLaw",
+            "static_error",
+        ),
+        "model.contact",
+    ),
+    **dict.fromkeys(("query", "run"), "workflow"),
+    "Study": "study.study",
+    "Trajectory": "integrate.trajectory",
+    "basins": "analysis.basins",
+    "open": "store.netcdf",
+    "respond": "response.respond",
+    "simulate": "integrate.simulate",
 }
 
 __all__ = [
@@ -66,6 +86,7 @@ __all__ = [
     "contact_law",
     "law",
     "open",
+    "query",
     "respond",
     "run",
     "simulate",
@@ -76,5 +97,5 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _ON_DEMAND:
         raise AttributeError(f"module 'gapsweep' has no attribute {name!r}")
-    module, attribute = _ON_DEMAND[name]
-    return getattr(importlib.import_module(module), attribute)
+    module = importlib.import_module(f"gapsweep.{_ON_DEMAND[name]}")
+    return getattr(module, "read" if name == "open" else name)

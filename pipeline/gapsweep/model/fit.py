@@ -15,7 +15,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import Gap
@@ -201,6 +200,8 @@ class _Projection:
     def minimise(self, d: Array) -> Array:
         if not d.size:
             return d
+        from scipy.optimize import least_squares  # slow to import, and most laws need no fit
+
         return np.asarray(least_squares(self.residual, d, xtol=1e-12, ftol=1e-13, gtol=1e-14).x)
 
     def fit(self, d: Array) -> Fit:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gapsweep.report.style import colour, lines
-from gapsweep.response.respond import ResponseClass
+from gapsweep.response.result import ResponseClass
 
 _MM = 1e3
 _WIDTH = 9.5  # inches, the report's column

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.respond import Response, ResponseClass
+from gapsweep.response.result import Response, ResponseClass
 from gapsweep.response.section import cloud_distance, orbit_distance, scaled
 
 Array = NDArray[np.float64]
