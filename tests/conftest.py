@@ -10,7 +10,7 @@ import pytest
 from distributed import Client
 from hypothesis import settings
 
-from gapsweep.execution.execute import cluster
+from gapsweep.execution.cluster import cluster
 
 settings.register_profile("quick", max_examples=25, deadline=None)
 settings.register_profile("thorough", max_examples=500, deadline=None)

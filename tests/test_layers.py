@@ -18,14 +18,16 @@ LAYERS = (
     {"execution"},
     {"analysis"},
     {"report"},
+    {"stages"},
     {"workflow"},
     {"cli", "__init__"},
 )
 FENCES = {
     "scipy": {"model", "integrate", "response", "study"},
     "numba": {"model", "integrate", "response"},
-    "xarray": {"store", "execution", "analysis", "report", "workflow"},
+    "xarray": {"store", "analysis", "report", "workflow", "cli"},
     "netCDF4": {"store", "execution"},
+    "psutil": {"store"},
     "dask": {"execution"},
     "distributed": {"execution", "workflow"},
     "matplotlib": {"report"},
@@ -69,7 +71,9 @@ def test_modules_import_only_what_stands_below_them(path):
             target = name.split(".")[1]
             target = target if any(target in names for names in LAYERS) else "__init__"
             assert target == here or level(target) < level(here) or name == "gapsweep.__version__"
-            assert at_top, f"{name} is imported inside a function"
+            # Only the whole path may put off what a run with nothing to do never needs.
+            late = here in ("workflow", "cli")
+            assert at_top or late, f"{name} is imported inside a function"
         elif library in FENCES:
             assert here in FENCES[library], f"{library} does not belong into {here}"
 

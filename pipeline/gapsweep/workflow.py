@@ -1,35 +1,62 @@
 """The whole path of a study: points, responses, analyses, report.
 
 Each step reads what the one before it stored; `report` needs nothing but the NetCDF files.
+Dask, numba, xarray and matplotlib are imported by the steps that need them: a run that finds
+everything up to date ends before they would be loaded.
 """
 
 import os
+import random
 import tempfile
+import time
+import warnings
 from collections.abc import Mapping
-from contextlib import nullcontext
-from dataclasses import dataclass
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
 
-import xarray as xr
-from distributed import Client
+import numpy as np
 
-from gapsweep.analysis.agreement import agreement
-from gapsweep.analysis.timing import timing
 from gapsweep.errors import StoreError
 from gapsweep.execution.assemble import export
-from gapsweep.execution.execute import OnProgress, Progress, cluster, execute
+from gapsweep.execution.explain import Explanation
+from gapsweep.execution.explain import explain as explanations
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
-from gapsweep.report.html import write_report
+from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
+from gapsweep.stages import (
+    AGREEMENT,
+    ATTRACTORS,
+    REPORT,
+    RESPONSES,
+    STAGES,
+    TIMING,
+    MadeFrom,
+    Stage,
+    as_text,
+    made_from,
+    reason_to_run,
+    stored_points,
+)
+from gapsweep.status import Status
 from gapsweep.store import netcdf
-from gapsweep.store.cache import Cache
-from gapsweep.study.study import Study
+from gapsweep.store.artefact import alone_in
+from gapsweep.store.cache import Cache, is_sound
+from gapsweep.store.maintenance import numerics_of
+from gapsweep.store.state import FAILED, FINISHED, INTERRUPTED, RUNNING, RunState
+from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.study.study import Selection, Study
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from distributed import Client
 
 DEFAULT_CACHE = Path("data/cache.sqlite")
 RUNS = Path("data/runs")
-RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
-AGREEMENT, TIMING = "agreement.nc", "timing.nc"
-REPORT = Path("report/index.html")
+EXACT = "piecewise"
+_STATE_SECONDS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,18 +76,29 @@ class Outcome:
     failures: Mapping[str, int]
 
 
+def run_folder(study: Study, out: str | Path | None = None) -> Path:
+    """Where a run leaves its files: the argument, else ``data/runs/<study name>``."""
+    return Path(out) if out is not None else RUNS / study.name
+
+
 def cache_path(cache: str | Path | None = None) -> Path:
     """The cache to use: the argument, else ``GAPSWEEP_CACHE``, else ``data/cache.sqlite``."""
     return Path(cache or os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE)
 
 
-def plan(study: Study, cache: str | Path | None = None, *, retry_failed: bool = False) -> Plan:
+def plan(
+    study: Study,
+    cache: str | Path | None = None,
+    *,
+    selection: Selection | None = None,
+    retry_failed: bool = False,
+) -> Plan:
     """Compare a study with a cache, without creating the cache or computing anything."""
     path = cache_path(cache)
     if not path.exists():
-        return make_plan(study, lambda keys: {})
+        return make_plan(study, selection=selection)
     with Cache(path) as store:
-        return make_plan(study, store.statuses, retry_failed=retry_failed)
+        return make_plan(study, store.status, selection=selection, retry_failed=retry_failed)
 
 
 def expected_seconds(plan: Plan, cache: str | Path | None = None, workers: int = 2) -> float | None:
@@ -72,33 +110,52 @@ def expected_seconds(plan: Plan, cache: str | Path | None = None, workers: int =
     if not path.exists():
         return None
     with Cache(path) as store:
-        costs = store.cpu_times(key for chain in plan.chains for key in chain.keys)
-    by_representation: dict[int, list[float]] = {}
-    for chain in plan.chains:
-        known = [costs[key] for key in chain.keys if key in costs]
-        by_representation.setdefault(chain.indices[0][0], []).extend(known)
-    if not costs:
+        stored = store.cpu_times(plan.keys)
+    if not stored:
         return None
-    mean = sum(costs.values()) / len(costs)
+    cost = np.array([stored.get(key, np.nan) for key in plan.keys])
+    representation = plan.cells // int(np.prod(plan.shape[1:]))
+    missing = plan.is_missing
     total = 0.0
-    for chain in plan.missing:
-        same = by_representation[chain.indices[0][0]]
-        total += chain.n_missing * (sum(same) / len(same) if same else mean)
-    return total / workers
+    for r in np.unique(representation[missing]):
+        same = cost[(representation == r) & np.isfinite(cost)]
+        price = same.mean() if same.size else np.nanmean(cost)
+        total += price * np.sum(missing & (representation == r))
+    return float(total) / workers
+
+
+def stage_reasons(
+    study: Study, plan: Plan, out: str | Path | None = None, cache: str | Path | None = None
+) -> dict[str, str | None]:
+    """Why each stage would run; None for those that are up to date."""
+    folder, path = run_folder(study, out), cache_path(cache)
+    stages = _stages(study)
+    if plan.n_missing or not path.exists():
+        return {stage.file: "sweep points are missing" for stage in stages}
+    with Cache(path) as store:
+        points = stored_points(study, plan, store)
+    reasons: dict[str, str | None] = {}
+    for stage in stages:
+        anew = [name for name in stage.inputs if reasons.get(name)]
+        now = made_from(stage, folder, points)
+        reason = reason_to_run(stage, folder, now)
+        reasons[stage.file] = reason or (f"{', '.join(anew)} made anew" if anew else None)
+    return reasons
 
 
 def run(
     study: Study,
-    client: Client | None = None,
+    client: "Client | None" = None,
     *,
     out: str | Path | None = None,
     cache: str | Path | None = None,
     workers: int = 2,
     scheduler: str | None = None,
     batch: int | None = None,
+    timeout: float = DEFAULT_TIMEOUT,
     retry_failed: bool = False,
     on_progress: OnProgress | None = None,
-) -> xr.Dataset:
+) -> "xr.Dataset":
     """Compute a study, store its datasets and report, and open the responses.
 
     Only what the cache does not hold is computed; an interrupted run goes on where it was.
@@ -118,6 +175,8 @@ def run(
         Address of a running Dask scheduler.
     batch : int, optional
         Points per task; None lets measured costs decide.
+    timeout : float
+        Time [s] that one point may take before it is given up as ``timed_out``.
     retry_failed : bool
         Compute points again whose stored outcome is a failure.
     on_progress : callable, optional
@@ -141,6 +200,7 @@ def run(
         workers=workers,
         scheduler=scheduler,
         batch=batch,
+        timeout=timeout,
         retry_failed=retry_failed,
         on_progress=on_progress,
     )
@@ -149,52 +209,223 @@ def run(
 
 def carry_out(
     study: Study,
-    client: Client | None = None,
+    client: "Client | None" = None,
     *,
-    out: str | Path | None,
-    cache: str | Path | None,
-    workers: int,
-    scheduler: str | None,
-    batch: int | None,
-    retry_failed: bool,
-    on_progress: OnProgress | None,
+    out: str | Path | None = None,
+    cache: str | Path | None = None,
+    on_progress: OnProgress | None = None,
+    retry_failed: bool = False,
+    **how: Any,
 ) -> Outcome:
     """`run`, with the outcome instead of the dataset."""
-    folder = Path(out) if out is not None else RUNS / study.name
+    folder = run_folder(study, out)
     check_writable(folder)
     planned = plan(study, cache, retry_failed=retry_failed)
-    progress = Progress(planned.n_points, planned.n_hits)
-    if planned.n_missing:
-        joined = nullcontext(client) if client is not None else cluster(workers, scheduler)
-        with joined as connected, Cache(cache_path(cache)) as store:
-            progress = execute(
-                study, planned, store, connected, batch=batch, on_progress=on_progress
+    with _Recorder(folder, study, cache_path(cache), planned, on_progress) as recorder:
+        progress = _computed(
+            study, client, planned, cache, recorder, retry_failed=retry_failed, **how
+        )
+        with Cache(cache_path(cache)) as store:
+            if planned.n_missing:
+                planned = make_plan(study, store.status)
+            with alone_in(folder):
+                update(study, planned, store, folder)
+    return Outcome(folder, progress, _failures(planned))
+
+
+def query(
+    study: Study,
+    client: "Client | None" = None,
+    *,
+    cache: str | Path | None = None,
+    workers: int = 2,
+    scheduler: str | None = None,
+    on_progress: OnProgress | None = None,
+    **wanted: Any,
+) -> "xr.Dataset":
+    """Steady responses of a part of a study, from the cache; only what is missing is computed.
+
+    A query whose points are all stored starts no cluster.
+
+    Parameters
+    ----------
+    study : Study
+    client, cache, workers, scheduler, on_progress
+        As for `run`.
+    representation, K_c, gap, omega, initial_condition : optional
+        What is wanted, among the study's own points: a value, a list or, for numbers, a slice
+        that includes both ends. All if left out.
+
+    Returns
+    -------
+    Dataset
+        In memory, as ``responses.nc``, of the selected coordinates; attractors are numbered
+        among the selected starts. Attributes `n_points`, `n_hits` and `n_computed` say where
+        the points came from; those of a sweep that lead to a selected one count too.
+
+    Raises
+    ------
+    GapsweepError
+        If a value is not among the study's own, or cluster or cache cannot be used.
+    """
+    selection = study.select(**wanted)
+    planned = plan(study, cache, selection=selection)
+    progress = _computed(
+        study, client, planned, cache, on_progress, workers=workers, scheduler=scheduler
+    )
+    with tempfile.TemporaryDirectory() as folder, Cache(cache_path(cache)) as store:
+        responses = Path(folder) / RESPONSES
+        export(study, planned, store, responses, Path(folder) / ATTRACTORS, selection=selection)
+        with netcdf.read(responses) as dataset:
+            counts = {
+                "n_points": progress.n_points,
+                "n_hits": progress.n_hits,
+                "n_computed": progress.n_computed,
+            }
+            return dataset.load().assign_attrs(counts)
+
+
+def _computed(
+    study: Study,
+    client: "Client | None",
+    planned: Plan,
+    cache: str | Path | None,
+    on_progress: OnProgress | None,
+    *,
+    workers: int = 2,
+    scheduler: str | None = None,
+    **how: Any,
+) -> Progress:
+    """Compute what a plan misses; a cluster is started only if that is something."""
+    if planned.n_damaged:
+        warnings.warn(
+            f"{cache_path(cache)}: {planned.n_damaged} damaged rows, computed again", stacklevel=3
+        )
+    if not planned.n_missing:
+        return Progress(planned.n_points, planned.n_hits)
+    from gapsweep.execution.cluster import cluster
+    from gapsweep.execution.execute import execute
+
+    joined = nullcontext(client) if client is not None else cluster(workers, scheduler)
+    with joined as connected, Cache(cache_path(cache)) as store:
+        if store.on_network:
+            warnings.warn(
+                f"{store.path}: on a network file system, so without SQLite's write-ahead log: "
+                "slower; a local disk (--cache) is better",
+                stacklevel=3,
             )
-    with Cache(cache_path(cache)) as store:
-        failures = _failures(store, planned)
-        export(study, planned, store, folder / RESPONSES, folder / ATTRACTORS)
-    analyse(folder)
-    report(folder)
-    return Outcome(folder, progress, failures)
+        return execute(study, planned, store, connected, on_progress=on_progress, **how)
 
 
-def _failures(store: Cache, planned: Plan) -> dict[str, int]:
-    counts: dict[str, int] = {}
-    for status in store.statuses(k for c in planned.chains for k in c.keys).values():
-        if status.failed:
-            counts[status.label] = counts.get(status.label, 0) + 1
-    return counts
+class _Recorder:
+    """Keeps `run.json` up to date while a run goes on, and hands progress on."""
+
+    def __init__(
+        self,
+        folder: Path,
+        study: Study,
+        cache: Path,
+        planned: Plan,
+        on_progress: OnProgress | None,
+    ) -> None:
+        self.folder, self.on_progress = folder, on_progress
+        self.state = RunState(
+            state=RUNNING,
+            study=study.name,
+            cache=str(cache.absolute()),
+            points=planned.n_points,
+            hits=planned.n_hits,
+        )
+        self.written = -np.inf
+
+    def __enter__(self) -> "_Recorder":
+        return self
+
+    def __call__(self, progress: Progress) -> None:
+        self.state = replace(self.state, computed=progress.n_computed, failed=progress.n_failed)
+        if time.monotonic() - self.written > _STATE_SECONDS:
+            self.state.write(self.folder)
+            self.written = time.monotonic()
+        if self.on_progress is not None:
+            self.on_progress(progress)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            replace(self.state, state=FINISHED).write(self.folder)
+        elif self.written > -np.inf:
+            state = INTERRUPTED if isinstance(error, KeyboardInterrupt) else FAILED
+            # The disk may be full: that is what the error says already.
+            with suppress(StoreError):
+                replace(self.state, state=state, message=str(error)).write(self.folder)
 
 
-def analyse(folder: Path) -> None:
-    """Write the analysis datasets beside ``responses.nc``."""
-    with netcdf.read(folder / RESPONSES) as responses:
-        compared = agreement(responses)
-        if compared is not None:
-            netcdf.write(compared, folder / AGREEMENT)
+def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -> list[Explanation]:
+    """Why the selected points, the first `limit` of them, are hits or misses."""
+    selection = study.select(**wanted)
+    planned = plan(study, cache, selection=selection)
+    path = cache_path(cache)
+    if not path.exists():
+        raise StoreError(f"{path}: no such file, so every point is missing")
+    with Cache(path) as store:
+        return list(explanations(study, planned, store, limit))
+
+
+def recomputed_otherwise(cache: Cache, sample: int) -> list[tuple[str, list[str]]]:
+    """Compute random rows of the present code again; those that came out otherwise.
+
+    Returns
+    -------
+    list of (str, list of str)
+        Key in hex, and the names of the values that differ; `cpu_time` always may.
+    """
+    from gapsweep.execution.again import differences
+
+    now = numerics_fingerprint()
+    ours = [r[0] for r in cache.records() if numerics_of(r) == now and is_sound(r)]
+    chosen = random.sample(ours, min(sample, len(ours)))
+    return [(key.hex(), names) for key in chosen if (names := differences(cache, key))]
+
+
+def _failures(planned: Plan) -> dict[str, int]:
+    counts = {s.label: int(np.sum(planned.status == s)) for s in Status if s.failed}
+    return {label: n for label, n in counts.items() if n}
+
+
+def _stages(study: Study) -> list[Stage]:
+    """The stages of a study; without the exact law there is nothing to agree with."""
+    compared = EXACT in study.grid.representations
+    return [stage for stage in STAGES if compared or stage.file != AGREEMENT]
+
+
+def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
+    """Make every file of a run that is not up to date."""
+    points = stored_points(study, planned, store)
+    for stage in _stages(study):
+        now = made_from(stage, folder, points)
+        if reason_to_run(stage, folder, now) is None:
+            continue
+        if stage.file in (RESPONSES, ATTRACTORS):
+            files = folder / RESPONSES, folder / ATTRACTORS
+            export(study, planned, store, *files, made_from=as_text(now))
+        elif stage.file == REPORT:
+            report(folder)
         else:
-            (folder / AGREEMENT).unlink(missing_ok=True)
-        netcdf.write(timing(responses), folder / TIMING)
+            _analyse(stage, folder, now)
+
+
+def _analyse(stage: Stage, folder: Path, now: MadeFrom) -> None:
+    from gapsweep.analysis.agreement import agreement
+    from gapsweep.analysis.timing import timing
+
+    with netcdf.read(folder / RESPONSES) as responses:
+        result = agreement(responses) if stage.file == AGREEMENT else timing(responses)
+    if result is not None:
+        netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
 
 
 def report(folder: str | Path) -> Path:
@@ -203,14 +434,18 @@ def report(folder: str | Path) -> Path:
     Raises
     ------
     StoreError
-        If the folder holds no run.
+        If the folder holds no run, or one of its files is damaged.
     """
+    from gapsweep.report.html import write_report
+
     folder = Path(folder)
     if not (folder / RESPONSES).exists():
         raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
+    stage = next(stage for stage in STAGES if stage.file == REPORT)
     with netcdf.read(folder / RESPONSES) as responses, netcdf.read(folder / TIMING) as costs:
         compared = netcdf.read(folder / AGREEMENT) if (folder / AGREEMENT).exists() else None
-        return write_report(folder / REPORT, responses, compared, costs)
+        source = as_text(made_from(stage, folder, {}))
+        return write_report(folder / REPORT, responses, compared, costs, made_from=source)
 
 
 def check_writable(folder: Path) -> None:

@@ -1,15 +1,21 @@
 """The command line as a user meets it: real processes, exit codes, one clear line per error."""
 
+import csv
+import io
 import json
 import os
 import re
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import pytest
+
+from gapsweep.store.cache import Cache
 
 QUICK = """
 [study]
@@ -60,7 +66,9 @@ def test_run_writes_datasets_and_report(finished):
     run = finished / "data" / "runs" / "tiny"
     names = sorted(str(p.relative_to(run)) for p in run.rglob("*") if p.is_file())
     stored = ["agreement.nc", "attractors.nc", "responses.nc", "timing.nc"]
-    assert names == sorted([*stored, "report/index.html"])
+    assert names == sorted([*stored, "SHA256SUMS", "report/index.html", "run.json"])
+    sums = ["sha256sum", "--check", "--quiet", "SHA256SUMS"]
+    assert subprocess.run(sums, cwd=run).returncode == 0
     page = (run / "report" / "index.html").read_text()
     assert page.count("<svg") == 2
     # XML namespaces are names, not requests; nothing else may point outside.
@@ -68,18 +76,114 @@ def test_run_writes_datasets_and_report(finished):
     assert [url for url in outside if "w3.org" not in url] == []
 
 
+def plan(folder, *arguments):
+    return json.loads(gapsweep(folder, "plan", *arguments, "--json").stdout)
+
+
+COUNTS = ("points", "hits", "missing", "failed", "damaged")
+
+
 def test_plan_counts_hits_and_missing_points(finished):
     text = (finished / "tiny.toml").read_text()
     (finished / "more.toml").write_text(text.replace("20.0]", "20.0, 25.0]"))
-    numbers = json.loads(gapsweep(finished, "plan", "more.toml", "--json").stdout)
-    assert numbers.pop("expected_s") > 0
-    assert numbers == {"points": 6, "hits": 4, "missing": 2, "failed": 0}
+    numbers = plan(finished, "more.toml")
+    assert numbers["expected_s"] > 0
+    assert [numbers[name] for name in COUNTS] == [6, 4, 2, 0, 0]
+    assert set(numbers["stages"].values()) == {"sweep points are missing"}
 
 
 def test_plan_without_a_cache_creates_none(folder):
-    numbers = json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)
-    assert numbers == {"points": 4, "hits": 0, "missing": 4, "failed": 0, "expected_s": None}
+    numbers = plan(folder, "tiny.toml")
+    assert [numbers[name] for name in COUNTS] == [4, 0, 4, 0, 0]
+    assert numbers["expected_s"] is None
     assert not (folder / "data").exists()
+
+
+def test_plan_says_why_a_stage_would_run(finished):
+    run = finished / "data" / "runs" / "tiny"
+    assert set(plan(finished, "tiny.toml")["stages"].values()) == {None}
+    (run / "timing.nc").unlink()
+    assert plan(finished, "tiny.toml")["stages"] == {
+        "responses.nc": None,
+        "attractors.nc": None,
+        "agreement.nc": None,
+        "timing.nc": "absent",
+        "report/index.html": "timing.nc made anew",
+    }
+    text = (finished / "tiny.toml").read_text()
+    (finished / "tiny.toml").write_text(text.replace('"tiny"', '"tiny"\ntitle = "Other"'))
+    stages = plan(finished, "tiny.toml")["stages"]
+    assert stages["responses.nc"] == "study changed"
+    assert stages["agreement.nc"] == "responses.nc, attractors.nc made anew"
+
+
+def test_finished_run_makes_nothing_again(finished):
+    found = (finished / "data" / "runs").rglob("*")
+    files = [p for p in found if p.is_file() and p.name != "run.json"]
+    before = {p: p.stat().st_mtime_ns for p in files}
+    done = gapsweep(finished, "run", "tiny.toml")
+    assert done.stdout.startswith("4 points: 4 from the cache, 0 computed\n")
+    assert {p: p.stat().st_mtime_ns for p in files} == before
+
+
+def test_status_tells_how_a_run_ended(finished):
+    state = json.loads(gapsweep(finished, "status", "data/runs/tiny", "--json").stdout)
+    assert {name: state[name] for name in ("state", "points", "hits", "computed", "failed")} == {
+        "state": "finished", "points": 4, "hits": 0, "computed": 4, "failed": 0
+    }  # fmt: skip
+    assert "4 of 4 points" in gapsweep(finished, "status", "data/runs/tiny").stdout
+
+
+def test_query_prints_what_was_selected_and_computes_only_the_rest(finished):
+    text = (finished / "tiny.toml").read_text()
+    (finished / "more.toml").write_text(text.replace("20.0]", "20.0, 25.0]"))
+    done = gapsweep(finished, "query", "more.toml", "--sel", "omega=12:20", "--to", "csv")
+    assert done.stderr == "4 points, 4 hits\n"
+    rows = list(csv.DictReader(io.StringIO(done.stdout)))
+    assert {(r["representation"], float(r["omega"])) for r in rows} == {
+        (label, omega) for label in ("piecewise", "tanh-1e4") for omega in (12.0, 20.0)
+    }
+    assert {r["status"] for r in rows} == {"ok"}
+    one = ["--sel", "omega=25", "--sel", "representation=piecewise", "--to", "json"]
+    done = gapsweep(finished, "query", "more.toml", *one)
+    assert done.stderr.endswith("1 points, 0 hits\n")
+    assert json.loads(done.stdout)["omega"] == 25.0
+    assert plan(finished, "more.toml")["missing"] == 1
+
+
+def test_explain_names_the_field_that_differs(finished):
+    text = (finished / "tiny.toml").read_text()
+    (finished / "more.toml").write_text(text.replace("20.0]", "20.0, 25.0]"))
+    found = gapsweep(finished, "explain", "more.toml", "--sel", "representation=piecewise").stdout
+    assert found.count(": ok on ") == 2
+    assert "omega = 25 Hz, initial_condition 0: missing\n  omega: asked 25.0, nearest" in found
+
+
+def test_cache_commands(finished):
+    info = json.loads(gapsweep(finished, "cache", "info", "--json").stdout)
+    assert (info["rows"], info["current"], info["status"]) == (4, 4, {"ok": 4})
+    done = gapsweep(finished, "cache", "verify", "--sample", "2")
+    assert (done.returncode, done.stdout) == (0, "4 rows, 0 damaged\n")
+    assert "4 rows in copy.sqlite" in gapsweep(finished, "cache", "export", "copy.sqlite").stdout
+    assert "0 rows could be deleted" in gapsweep(finished, "cache", "gc").stdout
+    with sqlite3.connect(finished / "copy.sqlite") as db:
+        db.execute("UPDATE results SET host = 'nobody' WHERE rowid = 2")
+    db.close()
+    copy = ("--cache", "copy.sqlite")
+    done = gapsweep(finished, "cache", "verify", *copy)
+    assert (done.returncode, done.stdout) == (1, "4 rows, 1 damaged\n")
+    again = gapsweep(finished, "run", "tiny.toml", *copy)
+    assert again.stdout.startswith("4 points: 3 from the cache, 1 computed\n")
+    assert "warning: copy.sqlite: 1 damaged rows, computed again\n" in again.stderr
+
+
+def test_verify_notices_a_wrong_number_with_a_right_checksum(finished):
+    with Cache(finished / "data" / "cache.sqlite") as cache:
+        (row,) = cache.rows([next(iter(cache.records()))[0]]).values()
+        cache.commit([replace(row, response=replace(row.response, x_max=1.0))])
+    done = gapsweep(finished, "cache", "verify", "--sample", "4")
+    assert done.returncode == 1
+    assert f"computed again, x_max came out otherwise: {row.key.hex()}" in done.stderr
 
 
 def test_report_is_rebuilt_from_the_datasets_alone(finished):
@@ -131,6 +235,12 @@ def test_bad_study_is_one_clear_line(folder, change, message):
         (("run", "tiny.toml", "--cache", "tiny.toml"), "tiny.toml: file is not a database"),
         (("plan", "none.toml"), "none.toml: cannot be read"),
         (("report", "."), "responses.nc: no such file; 'gapsweep run' makes it"),
+        (("status", "."), "run.json: no such file; 'gapsweep run' makes it"),
+        (("cache", "info"), "data/cache.sqlite: no such file; 'gapsweep run' makes it"),
+        (("explain", "tiny.toml"), "data/cache.sqlite: no such file, so every point is missing"),
+        (("query", "tiny.toml", "--sel", "omega=13"), "omega = 13.0: not in the study"),
+        (("query", "tiny.toml", "--sel", "omega=30:40"), "omega = 30 to 40: nothing there"),
+        (("query", "tiny.toml", "--sel", "speed=1"), "speed: no dimension of the study"),
     ],
 )
 def test_impossible_request_is_one_clear_line(folder, arguments, message):
@@ -171,6 +281,6 @@ def test_ctrl_c_stops_cleanly_and_the_next_run_resumes(folder):
 
 def stored_points(folder):
     try:
-        return json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)["hits"]
+        return plan(folder, "tiny.toml")["hits"]
     except json.JSONDecodeError:
         return 0

@@ -10,6 +10,7 @@ import xarray as xr
 
 import gapsweep as gs
 from gapsweep import workflow
+from gapsweep.execution.cluster import cluster
 from gapsweep.execution.task import responses as responses_of
 from gapsweep.store.cache import Cache
 from gapsweep.study.schema import COORDINATES, POINT_DIMS, VARIABLES
@@ -79,7 +80,7 @@ def test_workers_and_batches_do_not_change_a_bit(tables, client, tmp_path):
     )
     first = run(tables, client, tmp_path, "one", batch=1)
     second = run(tables, client, tmp_path, "seven", batch=7)
-    with workflow.cluster(workers=1) as alone:
+    with cluster(workers=1) as alone:
         third = run(tables, alone, tmp_path, "alone")
     for other in (second, third):
         xr.testing.assert_identical(
@@ -95,7 +96,7 @@ def test_points_in_no_block_are_not_requested(tables, client, tmp_path):
 
 def test_second_run_computes_nothing_and_starts_no_cluster(tables, client, tmp_path, monkeypatch):
     first = run(tables, client, tmp_path)
-    monkeypatch.setattr(workflow, "cluster", None)
+    monkeypatch.setattr("gapsweep.execution.cluster.cluster", None)
     second = run(tables, None, tmp_path)
     xr.testing.assert_identical(first.drop_attrs(), second.drop_attrs())
 
@@ -128,7 +129,7 @@ def test_interrupted_sweep_goes_on_where_it_was(tables, client, tmp_path):
     (chain,) = study.chains()
     first = study.keys(chain)[0]
     with Cache(tmp_path / "whole.sqlite") as full, Cache(tmp_path / "part.sqlite") as part:
-        part.commit([(full.rows([first])[first], {})])
+        part.commit([full.rows([first])[first]])
     resumed = run(tables, client, tmp_path, "part")
     for name in ("x_max", "x_min", "n_steps", "extrema"):
         xr.testing.assert_equal(whole[name], resumed[name])
@@ -159,7 +160,7 @@ def test_law_that_kills_its_worker_spares_all_other_points(tables, tmp_path):
     label = f"{__name__}:poison"
     tables["sweep"][0] |= {"representation": ["piecewise", label], "omega": [7.0, 12.0]}
     tables["solver"] = {"engine": "scipy"}  # only plain Python can kill its process
-    with workflow.cluster(workers=2) as fragile:
+    with cluster(workers=2) as fragile:
         status = run(tables, fragile, tmp_path, batch=4)["status"]
     assert set(status.sel(representation="piecewise").values.ravel().tolist()) == {gs.Status.OK}
     assert set(status.sel(representation=label).values.ravel().tolist()) == {gs.Status.KILLED}
@@ -176,21 +177,21 @@ def test_failed_points_are_computed_again_only_on_request(tables, client, tmp_pa
 
 
 def test_a_cluster_started_elsewhere_is_used(tables, tmp_path):
-    with workflow.cluster(workers=1) as other:
+    with cluster(workers=1) as other:
         ds = run(tables, None, tmp_path, scheduler=other.scheduler.address)
     assert (ds["status"] == gs.Status.OK).all()
 
 
 def test_workers_with_other_numerics_are_refused(tables, client, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "gapsweep.execution.execute.numerics_fingerprint", lambda: "of another version"
+        "gapsweep.execution.cluster.numerics_fingerprint", lambda: "of another version"
     )
     with pytest.raises(gs.ClusterError, match=r"runs other numerics .* install the same gapsweep"):
         run(tables, client, tmp_path)
 
 
 def test_no_worker_is_left_behind(tables, tmp_path):
-    with workflow.cluster(workers=2) as own:
+    with cluster(workers=2) as own:
         pids = list(own.run(os.getpid).values())
     deadline = time.monotonic() + 20
     while any(os.path.exists(f"/proc/{pid}") for pid in pids):

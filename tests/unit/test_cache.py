@@ -1,24 +1,33 @@
 """The point cache: exact round trip, damage, formats, versions."""
 
+import json
 import math
 import shutil
 import sqlite3
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import gapsweep as gs
-from gapsweep.store.cache import SCHEMA_VERSION, Cache, Row, _decoded, _encoded
+from gapsweep.store import filesystem, maintenance
+from gapsweep.store.cache import DAMAGED, MISSING, SCHEMA_VERSION, Cache, Row, _decoded, _encoded
+from gapsweep.study.points import content_key
 
 FIRST_VERSION = Path(__file__).parents[1] / "data" / "cache-v1.sqlite"
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
-def row(key="k", **values):
+def row(name="k", **values):
     given = {"status": gs.Status.OK, "x_max": 1e-3, "cpu_time": 0.25} | values
-    return Row(key, gs.Response(**given), "machine")
+    identity = f'{{"numerics":"now","point":{{"name":"{name}"}}}}'
+    return Row(content_key(identity), identity, gs.Response(**given), "machine")
+
+
+def key(name):
+    return row(name).key
 
 
 @given(st.lists(finite, max_size=5), finite, st.sampled_from(gs.Status), st.text(max_size=20))
@@ -30,35 +39,106 @@ def test_responses_round_trip_exactly(extrema, x_max, status, message):
     assert math.isnan(back.amplitude)
 
 
+@given(st.sampled_from([float("inf"), float("-inf")]))
+def test_infinities_round_trip(value):
+    back = _decoded(_encoded(gs.Response(status=gs.Status.OK, lyapunov=value, message="inf")))
+    assert back.lyapunov == value
+    assert back.message == "inf"
+
+
 def test_committed_rows_are_there_after_reopening(tmp_path):
     path = tmp_path / "new" / "cache.sqlite"
     with Cache(path) as cache:
-        cache.commit([(row("a"), {"omega": 1.0}), (row("b", status=gs.Status.KILLED), {})])
+        cache.commit([row("a"), row("b", status=gs.Status.KILLED)])
     with Cache(path) as cache:
-        assert cache.statuses(["a", "b", "c"]) == {"a": gs.Status.OK, "b": gs.Status.KILLED}
-        assert cache.rows(["a"])["a"].response.x_max == 1e-3
-        assert cache.cpu_times(["a"]) == {"a": 0.25}
+        stored = cache.status([key("a"), key("b"), key("c")])
+        assert stored.tolist() == [gs.Status.OK, gs.Status.KILLED, MISSING]
+        assert cache.rows([key("a")])[key("a")].response.x_max == 1e-3
+        assert cache.cpu_times([key("a")]) == {key("a"): 0.25}
 
 
 def test_more_keys_than_one_query_takes(tmp_path):
-    keys = [f"{i:064d}" for i in range(1201)]
+    rows = [row(str(i)) for i in range(1201)]
     with Cache(tmp_path / "cache.sqlite") as cache:
-        cache.commit([(row(key), {}) for key in keys])
-        assert set(cache.rows(keys)) == set(keys)
+        cache.commit(rows)
+        assert set(cache.rows([r.key for r in rows])) == {r.key for r in rows}
 
 
-def test_damaged_row_is_missing(tmp_path):
+@pytest.mark.parametrize(
+    "change",
+    [
+        "response = replace(response, '0.001', '0.002')",
+        "status = 3",
+        "cpu_time = 0.5",
+        "cpu_time = NULL",
+        "host = 'another'",
+        "created = '2001-01-01'",
+        "identity = replace(identity, 'now', 'old')",
+        "response = X'ff00fe'",
+        "status = 'text'",
+    ],
+)
+def test_damaged_row_is_missing_and_counted(tmp_path, change):
     path = tmp_path / "cache.sqlite"
     with Cache(path) as cache:
-        cache.commit([(row("a"), {}), (row("b"), {})])
+        cache.commit([row("a"), row("b")])
     with sqlite3.connect(path) as db:
-        db.execute(
-            "UPDATE results SET response = replace(response, '0.001', '0.002') WHERE key='a'"
-        )
+        db.execute(f"UPDATE results SET {change} WHERE key = ?", [key("a")])
     db.close()
     with Cache(path) as cache:
-        assert set(cache.rows(["a", "b"])) == {"b"}
-        assert set(cache.statuses(["a", "b"])) == {"b"}, "a plan must see it as missing"
+        keys = [key("a"), key("b")]
+        assert set(cache.rows(keys)) == {key("b")}
+        assert cache.status(keys).tolist() == [DAMAGED, gs.Status.OK]
+        assert set(cache.cpu_times(keys)) == {key("b")}
+        assert maintenance.verify(cache).damaged == (key("a").hex(),)
+
+
+def test_row_under_the_key_of_another_is_damaged(tmp_path):
+    path = tmp_path / "cache.sqlite"
+    with Cache(path) as cache:
+        cache.commit([row("a"), row("b", x_max=2e-3)])
+    with sqlite3.connect(path) as db:
+        db.execute("DELETE FROM results WHERE key = ?", [key("b")])
+        db.execute("UPDATE results SET key = ? WHERE key = ?", [key("b"), key("a")])
+    db.close()
+    with Cache(path) as cache:
+        assert cache.status([key("b")]).tolist() == [DAMAGED]
+
+
+def test_garbage_collection_keeps_what_the_present_code_computed(tmp_path):
+    old = '{"numerics":"before","point":{}}'
+    with Cache(tmp_path / "cache.sqlite") as cache:
+        cache.commit([row("a"), Row(content_key(old), old, row().response, "machine")])
+        assert maintenance.info(cache, "now")["of_other_code"] == 1
+        keys = maintenance.removable(cache, "now")
+        assert keys == [content_key(old)]
+        maintenance.remove(cache, keys)
+        assert set(cache.rows([key("a"), content_key(old)])) == {key("a")}
+
+
+def test_export_copies_sound_rows_and_refuses_to_replace(tmp_path):
+    path, copy = tmp_path / "cache.sqlite", tmp_path / "copy.sqlite"
+    with Cache(path) as cache:
+        cache.commit([row("a"), row("b")])
+        with cache.transaction():
+            cache.db.execute("UPDATE results SET status = 4 WHERE key = ?", [key("a")])
+        assert maintenance.export(cache, copy) == 1
+        with pytest.raises(gs.StoreError, match="exists already"):
+            maintenance.export(cache, copy)
+    with Cache(copy) as saved:
+        assert saved.status([key("a"), key("b")]).tolist() == [MISSING, gs.Status.OK]
+
+
+@pytest.mark.parametrize(("fstype", "journal"), [("nfs4", "delete"), ("ext4", "wal")])
+def test_no_write_ahead_log_on_network_file_systems(tmp_path, monkeypatch, fstype, journal):
+    mounts = [SimpleNamespace(mountpoint="/", fstype="ext4")]
+    mounts.append(SimpleNamespace(mountpoint=str(tmp_path), fstype=fstype))
+    monkeypatch.setattr(filesystem.psutil, "disk_partitions", lambda all: mounts)
+    with Cache(tmp_path / "cache.sqlite") as cache:
+        cache.commit([row("a")])
+        assert cache.on_network == (fstype == "nfs4")
+        assert cache.db.execute("PRAGMA journal_mode").fetchone() == (journal,)
+        assert cache.status([key("a")]).tolist() == [gs.Status.OK]
 
 
 def test_file_that_is_no_database_is_refused(tmp_path):
@@ -74,18 +154,35 @@ def test_cache_of_another_format_is_refused(tmp_path):
         db.execute("CREATE TABLE other (x)")
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
     db.close()
-    with pytest.raises(gs.StoreError, match=r"format 2.*choose another file with --cache"):
+    with pytest.raises(gs.StoreError, match=r"format 3.*choose another file with --cache"):
         Cache(path)
 
 
-def test_cache_of_the_first_version_is_readable(tmp_path):
+def test_cache_of_the_first_version_is_migrated(tmp_path):
     path = tmp_path / "cache.sqlite"
     shutil.copyfile(FIRST_VERSION, path)
+    with sqlite3.connect(path) as db:
+        before = dict(db.execute("SELECT key, response FROM results"))
+    db.close()
     with Cache(path) as cache:
-        keys = [k for (k,) in cache._db.execute("SELECT key FROM results")]
-        rows = cache.rows(keys)
-    assert len(rows) == len(keys) == 9
-    assert all(r.response.status is gs.Status.OK for r in rows.values())
+        rows = cache.rows([bytes.fromhex(k) for k in before])
+        verdict = maintenance.verify(cache)
+    peaks = {k: json.loads(text)["x_max"] for k, text in before.items()}
+    assert {k.hex(): r.response.x_max for k, r in rows.items()} == peaks
+    assert len(peaks) == 9
+    assert verdict.is_sound
+
+
+def test_rows_of_the_first_version_that_were_damaged_are_not_taken_over(tmp_path):
+    path = tmp_path / "cache.sqlite"
+    shutil.copyfile(FIRST_VERSION, path)
+    with sqlite3.connect(path) as db:
+        (first,) = db.execute("SELECT key FROM results").fetchone()
+        db.execute("UPDATE results SET response = replace(response, '1', '2') WHERE key=?", [first])
+    db.close()
+    with Cache(path) as cache:
+        assert cache.status([bytes.fromhex(first)]).tolist() == [MISSING]
+        assert maintenance.verify(cache).n_rows == 8
 
 
 def test_unwritable_folder_is_named(tmp_path):

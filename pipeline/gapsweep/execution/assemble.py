@@ -1,12 +1,15 @@
 """Assemble the cached results of a study into `responses.nc` and `attractors.nc`.
 
 The files are exports: they can be written again from the cache at any time and are then
-identical but for their file-level provenance. Results go to their place by position, slab by
-slab (one representation, stiffness and gap at a time), so that memory stays small. Attractors
-are a property of a scene, not of a point: they are grouped here, from all starts of a scene.
+identical but for their file-level provenance. Results go to their place by position, piece
+by piece (some frequencies of one representation, stiffness and gap), so that memory stays
+small. Attractors are a property of a scene, not of a point: they are grouped here, from all
+starts of a scene.
 """
 
-from itertools import groupby
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +17,9 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.execution.plan import Chain, Plan
+from gapsweep.execution.plan import Plan
 from gapsweep.response.attractors import Attractor, attractors, numbers
-from gapsweep.response.respond import Response
+from gapsweep.response.result import Response
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Row
 from gapsweep.store.netcdf import writing
@@ -36,42 +39,81 @@ from gapsweep.study.schema import (
     VARIABLES,
     Variable,
 )
-from gapsweep.study.study import Grid, Index, Study
+from gapsweep.study.study import Grid, Selection, Study
 
-Slab = dict[str, NDArray[Any]]
-Position = tuple[int, int, int]
-# Attractors of one slab, by frequency.
-Found = dict[int, list[Attractor]]
+Arrays = dict[str, NDArray[Any]]
 
 SCENE_DIMS = POINT_DIMS[:4]
+# Sweep points in memory, and in a chunk of the file, at a time.
+_PIECE = 4096
 _NOISE_FACTOR = 20.0
 
 
-def export(study: Study, plan: Plan, cache: Cache, responses: Path, attractors: Path) -> None:
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Some neighbouring frequencies of one representation, stiffness and gap.
+
+    Attributes
+    ----------
+    position : tuple of int
+        Representation, stiffness and gap.
+    first, last : int
+        Frequencies, one past the last.
+    """
+
+    position: tuple[int, ...]
+    first: int
+    last: int
+
+    @property
+    def cells(self) -> tuple[Any, ...]:
+        """Where the piece lies in a variable over the grid."""
+        return (*self.position, slice(self.first, self.last))
+
+    def __len__(self) -> int:
+        return self.last - self.first
+
+
+def export(
+    study: Study,
+    plan: Plan,
+    cache: Cache,
+    responses: Path,
+    attractors: Path,
+    *,
+    selection: Selection | None = None,
+    made_from: str = "",
+) -> None:
     """Write both files from the cache.
+
+    Parameters
+    ----------
+    selection : Selection, optional
+        Part of the study to write; attractors are then those of the selected starts.
+    made_from : str
+        Kept in the files' attribute `made_from`.
 
     Raises
     ------
     StoreError
         If a file cannot be written.
     """
-    found: dict[Position, Found] = {}
-    grid = study.grid
-    with writing(responses, _attributes(study)) as dataset:
-        sizes = {EXTREMUM: study.steady.max_extrema}
-        sizes[SECTION_POINT] = study.steady.max_period_multiple
-        _define(dataset, grid, sizes)
-        hosts: list[str] = []
-        chains = {p: list(c) for p, c in groupby(plan.chains, lambda c: c.indices[0][:3])}
-        for position in np.ndindex(*grid.shape[:3]):
-            rows = _rows(chains.get(position, []), cache)
-            slab = _empty_slab(grid.shape[3:], sizes)
-            for index, row in rows.items():
-                _place(slab, index[3:], row, hosts)
-            found[position] = _group(study, rows, position, slab)
-            _write_slab(dataset, position, slab)
+    layout = _Layout.of(study, plan, selection)
+    attributes = _attributes(study) | {"made_from": made_from}
+    hosts: list[str] = []
+    found: list[tuple[Piece, Arrays]] = []
+    with writing(responses, attributes) as dataset:
+        _define(dataset, layout)
+        for piece in layout.pieces():
+            rows, at = layout.rows(piece, cache)
+            values = _point_arrays(layout, piece, rows, at, hosts)
+            found.append((piece, _group(study, layout, piece, rows, at, values["attractor"])))
+            _write(dataset, piece, values)
         _set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
-    _export_attractors(study, found, attractors)
+    with writing(attractors, attributes) as dataset:
+        _define_attractors(dataset, layout, found)
+        for piece, values in found:
+            _write(dataset, piece, _padded(dataset, values))
 
 
 def _attributes(study: Study) -> dict[str, str]:
@@ -80,139 +122,214 @@ def _attributes(study: Study) -> dict[str, str]:
         "study": study.name,
         "study_json": study.json,
         "numerics_fingerprint": numerics_fingerprint(),
-        "source": "gapsweep",
     }
 
 
-def _rows(chains: list[Chain], cache: Cache) -> dict[Index, Row]:
-    """Stored results of some chains by position in the grid."""
-    keys = [key for chain in chains for key in chain.keys]
-    stored = cache.rows(keys)
-    places = ((index, key) for c in chains for index, key in zip(c.indices, c.keys, strict=True))
-    return {index: stored[key] for index, key in places if key in stored}
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Where in the files the points of a plan belong.
+
+    Attributes
+    ----------
+    grid : Grid
+        What is written.
+    cells, keys
+        Flat position in that grid, ascending, of every point written, and its key.
+    sizes : dict of str to int
+        Lengths of the padded lists.
+    """
+
+    grid: Grid
+    cells: NDArray[np.int64]
+    keys: list[bytes]
+    sizes: dict[str, int]
+
+    @classmethod
+    def of(cls, study: Study, plan: Plan, selection: Selection | None) -> "_Layout":
+        grid = study.grid if selection is None else study.grid.cut(selection)
+        cells = plan.cells
+        if selection is not None:
+            places = np.full(plan.shape, -1)
+            places[np.ix_(*selection.positions)] = np.arange(grid.requested.size).reshape(
+                grid.shape
+            )
+            cells = places.ravel()[cells]
+        order = np.argsort(cells, kind="stable")
+        order = order[cells[order] >= 0]
+        sizes = {
+            EXTREMUM: study.steady.max_extrema,
+            SECTION_POINT: study.steady.max_period_multiple,
+        }
+        return cls(grid, cells[order], [plan.keys[i] for i in order.tolist()], sizes)
+
+    @property
+    def n_frequencies(self) -> int:
+        """Frequencies in a piece."""
+        *_, n_omega, n_starts = self.grid.shape
+        return max(1, min(n_omega, _PIECE // n_starts))
+
+    def pieces(self) -> Iterator[Piece]:
+        *scenes, n_omega, _ = self.grid.shape
+        for position in np.ndindex(*scenes):
+            for first in range(0, n_omega, self.n_frequencies):
+                yield Piece(position, first, min(first + self.n_frequencies, n_omega))
+
+    def rows(self, piece: Piece, cache: Cache) -> tuple[list[Row], NDArray[np.int64]]:
+        """Stored results of a piece, and the frequency and start of each, shape (2, n)."""
+        n_starts = self.grid.shape[4]
+        start = self.grid.flat((*piece.position, piece.first, 0))  # type: ignore[arg-type]
+        ends = np.searchsorted(self.cells, (start, start + len(piece) * n_starts))
+        here = range(*ends.tolist())
+        stored = cache.rows([self.keys[i] for i in here])
+        places = [i for i in here if self.keys[i] in stored]
+        at = np.array(np.divmod(self.cells[places] - start, n_starts))
+        return [stored[self.keys[i]] for i in places], at
 
 
-def _place(slab: Slab, at: tuple[int, ...], row: Row, hosts: list[str]) -> None:
-    """Write one result into its cell."""
-    response = row.response
+def _point_arrays(
+    layout: _Layout, piece: Piece, rows: list[Row], at: NDArray[np.int64], hosts: list[str]
+) -> Arrays:
+    """Values of all variables of `responses.nc` over a piece; attractors not yet numbered."""
+    requested = layout.grid.requested[piece.cells]
+    shape = requested.shape
+    values = {name: np.full(shape, v.missing, v.dtype) for name, v in VARIABLES.items()}
+    values["status"][requested] = Status.INTERRUPTED  # unless a result follows
     for name in VARIABLES:
         if name not in ("host", "attractor"):
-            slab[name][at] = getattr(response, name)
-    if row.host:
-        if row.host not in hosts:
+            values[name][*at] = [getattr(row.response, name) for row in rows]
+    for row in rows:
+        if row.host and row.host not in hosts:
             hosts.append(row.host)
-        slab["host"][at] = hosts.index(row.host)
-    for name, values in _lists(response).items():
-        slab[name][at][: len(values)] = values
-
-
-def _lists(response: Response) -> Slab:
-    section = np.reshape(response.section, (-1, 2))
-    return {
-        "extrema": np.array(response.extrema),
-        "extremum_kind": np.array(response.extremum_kind),
-        "section_x": section[:, 0],
-        "section_v": section[:, 1],
-    }
-
-
-def _group(study: Study, rows: dict[Index, Row], position: Position, slab: Slab) -> Found:
-    """Attractors of every frequency of a slab; their numbers go into the slab."""
-    by_omega: dict[int, dict[int, Response]] = {}
-    for index, row in rows.items():
-        by_omega.setdefault(index[3], {})[index[4]] = row.response
-    found: Found = {}
-    for w, responses in by_omega.items():
-        starts = sorted(responses)
-        solver = study.point((*position, w, starts[0])).solver
-        ordered = [responses[i] for i in starts]
-        reach = max((abs(r.x_max) for r in ordered if np.isfinite(r.x_max)), default=0.0)
-        found[w] = attractors(
-            ordered,
-            study.grid.omega[w],
-            symmetric=study.grid.gaps[position[2]].is_symmetric,
-            noise=_NOISE_FACTOR * (solver.atol + solver.rtol * reach),
-            counted=[study.grid.starts[i].kind == FIXED for i in starts],
-        )
-        slab["attractor"][w, starts] = numbers(found[w], len(starts))
-    return found
-
-
-def _export_attractors(study: Study, found: dict[Position, Found], path: Path) -> None:
-    grid = study.grid
-    most = max((len(a) for slab in found.values() for a in slab.values()), default=0)
-    sizes = {
-        ATTRACTOR: max(most, 1),
-        MULTIPLIER: 2,
-        SECTION_POINT: study.steady.max_period_multiple,
-    }
-    with writing(path, _attributes(study)) as dataset:
-        _define_attractors(dataset, grid, sizes)
-        for position, slab in found.items():
-            values = _attractor_slab(slab, len(grid.omega), sizes)
-            _write_slab(dataset, position, values)
-
-
-def _attractor_slab(found: Found, n_omega: int, sizes: dict[str, int]) -> Slab:
-    shape = n_omega, sizes[ATTRACTOR]
-    slab: Slab = {n: np.full(shape, v.missing, v.dtype) for n, v in ATTRACTOR_VARIABLES.items()}
-    for name in MULTIPLIERS:
-        slab[name] = np.full((*shape, sizes[MULTIPLIER]), np.nan)
-    for name in ("section_x", "section_v"):
-        slab[name] = np.full((*shape, sizes[SECTION_POINT]), np.nan)
-    slab["n_attractors"] = np.zeros(n_omega, N_ATTRACTORS.dtype)
-    for w, members in found.items():
-        slab["n_attractors"][w] = len(members)
-        for number, attractor in enumerate(members):
-            _place_attractor(slab, (w, number), attractor)
-    return slab
-
-
-def _place_attractor(slab: Slab, at: tuple[int, int], attractor: Attractor) -> None:
-    for name in ATTRACTOR_VARIABLES:
-        source = attractor if hasattr(attractor, name) else attractor.response
-        slab[name][at] = getattr(source, name)
-    pairs = np.reshape(attractor.response.multipliers, (-1, 2))
-    slab["multiplier_real"][at][: len(pairs)] = pairs[:, 0]
-    slab["multiplier_imag"][at][: len(pairs)] = pairs[:, 1]
-    lists = _lists(attractor.response)
-    for name in ("section_x", "section_v"):
-        slab[name][at][: len(lists[name])] = lists[name]
-
-
-def _empty_slab(shape: tuple[int, ...], sizes: dict[str, int]) -> Slab:
-    slab: Slab = {
-        name: np.full(shape, variable.missing, variable.dtype)
-        for name, variable in VARIABLES.items()
+    values["host"][*at] = [hosts.index(row.host) if row.host else -1 for row in rows]
+    lists: dict[str, Sequence[Sequence[float]]] = {
+        "extrema": [row.response.extrema for row in rows],
+        "extremum_kind": [row.response.extremum_kind for row in rows],
+        "section_x": [row.response.section[::2] for row in rows],
+        "section_v": [row.response.section[1::2] for row in rows],
     }
     for name, (dimension, variable) in LISTS.items():
-        slab[name] = np.full((*shape, sizes[dimension]), variable.missing, variable.dtype)
-    slab["status"][...] = Status.NOT_REQUESTED
-    return slab
+        full = np.full((*shape, layout.sizes[dimension]), variable.missing, variable.dtype)
+        full[*at] = _ragged(lists[name], full[*at])
+        values[name] = full
+    return values
 
 
-def _write_slab(dataset: netCDF4.Dataset, position: tuple[int, ...], slab: Slab) -> None:
-    for name, values in slab.items():
-        dataset[name][position] = values
+def _ragged(lists: Sequence[Sequence[float]], padding: NDArray[Any]) -> NDArray[Any]:
+    """Lists of different lengths as the rows of an array, the rest as in `padding`."""
+    lengths = np.array([len(values) for values in lists], dtype=np.int64)
+    filled = np.arange(padding.shape[1]) < lengths[:, None]
+    padding[filled] = list(chain.from_iterable(lists))
+    return padding
 
 
-def _define(dataset: netCDF4.Dataset, grid: Grid, sizes: dict[str, int]) -> None:
-    _define_coordinates(dataset, grid, POINT_DIMS)
-    for name, size in sizes.items():
+def _group(
+    study: Study,
+    layout: _Layout,
+    piece: Piece,
+    rows: list[Row],
+    at: NDArray[np.int64],
+    ids: NDArray[np.int32],
+) -> Arrays:
+    """Attractors of every frequency of a piece; their numbers go into `ids`."""
+    r, _, g = piece.position
+    grid = layout.grid
+    solver = study.solver(grid.representations[r])
+    fixed = [start.kind == FIXED for start in grid.starts]
+    found: dict[int, list[Attractor]] = {}
+    by_frequency: dict[int, dict[int, Response]] = {}
+    for row, w, i in zip(rows, *at.tolist(), strict=True):
+        by_frequency.setdefault(w, {})[i] = row.response
+    for w, by_start in by_frequency.items():
+        members, responses = list(by_start), list(by_start.values())
+        reach = max((abs(x.x_max) for x in responses if np.isfinite(x.x_max)), default=0.0)
+        found[w] = attractors(
+            responses,
+            grid.omega[piece.first + w],
+            symmetric=grid.gaps[g].is_symmetric,
+            noise=_NOISE_FACTOR * (solver.atol + solver.rtol * reach),
+            counted=[fixed[i] for i in members],
+        )
+        ids[w, members] = numbers(found[w], len(members))
+    return _attractor_arrays(found, len(piece))
+
+
+def _attractor_arrays(found: dict[int, list[Attractor]], n_omega: int) -> Arrays:
+    """Attractors of a piece, no larger than they must be."""
+    most = max((len(members) for members in found.values()), default=0)
+    longest = max(
+        (len(a.response.section) // 2 for members in found.values() for a in members), default=0
+    )
+    values: Arrays = {
+        name: np.full((n_omega, most), v.missing, v.dtype)
+        for name, v in ATTRACTOR_VARIABLES.items()
+    }
+    for name in MULTIPLIERS:
+        values[name] = np.full((n_omega, most, 2), np.nan)
+    for name in ("section_x", "section_v"):
+        values[name] = np.full((n_omega, most, longest), np.nan)
+    values["n_attractors"] = np.zeros(n_omega, N_ATTRACTORS.dtype)
+    for w, members in found.items():
+        values["n_attractors"][w] = len(members)
+        for number, attractor in enumerate(members):
+            _place_attractor(values, (w, number), attractor)
+    return values
+
+
+def _place_attractor(values: Arrays, at: tuple[int, int], attractor: Attractor) -> None:
+    response = attractor.response
+    for name in ATTRACTOR_VARIABLES:
+        values[name][at] = getattr(attractor if hasattr(attractor, name) else response, name)
+    for name, parts in (
+        ("multiplier_real", response.multipliers[::2]),
+        ("multiplier_imag", response.multipliers[1::2]),
+        ("section_x", response.section[::2]),
+        ("section_v", response.section[1::2]),
+    ):
+        values[name][at][: len(parts)] = parts
+
+
+def _padded(dataset: netCDF4.Dataset, values: Arrays) -> Arrays:
+    """Attractors of a piece, filled up to the dimensions of the file."""
+    padded = {}
+    for name, given in values.items():
+        missing = ATTRACTOR_VARIABLES[name].missing if name in ATTRACTOR_VARIABLES else np.nan
+        shape = (given.shape[0], *dataset[name].shape[len(SCENE_DIMS) :])
+        padded[name] = np.full(shape, missing if given.ndim > 1 else 0, given.dtype)
+        padded[name][tuple(slice(n) for n in given.shape)] = given
+    return padded
+
+
+def _write(dataset: netCDF4.Dataset, piece: Piece, values: Arrays) -> None:
+    for name, value in values.items():
+        dataset[name][piece.cells] = value
+
+
+def _define(dataset: netCDF4.Dataset, layout: _Layout) -> None:
+    _define_coordinates(dataset, layout.grid, POINT_DIMS)
+    for name, size in layout.sizes.items():
         dataset.createDimension(name, size)
-    chunk = (1, 1, 1, *grid.shape[3:])
+    chunk = (1, 1, 1, layout.n_frequencies, layout.grid.shape[4])
     for name, variable in VARIABLES.items():
         _create(dataset, name, variable, POINT_DIMS, chunk)
     for name, (dimension, variable) in LISTS.items():
-        _create(dataset, name, variable, (*POINT_DIMS, dimension), (*chunk, sizes[dimension]))
+        shape = (*chunk, layout.sizes[dimension])
+        _create(dataset, name, variable, (*POINT_DIMS, dimension), shape)
     _name_auxiliary(dataset, POINT_DIMS)
 
 
-def _define_attractors(dataset: netCDF4.Dataset, grid: Grid, sizes: dict[str, int]) -> None:
-    _define_coordinates(dataset, grid, SCENE_DIMS)
+def _define_attractors(
+    dataset: netCDF4.Dataset, layout: _Layout, found: list[tuple[Piece, Arrays]]
+) -> None:
+    _define_coordinates(dataset, layout.grid, SCENE_DIMS)
+    most = max((values["x_max"].shape[1] for _, values in found), default=1)
+    sizes = {
+        ATTRACTOR: max(most, 1),
+        MULTIPLIER: 2,
+        SECTION_POINT: layout.sizes[SECTION_POINT],
+    }
     for name, size in sizes.items():
         dataset.createDimension(name, size)
-    scene_chunk = (1, 1, 1, grid.shape[3])
+    scene_chunk = (1, 1, 1, layout.n_frequencies)
     _create(dataset, "n_attractors", N_ATTRACTORS, SCENE_DIMS, scene_chunk)
     dimensions, chunk = (*SCENE_DIMS, ATTRACTOR), (*scene_chunk, sizes[ATTRACTOR])
     for name, variable in ATTRACTOR_VARIABLES.items():

@@ -1,127 +1,67 @@
 """Carry out a plan on a Dask cluster and commit every result as it arrives.
 
 The client is the only writer. A bounded window of tasks is in flight, so that the size of
-the study does not show in the scheduler's memory. When a worker dies, the points it held
-are tried again one by one; only a point that kills its worker alone is marked killed.
+the study does not show in the scheduler's memory. Points are taken in random order, looked
+up once more and claimed before they are sent out, so that two runs on one cache share the
+work. When a worker is lost, its points are computed again one by one where they can harm
+nobody; only what fails alone is marked as failed.
 """
 
-import logging
-import signal
-import threading
+import math
+import random
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 
-import dask
-from distributed import Client, Future, LocalCluster, as_completed
+from distributed import Client, Future, as_completed
 from distributed.scheduler import KilledWorker
 
 from gapsweep.errors import ClusterError
-from gapsweep.execution.plan import Chain, Plan
-from gapsweep.execution.task import REST, TaskResult, compute
+from gapsweep.execution.alone import compute_alone
+from gapsweep.execution.cluster import check_code, check_workers
+from gapsweep.execution.plan import Piece, Plan
+from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
+from gapsweep.execution.task import REST, TaskResult, Work, compute, process
 from gapsweep.integrate.problem import DEFAULT_ENGINE
-from gapsweep.response.respond import Response
+from gapsweep.response.result import Response
 from gapsweep.response.walk import State
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Row
+from gapsweep.store.claims import Claims
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.study import Study
 
-# Long against the price of a task (a millisecond), short against a user's patience.
+# Long against the price of a task (some milliseconds), short against a user's patience.
 _TASK_SECONDS = 0.5
-_MAX_BATCH = 1000
+_MAX_BATCH = 250
+# What a point costs beside its integration [s].
+_POINT_SECONDS = 3e-4
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
 # A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.
 _CHAIN_PART = 16
+# Neighbours stay together, because they cost alike and share their lanes.
+_BLOCK = 64
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
 _COMMIT_ROWS = 200
-_CONNECT_SECONDS = 10
-
-T = TypeVar("T")
-Job = tuple[Chain, ...]
-OnProgress = Callable[["Progress"], None]
+# Workers that a suspect may lose, before it is taken for guilty although it was alone.
+_MAX_ATTEMPTS = 5
+_WAIT_SECONDS = 0.1
 
 
-@dataclass(slots=True)
-class Progress:
-    """Counts of a run so far; handed to the observer after every task."""
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """What one task computes, and how often its worker was lost."""
 
-    n_points: int
-    n_hits: int
-    n_computed: int = 0
-    n_failed: int = 0
-    started: float = field(default_factory=time.monotonic)
+    pieces: tuple[Piece, ...]
+    attempts: int = 0
 
     @property
-    def n_done(self) -> int:
-        return self.n_hits + self.n_computed
-
-    @property
-    def rate(self) -> float:
-        """Computed points per second."""
-        return self.n_computed / max(time.monotonic() - self.started, 1e-9)
-
-
-@contextmanager
-def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
-    """A client of a local cluster of worker processes, or of a running scheduler.
-
-    Parameters
-    ----------
-    workers : int
-        Processes of the local cluster, one thread each.
-    scheduler : str, optional
-        Address of a running scheduler, as ``tcp://127.0.0.1:8786``.
-
-    Raises
-    ------
-    ClusterError
-        If the scheduler cannot be reached.
-    """
-    if scheduler is None:
-        # A free port on the loopback: a second cluster on this machine must not disturb.
-        options: dict[str, Any] = {
-            "processes": True,
-            "threads_per_worker": 1,
-            "dashboard_address": "127.0.0.1:0",
-        }
-        # What goes wrong on a worker becomes the status of its points; its log only repeats it.
-        options["silence_logs"] = logging.CRITICAL
-        with _deaf_to_interrupts():
-            local = LocalCluster(n_workers=workers, **options)
-        with local, Client(local) as client:
-            yield client
-        return
-    try:
-        client = Client(scheduler, timeout=_CONNECT_SECONDS)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise ClusterError(
-            f"scheduler {scheduler}: cannot be reached ({_first_line(error)}); start one with "
-            "'dask scheduler' or leave out --scheduler"
-        ) from None
-    with client:
-        yield client
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes started in this block ignore Ctrl-C, which a terminal sends to all of them.
-
-    The client alone decides how a run ends; workers that die on their own only print.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
+    def n_points(self) -> int:
+        return sum(map(len, self.pieces))
 
 
 def execute(
@@ -131,6 +71,8 @@ def execute(
     client: Client,
     *,
     batch: int | None = None,
+    timeout: float = DEFAULT_TIMEOUT,
+    retry_failed: bool = False,
     on_progress: OnProgress | None = None,
 ) -> Progress:
     """Compute all missing points of a plan and store them.
@@ -139,6 +81,10 @@ def execute(
     ----------
     batch : int, optional
         Points per task; None lets measured costs decide.
+    timeout : float
+        Time [s] that one point may take before it is given up as ``timed_out``.
+    retry_failed : bool
+        Whether stored failures are computed again.
     on_progress : callable, optional
         Called with the `Progress` after every task.
 
@@ -147,133 +93,206 @@ def execute(
     ClusterError
         If the workers run other code, or the cluster is lost; what arrived is stored.
     """
-    _check_workers(client)
-    run = _Execution(study, plan, cache, client, batch, on_progress)
-    try:
-        run.finish()
-    finally:
-        run.commit()
-        run.cancel()
+    check_workers(client)
+    with Claims(cache.path) as claims:
+        run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)
+        try:
+            run.finish(on_progress)
+        finally:
+            run.cancel()
+            run.commit()
     return run.progress
 
 
 class _Execution:
-    """One run: jobs waiting, tasks in flight, rows not yet committed."""
+    """One run: pieces waiting, tasks in flight, rows not yet committed."""
 
     def __init__(
         self,
         study: Study,
         plan: Plan,
         cache: Cache,
+        claims: Claims,
         client: Client,
         batch: int | None,
-        on_progress: OnProgress | None,
+        timeout: float,
+        retry_failed: bool,
     ) -> None:
-        self.study, self.cache, self.client, self.batch = study, cache, client, batch
-        self.on_progress = on_progress
+        self.study, self.plan, self.cache, self.claims = study, plan, cache, claims
+        self.client, self.batch, self.timeout = client, batch, timeout
+        self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
         self.progress = Progress(plan.n_points, plan.n_hits)
-        self.missing = plan.missing
-        # Jobs that come before new ones: retries, and what is left of long sweeps.
-        self.waiting: deque[Job] = deque()
-        self.in_flight: dict[Future, Job] = {}
-        self.rows: list[tuple[Row, dict[str, Any]]] = []
+        self.new = _shuffled(plan)
+        # What comes before new pieces: the rest of long sweeps.
+        self.begun: deque[Piece] = deque()
+        # What another run has claimed: looked at again when nothing else is left.
+        self.elsewhere: list[Piece] = []
+        self.suspects: deque[_Job] = deque()
+        self.in_flight: dict[Future, _Job] = {}
+        self.rows: list[Row] = []
+        self.held: list[bytes] = []  # claims on the points of those rows
         self.last_commit = time.monotonic()
-        self.cpu_seconds = 0.0
+        self.costs = _Costs(study.spec.solver.engine or DEFAULT_ENGINE)
 
-    def finish(self) -> None:
+    def finish(self, on_progress: OnProgress | None) -> None:
         completed = as_completed(loop=self.client.loop)
-        self._refill(completed)
-        for future in completed:
-            job = self.in_flight.pop(future)
-            self._receive(future, job)
-            if self.on_progress is not None:
-                self.on_progress(self.progress)
+        while True:
             self._refill(completed)
+            if on_progress is not None:
+                on_progress(self.progress)
+            if self.in_flight:
+                future = next(completed)
+                self._receive(future, self.in_flight.pop(future))
+            elif self.elsewhere:
+                time.sleep(_WAIT_SECONDS)
+            else:
+                return
 
     def _refill(self, completed: as_completed) -> None:
         n_threads = sum(self.client.nthreads().values())
         while len(self.in_flight) < _WINDOW * max(n_threads, 1):
-            job = self.waiting.popleft() if self.waiting else self._next_job()
-            if not job:
+            job = self.suspects.popleft() if self.suspects else self._next_job()
+            if job is None:
                 return
-            future = self.client.submit(compute, self._payload(job), pure=False)
+            future = self._submit(job)
             self.in_flight[future] = job
             completed.add(future)
 
-    def _next_job(self) -> Job:
-        """Chains for one task: as many as fill it, a sweep never being split."""
-        size, job, n_points = self._batch_size(), [], 0
-        for chain in self.missing:
-            job.append(chain)
-            n_points += min(chain.n_missing, _CHAIN_PART)
-            if n_points >= size:
+    def _submit(self, job: _Job) -> Future:
+        work = [self._work(piece) for piece in job.pieces]
+        if job.attempts:
+            return self.client.submit(compute_alone, work, self.timeout, pure=False)
+        return self.client.submit(compute, work, self.timeout, process(), pure=False)
+
+    def _next_job(self) -> _Job | None:
+        """Pieces for one task, as many as fill it; None if there is nothing to do now."""
+        while candidates := self._drawn():
+            if pieces := self._claimed(candidates):
+                return _Job(tuple(pieces))
+        return None
+
+    def _drawn(self) -> list[Piece]:
+        """The next pieces that would fill a task."""
+        drawn: list[Piece] = []
+        room = 1.0
+        while room > 0.0:
+            piece = self.begun.popleft() if self.begun else next(self.new, None)
+            if piece is None:
+                if not drawn and self._returned():
+                    continue
                 break
-        return tuple(job)
+            drawn.append(piece)
+            room -= min(len(piece), _CHAIN_PART) * self._share_of_task(piece.first)
+        return drawn
 
-    def _batch_size(self) -> int:
-        if self.batch is not None:
-            return self.batch
-        if not self.cpu_seconds:
-            return _FIRST_BATCH[self.study.spec.solver.engine or DEFAULT_ENGINE]
-        per_point = self.cpu_seconds / self.progress.n_computed
-        return max(1, min(_MAX_BATCH, round(_TASK_SECONDS / per_point)))
+    def _returned(self) -> bool:
+        """Whether other runs gave up some of their claims; those pieces are drawn again."""
+        held = []
+        for piece in self.elsewhere:
+            key = self.plan.keys[piece.first]
+            if self.claims.take(key):
+                self.claims.release(key)
+                self.begun.append(piece)
+            else:
+                held.append(piece)
+        self.elsewhere = held
+        return bool(self.begun)
 
-    def _payload(self, job: Job) -> list[tuple[list[Any], State]]:
-        return [
-            ([self.study.point(i) for i in _part(chain.indices, chain)], self._state(chain))
-            for chain in job
-        ]
+    def _claimed(self, candidates: list[Piece]) -> list[Piece]:
+        """Of some pieces, the parts to be computed now, and by us."""
+        mine, keys = [], []
+        for piece in candidates:
+            if self.claims.take(self.plan.keys[piece.first]):
+                mine.append(piece)
+                keys += self.plan.keys[piece.first : piece.last]
+            else:
+                self.elsewhere.append(piece)
+        # Only now: what was stored before we claimed it has been seen.
+        status = self.cache.status(keys)
+        done = dict(zip(keys, (status >= 0) & (status <= self.largest_hit), strict=True))
+        return [part for piece in mine if (part := self._undone(piece, done))]
 
-    def _state(self, chain: Chain) -> State:
+    def _undone(self, piece: Piece, done: dict[bytes, bool]) -> Piece | None:
+        """The next part of a piece after what another run has stored meanwhile."""
+        first = piece.first
+        while first < piece.last and done[self.plan.keys[first]]:
+            first += 1
+        self.progress.n_shared += first - piece.first
+        if first > piece.first:
+            self.claims.release(self.plan.keys[piece.first])
+            if first < piece.last:
+                self.begun.append(Piece(piece.chain, first, piece.last))
+            return None
+        return Piece(piece.chain, first, min(first + _CHAIN_PART, piece.last))
+
+    def _share_of_task(self, point: int) -> float:
+        """Share of a task that a point fills."""
+        return 1.0 / self.batch if self.batch else self.costs.share(self._representation(point))
+
+    def _representation(self, point: int) -> int:
+        return int(self.plan.cells[point]) // math.prod(self.plan.shape[1:])
+
+    def _work(self, piece: Piece) -> Work:
+        points = [self.study.point(self.plan.index(p)) for p in range(piece.first, piece.last)]
+        return points, self._start_of(piece)
+
+    def _start_of(self, piece: Piece) -> State:
         """Where the last finished point of a sweep ended."""
-        done = chain.keys[: chain.n_done]
-        for row in reversed([self.cache.rows([key]).get(key) for key in done]):
-            if row is not None and row.response.x_end == row.response.x_end:
+        chain_start = int(self.plan.chain_starts[piece.chain])
+        for point in range(piece.first - 1, chain_start - 1, -1):
+            row = self.cache.rows([self.plan.keys[point]]).get(self.plan.keys[point])
+            if row is not None and row.response.ended:
                 return row.response.x_end, row.response.v_end
         return REST
 
-    def _receive(self, future: Future, job: Job) -> None:
+    def _receive(self, future: Future, job: _Job) -> None:
         if future.status in ("cancelled", "lost"):
             raise ClusterError("the cluster was lost; run again to resume")
         error = future.exception()
         if error is None:
             self._store(job, future.result())
-        elif isinstance(error, KilledWorker) and len(job) > 1:
-            self.waiting.extend((chain,) for chain in job)
+        elif job.attempts < (_MAX_ATTEMPTS if isinstance(error, KilledWorker) else 1):
+            self.suspects.append(_Job(job.pieces, job.attempts + 1))
         else:
             killed = isinstance(error, KilledWorker)
             status = Status.KILLED if killed else Status.ERROR
             message = "its worker process died" if killed else f"{type(error).__name__}: {error}"
-            failed = Response(status=status, message=message)
-            n_points = sum(len(_part(chain.keys, chain)) for chain in job)
-            self._store(job, TaskResult([failed] * n_points, "", numerics_fingerprint()))
+            failed = [Response(status=status, message=message)] * job.n_points
+            self._store(job, TaskResult(failed, "", numerics_fingerprint()))
 
-    def _store(self, job: Job, result: TaskResult) -> None:
-        _check_fingerprints({"a worker": result.fingerprint})
-        places = [
-            (key, index)
-            for chain in job
-            for key, index in _part(list(zip(chain.keys, chain.indices, strict=True)), chain)
-        ]
-        for (key, index), response in zip(places, result.responses, strict=True):
-            row = Row(key, response, result.host)
-            self.rows.append((row, self.study.point(index).identity()))
-            self.progress.n_computed += 1
-            self.progress.n_failed += response.status.failed
-            if response.cpu_time == response.cpu_time:
-                self.cpu_seconds += response.cpu_time
-        rest = [c for chain in job if (c := chain.after(_CHAIN_PART)).n_missing]
-        if rest:
-            self.commit()  # the next part starts where this one's rows say
-            self.waiting.extend((chain,) for chain in rest)
+    def _store(self, job: _Job, result: TaskResult) -> None:
+        check_code("a worker", result.fingerprint)
+        responses = iter(result.responses)
+        for piece in job.pieces:
+            for point in range(piece.first, piece.last):
+                self._keep(piece, point, next(responses), result.host)
+            self.held.append(self.plan.keys[piece.first])
+        rest = [r for piece in job.pieces if len(r := self._rest(piece))]
         due = time.monotonic() - self.last_commit > _COMMIT_SECONDS
-        if due or len(self.rows) >= _COMMIT_ROWS:
+        if rest or due or len(self.rows) >= _COMMIT_ROWS:
             self.commit()
+        self.begun.extend(rest)  # starts where the rows just stored say
+
+    def _keep(self, piece: Piece, point: int, response: Response, host: str) -> None:
+        is_first = point == self.plan.chain_starts[piece.chain]
+        previous = None if is_first else self.plan.keys[point - 1].hex()
+        identity = self.study.point(self.plan.index(point)).identity(previous)
+        self.rows.append(Row(self.plan.keys[point], identity, response, host))
+        self.progress.n_computed += 1
+        self.progress.n_failed += response.status.failed
+        self.costs.add(self._representation(point), response.cpu_time)
+
+    def _rest(self, piece: Piece) -> Piece:
+        """What of its chain follows a piece."""
+        return Piece(piece.chain, piece.last, int(self.plan.chain_starts[piece.chain + 1]))
 
     def commit(self) -> None:
+        """Store what has arrived; only then may others look for it."""
         if self.rows:
             self.cache.commit(self.rows)
-        self.rows = []
+        for key in self.held:
+            self.claims.release(key)
+        self.rows, self.held = [], []
         self.last_commit = time.monotonic()
 
     def cancel(self) -> None:
@@ -283,28 +302,32 @@ class _Execution:
         self.in_flight.clear()
 
 
-def _part(values: Sequence[T], chain: Chain) -> Sequence[T]:
-    """Of a chain's values, those of the points that its next task computes."""
-    return values[chain.n_done : chain.n_done + _CHAIN_PART]
+class _Costs:
+    """Mean cost of the points of each representation, as far as it is known."""
+
+    def __init__(self, engine: str) -> None:
+        self.unknown = 1.0 / _FIRST_BATCH[engine]
+        self.seconds: dict[int, float] = {}
+        self.n_points: dict[int, int] = {}
+
+    def add(self, representation: int, cpu_time: float) -> None:
+        """Learn from a point; NaN is a point that was not measured."""
+        if math.isfinite(cpu_time):
+            self.seconds[representation] = self.seconds.get(representation, 0.0) + cpu_time
+            self.n_points[representation] = self.n_points.get(representation, 0) + 1
+
+    def share(self, representation: int) -> float:
+        """Share of a task that one point fills."""
+        n_points = self.n_points.get(representation, 0)
+        if not n_points:
+            return self.unknown
+        seconds = _POINT_SECONDS + self.seconds[representation] / n_points
+        return max(seconds / _TASK_SECONDS, 1.0 / _MAX_BATCH)
 
 
-def _check_workers(client: Client) -> None:
-    try:
-        client.wait_for_workers(1, timeout=_CONNECT_SECONDS)
-        _check_fingerprints(client.run(numerics_fingerprint))
-    except (OSError, TimeoutError, ImportError, dask.base.DaskError) as error:
-        raise ClusterError(f"the cluster has no usable worker: {_first_line(error)}") from None
-
-
-def _check_fingerprints(found: dict[str, str]) -> None:
-    ours = numerics_fingerprint()
-    for worker, fingerprint in found.items():
-        if fingerprint != ours:
-            raise ClusterError(
-                f"{worker} runs other numerics ({fingerprint}, here {ours}): install the same "
-                "gapsweep there"
-            )
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0]
+def _shuffled(plan: Plan) -> Iterator[Piece]:
+    """What is missing, in blocks of neighbours in random order."""
+    missing = plan.unfinished()
+    blocks = list(range(0, len(missing), _BLOCK))
+    random.shuffle(blocks)
+    return (plan.piece(int(chain)) for i in blocks for chain in missing[i : i + _BLOCK])

@@ -4,10 +4,14 @@ A sweep point is the unit of work, of failure and of caching; a task carries sev
 them only because a task has a price of its own.
 """
 
+import faulthandler
 import math
+import os
 import platform
-from collections.abc import Sequence
-from contextlib import suppress
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -15,7 +19,8 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
-from gapsweep.response.respond import Question, Response, respond_all
+from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.result import Response
 from gapsweep.response.walk import Scene, State, Stretch, integrated
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
@@ -23,6 +28,9 @@ from gapsweep.study.points import FIXED, Point
 
 REST: State = (0.0, 0.0)
 _RESTARTED = "the point before it failed: starts from the last settled one"
+
+# Points that follow each other, and the state that the first one starts from.
+Work = tuple[Sequence[Point], State]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,19 +42,73 @@ class TaskResult:
     fingerprint: str
 
 
-def compute(chains: Sequence[tuple[Sequence[Point], State]]) -> TaskResult:
-    """Body of a Dask task: chains of points, each with the state its first point starts from."""
-    return TaskResult(responses(chains), platform.node(), numerics_fingerprint())
+def compute(work: Sequence[Work], timeout: float, client: tuple[str, int]) -> TaskResult:
+    """Body of a Dask task.
+
+    Parameters
+    ----------
+    work : sequence of (points, state)
+    timeout : float
+        Time [s] after which the worker process gives up, and with it all that it held.
+    client : (str, int)
+        The client's `process`, which must not end that way.
+    """
+    with _ending_after(timeout if client != process() else math.inf):
+        return TaskResult(responses(work), platform.node(), numerics_fingerprint())
 
 
-def responses(chains: Sequence[tuple[Sequence[Point], State]]) -> list[Response]:
+def process() -> tuple[str, int]:
+    """What tells this process from all others."""
+    return platform.node(), os.getpid()
+
+
+_deadlines: dict[int, float] = {}
+_watch = threading.Lock()
+
+
+@contextmanager
+def _ending_after(timeout: float) -> Iterator[None]:
+    """End this process if the block takes longer [s].
+
+    A computation that hangs in compiled code holds the interpreter: no Python code could stop
+    it. `faulthandler` watches from a thread that needs no interpreter, one deadline at a time.
+    """
+    if timeout == math.inf:
+        yield
+        return
+    thread = threading.get_ident()
+    _rearm(thread, time.monotonic() + timeout)
+    try:
+        yield
+    finally:
+        _rearm(thread, None)
+
+
+def _rearm(thread: int, deadline: float | None) -> None:
+    with _watch:
+        _deadlines.pop(thread, None)
+        if deadline is not None:
+            _deadlines[thread] = deadline
+        faulthandler.cancel_dump_traceback_later()
+        if _deadlines:
+            left = max(min(_deadlines.values()) - time.monotonic(), 0.001)
+            faulthandler.dump_traceback_later(left, exit=True, file=_nowhere())
+
+
+@lru_cache(maxsize=1)
+def _nowhere() -> int:
+    # What hung is found out later, point by point; a traceback on the terminal helps nobody.
+    return os.open(os.devnull, os.O_WRONLY)
+
+
+def responses(work: Sequence[Work]) -> list[Response]:
     """Steady responses of chains of points; a failure is a response with its status.
 
     The first points of all chains advance together, then the second ones, and so on.
 
     Parameters
     ----------
-    chains : sequence of (points, state)
+    work : sequence of (points, state)
         `state`, displacement [m] and velocity [m/s], is where the first point starts if its
         start is a sweep. Later ones go on from where the point before ended, if it did.
 
@@ -55,18 +117,27 @@ def responses(chains: Sequence[tuple[Sequence[Point], State]]) -> list[Response]
     list of Response
         Chain by chain.
     """
-    states = [state for _, state in chains]
-    found: list[list[Response]] = [[] for _ in chains]
-    for position in range(max((len(points) for points, _ in chains), default=0)):
-        here = [i for i, (points, _) in enumerate(chains) if position < len(points)]
-        together = [(chains[i][0][position], states[i]) for i in here]
+    states = [state for _, state in work]
+    found: list[list[Response]] = [[] for _ in work]
+    for position in range(max((len(points) for points, _ in work), default=0)):
+        here = [i for i, (points, _) in enumerate(work) if position < len(points)]
+        together = [(work[i][0][position], states[i]) for i in here]
         for i, response in zip(here, _together(together), strict=True):
-            if found[i] and found[i][-1].status.failed:
-                response = replace(response, message=response.message or _RESTARTED)
-            found[i].append(response)
-            if math.isfinite(response.x_end) and math.isfinite(response.v_end):
-                states[i] = response.x_end, response.v_end
+            found[i].append(continued(response, found[i][-1] if found[i] else None))
+            states[i] = state_after(response, states[i])
     return [response for chain in found for response in chain]
+
+
+def continued(response: Response, previous: Response | None) -> Response:
+    """A response of a sweep, with a word on the one before it if that failed."""
+    if previous is None or not previous.status.failed:
+        return response
+    return replace(response, message=response.message or _RESTARTED)
+
+
+def state_after(response: Response, state: State) -> State:
+    """Where the next point of a sweep starts: where this one ended, if it did, else as this."""
+    return (response.x_end, response.v_end) if response.ended else state
 
 
 def _together(points: Sequence[tuple[Point, State]]) -> list[Response]:

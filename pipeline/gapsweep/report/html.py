@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.style import MATPLOTLIB, colour
-from gapsweep.response.respond import ResponseClass
+from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
-from gapsweep.store.netcdf import replacing
+from gapsweep.store.artefact import replacing
 
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -37,7 +37,12 @@ class Section:
 
 
 def write_report(
-    path: Path, responses: xr.Dataset, agreement: xr.Dataset | None, timing: xr.Dataset
+    path: Path,
+    responses: xr.Dataset,
+    agreement: xr.Dataset | None,
+    timing: xr.Dataset,
+    *,
+    made_from: str = "",
 ) -> Path:
     """Write the report; complete or not at all.
 
@@ -47,6 +52,8 @@ def write_report(
         The HTML file.
     responses, agreement, timing : Dataset
         As stored in the run's folder; `agreement` is None if the exact law was not swept.
+    made_from : str
+        Kept in a meta element, so that the report is made again only if that changes.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
@@ -59,15 +66,21 @@ def write_report(
         sections = list(_sections(responses, agreement, timing))
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
+        made_from=made_from,
         study=responses.attrs["study"],
         sections=sections,
         statuses=_status_counts(responses),
         measured_on=timing.attrs["measured_on"],
         provenance=_provenance(responses),
     )
-    with replacing(path) as temporary:
+    with replacing(path, _is_ours) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether the file there is a report, which may be replaced."""
+    return '<meta name="generator" content="gapsweep">' in path.read_text(errors="replace")[:1000]
 
 
 def _sections(

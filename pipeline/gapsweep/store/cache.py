@@ -1,8 +1,9 @@
 """The point cache: one SQLite file, one row per sweep point computed.
 
 The cache is the truth; every NetCDF file can be rebuilt from it. Rows hold plain text and
-numbers (never pickle) and a checksum; they are never changed in place by a newer code
-version, because the key holds the fingerprint of the code.
+numbers, never pickle. The key of a row is the SHA-256 of its `identity`, all that the result
+depends on, the fingerprint of the code among it: rows of older code stay beside new ones. A
+checksum covers the whole row; a row that fails it is never returned, only counted.
 """
 
 import hashlib
@@ -10,42 +11,51 @@ import json
 import math
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gapsweep.errors import StoreError
-from gapsweep.response.respond import Response, ResponseClass
+from gapsweep.response.result import Response, ResponseClass
 from gapsweep.status import Status
+from gapsweep.store.filesystem import is_on_network
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+# In place of a status: nothing is stored, or what is stored fails its checksum.
+MISSING, DAMAGED = -1, -2
+
 _BATCH = 500  # keys per query; SQLite allows 999 parameters everywhere
-
+_FIELDS = tuple(field.name for field in fields(Response))
 _LISTS = {field.name for field in fields(Response) if field.default == ()}
 
 _TABLE = """
 CREATE TABLE results (
-    key      TEXT PRIMARY KEY,  -- content key of the point
-    point    TEXT NOT NULL,     -- what the key was made of, JSON
+    key      BLOB PRIMARY KEY,  -- SHA-256 of identity
+    identity TEXT NOT NULL,     -- all that the result depends on, canonical JSON
     response TEXT NOT NULL,     -- the result, JSON
-    checksum TEXT NOT NULL,     -- SHA-256 of key and response
-    status   INTEGER NOT NULL,
-    cpu_time REAL,
-    host     TEXT NOT NULL,
-    created  TEXT NOT NULL      -- UTC
+    status   INTEGER NOT NULL,  -- as in the response, for quick counting
+    cpu_time REAL,              -- as in the response; NULL if not measured
+    host     TEXT NOT NULL,     -- machine that computed it
+    created  TEXT NOT NULL,     -- UTC
+    checksum BLOB NOT NULL      -- SHA-256 of key and all columns before
 )
 """
+_COLUMNS = "key, identity, response, status, cpu_time, host, created, checksum"
+Record = tuple[bytes, str, str, int, float | None, str, str, bytes]
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A stored result: its key, its response and the machine that computed it."""
+    """A stored result, the identity its key was made of, and the machine that computed it."""
 
-    key: str
+    key: bytes
+    identity: str
     response: Response
     host: str
 
@@ -58,10 +68,16 @@ class Cache:
     path : path-like
         The file; created, with its folder, if it does not exist.
 
+    Attributes
+    ----------
+    on_network : bool
+        Whether the file lies on a network file system. SQLite's write-ahead log needs memory
+        shared by all processes, which only one machine has: there, a rollback journal is used.
+
     Raises
     ------
     StoreError
-        If the file cannot be opened or is not a gapsweep cache of this version.
+        If the file cannot be opened or is not a gapsweep cache that this version can read.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -70,25 +86,45 @@ class Cache:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise StoreError(f"{self.path.parent}: cannot be created: {error.strerror}") from None
-        with self._errors():
-            self._db = sqlite3.connect(self.path, timeout=60.0, isolation_level=None)
-            self._db.execute("PRAGMA journal_mode = WAL")
+        self.on_network = is_on_network(self.path.parent)
+        with self.errors():
+            self.db = sqlite3.connect(self.path, timeout=60.0, isolation_level=None)
+            # Whatever bytes damage has left in a text: its checksum will tell.
+            self.db.text_factory = lambda data: data.decode(errors="replace")
+            mode = "DELETE" if self.on_network else "WAL"
+            self.db.execute(f"PRAGMA journal_mode = {mode}")
             # A commit survives the death of the process; power loss may cost the last ones.
-            self._db.execute("PRAGMA synchronous = NORMAL")
+            self.db.execute(f"PRAGMA synchronous = {'FULL' if self.on_network else 'NORMAL'}")
             self._prepare()
 
     def _prepare(self) -> None:
-        with self._transaction():
-            (version,) = self._db.execute("PRAGMA user_version").fetchone()
-            (n_tables,) = self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        (version,) = self.db.execute("PRAGMA user_version").fetchone()
+        if version == SCHEMA_VERSION:
+            return
+        with self.transaction():
+            # Another process may have come first.
+            (version,) = self.db.execute("PRAGMA user_version").fetchone()
+            (n_tables,) = self.db.execute("SELECT count(*) FROM sqlite_master").fetchone()
             if version == 0 and n_tables == 0:
-                self._db.execute(_TABLE)
-                self._db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+                self.db.execute(_TABLE)
+            elif version == 1:
+                self._migrate()
             elif version != SCHEMA_VERSION:
                 raise StoreError(
-                    f"{self.path}: a cache of format {version}, this gapsweep writes "
+                    f"{self.path}: a cache of format {version}, this gapsweep reads 1 to "
                     f"{SCHEMA_VERSION}: choose another file with --cache"
                 )
+            self.db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+    def _migrate(self) -> None:
+        """Take over the rows of format 1, which did not keep all of their identity."""
+        self.db.execute("ALTER TABLE results RENAME TO old_results")
+        self.db.execute(_TABLE)
+        old = "SELECT key, point, response, checksum, status, cpu_time, host, created"
+        for key, point, response, checksum, *others in self.db.execute(f"{old} FROM old_results"):
+            if hashlib.sha256(f"{key}\n{response}".encode()).hexdigest() == checksum:
+                self.insert([_record(bytes.fromhex(key), point, response, *others)])
+        self.db.execute("DROP TABLE old_results")
 
     def __enter__(self) -> "Cache":
         return self
@@ -99,100 +135,152 @@ class Cache:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._db.close()
+        self.db.close()
 
     @contextmanager
-    def _errors(self) -> Iterator[None]:
+    def errors(self) -> Iterator[None]:
+        """SQLite's errors as `StoreError`, with the remedy."""
         try:
             yield
         except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}") from None
+            remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF, "")
+            raise StoreError(f"{self.path}: {error}{remedy}") from None
 
     @contextmanager
-    def _transaction(self) -> Iterator[None]:
+    def transaction(self) -> Iterator[None]:
+        """All of the block is stored, or nothing."""
         # IMMEDIATE: a reader that becomes a writer later would defeat the busy timeout.
-        self._db.execute("BEGIN IMMEDIATE")
+        self.db.execute("BEGIN IMMEDIATE")
         try:
             yield
+            self.db.execute("COMMIT")
         except BaseException:
-            self._db.execute("ROLLBACK")
+            # A full disk ends the transaction by itself.
+            with suppress(sqlite3.OperationalError):
+                self.db.execute("ROLLBACK")
             raise
-        self._db.execute("COMMIT")
 
-    def statuses(self, keys: Iterable[str]) -> dict[str, Status]:
-        """Status of every key that is stored undamaged; the others are to be computed again."""
-        rows = self._select("key, response, checksum, status", keys)
-        return {key: Status(s) for key, text, check, s in rows if _checksum(key, text) == check}
-
-    def cpu_times(self, keys: Iterable[str]) -> dict[str, float]:
-        """Processor time [s] of every key that is stored and has one."""
-        return {key: t for key, t in self._select("key, cpu_time", keys) if t is not None}
-
-    def rows(self, keys: Iterable[str]) -> dict[str, Row]:
-        """Stored results; a row that fails its checksum is left out, as if missing."""
-        found = {}
-        for key, text, checksum, host in self._select("key, response, checksum, host", keys):
-            if _checksum(key, text) == checksum:
-                found[key] = Row(key, _decoded(text), host)
+    def status(self, keys: Sequence[bytes]) -> NDArray[np.int8]:
+        """Stored status of each key; `MISSING` or `DAMAGED` where there is none to trust."""
+        found = np.full(len(keys), MISSING, np.int8)
+        for start in range(0, len(keys), _BATCH):
+            some = keys[start : start + _BATCH]
+            stored = {r[0]: r[3] if is_sound(r) else DAMAGED for r in self._records(some)}
+            found[start : start + _BATCH] = [stored.get(key, MISSING) for key in some]
         return found
 
-    def commit(self, rows: Sequence[tuple[Row, dict[str, Any]]]) -> None:
-        """Store results with the fields their keys were made of, in one transaction."""
+    def rows(self, keys: Sequence[bytes]) -> dict[bytes, Row]:
+        """Stored results; damaged ones are left out, as if missing."""
+        return {r[0]: _row(r) for r in self._records(keys) if is_sound(r)}
+
+    def cpu_times(self, keys: Sequence[bytes]) -> dict[bytes, float]:
+        """Processor time [s] of every key that is stored and has one."""
+        return {r[0]: r[4] for r in self._records(keys) if r[4] is not None and is_sound(r)}
+
+    def checksums(self, keys: Sequence[bytes]) -> dict[bytes, bytes]:
+        """Checksums of the stored rows, sound or not: what an export was made of."""
+        return {r[0]: r[7] for r in self._records(keys)}
+
+    def commit(self, rows: Sequence[Row]) -> None:
+        """Store results in one transaction."""
         now = datetime.now(UTC).isoformat(timespec="seconds")
         records = []
-        for row, point in rows:
-            text = _encoded(row.response)
-            cpu_time = row.response.cpu_time
-            records.append(
-                (
-                    row.key,
-                    json.dumps(point, sort_keys=True),
-                    text,
-                    _checksum(row.key, text),
-                    int(row.response.status),
-                    None if math.isnan(cpu_time) else cpu_time,
-                    row.host,
-                    now,
-                )
-            )
-        with self._errors(), self._transaction():
-            self._db.executemany(
-                "INSERT OR REPLACE INTO results VALUES (?, ?, ?, ?, ?, ?, ?, ?)", records
-            )
+        for row in rows:
+            response = row.response
+            cpu_time = None if math.isnan(response.cpu_time) else response.cpu_time
+            values = _encoded(response), int(response.status), cpu_time, row.host, now
+            records.append(_record(row.key, row.identity, *values))
+        with self.errors(), self.transaction():
+            self.insert(records)
 
-    def _select(self, columns: str, keys: Iterable[str]) -> Iterator[tuple[Any, ...]]:
-        with self._errors():
-            for some in _batches(keys):
+    def insert(self, records: Iterable[Record]) -> None:
+        """Add or replace records as they are, within the caller's transaction."""
+        self.db.executemany(
+            "INSERT OR REPLACE INTO results VALUES (?, ?, ?, ?, ?, ?, ?, ?)", records
+        )
+
+    def records(self, order: str = "ASC") -> Iterator[Record]:
+        """All records as stored, sound or not, oldest first or last (``"DESC"``)."""
+        with self.errors():
+            yield from self.db.execute(f"SELECT {_COLUMNS} FROM results ORDER BY rowid {order}")
+
+    def _records(self, keys: Sequence[bytes]) -> Iterator[Record]:
+        with self.errors():
+            for start in range(0, len(keys), _BATCH):
+                some = keys[start : start + _BATCH]
                 marks = ",".join("?" * len(some))
-                yield from self._db.execute(
-                    f"SELECT {columns} FROM results WHERE key IN ({marks})", some
+                yield from self.db.execute(
+                    f"SELECT {_COLUMNS} FROM results WHERE key IN ({marks})", some
                 )
 
 
-def _batches(keys: Iterable[str]) -> Iterator[tuple[str, ...]]:
-    iterator = iter(keys)
-    while some := tuple(islice(iterator, _BATCH)):
-        yield some
+_REMEDIES = {
+    sqlite3.SQLITE_FULL: ": make room and run again; everything stored so far is kept",
+    sqlite3.SQLITE_CORRUPT: (
+        ": the file is damaged; 'gapsweep cache export' saves the sound rows to a new one"
+    ),
+    sqlite3.SQLITE_READONLY: ": the cache must be writable; choose another with --cache",
+}
 
 
-def _checksum(key: str, text: str) -> str:
-    return hashlib.sha256(f"{key}\n{text}".encode()).hexdigest()
+def is_sound(record: Record) -> bool:
+    """Whether a record is as it was written."""
+    try:
+        return _record(*record[:7]) == record
+    except (TypeError, AttributeError, ValueError):  # a damaged file may hold any type anywhere
+        return False
+
+
+def identity_matches(record: Record) -> bool:
+    """Whether a record's key is that of its identity; of format 1 too little is known."""
+    key, identity, *_ = record
+    return hashlib.sha256(identity.encode()).digest() == key or '"numerics"' not in identity
+
+
+def _record(
+    key: bytes,
+    identity: str,
+    response: str,
+    status: int,
+    cpu_time: float | None,
+    host: str,
+    created: str,
+) -> Record:
+    """A table row, its checksum added."""
+    digest = hashlib.sha256(key)
+    for column in (identity, response, str(status), repr(cpu_time), host, created):
+        digest.update(b"\0")
+        digest.update(column.encode())
+    return key, identity, response, status, cpu_time, host, created, digest.digest()
+
+
+def _row(record: Record) -> Row:
+    key, identity, response, _, _, host, *_ = record
+    return Row(key, identity, _decoded(response), host)
 
 
 def _encoded(response: Response) -> str:
-    """JSON of a response; NaN as null, because JSON has none. Floats round-trip exactly."""
-    values = asdict(response)
-    for name, value in values.items():
-        if isinstance(value, float) and not math.isfinite(value):
-            values[name] = None
+    """JSON of a response, which has no NaN (null) and no infinities (text)."""
+    values = {name: _plain(getattr(response, name)) for name in _FIELDS}
     return json.dumps(values, separators=(",", ":"), allow_nan=False)
 
 
+def _plain(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else repr(value)
+    return value
+
+
 def _decoded(text: str) -> Response:
-    values: dict[str, Any] = {k: math.nan if v is None else v for k, v in json.loads(text).items()}
-    # What an older version did not know keeps its default.
-    for name in _LISTS & values.keys():
-        values[name] = tuple(values[name])
+    values = json.loads(text)
+    for name, value in values.items():
+        if value is None:
+            values[name] = math.nan
+        elif name in _LISTS:
+            values[name] = tuple(value)
+        elif value in ("inf", "-inf") and name != "message":
+            values[name] = float(value)
     values["status"] = Status(values["status"])
     values["response_class"] = ResponseClass(values["response_class"])
+    # What an older version did not know keeps its default.
     return Response(**values)

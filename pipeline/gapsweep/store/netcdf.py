@@ -1,114 +1,142 @@
-"""NetCDF files: complete or absent, never torn.
+"""NetCDF files of a run: complete or absent, never silently damaged.
 
-A file is written under a temporary name in its own folder, flushed to disk, opened again
-and only then renamed into place. The netCDF library is not thread-safe: all writing
-happens in the main process, under one lock.
+The netCDF library is not thread-safe: all writing happens in the main process, under one
+lock. A file is opened again before it takes its place, and says in `made_from` what it was
+made from, so that it is made again only when that has changed.
 """
 
 import json
 import os
 import platform
-import tempfile
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import netCDF4
-import xarray as xr
 
-from gapsweep.errors import StoreError
+from gapsweep.errors import GapsweepError, StoreError
+from gapsweep.store.artefact import digests, is_intact, recording
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _LOCK = threading.Lock()
 _RECORDED_PACKAGES = ("gapsweep", "numpy", "scipy", "numba", "dask", "distributed", "xarray")
 _THREAD_SETTINGS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 CONVENTIONS = "CF-1.11"
+SOURCE = "gapsweep"
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path that takes the place of `path` when the block ends without error.
+def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
+    """An open netCDF4 dataset that becomes `path` once it is complete and readable.
 
     Raises
     ------
     StoreError
-        If the folder or file cannot be written.
+        If the file cannot be written, or one that is not ours is in its place.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        os.close(handle)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be written: {error.strerror}") from None
-    temporary = Path(name)
-    try:
-        yield temporary
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)  # mkstemp makes it private
-        temporary.replace(path)
-        _sync_folder(path.parent)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be written: {error}") from error
-    finally:
-        with suppress(FileNotFoundError):
-            temporary.unlink()
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-@contextmanager
-def writing(path: Path, attributes: dict[str, Any]) -> Iterator[netCDF4.Dataset]:
-    """An open netCDF4 dataset that becomes `path` once it is complete and readable."""
-    with _LOCK, replacing(path) as temporary:
+    with _LOCK, recording(path, _is_ours) as temporary, _errors(path):
         with netCDF4.Dataset(temporary, "w", format="NETCDF4") as dataset:
-            dataset.setncatts(attributes | provenance())
+            dataset.setncatts({**attributes, **provenance()})
             yield dataset
         with netCDF4.Dataset(temporary) as dataset:
             for variable in dataset.variables.values():
                 _ = variable[(0,) * variable.ndim]
 
 
-def write(dataset: xr.Dataset, path: Path) -> None:
-    """Write a small dataset as a whole, with provenance; atomic like `writing`."""
-    with _LOCK, replacing(path) as temporary:
-        stamped = dataset.assign_attrs(provenance())
-        encoding = {name: {"_FillValue": None} for name in stamped.variables}
+def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> None:
+    """Write a small dataset as a whole, with attributes and provenance; else like `writing`."""
+    with _LOCK, recording(path, _is_ours) as temporary, _errors(path):
+        stamped = dataset.assign_attrs({**attributes, **provenance()})
+        encoding = {
+            name: {"_FillValue": None}
+            | ({"fletcher32": True} if variable.ndim and variable.dtype != object else {})
+            for name, variable in stamped.variables.items()
+        }
         stamped.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
-        with xr.open_dataset(temporary, engine="netcdf4") as written:
-            written.load()
+        with netCDF4.Dataset(temporary) as written:
+            for variable in written.variables.values():
+                _ = variable[:]
 
 
-def read(path: str | Path) -> xr.Dataset:
+@contextmanager
+def _errors(path: Path) -> Iterator[None]:
+    """What the netCDF library raises, as `StoreError`; a full disk is a RuntimeError there."""
+    try:
+        yield
+    except GapsweepError:
+        raise
+    except (OSError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise StoreError(
+            f"{path}: cannot be written: {reason}; make room if the disk is full, and run again"
+        ) from None
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a file may be replaced: one that we wrote, sound or damaged."""
+    return bool(digests(path)) or attributes(path).get("source") == SOURCE
+
+
+def attributes(path: Path) -> dict[str, Any]:
+    """Attributes of a NetCDF file; none if it cannot be read."""
+    try:
+        with netCDF4.Dataset(path) as dataset:
+            return {name: dataset.getncattr(name) for name in dataset.ncattrs()}
+    except (OSError, RuntimeError, UnicodeDecodeError, AttributeError):
+        return {}
+
+
+def read(path: str | Path) -> "xr.Dataset":
     """Open a NetCDF file of a run; values are read when used.
+
+    The whole file is first compared with its SHA-256 in ``SHA256SUMS`` beside it.
 
     Raises
     ------
     StoreError
         If the file is missing, damaged or no NetCDF file.
+
+    Warns
+    -----
+    UserWarning
+        If no SHA-256 is recorded for the file, so that damage could go unnoticed.
     """
+    import xarray as xr  # half a second to import, which a run without anything to do can spare
+
+    path = Path(path)
     try:
-        return xr.open_dataset(path, engine="netcdf4")
+        intact = is_intact(path)
+        if intact is False:
+            raise StoreError(
+                f"{path}: damaged or changed since it was written (SHA-256 differs from "
+                "SHA256SUMS beside it); 'gapsweep run' writes it again from the cache"
+            )
+        opened = xr.open_dataset(path, engine="netcdf4")
+    except StoreError:
+        raise
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise StoreError(f"{path}: cannot be read as NetCDF: {reason}") from None
+    if intact is None:
+        warnings.warn(
+            f"{path}: no SHA-256 beside it, damage would go unnoticed; copy SHA256SUMS along",
+            stacklevel=2,
+        )
+    return opened
 
 
 def provenance() -> dict[str, str]:
     """File attributes that say where and by what a file was made."""
     return {
         "Conventions": CONVENTIONS,
+        "source": SOURCE,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": json.dumps(
             {name: version(name) for name in _RECORDED_PACKAGES}

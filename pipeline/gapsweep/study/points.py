@@ -2,19 +2,20 @@
 
 import hashlib
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.contact import ContactLaw, UserLaw
+from gapsweep.model.contact import FIT_RANGE, ContactLaw, UserLaw
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
-from gapsweep.response.respond import Steady
+from gapsweep.response.result import Steady
 from gapsweep.study.fingerprint import normalised_source, numerics_fingerprint
 
 # Raised whenever the stored result of a point changes its form or meaning.
-RESULT_SCHEMA = 2
+RESULT_SCHEMA = 3
 
 FIXED = "fixed"
 SWEEPS = ("sweep_up", "sweep_down")
@@ -78,39 +79,77 @@ class Point:
     def law(self) -> ContactLaw:
         return contact_law(self.representation, self.K_c, self.gap, self.fit_range)
 
-    def identity(self) -> dict[str, Any]:
-        """All fields that the result depends on, as plain JSON values."""
-        fields = asdict(self)
-        fields["law_source"] = _law_source(self.representation)
-        if not self.representation.startswith(("poly-", "ratpoly-")):
-            del fields["fit_range"]
-        return fields
+    def identity(self, previous: str | None = None) -> str:
+        """All that the result depends on, as canonical JSON; its SHA-256 is the content key.
+
+        Parameters
+        ----------
+        previous : str, optional
+            Key, in hex, of the point whose end this one starts from (sweeps only).
+        """
+        fields = {
+            "K_c": repr(self.K_c),
+            "gap": _canonical_json(self.gap),
+            "law_source": _law_source(self.representation),
+            "omega": repr(self.omega),
+            "oscillator": _canonical_json(self.oscillator),
+            "representation": json.dumps(self.representation),
+            "solver": _canonical_json(self.solver),
+            "start": _canonical_json(self.start),
+            "start_jitter": repr(self.start_jitter),
+            "steady": _canonical_json(self.steady),
+        }
+        if self.representation.startswith(("poly-", "ratpoly-")):
+            fields["fit_range"] = repr(self.fit_range)
+        whole = {
+            "numerics": json.dumps(numerics_fingerprint()),
+            "point": _object(fields),
+            "previous": json.dumps(previous),
+            "schema": str(RESULT_SCHEMA),
+        }
+        return _object(whole)
+
+
+def point_of(identity: str) -> tuple[Point, str | None]:
+    """The sweep point that an identity describes, and the key, in hex, of the one before it."""
+    stored = json.loads(identity)
+    fields: dict[str, Any] = {"fit_range": FIT_RANGE, **stored["point"]}
+    del fields["law_source"]
+    for name, kind in _SETTINGS.items():
+        fields[name] = kind(**fields[name])
+    return Point(**fields), stored["previous"]
+
+
+_SETTINGS: dict[str, Callable[..., Any]] = {
+    "oscillator": Oscillator,
+    "gap": Gap,
+    "start": Start,
+    "solver": Solver,
+    "steady": Steady,
+}
+
+
+def content_key(identity: str) -> bytes:
+    """SHA-256 (32 bytes) of an identity."""
+    return hashlib.sha256(identity.encode()).digest()
+
+
+def _object(members: Mapping[str, str]) -> str:
+    """A JSON object of members that are JSON already, without spaces, sorted by name."""
+    return "{" + ",".join(f'"{name}":{members[name]}' for name in sorted(members)) + "}"
+
+
+@lru_cache(maxsize=4096)
+def _canonical_json(settings: Any) -> str:
+    # The same few settings stand in all points of a study: they are written out once.
+    return json.dumps(asdict(settings), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 @lru_cache(maxsize=64)
-def _law_source(representation: str) -> str | None:
-    """Normalised source of a user's own law; None for ours (in the numerics fingerprint)."""
+def _law_source(representation: str) -> str:
+    """Normalised source, as JSON, of a user's own law; null for ours (numerics fingerprint)."""
     if ":" not in representation:
-        return None
+        return "null"
     law = contact_law(representation, 0.0, Gap(0.0, 0.0))
     assert isinstance(law, UserLaw)
-    return normalised_source(law.source)
-
-
-def key(point: Point, previous: str | None = None) -> str:
-    """Content key of a point's result: SHA-256 of its canonical JSON.
-
-    Parameters
-    ----------
-    point : Point
-    previous : str, optional
-        Key of the point whose end this one starts from (sweeps only).
-    """
-    identity = {
-        "point": point.identity(),
-        "previous": previous,
-        "numerics": numerics_fingerprint(),
-        "schema": RESULT_SCHEMA,
-    }
-    text = json.dumps(identity, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return json.dumps(normalised_source(law.source))

@@ -5,7 +5,7 @@ Written down once, here; the writer, the analyses and the documentation read thi
 
 from dataclasses import dataclass
 
-from gapsweep.response.respond import ExtremumKind, ResponseClass
+from gapsweep.response.result import ExtremumKind, ResponseClass
 from gapsweep.status import Status
 
 POINT_DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")

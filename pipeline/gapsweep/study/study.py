@@ -1,7 +1,7 @@
 """A study: its settings and the labelled grid of its sweep points."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
+from gapsweep.model.labels import canonical_label
 from gapsweep.model.oscillator import Gap, Oscillator
-from gapsweep.response.respond import Steady
-from gapsweep.study.points import FIXED, Point, Start, canonical, key
+from gapsweep.response.result import Steady
+from gapsweep.study.points import FIXED, Point, Start, canonical, content_key
 from gapsweep.study.spec import (
     MAX_POINTS,
     SobolStarts,
@@ -55,6 +55,38 @@ class Grid:
     @property
     def shape(self) -> tuple[int, ...]:
         return self.requested.shape
+
+    def flat(self, index: Index) -> int:
+        """Position of a cell when all are counted in order."""
+        position = 0
+        for size, i in zip(self.shape, index, strict=True):
+            position = position * size + i
+        return position
+
+    def cut(self, selection: "Selection") -> "Grid":
+        """The selected part, as a grid of its own."""
+        r, k, g, w, i = selection.positions
+        return Grid(
+            representations=tuple(self.representations[n] for n in r),
+            K_c=tuple(self.K_c[n] for n in k),
+            gaps=tuple(self.gaps[n] for n in g),
+            omega=tuple(self.omega[n] for n in w),
+            starts=tuple(self.starts[n] for n in i),
+            requested=self.requested[np.ix_(*selection.positions)],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Part of a study's grid: the positions wanted along each dimension, ascending."""
+
+    positions: tuple[tuple[int, ...], ...]
+
+    def mask(self, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Which cells of a grid are selected."""
+        wanted = np.zeros(shape, dtype=bool)
+        wanted[np.ix_(*self.positions)] = True
+        return wanted
 
 
 @dataclass(frozen=True)
@@ -173,6 +205,46 @@ class Study:
         representations, K_c, gaps, omega, starts = self._axes
         return Grid(representations, K_c, gaps, omega, starts, requested)
 
+    def select(self, **wanted: Any) -> Selection:
+        """Select among the study's own coordinates.
+
+        Parameters
+        ----------
+        representation, gap : str or sequence of str, optional
+            Labels, as ``"tanh-1e4"`` and ``"0.4/0.4"``.
+        K_c, omega : float, slice or sequence of float, optional
+            Values [N/m], [Hz]; slices include both ends. Compared after rounding to 12
+            significant digits.
+        initial_condition : int, slice or sequence of int, optional
+            Numbers of starts.
+
+        Raises
+        ------
+        StudyError
+            If a name is no dimension, or a value is not among the study's own.
+        """
+        grid = self.grid
+        axes: dict[str, Sequence[Any]] = {
+            "representation": grid.representations,
+            "K_c": grid.K_c,
+            "gap": [gap.label for gap in grid.gaps],
+            "omega": grid.omega,
+            "initial_condition": range(len(grid.starts)),
+        }
+        problems = [
+            f"{self.source}: {name}: no dimension of the study; choose from {', '.join(axes)}"
+            for name in wanted.keys() - axes.keys()
+        ]
+        positions = []
+        for name, axis in axes.items():
+            try:
+                positions.append(_positions(name, axis, wanted.get(name, slice(None))))
+            except ValueError as error:
+                problems.append(f"{self.source}: {error}")
+        if problems:
+            raise StudyError(problems)
+        return Selection(tuple(positions))
+
     def point(self, index: Index) -> Point:
         """The sweep point at a position of the grid."""
         grid = self.grid
@@ -192,27 +264,47 @@ class Study:
             start_jitter=start_jitter,
         )
 
-    def chains(self) -> Iterator[tuple[Index, ...]]:
+    def chains(self, selection: Selection | None = None) -> Iterator[tuple[Index, ...]]:
         """Indices of all sweep points, grouped: what must be computed in order, together.
 
-        A fixed start makes a chain of one. A sweep makes a chain of all its frequencies.
+        A fixed start makes a chain of one. A sweep makes a chain of all its frequencies; of a
+        selection, up to the last one selected.
         """
         grid = self.grid
+        wanted = grid.requested
+        if selection is not None:
+            wanted = wanted & selection.mask(grid.shape)
         for r, k, g in np.ndindex(grid.shape[:3]):
             for i, start in enumerate(grid.starts):
-                along = [int(w) for w in np.flatnonzero(grid.requested[r, k, g, :, i])]
+                ends = np.flatnonzero(wanted[r, k, g, :, i]).tolist()
                 if start.kind == FIXED:
-                    yield from (((r, k, g, w, i),) for w in along)
-                elif along:
-                    order = along if start.kind == "sweep_up" else along[::-1]
+                    yield from (((r, k, g, w, i),) for w in ends)
+                elif ends:
+                    along = np.flatnonzero(grid.requested[r, k, g, :, i]).tolist()
+                    up = start.kind == "sweep_up"
+                    order = (
+                        along[: along.index(ends[-1]) + 1]
+                        if up
+                        else along[along.index(ends[0]) :][::-1]
+                    )
                     yield tuple((r, k, g, w, i) for w in order)
 
-    def keys(self, chain: tuple[Index, ...]) -> list[str]:
-        """Content keys of a chain's points; each holds the key of the point before it."""
-        keys: list[str] = []
+    def solver(self, label: str) -> Solver:
+        """Solver settings of a representation, its protocol's where the label has one."""
+        return self._protocols[label.partition("@")[2]][0]
+
+    def identities(self, chain: tuple[Index, ...]) -> list[str]:
+        """Canonical JSON of a chain's points; each holds the key of the point before it."""
+        identities: list[str] = []
+        previous = None
         for index in chain:
-            keys.append(key(self.point(index), keys[-1] if keys else None))
-        return keys
+            identities.append(self.point(index).identity(previous))
+            previous = content_key(identities[-1]).hex()
+        return identities
+
+    def keys(self, chain: tuple[Index, ...]) -> list[bytes]:
+        """Content keys of a chain's points."""
+        return [content_key(identity) for identity in self.identities(chain)]
 
 
 def _given(table: SolverTable) -> dict[str, Any]:
@@ -236,6 +328,8 @@ def _starts(spec: list[list[float]] | SobolStarts | str) -> list[Start]:
     if isinstance(spec, str):
         return [Start(spec)]
     if isinstance(spec, SobolStarts):
+        from scipy.stats import qmc  # a second to import, and few studies need it
+
         # Sobol points are balanced in powers of two; the first ones of the next power.
         exponent = (spec.sobol - 1).bit_length()
         unit = qmc.Sobol(d=2, scramble=True, rng=spec.seed).random_base2(exponent)[: spec.sobol]
@@ -244,3 +338,50 @@ def _starts(spec: list[list[float]] | SobolStarts | str) -> list[Start]:
     else:
         states = spec
     return [Start(FIXED, canonical(x), canonical(v)) for x, v in states]
+
+
+def _positions(name: str, axis: Sequence[Any], wanted: Any) -> tuple[int, ...]:
+    """Where on an axis the wanted values lie; ValueError if one is not there."""
+    if isinstance(wanted, slice):
+        if wanted.step is not None:
+            raise ValueError(f"{name} = {wanted}: a slice has no step here")
+        if wanted == slice(None):
+            return tuple(range(len(axis)))
+        if name in ("representation", "gap"):
+            raise ValueError(f"{name} = {wanted}: give labels, not a slice")
+        low = canonical(axis[0] if wanted.start is None else wanted.start)
+        high = canonical(axis[-1] if wanted.stop is None else wanted.stop)
+        found = tuple(i for i, value in enumerate(axis) if low <= value <= high)
+        if not found:
+            raise ValueError(
+                f"{name} = {low:g} to {high:g}: nothing there; the study has {_listed(axis)}"
+            )
+        return found
+    several = isinstance(wanted, Sequence | np.ndarray) and not isinstance(wanted, str)
+    places = {value: i for i, value in enumerate(axis)}
+    found_all = []
+    for value in wanted if several else [wanted]:
+        at = places.get(_comparable(name, value))
+        if at is None:
+            raise ValueError(f"{name} = {value!r}: not in the study, which has {_listed(axis)}")
+        found_all.append(at)
+    if not found_all:
+        raise ValueError(f"{name} = []: nothing selected")
+    return tuple(sorted(set(found_all)))
+
+
+def _comparable(name: str, value: Any) -> Any:
+    """A wanted value in the form in which the axis holds it; None if it has none."""
+    try:
+        if name == "representation":
+            law, at, protocol = str(value).partition("@")
+            return canonical_label(law) + at + protocol
+        return str(value) if name == "gap" else canonical(value)
+    except (TypeError, ValueError):
+        return None
+
+
+def _listed(axis: Sequence[Any]) -> str:
+    """Some of an axis' values for a message."""
+    shown = [f"{value:g}" if isinstance(value, float) else str(value) for value in axis]
+    return ", ".join(shown if len(shown) <= 8 else [*shown[:3], "...", *shown[-3:]])

@@ -1,0 +1,9 @@
+"""The command line: arguments in, exit code out.
+
+Exit codes: 0 finished; 1 a study, file or cluster error; 2 a wrong command line; 3
+finished, but some points failed; 130 interrupted, resumable.
+"""
+
+from gapsweep.cli.main import main
+
+__all__ = ["main"]

@@ -1,0 +1,94 @@
+"""Commands on the cache itself."""
+
+import json
+from pathlib import Path
+
+import click
+
+from gapsweep import workflow
+from gapsweep.cli import options
+from gapsweep.errors import StoreError
+from gapsweep.store import maintenance
+from gapsweep.store.cache import Cache
+from gapsweep.study.fingerprint import numerics_fingerprint
+
+
+@click.group("cache")
+def cache_commands() -> None:
+    """Look after the cache: its contents, soundness, size, and copies."""
+
+
+def _existing(cache: Path | None) -> Cache:
+    path = workflow.cache_path(cache)
+    if not path.exists():
+        raise StoreError(f"{path}: no such file; 'gapsweep run' makes it")
+    return Cache(path)
+
+
+@cache_commands.command()
+@options.cache
+@options.as_json
+def info(cache: Path | None, as_json: bool) -> None:
+    """Say how much is stored, of which code, and with which outcome."""
+    with _existing(cache) as store:
+        found = maintenance.info(store, numerics_fingerprint())
+    if as_json:
+        click.echo(json.dumps(found))
+        return
+    click.echo(f"{found['file']}: format {found['format']}, {found['bytes'] / 1e6:.1f} MB")
+    click.echo(
+        f"{found['rows']} rows, {found['current']} of the present code, "
+        f"{found['of_other_code']} of other code"
+    )
+    for label, count in found["status"].items():
+        click.echo(f"{count:>10}  {label}")
+
+
+@cache_commands.command()
+@options.cache
+@click.option(
+    "--sample",
+    type=click.IntRange(min=0),
+    default=0,
+    help="Compute so many random rows again and compare.  [default: 0]",
+)
+def verify(cache: Path | None, sample: int) -> int:
+    """Check the file, every row, and on request the numbers themselves."""
+    with _existing(cache) as store:
+        verdict = maintenance.verify(store)
+        differing = workflow.recomputed_otherwise(store, sample) if sample else []
+    for fault in verdict.faults:
+        click.echo(f"file: {fault}", err=True)
+    for key in verdict.damaged:
+        click.echo(f"damaged row: {key}", err=True)
+    for key, names in differing:
+        click.echo(f"computed again, {', '.join(names)} came out otherwise: {key}", err=True)
+    click.echo(f"{verdict.n_rows} rows, {len(verdict.damaged)} damaged")
+    if verdict.faults:
+        click.echo("'gapsweep cache export' saves the sound rows to a new file", err=True)
+    elif verdict.damaged:
+        click.echo("the next run computes damaged rows again", err=True)
+    return 0 if verdict.is_sound and not differing else 1
+
+
+@cache_commands.command()
+@options.cache
+@click.option("--apply", is_flag=True, help="Really delete.  [default: only say what would go]")
+def gc(cache: Path | None, apply: bool) -> None:
+    """Delete the rows of other code, and damaged ones."""
+    with _existing(cache) as store:
+        keys = maintenance.removable(store, numerics_fingerprint())
+        if apply and keys:
+            maintenance.remove(store, keys)
+    verb = "deleted" if apply else "could be deleted; --apply does it"
+    click.echo(f"{len(keys)} rows {verb}")
+
+
+@cache_commands.command()
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@options.cache
+def export(file: Path, cache: Path | None) -> None:
+    """Copy all sound rows to a new cache FILE."""
+    with _existing(cache) as store:
+        n_rows = maintenance.export(store, file)
+    click.echo(f"{n_rows} rows in {file}")

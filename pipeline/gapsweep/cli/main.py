@@ -1,0 +1,241 @@
+"""Commands on studies and runs, and how errors become exit codes."""
+
+import json
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gapsweep import __version__, workflow
+from gapsweep.cli import options
+from gapsweep.cli.cache import cache_commands
+from gapsweep.cli.progress import duration, progress_bar
+from gapsweep.errors import GapsweepError
+from gapsweep.execution.progress import DEFAULT_TIMEOUT
+from gapsweep.stages import REPORT, RESPONSES
+from gapsweep.store.state import RunState
+
+FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 80})
+@click.version_option(__version__)
+def commands() -> None:
+    """Parameter studies of oscillators with freeplay.
+
+    \b
+    Examples:
+      gapsweep run workflows/quick.toml
+      gapsweep plan workflows/quick.toml
+      gapsweep query workflows/quick.toml --sel omega=10:12 --to csv
+      gapsweep status data/runs/quick
+    """
+
+
+commands.add_command(cache_commands)
+
+
+@commands.command()
+@options.study
+@options.out
+@options.workers
+@options.scheduler
+@options.engine
+@options.cache
+@click.option(
+    "--batch",
+    type=click.IntRange(min=1),
+    help="Sweep points per task.  [default: chosen from measured cost]",
+)
+@click.option(
+    "--timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    default=DEFAULT_TIMEOUT,
+    show_default=True,
+    help="Seconds that one sweep point may take.",
+)
+@options.retry_failed
+def run(study: Path, engine: str | None, **how: Any) -> int:
+    """Compute a study, its datasets and its report; resumes by itself."""
+    loaded = options.loaded(study, engine)
+    with progress_bar() as observer:
+        outcome = workflow.carry_out(loaded, on_progress=observer, **how)
+    done = outcome.progress
+    shared = f", {done.n_shared} by another run" if done.n_shared else ""
+    click.echo(
+        f"{done.n_points} points: {done.n_hits} from the cache, {done.n_computed} computed{shared}"
+    )
+    click.echo(f"report: {outcome.folder / REPORT}")
+    if outcome.failures:
+        counts = ", ".join(f"{n} {label}" for label, n in sorted(outcome.failures.items()))
+        click.echo(f"failed points: {counts}; see 'status' in {RESPONSES}", err=True)
+        return SOME_FAILED
+    return FINISHED
+
+
+@commands.command()
+@options.study
+@options.cache
+@options.out
+@options.engine
+@options.workers
+@options.retry_failed
+@options.as_json
+def plan(
+    study: Path,
+    cache: Path | None,
+    out: Path | None,
+    engine: str | None,
+    workers: int,
+    retry_failed: bool,
+    as_json: bool,
+) -> int:
+    """Say what a run would compute and make, without doing it."""
+    loaded = options.loaded(study, engine)
+    planned = workflow.plan(loaded, cache, retry_failed=retry_failed)
+    expected = workflow.expected_seconds(planned, cache, workers)
+    stages = workflow.stage_reasons(loaded, planned, out, cache)
+    numbers = {
+        "points": planned.n_points,
+        "hits": planned.n_hits,
+        "missing": planned.n_missing,
+        "failed": planned.n_failed,
+        "damaged": planned.n_damaged,
+    }
+    if as_json:
+        rounded = None if expected is None else round(expected, 3)
+        click.echo(json.dumps(numbers | {"expected_s": rounded, "stages": stages}))
+        return FINISHED
+    for name, value in numbers.items():
+        click.echo(f"{name:>8}  {value}")
+    click.echo(f"expected  {'unknown' if expected is None else duration(expected)}")
+    for file, reason in stages.items():
+        click.echo(f"{file}: {f'to be made: {reason}' if reason else 'up to date'}")
+    return FINISHED
+
+
+@commands.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@options.as_json
+def status(folder: Path, as_json: bool) -> int:
+    """Tell how a run is doing, or how it ended, from any shell."""
+    state = RunState.read(folder)
+    if as_json:
+        click.echo(json.dumps(state.as_dict()))
+        return FINISHED
+    click.echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
+    click.echo(
+        f"{state.done} of {state.points} points: {state.hits} from the cache, {state.computed} "
+        f"computed, {state.failed} failed"
+    )
+    click.echo(f"started {state.started}, last heard of {state.updated}, on {state.host}")
+    return FINISHED
+
+
+@commands.command()
+@options.study
+@options.selection
+@options.cache
+@options.engine
+@options.workers
+@options.scheduler
+@click.option(
+    "--to", "form", type=click.Choice(["csv", "json", "nc"]), default="csv", show_default=True
+)
+@click.option(
+    "--output", type=click.Path(path_type=Path, dir_okay=False), help="File.  [default: stdout]"
+)
+def query(
+    study: Path,
+    wanted: tuple[str, ...],
+    engine: str | None,
+    form: str,
+    output: Path | None,
+    **how: Any,
+) -> int:
+    """Print a table of responses; computes only what is missing.
+
+    \b
+    Example:
+      gapsweep query workflows/quick.toml --sel representation=piecewise \\
+          --sel omega=10:12 --to csv
+    """
+    from gapsweep.cli.table import written
+
+    if form == "nc" and output is None:
+        raise click.UsageError("--to nc needs --output FILE")
+    loaded = options.loaded(study, engine)
+    with progress_bar() as observer:
+        found = workflow.query(loaded, on_progress=observer, **how, **options.selected(wanted))
+    click.echo(f"{found.attrs['n_points']} points, {found.attrs['n_hits']} hits", err=True)
+    written(found, form, output)
+    return FINISHED
+
+
+@commands.command()
+@options.study
+@options.selection
+@options.cache
+@options.engine
+@click.option("--limit", type=click.IntRange(min=1), default=10, show_default=True)
+def explain(
+    study: Path, wanted: tuple[str, ...], cache: Path | None, engine: str | None, limit: int
+) -> int:
+    """Say why points are hits or misses: their key against the nearest one stored."""
+    loaded = options.loaded(study, engine)
+    for point in workflow.explain(loaded, cache, limit, **options.selected(wanted)):
+        click.echo(f"{point.label}: {point.status}{f' on {point.host}' if point.host else ''}")
+        if point.message:
+            click.echo(f"  {point.message}")
+        if point.differences is None and point.status in ("missing", "damaged"):
+            click.echo("  nothing is stored")
+        for name, (asked, stored) in (point.differences or {}).items():
+            click.echo(f"  {name}: asked {_short(asked)}, nearest stored {_short(stored)}")
+    return FINISHED
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 40 else f"{text[:18]}...{text[-18:]}"
+
+
+@commands.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+def report(folder: Path) -> int:
+    """Rebuild the report of a run from its NetCDF files alone."""
+    click.echo(f"report: {workflow.report(folder)}")
+    return FINISHED
+
+
+def main() -> None:
+    """Entry point: every known error becomes a line on stderr, never a traceback."""
+    # A user's own law is looked up where the command is typed.
+    sys.path.insert(0, "")
+    sys.exit(exit_code())
+
+
+def exit_code(arguments: list[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = _one_line  # type: ignore[assignment]  # takes what it needs
+        try:
+            result = commands.main(arguments, prog_name="gapsweep", standalone_mode=False)
+        except GapsweepError as error:
+            for line in str(error).splitlines():
+                click.echo(f"error: {line}", err=True)
+            return FAULT
+        except click.ClickException as error:
+            error.show()
+            return error.exit_code
+        except (click.Abort, KeyboardInterrupt):
+            click.echo("interrupted; run again to resume", err=True)
+            return INTERRUPTED
+    return int(result or FINISHED)
+
+
+def _one_line(message: Warning | str, category: type[Warning], *_: Any) -> None:
+    # Those of the libraries are not for the user.
+    if category is UserWarning:
+        click.echo(f"warning: {message}", err=True)

@@ -1,0 +1,65 @@
+"""Arguments and options that several commands share."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gapsweep.integrate.problem import ENGINES
+from gapsweep.study.study import Study
+
+study = click.argument("study", type=click.Path(path_type=Path))
+cache = click.option(
+    "--cache",
+    type=click.Path(path_type=Path),
+    help="Cache file.  [default: $GAPSWEEP_CACHE, else data/cache.sqlite]",
+)
+out = click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Output folder.  [default: data/runs/<study name>]",
+)
+engine = click.option("--engine", type=click.Choice(ENGINES), help="Override [solver].")
+retry_failed = click.option("--retry-failed", is_flag=True, help="Compute failed points again.")
+workers = click.option(
+    "--workers", type=click.IntRange(min=1), default=2, show_default=True, help="Local processes."
+)
+scheduler = click.option("--scheduler", metavar="ADDRESS", help="Use a running Dask scheduler.")
+as_json = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+selection = click.option(
+    "--sel",
+    "wanted",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="representation, K_c, gap, omega or initial_condition; a value, a list A,B,... or, for "
+    "numbers, a range A:B that includes both ends. Repeat for several keys.",
+)
+
+_NUMBERS = {"K_c": float, "omega": float, "initial_condition": int}
+
+
+def loaded(path: Path, engine: str | None) -> Study:
+    """The study in a file, on the engine asked for."""
+    found = Study.load(path)
+    return found.with_engine(engine) if engine else found
+
+
+def selected(wanted: tuple[str, ...]) -> dict[str, Any]:
+    """``KEY=VALUE`` texts as arguments of `Study.select`."""
+    return dict(_selected(text) for text in wanted)
+
+
+def _selected(text: str) -> tuple[str, Any]:
+    key, equals, value = text.partition("=")
+    if not equals or not value:
+        raise click.BadParameter(f"{text!r}: must read KEY=VALUE", param_hint="--sel")
+    number = _NUMBERS.get(key)
+    if number is None:
+        return key, value.split(",")
+    try:
+        if ":" in value:
+            low, _, high = value.partition(":")
+            return key, slice(number(low) if low else None, number(high) if high else None)
+        return key, [number(part) for part in value.split(",")]
+    except ValueError:
+        raise click.BadParameter(f"{text!r}: not a number", param_hint="--sel") from None

@@ -1,0 +1,56 @@
+"""A dataset of responses as a table."""
+
+import json
+from pathlib import Path
+
+import click
+import numpy as np
+import xarray as xr
+
+from gapsweep.errors import StoreError
+from gapsweep.status import Status
+from gapsweep.store.artefact import replacing
+from gapsweep.study.schema import POINT_DIMS
+
+
+def written(responses: xr.Dataset, form: str, output: Path | None) -> None:
+    """Write a dataset as ``csv`` or ``json`` (one row per sweep point) or ``nc``.
+
+    Raises
+    ------
+    StoreError
+        If the file exists already or cannot be written.
+    """
+    if output is None:
+        click.echo(_text(responses, form), nl=False)
+        return
+    if output.exists():
+        raise StoreError(f"{output}: exists already; name a new file")
+    with replacing(output) as temporary:
+        if form == "nc":
+            responses.to_netcdf(temporary, engine="netcdf4", format="NETCDF4")
+        else:
+            temporary.write_text(_text(responses, form), encoding="utf-8")
+
+
+def _text(responses: xr.Dataset, form: str) -> str:
+    """The variables that have one value per point; flags in words."""
+    plain = [name for name, v in responses.data_vars.items() if v.dims == POINT_DIMS]
+    frame = _in_words(responses[plain]).to_dataframe().reset_index()
+    frame = frame[frame["status"] != Status.NOT_REQUESTED.label]
+    if form == "csv":
+        return str(frame.to_csv(index=False))
+    rows = json.loads(frame.to_json(orient="records", double_precision=15))
+    return "".join(json.dumps(row) + "\n" for row in rows)
+
+
+def _in_words(dataset: xr.Dataset) -> xr.Dataset:
+    words = {}
+    for name, variable in dataset.data_vars.items():
+        if "flag_meanings" in variable.attrs:
+            meanings = variable.attrs["flag_meanings"].split()
+            values = np.atleast_1d(variable.attrs["flag_values"]).tolist()
+            known = dict(zip(values, meanings, strict=True))
+            text = [known.get(value, "") for value in variable.values.ravel().tolist()]
+            words[name] = (variable.dims, np.array(text, dtype=object).reshape(variable.shape))
+    return dataset.assign(words)

@@ -1,0 +1,35 @@
+"""Stored results computed a second time, to see whether they still come out the same."""
+
+from dataclasses import fields
+from typing import Any
+
+from gapsweep.execution.task import REST, responses
+from gapsweep.response.result import Response
+from gapsweep.response.walk import State
+from gapsweep.store.cache import Cache
+from gapsweep.study.points import point_of
+
+
+def differences(cache: Cache, key: bytes) -> list[str]:
+    """Names of the values of a stored result that come out otherwise now; `cpu_time` may."""
+    row = cache.rows([key])[key]
+    point, previous = point_of(row.identity)
+    (again,) = responses([([point], _start(cache, previous))])
+    names = [field.name for field in fields(Response) if field.name not in ("cpu_time", "message")]
+    return [n for n in names if not _same(getattr(again, n), getattr(row.response, n))]
+
+
+def _start(cache: Cache, previous: str | None) -> State:
+    """Where the sweep that leads to a point had got to."""
+    while previous is not None:
+        row = cache.rows([bytes.fromhex(previous)]).get(bytes.fromhex(previous))
+        if row is None:
+            return REST
+        if row.response.ended:
+            return row.response.x_end, row.response.v_end
+        previous = point_of(row.identity)[1]
+    return REST
+
+
+def _same(a: Any, b: Any) -> bool:
+    return bool(a == b) or (a != a and b != b)

@@ -1,0 +1,133 @@
+"""The Dask cluster a run works on: a local one, or any that is already there."""
+
+import logging
+import platform
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import dask
+from distributed import Client, LocalCluster
+
+from gapsweep.errors import ClusterError
+from gapsweep.study.fingerprint import numerics_fingerprint
+
+_CONNECT_SECONDS = 10
+
+
+@contextmanager
+def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
+    """A client of a local cluster of worker processes, or of a running scheduler.
+
+    Parameters
+    ----------
+    workers : int
+        Processes of the local cluster, one thread each.
+    scheduler : str, optional
+        Address of a running scheduler, as ``tcp://127.0.0.1:8786``; for ``tls://`` the keys are
+        those of Dask's configuration.
+
+    Raises
+    ------
+    ClusterError
+        If the scheduler cannot be reached.
+    """
+    if scheduler is None:
+        # Free ports on the loopback: nobody else may look in, no other cluster is disturbed.
+        options: dict[str, Any] = {
+            "host": "127.0.0.1",
+            "processes": True,
+            "threads_per_worker": 1,
+            "dashboard_address": "127.0.0.1:0",
+        }
+        # What goes wrong on a worker becomes the status of its points; its log only repeats it.
+        options["silence_logs"] = logging.CRITICAL
+        # Points of a lost worker are tried again by us, where they can harm nobody.
+        with (
+            dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+            _deaf_to_interrupts(),
+        ):
+            local = LocalCluster(n_workers=workers, **options)
+        with local, Client(local) as client:
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=_CONNECT_SECONDS)
+    except (OSError, ValueError, TypeError, TimeoutError) as error:
+        raise ClusterError(
+            f"scheduler {scheduler}: cannot be reached ({first_line(error)}); start one with "
+            "'dask scheduler' or leave out --scheduler"
+        ) from None
+    with client:
+        yield client
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes started in this block ignore Ctrl-C, which a terminal sends to all of them.
+
+    The client alone decides how a run ends; workers that die on their own only print.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
+def check_workers(client: Client) -> None:
+    """Refuse a cluster whose workers are missing, or run other code than we do.
+
+    Raises
+    ------
+    ClusterError
+        If there is no worker, or one cannot answer, or one has other numerics or another
+        Python.
+    """
+    try:
+        client.wait_for_workers(1, timeout=_CONNECT_SECONDS)
+        answers = client.run(_about_here, on_error="return")
+    except (OSError, TimeoutError) as error:
+        raise ClusterError(f"the cluster has no usable worker: {first_line(error)}") from None
+    for worker, answer in answers.items():
+        if isinstance(answer, BaseException):
+            raise ClusterError(
+                f"{worker} cannot run gapsweep ({first_line(answer)}): install the same version "
+                "there, in the environment that its 'dask worker' runs in"
+            )
+        check_code(worker, *answer)
+
+
+def _about_here() -> tuple[str, str]:
+    """Fingerprint of the numerics and Python version of the process that runs this."""
+    return numerics_fingerprint(), ".".join(platform.python_version_tuple()[:2])
+
+
+def check_code(worker: str, fingerprint: str, python: str | None = None) -> None:
+    """Refuse a worker that would compute something else.
+
+    Raises
+    ------
+    ClusterError
+        If its numerics or its Python differ from ours.
+    """
+    our_fingerprint, our_python = _about_here()
+    if fingerprint != our_fingerprint:
+        raise ClusterError(
+            f"{worker} runs other numerics ({fingerprint}, here {our_fingerprint}): install the "
+            "same gapsweep there and start it again"
+        )
+    if python not in (None, our_python):
+        raise ClusterError(
+            f"{worker} runs Python {python}, here {our_python}: use the same on both sides"
+        )
+
+
+def first_line(error: BaseException) -> str:
+    """What an error says, short enough for a message."""
+    return (str(error) or type(error).__name__).splitlines()[0]

@@ -1,0 +1,114 @@
+"""The stages after the cache: which file each one makes, from what, and whether it must.
+
+A file says in `made_from` what it was made from: the digests of its inputs and of the code. A
+stage runs only if its file is absent or damaged, or if one of these is no longer the same.
+"""
+
+import hashlib
+import html
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from gapsweep.execution.plan import Plan
+from gapsweep.store.artefact import digests, is_intact
+from gapsweep.store.cache import Cache
+from gapsweep.store.netcdf import attributes
+from gapsweep.study.fingerprint import code_fingerprint
+from gapsweep.study.study import Study
+
+RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
+AGREEMENT, TIMING = "agreement.nc", "timing.nc"
+REPORT = "report/index.html"
+
+MadeFrom = Mapping[str, str]
+
+_ROWS = 10_000  # looked up at a time
+_META = r'<meta name="gapsweep-made-from" content="([^"]*)">'
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One file of a run.
+
+    Attributes
+    ----------
+    file : str
+        Its path in the run's folder.
+    code : str
+        The module that makes it; all that it imports counts too.
+    inputs : tuple of str
+        Files of the run that it is made from; the cache if empty.
+    """
+
+    file: str
+    code: str
+    inputs: tuple[str, ...] = ()
+
+
+STAGES = (
+    Stage(RESPONSES, "execution/assemble.py"),
+    Stage(ATTRACTORS, "execution/assemble.py"),
+    Stage(AGREEMENT, "analysis/agreement.py", (RESPONSES, ATTRACTORS)),
+    Stage(TIMING, "analysis/timing.py", (RESPONSES,)),
+    Stage(REPORT, "report/html.py", (RESPONSES, ATTRACTORS, AGREEMENT, TIMING)),
+)
+
+
+def stored_points(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
+    """What the exports of a study are made from: its settings, and its rows in the cache."""
+    digest = hashlib.sha256()
+    for start in range(0, len(plan.keys), _ROWS):
+        some = plan.keys[start : start + _ROWS]
+        stored = cache.checksums(some)
+        for key in some:
+            digest.update(key + stored.get(key, b"missing"))
+    settings = hashlib.sha256(study.json.encode()).hexdigest()
+    return {"study": settings, "sweep points": digest.hexdigest()}
+
+
+def made_from(stage: Stage, folder: Path, points: MadeFrom) -> MadeFrom:
+    """What a stage's file would be made from now.
+
+    Parameters
+    ----------
+    stage : Stage
+    folder : Path
+        Of the run; the files of earlier stages are up to date there.
+    points : mapping
+        As from `stored_points`.
+    """
+    inputs = {name: " ".join(digests(folder / name)) or "absent" for name in stage.inputs}
+    return {"code": code_fingerprint(stage.code), **(inputs or points)}
+
+
+def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:
+    """Why a stage must run; None if its file is up to date."""
+    path = folder / stage.file
+    if not path.exists():
+        return "absent"
+    if path.suffix == ".nc" and not is_intact(path):
+        return "damaged"
+    before = _recorded(path)
+    if not before:
+        return "not known what it was made from"
+    changed = [name for name in {**now, **before} if now.get(name) != before.get(name)]
+    return f"{', '.join(changed)} changed" if changed else None
+
+
+def as_text(made_from: MadeFrom) -> str:
+    """What a file was made from, for its attribute or meta element."""
+    return json.dumps(dict(made_from), sort_keys=True)
+
+
+def _recorded(path: Path) -> MadeFrom:
+    """What a file says it was made from; nothing if it cannot be made out."""
+    try:
+        if path.suffix == ".nc":
+            return dict(json.loads(attributes(path).get("made_from", "{}")))
+        found = re.search(_META, path.read_text(encoding="utf-8", errors="replace"))
+        return dict(json.loads(html.unescape(found[1]))) if found else {}
+    except (OSError, ValueError, TypeError):
+        return {}

@@ -1,0 +1,137 @@
+"""Files of a run: complete or absent, never torn, never silently damaged.
+
+A file is written under a temporary name in its own folder, flushed to disk and only then
+renamed into place. Its SHA-256 stands in ``SHA256SUMS`` beside it, in the form that
+``sha256sum --check`` reads; while a file is replaced, the old and the new one stand there.
+"""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from gapsweep.errors import GapsweepError, StoreError
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system
+    fcntl = None  # type: ignore[assignment]
+
+SUMS = "SHA256SUMS"
+
+
+@contextmanager
+def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iterator[Path]:
+    """A temporary path that takes the place of `path` when the block ends without error.
+
+    Parameters
+    ----------
+    path : Path
+    is_ours : callable, optional
+        Whether a file that is there already may be replaced; any may if None.
+
+    Raises
+    ------
+    StoreError
+        If the folder or file cannot be written, or the file there is somebody else's.
+    """
+    if is_ours is not None and path.exists() and not is_ours(path):
+        raise StoreError(
+            f"{path}: not written by gapsweep, so it is left alone; move it away or choose "
+            "another folder with --out"
+        )
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        os.close(handle)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be written: {error.strerror}") from None
+    temporary = Path(name)
+    try:
+        yield temporary
+        _flush(temporary)
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)  # mkstemp makes it private
+        temporary.replace(path)
+        _flush(path.parent)
+    except GapsweepError:
+        raise
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+
+
+def _flush(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def recording(path: Path, is_ours: Callable[[Path], bool]) -> Iterator[Path]:
+    """`replacing`, the SHA-256 of the new file recorded beside it."""
+    known = digests(path)
+    with replacing(path, is_ours) as temporary:
+        yield temporary
+        new = sha256(temporary)
+        # At no moment may the file that is there lack its digest: a kill may come between.
+        _record(path, [*known, new])
+    _record(path, [new])
+
+
+def is_intact(path: Path) -> bool | None:
+    """Whether a file is as it was written; None if no digest of it is recorded."""
+    known = digests(path)
+    return sha256(path) in known if known else None
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def digests(path: Path) -> list[str]:
+    """SHA-256 digests recorded for a file; two while it is being replaced."""
+    return [digest for digest, name in _sums(path.parent) if name == path.name]
+
+
+def _sums(folder: Path) -> list[tuple[str, str]]:
+    try:
+        lines = (folder / SUMS).read_text(encoding="utf-8", errors="replace").splitlines()
+    except FileNotFoundError:
+        return []
+    return [(digest, name) for digest, _, name in (line.partition("  ") for line in lines)]
+
+
+def _record(path: Path, known: list[str]) -> None:
+    others = [pair for pair in _sums(path.parent) if pair[1] != path.name]
+    lines = sorted([*others, *((digest, path.name) for digest in known)], key=lambda p: p[1])
+    with replacing(path.parent / SUMS) as temporary:
+        text = "".join(f"{digest}  {name}\n" for digest, name in lines)
+        temporary.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Wait until no other run writes into a folder, and keep others waiting.
+
+    The operating system lets go when the process ends. Where folders cannot be locked (some
+    network file systems) nothing is kept; each file is replaced as a whole all the same.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        if fcntl is not None:
+            with suppress(OSError):
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)

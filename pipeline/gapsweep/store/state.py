@@ -1,0 +1,116 @@
+"""State of a run, kept in its folder while it lasts and after it: `run.json`.
+
+Another shell can read it at any time, also after the process was killed: a run that says it
+is running, but whose process is gone or has been silent for long, is reported as dead.
+"""
+
+import json
+import platform
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from gapsweep.errors import StoreError
+from gapsweep.store.artefact import replacing
+
+STATE = "run.json"
+RUNNING, FINISHED, INTERRUPTED, FAILED, DIED = (
+    "running",
+    "finished",
+    "interrupted",
+    "failed",
+    "died",
+)
+# Longer than any pause between two tasks is worth a doubt, if the process cannot be seen.
+_SILENT_SECONDS = 120.0
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunState:
+    """What a run is doing, or how it ended.
+
+    Attributes
+    ----------
+    state : str
+        ``running``, ``finished``, ``interrupted``, ``failed`` or ``died``.
+    study : str
+        Name of the study.
+    cache : str
+        Absolute path of the cache.
+    points, hits, computed, failed : int
+    message : str
+        Why it failed, else empty.
+    host, pid, process_started
+        Where it runs; the start time tells a process from a later one of the same number.
+    started, updated : str
+        UTC.
+    """
+
+    state: str
+    study: str
+    cache: str
+    points: int
+    hits: int
+    computed: int = 0
+    failed: int = 0
+    message: str = ""
+    host: str = field(default_factory=platform.node)
+    pid: int = field(default_factory=lambda: psutil.Process().pid)
+    process_started: float = field(default_factory=lambda: psutil.Process().create_time())
+    started: str = field(default_factory=_now)
+    updated: str = field(default_factory=_now)
+
+    def write(self, folder: Path) -> None:
+        """Store the state as of now."""
+        with replacing(folder / STATE) as temporary:
+            text = json.dumps(replace(self, updated=_now()).as_dict(), indent=1)
+            temporary.write_text(text + "\n", encoding="utf-8")
+
+    @classmethod
+    def read(cls, folder: Path) -> "RunState":
+        """The state of the run in a folder, as it really is now.
+
+        Raises
+        ------
+        StoreError
+            If there is none, or it is damaged.
+        """
+        path = folder / STATE
+        try:
+            values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            found = cls(**values)
+        except FileNotFoundError:
+            raise StoreError(f"{path}: no such file; 'gapsweep run' makes it") from None
+        except (OSError, ValueError, TypeError) as error:
+            raise StoreError(f"{path}: cannot be read: {error}; run the study again") from None
+        if found.state == RUNNING and not found.is_alive:
+            return replace(found, state=DIED, message="its process is gone; run again to resume")
+        return found
+
+    @property
+    def done(self) -> int:
+        return self.hits + self.computed
+
+    def as_dict(self) -> dict[str, Any]:
+        """All fields, as they are stored."""
+        return asdict(self)
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the process that wrote the state still is there, as far as one can see."""
+        if self.host == platform.node():
+            try:
+                process = psutil.Process(self.pid)
+                zombie = process.status() == psutil.STATUS_ZOMBIE
+                return not zombie and process.create_time() == self.process_started
+            except psutil.Error:
+                return False
+        silent = datetime.now(UTC) - datetime.fromisoformat(self.updated)
+        return silent.total_seconds() < _SILENT_SECONDS
