@@ -95,6 +95,8 @@ def check_workers(client: Client) -> None:
     except (OSError, TimeoutError) as error:
         raise ClusterError(f"the cluster has no usable worker: {first_line(error)}") from None
     for worker, answer in answers.items():
+        if isinstance(answer, OSError):
+            continue  # it left meanwhile; what comes instead is checked with its first result
         if isinstance(answer, BaseException):
             raise ClusterError(
                 f"{worker} cannot run gapsweep ({first_line(answer)}): install the same version "

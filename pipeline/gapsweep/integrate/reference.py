@@ -289,9 +289,17 @@ def _solve(
     if diverged.size or not all(map(math.isfinite, end)):
         run.status = Status.DIVERGED
     elif solution.status < 0:
-        run.status = Status.STEP_UNDERFLOW
+        lost = _is_undefined_ahead(scene.rhs(mode), solution.t[-1], solution.y[:, -1])
+        run.status = Status.DIVERGED if lost else Status.STEP_UNDERFLOW
     hit = [scene.wall(side) for side, times in zip(sides, contacts, strict=True) if times.size]
     return _Segment(float(solution.t[-1]), end, motion, hit[0] if hit else None)
+
+
+def _is_undefined_ahead(rhs: Callable[[float, Array], State], t: float, y: Array) -> bool:
+    """Whether steps became too small because a little farther on the force is no number."""
+    slope = np.asarray(rhs(t, y))
+    steps = 10.0 * np.spacing(t) * 10.0 ** np.arange(7)
+    return any(not np.all(np.isfinite(rhs(t + h, y + h * slope))) for h in steps)
 
 
 def _exits(mode: int | None) -> tuple[int, ...]:

@@ -59,8 +59,11 @@ def info(cache: Cache, numerics: str) -> dict[str, Any]:
 
 def verify(cache: Cache) -> Verdict:
     """Check the file's structure and every row's checksum and key."""
-    with cache.errors():
-        faults = [text for (text,) in cache.db.execute("PRAGMA integrity_check")]
+    try:
+        with cache.errors():
+            faults = [text for (text,) in cache.db.execute("PRAGMA integrity_check")]
+    except StoreError as error:  # too damaged to be checked
+        faults = [str(error)]
     n_rows, damaged = 0, []
     for record in readable(cache):
         n_rows += 1

@@ -1,0 +1,88 @@
+"""No room left: a clear error, nothing lost, and the run resumes when there is room.
+
+The room of a process is bounded by the operating system (RLIMIT_FSIZE), so that no special
+file system is needed: no file may grow beyond the limit.
+"""
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import gapsweep as gs
+from gapsweep.store.cache import Cache
+from gapsweep.store.maintenance import verify
+
+STUDY = """
+[study]
+name = "full"
+[[sweep]]
+representation = ["piecewise"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = { start = 10.0, stop = 20.0, num = 120 }
+[steady]
+settle_tol = 1e-2
+n_periods = 16
+max_period_multiple = 8
+"""
+RUN = "from gapsweep.cli import main; main()"
+
+
+def run(folder, *options, room=None):
+    def limited():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
+    # Workers inherit the limit: their logs and code must not meet it, only what we write.
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    return subprocess.run(
+        [sys.executable, "-c", RUN, "run", "full.toml", "--cache", "c.sqlite", "--out", *options],
+        cwd=folder, env=environment, capture_output=True, text=True, timeout=300,
+        preexec_fn=limited if room else None,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "full.toml").write_text(STUDY)
+    return tmp_path
+
+
+def one_error(done):
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    (error,) = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    return error
+
+
+def test_full_disk_while_committing(folder):
+    error = one_error(run(folder, "out", "--batch", "4", room=100_000))
+    assert "c.sqlite: " in error
+    with Cache(folder / "c.sqlite") as cache:
+        kept = verify(cache)
+    assert kept.is_sound
+    assert 0 < kept.n_rows < 120
+    assert not (folder / "out" / "responses.nc").exists()
+    done = run(folder, "out")
+    assert done.stdout.startswith(
+        f"120 points: {kept.n_rows} from the cache, {120 - kept.n_rows} computed"
+    )
+
+
+def test_full_disk_while_exporting(folder):
+    whole = run(folder, "whole")
+    assert whole.returncode == 0, whole.stderr
+    size = (folder / "whole" / "responses.nc").stat().st_size
+    error = one_error(run(folder, "out", room=size // 2))
+    assert "responses.nc: cannot be written" in error
+    assert "make room" in error
+    assert [p.name for p in (folder / "out").iterdir() if p.name != "run.json"] == []
+    done = run(folder, "out")
+    assert (done.returncode, done.stdout.split("\n")[0]) == (
+        0, "120 points: 120 from the cache, 0 computed"
+    )  # fmt: skip
+    with gs.open(folder / "out" / "responses.nc") as ds:
+        assert (ds["status"] == gs.Status.OK).all()

@@ -1,0 +1,151 @@
+"""Runs whose own process is killed again and again, and two runs on one cache."""
+
+import json
+import os
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import xarray as xr
+
+import gapsweep as gs
+from gapsweep.store.cache import Cache
+from gapsweep.store.maintenance import verify
+
+RUN = "import sys; from gapsweep.cli import main; sys.argv[0] = 'gapsweep'; main()"
+BATCH = 4
+# Two workers, three tasks in flight for each.
+IN_FLIGHT = 2 * 3 * BATCH
+
+
+def study_text(n_points, settle_tol="1e-3"):
+    return f"""
+[study]
+name = "storm"
+[[sweep]]
+representation = ["piecewise", "tests.laws:counted"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = {{ start = 6.0, stop = 30.0, num = {n_points // 2} }}
+[solver]
+engine = "scipy"
+rtol = 1e-4
+atol = 1e-7
+[steady]
+settle_tol = {settle_tol}
+n_periods = 16
+max_period_multiple = 8
+"""
+
+
+def start(folder, cache, out, *options):
+    environment = os.environ | {
+        "COUNTED_LAW_LOG": str(folder / f"{out}.log"),
+        "PYTHONPATH": str(Path(__file__).parents[2]),
+    }
+    command = [sys.executable, "-c", RUN, "run", "storm.toml", "--cache", cache, "--out", out]
+    return subprocess.Popen(
+        [*command, *options], cwd=folder, env=environment, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+
+
+def finish(process):
+    out, errors = process.communicate(timeout=1800)
+    assert process.returncode == 0, errors
+    return out
+
+
+def stored(path):
+    try:
+        with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as db:
+            return db.execute("SELECT count(*) FROM results").fetchone()[0]
+    except sqlite3.OperationalError:
+        return 0
+
+
+def same(a, b):
+    with gs.open(a) as first, gs.open(b) as second:
+        drop = [name for name in ("cpu_time",) if name in first]
+        xr.testing.assert_identical(
+            first.drop_vars(drop).drop_attrs(deep=False),
+            second.drop_vars(drop).drop_attrs(deep=False),
+        )
+
+
+@pytest.mark.parametrize(
+    ("n_points", "n_kills"), [(60, 3), pytest.param(2000, 50, marks=pytest.mark.slow)]
+)
+def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
+    (tmp_path / "storm.toml").write_text(study_text(n_points))
+    finish(start(tmp_path, "calm.sqlite", "calm"))
+    generator = random.Random(1)
+    cache = tmp_path / "storm.sqlite"
+    done = 0
+    for _ in range(n_kills):
+        process = start(tmp_path, "storm.sqlite", "storm", "--batch", str(BATCH))
+        # Kill at a random moment of the work, not of the start-up.
+        wanted = done + generator.randrange(1, max(2, 2 * (n_points - done) // n_kills))
+        while stored(cache) < wanted and process.poll() is None:
+            time.sleep(0.02)
+        time.sleep(generator.uniform(0.0, 1.0))
+        os.killpg(process.pid, signal.SIGKILL)  # the driver and its workers
+        process.communicate()
+        before, done = done, stored(cache)
+        assert done >= before, "stored points are kept"
+    last = finish(start(tmp_path, "storm.sqlite", "storm"))
+    assert f"{n_points} points: {done} from the cache, {n_points - done} computed" in last
+    for name in ("responses.nc", "attractors.nc"):
+        same(tmp_path / "calm" / name, tmp_path / "storm" / name)
+    with Cache(cache) as store:
+        assert verify(store).is_sound
+    # Half of the points count themselves; a point counts itself as often in every run.
+    once = (tmp_path / "calm.log").stat().st_size / (n_points // 2)
+    again = (tmp_path / "storm.log").stat().st_size / once - n_points // 2
+    print(f"{n_kills} kills: {again:g} of the counted half of {n_points} points computed again")
+    assert again <= n_kills * (IN_FLIGHT + BATCH), "what was in flight, and one commit"
+
+
+def test_status_of_a_killed_run_says_so(tmp_path):
+    (tmp_path / "storm.toml").write_text(study_text(400, settle_tol="1e-6"))
+    process = start(tmp_path, "c.sqlite", "out", "--batch", "2")
+    while stored(tmp_path / "c.sqlite") < 4:
+        assert process.poll() is None
+        time.sleep(0.05)
+    assert status(tmp_path)["state"] == "running"
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    state = status(tmp_path)
+    assert state["state"] == "died"
+    assert state["points"] == 400
+    assert "run again to resume" in state["message"]
+
+
+def status(folder):
+    command = [sys.executable, "-c", RUN, "status", "out", "--json"]
+    return json.loads(subprocess.run(command, cwd=folder, capture_output=True, check=True).stdout)
+
+
+@pytest.mark.parametrize("n_points", [200, pytest.param(800, marks=pytest.mark.slow)])
+def test_two_runs_on_one_cache_share_the_work(tmp_path, n_points):
+    (tmp_path / "storm.toml").write_text(study_text(n_points))
+    both = [start(tmp_path, "c.sqlite", out, "--workers", "1") for out in ("one", "two")]
+    texts = [finish(process) for process in both]
+    counts = [int(text.split(" from the cache, ")[1].split(" computed")[0]) for text in texts]
+    assert n_points <= sum(counts) <= 1.05 * n_points, texts
+    assert min(counts) > 0, "both took part"
+    same(tmp_path / "one" / "responses.nc", tmp_path / "two" / "responses.nc")
+
+
+def test_two_runs_of_one_study_into_one_folder(tmp_path):
+    (tmp_path / "storm.toml").write_text(study_text(40))
+    both = [start(tmp_path, "c.sqlite", "out", "--workers", "1") for _ in range(2)]
+    for process in both:
+        finish(process)
+    with gs.open(tmp_path / "out" / "responses.nc") as ds:
+        assert (ds["status"] == gs.Status.OK).all()
