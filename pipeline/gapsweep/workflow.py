@@ -227,7 +227,7 @@ def carry_out(
         )
         with Cache(cache_path(cache)) as store:
             if planned.n_missing:
-                planned = make_plan(study, store.status)
+                planned = replace(planned, status=store.status(planned.keys))
             with alone_in(folder):
                 update(study, planned, store, folder)
     return Outcome(folder, progress, _failures(planned))

@@ -2,7 +2,6 @@
 
 import random
 import shutil
-import warnings
 from contextlib import closing
 
 import numpy as np
@@ -71,8 +70,7 @@ def test_damaged_cache_is_refused_or_repaired(sound, tmp_path, n_flips, n_trunca
                 del db
                 rows = cache.rows(planned.keys)
         except gs.StoreError as error:
-            assert str(path) in str(error), what
-            outcomes["refused"] += 1
+            outcomes["refused"] += str(path) in str(error)
             continue
         peaks = truth["x_max"].values.ravel()
         for key, peak in zip(planned.keys, peaks, strict=True):
@@ -82,7 +80,8 @@ def test_damaged_cache_is_refused_or_repaired(sound, tmp_path, n_flips, n_trunca
         assert missing == len(planned.keys) - len(rows), what
         outcomes["repaired" if missing else "unharmed"] += 1
     print(f"cache: {outcomes}")
-    assert outcomes["refused"] and outcomes["repaired"]
+    assert sum(outcomes.values()) == n_flips + n_truncations, "each refusal names the file"
+    assert min(outcomes.values()) > 0
 
 
 def test_run_repairs_damaged_rows(sound, client, tmp_path):
@@ -169,6 +168,6 @@ def test_files_of_others_are_never_replaced(sound, tmp_path):
     (out / "agreement.nc").unlink()
     (out / "report").mkdir(exist_ok=True)
     (out / "report" / "index.html").write_text("<html>my own page</html>")
-    with pytest.raises(gs.StoreError, match="index.html: not written by gapsweep"):
+    with pytest.raises(gs.StoreError, match=r"index.html: not written by gapsweep"):
         gs.run(study, out=out, cache=folder / "cache.sqlite")
     assert "my own page" in (out / "report" / "index.html").read_text()

@@ -11,11 +11,10 @@ import platform
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
-from gapsweep.execution.task import TaskResult, Work, continued, responses, state_after
+from gapsweep.execution.task import Task, TaskResult, Work, continued, responses, state_after
 from gapsweep.response.result import Response
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
@@ -24,23 +23,16 @@ _START_SECONDS = 120.0
 _CHILD = "from gapsweep.execution.alone import child; child()"
 
 
-def compute_alone(work: Sequence[Work], timeout: float) -> TaskResult:
-    """Body of a Dask task: like `compute`, but nothing that a point does can harm the worker.
-
-    Parameters
-    ----------
-    work : sequence of (points, state)
-    timeout : float
-        Time [s] that one point may take.
-    """
+def compute_alone(task: Task) -> TaskResult:
+    """Body of a Dask task: like `compute`, but nothing that a point does can harm the worker."""
     found: list[Response] = []
     child: _Child | None = None
     try:
-        for points, state in work:
+        for points, state in task.work:
             previous: Response | None = None
             for point in points:
                 child = child or _Child()
-                response = child.ask(([point], state), timeout)
+                response = child.ask(([point], state), task.timeout)
                 if response.status in (Status.KILLED, Status.TIMED_OUT):
                     child.end()
                     child = None

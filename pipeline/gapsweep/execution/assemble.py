@@ -381,6 +381,7 @@ def _create(
             complevel=1,
             chunksizes=chunk,
             fletcher32=chunk is not None,
+            chunk_cache=1,  # every chunk is written once: to keep it would only fill memory
         )
     created.units, created.long_name = variable.units, variable.long_name
     _set_flags(created, variable.flags)

@@ -15,6 +15,12 @@ from gapsweep.errors import ClusterError
 from gapsweep.study.fingerprint import numerics_fingerprint
 
 _CONNECT_SECONDS = 10
+_LOCAL_SETTINGS = {
+    # Points of a lost worker are tried again by us, where they can harm nobody.
+    "distributed.scheduler.allowed-failures": 0,
+    # Dask's logs of messages hold the sweep points that were in them: a thousand tasks' worth.
+    "distributed.admin.low-level-log-length": 10,
+}
 
 
 @contextmanager
@@ -44,14 +50,11 @@ def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
         }
         # What goes wrong on a worker becomes the status of its points; its log only repeats it.
         options["silence_logs"] = logging.CRITICAL
-        # Points of a lost worker are tried again by us, where they can harm nobody.
-        with (
-            dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-            _deaf_to_interrupts(),
-        ):
-            local = LocalCluster(n_workers=workers, **options)
-        with local, Client(local) as client:
-            yield client
+        with dask.config.set(_LOCAL_SETTINGS):
+            with _deaf_to_interrupts():
+                local = LocalCluster(n_workers=workers, **options)
+            with local, Client(local) as client:
+                yield client
         return
     try:
         client = Client(scheduler, timeout=_CONNECT_SECONDS)

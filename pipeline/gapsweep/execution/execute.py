@@ -23,7 +23,7 @@ from gapsweep.execution.alone import compute_alone
 from gapsweep.execution.cluster import check_code, check_workers
 from gapsweep.execution.plan import Piece, Plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
-from gapsweep.execution.task import REST, TaskResult, Work, compute, process
+from gapsweep.execution.task import REST, Task, TaskResult, Work, compute, process
 from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.response.result import Response
 from gapsweep.response.walk import State
@@ -159,10 +159,8 @@ class _Execution:
             completed.add(future)
 
     def _submit(self, job: _Job) -> Future:
-        work = [self._work(piece) for piece in job.pieces]
-        if job.attempts:
-            return self.client.submit(compute_alone, work, self.timeout, pure=False)
-        return self.client.submit(compute, work, self.timeout, process(), pure=False)
+        task = Task([self._work(piece) for piece in job.pieces], self.timeout, process())
+        return self.client.submit(compute_alone if job.attempts else compute, task, pure=False)
 
     def _next_job(self) -> _Job | None:
         """Pieces for one task, as many as fill it; None if there is nothing to do now."""

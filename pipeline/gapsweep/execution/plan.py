@@ -86,8 +86,12 @@ class Plan:
 
     def index(self, point: int) -> Index:
         """Position of a point in the study's grid."""
-        at = np.unravel_index(self.cells[point], self.shape)
-        return tuple(int(i) for i in at)  # type: ignore[return-value]  # the grid has 5 axes
+        rest, at = int(self.cells[point]), []
+        for size in reversed(self.shape):
+            rest, i = divmod(rest, size)
+            at.append(i)
+        i, w, g, k, r = at
+        return r, k, g, w, i
 
     def unfinished(self) -> NDArray[np.int64]:
         """Numbers of the chains that are not done."""

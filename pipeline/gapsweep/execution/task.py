@@ -34,6 +34,25 @@ Work = tuple[Sequence[Point], State]
 
 
 @dataclass(frozen=True, slots=True)
+class Task:
+    """What a worker is sent; one object, because Dask would search lists for futures.
+
+    Attributes
+    ----------
+    work : list of (points, state)
+    timeout : float
+        Time [s] after which the worker process gives up, and with it all that it held; of
+        points that are computed alone, the time for each.
+    client : (str, int)
+        The client's `process`, which must not end that way.
+    """
+
+    work: list[Work]
+    timeout: float
+    client: tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True)
 class TaskResult:
     """Responses in the order of the points, and what computed them."""
 
@@ -42,19 +61,10 @@ class TaskResult:
     fingerprint: str
 
 
-def compute(work: Sequence[Work], timeout: float, client: tuple[str, int]) -> TaskResult:
-    """Body of a Dask task.
-
-    Parameters
-    ----------
-    work : sequence of (points, state)
-    timeout : float
-        Time [s] after which the worker process gives up, and with it all that it held.
-    client : (str, int)
-        The client's `process`, which must not end that way.
-    """
-    with _ending_after(timeout if client != process() else math.inf):
-        return TaskResult(responses(work), platform.node(), numerics_fingerprint())
+def compute(task: Task) -> TaskResult:
+    """Body of a Dask task."""
+    with _ending_after(task.timeout if task.client != process() else math.inf):
+        return TaskResult(responses(task.work), platform.node(), numerics_fingerprint())
 
 
 def process() -> tuple[str, int]:

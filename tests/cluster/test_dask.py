@@ -1,0 +1,233 @@
+"""Clusters started by hand: other code, TLS, lost schedulers, workers that come and go."""
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import psutil
+import pytest
+
+import gapsweep as gs
+from gapsweep.execution.cluster import cluster
+from gapsweep.store.cache import Cache
+
+SOURCES = Path(gs.__file__).parent
+ROOT = Path(__file__).parents[2]
+
+
+@contextmanager
+def dask(*arguments, **environment):
+    """A ``dask`` command in the background, ended with the block."""
+    command = [sys.executable, "-m", "dask", *arguments]
+    process = subprocess.Popen(
+        command,
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextmanager
+def scheduler(*arguments, protocol="tcp", **environment):
+    address = f"{protocol}://127.0.0.1:{(port := free_port())}"
+    options = ["--host", f"{protocol}://127.0.0.1", "--port", str(port), "--no-dashboard"]
+    with dask("scheduler", *options, *arguments, **environment) as process:
+        deadline = time.monotonic() + 60
+        while True:
+            try:
+                socket.create_connection(("127.0.0.1", port), timeout=1).close()
+                break
+            except OSError:
+                assert process.poll() is None
+                assert time.monotonic() < deadline
+                time.sleep(0.1)
+        yield address, process
+
+
+def worker(address, *arguments, **environment):
+    options = ["--nthreads", "1", "--no-dashboard", "--host", "127.0.0.1"]
+    return dask("worker", address, *options, *arguments, **environment)
+
+
+def run(tables, folder, address, **options):
+    study = gs.Study.from_dict(tables)
+    return gs.run(
+        study, out=folder / "out", cache=folder / "c.sqlite", scheduler=address, **options
+    )
+
+
+def stored(folder):
+    if not (folder / "c.sqlite").exists():
+        return 0
+    with Cache(folder / "c.sqlite") as cache:
+        return sum(1 for _ in cache.records())
+
+
+@pytest.fixture
+def slow(tables):
+    """A study of many points of some tenths of a second."""
+    tables["sweep"][0] |= {"representation": ["piecewise"]}
+    tables["sweep"][0]["omega"] = {"start": 8.0, "stop": 30.0, "num": 36}
+    tables["solver"] = {"engine": "scipy", "rtol": 1e-8}
+    return tables
+
+
+def test_cluster_started_by_hand_computes_the_study(tables, tmp_path):
+    with (
+        scheduler() as (address, _),
+        worker(address),
+        worker(address, "--no-nanny"),
+        run(tables, tmp_path, address) as ds,
+    ):
+        assert (ds["status"] == gs.Status.OK).all()
+
+
+def test_worker_with_other_code_is_refused_before_anything_runs(tables, tmp_path):
+    ignored = shutil.ignore_patterns("__pycache__")
+    copy = shutil.copytree(SOURCES, tmp_path / "other" / "gapsweep", ignore=ignored)
+    status = copy / "status.py"
+    status.write_text(
+        status.read_text().replace("NOT_REQUESTED = 1", "NOT_REQUESTED = 1\n    X = 12")
+    )
+    with (
+        scheduler() as (address, _),
+        worker(address, PYTHONPATH=str(copy.parent)),
+        pytest.raises(gs.ClusterError, match=r"tcp://.* runs other numerics .*install the"),
+    ):
+        run(tables, tmp_path, address)
+    assert stored(tmp_path) == 0
+
+
+def test_worker_without_gapsweep_is_refused(tables, tmp_path):
+    broken = tmp_path / "broken" / "gapsweep"
+    broken.mkdir(parents=True)
+    (broken / "__init__.py").write_text("raise ImportError('no gapsweep here')")
+    with (
+        scheduler() as (address, _),
+        worker(address, PYTHONPATH=str(broken.parent)),
+        pytest.raises(gs.ClusterError, match=r"cannot run gapsweep .* install the same version"),
+    ):
+        run(tables, tmp_path, address)
+
+
+def test_lost_scheduler_is_a_clear_error_and_the_run_resumes(slow, tmp_path):
+    with scheduler() as (address, process), worker(address):
+
+        def kill():
+            while stored(tmp_path) < 3:
+                time.sleep(0.1)
+            os.killpg(process.pid, signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        with pytest.raises(gs.ClusterError, match=r"lost.*run again to resume"):
+            run(slow, tmp_path, address, batch=1)
+        killer.join()
+    kept = stored(tmp_path)
+    assert 3 <= kept < 36
+    study = gs.Study.from_dict(slow)
+    counts = []
+    with gs.run(
+        study, out=tmp_path / "out", cache=tmp_path / "c.sqlite",
+        on_progress=lambda p: counts.append((p.n_hits, p.n_computed)),
+    ):  # fmt: skip
+        assert counts[-1] == (kept, 36 - kept)
+
+
+def test_workers_may_join_and_leave(slow, tmp_path):
+    with scheduler() as (address, _), worker(address):
+
+        def come_and_go():
+            while stored(tmp_path) < 3:
+                time.sleep(0.1)
+            with worker(address):
+                reached = stored(tmp_path)
+                while stored(tmp_path) < reached + 8:
+                    time.sleep(0.1)
+
+        other = threading.Thread(target=come_and_go)
+        other.start()
+        with run(slow, tmp_path, address, batch=1) as ds:
+            assert (ds["status"] == gs.Status.OK).all()
+        other.join()
+
+
+def test_local_cluster_listens_on_the_loopback_only():
+    with cluster(workers=1) as client:
+        client.wait_for_workers(1)
+        mine = psutil.Process()
+        processes = [mine, *mine.children(recursive=True)]
+        listening = {
+            c.laddr.ip for p in processes for c in p.net_connections() if c.status == "LISTEN"
+        }
+        assert listening == {"127.0.0.1"}
+        assert re.match(r"http://127\.0\.0\.1:\d+/", client.dashboard_link)
+
+
+@pytest.fixture
+def certificate(tmp_path):
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("needs the openssl command")
+    key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"
+    command = [
+        openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj",
+        "/CN=localhost", "-keyout", str(key), "-out", str(certificate),
+    ]  # fmt: skip
+    subprocess.run(command, check=True, capture_output=True)
+    return key, certificate
+
+
+def test_tls_address_passes_through(tables, tmp_path, certificate):
+    key, cert = map(str, certificate)
+    files = ["--tls-ca-file", cert, "--tls-cert", cert, "--tls-key", key]
+    tls = "DASK_DISTRIBUTED__COMM__TLS__"
+    settings = {f"{tls}CA_FILE": cert, f"{tls}CLIENT__CERT": cert, f"{tls}CLIENT__KEY": key}
+    study = tmp_path / "tls.toml"
+    study.write_text(
+        """
+[study]
+name = "tls"
+[[sweep]]
+representation = ["piecewise"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = [12.0]
+"""
+    )
+    command = [sys.executable, "-c", "from gapsweep.cli import main; main()", "run", "tls.toml"]
+    with scheduler(*files, protocol="tls") as (address, _), worker(address, *files):
+        done = subprocess.run(
+            [*command, "--scheduler", address], cwd=tmp_path, env=os.environ | settings,
+            capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        without = subprocess.run(
+            [*command, "--scheduler", address, "--cache", "other.sqlite"], cwd=tmp_path,
+            capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+    assert without.returncode == 1
+    assert [
+        f"scheduler {address}: cannot be reached" in line for line in without.stderr.splitlines()
+    ] == [True]

@@ -1,0 +1,45 @@
+"""What is read from disk is data, never code; what is printed is text, never markup."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import gapsweep
+
+SOURCES = Path(gapsweep.__file__).parent
+FORBIDDEN_MODULES = {"pickle", "cloudpickle", "dill", "marshal", "shelve", "joblib", "yaml"}
+FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
+
+
+@pytest.mark.parametrize("path", sorted(SOURCES.rglob("*.py")), ids=lambda p: p.name)
+def test_nothing_read_can_be_executed(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            assert not {a.name.split(".")[0] for a in node.names} & FORBIDDEN_MODULES
+        elif isinstance(node, ast.ImportFrom):
+            assert (node.module or "").split(".")[0] not in FORBIDDEN_MODULES
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in FORBIDDEN_CALLS
+
+
+@pytest.mark.parametrize(
+    "name", ["../up", "a/b", "/abs", "..", ".hidden", "a\\b", "a\nb", "", "x" * 65, "ä", "a b"]
+)
+def test_study_name_cannot_leave_the_output_folder(tables, name):
+    tables["study"]["name"] = name
+    with pytest.raises(gapsweep.StudyError, match=r"study\.name"):
+        gapsweep.Study.from_dict(tables)
+
+
+def test_hostile_texts_are_escaped_in_the_report(tables, client, tmp_path):
+    hostile = '"><img src=x onerror=alert(1)><script>alert(2)</script>'
+    tables["study"]["title"] = hostile
+    tables["sweep"][0]["representation"] = ["piecewise", "tests.laws:raising"]
+    tables["sweep"][0]["omega"] = [7.0]
+    study = gapsweep.Study.from_dict(tables)
+    gapsweep.run(study, client, out=tmp_path / "out", cache=tmp_path / "c.sqlite").close()
+    page = (tmp_path / "out" / "report" / "index.html").read_text()
+    assert "<script>alert" not in page
+    assert "<img" not in page
+    assert "&lt;script&gt;alert(2)" in page
