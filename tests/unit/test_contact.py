@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 from tests import strategies as own
 
 import gapsweep as gs
-from gapsweep.model.fit import Fit, best_pole_free, poles
+from gapsweep.model.contact import FIT_RANGE
+from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates
 
 SOFT = 1.4e4
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
@@ -73,6 +74,23 @@ def test_fit_without_pole_is_preferred_to_a_better_one_with_pole():
     with_pole = Fit((0.0, 1.0), (1.0, 2.0), rmse=1.0, r_squared=0.9)
     without = Fit((0.0, 1.0), (1.0, 0.5), rmse=2.0, r_squared=0.8)
     assert best_pole_free([with_pole, without], 4e-3, "any") is without
+
+
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC])
+def test_starts_of_a_rational_fit_hold_the_adopted_one(gap):
+    law = gs.RationalPolynomial(1.0, gap, 3, 2)
+    found = rational_candidates(gap, 3, 2, FIT_RANGE)
+    if gap.is_symmetric:
+        found += rational_candidates(gap, 3, 2, FIT_RANGE, odd=True)
+    assert law.fit in found
+    best = min(fit.rmse for fit in found if not poles(fit.denominator, FIT_RANGE))
+    assert law.rmse <= best * (1.0 + 1e-5)
+
+
+def test_odd_terms_alone_give_an_odd_fit():
+    for fit in rational_candidates(SYMMETRIC, 3, 2, FIT_RANGE, odd=True):
+        assert not np.any(fit.numerator[::2])
+        assert not np.any(fit.denominator[1::2])
 
 
 @given(own.smooth_labels | own.fitted_labels, own.gaps, own.displacements)

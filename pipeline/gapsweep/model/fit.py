@@ -101,9 +101,12 @@ def rational_fit(gap: Gap, numerator: int, denominator: int, fit_range: float) -
         if not 1 <= degree <= MAX_RATIONAL_DEGREE:
             raise ModelError(f"{name} degree {degree}: must be in 1..{MAX_RATIONAL_DEGREE}")
     name = f"ratpoly-{numerator}/{denominator} for gap {gap.label} mm"
-    return best_pole_free(
-        _rational_candidates(gap, numerator, denominator, fit_range), fit_range, name
-    )
+    candidates = rational_candidates(gap, numerator, denominator, fit_range)
+    if gap.is_symmetric:
+        # The symmetric form first: it wins a tie and is then odd to the last bit.
+        odd = rational_candidates(gap, numerator, denominator, fit_range, odd=True)
+        candidates = odd + candidates
+    return best_pole_free(candidates, fit_range, name)
 
 
 def best_pole_free(candidates: Sequence[Fit], fit_range: float, name: str) -> Fit:
@@ -137,19 +140,22 @@ def _used_degrees(gap: Gap, degree: int, *, odd: bool) -> NDArray[np.intp]:
     return degrees[degrees % 2 == int(odd)] if gap.is_symmetric else degrees
 
 
-def _rational_candidates(gap: Gap, n: int, m: int, fit_range: float) -> list[Fit]:
-    everything = np.arange(n + 1), np.arange(1, m + 1)
-    shapes = [everything]
-    # The symmetric form first: it wins a tie and is then odd to the last bit.
-    if gap.is_symmetric:
-        odd = np.arange(1, n + 1, 2)
-        even = np.arange(2, m + 1, 2)
-        shapes.insert(0, (odd, even))
-    candidates = []
-    for top, bottom in shapes:
-        problem = _Projection(gap, n, m, fit_range, top, bottom)
-        candidates += [problem.fit(problem.minimise(d)) for d in problem.starts()]
-    return candidates
+@lru_cache(maxsize=256)
+def rational_candidates(
+    gap: Gap, numerator: int, denominator: int, fit_range: float, *, odd: bool = False
+) -> tuple[Fit, ...]:
+    """What the search for a rational fit ends on, one fit per start, poles or not.
+
+    Parameters
+    ----------
+    odd : bool
+        Use only the terms that an odd force has: odd ones over even ones.
+    """
+    top, bottom = np.arange(numerator + 1), np.arange(1, denominator + 1)
+    if odd:
+        top, bottom = top[top % 2 == 1], bottom[bottom % 2 == 0]
+    problem = _Projection(gap, numerator, denominator, fit_range, top, bottom)
+    return tuple(problem.fit(problem.minimise(d)) for d in problem.starts())
 
 
 class _Projection:

@@ -1,0 +1,239 @@
+"""The static part of a study: what its contact laws are worth before anything is integrated.
+
+For every representation, stiffness and gap: force curve and force error (A1 of the metrics),
+frequency of small motions in the gap (A2), static equilibria and their barriers (A3). With
+the ladders of `gapsweep.analysis.ladders` this is all that ``static.nc`` holds.
+"""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
+from gapsweep.analysis.ladders import ladders
+from gapsweep.errors import ModelError
+from gapsweep.model.contact import ContactLaw, Piecewise, static_error
+from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
+from gapsweep.model.labels import contact_law
+from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.study.schema import COORDINATES, POINT_DIMS, Variable
+from gapsweep.study.study import Study
+
+Array = NDArray[np.float64]
+Values = dict[str, Any]
+
+SCENE_DIMS = POINT_DIMS[:3]
+EQUILIBRIUM = "equilibrium"
+_N_UNIFORM = 801
+# Distances from a wall [m]: from the layer of tanh-1e9 on, 6 per decade.
+_FINEST, _N_PER_DECADE = 1e-10, 6
+
+CURVES = {
+    "force": Variable("f8", "N", "contact force on the mass"),
+    "force_error": Variable("f8", "N", "contact force minus that of the exact law"),
+}
+SCENE_VARIABLES = {
+    "rmse": Variable("f8", "N", "RMS force error on 8001 uniform points of the fit range"),
+    "r_squared": Variable("f8", "1", "coefficient of determination of the force on those points"),
+    "fit_rmse": Variable("f8", "N", "RMS force error of a fit on the points it was made on"),
+    "rmse_resolved": Variable("f8", "N", "RMS force error as an integral over the fit range"),
+    "rmse_in_gap": Variable("f8", "N", "RMS force error as an integral over the gap"),
+    "rmse_outside": Variable("f8", "N", "RMS force error as an integral outside the gap"),
+    "in_gap_force": Variable("f8", "N", "largest force between the walls"),
+    "in_gap_force_ratio": Variable("f8", "1", "largest force between the walls over the forcing"),
+    "force_at_zero": Variable("f8", "N", "contact force at x = 0"),
+    "in_gap_frequency": Variable("f8", "Hz", "frequency of small motions amid the gap"),
+    "in_gap_frequency_error": Variable("f8", "1", "in_gap_frequency over omega_n, minus 1"),
+    "frequency_at_zero": Variable("f8", "Hz", "frequency by the slope of the law at x = 0"),
+    "frequency_at_zero_error": Variable("f8", "1", "frequency_at_zero over omega_n, minus 1"),
+    "n_equilibria": Variable("i4", "1", "number of static equilibria in the fit range", 0),
+    "n_wells": Variable("i4", "1", "number of stable static equilibria", 0),
+    "lowest_barrier": Variable("f8", "J", "least energy that leaves a static well"),
+    "refusal": Variable("str", "1", "why the law cannot be used, empty if it can"),
+}
+_STABILITY = (("none", -1), ("unstable", 0), ("stable", 1))
+LIST_VARIABLES = {
+    "equilibrium_x": Variable("f8", "m", "positions of the static equilibria"),
+    "equilibrium_stable": Variable("i1", "1", "stability of the equilibria", -1, _STABILITY),
+    "equilibrium_energy": Variable("f8", "J", "potential energy there, zero at x = 0"),
+    "equilibrium_frequency": Variable("f8", "Hz", "frequency of small motions in each well"),
+    "equilibrium_barrier": Variable("f8", "J", "energy that leaves each well"),
+}
+
+
+def static(study: Study) -> xr.Dataset:
+    """Static quality of every representation, and the ladders of fits and parameters.
+
+    Parameters
+    ----------
+    study : Study
+        Labels lose their protocol here, and each is there once.
+
+    Returns
+    -------
+    Dataset
+        `law_statics` and `ladders` in one, with title, study, study_json as attributes.
+    """
+    of_laws, of_ladders = law_statics(study), ladders(study)
+    attributes = {
+        "title": study.title,
+        "study": study.name,
+        "study_json": study.json,
+        "numerics_fingerprint": numerics_fingerprint(),
+        "fit_range": study.spec.fit.range,
+    }
+    variables = {**of_laws.data_vars, **of_ladders.data_vars}
+    return xr.Dataset(variables, {**of_laws.coords, **of_ladders.coords}, attributes)
+
+
+def law_statics(study: Study) -> xr.Dataset:
+    """Force, errors, frequencies and equilibria over representation, K_c and gap.
+
+    A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
+    """
+    grid, x_max = study.grid, study.spec.fit.range
+    labels = tuple(dict.fromkeys(label.partition("@")[0] for label in grid.representations))
+    x = displacements(grid.gaps, x_max)
+    scenes = {
+        (r, k, g): _measured(study.oscillator, label, K_c, gap, x, x_max)
+        for r, label in enumerate(labels)
+        for k, K_c in enumerate(grid.K_c)
+        for g, gap in enumerate(grid.gaps)
+    }
+    shape = (len(labels), len(grid.K_c), len(grid.gaps))
+    longest = max([1, *(values.get("n_equilibria", 0) for values in scenes.values())])
+    variables: dict[str, Any] = {}
+    for table, dims, size in (
+        (SCENE_VARIABLES, (), ()),
+        (CURVES, ("x",), (x.size,)),
+        (LIST_VARIABLES, (EQUILIBRIUM,), (longest,)),
+    ):
+        for name, variable in table.items():
+            filled = _filled(variable, name, scenes, shape + size)
+            variables[name] = ((*SCENE_DIMS, *dims), filled, _attributes(variable))
+    axes = {
+        "representation": list(labels),
+        "K_c": list(grid.K_c),
+        "gap": [gap.label for gap in grid.gaps],
+        "j_1": [gap.j_1 for gap in grid.gaps],
+        "j_2": [gap.j_2 for gap in grid.gaps],
+    }
+    coords: dict[str, Any] = {
+        name: (COORDINATES[name][0], axis, _attributes(COORDINATES[name][1]))
+        for name, axis in axes.items()
+    }
+    variables["forcing"] = ((), study.oscillator.forcing, {"units": "N", "long_name": "forcing"})
+    coords["x"] = ("x", x, {"units": "m", "long_name": "displacement"})
+    return xr.Dataset(variables, coords)
+
+
+def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
+    """Common grid [m] of the force curves: uniform over ``±x_max``, graded to every wall."""
+    walls = np.unique([wall for gap in gaps for wall in (-gap.j_1, gap.j_2)])
+    n = max(2, round(_N_PER_DECADE * np.log10(2.0 * x_max / _FINEST)))
+    steps = np.geomspace(_FINEST, 2.0 * x_max, n)
+    near = np.add.outer(walls, np.concatenate([-steps, [0.0], steps])).ravel()
+    points = np.concatenate([np.linspace(-x_max, x_max, _N_UNIFORM), near])
+    return np.unique(points[np.abs(points) <= x_max])
+
+
+def _measured(
+    oscillator: Oscillator, label: str, K_c: float, gap: Gap, x: Array, x_max: float
+) -> Values:
+    try:
+        law = contact_law(label, K_c, gap, x_max)
+        force = law.force(x)
+        return {
+            "force": force,
+            "force_error": force - Piecewise(K_c, gap).force(x),
+            **_errors(law, x_max),
+            **_in_gap(oscillator, law, x_max),
+            **_wells(oscillator, law, x_max),
+        }
+    except ModelError as error:
+        return {"refusal": str(error)}
+    except Exception as error:  # the user's code may raise anything
+        if ":" not in label:
+            raise
+        return {"refusal": f"{type(error).__name__}: {error}"}
+
+
+def _errors(law: ContactLaw, x_max: float) -> Values:
+    rmse, r_squared = static_error(law, x_max)
+    whole, within, rest = resolved_rmse(law, x_max)
+    return {
+        "rmse": rmse,
+        "r_squared": r_squared,
+        "fit_rmse": getattr(law, "rmse", np.nan),
+        "rmse_resolved": whole,
+        "rmse_in_gap": within,
+        "rmse_outside": rest,
+    }
+
+
+def _in_gap(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
+    """A1 and A2. The cubic spring is left out, so that the exact law has omega_n everywhere."""
+    force = largest_in_gap(law, x_max)
+    forcing = abs(oscillator.forcing)
+    values = {
+        "in_gap_force": force,
+        "in_gap_force_ratio": force / forcing if forcing else np.nan,
+        "force_at_zero": float(law.force(0.0)),
+    }
+    low, high = in_gap(law.gap, x_max)
+    middle = 0.5 * (low + high) if high > low else np.nan
+    for name, x in (("in_gap_frequency", middle), ("frequency_at_zero", 0.0)):
+        stiffness = linear_stiffness(oscillator) + float(law.derivative(x))
+        values[name] = float(_frequency(oscillator, np.array(stiffness)))
+        values[f"{name}_error"] = values[name] / oscillator.omega_n - 1.0
+    return values
+
+
+def _wells(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
+    """A3."""
+    found = equilibria(oscillator, law, x_max)
+    slope = restoring_slope(oscillator, law, found.x)
+    barriers = found.barrier[np.isfinite(found.barrier)]
+    return {
+        "n_equilibria": found.x.size,
+        "n_wells": int(found.stable.sum()),
+        "lowest_barrier": float(np.min(barriers)) if barriers.size else np.nan,
+        "equilibrium_x": found.x,
+        "equilibrium_stable": found.stable,
+        "equilibrium_energy": found.energy,
+        "equilibrium_frequency": np.where(found.stable, _frequency(oscillator, slope), np.nan),
+        "equilibrium_barrier": found.barrier,
+    }
+
+
+def _frequency(oscillator: Oscillator, stiffness: Array) -> Array:
+    """Natural frequency [Hz] of the mass on a spring; NaN if the spring pushes outwards."""
+    real = np.where(stiffness >= 0.0, stiffness, np.nan)
+    return np.asarray(np.sqrt(real / oscillator.mass) / (2.0 * np.pi))
+
+
+def _filled(
+    variable: Variable, name: str, scenes: dict[tuple[int, int, int], Values], shape: Any
+) -> NDArray[Any]:
+    """The values of all scenes in one array, padded with the value for missing ones."""
+    if variable.dtype == "str":
+        texts = [scenes[at].get(name, "") for at in np.ndindex(*shape)]
+        return np.reshape(np.array(texts, dtype=str), shape)
+    array = np.full(shape, variable.missing, dtype=variable.dtype)
+    for at, values in scenes.items():
+        if name in values:
+            value = np.asarray(values[name])
+            array[(*at, slice(value.size)) if value.ndim else at] = value
+    return array
+
+
+def _attributes(variable: Variable) -> dict[str, Any]:
+    attributes: dict[str, Any] = {"units": variable.units, "long_name": variable.long_name}
+    if variable.flags:
+        names, values = zip(*variable.flags, strict=True)
+        attributes["flag_values"] = np.array(values, dtype=variable.dtype)
+        attributes["flag_meanings"] = " ".join(names)
+    return attributes

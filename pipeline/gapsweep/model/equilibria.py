@@ -1,0 +1,166 @@
+"""Static equilibria: where the springs and a contact law balance without forcing.
+
+Nothing but ``force`` and ``derivative`` of a law is used. The search samples the slope of
+the restoring force on points that resolve smoothing layers of any width, splits the range
+where the slope changes sign, and finds the one root that each monotone piece can hold.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from gapsweep.model.contact import ContactLaw, Polynomial, RationalPolynomial
+from gapsweep.model.oscillator import Oscillator
+
+Array = NDArray[np.float64]
+
+# Points in half the range: ten to each half-wave of a polynomial of the highest degree.
+_N_COARSE = 1001
+# Distances from a wall [m]: from far below any smoothing layer, 40 per decade.
+_FINEST = 1e-13
+_N_PER_DECADE = 40
+# Poles closer to the real axis than this share of the range need points of their own.
+_NEAR_POLE = 0.02
+# Roots are located to the last digits of a double, also those next to zero.
+_X_TOL, _R_TOL = 1e-20, 1e-15
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
+
+
+@dataclass(frozen=True, slots=True)
+class Equilibria:
+    """Static equilibria in ascending order.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+        Positions [m].
+    stable : ndarray of bool, shape (n,)
+        Whether the restoring force rises through zero there: a well of the potential.
+    energy : ndarray, shape (n,)
+        Potential energy of springs and contact [J], zero at ``x = 0``.
+    """
+
+    x: Array
+    stable: NDArray[np.bool_]
+    energy: Array
+
+    @property
+    def barrier(self) -> Array:
+        """Energy [J] that lifts the mass out of each well; NaN where nothing bounds it."""
+        beside = np.full((2, self.x.size), np.inf)
+        beside[0, 1:] = self.energy[:-1]
+        beside[1, :-1] = self.energy[1:]
+        lowest = np.min(beside, axis=0, initial=np.inf)
+        return np.where(self.stable & np.isfinite(lowest), lowest - self.energy, np.nan)
+
+
+def restoring_force(oscillator: Oscillator, law: ContactLaw, x: ArrayLike) -> Array:
+    """Force of both springs and the contact [N]: ``k x + α x³ + F_c(x)``."""
+    x = np.asarray(x, dtype=float)
+    return np.asarray(x * (linear_stiffness(oscillator) + oscillator.alpha * x**2) + law.force(x))
+
+
+def restoring_slope(oscillator: Oscillator, law: ContactLaw, x: ArrayLike) -> Array:
+    """Derivative of `restoring_force` [N/m]."""
+    x = np.asarray(x, dtype=float)
+    springs = linear_stiffness(oscillator) + 3.0 * oscillator.alpha * x**2
+    return np.asarray(springs + law.derivative(x))
+
+
+def linear_stiffness(oscillator: Oscillator) -> float:
+    """Stiffness k of the linear spring [N/m]."""
+    return oscillator.mass * oscillator.omega_n_rad**2
+
+
+def equilibria(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Equilibria:
+    """All static equilibria with ``|x| < x_max`` [m].
+
+    A root at which the restoring force touches zero without crossing it is found only if it
+    falls on a sampled point, and counts as unstable. A pole is no root. A law of the user
+    is resolved to about ``x_max/600``, and finely near its walls.
+    """
+
+    def force(x: ArrayLike) -> Array:
+        return restoring_force(oscillator, law, x)
+
+    points = search_points(law, x_max)
+    turns, _ = sign_changes(lambda x: restoring_slope(oscillator, law, x), points)
+    points = np.union1d(points, turns)
+    x, direction = sign_changes(force, points)
+    return Equilibria(x, direction > 0.0, _potential(oscillator, law, x, points))
+
+
+def search_points(law: ContactLaw, x_max: float) -> Array:
+    """Displacements [m] in ``±x_max`` on which a law shows all its features, ascending.
+
+    Dense towards the ends as a polynomial is wild there, graded towards the walls as the
+    layers of a smoothing law are, with zero, the walls and near poles among them.
+    """
+    half = x_max * np.sin(np.linspace(0.0, 0.5 * np.pi, _N_COARSE))
+    n = round(_N_PER_DECADE * np.log10(2.0 * x_max / _FINEST))
+    steps = np.geomspace(_FINEST, 2.0 * x_max, max(n, 2))
+    offsets = np.concatenate([-steps, [0.0], steps])
+    centres = np.array([-law.gap.j_1, law.gap.j_2, *_near_poles(law)])
+    points = np.concatenate([half, -half, np.add.outer(centres, offsets).ravel()])
+    return np.unique(points[np.abs(points) <= x_max])
+
+
+def sign_changes(function: Callable[[Array], Array], points: Array) -> tuple[Array, Array]:
+    """Zeros of a function between ascending points, and which way it passes each.
+
+    Returns
+    -------
+    zeros, direction : ndarray, shape (n,)
+        Direction 1: rising, -1: falling, 0: touching. Zeros outside the first and the last
+        point at which the function is not zero are left out, as are poles and places next to
+        which the function is not finite.
+    """
+    values = function(points)
+    sign = np.where(np.isfinite(values), np.sign(values), np.nan)
+    here = np.flatnonzero(sign != 0.0)
+    left, right = here[:-1], here[1:]
+    jump = sign[right] - sign[left]
+    is_zero = np.isfinite(jump) & ((jump != 0.0) | (right > left + 1))
+    found = []
+    for i, k in zip(left[is_zero].tolist(), right[is_zero].tolist(), strict=True):
+        if k > i + 1:
+            x = points[(i + k) // 2]
+        else:
+            x = brentq(function, points[i], points[k], xtol=_X_TOL, rtol=_R_TOL, maxiter=500)
+        if abs(function(x)) <= max(abs(values[i]), abs(values[k])):
+            found.append((x, (sign[k] - sign[i]) / 2.0))
+    zeros, direction = np.reshape(found, (-1, 2)).T
+    return zeros, direction
+
+
+def panels(points: Array) -> tuple[Array, Array]:
+    """Gauss–Legendre nodes and weights, shape (panel, node), between ascending points."""
+    centre, half = 0.5 * (points[1:] + points[:-1]), 0.5 * np.diff(points)
+    return centre[:, None] + half[:, None] * _GAUSS_NODES, half[:, None] * _GAUSS_WEIGHTS
+
+
+def _near_poles(law: ContactLaw) -> list[float]:
+    """Real parts [m] of the poles of a rational fit that are close to its range."""
+    if not isinstance(law, Polynomial | RationalPolynomial):
+        return []
+    roots = chebyshev.chebroots(chebyshev.chebtrim(law.coefficients[1], tol=1e-14))
+    near = np.abs(roots.imag) < _NEAR_POLE
+    return [float(x) for x in roots.real[near] * law.valid_range]
+
+
+def _potential(oscillator: Oscillator, law: ContactLaw, x: Array, points: Array) -> Array:
+    if not x.size:
+        return x
+    points = np.union1d(points, np.append(x, 0.0))
+    nodes, weights = panels(points)
+    work = np.sum(law.force(nodes) * weights, axis=1)
+    # Summed outwards from zero: the energies near it are small, and the barriers there too.
+    origin = int(np.searchsorted(points, 0.0))
+    left, right = -np.cumsum(work[:origin][::-1])[::-1], np.cumsum(work[origin:])
+    contact = np.concatenate([left, [0.0], right])[np.searchsorted(points, x)]
+    springs = 0.5 * linear_stiffness(oscillator) * x**2 + 0.25 * oscillator.alpha * x**4
+    return np.asarray(springs + contact)

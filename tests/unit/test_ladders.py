@@ -1,0 +1,192 @@
+"""Ladders, thresholds and the errors of one law: closed forms and other ways to compute them."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.polynomial import chebyshev
+from numpy.testing import assert_allclose
+from scipy.integrate import quad
+from scipy.special import lambertw
+
+import gapsweep as gs
+from gapsweep.analysis import ladders as ladder
+from gapsweep.analysis import thresholds
+from gapsweep.analysis.force_error import largest_in_gap, resolved_rmse
+from gapsweep.model.equilibria import equilibria
+from gapsweep.model.fit import polynomial_fit
+
+RANGE = 4e-3
+VERY_SOFT, SOFT, HARD = 1.4e3, 1.4e4, 1.4e6
+SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
+OSCILLATOR = gs.Oscillator()
+
+
+@pytest.fixture(scope="module")
+def rungs():
+    sweep = {
+        "representation": ["piecewise"],
+        "K_c": [VERY_SOFT, SOFT, HARD],
+        "gap": [[gap.j_1, gap.j_2] for gap in (SYMMETRIC, ASYMMETRIC)],
+        "omega": [7.0],
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ladder, "RATIOS", ((3, 2), (5, 3)))  # the others take most of a minute
+        yield ladder.ladders(gs.Study.from_dict({"study": {"name": "rungs"}, "sweep": [sweep]}))
+
+
+def test_in_gap_force_of_a_high_degree_at_hard_contact(rungs):
+    rung = rungs["poly_in_gap_force"].sel(gap="0.4/0.4", constraint="none", degree=45)
+    assert f"{HARD * float(rung):.0f}" == "39"
+
+
+def test_best_rational_fit_of_low_degree_is_odd(rungs):
+    rung = rungs.sel(gap="0.4/0.4", ratio="3/2")
+    assert abs(float(rung["ratpoly_force_at_zero"])) < 1e-12
+    assert f"{SOFT * float(rung['ratpoly_fit_rmse']):.3f}" == "0.232"
+    assert f"{SOFT * float(rung['ratpoly_in_gap_force']):.2f}" == "0.79"
+    better = rungs.sel(gap="0.4/0.4", ratio="5/3")
+    assert f"{SOFT * float(better['ratpoly_in_gap_force']):.2f}" == "0.65"
+
+
+def test_depth_of_the_tanh_lobe():
+    # z(1 - tanh z)/2 is stationary where z(1 + tanh z) = 1, which 2z - 1 = W(1/e) solves.
+    assert_allclose(thresholds.TANH_LOBE, lambertw(1.0 / math.e).real / 2.0, rtol=1e-10)
+
+
+@pytest.mark.parametrize("epsilon", [1e5, 1e7, 1e9])
+def test_in_gap_force_of_tanh_is_its_lobe(epsilon):
+    force = largest_in_gap(gs.Tanh(HARD, SYMMETRIC, epsilon), RANGE)
+    assert_allclose(force, thresholds.TANH_LOBE * HARD / epsilon, rtol=1e-9)
+
+
+@pytest.mark.parametrize("epsilon", [1e5, 1e7, 1e9])
+def test_resolved_error_of_a_thin_tanh_layer(epsilon):
+    # Each of four half-layers is off by K_c/ε z(1 - tanh z)/2.
+    lobe, _ = quad(lambda z: (z * (1.0 - math.tanh(z)) / 2.0) ** 2, 0.0, 30.0)
+    squares = 4.0 * (HARD / epsilon) ** 2 * lobe / epsilon
+    whole, within, rest = resolved_rmse(gs.Tanh(HARD, SYMMETRIC, epsilon), RANGE)
+    assert_allclose(whole, math.sqrt(squares / (2.0 * RANGE)), rtol=1e-6)
+    assert_allclose(within, math.sqrt(squares / 2.0 / SYMMETRIC.width), rtol=1e-6)
+    assert_allclose(rest, math.sqrt(squares / 2.0 / (2.0 * RANGE - SYMMETRIC.width)), rtol=1e-6)
+
+
+def test_uniform_points_miss_a_thin_layer_and_the_integral_does_not(rungs):
+    rung = rungs.sel(gap="0.4/0.4", family="tanh", parameter=1e9)
+    assert float(rung["smooth_rmse"]) < 1e-6 * float(rung["smooth_rmse_resolved"])
+
+
+def test_parts_that_do_not_exist_have_no_error():
+    law = gs.Arctan(SOFT, gs.Gap(0.0, 0.0), 1e4)
+    assert np.isnan(resolved_rmse(law, RANGE)[1])
+    law = gs.Arctan(SOFT, gs.Gap(5e-3, 5e-3), 1e4)
+    assert np.isnan(resolved_rmse(law, RANGE)[2])
+
+
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC])
+def test_nested_polynomials_are_the_fitted_ones(gap):
+    fits = ladder.polynomial_ladder(gap, RANGE)
+    for i, degree in enumerate(ladder.DEGREES):
+        fit = polynomial_fit(gap, degree, RANGE)
+        assert_allclose(fits["poly_rmse"][0, i], fit.rmse, rtol=1e-9)
+        law = gs.Polynomial(1.0, gap, degree)
+        assert_allclose(fits["poly_in_gap_force"][0, i], largest_in_gap(law, RANGE), rtol=1e-4)
+
+
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC, gs.Gap(3e-3, 3e-3)])
+@pytest.mark.parametrize("degree", [3, 7])
+def test_constrained_polynomials_lack_constant_and_linear_term(gap, degree):
+    x = np.linspace(-RANGE, RANGE, 8001)
+    exact = gs.Piecewise(1.0, gap).force(x)
+    columns = np.vander(x / RANGE, degree + 1, increasing=True)[:, 2:]
+    fit = columns @ np.linalg.lstsq(columns, exact, rcond=None)[0]
+    fits = ladder.polynomial_ladder(gap, RANGE)
+    i = ladder.DEGREES.index(degree)
+    assert_allclose(fits["poly_rmse"][1, i], np.sqrt(np.mean((fit - exact) ** 2)), rtol=1e-9)
+    outside = exact != 0.0
+    worst = np.max(np.abs(fit - exact)[outside])
+    assert_allclose(fits["poly_outside_error"][1, i], worst, rtol=1e-9)
+
+
+def test_more_terms_never_fit_worse_and_a_constraint_never_better(rungs):
+    rmse = rungs["poly_rmse"]
+    assert (rmse.diff("degree") <= 1e-15).all()
+    free, constrained = (rmse.sel(constraint=name) for name in ladder.CONSTRAINTS)
+    assert (constrained >= free).all()
+
+
+def test_condition_by_basis_where_double_precision_shows_it():
+    u = np.linspace(-1.0, 1.0, 8001)
+    condition = ladder.condition_numbers(RANGE)
+    for i, degree in enumerate(ladder.DEGREES[:6]):
+        scaled = np.vander(u, degree + 1, increasing=True)
+        chebyshev_basis = chebyshev.chebvander(u, degree)
+        bases = (scaled, chebyshev_basis, chebyshev_basis[:, 1::2])
+        assert_allclose(condition[1:, i], [np.linalg.cond(b) for b in bases], rtol=1e-6)
+    small = np.linalg.cond(np.vander(u * RANGE, 4, increasing=True))
+    assert_allclose(condition[0, 0], small, rtol=1e-6)
+
+
+def test_condition_is_a_matter_of_the_basis(rungs):
+    # The leading monomials of degree n in metres differ by range**n in size.
+    condition = rungs["poly_condition"].sel(degree=45)
+    assert float(condition.sel(basis="monomial in m")) > RANGE**-45
+    assert float(condition.sel(basis="monomial, scaled")) > 1e15
+    assert float(condition.sel(basis="Chebyshev")) < 10.0
+
+
+def test_smallest_degree_is_the_first_that_leaks_little():
+    force = np.array([[3.0, 0.3, 0.5], [9.0, 8.0, 7.0]])
+    assert thresholds.smallest_degree(force, (3, 5, 7), -4.0).tolist() == [5, 0]
+
+
+def test_harder_contact_needs_a_higher_degree(rungs):
+    degree = rungs["poly_smallest_degree"].sel(gap="0.4/0.4").values.tolist()
+    assert degree == [5, 45, 0]
+
+
+def test_shares_of_the_starts(rungs):
+    pole, best = rungs["ratpoly_pole_share"], rungs["ratpoly_best_share"]
+    assert ((pole >= 0.0) & (best > 0.0) & (pole + best <= 1.0)).all()
+
+
+def test_static_error_falls_fastest_for_tanh_and_slowest_for_logarctan(rungs):
+    rmse = rungs["smooth_rmse_resolved"].sel(gap="0.4/0.4")
+    tanh, arctan, logarctan = (rmse.sel(family=name) for name in ladder.FAMILIES)
+    assert ((tanh < arctan) & (arctan < logarctan)).all()
+    # Layers of width 1/ε with an error of order 1/ε in them: order 3/2. Log-arctan: order 1
+    # within a logarithm, from its slowly decaying tails.
+    decades = {"tanh": 1.5, "arctan": 1.5, "logarctan": 1.0}
+    for family, order in decades.items():
+        last = rmse.sel(family=family).values[-3:]
+        assert_allclose(np.log10(last[0] / last[-1]), order, atol=1e-2)
+
+
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC, gs.Gap(1.2e-3, 0.4e-3)])
+def test_false_wells_of_tanh_vanish_at_the_predicted_threshold(gap):
+    epsilon = thresholds.tanh_threshold(OSCILLATOR, HARD, gap, RANGE)
+    assert_allclose(epsilon, thresholds.predicted_threshold(OSCILLATOR, HARD, gap), rtol=0.02)
+    wells = [
+        int(equilibria(OSCILLATOR, gs.Tanh(HARD, gap, factor * epsilon), RANGE).stable.sum())
+        for factor in (0.999, 1.001, 10.0, 1e3)
+    ]
+    assert wells[0] > 1
+    assert wells[1:] == [1, 1, 1]
+
+
+def test_predicted_threshold_at_hard_contact():
+    predicted = thresholds.predicted_threshold(OSCILLATOR, HARD, SYMMETRIC)
+    assert f"{predicted:.1e}" == "1.6e+05"
+
+
+@pytest.mark.parametrize("K_c", [VERY_SOFT, SOFT])
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC])
+def test_softer_contacts_have_no_false_well_at_any_sharpness(K_c, gap):
+    assert np.isnan(thresholds.tanh_threshold(OSCILLATOR, K_c, gap, RANGE))
+    for epsilon in np.geomspace(1e2, 1e9, 57).tolist():
+        assert equilibria(OSCILLATOR, gs.Tanh(K_c, gap, epsilon), RANGE).x.size == 1
+
+
+def test_without_a_distance_to_a_wall_there_is_no_threshold():
+    nowhere = gs.Gap(0.0, 0.0)
+    assert np.isnan(thresholds.tanh_threshold(OSCILLATOR, HARD, nowhere, RANGE))
