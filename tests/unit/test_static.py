@@ -76,7 +76,7 @@ def test_every_variable_has_a_unit_and_a_name(dataset):
 
 
 def test_file_round_trip_is_identity(dataset, tmp_path):
-    netcdf.write(dataset, tmp_path / "static.nc")
+    netcdf.write(dataset, tmp_path / "static.nc", {})
     with netcdf.read(tmp_path / "static.nc") as written:
         xr.testing.assert_equal(written, dataset)
 
