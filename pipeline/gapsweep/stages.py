@@ -20,7 +20,7 @@ from gapsweep.study.fingerprint import code_fingerprint
 from gapsweep.study.study import Study
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
-AGREEMENT, TIMING = "agreement.nc", "timing.nc"
+STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
 REPORT = "report/index.html"
 
 MadeFrom = Mapping[str, str]
@@ -40,25 +40,29 @@ class Stage:
     code : str
         The module that makes it; all that it imports counts too.
     inputs : tuple of str
-        Files of the run that it is made from; the cache if empty.
+        What it is made from: files of the run, `STUDY` or `POINTS`.
     """
 
     file: str
     code: str
-    inputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...]
 
+
+# What is made from no file: the settings of the study, and its results in the cache.
+STUDY, POINTS = "study", "sweep points"
 
 STAGES = (
-    Stage(RESPONSES, "execution/assemble.py"),
-    Stage(ATTRACTORS, "execution/assemble.py"),
+    Stage(RESPONSES, "execution/assemble.py", (STUDY, POINTS)),
+    Stage(ATTRACTORS, "execution/assemble.py", (STUDY, POINTS)),
+    Stage(STATIC, "analysis/static.py", (STUDY,)),
     Stage(AGREEMENT, "analysis/agreement.py", (RESPONSES, ATTRACTORS)),
     Stage(TIMING, "analysis/timing.py", (RESPONSES,)),
-    Stage(REPORT, "report/html.py", (RESPONSES, ATTRACTORS, AGREEMENT, TIMING)),
+    Stage(REPORT, "report/html.py", (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING)),
 )
 
 
-def stored_points(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
-    """What the exports of a study are made from: its settings, and its rows in the cache."""
+def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
+    """Digests of what is no file: the settings of a study, and its rows in the cache."""
     digest = hashlib.sha256()
     for start in range(0, len(plan.keys), _ROWS):
         some = plan.keys[start : start + _ROWS]
@@ -66,10 +70,10 @@ def stored_points(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
         for key in some:
             digest.update(key + stored.get(key, b"missing"))
     settings = hashlib.sha256(study.json.encode()).hexdigest()
-    return {"study": settings, "sweep points": digest.hexdigest()}
+    return {STUDY: settings, POINTS: digest.hexdigest()}
 
 
-def made_from(stage: Stage, folder: Path, points: MadeFrom) -> MadeFrom:
+def made_from(stage: Stage, folder: Path, sources: MadeFrom) -> MadeFrom:
     """What a stage's file would be made from now.
 
     Parameters
@@ -77,11 +81,14 @@ def made_from(stage: Stage, folder: Path, points: MadeFrom) -> MadeFrom:
     stage : Stage
     folder : Path
         Of the run; the files of earlier stages are up to date there.
-    points : mapping
-        As from `stored_points`.
+    sources : mapping
+        Digests of the inputs that are no files, as from the function `sources`.
     """
-    inputs = {name: " ".join(digests(folder / name)) or "absent" for name in stage.inputs}
-    return {"code": code_fingerprint(stage.code), **(inputs or points)}
+    inputs = {
+        name: sources.get(name) or " ".join(digests(folder / name)) or "absent"
+        for name in stage.inputs
+    }
+    return {"code": code_fingerprint(stage.code), **inputs}
 
 
 def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:

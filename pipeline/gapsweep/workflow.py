@@ -32,13 +32,13 @@ from gapsweep.stages import (
     REPORT,
     RESPONSES,
     STAGES,
+    STATIC,
     TIMING,
-    MadeFrom,
     Stage,
     as_text,
     made_from,
     reason_to_run,
-    stored_points,
+    sources,
 )
 from gapsweep.status import Status
 from gapsweep.store import netcdf
@@ -133,11 +133,11 @@ def stage_reasons(
     if plan.n_missing or not path.exists():
         return {stage.file: "sweep points are missing" for stage in stages}
     with Cache(path) as store:
-        points = stored_points(study, plan, store)
+        given = sources(study, plan, store)
     reasons: dict[str, str | None] = {}
     for stage in stages:
         anew = [name for name in stage.inputs if reasons.get(name)]
-        now = made_from(stage, folder, points)
+        now = made_from(stage, folder, given)
         reason = reason_to_run(stage, folder, now)
         reasons[stage.file] = reason or (f"{', '.join(anew)} made anew" if anew else None)
     return reasons
@@ -404,9 +404,9 @@ def _stages(study: Study) -> list[Stage]:
 
 def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
     """Make every file of a run that is not up to date."""
-    points = stored_points(study, planned, store)
+    given = sources(study, planned, store)
     for stage in _stages(study):
-        now = made_from(stage, folder, points)
+        now = made_from(stage, folder, given)
         if reason_to_run(stage, folder, now) is None:
             continue
         if stage.file in (RESPONSES, ATTRACTORS):
@@ -415,17 +415,24 @@ def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
         elif stage.file == REPORT:
             report(folder)
         else:
-            _analyse(stage, folder, now)
+            result = _analysed(stage, study, folder)
+            netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
 
 
-def _analyse(stage: Stage, folder: Path, now: MadeFrom) -> None:
+def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
+    """The dataset of an analysis stage."""
     from gapsweep.analysis.agreement import agreement
+    from gapsweep.analysis.static import law_statics
     from gapsweep.analysis.timing import timing
 
+    if stage.file == STATIC:
+        return law_statics(study)
     with netcdf.read(folder / RESPONSES) as responses:
-        result = agreement(responses) if stage.file == AGREEMENT else timing(responses)
-    if result is not None:
-        netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
+        if stage.file == TIMING:
+            return timing(responses)
+        compared = agreement(responses)
+        assert compared is not None, "the stage is left out where the exact law is"
+        return compared
 
 
 def report(folder: str | Path) -> Path:

@@ -65,7 +65,7 @@ def finished(finished_once, tmp_path):
 def test_run_writes_datasets_and_report(finished):
     run = finished / "data" / "runs" / "tiny"
     names = sorted(str(p.relative_to(run)) for p in run.rglob("*") if p.is_file())
-    stored = ["agreement.nc", "attractors.nc", "responses.nc", "timing.nc"]
+    stored = ["agreement.nc", "attractors.nc", "responses.nc", "static.nc", "timing.nc"]
     assert names == sorted([*stored, "SHA256SUMS", "report/index.html", "run.json"])
     sums = ["sha256sum", "--check", "--quiet", "SHA256SUMS"]
     assert subprocess.run(sums, cwd=run).returncode == 0
@@ -106,6 +106,7 @@ def test_plan_says_why_a_stage_would_run(finished):
     assert plan(finished, "tiny.toml")["stages"] == {
         "responses.nc": None,
         "attractors.nc": None,
+        "static.nc": None,
         "agreement.nc": None,
         "timing.nc": "absent",
         "report/index.html": "timing.nc made anew",
@@ -115,6 +116,7 @@ def test_plan_says_why_a_stage_would_run(finished):
     stages = plan(finished, "tiny.toml")["stages"]
     assert stages["responses.nc"] == "study changed"
     assert stages["agreement.nc"] == "responses.nc, attractors.nc made anew"
+    assert stages["static.nc"] == "study changed"
 
 
 def test_finished_run_makes_nothing_again(finished):
