@@ -18,7 +18,7 @@ LAYERS = (
     {"execution"},
     {"analysis"},
     {"report"},
-    {"stages"},
+    {"stages", "console"},
     {"workflow"},
     {"cli", "__init__"},
 )
@@ -33,7 +33,7 @@ FENCES = {
     "matplotlib": {"report"},
     "pydantic": {"study"},
     "click": {"cli"},
-    "rich": {"cli"},
+    "rich": {"console"},
     "jinja2": {"report"},
 }
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gapsweep.console import progress_bar
 from gapsweep.errors import StoreError
 from gapsweep.execution.assemble import export
 from gapsweep.execution.explain import Explanation
@@ -250,8 +251,10 @@ def query(
     Parameters
     ----------
     study : Study
-    client, cache, workers, scheduler, on_progress
+    client, cache, workers, scheduler
         As for `run`.
+    on_progress : callable, optional
+        Observer of the `Progress`; None shows a bar while points are computed.
     representation, K_c, gap, omega, initial_condition : optional
         What is wanted, among the study's own points: a value, a list or, for numbers, a slice
         that includes both ends. All if left out.
@@ -270,9 +273,13 @@ def query(
     """
     selection = study.select(**wanted)
     planned = plan(study, cache, selection=selection)
-    progress = _computed(
-        study, client, planned, cache, on_progress, workers=workers, scheduler=scheduler
+    shown = (
+        progress_bar() if on_progress is None and planned.n_missing else nullcontext(on_progress)
     )
+    with shown as observer:
+        progress = _computed(
+            study, client, planned, cache, observer, workers=workers, scheduler=scheduler
+        )
     with tempfile.TemporaryDirectory() as folder, Cache(cache_path(cache)) as store:
         responses = Path(folder) / RESPONSES
         export(study, planned, store, responses, Path(folder) / ATTRACTORS, selection=selection)

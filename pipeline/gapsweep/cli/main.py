@@ -11,7 +11,7 @@ import click
 from gapsweep import __version__, workflow
 from gapsweep.cli import options
 from gapsweep.cli.cache import cache_commands
-from gapsweep.cli.progress import duration, progress_bar
+from gapsweep.console import duration, progress_bar
 from gapsweep.errors import GapsweepError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.stages import REPORT, RESPONSES

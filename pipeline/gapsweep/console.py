@@ -1,10 +1,10 @@
 """Progress of a run: a bar on a terminal, a line now and then elsewhere; both on stderr."""
 
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
@@ -55,10 +55,10 @@ def _line_writer() -> OnProgress:
             return
         last = time.monotonic()
         left = (progress.n_points - progress.n_done) / progress.rate if progress.rate else 0.0
-        click.echo(
+        print(
             f"{progress.n_done}/{progress.n_points} points, {progress.rate:.1f}/s, "
             f"{progress.n_hits} hits, {progress.n_failed} failed, {duration(left)} left",
-            err=True,
+            file=sys.stderr,
         )
 
     return write
