@@ -25,6 +25,7 @@ _CHILD = "from gapsweep.execution.alone import child; child()"
 
 def compute_alone(task: Task) -> TaskResult:
     """Body of a Dask task: like `compute`, but nothing that a point does can harm the worker."""
+    fingerprint = numerics_fingerprint()
     found: list[Response] = []
     child: _Child | None = None
     try:
@@ -42,7 +43,7 @@ def compute_alone(task: Task) -> TaskResult:
     finally:
         if child is not None:
             child.end()
-    return TaskResult(found, platform.node(), numerics_fingerprint())
+    return TaskResult(found, platform.node(), fingerprint)
 
 
 class _Child:

@@ -63,8 +63,9 @@ class TaskResult:
 
 def compute(task: Task) -> TaskResult:
     """Body of a Dask task."""
+    fingerprint = numerics_fingerprint()  # of what runs now: it may be edited meanwhile
     with _ending_after(task.timeout if task.client != process() else math.inf):
-        return TaskResult(responses(task.work), platform.node(), numerics_fingerprint())
+        return TaskResult(responses(task.work), platform.node(), fingerprint)
 
 
 def process() -> tuple[str, int]:
