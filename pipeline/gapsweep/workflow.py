@@ -434,10 +434,13 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
 
     if stage.file == STATIC:
         return law_statics(study)
-    with netcdf.read(folder / RESPONSES) as responses:
+    with (
+        netcdf.read(folder / RESPONSES) as responses,
+        netcdf.read(folder / ATTRACTORS) as attractors,
+    ):
         if stage.file == TIMING:
             return timing(responses)
-        compared = agreement(responses)
+        compared = agreement(responses, attractors)
         assert compared is not None, "the stage is left out where the exact law is"
         return compared
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gapsweep.execution.plan import Plan
 from gapsweep.response.attractors import Attractor, attractors, numbers
-from gapsweep.response.result import Response
+from gapsweep.response.result import Response, ResponseClass
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Row
 from gapsweep.store.netcdf import writing
@@ -193,7 +193,9 @@ def _point_arrays(
     requested = layout.grid.requested[piece.cells]
     shape = requested.shape
     values = {name: np.full(shape, v.missing, v.dtype) for name, v in VARIABLES.items()}
-    values["status"][requested] = Status.INTERRUPTED  # unless a result follows
+    # Unless a result follows:
+    values["status"][requested] = Status.INTERRUPTED
+    values["response_class"][requested] = ResponseClass.FAILED
     for name in VARIABLES:
         if name not in ("host", "attractor"):
             values[name][*at] = [getattr(row.response, name) for row in rows]

@@ -30,6 +30,7 @@ _RECORDED_PACKAGES = ("gapsweep", "numpy", "scipy", "numba", "dask", "distribute
 _THREAD_SETTINGS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 CONVENTIONS = "CF-1.11"
 SOURCE = "gapsweep"
+_CHECKED = {"fletcher32": True, "zlib": True, "complevel": 1}
 
 
 @contextmanager
@@ -56,7 +57,7 @@ def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> N
         stamped = dataset.assign_attrs({**attributes, **provenance()})
         encoding = {
             name: {"_FillValue": None}
-            | ({"fletcher32": True} if variable.ndim and variable.dtype != object else {})
+            | (_CHECKED if variable.ndim and variable.dtype.kind in "fiub" else {})
             for name, variable in stamped.variables.items()
         }
         stamped.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
