@@ -16,7 +16,7 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.respond import Question, Response, respond_all
-from gapsweep.response.walk import Scene, State, Stretch, integrated
+from gapsweep.response.walk import Ensemble, Scene, State, Stretch
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import FIXED, Point
@@ -96,7 +96,9 @@ def _warm_up(representation: str, fit_range: float, solver: Solver) -> None:
     with suppress(Exception):
         law = contact_law(representation, 1.0, Gap(1e-4, 1e-4), fit_range)
         scene = Scene(oscillator=Oscillator(), law=law, omega=5.0, solver=solver)
-        integrated([Stretch(scene, REST, 1, True, tangent) for tangent in (False, True)])
+        ensemble = Ensemble([scene])
+        for tangent in (False, True):
+            ensemble.parts({0: Stretch(REST, 1, True, tangent)})
 
 
 def _question(point: Point, state: State) -> Question:

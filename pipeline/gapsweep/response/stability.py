@@ -11,13 +11,10 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gapsweep.response.section import prime_multiple, scaled
+from gapsweep.response.section import prime_multiple
 from gapsweep.response.walk import Part, State, Stretch, Walk
 from gapsweep.status import Status
-
-Array = NDArray[np.float64]
 
 _MAX_NEWTON = 6
 # Newton may move this share of the response's reach; from farther away it leads anywhere.
@@ -45,19 +42,16 @@ class Orbit:
         Its state at phase zero [m], [m/s].
     n : int
         Forcing periods in its period.
-    multipliers : ndarray of complex, shape (2,)
+    multipliers : (complex, complex)
         Floquet multipliers over n periods, largest modulus first.
     part : Part
         Its recorded motion over n periods.
-    section : ndarray, shape (n, 2)
-        Its scaled section points [m].
     """
 
     y: State
     n: int
-    multipliers: NDArray[np.complex128]
+    multipliers: tuple[complex, complex]
     part: Part
-    section: Array
 
 
 def shoot(walk: Walk, n: int) -> Generator[Stretch, Part, Orbit | None]:
@@ -69,47 +63,32 @@ def shoot(walk: Walk, n: int) -> Generator[Stretch, Part, Orbit | None]:
         None if a step was too large, Newton did not converge, the period is not prime, or a
         multiplier lies outside the unit circle: then the motion has to go on by itself.
     """
-    y = np.array(walk.y)
-    weight = np.array([1.0, 1.0 / (2.0 * math.pi * walk.omega)])
+    x, v = walk.y
+    weight = 1.0 / walk.omega_rad
     goal = max(1e-10 * walk.reach, 0.1 * walk.noise if walk.scene.solver.rtol > 1e-8 else 0.0)
-    moved = np.zeros(2)
+    furthest = _SMALL_STEP * walk.reach
+    moved_x = moved_v = 0.0
     for _ in range(_MAX_NEWTON):
-        part = yield from walk.probe((float(y[0]), float(y[1])), n, record=True)
-        if part.status is not Status.OK or part.monodromy is None:
+        part = yield Stretch((x, v), n, True, True)
+        if part.status is not Status.OK:
             return None
-        residual = np.array(part.y) - y
-        if np.hypot(*(residual * weight)) <= goal:
-            return _accepted(walk, (float(y[0]), float(y[1])), n, part)
-        step = _newton_step(part.monodromy, residual)
-        moved = moved + step
-        if not np.hypot(*(moved * weight)) <= _SMALL_STEP * walk.reach:
+        x_end, v_end = part.y
+        if abs(complex(x_end - x, (v_end - v) * weight)) <= goal:
+            return _accepted(walk, (x, v), n, part)
+        step_x, step_v = part.newton_step
+        moved_x, moved_v = moved_x + step_x, moved_v + step_v
+        if not abs(complex(moved_x, moved_v * weight)) <= furthest:
             return None
-        y = y + step
+        x, v = x + step_x, v + step_v
     return None
 
 
-def _newton_step(monodromy: Array, residual: Array) -> Array:
-    """Step towards the fixed point; infinite where the map has none nearby."""
-    try:
-        return np.asarray(np.linalg.solve(np.eye(2) - monodromy, residual), dtype=float)
-    except np.linalg.LinAlgError:
-        return np.full(2, np.inf)
-
-
 def _accepted(walk: Walk, y: State, n: int, part: Part) -> Orbit | None:
-    assert part.monodromy is not None
-    multipliers = floquet_multipliers(part.monodromy)
-    section = scaled(part.events.section, walk.omega)
     same = max(10.0 * walk.noise, 1e-6 * walk.reach)
-    if abs(multipliers[0]) >= _INSIDE or prime_multiple(section, same) != n:
+    is_stable = abs(part.multipliers[0]) < _INSIDE
+    if not is_stable or prime_multiple(part.section, same) != n:
         return None
-    return Orbit(y, n, multipliers, part, section)
-
-
-def floquet_multipliers(monodromy: Array) -> NDArray[np.complex128]:
-    """Eigenvalues of a monodromy matrix, largest modulus first."""
-    values = np.linalg.eigvals(monodromy).astype(complex)
-    return values[np.argsort(-np.abs(values), kind="stable")]
+    return Orbit(y, n, part.multipliers, part)
 
 
 def is_own(walk: Walk, orbit: Orbit) -> Generator[Stretch, Part, bool]:
@@ -131,14 +110,15 @@ def is_own(walk: Walk, orbit: Orbit) -> Generator[Stretch, Part, bool]:
 
 def _distance(walk: Walk, orbit: Orbit) -> float:
     """Distance of the motion, at whole periods of the orbit, from its starting point [m]."""
-    gap = np.array(walk.y) - np.array(orbit.y)
-    return float(np.hypot(gap[0], gap[1] / (2.0 * math.pi * walk.omega)))
+    (x, v), (x_orbit, v_orbit) = walk.y, orbit.y
+    return abs(complex(x - x_orbit, (v - v_orbit) / walk.omega_rad))
 
 
 def _first_distance(walk: Walk, orbit: Orbit) -> float:
     """As `_distance`, at the first section point of the window that has the same phase [m]."""
     first = walk.section[(len(walk.section) - 1) % orbit.n]
-    return float(np.hypot(*(first - scaled(np.array(orbit.y), walk.omega))))
+    x, v = orbit.y
+    return abs(first - complex(x, v / walk.omega_rad))
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,19 +141,19 @@ def lyapunov(walk: Walk) -> Generator[Stretch, Part, Exponents | None]:
     None if the motion failed on the way.
     """
     n_periods = max(1, math.ceil(_BLOCK_SECONDS * walk.omega))
-    weight = np.array([1.0, 1.0 / (2.0 * math.pi * walk.omega)])
+    weight = 1.0 / walk.omega_rad
     direction = np.array([1.0, 0.0])
     growth = []
     for block in range(_N_BLOCKS + 1):
-        part = yield from walk.probe(walk.y, n_periods)
-        if part.status is not Status.OK or part.monodromy is None:
+        part = yield Stretch(walk.y, n_periods, tangent=True)
+        if part.status is not Status.OK:
             walk.status = part.status
             return None
         walk.y = part.y
         walk.n_periods += n_periods
-        direction = part.monodromy @ direction
-        length = float(np.hypot(*(direction * weight)))
-        direction = direction / length
+        x, v = (part.monodromy @ direction).tolist()
+        length = abs(complex(x, v * weight))
+        direction = np.array((x / length, v / length))
         if block:  # the first one turns the vector into the direction of growth
             growth.append(math.log(length) * walk.omega / n_periods)
     batches = np.reshape(growth, (-1, _BATCH)).mean(axis=1)

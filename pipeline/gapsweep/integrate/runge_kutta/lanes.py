@@ -138,6 +138,15 @@ def load_point(lane, lane_int, q, table, point, i):
 
 
 @entry
+def load_first_points(lane, lane_int, q, table):
+    """Put the first points into the lanes, as many as there are of both; their number."""
+    n = min(lane.shape[1], len(table))
+    for i in range(n):
+        load_point(lane, lane_int, q, table, i, i)
+    return n
+
+
+@entry
 def unload_point(lane, lane_int, results, status, n_new_stages, i):
     """Write the point's end state and counters; the lane is then free."""
     row = results[lane_int[POINT, i]]
