@@ -11,12 +11,14 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
+
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.respond import Question, Response, respond_all
-from gapsweep.response.walk import Ensemble, Scene, State, Stretch
+from gapsweep.response.walk import Ensemble, Scene, State
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import FIXED, Point
@@ -97,8 +99,9 @@ def _warm_up(representation: str, fit_range: float, solver: Solver) -> None:
         law = contact_law(representation, 1.0, Gap(1e-4, 1e-4), fit_range)
         scene = Scene(oscillator=Oscillator(), law=law, omega=5.0, solver=solver)
         ensemble = Ensemble([scene])
+        rest, one = np.zeros((2, 1)), np.ones(1, int)
         for tangent in (False, True):
-            ensemble.parts({0: Stretch(REST, 1, True, tangent)})
+            ensemble.call(np.arange(1), rest, one, np.zeros(1), tangent=tangent)
 
 
 def _question(point: Point, state: State) -> Question:

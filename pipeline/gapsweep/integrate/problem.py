@@ -32,7 +32,7 @@ class Models:
     ----------
     oscillators : sequence of Oscillator, length n
     laws : sequence of ContactLaw, length n
-        All of one `kind`.
+        All of one `law_kind`.
     omega : ndarray, shape (n,)
         Forcing frequency [Hz].
     """
@@ -42,7 +42,7 @@ class Models:
     omega: Array
 
 
-def kind(law: ContactLaw) -> Hashable:
+def law_kind(law: ContactLaw) -> Hashable:
     """What the laws have in common that an engine can take together.
 
     It is their family; fits and users' laws are compiled each for itself.

@@ -11,7 +11,7 @@ the section shrinks by the same factor, so there is no third kind.
 """
 
 import math
-from collections.abc import Generator, Hashable, Sequence
+from collections.abc import Callable, Generator, Hashable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from itertools import accumulate, pairwise
@@ -21,15 +21,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, kind
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, law_kind
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.response.section import converging_multiple, period_multiple
-from gapsweep.response.stability import Exponents, Orbit, is_own, lyapunov, shoot
-from gapsweep.response.walk import Ensemble, Part, Scene, State, Stretch, Walk
+from gapsweep.response.stability import (
+    Exponents,
+    Growth,
+    Orbit,
+    Shot,
+    growths,
+    is_own,
+    lyapunov,
+    orbits,
+    shoot,
+)
+from gapsweep.response.walk import Ensemble, Scene, State, Stretch, Walk
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
+Request = Stretch | Shot | Growth
 
 _FIRST_WINDOW = 6
 # The next look comes when disturbances have shrunk to this share.
@@ -245,7 +256,7 @@ def respond_all(questions: Sequence[Question]) -> list[Response]:
     """
     groups: dict[Hashable, list[int]] = {}
     for i, question in enumerate(questions):
-        groups.setdefault(kind(question.scene.law), []).append(i)
+        groups.setdefault(law_kind(question.scene.law), []).append(i)
     answers: dict[int, Response] = {}
     for numbers in groups.values():
         answers |= zip(numbers, _answered([questions[i] for i in numbers]), strict=True)
@@ -255,34 +266,40 @@ def respond_all(questions: Sequence[Question]) -> list[Response]:
 def _answered(questions: Sequence[Question]) -> list[Response]:
     """Responses of points of one kind.
 
-    Each point is a generator that asks for stretches of motion; what all points ask for goes to
-    the engine in one call, or two: without the tangent and with it.
+    Each point is a generator that asks for one thing after the other: a stretch of motion, a
+    periodic orbit, the growth of a disturbance. Points that ask for the same are answered together.
     """
     ensemble = Ensemble([question.scene for question in questions])
-    walks = [_steady_response(question) for question in questions]
+    points = [_steady_response(question) for question in questions]
     outcomes: dict[int, Outcome] = {}
-    # By tangent, then by number.
-    asked: tuple[dict[int, Stretch], dict[int, Stretch]] = ({}, {})
-    for i, walk in enumerate(walks):
-        stretch = next(walk)
-        asked[stretch.tangent][i] = stretch
-    while asked[False] or asked[True]:
-        for some in asked:
-            if not some:
-                continue
-            parts = ensemble.parts(some)
-            numbers = list(some)
-            some.clear()
-            for i, part in zip(numbers, parts, strict=True):
-                try:
-                    stretch = walks[i].send(part)
-                    asked[stretch.tangent][i] = stretch
-                except StopIteration as finished:
-                    outcomes[i] = finished.value
+    asked: dict[type, dict[int, Any]] = {Stretch: {}, Shot: {}, Growth: {}}
+    answers: dict[type, Callable[[Ensemble, dict[int, Any]], Sequence[Any]]] = {
+        Stretch: Ensemble.parts,
+        Shot: orbits,
+        Growth: growths,
+    }
+
+    def go_on(i: int, answer: Any) -> None:
+        try:
+            request = points[i].send(answer)
+        except StopIteration as finished:
+            outcomes[i] = finished.value
+        else:
+            asked[type(request)][i] = request
+
+    for i in range(len(points)):
+        go_on(i, None)
+    while any(asked.values()):
+        # What most points wait for; growth last, for its many calls are best shared by all.
+        kind = max(Stretch, Shot, key=lambda each: len(asked[each]))
+        kind = kind if asked[kind] else Growth
+        waiting, asked[kind] = asked[kind], {}
+        for i, answer in zip(waiting, answers[kind](ensemble, waiting), strict=True):
+            go_on(i, answer)
     return _responses([outcomes[i] for i in range(len(questions))], ensemble.costs())
 
 
-def _steady_response(question: Question) -> Generator[Stretch, Part, Outcome]:
+def _steady_response(question: Question) -> Generator[Request, Any, Outcome]:
     walk, steady = Walk(question.scene, question.start), question.steady
     rate = question.scene.oscillator.decay_rate
     settle = math.log(1.0 / steady.settle_tol) / rate if rate > 0.0 else math.inf
@@ -307,7 +324,7 @@ def _steady_response(question: Question) -> Generator[Stretch, Part, Outcome]:
 
 def _find_orbit(
     walk: Walk, steady: Steady, n_periods: int
-) -> Generator[Stretch, Part, Orbit | None]:
+) -> Generator[Request, Any, Orbit | None]:
     """Record a window, doubling it up to `n_periods`, until shooting finds the motion's orbit."""
     walk.forget()
     size = _FIRST_WINDOW
@@ -323,7 +340,7 @@ def _find_orbit(
     return None
 
 
-def _repeated(walk: Walk, steady: Steady) -> Generator[Stretch, Part, Orbit | None]:
+def _repeated(walk: Walk, steady: Steady) -> Generator[Shot, Orbit | None, Orbit | None]:
     """A settled motion that repeats itself, though shooting could not improve on it.
 
     At loose tolerances the solver's noise is larger than any Newton residual allowed.
@@ -332,10 +349,8 @@ def _repeated(walk: Walk, steady: Steady) -> Generator[Stretch, Part, Orbit | No
     n = period_multiple(walk.section, same, steady.max_period_multiple)
     if not n:
         return None
-    part = yield Stretch(walk.y, n, recorded=True, tangent=True)
-    if part.status is not Status.OK or not abs(part.multipliers[0]) < 1.0:
-        return None
-    return Orbit(walk.y, n, part.multipliers, part)
+    orbit = yield Shot(walk.y, n, goal=math.inf, furthest=0.0)
+    return orbit if orbit is not None and abs(orbit.multipliers[0]) < 1.0 else None
 
 
 def _periodic(walk: Walk, steady: Steady, orbit: Orbit) -> Outcome:

@@ -41,7 +41,10 @@ def period_multiple(section: Sequence[complex], tolerance: float, largest: int) 
         Largest n tried; at least 2 n points are needed to find n.
     """
     for n in range(1, min(largest, len(section) // 2) + 1):
-        if all(_is_near(section[k], section[k - n], tolerance) for k in range(n, len(section))):
+        # Mostly the last point alone decides.
+        if _is_near(section[-1], section[-1 - n], tolerance) and all(
+            _is_near(section[k], section[k - n], tolerance) for k in range(n, len(section))
+        ):
             return n
     return 0
 

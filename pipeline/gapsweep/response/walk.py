@@ -1,14 +1,14 @@
 """A motion that a sweep point advances by whole forcing periods.
 
-A point does not integrate: it is a generator that asks for a `Stretch` of motion and is sent
-the `Part` that answers it. So many points can advance together in the engine's lanes, and none
-of them sees the others. What is arithmetic on arrays is done for all of them here; a part gives
-plain numbers, because for the few that one point asks for, numpy costs more than the motion.
+A point does not integrate: it is a generator that asks, for example for a `Stretch` of motion,
+and is sent the answer, a `Part`. So many points can advance together in the engine's lanes, and
+none of them sees the others. Arithmetic on arrays is done for all of them at once; a point decides
+on plain numbers, because on so few of them numpy would cost more than the motion.
 """
 
 import math
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import repeat
@@ -22,7 +22,6 @@ from gapsweep.integrate.problem import Models, Problems, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
-from gapsweep.response.maps import floquet_multipliers, newton_steps
 from gapsweep.response.section import scaled
 from gapsweep.status import Status
 
@@ -45,18 +44,24 @@ class Scene:
 
 
 class Stretch(NamedTuple):
-    """Whole forcing periods that a point asks for, from phase zero, so that time never grows."""
+    """What a point asks for: whole forcing periods, from phase zero, so that time never grows.
+
+    Attributes
+    ----------
+    y : (float, float)
+        State to start from [m], [m/s].
+    n_periods : int
+    recorded : bool
+        Whether its events are wanted.
+    """
 
     y: State
     n_periods: int
-    recorded: bool = False
-    tangent: bool = False
+    recorded: bool
 
 
 class Part(NamedTuple):
     """The stretch of motion that answers a `Stretch`: one of those in a call of the engine.
-
-    Events are there if they were asked for, `monodromy` and what follows from it with the tangent.
 
     Attributes
     ----------
@@ -64,9 +69,9 @@ class Part(NamedTuple):
         Its end [m], [m/s].
     status : Status
     call : Call
-        What the call found.
+        Where it is from, with the events of all.
     number : int
-        Which of the call's stretches this one is.
+        Its number in the call.
     """
 
     y: State
@@ -77,99 +82,123 @@ class Part(NamedTuple):
     @property
     def extrema(self) -> list[float]:
         """Displacements [m] of its zero-velocity points."""
-        return self.call.records.extrema[self.call.records.turns(self.number)]
+        extrema: list[float] = self.call.events.extrema[self._turns].tolist()
+        return extrema
 
     @property
     def t_extrema(self) -> list[float]:
         """Times [s] of `extrema` since its start."""
-        return self.call.records.t_extrema[self.call.records.turns(self.number)]
+        times: list[float] = self.call.events.t_extrema[self._turns].tolist()
+        return times
 
     @property
     def reach(self) -> float:
         """Largest modulus of `extrema` [m], 0 if there are none."""
-        return self.call.records.reach[self.number]
+        return self.call.reach[self.number]
 
     @property
     def states(self) -> list[float]:
         """``x, v, x, v, ...`` at the end of every forcing period [m], [m/s]."""
-        periods = self.call.records.periods(self.number)
-        return self.call.records.states[2 * periods.start : 2 * periods.stop]
+        return self.call.events.section[self._periods].ravel().tolist()
 
     @property
     def section(self) -> list[complex]:
         """The same as section points [m]."""
-        return self.call.records.section[self.call.records.periods(self.number)]
+        section: list[complex] = self.call.section[self._periods].tolist()
+        return section
 
     @property
-    def monodromy(self) -> Array:
-        """Derivative of the end by the start, shape (2, 2)."""
-        return np.asarray(self.call.monodromy[self.number])
+    def _turns(self) -> slice:
+        ends = self.call.turn_ends
+        return slice(ends[self.number - 1], ends[self.number])
 
     @property
-    def newton_step(self) -> State:
-        """Step from the start [m], [m/s] towards a fixed point of the map over the stretch."""
-        x, v = self.call.newton_steps
-        return x[self.number], v[self.number]
-
-    @property
-    def multipliers(self) -> tuple[complex, complex]:
-        """Floquet multipliers of the stretch, largest modulus first."""
-        first, second = self.call.multipliers
-        return first[self.number], second[self.number]
+    def _periods(self) -> slice:
+        ends = self.call.period_ends
+        return slice(ends[self.number - 1], ends[self.number])
 
 
 class Call:
-    """What one call of the engine found for all its stretches; worked out when first asked for."""
+    """What one call of the engine found: n motions.
 
-    def __init__(self, found: Motions, start: Array, omega: Array) -> None:
-        self._found, self._start, self._omega = found, start, omega
+    Attributes
+    ----------
+    y : ndarray, shape (2, n)
+        Their ends [m], [m/s].
+    status : ndarray of int, shape (n,)
+        `Status` values.
+    """
 
-    @cached_property
-    def records(self) -> "Records":
-        return Records(self._found.events(), self._omega)
+    def __init__(self, found: Motions, omega: Array, t_end: Array) -> None:
+        self._omega, self._monodromy, self._read = omega, found.monodromy, found.events
+        self.y = np.array((found.x, found.v))
+        self.status = found.status
+        if self.status.any():
+            # A fit that was left on the way but did not run away goes on; where its steady
+            # response lies decides in the end.
+            arrived = found.t >= t_end * (1.0 - 1e-9)
+            excused = arrived & (found.status == Status.OUT_OF_FIT_RANGE)
+            self.status = np.where(excused, Status.OK, found.status)
+
+    @property
+    def omega_rad(self) -> Array:
+        """Their angular forcing frequencies [rad/s]."""
+        return 2.0 * math.pi * self._omega
+
+    @property
+    def is_ok(self) -> NDArray[np.bool_]:
+        """Which motions did not fail."""
+        return np.equal(self.status, Status.OK)
 
     @property
     def monodromy(self) -> Array:
-        assert self._found.monodromy is not None
-        return self._found.monodromy
+        """Derivatives of the ends by the starts, shape (n, 2, 2), with the tangent only."""
+        assert self._monodromy is not None
+        return self._monodromy
 
     @cached_property
-    def newton_steps(self) -> list[list[float]]:
-        moved = np.stack((self._found.x, self._found.v)) - self._start
-        x_and_v: list[list[float]] = newton_steps(self.monodromy, moved.T).T.tolist()
-        return x_and_v
+    def events(self) -> Events:
+        """Their events; none of a motion that was not recorded."""
+        events = self._read()
+        del self._read  # what the engine keeps for it is larger
+        return events
 
     @cached_property
-    def multipliers(self) -> list[list[complex]]:
-        first_and_second: list[list[complex]] = floquet_multipliers(self.monodromy).T.tolist()
-        return first_and_second
+    def section(self) -> NDArray[np.complex128]:
+        """All section points [m], motion by motion."""
+        return scaled(self.events.section, np.repeat(self._omega, self.events.n_section))
 
+    @cached_property
+    def reach(self) -> list[float]:
+        """Largest modulus of each motion's extrema [m], 0 if there are none."""
+        reach = np.zeros(len(self.status))
+        owners = np.repeat(np.arange(len(reach)), self.events.n_extrema)
+        np.maximum.at(reach, owners, np.abs(self.events.extrema))
+        largest: list[float] = reach.tolist()
+        return largest
 
-class Records:
-    """What a call recorded: the events of its stretches in a row, and where each one's end."""
+    @cached_property
+    def turn_ends(self) -> list[int]:
+        """Where each motion's extrema end; the last entry is where those of the first begin."""
+        return [*np.cumsum(self.events.n_extrema).tolist(), 0]
 
-    def __init__(self, events: Events, omega: Array) -> None:
-        n = len(omega)
-        self.t_extrema: list[float] = events.t_extrema.tolist()
-        self.extrema: list[float] = events.extrema.tolist()
-        self.states: list[float] = events.section.ravel().tolist()
-        scales = np.repeat(omega, events.n_section)
-        self.section: list[complex] = scaled(events.section, scales).tolist()
-        self.turn_ends: list[int] = [*np.cumsum(events.n_extrema).tolist(), 0]
-        self.period_ends: list[int] = [*np.cumsum(events.n_section).tolist(), 0]
-        reach = np.zeros(n)
-        owners = np.repeat(np.arange(n), events.n_extrema)
-        np.maximum.at(reach, owners, np.abs(events.extrema))
-        self.reach: list[float] = reach.tolist()
+    @cached_property
+    def period_ends(self) -> list[int]:
+        """Where each motion's section points end; the last is where those of the first begin."""
+        return [*np.cumsum(self.events.n_section).tolist(), 0]
 
-    def turns(self, number: int) -> slice:
-        """Where the extrema of one stretch are."""
-        # What lies before the first stretch is the last entry.
-        return slice(self.turn_ends[number - 1], self.turn_ends[number])
+    def part(self, number: int) -> Part:
+        """One of the motions."""
+        x, v = self.y[:, number].tolist()
+        return Part((x, v), Status(self.status[number]), self, number)
 
-    def periods(self, number: int) -> slice:
-        """Where the section points of one stretch are."""
-        return slice(self.period_ends[number - 1], self.period_ends[number])
+    def parts(self) -> list[Part]:
+        """All motions, in their order."""
+        ends = zip(*self.y.tolist(), strict=True)
+        statuses: Iterable[Status] = repeat(Status.OK)
+        if self.status.any():
+            statuses = map(Status, self.status.tolist())
+        return list(map(Part, ends, statuses, repeat(self), range(len(self.status))))
 
 
 class Ensemble:
@@ -183,39 +212,63 @@ class Ensemble:
             omega=self._omega,
         )
         self._integrate = prepared(models, scenes[0].solver)
-        # Of every call, by stretch: number of the scene, then the attributes of a response.
+        # Of every call, by motion: number of the scene, then what it has cost.
         self._costs: list[tuple[NDArray[Any], ...]] = []
 
     def parts(self, asked: Mapping[int, Stretch]) -> list[Part]:
-        """Answers to stretches, all with the tangent or all without, by number of their scene."""
-        which = np.fromiter(asked, np.intp, len(asked))
-        y, n_periods, recorded, tangent = zip(*asked.values(), strict=True)
-        start, omega = np.array(y).T.copy(), self._omega[which]
-        t_end = np.array(n_periods) / omega
+        """Answers to stretches, by number of their scene."""
+        scenes = np.fromiter(asked, np.intp, len(asked))
+        y, n_periods, recorded = map(np.array, zip(*asked.values(), strict=True))
+        return self.call(scenes, y.T, n_periods, np.where(recorded, 0.0, math.inf)).parts()
+
+    def call(
+        self,
+        scenes: NDArray[np.intp],
+        y: Array,
+        n_periods: NDArray[np.int64],
+        record_from: Array,
+        *,
+        tangent: bool = False,
+    ) -> Call:
+        """Integrate scenes over whole forcing periods, from phase zero.
+
+        Parameters
+        ----------
+        scenes : ndarray of int, shape (n,)
+            Their numbers, no number twice.
+        y : ndarray, shape (2, n)
+            States to start from [m], [m/s].
+        n_periods : ndarray of int, shape (n,)
+        record_from : ndarray, shape (n,)
+            Time [s] from which events are wanted; infinity: never.
+        tangent : bool
+            Whether the tangent equations are integrated along.
+        """
+        omega = self._omega[scenes]
+        t_end = n_periods / omega
+        x_0, v_0 = np.ascontiguousarray(y)
         problems = Problems(
-            which=which,
-            x_0=start[0],
-            v_0=start[1],
-            t_0=np.zeros(len(which)),
+            which=scenes,
+            x_0=x_0,
+            v_0=v_0,
+            t_0=np.zeros(len(scenes)),
             t_end=t_end,
-            record_from=np.where(recorded, 0.0, math.inf),
-            tangent=tangent[0],
+            record_from=record_from,
+            tangent=tangent,
         )
         begin = time.thread_time()
         found = self._integrate(problems)
         # What ran together shares the processor time in proportion to its steps.
         seconds = (time.thread_time() - begin) * found.n_steps / max(found.n_steps.sum(), 1)
         counts = (getattr(found, name) for name in _COUNTS)
-        self._costs.append((which, *counts, np.array(n_periods), seconds))
-        ends = zip(found.x.tolist(), found.v.tolist(), strict=True)
-        call = Call(found, start, omega)
-        return list(map(Part, ends, _statuses(found, t_end), repeat(call), range(len(which))))
+        self._costs.append((scenes, *counts, n_periods, seconds))
+        return Call(found, omega, t_end)
 
     def costs(self) -> list[dict[str, Any]]:
         """What the stretches of each scene have cost so far, as attributes of a `Response`."""
-        which, *columns = map(np.concatenate, zip(*self._costs, strict=True))
+        scenes, *columns = map(np.concatenate, zip(*self._costs, strict=True))
         n = len(self._omega)
-        *counts, n_periods, seconds = (np.bincount(which, column, n) for column in columns)
+        *counts, n_periods, seconds = (np.bincount(scenes, column, n) for column in columns)
         totals = [
             *(count.astype(np.int64).tolist() for count in counts),
             (n_periods / self._omega).tolist(),
@@ -223,16 +276,6 @@ class Ensemble:
         ]
         names = (*_COUNTS, "t_simulated", "cpu_time")
         return [dict(zip(names, row, strict=True)) for row in zip(*totals, strict=True)]
-
-
-def _statuses(found: Motions, t_end: Array) -> list[Status]:
-    if not found.status.any():
-        return [Status.OK] * len(t_end)
-    # A fit that was left on the way but did not run away goes on; where its steady response
-    # lies decides in the end.
-    arrived = found.t >= t_end * (1.0 - 1e-9)
-    excused = arrived & (found.status == Status.OUT_OF_FIT_RANGE)
-    return list(map(Status, np.where(excused, Status.OK, found.status).tolist()))
 
 
 class Walk:
@@ -247,7 +290,7 @@ class Walk:
     section : list of complex
         Section points of the window [m].
     reach : float
-        Largest displacement of the window, its end included [m].
+        Largest displacement of the window [m].
     omega, omega_rad : float
         Forcing frequency [Hz], [rad/s].
     """
@@ -280,11 +323,11 @@ class Walk:
     @property
     def t_extrema(self) -> list[float]:
         """Times [s] of `extrema` since the start."""
-        return [begin + t for begin, part in self._window for t in part.t_extrema]
+        return [n / self.omega + t for n, part in self._window for t in part.t_extrema]
 
     def forget(self) -> None:
         """Start an empty window here."""
-        self._window: list[tuple[float, Part]] = []
+        self._window: list[tuple[int, Part]] = []
         self._extent = 0.0
         self.section: list[complex] = []
         self.reach = abs(self.y[0])
@@ -292,10 +335,14 @@ class Walk:
     def advance(self, n_periods: int, *, record: bool) -> Generator[Stretch, Part, None]:
         """Go on for whole periods; recorded ones are added to the window."""
         part = yield Stretch(self.y, n_periods, record)
-        self.y, self.status = part.y, part.status
         if record:
-            self._window.append((self.t, part))
+            self._window.append((self.n_periods, part))
             self._extent = max(self._extent, part.reach)
             self.section += part.section
-        self.reach = max(self._extent, abs(self.y[0]))
+        self.arrive(part.y, part.status, n_periods)
+
+    def arrive(self, y: State, status: Status, n_periods: int) -> None:
+        """Be at a state that whole periods of motion led to."""
+        self.y, self.status = y, status
         self.n_periods += n_periods
+        self.reach = max(self._extent, abs(y[0]))

@@ -89,7 +89,7 @@ OK, OUT_OF_FIT_RANGE, DIVERGED, MODEL_INVALID, STEP_UNDERFLOW, CHATTER, TIMED_OU
 def aligned(rows, width):
     """A zeroed float64 array whose rows of one vector start on cache lines."""
     raw = np.zeros(rows * width + 8)
-    skip = (-raw.ctypes.data // 8) % 8
+    skip = (-raw.__array_interface__["data"][0] // 8) % 8
     return raw[skip : skip + rows * width].reshape(rows, width)
 
 

@@ -16,7 +16,7 @@ from . import record
 from .exact_kernel import BUDGET_SPENT, BUFFER_FULL, FINISHED, OK, RUNNING, advance
 from .roots import MAX_DEGREE, work_space
 from .sample import sample_steps
-from .starts import set_starts
+from .starts import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 
 FloatArray = NDArray[np.float64]
 
@@ -127,12 +127,15 @@ class Scenes:
         Rows as the kernel reads them, the idle point last. `FLOOR` holds the size of the forced
         motion [m].
     rtol, atol : float
-        As in `integrate`.
+        As in `scenes`.
+    order : int
+        Degree of the Taylor polynomial at that tolerance.
     """
 
     table: FloatArray
     rtol: float
     atol: float
+    order: int
 
 
 def integrate(
@@ -228,7 +231,7 @@ def scenes(
     table[row.RATE] = np.sqrt(n_rad**2 + K_c / mass) + omega_rad
     table[row.MIN_STEP] = _MIN_STEP / np.maximum(n_rad, omega_rad)
     _set_idle(points[-1])
-    return Scenes(points, rtol, atol)
+    return Scenes(points, rtol, atol, order_for(rtol))
 
 
 def run(
@@ -271,16 +274,17 @@ def run(
         Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as
         chatter.
     """
-    if not np.isfinite((x_0, v_0, t_0, t_end)).all() or np.isnan(record_from).any():
-        _check(x_0=x_0, v_0=v_0, t_0=t_0, t_end=t_end, record_from=record_from)
-    if (t_end < t_0).any():
-        raise ValueError("t_end lies before t_0")
-    degree = order_for(prepared.rtol) if order is None else order
+    degree = prepared.order if order is None else order
     if not 6 <= degree <= MAX_DEGREE:
         raise ValueError(f"order = {degree}: must lie in [6, {MAX_DEGREE}]")
     points = np.empty((len(which) + 1, row.N_ROWS))
     starts = x_0, v_0, t_0, t_end, record_from
-    if set_starts(points, prepared.table, which, *starts, prepared.rtol, prepared.atol):
+    outcome = set_starts(points, prepared.table, which, *starts, prepared.rtol, prepared.atol)
+    if outcome == NOT_FINITE:
+        _check(x_0=x_0, v_0=v_0, t_0=t_0, t_end=t_end, record_from=record_from)
+    if outcome == BACKWARD:
+        raise ValueError("t_end lies before t_0")
+    if outcome == ON_WALL:
         _set_mode_on_walls(points[:-1].T)
     statuses = np.full(len(which), RUNNING)
     limits = prepared.rtol, x_bound, float(max_chatter)

@@ -3,6 +3,9 @@
 Compiled, because calls of few points would otherwise spend more on this than on their motion.
 """
 
+import math
+from math import isfinite
+
 import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
@@ -14,6 +17,7 @@ from . import lane_rows as row
 # would only spoil motions much smaller than a metre. It is never zero in motion, so that a
 # start at rest, without an amplitude of its own, gets a finite step.
 FLOOR_SHARE = 1e-3
+READY, ON_WALL, NOT_FINITE, BACKWARD = range(4)
 _CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
 
 
@@ -34,12 +38,19 @@ def set_starts(points, table, which, x_0, v_0, t_0, t_end, record_from, rtol, at
 
     Returns
     -------
-    bool
-        Whether a point starts on a wall: its `MODE` is left to the caller.
+    int
+        READY; ON_WALL: points start on a wall, their `MODE` is left to the caller; NOT_FINITE or
+        BACKWARD: a value is not a number, or an end lies before its start.
     """
     points[-1] = table[-1]
-    is_any_on_wall = False
+    outcome = READY
     for i in range(len(which)):
+        if not (isfinite(x_0[i]) and isfinite(v_0[i]) and isfinite(t_0[i]) and isfinite(t_end[i])):
+            return NOT_FINITE
+        if math.isnan(record_from[i]):
+            return NOT_FINITE
+        if t_end[i] < t_0[i]:
+            return BACKWARD
         point = points[i]
         point[:] = table[which[i]]
         x, v = x_0[i], v_0[i]
@@ -49,9 +60,9 @@ def set_starts(points, table, which, x_0, v_0, t_0, t_end, record_from, rtol, at
         point[row.FLOOR] = min(floor, atol) if atol > 0.0 else floor
         _set_clocks(point, t_0[i], t_end[i], record_from[i])
         if x == point[row.UPPER] or x == point[row.LOWER]:
-            is_any_on_wall = True
+            outcome = ON_WALL
         point[row.MODE] = 1.0 if x > point[row.UPPER] else -1.0 if x < point[row.LOWER] else 0.0
-    return is_any_on_wall
+    return outcome
 
 
 @internal
