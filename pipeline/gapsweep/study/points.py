@@ -76,7 +76,8 @@ class Point:
 
     @property
     def law(self) -> ContactLaw:
-        return contact_law(self.representation, self.K_c, self.gap, self.fit_range)
+        build = contact_law if ":" in self.representation else _own_law
+        return build(self.representation, self.K_c, self.gap, self.fit_range)
 
     def identity(self) -> dict[str, Any]:
         """All fields that the result depends on, as plain JSON values."""
@@ -85,6 +86,10 @@ class Point:
         if not self.representation.startswith(("poly-", "ratpoly-")):
             del fields["fit_range"]
         return fields
+
+
+# Points of one curve share their law. Not so a user's law, which may be imported anew.
+_own_law = lru_cache(maxsize=256)(contact_law)
 
 
 @lru_cache(maxsize=64)
