@@ -47,7 +47,7 @@ def brute_force(law, omega, x_0, v_0, rtol=1e-12):
         OSCILLATOR, law, omega, settled.x, settled.v, t_end=N_SECTION / omega, **tight
     )
     section = scaled(window.section, omega)
-    reach = np.abs(section).max()
+    reach = np.abs(section.view(float)).max()
     return period_multiple(section, 1e-7 * reach, 32), section
 
 
@@ -76,7 +76,7 @@ def main():
             n_periodic += 1
             own = scaled(np.reshape(response.section, (-1, 2)), omega)
             distance = orbit_distance(own, section[:n])
-            same_attractor += distance < 1e-4 * np.abs(section).max()
+            same_attractor += distance < 1e-4 * np.abs(section.view(float)).max()
         if not agrees:
             print(
                 f"disagrees: K_c {law.K_c:g}, gap {law.gap.label}, {omega} Hz, start {x_0:.4g} m "

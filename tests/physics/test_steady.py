@@ -196,48 +196,46 @@ def test_loose_tolerances_still_find_the_period():
     assert response.multiplier_abs == pytest.approx(0.9006, abs=0.02)
 
 
-orbits = st.integers(1, 6).flatmap(
-    lambda n: st.lists(st.floats(-1, 1), min_size=2 * n, max_size=2 * n)
-)
+parts = st.floats(-1, 1)
+orbits = st.lists(st.builds(complex, parts, parts), min_size=1, max_size=6)
 
 
 @given(orbits, st.integers(0, 5))
-def test_orbit_distance_ignores_where_the_orbit_starts(values, shift):
-    orbit = np.reshape(values, (-1, 2))
-    assert orbit_distance(orbit, np.roll(orbit, shift, axis=0)) == 0.0
-    other = orbit + np.array([0.5, 0.0])
+def test_orbit_distance_ignores_where_the_orbit_starts(points, shift):
+    orbit = np.array(points)
+    assert orbit_distance(orbit, np.roll(orbit, shift)) == 0.0
+    other = orbit + 0.5
     assert orbit_distance(orbit, other) == pytest.approx(orbit_distance(other, orbit))
 
 
 def test_orbits_of_different_period_are_infinitely_apart():
-    assert orbit_distance(np.zeros((1, 2)), np.zeros((2, 2))) == math.inf
+    assert orbit_distance(np.zeros(1, complex), np.zeros(2, complex)) == math.inf
 
 
 @given(orbits, st.integers(1, 4))
-def test_prime_multiple_undoes_repetition(values, times):
-    orbit = np.reshape(values, (-1, 2))
+def test_prime_multiple_undoes_repetition(orbit, times):
     prime = prime_multiple(orbit, 1e-12)
     assert len(orbit) % prime == 0
-    assert prime_multiple(np.tile(orbit, (times, 1)), 1e-12) == prime
+    assert prime_multiple(orbit * times, 1e-12) == prime
 
 
 def test_contraction_is_told_from_drift_and_growth():
     k = np.arange(12.0)
-    towards = np.stack([0.8**k, np.zeros(12)], axis=1)
+    towards = 0.8**k + 0j
     assert converging_multiple(towards, 1.0, 4) == 1
     assert converging_multiple(towards, 1e-3, 4) == 0, "still too far apart"
-    away = np.stack([1e-3 * 1.2**k, np.zeros(12)], axis=1)
+    away = 1e-3 * 1.2**k + 0j
     assert converging_multiple(away, 1.0, 1) == 0
-    alternating = np.stack([(-1.0) ** k * (1 + 0.1 * 0.8**k), np.zeros(12)], axis=1)
+    alternating = 1j * (-1.0) ** k * (1 + 0.1 * 0.8**k)
     assert converging_multiple(alternating, 0.5, 4) == 2
 
 
 def test_one_outlier_does_not_separate_two_clouds():
     rng = np.random.default_rng(3)
-    cloud = rng.normal(size=(40, 2))
-    other = np.vstack([cloud[1:], [[100.0, 0.0]]])
+    cloud = rng.normal(size=40) + 1j * rng.normal(size=40)
+    other = np.append(cloud[1:], 100.0)
     assert cloud_distance(cloud, other) < 1.0
-    assert cloud_distance(cloud, cloud + np.array([100.0, 0.0])) > 90.0
+    assert cloud_distance(cloud, cloud + 100.0) > 90.0
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,18 @@
 """Steady responses: closed forms, energy balance, period multiples, outcomes."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import gapsweep as gs
+from gapsweep.integrate.problem import Solver
+from gapsweep.response.maps import floquet_multipliers, newton_steps
+from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.section import period_multiple
+from gapsweep.response.walk import Scene
 
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
 TIGHT = {"engine": "scipy", "rtol": 1e-8, "atol": 1e-12}
@@ -88,9 +93,47 @@ def test_cost_counts_the_whole_point():
     assert response.n_contacts > settled.n_contacts
 
 
+def test_a_response_is_the_same_alone_and_in_any_company():
+    asymmetric = gs.Gap(0.0, 0.8e-3)
+    laws = [
+        *(gs.Piecewise(K_c, gap) for K_c in (1.4e4, 1.4e6) for gap in (SYMMETRIC, asymmetric)),
+        gs.Piecewise(1.4e4, SYMMETRIC, located=False),
+        gs.Tanh(1.4e4, asymmetric, 1e4),
+        gs.Polynomial(1.4e4, SYMMETRIC, degree=3, fit_range=1e-3),
+        gs.Polynomial(1.4e5, SYMMETRIC, degree=3, fit_range=1e-3),
+    ]
+    steady = gs.Steady(t_max=6.0)
+    softening = gs.Oscillator(alpha=-7e8)
+    points = [(gs.Oscillator(), law, omega, (0.0, 0.0)) for omega in (7.0, 14.0) for law in laws]
+    points.append((softening, laws[0], 5.0, (5e-3, 0.0)))
+    questions = [
+        Question(scene=Scene(oscillator=oscillator, law=law, omega=omega, solver=Solver.of()),
+                 start=start, steady=steady)
+        for oscillator, law, omega, start in points
+    ]  # fmt: skip
+    together = respond_all(questions[::-1])[::-1]
+    alone = [response for question in questions for response in respond_all([question])]
+    assert [repr(replace(r, cpu_time=0.0)) for r in together] == [
+        repr(replace(r, cpu_time=0.0)) for r in alone
+    ]
+    assert {response.response_class for response in alone} == set(gs.ResponseClass)
+    assert all(response.cpu_time > 0.0 for response in together)
+
+
+def test_a_singular_or_overflowing_map_spoils_no_other():
+    monodromy = np.array([[[0.5, 0.1], [0.0, 0.2]], np.eye(2), np.full((2, 2), np.inf)])
+    moved = np.ones((3, 2))
+    steps = newton_steps(monodromy, moved)
+    assert_allclose((np.eye(2) - monodromy[0]) @ steps[0], moved[0])
+    assert np.all(np.isinf(steps[1]))
+    multipliers = floquet_multipliers(monodromy)
+    assert_allclose(multipliers[0], [0.5, 0.2])
+    assert np.all(np.isnan(multipliers[2]))
+
+
 def test_period_multiple_is_the_smallest_repeat():
-    one = np.tile([[1.0, 0.0]], (16, 1))
-    three = np.tile([[1.0, 0.0], [2.0, 0.0], [1.0, 3.0]], (6, 1))
+    one = [1.0 + 0.0j] * 16
+    three = [1.0 + 0.0j, 2.0 + 0.0j, 1.0 + 3.0j] * 6
     assert period_multiple(one, 1e-9, 8) == 1
     assert period_multiple(three, 1e-9, 8) == 3
     assert period_multiple(three, 1e-9, 2) == 0
@@ -98,7 +141,7 @@ def test_period_multiple_is_the_smallest_repeat():
 
 
 def test_slow_drift_is_no_period():
-    drifting = np.outer(np.arange(16), [1e-3, 0.0])
+    drifting = [1e-3 * k + 0.0j for k in range(16)]
     assert period_multiple(drifting, 1e-4, 8) == 0
 
 

@@ -15,13 +15,15 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
+
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import Response
-from gapsweep.response.walk import Scene, State, Stretch, integrated
+from gapsweep.response.walk import Ensemble, Scene, State
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import FIXED, Point
@@ -178,7 +180,10 @@ def _warm_up(representation: str, fit_range: float, solver: Solver) -> None:
     with suppress(Exception):
         law = contact_law(representation, 1.0, Gap(1e-4, 1e-4), fit_range)
         scene = Scene(oscillator=Oscillator(), law=law, omega=5.0, solver=solver)
-        integrated([Stretch(scene, REST, 1, True, tangent) for tangent in (False, True)])
+        ensemble = Ensemble([scene])
+        rest, one = np.zeros((2, 1)), np.ones(1, int)
+        for tangent in (False, True):
+            ensemble.call(np.arange(1), rest, one, np.zeros(1), tangent=tangent)
 
 
 def _question(point: Point, state: State) -> Question:

@@ -1,10 +1,6 @@
-"""The compiled engine: the exact law by Taylor series, all others by Runge–Kutta, in lanes.
+"""The compiled engine: the exact law by Taylor series, all others by Runge–Kutta, in lanes."""
 
-Problems of one kind go to their kernel in one call, whatever their parameters; the results go
-back into the order of the problems.
-"""
-
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,9 +8,9 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import Events, Motions, Sampler, merged
-from gapsweep.integrate.problem import Problems, Solver
-from gapsweep.integrate.runge_kutta import representations, smooth
+from gapsweep.integrate.motion import Events, Motions, Sampler
+from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
+from gapsweep.integrate.runge_kutta import lanes, representations, smooth
 from gapsweep.integrate.taylor import exact, record
 from gapsweep.model.contact import (
     Arctan,
@@ -28,16 +24,12 @@ from gapsweep.model.contact import (
 )
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
-def integrate(problems: Problems, solver: Solver) -> Motions:
-    """Integrate every problem; each result is the same to the last bit in any company."""
-    parts = []
-    for numbers in _kinds(problems.laws, solver):
-        some = problems.take(numbers)
-        kernel = _exact if _by_taylor(some.laws[0], solver) else _smooth
-        parts.append((numbers, kernel(some, solver)))
-    return merged(len(problems), parts)
+def prepared(models: Models, solver: Solver) -> Integrate:
+    """Integration of models; each result is the same to the last bit in any company."""
+    return (_exact if _by_taylor(models.laws[0], solver) else _smooth)(models, solver)
 
 
 def _by_taylor(law: ContactLaw, solver: Solver) -> bool:
@@ -45,86 +37,110 @@ def _by_taylor(law: ContactLaw, solver: Solver) -> bool:
     return located and solver.controller == "native" and not solver.restart
 
 
-def _kinds(laws: Sequence[ContactLaw], solver: Solver) -> list[list[int]]:
-    """Problems that one call of a kernel can take: by law family, fits and users' by law."""
-    kinds: dict[Hashable, list[int]] = {}
-    for i, law in enumerate(laws):
-        parametric = isinstance(law, Piecewise | Tanh | Arctan | LogArctan)
-        located = isinstance(law, Piecewise) and law.located
-        kinds.setdefault((type(law), located) if parametric else law, []).append(i)
-    return list(kinds.values())
+def _column(objects: Sequence[Any], name: str) -> Array:
+    return np.array([getattr(each, name) for each in objects])
 
 
-def _oscillator_arrays(problems: Problems) -> dict[str, Array]:
+def _oscillator_arrays(models: Models) -> dict[str, Any]:
     names = ("zeta", "omega_n", "mass", "alpha", "forcing")
-    return {name: np.array([getattr(o, name) for o in problems.oscillators]) for name in names}
+    return {name: _column(models.oscillators, name) for name in names} | {"omega": models.omega}
 
 
 def _gap_arrays(laws: Sequence[Any]) -> dict[str, Any]:
-    return {
-        "K_c": np.array([law.K_c for law in laws]),
-        "j_1": np.array([law.gap.j_1 for law in laws]),
-        "j_2": np.array([law.gap.j_2 for law in laws]),
-    }
+    gaps = [law.gap for law in laws]
+    return {"K_c": _column(laws, "K_c"), "j_1": _column(gaps, "j_1"), "j_2": _column(gaps, "j_2")}
 
 
-def _common(problems: Problems, solver: Solver) -> dict[str, Any]:
+def _given(problems: Problems) -> dict[str, Any]:
     """Arguments that both kernels take."""
-    return _oscillator_arrays(problems) | {
-        "omega": problems.omega,
+    return {
+        "which": problems.which,
         "x_0": problems.x_0,
         "v_0": problems.v_0,
         "t_0": problems.t_0,
         "t_end": problems.t_end,
         "record_from": problems.record_from,
-        "rtol": solver.rtol,
-        "atol": solver.atol,
         "tangent": problems.tangent,
         "dense_output": problems.dense_output,
     }
 
 
-def _exact(problems: Problems, solver: Solver) -> Motions:
-    run = exact.integrate(**_gap_arrays(problems.laws), **_common(problems, solver))
+def _exact(models: Models, solver: Solver) -> Integrate:
+    scenes = exact.scenes(
+        **_gap_arrays(models.laws),
+        **_oscillator_arrays(models),
+        rtol=solver.rtol,
+        atol=solver.atol,
+    )
 
-    def events(i: int) -> Events:
-        rows = run.events(i)
-        # The kinds are numbered so: extrema, the section, then contacts.
-        kind = rows[:, 3]
-        extrema, section = rows[kind < record.SECTION], rows[kind == record.SECTION]
-        contacts = rows[kind > record.SECTION, 0]
-        return Events(extrema[:, 0], extrema[:, 1], contacts, section[:, 1:3])
+    def integrate(problems: Problems) -> Motions:
+        run = exact.run(scenes, **_given(problems))
 
-    def sampler(i: int) -> Sampler:
-        return lambda t: tuple(part[0] for part in run.sample(t, i))
+        def events() -> Events:
+            point, kind, t, x, v = run.log.T
+            # The kinds are numbered so: extrema, the section, then contacts.
+            masks = kind < record.SECTION, kind == record.SECTION, kind > record.SECTION
+            return _events(len(problems), point, t, x, v, *masks)
 
-    return _motions(run, events, sampler, run.monodromy)
+        def sampler(i: int) -> Sampler:
+            return lambda t: tuple(part[0] for part in run.sample(t, i))
+
+        return _motions(run, events, sampler, run.monodromy)
+
+    return integrate
 
 
-def _smooth(problems: Problems, solver: Solver) -> Motions:
-    law = _kernel_law(problems.laws, restart=solver.restart)
-    try:
-        run = smooth.integrate(law, controller=solver.controller, **_common(problems, solver))
-    except NumbaError as error:
-        reason = str(error).strip().splitlines()[0]
-        raise ModelError(
-            f"{problems.laws[0]}: numba cannot compile it ({reason}); use arithmetic and math "
-            "functions only, or engine='scipy'"
-        ) from None
+def _smooth(models: Models, solver: Solver) -> Integrate:
+    scenes = smooth.scenes(
+        _kernel_law(models.laws, restart=solver.restart),
+        **_oscillator_arrays(models),
+        rtol=solver.rtol,
+        atol=solver.atol,
+        controller=solver.controller,
+    )
 
-    def events(i: int) -> Events:
-        t_extrema, extrema = run.extrema(i)
-        return Events(t_extrema, extrema, run.contacts(i)[:, 0], run.section(i)[:, 1:3])
+    def integrate(problems: Problems) -> Motions:
+        try:
+            run = smooth.run(scenes, **_given(problems))
+        except NumbaError as error:
+            reason = str(error).strip().splitlines()[0]
+            raise ModelError(
+                f"{models.laws[0]}: numba cannot compile it ({reason}); use arithmetic and math "
+                "functions only, or engine='scipy'"
+            ) from None
 
-    def sampler(i: int) -> Sampler:
-        return lambda t: run.sample(t, i)
+        def events() -> Events:
+            kind, point, t, x, v, *_ = run.records.T
+            masks = (kind == each for each in (lanes.EXTREMUM, lanes.SECTION, lanes.CONTACT))
+            return _events(len(problems), point, t, x, v, *masks)
 
-    return _motions(run, events, sampler, run.tangent if problems.tangent else None)
+        def sampler(i: int) -> Sampler:
+            return lambda t: run.sample(t, i)
+
+        return _motions(run, events, sampler, run.tangent if problems.tangent else None)
+
+    return integrate
+
+
+def _events(
+    n: int, point: Array, t: Array, x: Array, v: Array, extrema: Mask, section: Mask, contacts: Mask
+) -> Events:
+    """Events of n motions from the columns of a record sorted by motion, and masks of its rows."""
+    number = point.astype(np.int64)
+    return Events(
+        t_extrema=t[extrema],
+        extrema=x[extrema],
+        t_contacts=t[contacts],
+        section=np.stack((x[section], v[section]), axis=1),
+        n_extrema=np.bincount(number[extrema], minlength=n),
+        n_contacts=np.bincount(number[contacts], minlength=n),
+        n_section=np.bincount(number[section], minlength=n),
+    )
 
 
 def _motions(
     run: Any,
-    events: Callable[[int], Events],
+    events: Callable[[], Events],
     sampler: Callable[[int], Sampler],
     monodromy: Array | None,
 ) -> Motions:

@@ -1,8 +1,7 @@
 """What an engine returns."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,24 +13,29 @@ Sampler = Callable[[Array], tuple[Array, Array]]
 SCALARS = ("t", "x", "v", "status", "n_contacts", "n_steps", "n_rejected", "nfev")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Events:
-    """What was recorded of one motion.
+    """What was recorded of n motions: the events of the first one, of the second, and so on.
 
     Attributes
     ----------
-    t_extrema, extrema : ndarray, shape (n,)
+    t_extrema, extrema : ndarray, shape (sum of n_extrema,)
         Times [s] and displacements [m] of all zero-velocity points after the start.
-    t_contacts : ndarray, shape (n,)
+    t_contacts : ndarray, shape (sum of n_contacts,)
         Times [s] at which the displacement crossed a wall, in or out.
-    section : ndarray, shape (n, 2)
+    section : ndarray, shape (sum of n_section, 2)
         Stroboscopic section: ``(x, v)`` at every whole forcing period after the start.
+    n_extrema, n_contacts, n_section : ndarray of int, shape (n,)
+        How many of them belong to each motion.
     """
 
-    t_extrema: Array = field(default_factory=lambda: np.empty(0))
-    extrema: Array = field(default_factory=lambda: np.empty(0))
-    t_contacts: Array = field(default_factory=lambda: np.empty(0))
-    section: Array = field(default_factory=lambda: np.empty((0, 2)))
+    t_extrema: Array
+    extrema: Array
+    t_contacts: Array
+    section: Array
+    n_extrema: Counts
+    n_contacts: Counts
+    n_section: Counts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +52,7 @@ class Motions:
         Wall crossings in and out, accepted and rejected steps, right-hand sides (for a Taylor
         method, expansions).
     events : callable
-        Events of one motion, by its number; empty where nothing was recorded.
+        Events of all motions; none of one that was not recorded.
     sampler : callable
         Function of time that gives ``(x, v)`` of one motion, by its number.
     monodromy : ndarray, shape (n, 2, 2), or None
@@ -63,33 +67,6 @@ class Motions:
     n_steps: Counts
     n_rejected: Counts
     nfev: Counts
-    events: Callable[[int], Events]
+    events: Callable[[], Events]
     sampler: Callable[[int], Sampler]
     monodromy: Array | None = None
-
-
-def merged(n: int, parts: Sequence[tuple[Sequence[int], Motions]]) -> Motions:
-    """Motions of several calls put back into the order of their problems.
-
-    Parameters
-    ----------
-    n : int
-        Number of problems.
-    parts : sequence of (numbers, motions)
-        The problems that a call solved, and its result.
-    """
-    if len(parts) == 1:
-        return parts[0][1]
-    arrays: dict[str, Any] = {}
-    for name in (*SCALARS, "monodromy"):
-        first = getattr(parts[0][1], name)
-        arrays[name] = None if first is None else np.empty((n, *first.shape[1:]), first.dtype)
-        for numbers, motions in parts:
-            if first is not None:
-                arrays[name][list(numbers)] = getattr(motions, name)
-    place = {i: (motions, j) for numbers, motions in parts for j, i in enumerate(numbers)}
-    return Motions(
-        events=lambda i: place[i][0].events(place[i][1]),
-        sampler=lambda i: place[i][0].sampler(place[i][1]),
-        **arrays,
-    )

@@ -1,13 +1,14 @@
 """What an engine is given: initial value problems and solver settings."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw
+from gapsweep.integrate.motion import Motions
+from gapsweep.model.contact import Arctan, ContactLaw, LogArctan, Piecewise, Tanh
 from gapsweep.model.oscillator import Oscillator, checked
 
 Array = NDArray[np.float64]
@@ -24,21 +25,47 @@ LARGEST_RTOL = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Problems:
-    """Initial value problems, n of them, that an engine solves in one call.
+class Models:
+    """What moves, n of one kind: an engine prepares it once and then solves it from many starts.
 
     Attributes
     ----------
     oscillators : sequence of Oscillator, length n
     laws : sequence of ContactLaw, length n
+        All of one `law_kind`.
     omega : ndarray, shape (n,)
         Forcing frequency [Hz].
-    x_0, v_0 : ndarray, shape (n,)
+    """
+
+    oscillators: Sequence[Oscillator]
+    laws: Sequence[ContactLaw]
+    omega: Array
+
+
+def law_kind(law: ContactLaw) -> Hashable:
+    """What the laws have in common that an engine can take together.
+
+    It is their family; fits and users' laws are compiled each for itself.
+    """
+    if isinstance(law, Piecewise | Tanh | Arctan | LogArctan):
+        return type(law), isinstance(law, Piecewise) and law.located
+    return law
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problems:
+    """Initial value problems, m of them, that an engine solves in one call.
+
+    Attributes
+    ----------
+    which : ndarray of int, shape (m,)
+        Numbers of the models that move.
+    x_0, v_0 : ndarray, shape (m,)
         State [m], [m/s] at `t_0`.
-    t_0, t_end : ndarray, shape (n,)
+    t_0, t_end : ndarray, shape (m,)
         Start and end [s]. The forcing phase at the start is wrapped, so that whole periods
         before it cost no accuracy.
-    record_from : ndarray, shape (n,)
+    record_from : ndarray, shape (m,)
         Time [s] from which extrema, contact times and section are wanted; infinity: never.
     dense_output : bool
         Whether the motions are kept for sampling, from `record_from` on.
@@ -46,9 +73,7 @@ class Problems:
         Whether the variational equations are integrated along.
     """
 
-    oscillators: Sequence[Oscillator]
-    laws: Sequence[ContactLaw]
-    omega: Array
+    which: NDArray[np.intp]
     x_0: Array
     v_0: Array
     t_0: Array
@@ -58,17 +83,10 @@ class Problems:
     tangent: bool = False
 
     def __len__(self) -> int:
-        return len(self.omega)
+        return len(self.which)
 
-    def take(self, which: Sequence[int]) -> "Problems":
-        """Some of the problems, in the order given."""
-        arrays = ("omega", "x_0", "v_0", "t_0", "t_end", "record_from")
-        return replace(
-            self,
-            oscillators=[self.oscillators[i] for i in which],
-            laws=[self.laws[i] for i in which],
-            **{name: getattr(self, name)[list(which)] for name in arrays},
-        )
+
+Integrate = Callable[[Problems], Motions]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,7 +25,7 @@ from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
 from gapsweep.integrate.motion import SCALARS, Events, Motions, Sampler
-from gapsweep.integrate.problem import Problems, Solver
+from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.status import Status
@@ -163,23 +163,30 @@ class _Record:
         self.n_rejected += attempts // _STEP_NFEV[method] - n_steps
 
 
-def integrate(problems: Problems, solver: Solver) -> Motions:
-    """Integrate with scipy, one after the other: RK45 for ``rtol >= 1e-6``, DOP853 below.
+def prepared(models: Models, solver: Solver) -> Integrate:
+    """Integration of models with scipy, one after the other.
 
-    `solver.atol` holds for both m and m/s. Everything is recorded, from the start.
+    RK45 for ``rtol >= 1e-6``, DOP853 below; `solver.atol` holds for both m and m/s. Everything
+    is recorded, from the start.
     """
-    runs = [_run(problems, i, solver) for i in range(len(problems))]
-    columns = {name: np.array([getattr(run, name) for run in runs]) for name in SCALARS}
 
-    def sampler(i: int) -> Sampler:
-        motion, t_0 = runs[i].motion, problems.t_0[i]
-        return lambda t: tuple(np.moveaxis(motion(t - t_0), -1, 0)[:2])
+    def integrate(problems: Problems) -> Motions:
+        runs = [_run(models, problems, i, solver) for i in range(len(problems))]
+        columns = {name: np.array([getattr(run, name) for run in runs]) for name in SCALARS}
 
-    monodromy = None
-    if problems.tangent:
-        columns_first = np.array([run.tangent for run in runs]).reshape(-1, 2, 2)
-        monodromy = columns_first.transpose(0, 2, 1)
-    return Motions(events=lambda i: runs[i].events, sampler=sampler, monodromy=monodromy, **columns)
+        def sampler(i: int) -> Sampler:
+            motion, t_0 = runs[i].motion, problems.t_0[i]
+            return lambda t: tuple(np.moveaxis(motion(t - t_0), -1, 0)[:2])
+
+        monodromy = None
+        if problems.tangent:
+            columns_first = np.array([run.tangent for run in runs]).reshape(-1, 2, 2)
+            monodromy = columns_first.transpose(0, 2, 1)
+        return Motions(
+            events=lambda: _events(runs), sampler=sampler, monodromy=monodromy, **columns
+        )
+
+    return integrate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,17 +202,32 @@ class _Run:
     n_rejected: int
     nfev: int
     tangent: State
-    events: Events
+    t_extrema: Array
+    extrema: Array
+    t_contacts: Array
+    section: Array
     motion: PPoly
 
 
-def _run(problems: Problems, i: int, solver: Solver) -> _Run:
-    t_0, omega = float(problems.t_0[i]), float(problems.omega[i])
+def _events(runs: Sequence[_Run]) -> Events:
+    names = ("t_extrema", "extrema", "t_contacts", "section")
+    lists = {name: [getattr(run, name) for run in runs] for name in names}
+    return Events(
+        **{name: np.concatenate(arrays) for name, arrays in lists.items()},
+        n_extrema=np.array([len(extrema) for extrema in lists["extrema"]]),
+        n_contacts=np.array([len(t_contacts) for t_contacts in lists["t_contacts"]]),
+        n_section=np.array([len(section) for section in lists["section"]]),
+    )
+
+
+def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
+    model = int(problems.which[i])
+    t_0, omega = float(problems.t_0[i]), float(models.omega[model])
     t_end = float(problems.t_end[i])
     theta_0 = 2.0 * math.pi * math.fmod(omega * t_0, 1.0)
     scene = _Scene(
-        problems.oscillators[i],
-        problems.laws[i],
+        models.oscillators[model],
+        models.laws[model],
         omega,
         theta_0,
         solver.rtol,
@@ -221,8 +243,6 @@ def _run(problems: Problems, i: int, solver: Solver) -> _Run:
         t, y = (_located if scene.located else _plain)(scene, run, start, t_end - t_0)
     motion = _joined(run.pieces)
     t_extrema, extrema = _extrema(motion)
-    t_contacts = np.array(run.t_contacts)
-    events = Events(t_0 + t_extrema, extrema, t_0 + t_contacts, _section(motion, scene, t))
     return _Run(
         t=t_end if run.status is Status.OK else t_0 + t,
         x=y[0],
@@ -233,7 +253,10 @@ def _run(problems: Problems, i: int, solver: Solver) -> _Run:
         n_rejected=run.n_rejected,
         nfev=run.nfev,
         tangent=y[2:],
-        events=events,
+        t_extrema=t_0 + t_extrema,
+        extrema=extrema,
+        t_contacts=t_0 + np.array(run.t_contacts),
+        section=_section(motion, scene, t),
         motion=motion,
     )
 

@@ -1,7 +1,6 @@
 """One call for every engine, for one motion or many."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,17 +8,17 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError
 from gapsweep.integrate import compiled, reference
 from gapsweep.integrate.motion import Motions
-from gapsweep.integrate.problem import DEFAULT_ENGINE, Problems, Solver
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Integrate, Models, Problems, Solver
 from gapsweep.integrate.trajectory import Trajectory
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 
-_ENGINES = {"compiled": compiled.integrate, "scipy": reference.integrate}
+_ENGINES = {"compiled": compiled.prepared, "scipy": reference.prepared}
 
 
-def integrate(problems: Problems, solver: Solver) -> Motions:
-    """Integrate motions, each as if it were alone: the same numbers in any company."""
-    return _ENGINES[solver.engine](problems, solver)
+def prepared(models: Models, solver: Solver) -> Integrate:
+    """Integration of models, each as if it were alone: the same numbers in any company."""
+    return _ENGINES[solver.engine](models, solver)
 
 
 def simulate(
@@ -75,23 +74,22 @@ def simulate(
         raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
     omega, x_0, v_0 = _broadcast(omega=omega, x_0=x_0, v_0=v_0)
     n = omega.size
-    problems = Problems(
-        oscillators=[oscillator] * n,
-        laws=[law] * n,
-        omega=omega.ravel(),
-        x_0=x_0.ravel(),
-        v_0=v_0.ravel(),
-        t_0=np.full(n, t_0),
-        t_end=np.full(n, t_end),
-        record_from=np.full(n, math.inf),
-        tangent=tangent,
-    )
+    models = Models(oscillators=[oscillator] * n, laws=[law] * n, omega=omega.ravel())
+    integrate = prepared(models, solver)
 
     def solve(record_from: float, dense_output: bool) -> Motions:
-        recording = replace(
-            problems, record_from=np.full(n, record_from), dense_output=dense_output
+        return integrate(
+            Problems(
+                which=np.arange(n),
+                x_0=x_0.ravel(),
+                v_0=v_0.ravel(),
+                t_0=np.full(n, t_0),
+                t_end=np.full(n, t_end),
+                record_from=np.full(n, record_from),
+                dense_output=dense_output,
+                tangent=tangent,
+            )
         )
-        return integrate(recording, solver)
 
     return Trajectory(solve, t_0, omega.shape, dense_output)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import Events, Motions
+from gapsweep.integrate.motion import Counts, Events, Motions
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -72,22 +72,22 @@ class Trajectory:
     @property
     def extrema(self) -> Array:
         """Displacements [m] of all zero-velocity points in ``(t_0, t]``."""
-        return self._ragged("extrema")
+        return self._ragged(self._events.extrema, self._events.n_extrema)
 
     @property
     def t_extrema(self) -> Array:
         """Times [s] of `extrema`."""
-        return self._ragged("t_extrema")
+        return self._ragged(self._events.t_extrema, self._events.n_extrema)
 
     @property
     def t_contacts(self) -> Array:
         """Times [s] at which the displacement crossed a wall, in or out."""
-        return self._ragged("t_contacts")
+        return self._ragged(self._events.t_contacts, self._events.n_contacts)
 
     @property
     def section(self) -> Array:
         """Stroboscopic section, shape (n, 2): ``(x, v)`` at every whole forcing period."""
-        return self._ragged("section")
+        return self._ragged(self._events.section, self._events.n_section)
 
     def sample(self, t: ArrayLike) -> tuple[Array, Array]:
         """Displacement [m] and velocity [m/s] at times `t` [s] within the run.
@@ -122,17 +122,16 @@ class Trajectory:
         return self._dense[1]
 
     @cached_property
-    def _events(self) -> list[Events]:
-        recorded = self._solve(self.t_0, False)
-        return [recorded.events(i) for i in range(self._n)]
+    def _events(self) -> Events:
+        return self._solve(self.t_0, False).events()
 
     def _shaped(self, values: NDArray[Any]) -> Any:
         return values.reshape(self.shape) if self.shape else values[0].item()
 
-    def _ragged(self, name: str) -> Array:
-        values = [getattr(events, name) for events in self._events]
+    def _ragged(self, values: Array, counts: Counts) -> Array:
         if not self.shape:
-            return np.asarray(values[0])
-        ragged = np.empty(len(values), dtype=object)
-        ragged[:] = values
+            return values
+        ragged = np.empty(self._n, dtype=object)
+        ends = np.cumsum(counts)
+        ragged[:] = [values[end - n : end] for n, end in zip(counts, ends, strict=True)]
         return ragged.reshape(self.shape)

@@ -5,12 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gapsweep.response.result import Response, ResponseClass
-from gapsweep.response.section import cloud_distance, orbit_distance, scaled
-
-Array = NDArray[np.float64]
+from gapsweep.response.section import Section, cloud_distance, orbit_distance, scaled
 
 NONE = -1
 # Two periodic orbits closer than this share of their reach are one, polished or not.
@@ -125,7 +122,7 @@ def _rank(response: Response) -> tuple[float, float, int]:
     return round(response.x_max, digits), round(response.x_min, digits), response.period_multiple
 
 
-def _points(response: Response, omega: float) -> Array:
+def _points(response: Response, omega: float) -> Section:
     return scaled(np.reshape(response.section, (-1, 2)), omega)
 
 
@@ -136,7 +133,7 @@ def _same(a: Response, b: Response, omega: float, noise: float) -> bool:
     if a.response_class is ResponseClass.PERIODIC:
         reach = max(abs(a.x_max), abs(a.x_min))
         return orbit_distance(p, q) <= max(_SAME_ORBIT * reach, noise)
-    extent = max(np.ptp(p, axis=0).max(), np.ptp(q, axis=0).max())
+    extent = max(np.ptp(part) for cloud in (p, q) for part in (cloud.real, cloud.imag))
     return cloud_distance(p, q) <= _SAME_CLOUD * float(extent)
 
 

@@ -11,30 +11,35 @@ the section shrinks by the same factor, so there is no third kind.
 """
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import accumulate, pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, law_kind
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.response.result import ExtremumKind, Response, ResponseClass, Steady
 from gapsweep.response.section import converging_multiple, period_multiple
 from gapsweep.response.stability import (
     Exponents,
+    Growth,
     Orbit,
-    floquet_multipliers,
+    Shot,
+    growths,
     is_own,
     lyapunov,
+    orbits,
     shoot,
 )
-from gapsweep.response.walk import Part, Scene, State, Stretch, Walk, integrated
+from gapsweep.response.walk import Ensemble, Scene, State, Stretch, Walk
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
+Request = Stretch | Shot | Growth
 
 _FIRST_WINDOW = 6
 # The next look comes when disturbances have shrunk to this share.
@@ -54,6 +59,24 @@ class Question:
     scene: Scene
     start: State
     steady: Steady
+
+
+class Outcome(NamedTuple):
+    """What a point comes to: its response but for the kinds of its extrema and what it cost.
+
+    Attributes
+    ----------
+    scene : Scene
+    t_extrema, extrema : list of float
+        Times [s] since a whole forcing period and displacements [m] of the extrema kept.
+    values : dict
+        Attributes of the `Response`.
+    """
+
+    scene: Scene
+    t_extrema: list[float]
+    extrema: list[float]
+    values: dict[str, Any]
 
 
 def respond(
@@ -101,25 +124,54 @@ def respond(
 def respond_all(questions: Sequence[Question]) -> list[Response]:
     """Steady responses of many points with one solver, advanced together.
 
-    Each point is a generator that asks for stretches of motion; every round, the stretches
-    asked for by all points go to the engine in one call. No point sees the others.
+    No point sees the others: each response is the same to the last bit in any company.
     """
-    walks = [_steady_response(question) for question in questions]
+    groups: dict[Hashable, list[int]] = {}
+    for i, question in enumerate(questions):
+        groups.setdefault(law_kind(question.scene.law), []).append(i)
     answers: dict[int, Response] = {}
-    asked = {i: next(walk) for i, walk in enumerate(walks)}
-    while asked:
-        parts = integrated(list(asked.values()))
-        asked_next = {}
-        for i, part in zip(asked, parts, strict=True):
-            try:
-                asked_next[i] = walks[i].send(part)
-            except StopIteration as finished:
-                answers[i] = finished.value
-        asked = asked_next
+    for numbers in groups.values():
+        answers |= zip(numbers, _answered([questions[i] for i in numbers]), strict=True)
     return [answers[i] for i in range(len(questions))]
 
 
-def _steady_response(question: Question) -> Generator[Stretch, Part, Response]:
+def _answered(questions: Sequence[Question]) -> list[Response]:
+    """Responses of points of one kind.
+
+    Each point is a generator that asks for one thing after the other: a stretch of motion, a
+    periodic orbit, the growth of a disturbance. Points that ask for the same are answered together.
+    """
+    ensemble = Ensemble([question.scene for question in questions])
+    points = [_steady_response(question) for question in questions]
+    outcomes: dict[int, Outcome] = {}
+    asked: dict[type, dict[int, Any]] = {Stretch: {}, Shot: {}, Growth: {}}
+    answers: dict[type, Callable[[Ensemble, dict[int, Any]], Sequence[Any]]] = {
+        Stretch: Ensemble.parts,
+        Shot: orbits,
+        Growth: growths,
+    }
+
+    def go_on(i: int, answer: Any) -> None:
+        try:
+            request = points[i].send(answer)
+        except StopIteration as finished:
+            outcomes[i] = finished.value
+        else:
+            asked[type(request)][i] = request
+
+    for i in range(len(points)):
+        go_on(i, None)
+    while any(asked.values()):
+        # What most points wait for; growth last, for its many calls are best shared by all.
+        kind = max(Stretch, Shot, key=lambda each: len(asked[each]))
+        kind = kind if asked[kind] else Growth
+        waiting, asked[kind] = asked[kind], {}
+        for i, answer in zip(waiting, answers[kind](ensemble, waiting), strict=True):
+            go_on(i, answer)
+    return _responses([outcomes[i] for i in range(len(questions))], ensemble.costs())
+
+
+def _steady_response(question: Question) -> Generator[Request, Any, Outcome]:
     walk, steady = Walk(question.scene, question.start), question.steady
     rate = question.scene.oscillator.decay_rate
     settle = math.log(1.0 / steady.settle_tol) / rate if rate > 0.0 else math.inf
@@ -144,7 +196,7 @@ def _steady_response(question: Question) -> Generator[Stretch, Part, Response]:
 
 def _find_orbit(
     walk: Walk, steady: Steady, n_periods: int
-) -> Generator[Stretch, Part, Orbit | None]:
+) -> Generator[Request, Any, Orbit | None]:
     """Record a window, doubling it up to `n_periods`, until shooting finds the motion's orbit."""
     walk.forget()
     size = _FIRST_WINDOW
@@ -160,7 +212,7 @@ def _find_orbit(
     return None
 
 
-def _repeated(walk: Walk, steady: Steady) -> Generator[Stretch, Part, Orbit | None]:
+def _repeated(walk: Walk, steady: Steady) -> Generator[Shot, Orbit | None, Orbit | None]:
     """A settled motion that repeats itself, though shooting could not improve on it.
 
     At loose tolerances the solver's noise is larger than any Newton residual allowed.
@@ -169,92 +221,113 @@ def _repeated(walk: Walk, steady: Steady) -> Generator[Stretch, Part, Orbit | No
     n = period_multiple(walk.section, same, steady.max_period_multiple)
     if not n:
         return None
-    part = yield from walk.probe(walk.y, n, record=True)
-    if part.status is not Status.OK or part.monodromy is None:
-        return None
-    multipliers = floquet_multipliers(part.monodromy)
-    if abs(multipliers[0]) >= 1.0:
-        return None
-    return Orbit(walk.y, n, multipliers, part, walk.section[-n:])
+    orbit = yield Shot(walk.y, n, goal=math.inf, furthest=0.0)
+    return orbit if orbit is not None and abs(orbit.multipliers[0]) < 1.0 else None
 
 
-def _periodic(walk: Walk, steady: Steady, orbit: Orbit) -> Response:
-    events = orbit.part.events
+def _periodic(walk: Walk, steady: Steady, orbit: Orbit) -> Outcome:
     modulus = abs(orbit.multipliers[0])
     duration = orbit.n / walk.omega
     stability = {
         "response_class": ResponseClass.PERIODIC,
         "period_multiple": orbit.n,
-        "multipliers": tuple(orbit.multipliers.view(float).tolist()),
-        "multiplier_abs": float(modulus),
+        "multipliers": tuple(part for z in orbit.multipliers for part in (z.real, z.imag)),
+        "multiplier_abs": modulus,
         "lyapunov": math.log(modulus) / duration if modulus > 0.0 else -math.inf,
         "lyapunov_error": 0.0,
-        "section": tuple(events.section.ravel().tolist()),
+        "section": tuple(orbit.part.states),
         "x_end": orbit.y[0],
         "v_end": orbit.y[1],
     }
-    return _result(walk, steady, Status.OK, events.t_extrema, events.extrema, stability)
+    part = orbit.part
+    return _outcome(walk, steady, Status.OK, part.t_extrema, part.extrema, stability)
 
 
-def _aperiodic(walk: Walk, steady: Steady, exponents: Exponents) -> Response:
+def _aperiodic(walk: Walk, steady: Steady, exponents: Exponents) -> Outcome:
     chaotic = exponents.is_positive
-    section = walk.section[-steady.max_period_multiple :] * (1.0, 2.0 * math.pi * walk.omega)
+    section = walk.section[-steady.max_period_multiple :]
     stability = {
         "response_class": ResponseClass.CHAOTIC if chaotic else ResponseClass.UNRESOLVED,
         "lyapunov": exponents.largest,
         "lyapunov_error": exponents.error,
-        "section": tuple(section.ravel().tolist()),
+        "section": tuple(part for z in section for part in (z.real, z.imag * walk.omega_rad)),
         "x_end": walk.y[0],
         "v_end": walk.y[1],
     }
     status = Status.OK if chaotic else Status.UNRESOLVED
-    return _result(walk, steady, status, walk.t_extrema, walk.extrema, stability)
+    return _outcome(walk, steady, status, walk.t_extrema, walk.extrema, stability)
 
 
-def _result(
+def _outcome(
     walk: Walk,
     steady: Steady,
     status: Status,
-    t_extrema: Array,
-    extrema: Array,
+    t_extrema: list[float],
+    extrema: list[float],
     stability: dict[str, Any],
-) -> Response:
+) -> Outcome:
     # A response without a turning point in its window still has a position.
-    seen = extrema if extrema.size else np.array([walk.y[0]])
-    x_max, x_min = float(np.max(seen)), float(np.min(seen))
+    seen = extrema or [walk.y[0]]
+    x_max, x_min = max(seen), min(seen)
     left_range = max(abs(x_max), abs(x_min)) > walk.scene.law.valid_range
-    kinds = _kinds(walk.scene, t_extrema, extrema)
-    kept = slice(steady.max_extrema)
-    return Response(
-        status=Status.OUT_OF_FIT_RANGE if left_range else status,
-        extrema=tuple(extrema[kept].tolist()),
-        extremum_kind=tuple(kinds[kept].tolist()),
-        n_extrema=extrema.size,
-        x_max=x_max,
-        x_min=x_min,
-        amplitude=0.5 * (x_max - x_min),
-        t_settled=walk.t,
-        t_simulated=walk.t_simulated,
-        **walk.cost,
-        **stability,
-    )
+    values = {
+        "status": Status.OUT_OF_FIT_RANGE if left_range else status,
+        "n_extrema": len(extrema),
+        "x_max": x_max,
+        "x_min": x_min,
+        "amplitude": 0.5 * (x_max - x_min),
+        "t_settled": walk.t,
+    }
+    n = steady.max_extrema
+    return Outcome(walk.scene, t_extrema[:n], extrema[:n], values | stability)
 
 
-def _kinds(scene: Scene, t: Array, x: Array) -> NDArray[np.int64]:
-    """`ExtremumKind` of zero-velocity points, by the sign of the acceleration there.
-
-    `t` counts from a whole forcing period.
-    """
-    o = scene.oscillator
-    drive = o.forcing * np.cos(2.0 * math.pi * scene.omega * t)
-    springs = o.mass * o.omega_n_rad**2 * x + o.alpha * x**3 + scene.law.force(x)
-    force = drive - springs
-    is_turn = np.abs(force) > _FLAT * (abs(o.forcing) + np.abs(springs))
-    return np.where(is_turn, -np.sign(force), int(ExtremumKind.INFLECTION)).astype(np.int64)
-
-
-def _failure(walk: Walk) -> Response:
+def _failure(walk: Walk) -> Outcome:
     left_range = not abs(walk.y[0]) <= walk.scene.law.valid_range
     status = Status.OUT_OF_FIT_RANGE if left_range else walk.status
     where = f"{walk.status.label} before t = {walk.t:.6g} s at x = {walk.y[0]:.3g} m"
-    return Response(status=status, message=where, t_simulated=walk.t_simulated, **walk.cost)
+    return Outcome(walk.scene, [], [], {"status": status, "message": where})
+
+
+def _responses(outcomes: Sequence[Outcome], costs: Sequence[dict[str, Any]]) -> list[Response]:
+    """Responses, with the kinds of all extrema under one law found together."""
+    of_one_law: dict[tuple[Oscillator, ContactLaw], list[int]] = {}
+    for i, outcome in enumerate(outcomes):
+        of_one_law.setdefault((outcome.scene.oscillator, outcome.scene.law), []).append(i)
+    kinds: dict[int, list[int]] = {}
+    for (oscillator, law), numbers in of_one_law.items():
+        some = [outcomes[i] for i in numbers]
+        counts = [len(outcome.t_extrema) for outcome in some]
+        omega = np.repeat([outcome.scene.omega for outcome in some], counts)
+        t = np.array([t for outcome in some for t in outcome.t_extrema])
+        x = np.array([x for outcome in some for x in outcome.extrema])
+        found = _kinds(oscillator, law, omega, t, x).tolist()
+        ends = pairwise(accumulate(counts, initial=0))
+        kinds |= {i: found[a:b] for i, (a, b) in zip(numbers, ends, strict=True)}
+    return [
+        Response(
+            extrema=tuple(outcome.extrema),
+            extremum_kind=tuple(kinds[i]),
+            **outcome.values,
+            **costs[i],
+        )
+        for i, outcome in enumerate(outcomes)
+    ]
+
+
+def _kinds(
+    oscillator: Oscillator, law: ContactLaw, omega: Array, t: Array, x: Array
+) -> NDArray[np.int64]:
+    """`ExtremumKind` of zero-velocity points, by the sign of the acceleration there.
+
+    Parameters
+    ----------
+    omega, t, x : ndarray, shape (n,)
+        Forcing frequency [Hz], time [s] since a whole forcing period, displacement [m].
+    """
+    o = oscillator
+    drive = o.forcing * np.cos(2.0 * math.pi * omega * t)
+    springs = o.mass * o.omega_n_rad**2 * x + o.alpha * x**3 + law.force(x)
+    force = drive - springs
+    is_turn = np.abs(force) > _FLAT * (abs(o.forcing) + np.abs(springs))
+    return np.where(is_turn, -np.sign(force), int(ExtremumKind.INFLECTION)).astype(np.int64)

@@ -1,38 +1,55 @@
 """The stroboscopic section: repeats, contraction, and distances of orbits.
 
-A section point is ``(x, v / (2π ω))``: both components in metres.
+A section point is the complex number ``x + i v / (2π ω)`` [m]: the modulus of a difference is the
+distance of two states.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
-
-
-def scaled(section: Array, omega: float) -> Array:
-    """Section ``(x, v)`` with the velocity divided by the angular forcing frequency [m]."""
-    return section / (1.0, 2.0 * np.pi * omega)
+Section = NDArray[np.complex128]
 
 
-def period_multiple(section: Array, tolerance: float, largest: int) -> int:
+def scaled(states: ArrayLike, omega: ArrayLike) -> Section:
+    """Section points of states.
+
+    Parameters
+    ----------
+    states : array_like, shape (n, 2)
+        Displacements [m] and velocities [m/s].
+    omega : float or array_like, shape (n,)
+        Forcing frequency [Hz].
+    """
+    states = np.asarray(states, dtype=float)
+    section = np.empty(len(states), complex)
+    section.real, section.imag = states[:, 0], states[:, 1] / (2.0 * np.pi * np.asarray(omega))
+    return section
+
+
+def period_multiple(section: Sequence[complex], tolerance: float, largest: int) -> int:
     """Smallest n for which the section repeats after n forcing periods; 0 if none does.
 
     Parameters
     ----------
-    section : ndarray, shape (n_periods, 2)
-        Scaled section points [m], one row per forcing period.
+    section : sequence of complex, length n_periods
+        Section points [m], one per forcing period.
     tolerance : float
-        Largest distance [m] of two points taken for the same.
+        Largest distance [m] of two points, in either component, taken for the same.
     largest : int
-        Largest n tried; at least 2 n rows are needed to find n.
+        Largest n tried; at least 2 n points are needed to find n.
     """
     for n in range(1, min(largest, len(section) // 2) + 1):
-        if np.all(np.abs(section[n:] - section[:-n]) < tolerance):
+        # Mostly the last point alone decides.
+        if _is_near(section[-1], section[-1 - n], tolerance) and all(
+            _is_near(section[k], section[k - n], tolerance) for k in range(n, len(section))
+        ):
             return n
     return 0
 
 
-def converging_multiple(section: Array, closeness: float, largest: int) -> int:
+def converging_multiple(section: Sequence[complex], closeness: float, largest: int) -> int:
     """Smallest n towards whose repeat the section is contracting; 0 if it does not.
 
     Each of the last four points must be within `closeness` of the one n periods before, and the
@@ -40,52 +57,60 @@ def converging_multiple(section: Array, closeness: float, largest: int) -> int:
 
     Parameters
     ----------
-    section : ndarray, shape (n_periods, 2)
-        Scaled section points [m].
+    section : sequence of complex, length n_periods
+        Section points [m].
     closeness : float
         Distance [m] from which shooting is worth a try.
     largest : int
-        Largest n tried; n + 4 rows are needed for n.
+        Largest n tried; n + 4 points are needed for n.
     """
     for n in range(1, min(largest, len(section) - 4) + 1):
-        steps = np.hypot(*(section[-4:] - section[-4 - n : -n]).T)
-        if np.all(steps < closeness) and steps[2:].max() <= steps[:2].max():
-            return n
+        # Mostly the last point alone decides.
+        if abs(section[-1] - section[-1 - n]) < closeness:
+            steps = [abs(section[k] - section[k - n]) for k in (-4, -3, -2, -1)]
+            if max(steps) < closeness and max(steps[2:]) <= max(steps[:2]):
+                return n
     return 0
 
 
-def prime_multiple(orbit: Array, tolerance: float) -> int:
+def prime_multiple(orbit: Sequence[complex], tolerance: float) -> int:
     """Smallest divisor of its length after which a closed orbit repeats itself.
 
     Parameters
     ----------
-    orbit : ndarray, shape (n, 2)
-        Scaled section points of one whole period of n forcing periods [m].
+    orbit : sequence of complex, length n
+        Section points of one whole period of n forcing periods [m].
+    tolerance : float
+        Largest distance [m] of two points, in either component, taken for the same.
     """
     n = len(orbit)
     for d in range(1, n):
-        if n % d == 0 and np.all(np.abs(np.roll(orbit, -d, axis=0) - orbit) < tolerance):
+        if n % d == 0 and all(_is_near(orbit[k], orbit[k - d], tolerance) for k in range(n)):
             return d
     return n
 
 
-def orbit_distance(a: Array, b: Array) -> float:
+def _is_near(p: complex, q: complex, tolerance: float) -> bool:
+    return abs(p.real - q.real) < tolerance and abs(p.imag - q.imag) < tolerance
+
+
+def orbit_distance(a: Section, b: Section) -> float:
     """Largest distance of two periodic orbits' section points, modulo a shift in time [m].
 
     Infinite if they have different numbers of points.
     """
     if len(a) != len(b):
         return float("inf")
-    shifts = (np.abs(np.roll(a, s, axis=0) - b).max() for s in range(len(a)))
-    return float(min(shifts))
+    gaps = (np.roll(a, s) - b for s in range(len(a)))
+    return float(min(max(np.abs(gap.real).max(), np.abs(gap.imag).max()) for gap in gaps))
 
 
-def cloud_distance(a: Array, b: Array, share: float = 0.8) -> float:
+def cloud_distance(a: Section, b: Section, share: float = 0.8) -> float:
     """Partial Hausdorff distance of two point clouds [m].
 
     The distance below which `share` of either cloud's points have a neighbour in the other:
     the full Hausdorff distance of chaotic samples is ruled by one outlier.
     """
-    distances = np.hypot(*(a[:, None, :] - b[None, :, :]).transpose(2, 0, 1))
+    distances = np.abs(a[:, None] - b[None, :])
     nearest = (np.quantile(distances.min(axis=axis), share) for axis in (0, 1))
     return float(max(nearest))

@@ -4,17 +4,22 @@ The tangent equations carry the monodromy matrix along with the motion. The cont
 continuous, so nothing jumps at a contact. Two facts hold for every force that depends on x
 alone and check all of it: the product of the multipliers over n periods T is
 ``exp(-2 ζ ω_n n T)``, and the two Lyapunov exponents add up to ``-2 ζ ω_n``.
+
+A point asks for an orbit by a `Shot` and for the growth of a disturbance by a `Growth`; `orbits`
+and `growths` answer for all points that ask at once.
 """
 
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.section import prime_multiple, scaled
-from gapsweep.response.walk import Part, State, Stretch, Walk
+from gapsweep.response.maps import floquet_multipliers, newton_steps
+from gapsweep.response.section import prime_multiple
+from gapsweep.response.walk import Ensemble, Part, State, Stretch, Walk
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -35,6 +40,27 @@ _BLOCK_SECONDS = 0.5
 _BATCH = 6  # blocks per batch mean: neighbouring blocks are correlated
 
 
+class Shot(NamedTuple):
+    """What a point asks for: the orbit near a state that closes after whole forcing periods.
+
+    Attributes
+    ----------
+    y : (float, float)
+        The state [m], [m/s].
+    n : int
+        Forcing periods of the orbit.
+    goal : float
+        Distance [m] of its ends below which an orbit is closed.
+    furthest : float
+        Distance [m] from `y` beyond which it is given up.
+    """
+
+    y: State
+    n: int
+    goal: float
+    furthest: float
+
+
 @dataclass(frozen=True, slots=True)
 class Orbit:
     """A periodic orbit found by shooting.
@@ -45,74 +71,71 @@ class Orbit:
         Its state at phase zero [m], [m/s].
     n : int
         Forcing periods in its period.
-    multipliers : ndarray of complex, shape (2,)
+    multipliers : list of complex, length 2
         Floquet multipliers over n periods, largest modulus first.
     part : Part
         Its recorded motion over n periods.
-    section : ndarray, shape (n, 2)
-        Its scaled section points [m].
     """
 
     y: State
     n: int
-    multipliers: NDArray[np.complex128]
+    multipliers: list[complex]
     part: Part
-    section: Array
 
 
-def shoot(walk: Walk, n: int) -> Generator[Stretch, Part, Orbit | None]:
-    """Newton on the map over n forcing periods, from where the motion is now.
+def orbits(ensemble: Ensemble, asked: Mapping[int, Shot]) -> list[Orbit | None]:
+    """Answers to shots, by number of their scene: Newton on the map over n forcing periods.
+
+    None where Newton went too far or did not converge, or where a motion failed.
+    """
+    found: dict[int, Orbit] = {}
+    scenes = np.fromiter(asked, np.intp, len(asked))
+    start, n, goal, furthest = map(np.array, zip(*asked.values(), strict=True))
+    y, moved = start.T, np.zeros_like(start.T)
+    for _ in range(_MAX_NEWTON):
+        call = ensemble.call(scenes, y, n, np.zeros(len(scenes)), tangent=True)
+        weight = 1.0 / call.omega_rad
+        with np.errstate(over="ignore", invalid="ignore"):  # of motions that failed
+            missed = call.y - y
+            is_closed = call.is_ok & (np.hypot(missed[0], missed[1] * weight) <= goal)
+        closed = is_closed.nonzero()[0]
+        if closed.size:
+            multipliers = floquet_multipliers(call.monodromy[closed]).tolist()
+            for k, pair in zip(closed.tolist(), multipliers, strict=True):
+                found[int(scenes[k])] = Orbit(_state(y, k), int(n[k]), pair, call.part(k))
+        if closed.size == len(scenes):
+            break
+        with np.errstate(over="ignore", invalid="ignore"):
+            step = newton_steps(call.monodromy, missed.T).T
+            y, moved = y + step, moved + step
+            is_near = np.hypot(moved[0], moved[1] * weight) <= furthest
+        left = (is_near & call.is_ok & ~is_closed).nonzero()[0]
+        if not left.size:
+            break
+        y, moved = y[:, left], moved[:, left]
+        scenes, n, goal, furthest = scenes[left], n[left], goal[left], furthest[left]
+    return [found.get(scene) for scene in asked]
+
+
+def shoot(walk: Walk, n: int) -> Generator[Shot, Any, Orbit | None]:
+    """The orbit over n forcing periods near where the motion is now.
 
     Returns
     -------
     Orbit or None
-        None if a step was too large, Newton did not converge, the period is not prime, or a
-        multiplier lies outside the unit circle: then the motion has to go on by itself.
+        None if none was found, the period is not prime, or a multiplier lies outside the unit
+        circle: then the motion has to go on by itself.
     """
-    y = np.array(walk.y)
-    weight = np.array([1.0, 1.0 / (2.0 * math.pi * walk.omega)])
-    goal = max(1e-10 * walk.reach, 0.1 * walk.noise if walk.scene.solver.rtol > 1e-8 else 0.0)
-    moved = np.zeros(2)
-    for _ in range(_MAX_NEWTON):
-        part = yield from walk.probe((float(y[0]), float(y[1])), n, record=True)
-        if part.status is not Status.OK or part.monodromy is None:
-            return None
-        residual = np.array(part.y) - y
-        if np.hypot(*(residual * weight)) <= goal:
-            return _accepted(walk, (float(y[0]), float(y[1])), n, part)
-        step = _newton_step(part.monodromy, residual)
-        moved = moved + step
-        if not np.hypot(*(moved * weight)) <= _SMALL_STEP * walk.reach:
-            return None
-        y = y + step
-    return None
-
-
-def _newton_step(monodromy: Array, residual: Array) -> Array:
-    """Step towards the fixed point; infinite where the map has none nearby."""
-    try:
-        return np.asarray(np.linalg.solve(np.eye(2) - monodromy, residual), dtype=float)
-    except np.linalg.LinAlgError:
-        return np.full(2, np.inf)
-
-
-def _accepted(walk: Walk, y: State, n: int, part: Part) -> Orbit | None:
-    assert part.monodromy is not None
-    multipliers = floquet_multipliers(part.monodromy)
-    section = scaled(part.events.section, walk.omega)
-    same = max(10.0 * walk.noise, 1e-6 * walk.reach)
-    if abs(multipliers[0]) >= _INSIDE or prime_multiple(section, same) != n:
+    reach, noise = walk.reach, walk.noise
+    goal = max(1e-10 * reach, 0.1 * noise if walk.scene.solver.rtol > 1e-8 else 0.0)
+    orbit: Orbit | None = yield Shot(walk.y, n, goal, _SMALL_STEP * reach)
+    if orbit is None or not abs(orbit.multipliers[0]) < _INSIDE:
         return None
-    return Orbit(y, n, multipliers, part, section)
+    is_prime = prime_multiple(orbit.part.section, max(10.0 * noise, 1e-6 * reach)) == n
+    return orbit if is_prime else None
 
 
-def floquet_multipliers(monodromy: Array) -> NDArray[np.complex128]:
-    """Eigenvalues of a monodromy matrix, largest modulus first."""
-    values = np.linalg.eigvals(monodromy).astype(complex)
-    return values[np.argsort(-np.abs(values), kind="stable")]
-
-
-def is_own(walk: Walk, orbit: Orbit) -> Generator[Stretch, Part, bool]:
+def is_own(walk: Walk, orbit: Orbit) -> Generator[Stretch, Any, bool]:
     """Whether the motion itself approaches an orbit: the guard against a swapped attractor.
 
     It is, if it is near and came closer over its recorded window. Else it goes on, unrecorded,
@@ -131,14 +154,81 @@ def is_own(walk: Walk, orbit: Orbit) -> Generator[Stretch, Part, bool]:
 
 def _distance(walk: Walk, orbit: Orbit) -> float:
     """Distance of the motion, at whole periods of the orbit, from its starting point [m]."""
-    gap = np.array(walk.y) - np.array(orbit.y)
-    return float(np.hypot(gap[0], gap[1] / (2.0 * math.pi * walk.omega)))
+    (x, v), (x_orbit, v_orbit) = walk.y, orbit.y
+    return abs(complex(x - x_orbit, (v - v_orbit) / walk.omega_rad))
 
 
 def _first_distance(walk: Walk, orbit: Orbit) -> float:
     """As `_distance`, at the first section point of the window that has the same phase [m]."""
     first = walk.section[(len(walk.section) - 1) % orbit.n]
-    return float(np.hypot(*(first - scaled(np.array(orbit.y), walk.omega))))
+    x, v = orbit.y
+    return abs(first - complex(x, v / walk.omega_rad))
+
+
+class Growth(NamedTuple):
+    """What a point asks for: how a disturbance of its motion grows.
+
+    Attributes
+    ----------
+    y : (float, float)
+        State to start from [m], [m/s].
+    n_periods : int
+        Forcing periods in each of the blocks.
+    """
+
+    y: State
+    n_periods: int
+
+
+class Grown(NamedTuple):
+    """How a disturbance grew.
+
+    Attributes
+    ----------
+    y : (float, float)
+        Where the motion ended [m], [m/s].
+    status : Status
+        How its last block ended; only those before have a factor.
+    factors : list of float
+        What each block multiplied the disturbance's length by.
+    """
+
+    y: State
+    status: Status
+    factors: list[float]
+
+
+def growths(ensemble: Ensemble, asked: Mapping[int, Growth]) -> list[Grown]:
+    """Answers to questions for growth, by number of their scene."""
+    found: dict[int, Grown] = {}
+    factors: dict[int, list[float]] = {scene: [] for scene in asked}
+    scenes = np.fromiter(asked, np.intp, len(asked))
+    start, n_periods = map(np.array, zip(*asked.values(), strict=True))
+    y, direction = start.T, np.tile((1.0, 0.0), (len(asked), 1))
+    for _ in range(1 + _N_BLOCKS):
+        call = ensemble.call(scenes, y, n_periods, np.full(len(scenes), math.inf), tangent=True)
+        with np.errstate(all="ignore"):  # of motions that failed
+            direction = np.matmul(call.monodromy, direction[:, :, None])[:, :, 0]
+            length = np.hypot(direction[:, 0], direction[:, 1] * (1.0 / call.omega_rad))
+            direction = direction / length[:, None]
+        is_ok = call.is_ok
+        for k in np.flatnonzero(~is_ok).tolist():
+            scene = int(scenes[k])
+            found[scene] = Grown(_state(y, k), Status(call.status[k]), factors[scene])
+        scenes, n_periods, length = scenes[is_ok], n_periods[is_ok], length[is_ok]
+        y, direction = call.y[:, is_ok], direction[is_ok]
+        for scene, factor in zip(scenes.tolist(), length.tolist(), strict=True):
+            factors[scene].append(factor)
+        if not scenes.size:
+            break
+    for k, scene in enumerate(scenes.tolist()):
+        found[scene] = Grown(_state(y, k), Status.OK, factors[scene])
+    return [found[scene] for scene in asked]
+
+
+def _state(y: Array, k: int) -> State:
+    """State of one motion out of an array of shape (2, n)."""
+    return float(y[0, k]), float(y[1, k])
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,27 +244,18 @@ class Exponents:
         return self.largest > 3.0 * self.error
 
 
-def lyapunov(walk: Walk) -> Generator[Stretch, Part, Exponents | None]:
+def lyapunov(walk: Walk) -> Generator[Growth, Grown, Exponents | None]:
     """Largest Lyapunov exponent by the growth of one tangent vector along the motion.
 
     The second exponent is ``-2 ζ ω_n`` minus the first. The error is that of batch means.
     None if the motion failed on the way.
     """
     n_periods = max(1, math.ceil(_BLOCK_SECONDS * walk.omega))
-    weight = np.array([1.0, 1.0 / (2.0 * math.pi * walk.omega)])
-    direction = np.array([1.0, 0.0])
-    growth = []
-    for block in range(_N_BLOCKS + 1):
-        part = yield from walk.probe(walk.y, n_periods)
-        if part.status is not Status.OK or part.monodromy is None:
-            walk.status = part.status
-            return None
-        walk.y = part.y
-        walk.n_periods += n_periods
-        direction = part.monodromy @ direction
-        length = float(np.hypot(*(direction * weight)))
-        direction = direction / length
-        if block:  # the first one turns the vector into the direction of growth
-            growth.append(math.log(length) * walk.omega / n_periods)
-    batches = np.reshape(growth, (-1, _BATCH)).mean(axis=1)
+    grown = yield Growth(walk.y, n_periods)
+    walk.arrive(grown.y, grown.status, n_periods * len(grown.factors))
+    if walk.status is not Status.OK:
+        return None
+    # The first block turns the vector into the direction of growth.
+    rates = [math.log(factor) * walk.omega / n_periods for factor in grown.factors[1:]]
+    batches = np.reshape(rates, (-1, _BATCH)).mean(axis=1)
     return Exponents(float(batches.mean()), float(batches.std(ddof=1) / math.sqrt(len(batches))))

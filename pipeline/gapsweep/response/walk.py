@@ -1,22 +1,25 @@
 """A motion that a sweep point advances by whole forcing periods.
 
-A point does not integrate: it is a generator that asks for a `Stretch` of motion and is sent
-the `Part` that answers it. So many points can advance together in the engine's lanes, and none
-of them sees the others.
+A point does not integrate: it is a generator that asks, for example for a `Stretch` of motion,
+and is sent the answer, a `Part`. So many points can advance together in the engine's lanes, and
+none of them sees the others. Arithmetic on arrays is done for all of them at once; a point decides
+on plain numbers, because on so few of them numpy would cost more than the motion.
 """
 
 import math
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from itertools import repeat
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.motion import Events
-from gapsweep.integrate.problem import Problems, Solver
-from gapsweep.integrate.simulate import integrate
+from gapsweep.integrate.motion import Events, Motions
+from gapsweep.integrate.problem import Models, Problems, Solver
+from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.response.section import scaled
@@ -25,7 +28,7 @@ from gapsweep.status import Status
 Array = NDArray[np.float64]
 State = tuple[float, float]
 
-COSTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
+_COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 # What the solver's tolerances admit per step, times this, is taken for noise.
 _NOISE_FACTOR = 20.0
 
@@ -40,88 +43,265 @@ class Scene:
     solver: Solver
 
 
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """Whole forcing periods that a point asks for, from phase zero, so that time never grows."""
+class Stretch(NamedTuple):
+    """What a point asks for: whole forcing periods, from phase zero, so that time never grows.
 
-    scene: Scene
+    Attributes
+    ----------
+    y : (float, float)
+        State to start from [m], [m/s].
+    n_periods : int
+    recorded : bool
+        Whether its events are wanted.
+    """
+
     y: State
     n_periods: int
-    recorded: bool = False
-    tangent: bool = False
+    recorded: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
-    """The stretch of motion that answers a `Stretch`."""
+class Part(NamedTuple):
+    """The stretch of motion that answers a `Stretch`: one of those in a call of the engine.
+
+    Attributes
+    ----------
+    y : (float, float)
+        Its end [m], [m/s].
+    status : Status
+    call : Call
+        Where it is from, with the events of all.
+    number : int
+        Its number in the call.
+    """
 
     y: State
     status: Status
-    cost: tuple[int, ...]
-    cpu_time: float
-    events: Events
-    monodromy: Array | None
+    call: "Call"
+    number: int
+
+    @property
+    def extrema(self) -> list[float]:
+        """Displacements [m] of its zero-velocity points."""
+        extrema: list[float] = self.call.events.extrema[self._turns].tolist()
+        return extrema
+
+    @property
+    def t_extrema(self) -> list[float]:
+        """Times [s] of `extrema` since its start."""
+        times: list[float] = self.call.events.t_extrema[self._turns].tolist()
+        return times
+
+    @property
+    def reach(self) -> float:
+        """Largest modulus of `extrema` [m], 0 if there are none."""
+        return self.call.reach[self.number]
+
+    @property
+    def states(self) -> list[float]:
+        """``x, v, x, v, ...`` at the end of every forcing period [m], [m/s]."""
+        return self.call.events.section[self._periods].ravel().tolist()
+
+    @property
+    def section(self) -> list[complex]:
+        """The same as section points [m]."""
+        section: list[complex] = self.call.section[self._periods].tolist()
+        return section
+
+    @property
+    def _turns(self) -> slice:
+        ends = self.call.turn_ends
+        return slice(ends[self.number - 1], ends[self.number])
+
+    @property
+    def _periods(self) -> slice:
+        ends = self.call.period_ends
+        return slice(ends[self.number - 1], ends[self.number])
 
 
-def integrated(stretches: Sequence[Stretch]) -> list[Part]:
-    """Answer stretches of one solver: one call with the tangent, one without."""
-    answers: dict[int, Part] = {}
-    for tangent in (False, True):
-        some = [i for i, stretch in enumerate(stretches) if stretch.tangent == tangent]
-        if some:
-            answers |= zip(some, _solved([stretches[i] for i in some], tangent), strict=True)
-    return [answers[i] for i in range(len(stretches))]
+class Call:
+    """What one call of the engine found: n motions.
+
+    Attributes
+    ----------
+    y : ndarray, shape (2, n)
+        Their ends [m], [m/s].
+    status : ndarray of int, shape (n,)
+        `Status` values.
+    """
+
+    def __init__(self, found: Motions, omega: Array, t_end: Array) -> None:
+        self._omega, self._monodromy, self._read = omega, found.monodromy, found.events
+        self.y = np.array((found.x, found.v))
+        self.status = found.status
+        if self.status.any():
+            # A fit that was left on the way but did not run away goes on; where its steady
+            # response lies decides in the end.
+            arrived = found.t >= t_end * (1.0 - 1e-9)
+            excused = arrived & (found.status == Status.OUT_OF_FIT_RANGE)
+            self.status = np.where(excused, Status.OK, found.status)
+
+    @property
+    def omega_rad(self) -> Array:
+        """Their angular forcing frequencies [rad/s]."""
+        return 2.0 * math.pi * self._omega
+
+    @property
+    def is_ok(self) -> NDArray[np.bool_]:
+        """Which motions did not fail."""
+        return np.equal(self.status, Status.OK)
+
+    @property
+    def monodromy(self) -> Array:
+        """Derivatives of the ends by the starts, shape (n, 2, 2), with the tangent only."""
+        assert self._monodromy is not None
+        return self._monodromy
+
+    @cached_property
+    def events(self) -> Events:
+        """Their events; none of a motion that was not recorded."""
+        events = self._read()
+        del self._read  # what the engine keeps for it is larger
+        return events
+
+    @cached_property
+    def section(self) -> NDArray[np.complex128]:
+        """All section points [m], motion by motion."""
+        return scaled(self.events.section, np.repeat(self._omega, self.events.n_section))
+
+    @cached_property
+    def reach(self) -> list[float]:
+        """Largest modulus of each motion's extrema [m], 0 if there are none."""
+        reach = np.zeros(len(self.status))
+        owners = np.repeat(np.arange(len(reach)), self.events.n_extrema)
+        np.maximum.at(reach, owners, np.abs(self.events.extrema))
+        largest: list[float] = reach.tolist()
+        return largest
+
+    @cached_property
+    def turn_ends(self) -> list[int]:
+        """Where each motion's extrema end; the last entry is where those of the first begin."""
+        return [*np.cumsum(self.events.n_extrema).tolist(), 0]
+
+    @cached_property
+    def period_ends(self) -> list[int]:
+        """Where each motion's section points end; the last is where those of the first begin."""
+        return [*np.cumsum(self.events.n_section).tolist(), 0]
+
+    def part(self, number: int) -> Part:
+        """One of the motions."""
+        x, v = self.y[:, number].tolist()
+        return Part((x, v), Status(self.status[number]), self, number)
+
+    def parts(self) -> list[Part]:
+        """All motions, in their order."""
+        ends = zip(*self.y.tolist(), strict=True)
+        statuses: Iterable[Status] = repeat(Status.OK)
+        if self.status.any():
+            statuses = map(Status, self.status.tolist())
+        return list(map(Part, ends, statuses, repeat(self), range(len(self.status))))
 
 
-def _solved(stretches: Sequence[Stretch], tangent: bool) -> list[Part]:
-    omega = np.array([s.scene.omega for s in stretches])
-    problems = Problems(
-        oscillators=[s.scene.oscillator for s in stretches],
-        laws=[s.scene.law for s in stretches],
-        omega=omega,
-        x_0=np.array([s.y[0] for s in stretches]),
-        v_0=np.array([s.y[1] for s in stretches]),
-        t_0=np.zeros(len(stretches)),
-        t_end=np.array([s.n_periods for s in stretches]) / omega,
-        record_from=np.array([0.0 if s.recorded else math.inf for s in stretches]),
-        tangent=tangent,
-    )
-    begin = time.thread_time()
-    found = integrate(problems, stretches[0].scene.solver)
-    # What ran together shares the processor time in proportion to its steps.
-    seconds = (time.thread_time() - begin) * found.n_steps / max(found.n_steps.sum(), 1)
-    # A fit that was left on the way but did not run away goes on; where its steady response
-    # lies decides in the end.
-    arrived = found.t >= problems.t_end * (1.0 - 1e-9)
-    excused = arrived & (found.status == Status.OUT_OF_FIT_RANGE)
-    costs = np.transpose([getattr(found, name) for name in COSTS]).tolist()
-    return [
-        Part(
-            y=(float(found.x[i]), float(found.v[i])),
-            status=Status.OK if excused[i] else Status(found.status[i]),
-            cost=tuple(costs[i]),
-            cpu_time=float(seconds[i]),
-            events=found.events(i) if stretch.recorded else Events(),
-            monodromy=None if found.monodromy is None else found.monodromy[i],
+class Ensemble:
+    """Scenes of one solver and one kind of law: one call of the engine can take them all."""
+
+    def __init__(self, scenes: Sequence[Scene]) -> None:
+        self._omega = np.array([scene.omega for scene in scenes])
+        models = Models(
+            oscillators=[scene.oscillator for scene in scenes],
+            laws=[scene.law for scene in scenes],
+            omega=self._omega,
         )
-        for i, stretch in enumerate(stretches)
-    ]
+        self._integrate = prepared(models, scenes[0].solver)
+        # Of every call, by motion: number of the scene, then what it has cost.
+        self._costs: list[tuple[NDArray[Any], ...]] = []
+
+    def parts(self, asked: Mapping[int, Stretch]) -> list[Part]:
+        """Answers to stretches, by number of their scene."""
+        scenes = np.fromiter(asked, np.intp, len(asked))
+        y, n_periods, recorded = map(np.array, zip(*asked.values(), strict=True))
+        return self.call(scenes, y.T, n_periods, np.where(recorded, 0.0, math.inf)).parts()
+
+    def call(
+        self,
+        scenes: NDArray[np.intp],
+        y: Array,
+        n_periods: NDArray[np.int64],
+        record_from: Array,
+        *,
+        tangent: bool = False,
+    ) -> Call:
+        """Integrate scenes over whole forcing periods, from phase zero.
+
+        Parameters
+        ----------
+        scenes : ndarray of int, shape (n,)
+            Their numbers, no number twice.
+        y : ndarray, shape (2, n)
+            States to start from [m], [m/s].
+        n_periods : ndarray of int, shape (n,)
+        record_from : ndarray, shape (n,)
+            Time [s] from which events are wanted; infinity: never.
+        tangent : bool
+            Whether the tangent equations are integrated along.
+        """
+        omega = self._omega[scenes]
+        t_end = n_periods / omega
+        x_0, v_0 = np.ascontiguousarray(y)
+        problems = Problems(
+            which=scenes,
+            x_0=x_0,
+            v_0=v_0,
+            t_0=np.zeros(len(scenes)),
+            t_end=t_end,
+            record_from=record_from,
+            tangent=tangent,
+        )
+        begin = time.thread_time()
+        found = self._integrate(problems)
+        # What ran together shares the processor time in proportion to its steps.
+        seconds = (time.thread_time() - begin) * found.n_steps / max(found.n_steps.sum(), 1)
+        counts = (getattr(found, name) for name in _COUNTS)
+        self._costs.append((scenes, *counts, n_periods, seconds))
+        return Call(found, omega, t_end)
+
+    def costs(self) -> list[dict[str, Any]]:
+        """What the stretches of each scene have cost so far, as attributes of a `Response`."""
+        scenes, *columns = map(np.concatenate, zip(*self._costs, strict=True))
+        n = len(self._omega)
+        *counts, n_periods, seconds = (np.bincount(scenes, column, n) for column in columns)
+        totals = [
+            *(count.astype(np.int64).tolist() for count in counts),
+            (n_periods / self._omega).tolist(),
+            seconds.tolist(),
+        ]
+        names = (*_COUNTS, "t_simulated", "cpu_time")
+        return [dict(zip(names, row, strict=True)) for row in zip(*totals, strict=True)]
 
 
 class Walk:
-    """Where a motion is, what it has cost, and the window recorded last."""
+    """Where a motion is, and the window recorded last.
+
+    Attributes
+    ----------
+    y : (float, float)
+        State [m], [m/s], at forcing phase zero.
+    n_periods : int
+        Forcing periods since the start.
+    section : list of complex
+        Section points of the window [m].
+    reach : float
+        Largest displacement of the window [m].
+    omega, omega_rad : float
+        Forcing frequency [Hz], [rad/s].
+    """
 
     def __init__(self, scene: Scene, y: State) -> None:
         self.scene = scene
         self.omega = scene.omega
+        self.omega_rad = 2.0 * math.pi * scene.omega
         self.y = y
         self.status = Status.OK
         self.n_periods = 0
-        self.n_simulated = 0
-        self.cost: dict[str, Any] = {**dict.fromkeys(COSTS, 0), "cpu_time": 0.0}
-        self.section: Array
-        self.t_extrema: Array
-        self.extrema: Array
         self.forget()
 
     @property
@@ -130,46 +310,39 @@ class Walk:
         return self.n_periods / self.omega
 
     @property
-    def t_simulated(self) -> float:
-        """Simulated time in all [s], side trips of the shooting included."""
-        return self.n_simulated / self.omega
-
-    @property
-    def reach(self) -> float:
-        """Largest displacement of the window [m]."""
-        return float(np.max(np.abs(self.extrema), initial=abs(self.y[0])))
-
-    @property
     def noise(self) -> float:
         """Distance [m] below which two states are the same to this solver."""
         solver = self.scene.solver
         return _NOISE_FACTOR * (solver.atol + solver.rtol * self.reach)
 
+    @property
+    def extrema(self) -> list[float]:
+        """Displacements [m] of the window's zero-velocity points."""
+        return [x for _, part in self._window for x in part.extrema]
+
+    @property
+    def t_extrema(self) -> list[float]:
+        """Times [s] of `extrema` since the start."""
+        return [n / self.omega + t for n, part in self._window for t in part.t_extrema]
+
     def forget(self) -> None:
         """Start an empty window here."""
-        self.section = np.empty((0, 2))
-        self.t_extrema = self.extrema = np.empty(0)
+        self._window: list[tuple[int, Part]] = []
+        self._extent = 0.0
+        self.section: list[complex] = []
+        self.reach = abs(self.y[0])
 
     def advance(self, n_periods: int, *, record: bool) -> Generator[Stretch, Part, None]:
         """Go on for whole periods; recorded ones are added to the window."""
-        part = yield Stretch(self.scene, self.y, n_periods, recorded=record)
-        self._pay(part, n_periods)
-        self.y, self.status = part.y, part.status
-        self.t_extrema = np.append(self.t_extrema, self.t + part.events.t_extrema)
-        self.extrema = np.append(self.extrema, part.events.extrema)
-        self.section = np.append(self.section, scaled(part.events.section, self.omega), axis=0)
+        part = yield Stretch(self.y, n_periods, record)
+        if record:
+            self._window.append((self.n_periods, part))
+            self._extent = max(self._extent, part.reach)
+            self.section += part.section
+        self.arrive(part.y, part.status, n_periods)
+
+    def arrive(self, y: State, status: Status, n_periods: int) -> None:
+        """Be at a state that whole periods of motion led to."""
+        self.y, self.status = y, status
         self.n_periods += n_periods
-
-    def probe(
-        self, y: State, n_periods: int, *, record: bool = False, tangent: bool = True
-    ) -> Generator[Stretch, Part, Part]:
-        """A side trip from any state; the motion itself stays where it is."""
-        part = yield Stretch(self.scene, y, n_periods, recorded=record, tangent=tangent)
-        self._pay(part, n_periods)
-        return part
-
-    def _pay(self, part: Part, n_periods: int) -> None:
-        self.n_simulated += n_periods
-        for name, cost in zip(COSTS, part.cost, strict=True):
-            self.cost[name] += cost
-        self.cost["cpu_time"] += part.cpu_time
+        self.reach = max(self._extent, abs(y[0]))

@@ -77,7 +77,8 @@ class Point:
 
     @property
     def law(self) -> ContactLaw:
-        return contact_law(self.representation, self.K_c, self.gap, self.fit_range)
+        build = contact_law if ":" in self.representation else _own_law
+        return build(self.representation, self.K_c, self.gap, self.fit_range)
 
     def identity(self, previous: str | None = None) -> str:
         """All that the result depends on, as canonical JSON; its SHA-256 is the content key.
@@ -143,6 +144,10 @@ def _object(members: Mapping[str, str]) -> str:
 def _canonical_json(settings: Any) -> str:
     # The same few settings stand in all points of a study: they are written out once.
     return json.dumps(asdict(settings), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+# Points of one curve share their law. Not so a user's law, which may be imported anew.
+_own_law = lru_cache(maxsize=256)(contact_law)
 
 
 @lru_cache(maxsize=64)

@@ -89,7 +89,7 @@ OK, OUT_OF_FIT_RANGE, DIVERGED, MODEL_INVALID, STEP_UNDERFLOW, CHATTER, TIMED_OU
 def aligned(rows, width):
     """A zeroed float64 array whose rows of one vector start on cache lines."""
     raw = np.zeros(rows * width + 8)
-    skip = (-raw.ctypes.data // 8) % 8
+    skip = (-raw.__array_interface__["data"][0] // 8) % 8
     return raw[skip : skip + rows * width].reshape(rows, width)
 
 
@@ -135,6 +135,15 @@ def load_point(lane, lane_int, q, table, point, i):
     lane_int[:, i] = 0
     lane_int[POINT, i] = point
     begin_start(lane, lane_int, i)
+
+
+@entry
+def load_first_points(lane, lane_int, q, table):
+    """Put the first points into the lanes, as many as there are of both; their number."""
+    n = min(lane.shape[1], len(table))
+    for i in range(n):
+        load_point(lane, lane_int, q, table, i, i)
+    return n
 
 
 @entry

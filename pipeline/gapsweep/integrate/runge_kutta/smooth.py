@@ -1,9 +1,9 @@
 """The compiled engine for smooth laws, users' laws, and the exact law without (or with restarted)
 location.
 
-`integrate` takes arrays of points and runs them in SIMD lanes: each lane has its own clock, step
-and
-end, and takes the next point of the batch when it is done.
+`scenes` prepares one table row per oscillator; `run` puts starts into copies of the rows and runs
+them in SIMD lanes: each lane has its own clock, step and end, and takes the next point of the batch
+when it is done. `integrate` does both.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ from gapsweep.integrate.jit import entry
 from . import lanes as ln
 from . import laws, simd, tableaux
 from .attempt import attempt
-from .lanes import load_point, unload_point
+from .lanes import load_first_points, load_point, unload_point
 from .recording import attend, new_scratch
 
 # Attempts per call: keyboard interrupts are seen between calls.
@@ -123,7 +123,7 @@ class ContactLaw:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Result of `integrate`: arrays of shape (n_points,), and records sorted by point, then time.
+    """Result of `run`: arrays of shape (n_points,), and records sorted by point, then time.
 
     Attributes
     ----------
@@ -152,8 +152,9 @@ class Run:
     _replay: dict[str, Any] = field(repr=False)
 
     def _of_kind(self, kind: int, point: int) -> NDArray[np.float64]:
-        rows = self.records
-        return rows[(rows[:, ln.E_KIND] == kind) & (rows[:, ln.E_POINT] == point)]
+        first, last = np.searchsorted(self.records[:, ln.E_POINT], [point, point + 1])
+        rows = self.records[first:last]
+        return rows[rows[:, ln.E_KIND] == kind]
 
     def extrema(self, point: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Times [s] and displacements [m] of zero velocity."""
@@ -206,11 +207,11 @@ def _replay_steps(replay, point, steps, t):
     settings[ln.S_RTOL] = settings[ln.S_ATOL] = 1e200
     settings[[ln.S_ODE45, ln.S_STOP_AT_LAYER, ln.S_TANGENT, ln.S_DENSE]] = 0.0
     settings[ln.S_FIRST_STEP] = 1e100
-    results, _ = _run(replay["law"], replay["tableau"], table, settings)
+    results, _ = _drained(replay["law"], replay["tableau"], table, settings)
     return results[:, ln.R_X], results[:, ln.R_V]
 
 
-def _run(law, tableau, table, settings):
+def _drained(law, tableau, table, settings):
     """Result table and records of a point table."""
     width, n_stages = simd.WIDTH, tableau.c.size
     lane, q = ln.aligned(ln.N_ROWS, width), ln.aligned(laws.N_PARAMETERS, width)
@@ -226,9 +227,7 @@ def _run(law, tableau, table, settings):
     results = np.zeros((len(table), ln.N_RESULTS))
     lane[ln.EXACT] = 1.0
     lane[ln.PERIOD] = 1.0
-    for i in range(min(width, len(table))):
-        load_point(lane, lane_int, q, table, i, i)
-        counters[ln.NEXT_POINT] += 1
+    counters[ln.NEXT_POINT] = load_first_points(lane, lane_int, q, table)
     # An idle lane computes along with length zero; harmless numbers keep it off the slow paths.
     q[:, len(table) :] = q[:, :1]
     advance = _advance_user if isinstance(law, laws.User) else _advance_cached
@@ -253,8 +252,10 @@ def _run(law, tableau, table, settings):
         if counters[ln.N_EVENTS]:
             drained.append(events[: counters[ln.N_EVENTS]].copy())
             counters[ln.N_EVENTS] = 0
-    records = np.concatenate(drained) if drained else np.empty((0, ln.N_EVENT_COLUMNS))
-    return results, records[np.argsort(records[:, ln.E_POINT], kind="stable")]
+    if not drained:
+        return results, np.empty((0, ln.N_EVENT_COLUMNS))
+    records = np.concatenate(drained)
+    return results, records.take(np.argsort(records[:, ln.E_POINT], kind="stable"), axis=0)
 
 
 def _split_turns(start_phase, span, frequency):
@@ -281,36 +282,24 @@ def _phase(t_0: float, frequency: float) -> float:
     return fraction % 1.0
 
 
-def _point_table(
-    law, n, x_0, v_0, omega, t_0, t_end, record_from, zeta, omega_n, mass, alpha, forcing
-):
-    table = np.empty((n, ln.N_COLUMNS))
-    omega_n_rad = 2.0 * np.pi * omega_n
-    table[:, ln.P_X], table[:, ln.P_V], table[:, ln.P_FREQUENCY] = x_0, v_0, omega
-    phase = table[:, ln.P_PHASE] = [
-        _phase(float(t), float(f)) for t, f in zip(t_0, omega, strict=True)
-    ]
-    table[:, ln.P_END_TURNS], table[:, ln.P_END_TAU] = _split_turns(phase, t_end - t_0, omega)
-    table[:, ln.P_RECORD] = phase + (np.maximum(record_from, t_0) - t_0) * omega
-    table[:, ln.P_FORCING] = forcing / mass
-    table[:, ln.P_STIFFNESS] = omega_n_rad**2
-    table[:, ln.P_DAMPING] = 2.0 * zeta * omega_n_rad
-    table[:, ln.P_CUBIC] = alpha / mass
-    table[:, ln.P_LAW :] = law.rows(mass, n)
-    return table
+@dataclass(frozen=True, slots=True)
+class Scenes:
+    """Oscillators with a law as the loop takes them: all of a point but its start and end.
 
+    Attributes
+    ----------
+    kind : laws type
+        The law as the loop is compiled for.
+    table : ndarray, shape (n, N_COLUMNS)
+        Rows as the loop reads them.
+    method : Tableau
+    settings : ndarray, shape (N_SETTINGS,)
+    """
 
-def _settings(
-    rtol, atol, tableau, controller, tangent, dense_output, x_bound, max_attempts, stop_at_layer
-):
-    settings = np.zeros(ln.N_SETTINGS)
-    settings[ln.S_RTOL], settings[ln.S_ATOL] = rtol, atol
-    settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = x_bound, max_attempts
-    settings[ln.S_ODE45] = controller == "ode45"
-    settings[ln.S_STOP_AT_LAYER] = stop_at_layer and controller != "ode45"
-    settings[ln.S_TANGENT], settings[ln.S_DENSE] = tangent, dense_output
-    settings[ln.S_EXPONENT] = tableau.exponent
-    return settings
+    kind: Any
+    table: NDArray[np.float64]
+    method: tableaux.Tableau
+    settings: NDArray[np.float64]
 
 
 def integrate(
@@ -327,105 +316,168 @@ def integrate(
     mass: ArrayLike = 3.0,
     alpha: ArrayLike = 7e8,
     forcing: ArrayLike = 4.0,
-    rtol: float = 1e-9,
-    atol: float = 1e-12,
-    controller: str = "native",
-    method: tableaux.Tableau | None = None,
     tangent: bool = False,
     dense_output: bool = False,
-    x_bound: float = 1e3,
-    max_attempts: float = 1e9,
-    stop_at_layer: bool = True,
+    **options: Any,
 ) -> Run:
     """Integrate many points of one law.
 
+    All array arguments broadcast together.
+
     Parameters
     ----------
-    law : ContactLaw
-        From `representations`; its parameters may be arrays over points.
-    omega, omega_n : array_like
-        Forcing and natural frequency [Hz], positive. All array arguments broadcast together.
-    t_0, t_end, record_from : array_like
-        Start, end, and start of recording [s]; ``record_from=inf`` records nothing.
-    x_0, v_0 : array_like
-        State at t_0 [m, m/s].
-    zeta, mass, alpha, forcing : array_like
-        Damping ratio [-], mass [kg], cubic stiffness [N/m^3], forcing amplitude [N].
-    rtol, atol : float
-        Tolerances; error per step below ``atol + rtol * abs(y)``.
-    controller : {"native", "ode45"}
-        "ode45" is Dormand-Prince 5(4) with the step control of MATLAB's ode45.
-    method : Tableau, optional
-        Overrides the choice by tolerance.
-    tangent : bool
-        Carry the 2 x 2 variational equations.
-    dense_output : bool
-        Keep every step from `record_from` on, for `Run.sample`.
-    x_bound : float
-        |x| beyond which a point is diverged [m].
-    max_attempts : float
-        Attempts after which a point is timed out.
-    stop_at_layer : bool
-        End native steps at the edges of a smoothing layer thinner than the step.
+    law, omega, zeta, omega_n, mass, alpha, forcing, **options
+        As in `scenes`.
+    x_0, v_0, t_0, t_end, record_from, tangent, dense_output
+        As in `run`.
 
     Returns
     -------
     Run
         Flat over points, in the order of the broadcast arrays.
     """
+    given = zeta, omega_n, mass, alpha, forcing, omega, x_0, v_0, t_0, t_end, record_from
+    broadcast = np.broadcast_arrays(*given, law.q[..., 0])[:-1]
+    arrays = [np.ravel(a).astype(float) for a in broadcast]
+    prepared = scenes(law, *arrays[:6], **options)
+    which = np.arange(arrays[0].size)
+    return run(prepared, which, *arrays[6:], tangent=tangent, dense_output=dense_output)
+
+
+def scenes(
+    law: ContactLaw,
+    zeta: NDArray[np.float64],
+    omega_n: NDArray[np.float64],
+    mass: NDArray[np.float64],
+    alpha: NDArray[np.float64],
+    forcing: NDArray[np.float64],
+    omega: NDArray[np.float64],
+    *,
+    rtol: float = 1e-9,
+    atol: float = 1e-12,
+    controller: str = "native",
+    method: tableaux.Tableau | None = None,
+    x_bound: float = 1e3,
+    max_attempts: float = 1e9,
+    stop_at_layer: bool = True,
+) -> Scenes:
+    """Prepare oscillators; `run` then starts them as often as wanted.
+
+    Parameters
+    ----------
+    law : ContactLaw
+        From `representations`; its parameters may be arrays, shape (n,).
+    zeta, mass, alpha, forcing : ndarray, shape (n,)
+        Damping ratio [-], mass [kg], cubic stiffness [N/m^3], forcing amplitude [N].
+    omega_n, omega : ndarray, shape (n,)
+        Natural and forcing frequency [Hz], positive.
+    rtol, atol : float
+        Tolerances; error per step below ``atol + rtol * abs(y)``.
+    controller : {"native", "ode45"}
+        "ode45" is Dormand-Prince 5(4) with the step control of MATLAB's ode45.
+    method : Tableau, optional
+        Overrides the choice by tolerance.
+    x_bound : float
+        |x| beyond which a point is diverged [m].
+    max_attempts : float
+        Attempts after which a point is timed out.
+    stop_at_layer : bool
+        End native steps at the edges of a smoothing layer thinner than the step.
+    """
     if controller not in ("native", "ode45"):
         raise ValueError(f"controller must be 'native' or 'ode45', not {controller!r}")
     if not (rtol > 0.0 and atol >= 0.0):
         raise ValueError(f"need rtol > 0 and atol >= 0, got {rtol} and {atol}")
-    q_points = law.q[..., 0]
-    given = (
-        x_0,
-        v_0,
-        omega,
-        t_0,
-        t_end,
-        record_from,
-        zeta,
-        omega_n,
-        mass,
-        alpha,
-        forcing,
-        q_points,
-    )
-    arrays = [np.ravel(a).astype(float) for a in np.broadcast_arrays(*given)][:-1]
-    if not (np.all(arrays[2] > 0.0) and np.all(arrays[4] >= arrays[3])):
-        raise ValueError("omega must be positive and t_end not before t_0")
+    if not np.all(omega > 0.0):
+        raise ValueError("omega must be positive")
     if method is None:
         method = (
             tableaux.DP5 if controller == "ode45" or rtol > _HIGH_ORDER_FROM else tableaux.DOP853
         )
-    if dense_output and not np.all(np.isfinite(arrays[5])):
-        arrays[5] = np.where(np.isfinite(arrays[5]), arrays[5], arrays[3])
-    table = _point_table(law, arrays[0].size, *arrays)
-    settings = _settings(
-        rtol, atol, method, controller, tangent, dense_output, x_bound, max_attempts, stop_at_layer
-    )
+    table = np.zeros((omega.size, ln.N_COLUMNS))
+    omega_n_rad = 2.0 * np.pi * omega_n
+    table[:, ln.P_FREQUENCY] = omega
+    table[:, ln.P_FORCING] = forcing / mass
+    table[:, ln.P_STIFFNESS] = omega_n_rad**2
+    table[:, ln.P_DAMPING] = 2.0 * zeta * omega_n_rad
+    table[:, ln.P_CUBIC] = alpha / mass
+    table[:, ln.P_LAW :] = law.rows(mass, omega.size)
     if isinstance(law.kind, laws.Tanh):
         # Where the tail, exp(-2 |z|), is far below the tolerance, the layer has no edge to stop at
         # yet.
         reach = (3.0 - 0.5 * np.log(rtol)) / laws.TANH_SATURATION
         table[:, ln.P_LAW + laws.LAYER] *= min(1.0, max(0.1, reach))
-    results, records = _run(law.kind, method, table, settings)
-    return _result(law, method, table, settings, results, records, arrays[3])
+    settings = np.zeros(ln.N_SETTINGS)
+    settings[ln.S_RTOL], settings[ln.S_ATOL] = rtol, atol
+    settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = x_bound, max_attempts
+    settings[ln.S_ODE45] = controller == "ode45"
+    settings[ln.S_STOP_AT_LAYER] = stop_at_layer and controller != "ode45"
+    settings[ln.S_EXPONENT] = method.exponent
+    return Scenes(law.kind, table, method, settings)
 
 
-def _result(law, method, table, settings, results, records, t_0):
+def run(
+    prepared: Scenes,
+    which: NDArray[np.intp],
+    x_0: NDArray[np.float64],
+    v_0: NDArray[np.float64],
+    t_0: NDArray[np.float64],
+    t_end: NDArray[np.float64],
+    record_from: NDArray[np.float64],
+    *,
+    tangent: bool = False,
+    dense_output: bool = False,
+) -> Run:
+    """Integrate prepared oscillators from their starts.
+
+    Parameters
+    ----------
+    prepared : Scenes
+    which : ndarray of int, shape (n,)
+        Number of the scene of each point.
+    x_0, v_0 : ndarray, shape (n,)
+        State at t_0 [m, m/s].
+    t_0, t_end, record_from : ndarray, shape (n,)
+        Start, end, and start of recording [s]; ``record_from=inf`` records nothing.
+    tangent : bool
+        Carry the 2 x 2 variational equations.
+    dense_output : bool
+        Keep every step from `record_from` on, for `Run.sample`.
+    """
+    if not np.all(t_end >= t_0):
+        raise ValueError("t_end must not lie before t_0")
+    if dense_output:
+        record_from = np.where(np.isfinite(record_from), record_from, t_0)
+    table = prepared.table.take(which, axis=0)
+    _set_starts(table, x_0, v_0, t_0, t_end, record_from)
+    settings = prepared.settings.copy()
+    settings[ln.S_TANGENT], settings[ln.S_DENSE] = tangent, dense_output
+    results, records = _drained(prepared.kind, prepared.method, table, settings)
+    return _result(prepared.kind, prepared.method, table, settings, results, records, t_0)
+
+
+def _set_starts(table, x_0, v_0, t_0, t_end, record_from):
+    """Put starts and ends into copies of rows of `Scenes`."""
+    omega = table[:, ln.P_FREQUENCY]
+    phase = np.zeros(len(table))
+    if t_0.any():
+        phase[:] = [_phase(t, f) for t, f in zip(t_0.tolist(), omega.tolist(), strict=True)]
+    table[:, ln.P_X], table[:, ln.P_V], table[:, ln.P_PHASE] = x_0, v_0, phase
+    table[:, ln.P_END_TURNS], table[:, ln.P_END_TAU] = _split_turns(phase, t_end - t_0, omega)
+    table[:, ln.P_RECORD] = phase + (np.maximum(record_from, t_0) - t_0) * omega
+
+
+def _result(kind, method, table, settings, results, records, t_0):
     counts = {name: results[:, column].astype(np.int64) for name, column in _COUNTS.items()}
     # Inside, times count from t_0 so that a late start loses no digits.
-    shifted = records.copy()
-    shifted[:, ln.E_T] += t_0[records[:, ln.E_POINT].astype(np.int64)]
+    records[:, ln.E_T] += t_0[records[:, ln.E_POINT].astype(np.int64)]
     return Run(
         x=results[:, ln.R_X].copy(),
         v=results[:, ln.R_V].copy(),
         t=results[:, ln.R_T] + t_0,
         tangent=results[:, ln.R_TANGENT :].reshape(-1, 2, 2).transpose(0, 2, 1).copy(),
-        records=shifted,
-        _replay={"law": law.kind, "tableau": method, "table": table, "settings": settings},
+        records=records,
+        _replay={"law": kind, "tableau": method, "table": table, "settings": settings},
         **counts,
     )
 

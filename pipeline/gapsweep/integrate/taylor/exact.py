@@ -1,10 +1,12 @@
 """Many points of the exact contact law at once: arrays in, arrays and event lists out.
 
-`integrate` is the compiled engine behind ``simulate(..., engine="compiled")`` for the piecewise
-law: it prepares one table row per point, runs `exact_kernel.advance` on it, and drains its buffers.
+The compiled engine behind ``simulate(..., engine="compiled")`` for the piecewise law. `scenes`
+prepares one table row per oscillator, `run` puts starts into copies of the rows, runs
+`exact_kernel.advance` on them and drains its buffers; `integrate` does both.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,21 +16,16 @@ from . import record
 from .exact_kernel import BUDGET_SPENT, BUFFER_FULL, FINISHED, OK, RUNNING, advance
 from .roots import MAX_DEGREE, work_space
 from .sample import sample_steps
+from .starts import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 
 FloatArray = NDArray[np.float64]
 
 # Degree of the Taylor polynomial by relative tolerance: the cheapest measured on the benchmark
 # scenes. (smallest rtol it is used for, degree)
 ORDERS = ((2e-5, 8), (2e-8, 12), (2e-11, 16), (0.0, 20))
-# The absolute part of a step's tolerance never exceeds rtol times this part of the motion's
-# natural size: a step at high order costs so little more that a generous atol buys nothing, and
-# would only spoil motions much smaller than a metre. It is never zero in motion, so that a
-# start at rest, without an amplitude of its own, gets a finite step.
-_FLOOR_SHARE = 1e-3
 # Shortest step that makes progress, in rad of the natural or forcing frequency: a stiffness of 1e9
 # N/m takes steps a million times longer, and a run of shorter ones would never end.
 _MIN_STEP = 1e-10
-_CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
 _LOG_ROWS = 1 << 14
 _DENSE_ROWS = 1 << 11
 _BUDGET = 1 << 16  # vector steps per call of the kernel, about 20 ms: Ctrl-C is answered in between
@@ -36,7 +33,7 @@ _BUDGET = 1 << 16  # vector steps per call of the kernel, about 20 ms: Ctrl-C is
 
 @dataclass(frozen=True, slots=True)
 class Exact:
-    """Outcome of `integrate`; arrays of shape (n,) unless noted, one entry per point.
+    """Outcome of `run`; arrays of shape (n,) unless noted, one entry per point.
 
     Attributes
     ----------
@@ -120,6 +117,27 @@ def order_for(rtol: float) -> int:
     return next(order for smallest, order in ORDERS if rtol >= smallest)
 
 
+@dataclass(frozen=True, slots=True)
+class Scenes:
+    """Oscillators between walls as the kernel takes them: all of a point but its start and end.
+
+    Attributes
+    ----------
+    table : ndarray, shape (n + 1, N_ROWS)
+        Rows as the kernel reads them, the idle point last. `FLOOR` holds the size of the forced
+        motion [m].
+    rtol, atol : float
+        As in `scenes`.
+    order : int
+        Degree of the Taylor polynomial at that tolerance.
+    """
+
+    table: FloatArray
+    rtol: float
+    atol: float
+    order: int
+
+
 def integrate(
     *,
     zeta: ArrayLike,
@@ -138,11 +156,7 @@ def integrate(
     record_from: ArrayLike = np.inf,
     rtol: float = 1e-9,
     atol: float = 1e-12,
-    tangent: bool = False,
-    dense_output: bool = False,
-    order: int | None = None,
-    x_bound: float = 1e3,
-    max_chatter: int = 100,
+    **options: Any,
 ) -> Exact:
     """Integrate the freeplay oscillator with every contact located, many points in lanes.
 
@@ -151,22 +165,102 @@ def integrate(
 
     Parameters
     ----------
-    zeta, mass, alpha, forcing, K_c : array_like
+    zeta, omega_n, mass, alpha, forcing, K_c, j_1, j_2, omega, rtol, atol
+        As in `scenes`.
+    x_0, v_0, t_0, t_end, record_from, **options
+        As in `run`.
+
+    Returns
+    -------
+    Exact
+    """
+    given = zeta, omega_n, mass, alpha, forcing, K_c, j_1, j_2, omega
+    given += x_0, v_0, t_0, t_end, record_from
+    arrays = [np.array(a, dtype=float).ravel() for a in np.broadcast_arrays(*np.atleast_1d(*given))]
+    prepared = scenes(*arrays[:9], rtol=rtol, atol=atol)
+    return run(prepared, np.arange(arrays[0].size), *arrays[9:], **options)
+
+
+def scenes(
+    zeta: FloatArray,
+    omega_n: FloatArray,
+    mass: FloatArray,
+    alpha: FloatArray,
+    forcing: FloatArray,
+    K_c: FloatArray,
+    j_1: FloatArray,
+    j_2: FloatArray,
+    omega: FloatArray,
+    *,
+    rtol: float,
+    atol: float,
+) -> Scenes:
+    """Prepare oscillators; `run` then starts them as often as wanted.
+
+    Parameters
+    ----------
+    zeta, mass, alpha, forcing, K_c : ndarray, shape (n,)
         Damping ratio [-], mass [kg], cubic stiffness [N/m^3], forcing [N], contact stiffness [N/m].
-    omega_n, omega : array_like
+    omega_n, omega : ndarray, shape (n,)
         Natural and forcing frequency [Hz], both > 0.
-    j_1, j_2 : array_like
+    j_1, j_2 : ndarray, shape (n,)
         Distances of the walls from the origin [m], >= 0; infinity: no wall.
-    x_0, v_0, t_0, t_end : array_like
-        Start [m, m/s, s] and end [s].
-    record_from : array_like
-        Time from which extrema, contacts and section points are recorded [s]. A start is not an
-        event: only what happens after `t_0` is recorded.
     rtol, atol : float
         A step's error in displacement is kept near ``atol + rtol * max(|x|, |v| / w)`` with
         ``w = max(omega_n, omega)`` (rad/s): a velocity counts as the displacement it swings to. In
         contact, x counts from the wall and ``w**2`` grows by ``K_c / mass``. `atol` [m] can only
         tighten: it is limited to ``1e-3 * rtol`` of the motion's natural size.
+    """
+    if not 1e-14 <= rtol <= 1e-1:
+        raise ValueError(f"rtol = {rtol}: must lie in [1e-14, 0.1]")
+    if not 0.0 <= atol < np.inf:
+        raise ValueError(f"atol = {atol}: must be finite and >= 0")
+    _check(zeta=zeta, omega_n=omega_n, mass=mass, alpha=alpha, forcing=forcing, omega=omega)
+    _check(K_c=K_c, j_1=j_1, j_2=j_2)
+    n_rad, omega_rad = 2 * np.pi * omega_n, 2 * np.pi * omega
+    points = np.zeros((len(zeta) + 1, row.N_ROWS))
+    table = points[:-1].T
+    table[row.TANGENT], table[row.TANGENT + 3] = 1.0, 1.0
+    table[row.STIFFNESS], table[row.DAMPING] = n_rad**2, 2 * zeta * n_rad
+    table[row.CUBIC], table[row.PUSH], table[row.CONTACT] = alpha / mass, forcing / mass, K_c / mass
+    table[row.LOWER], table[row.UPPER] = -j_1, j_2
+    table[row.OMEGA], table[row.OMEGA_RAD], table[row.PERIOD] = omega, omega_rad, 1.0 / omega
+    table[row.VELOCITY_SCALE] = 1.0 / np.maximum(n_rad, omega_rad)
+    table[row.CONTACT_SCALE] = 1.0 / np.sqrt(np.maximum(n_rad, omega_rad) ** 2 + K_c / mass)
+    table[row.FLOOR] = np.abs(forcing) / mass / (n_rad**2 + omega_rad**2)
+    table[row.RATE] = np.sqrt(n_rad**2 + K_c / mass) + omega_rad
+    table[row.MIN_STEP] = _MIN_STEP / np.maximum(n_rad, omega_rad)
+    _set_idle(points[-1])
+    return Scenes(points, rtol, atol, order_for(rtol))
+
+
+def run(
+    prepared: Scenes,
+    which: NDArray[np.intp],
+    x_0: FloatArray,
+    v_0: FloatArray,
+    t_0: FloatArray,
+    t_end: FloatArray,
+    record_from: FloatArray,
+    *,
+    tangent: bool = False,
+    dense_output: bool = False,
+    order: int | None = None,
+    x_bound: float = 1e3,
+    max_chatter: int = 100,
+) -> Exact:
+    """Integrate prepared oscillators from their starts.
+
+    Parameters
+    ----------
+    prepared : Scenes
+    which : ndarray of int, shape (n,)
+        Number of the scene of each point.
+    x_0, v_0, t_0, t_end : ndarray, shape (n,)
+        Start [m, m/s, s] and end [s].
+    record_from : ndarray, shape (n,)
+        Time from which extrema, contacts and section points are recorded [s]. A start is not an
+        event: only what happens after `t_0` is recorded.
     tangent : bool
         Also integrate the variational equation. Its jump at a contact is the identity, because
         the contact force is continuous.
@@ -179,69 +273,32 @@ def integrate(
     max_chatter : int
         Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as
         chatter.
-
-    Returns
-    -------
-    Exact
     """
-    given = (
-        zeta,
-        omega_n,
-        mass,
-        alpha,
-        forcing,
-        K_c,
-        j_1,
-        j_2,
-        omega,
-        x_0,
-        v_0,
-        t_0,
-        t_end,
-        record_from,
-    )
-    arrays = [
-        np.asarray(a, dtype=float).ravel() for a in np.broadcast_arrays(*np.atleast_1d(*given))
-    ]
-    _check(dict(zip(_NAMES, arrays, strict=True)), rtol, atol)
-    points = _points(*arrays, atol=atol, rtol=rtol)
-    degree = order_for(rtol) if order is None else order
+    degree = prepared.order if order is None else order
     if not 6 <= degree <= MAX_DEGREE:
         raise ValueError(f"order = {degree}: must lie in [6, {MAX_DEGREE}]")
-    statuses = np.full(len(points) - 1, RUNNING)
-    log, dense = _run(
-        points, statuses, degree, tangent, (rtol, x_bound, float(max_chatter)), dense_output
-    )
-    return _outcome(points[:-1], statuses, arrays[_NAMES.index("t_end")], tangent, log, dense)
+    points = np.empty((len(which) + 1, row.N_ROWS))
+    starts = x_0, v_0, t_0, t_end, record_from
+    outcome = set_starts(points, prepared.table, which, *starts, prepared.rtol, prepared.atol)
+    if outcome == NOT_FINITE:
+        _check(x_0=x_0, v_0=v_0, t_0=t_0, t_end=t_end, record_from=record_from)
+    if outcome == BACKWARD:
+        raise ValueError("t_end lies before t_0")
+    if outcome == ON_WALL:
+        _set_mode_on_walls(points[:-1].T)
+    statuses = np.full(len(which), RUNNING)
+    limits = prepared.rtol, x_bound, float(max_chatter)
+    log, dense = _drained(points, statuses, degree, tangent, limits, dense_output)
+    return _outcome(points[:-1], statuses, t_end, tangent, log, dense)
 
 
-_NAMES = (
-    "zeta",
-    "omega_n",
-    "mass",
-    "alpha",
-    "forcing",
-    "K_c",
-    "j_1",
-    "j_2",
-    "omega",
-    "x_0",
-    "v_0",
-    "t_0",
-    "t_end",
-    "record_from",
-)
 _POSITIVE = ("omega_n", "mass", "omega")
 _NOT_NEGATIVE = ("zeta", "K_c", "j_1", "j_2")
 _MAY_BE_INFINITE = ("j_1", "j_2", "record_from")
 
 
-def _check(values, rtol, atol):
+def _check(**values):
     """Refuse what would make the kernel's arithmetic meaningless; names the offending value."""
-    if not 1e-14 <= rtol <= 1e-1:
-        raise ValueError(f"rtol = {rtol}: must lie in [1e-14, 0.1]")
-    if not 0.0 <= atol < np.inf:
-        raise ValueError(f"atol = {atol}: must be finite and >= 0")
     for name, array in values.items():
         is_bad = np.isnan(array) if name in _MAY_BE_INFINITE else ~np.isfinite(array)
         rule = "a number" if name in _MAY_BE_INFINITE else "finite"
@@ -251,75 +308,14 @@ def _check(values, rtol, atol):
             is_bad, rule = is_bad | (array < 0), rule + " and >= 0"
         if is_bad.any():
             raise ValueError(f"{name} = {array[is_bad][0]}: must be {rule}")
-    if (values["t_end"] < values["t_0"]).any():
-        raise ValueError("t_end lies before t_0")
 
 
-def _points(
-    zeta,
-    omega_n,
-    mass,
-    alpha,
-    forcing,
-    K_c,
-    j_1,
-    j_2,
-    omega,
-    x_0,
-    v_0,
-    t_0,
-    t_end,
-    record_from,
-    *,
-    atol,
-    rtol,
-):
-    """The table of points that the kernel reads, shape (n + 1, N_ROWS); the idle point is last."""
-    n_rad, omega_rad = 2 * np.pi * omega_n, 2 * np.pi * omega
-    points = np.zeros((len(zeta) + 1, row.N_ROWS))
-    table = points[:-1].T
-    table[row.X], table[row.V] = x_0, v_0
-    table[row.TANGENT], table[row.TANGENT + 3] = 1.0, 1.0
-    table[row.STIFFNESS], table[row.DAMPING] = n_rad**2, 2 * zeta * n_rad
-    table[row.CUBIC], table[row.PUSH], table[row.CONTACT] = alpha / mass, forcing / mass, K_c / mass
-    table[row.LOWER], table[row.UPPER] = -j_1, j_2
-    table[row.OMEGA], table[row.OMEGA_RAD], table[row.PERIOD] = omega, omega_rad, 1.0 / omega
-    table[row.VELOCITY_SCALE] = 1.0 / np.maximum(n_rad, omega_rad)
-    table[row.CONTACT_SCALE] = 1.0 / np.sqrt(np.maximum(n_rad, omega_rad) ** 2 + K_c / mass)
-    forced_size = np.abs(forcing) / mass / (n_rad**2 + omega_rad**2)
-    start_size = np.maximum(np.abs(x_0), np.abs(v_0) * table[row.VELOCITY_SCALE])
-    floor = rtol * _FLOOR_SHARE * np.maximum(forced_size, start_size)
-    table[row.FLOOR] = np.minimum(floor, atol) if atol > 0 else floor
-    table[row.RATE] = np.sqrt(n_rad**2 + K_c / mass) + omega_rad
-    table[row.MIN_STEP] = _MIN_STEP / np.maximum(n_rad, omega_rad)
-    _set_clocks(table, t_0, t_end, record_from, omega)
-    table[row.MODE] = _start_mode(table)
-    _set_idle(points[-1])
-    return points
-
-
-def _set_clocks(table, t_0, t_end, record_from, omega):
-    # The product is rounded to a whole number if t_0 was meant as one: its rounding and that of
-    # t_0 are of one size. Everything later counts from the start, so nothing else is lost.
-    start = t_0 * omega
-    tau = start - np.floor(start)
-    end = tau + (t_end - t_0) * omega
-    stop = t_end * omega
-    end = np.where((tau == 0.0) & (stop == np.rint(stop)), stop - start, end)
-    # An end that rounding alone separates from a whole period is meant as one: else its section
-    # point would be lost.
-    whole = np.rint(end)
-    end = np.where(np.abs(end - whole) <= _CLOCK_ROUNDING * (1.0 + end), whole, end)
-    table[row.TAU] = table[row.TAU_START] = tau
-    table[row.T_START] = t_0
-    table[row.END_CYCLE] = np.floor(end)
-    table[row.END_TAU] = end - np.floor(end)
-    table[row.RECORD_CLOCK] = tau + (record_from - t_0) * omega
-
-
-def _start_mode(table):
-    """Contact mode at the start. On a wall the first derivative of x that is not zero decides;
-    up to the fourth none of them depends on the mode, because the lower ones are zero then."""
+def _set_mode_on_walls(points):
+    """Contact mode of points that start on a wall: the first derivative of x that is not zero
+    decides; up to the fourth none of them depends on the mode, because the lower ones are zero
+    then."""
+    on_wall = (points[row.X] == points[row.UPPER]) | (points[row.X] == points[row.LOWER])
+    table = points[:, on_wall]
     x, v = table[row.X], table[row.V]
     push, omega_rad = table[row.PUSH], table[row.OMEGA_RAD]
     cosine, sine = _cos_sin_of_period(table[row.TAU])
@@ -332,9 +328,9 @@ def _start_mode(table):
     heading = np.sign(v)
     for derivative in (acceleration, -push * omega_rad * sine, -push * omega_rad**2 * cosine):
         heading = np.where(heading == 0.0, np.sign(derivative), heading)
-    is_above = (x > table[row.UPPER]) | ((x == table[row.UPPER]) & (heading > 0))
-    is_below = (x < table[row.LOWER]) | ((x == table[row.LOWER]) & (heading < 0))
-    return np.where(is_above, 1.0, np.where(is_below, -1.0, 0.0))
+    is_above = (x == table[row.UPPER]) & (heading > 0)
+    is_below = (x == table[row.LOWER]) & (heading < 0)
+    points[row.MODE, on_wall] = np.where(is_above, 1.0, np.where(is_below, -1.0, 0.0))
 
 
 def _cos_sin_of_period(tau):
@@ -352,7 +348,7 @@ def _set_idle(point):
     point[[row.END_CYCLE, row.RECORD_CLOCK]] = np.inf
 
 
-def _run(points, statuses, degree, tangent, limits, dense_output):
+def _drained(points, statuses, degree, tangent, limits, dense_output):
     """Call the kernel until all points have ended; returns what it recorded."""
     lanes = np.empty((row.N_ROWS, row.WIDTH))
     lane_point = np.full(row.WIDTH, -2)
@@ -391,10 +387,12 @@ def _run(points, statuses, degree, tangent, limits, dense_output):
 def _by_point(pieces):
     """All rows in the order of their points; rows of one point keep theirs."""
     rows = np.concatenate(pieces) if len(pieces) > 1 else pieces[0]
+    if not len(rows):
+        return rows
     points = rows[:, 0].astype(np.int64)
     # numpy sorts keys of 16 bits in linear time, ten times as fast as wider ones
     order = np.argsort((points & 0xFFFF).astype(np.uint16), kind="stable")
-    if len(points) and points.max() > 0xFFFF:
+    if points.max() > 0xFFFF:
         high = (points >> 16).astype(np.uint16)
         order = order[np.argsort(high[order], kind="stable")]
     return rows.take(order, axis=0)
@@ -409,20 +407,18 @@ def _outcome(points, statuses, t_end, tangent, log, dense):
         monodromy = (
             table[row.TANGENT : row.TANGENT + 4].T.reshape(-1, 2, 2).transpose(0, 2, 1).copy()
         )
-    counts = {
-        name: table[r].astype(np.int64)
-        for name, r in (("n_contacts", row.N_CONTACTS), ("n_steps", row.N_STEPS))
-    }
+    n_steps = table[row.N_STEPS].astype(np.int64)
     return Exact(
         x=table[row.X].copy(),
         v=table[row.V].copy(),
         t=np.where(statuses == OK, t_end, table[row.T_START] + elapsed * table[row.PERIOD]),
         mode=table[row.MODE].astype(np.int64),
         status=statuses,
+        n_contacts=table[row.N_CONTACTS].astype(np.int64),
+        n_steps=n_steps,
         n_rejected=np.zeros_like(statuses),
-        nfev=counts["n_steps"].copy(),
+        nfev=n_steps,
         monodromy=monodromy,
         log=log,
         dense=dense,
-        **counts,
     )
