@@ -9,21 +9,27 @@ import html
 import json
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from gapsweep.errors import ModelError
 from gapsweep.execution.plan import Plan
 from gapsweep.store.artefact import digests, is_intact
 from gapsweep.store.cache import Cache
 from gapsweep.store.netcdf import attributes
 from gapsweep.study.fingerprint import code_fingerprint
+from gapsweep.study.points import law_source
 from gapsweep.study.study import Study
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 AGREEMENT, TIMING = "agreement.nc", "timing.nc"
+HISTORIES = "histories.nc"
 REPORT = "report/index.html"
 
 MadeFrom = Mapping[str, str]
+
+STUDY, POINTS = "study", "sweep points"
 
 _ROWS = 10_000  # looked up at a time
 _META = r'<meta name="gapsweep-made-from" content="([^"]*)">'
@@ -40,12 +46,12 @@ class Stage:
     code : str
         The module that makes it; all that it imports counts too.
     inputs : tuple of str
-        Files of the run that it is made from; the cache if empty.
+        What it is made from: files of the run, `STUDY`, `POINTS`.
     """
 
     file: str
     code: str
-    inputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = (STUDY, POINTS)
 
 
 STAGES = (
@@ -53,7 +59,8 @@ STAGES = (
     Stage(ATTRACTORS, "execution/assemble.py"),
     Stage(AGREEMENT, "analysis/agreement.py", (RESPONSES, ATTRACTORS)),
     Stage(TIMING, "analysis/timing.py", (RESPONSES,)),
-    Stage(REPORT, "report/html.py", (RESPONSES, ATTRACTORS, AGREEMENT, TIMING)),
+    Stage(HISTORIES, "analysis/histories.py", (STUDY,)),
+    Stage(REPORT, "report/html.py", (RESPONSES, ATTRACTORS, AGREEMENT, TIMING, HISTORIES)),
 )
 
 
@@ -65,8 +72,18 @@ def stored_points(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
         stored = cache.checksums(some)
         for key in some:
             digest.update(key + stored.get(key, b"missing"))
-    settings = hashlib.sha256(study.json.encode()).hexdigest()
-    return {"study": settings, "sweep points": digest.hexdigest()}
+    settings = hashlib.sha256((study.json + _own_laws(study)).encode()).hexdigest()
+    return {STUDY: settings, POINTS: digest.hexdigest()}
+
+
+def _own_laws(study: Study) -> str:
+    """Sources of the user's own laws in time histories; those of sweeps are in their keys."""
+    sources = []
+    for label in (r for table in study.spec.history for r in table.representation):
+        # A law that cannot be imported is a matter of its history's status.
+        with suppress(ModelError):
+            sources.append(law_source(label.partition("@")[0]))
+    return "".join(source for source in sources if source != "null")
 
 
 def made_from(stage: Stage, folder: Path, points: MadeFrom) -> MadeFrom:
@@ -80,8 +97,11 @@ def made_from(stage: Stage, folder: Path, points: MadeFrom) -> MadeFrom:
     points : mapping
         As from `stored_points`.
     """
-    inputs = {name: " ".join(digests(folder / name)) or "absent" for name in stage.inputs}
-    return {"code": code_fingerprint(stage.code), **(inputs or points)}
+    inputs = {
+        name: points.get(name) or " ".join(digests(folder / name)) or "absent"
+        for name in stage.inputs
+    }
+    return {"code": code_fingerprint(stage.code), **inputs}
 
 
 def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:

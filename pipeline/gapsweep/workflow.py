@@ -29,6 +29,7 @@ from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.stages import (
     AGREEMENT,
     ATTRACTORS,
+    HISTORIES,
     REPORT,
     RESPONSES,
     STAGES,
@@ -397,9 +398,13 @@ def _failures(planned: Plan) -> dict[str, int]:
 
 
 def _stages(study: Study) -> list[Stage]:
-    """The stages of a study; without the exact law there is nothing to agree with."""
-    compared = EXACT in study.grid.representations
-    return [stage for stage in STAGES if compared or stage.file != AGREEMENT]
+    """The stages of a study: without the exact law there is nothing to agree with."""
+    left_out = set()
+    if EXACT not in study.grid.representations:
+        left_out.add(AGREEMENT)
+    if not study.spec.history:
+        left_out.add(HISTORIES)
+    return [stage for stage in STAGES if stage.file not in left_out]
 
 
 def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
@@ -415,15 +420,19 @@ def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
         elif stage.file == REPORT:
             report(folder)
         else:
-            _analyse(stage, folder, now)
+            _analyse(stage, study, folder, now)
 
 
-def _analyse(stage: Stage, folder: Path, now: MadeFrom) -> None:
+def _analyse(stage: Stage, study: Study, folder: Path, now: MadeFrom) -> None:
     from gapsweep.analysis.agreement import agreement
+    from gapsweep.analysis.histories import histories
     from gapsweep.analysis.timing import timing
 
-    with netcdf.read(folder / RESPONSES) as responses:
-        result = agreement(responses) if stage.file == AGREEMENT else timing(responses)
+    if stage.file == HISTORIES:
+        result = histories(study)
+    else:
+        with netcdf.read(folder / RESPONSES) as responses:
+            result = agreement(responses) if stage.file == AGREEMENT else timing(responses)
     if result is not None:
         netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
 

@@ -90,7 +90,7 @@ class Point:
         fields = {
             "K_c": repr(self.K_c),
             "gap": _canonical_json(self.gap),
-            "law_source": _law_source(self.representation),
+            "law_source": law_source(self.representation),
             "omega": repr(self.omega),
             "oscillator": _canonical_json(self.oscillator),
             "representation": json.dumps(self.representation),
@@ -146,7 +146,7 @@ def _canonical_json(settings: Any) -> str:
 
 
 @lru_cache(maxsize=64)
-def _law_source(representation: str) -> str:
+def law_source(representation: str) -> str:
     """Normalised source, as JSON, of a user's own law; null for ours (numerics fingerprint)."""
     if ":" not in representation:
         return "null"
