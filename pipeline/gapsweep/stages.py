@@ -24,7 +24,7 @@ from gapsweep.study.study import Study
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 AGREEMENT, TIMING = "agreement.nc", "timing.nc"
-HISTORIES = "histories.nc"
+STATIC, HISTORIES = "static.nc", "histories.nc"
 REPORT = "report/index.html"
 
 MadeFrom = Mapping[str, str]

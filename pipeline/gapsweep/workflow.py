@@ -11,7 +11,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Mapping
-from contextlib import nullcontext, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -33,6 +33,7 @@ from gapsweep.stages import (
     REPORT,
     RESPONSES,
     STAGES,
+    STATIC,
     TIMING,
     MadeFrom,
     Stage,
@@ -451,10 +452,21 @@ def report(folder: str | Path) -> Path:
     if not (folder / RESPONSES).exists():
         raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
     stage = next(stage for stage in STAGES if stage.file == REPORT)
-    with netcdf.read(folder / RESPONSES) as responses, netcdf.read(folder / TIMING) as costs:
-        compared = netcdf.read(folder / AGREEMENT) if (folder / AGREEMENT).exists() else None
-        source = as_text(made_from(stage, folder, {}))
-        return write_report(folder / REPORT, responses, compared, costs, made_from=source)
+    with ExitStack() as files:
+
+        def stored(name: str) -> "xr.Dataset | None":
+            there = (folder / name).exists()
+            return files.enter_context(netcdf.read(folder / name)) if there else None
+
+        return write_report(
+            folder / REPORT,
+            files.enter_context(netcdf.read(folder / RESPONSES)),
+            stored(AGREEMENT),
+            files.enter_context(netcdf.read(folder / TIMING)),
+            histories=stored(HISTORIES),
+            static=stored(STATIC),
+            made_from=as_text(made_from(stage, folder, {})),
+        )
 
 
 def check_writable(folder: Path) -> None:

@@ -127,7 +127,8 @@ def sampled(omega: float, t_end: float) -> tuple[Array, Array]:
     n = n_periods * SAMPLES_PER_PERIOD
     phase = np.arange(n) / SAMPLES_PER_PERIOD
     t = np.array([phase, phase + (whole - n_periods)]) / omega
-    return t, np.arange(n // 2 + 1) * (omega / n_periods)
+    frequency = np.arange(n // 2 + 1, dtype=np.float64) * np.float64(omega / n_periods)
+    return t, frequency
 
 
 def spectrum(x: Array) -> Array:
@@ -138,7 +139,7 @@ def spectrum(x: Array) -> Array:
     """
     n = x.size
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(n) / n)
-    amplitude = 2.0 * np.abs(np.fft.rfft(window * x)) / window.sum()
+    amplitude: Array = 2.0 * np.abs(np.fft.rfft(window * x)) / window.sum()
     amplitude[0] *= 0.5
     if n % 2 == 0:
         amplitude[-1] *= 0.5

@@ -226,7 +226,7 @@ class StudySpec(_Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> "StudySpec":
-        tables = (*self.sweep, *self.history)
+        tables: list[SweepTable | HistoryTable] = [*self.sweep, *self.history]
         labels = [label for table in tables for label in table.representation]
         used = {protocol for x in labels for protocol in x.split("@")[1:]}
         problems = [
