@@ -117,7 +117,8 @@ def paper_figures(
 _PEAKS_CAPTION = (
     "Peak displacement of the steady response from all starts. Black: the exact law, alone and "
     "behind the others. Black that shows is missed, colour without black is invented; pale "
-    "points are not periodic; triangles lie above the frame; dashed: walls."
+    "points are not periodic; triangles lie above the frame; dashed: walls. The axis is "
+    "logarithmic where peaks reach far beyond the walls."
 )
 _EXTREMA_CAPTION = (
     "All steady zero-velocity displacements from rest. Shades: frequencies at which the response "
@@ -203,7 +204,9 @@ def _large_gap(responses: xr.Dataset) -> str:
 def _drawn(wanted: PaperFigure, scene: xr.Dataset) -> Drawn:
     labels = labels_of(scene)
     _, at, protocol = labels[0].partition("@")
-    where = f"K_c = {wanted.K_c:g} N/m, gap {scene['gap'].item()} mm{at and f', {at}{protocol}'}"
+    where = (
+        f"K_c = {_plain(wanted.K_c)} N/m, gap {scene['gap'].item()} mm{at and f', {at}{protocol}'}"
+    )
     status = scene["status"].values
     counts = (
         f"{status.size} sweep points from {_starts(scene)}: "
@@ -286,7 +289,7 @@ def _history_figures(histories: xr.Dataset) -> Iterator[Drawn]:
         if 2 * scene.sizes["representation"] < len(LIMITS) or not scene.sizes["history"]:
             continue
         frequencies = " and ".join(f"{omega:g} Hz" for omega in scene["omega"].values)
-        title = f"Time histories and spectra at {frequencies} (K_c = {HARD:g} N/m, "
+        title = f"Time histories and spectra at {frequencies} (K_c = {_plain(HARD)} N/m, "
         title += f"gap {ASYMMETRIC} mm{protocol and f', {protocol}'})"
         caption = (
             f"Last {SHOWN_PERIODS} forcing periods of the motion from the start, and amplitude "
@@ -305,3 +308,7 @@ def _history_figures(histories: xr.Dataset) -> Iterator[Drawn]:
 def _protocols(dataset: xr.Dataset) -> list[str]:
     """Suffixes of the labels; the empty one, where there is no protocol, first."""
     return sorted({label.removeprefix(label.partition("@")[0]) for label in labels_of(dataset)})
+
+
+def _plain(K_c: float) -> str:
+    return f"{K_c:g}".replace("e+0", "e")

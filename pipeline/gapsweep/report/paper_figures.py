@@ -24,7 +24,7 @@ _EXACT = "piecewise"
 _MANY = 2000  # points as vectors would make the report heavy
 # Backgrounds by response class: light enough for every point colour, and told apart by depth.
 _CHAOTIC, _UNRESOLVED, _FAILED = "#fbd9d3", "#c8d8e6", "#8a8a8a"
-_WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 0}
+_WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
 _RIM = 1.8  # of the exact law's points around those of a stand-in, points
 # A peak so many wall distances out needs a logarithmic axis beside motions within the gap.
 _FAR = 4.0
@@ -63,7 +63,7 @@ def peak_curves(scene: xr.Dataset) -> Figure:
             _peaks(axes, scene.sel(representation=label), size, high)
         axes.set_title(label, fontsize=9, loc="left")
         _note_failures(axes, scene.sel(representation=label))
-    _peak_scale(panels, scene, low, high)
+    _scale_peaks(panels, scene, low, high)
     _finish(scene, panels, len(labels), "peak displacement [mm]")
     return figure
 
@@ -189,9 +189,9 @@ def _peak_range(scene: xr.Dataset) -> tuple[float, float]:
     if exact is not None:
         reach = np.nanmax(scene["x_max"].sel(representation=exact).values * _MM, initial=0.0)
         top = min(top, 1.5 * reach) if reach > 0.0 else top
-    low = min(0.0, float(np.nanmin(peaks, initial=0.0)))
+    low = max(-top, np.nanmin(peaks, initial=0.0))
     margin = 0.05 * (top - low) or 1.0
-    return low - (margin if low else 0.0), float(top) + margin
+    return float(low - (margin if low else 0.0)), float(top + margin)
 
 
 def _marker_size(scene: xr.Dataset, n_columns: int) -> float:
@@ -200,16 +200,20 @@ def _marker_size(scene: xr.Dataset, n_columns: int) -> float:
     return float(np.clip(0.6 * spacing, 1.3, 2.4))
 
 
-def _peak_scale(panels: np.ndarray, scene: xr.Dataset, low: float, high: float) -> None:
-    """Linear, or logarithmic beyond a tenth of the wall distance if the peaks go far out."""
+def _scale_peaks(panels: np.ndarray, scene: xr.Dataset, low: float, high: float) -> None:
+    """Linear; logarithmic beyond a quarter of the wall distance if the peaks go far out."""
     wall = max(float(scene["j_1"]), float(scene["j_2"])) * _MM
+    linear = 0.25 * wall
     is_far = 0.0 < _FAR * wall < high
     for axes in panels.flat:
+        axes.set_ylim(low, high)
         if is_far:
-            axes.set_yscale("symlog", linthresh=0.1 * wall)
+            axes.set_yscale("symlog", linthresh=linear, linscale=0.5)
+            axes.set_ylim(max(low, np.nanmin(scene["x_max"]) * _MM - 0.3 * linear), 1.2 * high)
+            ticks = [0.0, *(n * 10.0**k for k in range(-2, 4) for n in (1, 3))]
+            axes.set_yticks([tick for tick in ticks if tick == 0.0 or linear <= tick <= high])
             axes.yaxis.set_major_formatter("{x:g}")
             axes.minorticks_off()
-        axes.set_ylim(low, high)
 
 
 def _limit_to_exact(panels: list[Axes], scene: xr.Dataset) -> None:
@@ -217,8 +221,8 @@ def _limit_to_exact(panels: list[Axes], scene: xr.Dataset) -> None:
     labels = labels_of(scene)
     bounds = {
         label: (
-            float(np.nanmin(scene["x_min"].sel(representation=label), initial=np.inf)) * _MM,
-            float(np.nanmax(scene["x_max"].sel(representation=label), initial=-np.inf)) * _MM,
+            np.fmin.reduce(scene["x_min"].sel(representation=label).values, initial=np.inf) * _MM,
+            np.fmax.reduce(scene["x_max"].sel(representation=label).values, initial=-np.inf) * _MM,
         )
         for label in labels
     }
@@ -251,7 +255,8 @@ def _class_bands(axes: Axes, one: xr.Dataset) -> None:
         ((kinds == ResponseClass.UNRESOLVED) & ~failed, _UNRESOLVED),
         (failed, _FAILED),
     ):
-        spans = [(edges[i], edges[i + 1] - edges[i]) for i in np.flatnonzero(where)]
+        turns = np.flatnonzero(np.diff(where, prepend=False, append=False))
+        spans = [(edges[a], edges[b] - edges[a]) for a, b in turns.reshape(-1, 2)]
         axes.broken_barh(
             spans,
             (0.0, 1.0),
