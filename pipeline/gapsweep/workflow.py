@@ -458,12 +458,17 @@ def report(folder: str | Path) -> Path:
             there = (folder / name).exists()
             return files.enter_context(netcdf.read(folder / name)) if there else None
 
+        responses = files.enter_context(netcdf.read(folder / RESPONSES))
+        motions = stored(HISTORIES)
+        # A study that has since dropped its time histories leaves their file behind.
+        if motions is not None and motions.attrs["study_json"] != responses.attrs["study_json"]:
+            motions = None
         return write_report(
             folder / REPORT,
-            files.enter_context(netcdf.read(folder / RESPONSES)),
+            responses,
             stored(AGREEMENT),
             files.enter_context(netcdf.read(folder / TIMING)),
-            histories=stored(HISTORIES),
+            histories=motions,
             static=stored(STATIC),
             made_from=as_text(made_from(stage, folder, {})),
         )

@@ -228,7 +228,7 @@ def _limit_to_exact(panels: list[Axes], scene: xr.Dataset) -> None:
     }
     low = min(low for low, _ in bounds.values())
     high = max(high for _, high in bounds.values())
-    if not np.isfinite(low + high):
+    if not low <= high:  # there is no result at all
         return
     own = bounds.get(next((label for label in labels if _law(label) == _EXACT), ""), (low, high))
     if np.all(np.isfinite(own)):
