@@ -9,18 +9,22 @@ import html
 import json
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from gapsweep.errors import ModelError
 from gapsweep.execution.plan import Plan
 from gapsweep.store.artefact import digests, is_intact
 from gapsweep.store.cache import Cache
 from gapsweep.store.netcdf import attributes
 from gapsweep.study.fingerprint import code_fingerprint
+from gapsweep.study.points import law_source
 from gapsweep.study.study import Study
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
+HISTORIES = "histories.nc"
 REPORT = "report/index.html"
 
 MadeFrom = Mapping[str, str]
@@ -57,7 +61,8 @@ STAGES = (
     Stage(STATIC, "analysis/static.py", (STUDY,)),
     Stage(AGREEMENT, "analysis/agreement.py", (RESPONSES, ATTRACTORS)),
     Stage(TIMING, "analysis/timing.py", (RESPONSES,)),
-    Stage(REPORT, "report/html.py", (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING)),
+    Stage(HISTORIES, "analysis/histories.py", (STUDY,)),
+    Stage(REPORT, "report/html.py", (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES)),
 )
 
 
@@ -69,8 +74,18 @@ def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
         stored = cache.checksums(some)
         for key in some:
             digest.update(key + stored.get(key, b"missing"))
-    settings = hashlib.sha256(study.json.encode()).hexdigest()
+    settings = hashlib.sha256((study.json + _own_laws(study)).encode()).hexdigest()
     return {STUDY: settings, POINTS: digest.hexdigest()}
+
+
+def _own_laws(study: Study) -> str:
+    """Sources of the user's own laws in time histories; those of sweeps are in their keys."""
+    sources = []
+    for label in (r for table in study.spec.history for r in table.representation):
+        # A law that cannot be imported is a matter of its history's status.
+        with suppress(ModelError):
+            sources.append(law_source(label.partition("@")[0]))
+    return "".join(source for source in sources if source != "null")
 
 
 def made_from(stage: Stage, folder: Path, sources: MadeFrom) -> MadeFrom:

@@ -11,7 +11,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Mapping
-from contextlib import nullcontext, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -30,6 +30,7 @@ from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.stages import (
     AGREEMENT,
     ATTRACTORS,
+    HISTORIES,
     REPORT,
     RESPONSES,
     STAGES,
@@ -404,9 +405,13 @@ def _failures(planned: Plan) -> dict[str, int]:
 
 
 def _stages(study: Study) -> list[Stage]:
-    """The stages of a study; without the exact law there is nothing to agree with."""
-    compared = EXACT in study.grid.representations
-    return [stage for stage in STAGES if compared or stage.file != AGREEMENT]
+    """The stages of a study: without the exact law there is nothing to agree with."""
+    left_out = set()
+    if EXACT not in study.grid.representations:
+        left_out.add(AGREEMENT)
+    if not study.spec.history:
+        left_out.add(HISTORIES)
+    return [stage for stage in STAGES if stage.file not in left_out]
 
 
 def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
@@ -429,11 +434,16 @@ def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
 def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
     """The dataset of an analysis stage."""
     from gapsweep.analysis.agreement import agreement
+    from gapsweep.analysis.histories import histories
     from gapsweep.analysis.static import law_statics
     from gapsweep.analysis.timing import timing
 
     if stage.file == STATIC:
         return law_statics(study)
+    if stage.file == HISTORIES:
+        kept = histories(study)
+        assert kept is not None, "the stage is left out where none is asked for"
+        return kept
     with (
         netcdf.read(folder / RESPONSES) as responses,
         netcdf.read(folder / ATTRACTORS) as attractors,
@@ -459,10 +469,26 @@ def report(folder: str | Path) -> Path:
     if not (folder / RESPONSES).exists():
         raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
     stage = next(stage for stage in STAGES if stage.file == REPORT)
-    with netcdf.read(folder / RESPONSES) as responses, netcdf.read(folder / TIMING) as costs:
-        compared = netcdf.read(folder / AGREEMENT) if (folder / AGREEMENT).exists() else None
-        source = as_text(made_from(stage, folder, {}))
-        return write_report(folder / REPORT, responses, compared, costs, made_from=source)
+    with ExitStack() as files:
+
+        def stored(name: str) -> "xr.Dataset | None":
+            there = (folder / name).exists()
+            return files.enter_context(netcdf.read(folder / name)) if there else None
+
+        responses = files.enter_context(netcdf.read(folder / RESPONSES))
+        motions = stored(HISTORIES)
+        # A study that has since dropped its time histories leaves their file behind.
+        if motions is not None and motions.attrs["study_json"] != responses.attrs["study_json"]:
+            motions = None
+        return write_report(
+            folder / REPORT,
+            responses,
+            stored(AGREEMENT),
+            files.enter_context(netcdf.read(folder / TIMING)),
+            histories=motions,
+            static=stored(STATIC),
+            made_from=as_text(made_from(stage, folder, {})),
+        )
 
 
 def check_writable(folder: Path) -> None:

@@ -3,8 +3,8 @@
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.testing import assert_allclose
+from tests.figure_texts import overlaps
 
 import gapsweep as gs
 from gapsweep.analysis import ladders as ladder
@@ -38,30 +38,6 @@ def scene():
 def report_style():
     with mpl.rc_context(MATPLOTLIB):
         yield
-
-
-def texts(figure):
-    """All texts of a figure that are in view."""
-    for axes in figure.axes:
-        yield from (axes.xaxis.label, axes.yaxis.label, axes._left_title, *axes.texts)
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = sorted(axis.get_view_interval())
-            yield from (t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high)
-    for legend in (*figure.legends, *filter(None, (axes.get_legend() for axes in figure.axes))):
-        yield from legend.get_texts()
-
-
-def overlaps(figure):
-    """Pairs of texts of which one lies on the other."""
-    FigureCanvasAgg(figure).draw()
-    shown = [text for text in texts(figure) if text.get_text() and text.get_visible()]
-    boxes = [(text.get_text(), text.get_window_extent()) for text in shown]
-    return [
-        (name, other)
-        for i, (name, box) in enumerate(boxes)
-        for other, another in boxes[:i]
-        if box.width > 0 and another.width > 0 and box.overlaps(another)
-    ]
 
 
 @pytest.mark.parametrize("draw", FIGURES, ids=lambda f: f.__name__)

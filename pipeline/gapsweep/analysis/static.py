@@ -113,7 +113,7 @@ def law_statics(study: Study) -> xr.Dataset:
     ):
         for name, variable in table.items():
             filled = _filled(variable, name, scenes, shape + size)
-            variables[name] = ((*SCENE_DIMS, *dims), filled, _attributes(variable))
+            variables[name] = ((*SCENE_DIMS, *dims), filled, variable.attributes)
     axes = {
         "representation": list(labels),
         "K_c": list(grid.K_c),
@@ -122,7 +122,7 @@ def law_statics(study: Study) -> xr.Dataset:
         "j_2": [gap.j_2 for gap in grid.gaps],
     }
     coords: dict[str, Any] = {
-        name: (COORDINATES[name][0], axis, _attributes(COORDINATES[name][1]))
+        name: (COORDINATES[name][0], axis, COORDINATES[name][1].attributes)
         for name, axis in axes.items()
     }
     variables["forcing"] = ((), study.oscillator.forcing, {"units": "N", "long_name": "forcing"})
@@ -228,12 +228,3 @@ def _filled(
             value = np.asarray(values[name])
             array[(*at, slice(value.size)) if value.ndim else at] = value
     return array
-
-
-def _attributes(variable: Variable) -> dict[str, Any]:
-    attributes: dict[str, Any] = {"units": variable.units, "long_name": variable.long_name}
-    if variable.flags:
-        names, values = zip(*variable.flags, strict=True)
-        attributes["flag_values"] = np.array(values, dtype=variable.dtype)
-        attributes["flag_meanings"] = " ".join(names)
-    return attributes

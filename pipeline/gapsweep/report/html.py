@@ -2,7 +2,7 @@
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from gapsweep.report.figures import bifurcation, frequency_response
+from gapsweep.report.paper import Drawn, paper_figures, swept
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -42,6 +43,8 @@ def write_report(
     agreement: xr.Dataset | None,
     timing: xr.Dataset,
     *,
+    histories: xr.Dataset | None = None,
+    static: xr.Dataset | None = None,
     made_from: str = "",
 ) -> Path:
     """Write the report; complete or not at all.
@@ -52,6 +55,8 @@ def write_report(
         The HTML file.
     responses, agreement, timing : Dataset
         As stored in the run's folder; `agreement` is None if the exact law was not swept.
+    histories, static : Dataset, optional
+        As stored in the run's folder, for the paper's figures.
     made_from : str
         Kept in a meta element, so that the report is made again only if that changes.
     """
@@ -64,11 +69,13 @@ def write_report(
     )
     with matplotlib.rc_context(MATPLOTLIB):
         sections = list(_sections(responses, agreement, timing))
+        paper = list(_paper(paper_figures(responses, histories, static)))
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
         study=responses.attrs["study"],
         sections=sections,
+        paper=paper,
         statuses=_status_counts(responses),
         measured_on=timing.attrs["measured_on"],
         provenance=_provenance(responses),
@@ -89,7 +96,7 @@ def _sections(
     for k in range(responses.sizes["K_c"]):
         for g in range(responses.sizes["gap"]):
             at = {"K_c": k, "gap": g}
-            here = _swept(responses.isel(at).load())
+            here = swept(responses.isel(at).load())
             if not here.sizes["representation"]:
                 continue
             title = f"K_c = {_number(float(here['K_c']))} N/m, gap {here['gap'].item()} mm"
@@ -106,13 +113,14 @@ def _sections(
             )
 
 
-def _swept(responses: xr.Dataset) -> xr.Dataset:
-    """Only the representations, frequencies and starts that were asked for here."""
-    asked = responses["status"] != Status.NOT_REQUESTED
-    for dim in asked.dims:
-        others = [other for other in asked.dims if other != dim]
-        responses = responses.isel({dim: np.flatnonzero(asked.any(others).values)})
-    return responses
+def _paper(figures: Iterable[Drawn]) -> Iterator[dict[str, Any]]:
+    for drawn in figures:
+        yield {
+            "number": drawn.number,
+            "title": drawn.title,
+            "caption": drawn.caption,
+            "svg": _svg(drawn.figure, drawn.description),
+        }
 
 
 def _agreement_rows(responses: xr.Dataset, agreement: xr.Dataset) -> Iterator[dict[str, Any]]:

@@ -91,7 +91,7 @@ class Point:
         fields = {
             "K_c": repr(self.K_c),
             "gap": _canonical_json(self.gap),
-            "law_source": _law_source(self.representation),
+            "law_source": law_source(self.representation),
             "omega": repr(self.omega),
             "oscillator": _canonical_json(self.oscillator),
             "representation": json.dumps(self.representation),
@@ -151,7 +151,7 @@ _own_law = lru_cache(maxsize=256)(contact_law)
 
 
 @lru_cache(maxsize=64)
-def _law_source(representation: str) -> str:
+def law_source(representation: str) -> str:
     """Normalised source, as JSON, of a user's own law; null for ours (numerics fingerprint)."""
     if ":" not in representation:
         return "null"

@@ -4,6 +4,9 @@ Written down once, here; the writer, the analyses and the documentation read thi
 """
 
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from gapsweep.response.result import ExtremumKind, ResponseClass
 from gapsweep.status import Status
@@ -37,6 +40,16 @@ class Variable:
     long_name: str
     missing: float = float("nan")
     flags: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Attributes of the variable in a file."""
+        attributes: dict[str, Any] = {"units": self.units, "long_name": self.long_name}
+        if self.flags:
+            names, values = zip(*self.flags, strict=True)
+            attributes["flag_values"] = np.array(values, dtype=self.dtype)
+            attributes["flag_meanings"] = " ".join(names)
+        return attributes
 
 
 STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
@@ -24,6 +25,8 @@ from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
 from gapsweep.model.labels import canonical_label
 
 MAX_POINTS = 10**7
+# Of a time history; its dense output is kept in memory.
+MAX_HISTORY_PERIODS = 10_000
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -186,6 +189,31 @@ class FitTable(_Table):
     range: Positive = 4e-3
 
 
+def _several(value: Any) -> Any:
+    return [value] if isinstance(value, str) else value
+
+
+class HistoryTable(_Table):
+    """Motions to keep as time histories and spectra: one scene, one start."""
+
+    representation: Annotated[list[Label], Field(min_length=1), BeforeValidator(_several)]
+    K_c: NonNegative
+    gap: Pair
+    omega: Positive
+    t_end: Positive
+    start: Range = [0.0, 0.0]
+
+    @model_validator(mode="after")
+    def _whole_periods(self) -> "HistoryTable":
+        if not 1.0 <= self.t_end * self.omega <= MAX_HISTORY_PERIODS:
+            low, high = 1.0 / self.omega, MAX_HISTORY_PERIODS / self.omega
+            raise ValueError(
+                f"t_end = {self.t_end:g} s: must be within {low:g}..{high:g} s, "
+                f"1 to {MAX_HISTORY_PERIODS} forcing periods"
+            )
+        return self
+
+
 class StudySpec(_Table):
     study: StudyTable
     oscillator: OscillatorTable = OscillatorTable()
@@ -194,10 +222,12 @@ class StudySpec(_Table):
     protocol: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")], SolverTable] = {}
     steady: SteadyTable = SteadyTable()
     fit: FitTable = FitTable()
+    history: list[HistoryTable] = []
 
     @model_validator(mode="after")
     def _consistent(self) -> "StudySpec":
-        labels = [label for block in self.sweep for label in block.representation]
+        tables: list[SweepTable | HistoryTable] = [*self.sweep, *self.history]
+        labels = [label for table in tables for label in table.representation]
         used = {protocol for x in labels for protocol in x.split("@")[1:]}
         problems = [
             f"protocol {name!r} is used by a label but there is no [protocol.{name}]"

@@ -293,6 +293,10 @@ class Study:
         """Solver settings of a representation, its protocol's where the label has one."""
         return self._protocols[label.partition("@")[2]][0]
 
+    def start_jitter(self, label: str) -> float:
+        """What a representation's protocol adds to fixed initial displacements [m]."""
+        return self._protocols[label.partition("@")[2]][1]
+
     def identities(self, chain: tuple[Index, ...]) -> list[str]:
         """Canonical JSON of a chain's points; each holds the key of the point before it."""
         identities: list[str] = []

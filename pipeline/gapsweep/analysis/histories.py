@@ -1,0 +1,217 @@
+"""Time histories and amplitude spectra of the motions that a study asks to keep.
+
+Every motion is stored twice, its first and its last forcing periods, sampled at equal phases of
+the forcing. The spectrum is that of the last ones: a Hann window over whole forcing periods,
+scaled so that a sinusoid on a bin shows its amplitude. Their number has many divisors, so that
+the harmonics of period-2 to period-6 motions, too, lie on bins.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.errors import ModelError
+from gapsweep.integrate.simulate import simulate
+from gapsweep.integrate.trajectory import Trajectory
+from gapsweep.model.labels import contact_law
+from gapsweep.model.oscillator import Gap
+from gapsweep.response.section import period_multiple, scaled
+from gapsweep.status import Status
+from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.study.points import canonical
+from gapsweep.study.schema import COORDINATES, STATUS_FLAGS, Variable
+from gapsweep.study.spec import HistoryTable
+from gapsweep.study.study import Study
+
+Array = NDArray[np.float64]
+
+N_PERIODS = 60  # kept at either end: 2² · 3 · 5
+SAMPLES_PER_PERIOD = 256
+PARTS = ("start", "steady")
+# Section points closer than this share of the reach are taken for one.
+_SAME_POINT = 1e-4
+
+_DIMS = ("history", "representation")
+_SCENE = ("K_c", "gap", "j_1", "j_2", "omega", "x_0", "v_0")
+SCENE = {
+    **{name: COORDINATES[name][1] for name in _SCENE},
+    "t_end": Variable("f8", "s", "end of the motion"),
+    "n_periods": Variable("i4", "1", "forcing periods kept at either end", 0),
+}
+VARIABLES = {
+    "x": ((*_DIMS, "part", "sample"), Variable("f8", "m", "displacement")),
+    "v": ((*_DIMS, "part", "sample"), Variable("f8", "m s-1", "velocity")),
+    "spectrum": (
+        (*_DIMS, "frequency_bin"),
+        Variable("f8", "m", "amplitude spectrum of the steady displacement"),
+    ),
+    "period_multiple": (
+        _DIMS,
+        Variable("i4", "1", "forcing periods after which the steady part repeats, 0: none", 0),
+    ),
+    "status": (
+        _DIMS,
+        Variable("i1", "1", "outcome of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
+    ),
+}
+AXES = {
+    "t": (("history", "part", "sample"), Variable("f8", "s", "time")),
+    "frequency": (("history", "frequency_bin"), Variable("f8", "Hz", "frequency of the spectrum")),
+}
+_WINDOW = "Hann over whole forcing periods, scaled so that a sinusoid on a bin shows its amplitude"
+
+
+def histories(study: Study) -> xr.Dataset | None:
+    """Time histories and spectra of a study's ``[[history]]`` tables; None if it has none.
+
+    Returns
+    -------
+    Dataset
+        Over `history` (the tables in their order) and `representation` (the union of theirs;
+        what a table does not ask for is `not_requested`). `x` and `v` over `part` (``start``,
+        ``steady``) and `sample`, at times `t`; `spectrum` over `frequency_bin`, at `frequency`.
+        Padded with NaN where a motion is shorter than `N_PERIODS` or has failed.
+    """
+    tables = study.spec.history
+    if not tables:
+        return None
+    labels = list(dict.fromkeys(label for table in tables for label in table.representation))
+    n_samples = N_PERIODS * SAMPLES_PER_PERIOD
+    sizes = {
+        "history": len(tables),
+        "representation": len(labels),
+        "part": len(PARTS),
+        "sample": n_samples,
+        "frequency_bin": n_samples // 2 + 1,
+    }
+    arrays = {
+        name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
+        for name, (dims, variable) in (VARIABLES | AXES).items()
+    }
+    for h, table in enumerate(tables):
+        t, frequency = sampled(table.omega, table.t_end)
+        arrays["t"][h, :, : t.shape[1]] = t
+        arrays["frequency"][h, : frequency.size] = frequency
+        for label in table.representation:
+            for name, value in _history(study, table, label, t).items():
+                here = arrays[name][h, labels.index(label), ...]
+                here[_leading(value)] = value
+    coords = {
+        "representation": ("representation", labels, COORDINATES["representation"][1].attributes),
+        "part": ("part", list(PARTS), {"units": "1", "long_name": "first or last periods"}),
+        **{
+            name: ("history", [_scene(table)[name] for table in tables], variable.attributes)
+            for name, variable in SCENE.items()
+        },
+        **{name: (dims, arrays[name], v.attributes) for name, (dims, v) in AXES.items()},
+    }
+    variables = {name: (dims, arrays[name], v.attributes) for name, (dims, v) in VARIABLES.items()}
+    variables["spectrum"][2]["window"] = _WINDOW
+    attributes = {
+        "title": study.title,
+        "study": study.name,
+        "study_json": study.json,
+        "numerics_fingerprint": numerics_fingerprint(),
+    }
+    return xr.Dataset(variables, coords, attributes)
+
+
+def sampled(omega: float, t_end: float) -> tuple[Array, Array]:
+    """Times [s], shape (2, n), of the first and last periods, and frequencies [Hz] of the bins."""
+    whole = _whole_periods(omega, t_end)
+    n_periods = min(N_PERIODS, whole)
+    n = n_periods * SAMPLES_PER_PERIOD
+    phase = np.arange(n) / SAMPLES_PER_PERIOD
+    t = np.array([phase, phase + (whole - n_periods)]) / omega
+    frequency = np.arange(n // 2 + 1, dtype=np.float64) * np.float64(omega / n_periods)
+    return t, frequency
+
+
+def spectrum(x: Array) -> Array:
+    """Amplitudes of the bins 0 to n/2 of n equidistant samples, Hann window.
+
+    A sinusoid on a bin has its amplitude there and half of it in the two bins beside; a mean its
+    absolute value in bin 0.
+    """
+    n = x.size
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(n) / n)
+    amplitude: Array = 2.0 * np.abs(np.fft.rfft(window * x)) / window.sum()
+    amplitude[0] *= 0.5
+    if n % 2 == 0:
+        amplitude[-1] *= 0.5
+    return amplitude
+
+
+def _leading(value: Any) -> Any:
+    """Where a value lies in an array that is padded along its last axis."""
+    return (..., slice(np.shape(value)[-1])) if np.ndim(value) else ...
+
+
+def _whole_periods(omega: float, t_end: float) -> int:
+    return int(t_end * omega + 1e-9)
+
+
+def _scene(table: HistoryTable) -> dict[str, Any]:
+    """The coordinates of a history."""
+    gap = _gap(table)
+    return {
+        "K_c": table.K_c,
+        "gap": gap.label,
+        "j_1": gap.j_1,
+        "j_2": gap.j_2,
+        "omega": table.omega,
+        "x_0": table.start[0],
+        "v_0": table.start[1],
+        "t_end": table.t_end,
+        "n_periods": min(N_PERIODS, _whole_periods(table.omega, table.t_end)),
+    }
+
+
+def _gap(table: HistoryTable) -> Gap:
+    j_1, j_2 = table.gap
+    return Gap(canonical(j_1), canonical(j_2))
+
+
+def _history(study: Study, table: HistoryTable, label: str, t: Array) -> Mapping[str, Any]:
+    """The variables of one motion; its status alone if it has failed."""
+    try:
+        motion = _motion(study, table, label)
+    except ModelError:
+        return {"status": Status.MODEL_INVALID}
+    except Exception:  # the user's code may raise anything
+        if ":" not in label:
+            raise
+        return {"status": Status.ERROR}
+    if motion.t < t.max():
+        return {"status": motion.status}
+    x, v = motion.sample(t)
+    steady = np.transpose([x[-1], v[-1]])[::SAMPLES_PER_PERIOD]
+    same = _SAME_POINT * float(np.max(np.abs(x[-1])))
+    return {
+        "x": x,
+        "v": v,
+        "spectrum": spectrum(x[-1]),
+        "period_multiple": period_multiple(
+            scaled(steady, table.omega).tolist(), same, len(steady) // 2
+        ),
+        "status": motion.status,
+    }
+
+
+def _motion(study: Study, table: HistoryTable, label: str) -> Trajectory:
+    law = contact_law(label.partition("@")[0], table.K_c, _gap(table), study.spec.fit.range)
+    x_0, v_0 = table.start
+    return simulate(
+        study.oscillator,
+        law,
+        table.omega,
+        x_0 + study.start_jitter(label),
+        v_0,
+        t_end=_whole_periods(table.omega, table.t_end) / table.omega,
+        dense_output=True,
+        **asdict(study.solver(label)),
+    )

@@ -1,0 +1,315 @@
+"""Which of the paper's figures a run has the points for, with their words.
+
+`PAPER` says what each of figures 6 to 10 shows: its scene, its representations and its function.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from gapsweep.report.paper_figures import (
+    SHOWN_PERIODS,
+    histories_and_spectra,
+    kind,
+    labels_of,
+    peak_curves,
+    stacked_bifurcations,
+)
+from gapsweep.report.static_figures import (
+    polynomial_forces,
+    rational_forces,
+    smooth_forces,
+    static_convergence,
+)
+from gapsweep.response.result import ResponseClass
+from gapsweep.status import Status
+
+_MM = 1e3
+_EXACT = "piecewise"
+_FAMILIES = ("tanh", "arctan", "logarctan")
+WEAK = (_EXACT, "poly-13", "ratpoly-5/3", *(f"{family}-1e4" for family in _FAMILIES))
+STRONG = (_EXACT, "poly-21", "ratpoly-5/5", *(f"{family}-1e6" for family in _FAMILIES))
+LIMITS = (_EXACT, "piecewise-noevents", "tanh-1e6", "tanh-1e9")
+SOFTEST, SOFT, HARD = 1.4e3, 1.4e4, 1.4e6
+SYMMETRIC, ASYMMETRIC, LARGE = "0.4/0.4", "0/0.8", "large"
+HISTORIES_AT = (11.0, 21.75)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A figure with its words.
+
+    Attributes
+    ----------
+    number : str
+        The paper's.
+    title, caption : str
+    description : str
+        What is to be seen, for those who cannot see it.
+    """
+
+    number: str
+    title: str
+    caption: str
+    description: str
+    figure: Figure
+
+
+@dataclass(frozen=True, slots=True)
+class PaperFigure:
+    """What a figure of the paper shows.
+
+    Attributes
+    ----------
+    K_c : float
+        Contact stiffness [N/m].
+    gap : str
+        As in datasets; `LARGE` is the widest symmetric one beyond the paper's small gaps.
+    draw : callable
+        From the responses of the scene and labels to the figure.
+    from_rest : bool
+        Whether only the start at rest is shown.
+    """
+
+    number: str
+    title: str
+    labels: tuple[str, ...]
+    K_c: float
+    gap: str
+    draw: Callable[[xr.Dataset], Figure]
+    caption: str
+    from_rest: bool = False
+
+
+def paper_figures(
+    responses: xr.Dataset,
+    histories: xr.Dataset | None = None,
+    static: xr.Dataset | None = None,
+) -> Iterator[Drawn]:
+    """Those of the paper's figures that the datasets have enough for, in the paper's order.
+
+    Figures 6 to 10 are drawn once for every protocol (``@NAME``) that the labels have. They
+    need the exact law and at least half of the paper's representations.
+
+    Parameters
+    ----------
+    responses : Dataset
+        As stored in ``responses.nc``.
+    histories : Dataset, optional
+        As stored in ``histories.nc``.
+    static : Dataset, optional
+        As stored in ``static.nc``.
+    """
+    if static is not None:
+        yield from _static_figures(static)
+    for wanted in PAPER:
+        for protocol in _protocols(responses):
+            scene = _scene(responses, wanted, protocol)
+            if scene is not None:
+                yield _drawn(wanted, scene)
+    if histories is not None:
+        yield from _history_figures(histories)
+
+
+_PEAKS_CAPTION = (
+    "Peak displacement of the steady response from all starts. Black: the exact law, alone and "
+    "behind the others. Black that shows is missed, colour without black is invented; pale "
+    "points are not periodic; triangles lie above the frame; dashed: walls. The axis is "
+    "logarithmic where peaks reach far beyond the walls."
+)
+_EXTREMA_CAPTION = (
+    "All steady zero-velocity displacements from rest. Shades: frequencies at which the response "
+    "is chaotic, unresolved or failed; dashed: walls; triangles: outside the frame."
+)
+PAPER = (
+    PaperFigure(
+        "6a", "Peak displacement, large gap", WEAK, SOFT, LARGE, peak_curves, _PEAKS_CAPTION
+    ),
+    PaperFigure(
+        "6b", "Peak displacement, soft", WEAK, SOFT, SYMMETRIC, peak_curves, _PEAKS_CAPTION
+    ),
+    PaperFigure(
+        "6c",
+        "Peak displacement, soft, asymmetric",
+        WEAK,
+        SOFT,
+        ASYMMETRIC,
+        peak_curves,
+        _PEAKS_CAPTION,
+    ),
+    PaperFigure(
+        "7", "Peak displacement, hard", STRONG, HARD, SYMMETRIC, peak_curves, _PEAKS_CAPTION
+    ),
+    *(
+        PaperFigure(
+            number, title, labels, K_c, gap, stacked_bifurcations, _EXTREMA_CAPTION, from_rest=True
+        )
+        for number, title, labels, K_c, gap in (
+            ("8a", "Bifurcation diagrams, very soft", WEAK, SOFTEST, SYMMETRIC),
+            ("8b", "Bifurcation diagrams, soft", WEAK, SOFT, SYMMETRIC),
+            ("8c", "Bifurcation diagrams, hard", WEAK, HARD, SYMMETRIC),
+            ("9", "Bifurcation diagrams, hard", STRONG, HARD, SYMMETRIC),
+            ("10", "Bifurcation diagrams, limit of tanh", LIMITS, HARD, ASYMMETRIC),
+        )
+    ),
+)
+
+
+def _scene(responses: xr.Dataset, wanted: PaperFigure, protocol: str) -> xr.Dataset | None:
+    """What a figure shows, loaded; None if too little of it was swept."""
+    gap = _large_gap(responses) if wanted.gap == LARGE else wanted.gap
+    if gap not in responses["gap"].values or wanted.K_c not in responses["K_c"].values:
+        return None
+    stored = set(labels_of(responses))
+    labels = [label + protocol for label in wanted.labels if label + protocol in stored]
+    scene = responses.sel(K_c=wanted.K_c, gap=gap, representation=labels)
+    if wanted.from_rest:
+        at_rest = (scene["start"] == "fixed") & (scene["x_0"] == 0.0) & (scene["v_0"] == 0.0)
+        if not at_rest.any():
+            return None
+        scene = scene.isel(initial_condition=int(np.argmax(at_rest.values)))
+    scene = swept(scene)
+    here = labels_of(scene)
+    enough = 2 * len(here) >= len(wanted.labels) and _EXACT + protocol in here
+    return scene.load() if enough and scene.sizes["omega"] > 1 else None
+
+
+def swept(scene: xr.Dataset) -> xr.Dataset:
+    """Only the representations, frequencies and starts that were asked for here."""
+    asked = scene["status"].load() != Status.NOT_REQUESTED
+    for dim in asked.dims:
+        others = [other for other in asked.dims if other != dim]
+        scene = scene.isel({dim: np.flatnonzero(asked.any(others).values)})
+    return scene
+
+
+def _large_gap(responses: xr.Dataset) -> str:
+    """Label of the widest symmetric gap that is wider than the paper's small one."""
+    widths = {
+        str(gap): j_1
+        for gap, j_1, j_2 in zip(
+            responses["gap"].values,
+            responses["j_1"].values.tolist(),
+            responses["j_2"].values.tolist(),
+            strict=True,
+        )
+        if j_1 == j_2 > 0.4e-3
+    }
+    return max(widths, key=widths.__getitem__, default="")
+
+
+def _drawn(wanted: PaperFigure, scene: xr.Dataset) -> Drawn:
+    labels = labels_of(scene)
+    _, at, protocol = labels[0].partition("@")
+    where = (
+        f"K_c = {_plain(wanted.K_c)} N/m, gap {scene['gap'].item()} mm{at and f', {at}{protocol}'}"
+    )
+    status = scene["status"].values
+    counts = (
+        f"{status.size} sweep points from {_starts(scene)}: "
+        f"{int((status == Status.UNRESOLVED).sum())} unresolved, "
+        f"{int((status > Status.OUT_OF_FIT_RANGE).sum())} failed."
+    )
+    return Drawn(
+        number=wanted.number,
+        title=f"{wanted.title} ({where})",
+        caption=f"{wanted.caption} {counts}",
+        description=f"{wanted.title}, {where}. {_in_words(scene)}",
+        figure=wanted.draw(scene),
+    )
+
+
+def _starts(scene: xr.Dataset) -> str:
+    kinds = np.atleast_1d(scene["start"].values).astype(str).tolist()
+    if "initial_condition" not in scene.dims:
+        return "rest"
+    n_fixed = kinds.count("fixed")
+    sweeps = [kind.replace("_", " ") for kind in kinds if kind != "fixed"]
+    fixed = [f"{n_fixed} fixed start{'s' if n_fixed > 1 else ''}"] if n_fixed else []
+    return ", ".join(fixed + sweeps)
+
+
+def _in_words(scene: xr.Dataset) -> str:
+    """Per representation, the largest peak, where it is, and how much is periodic."""
+    sentences = []
+    for label in labels_of(scene):
+        one = scene.sel(representation=label)
+        peaks = one["x_max"].max([d for d in one["x_max"].dims if d != "omega"])
+        if not np.isfinite(peaks).any():
+            sentences.append(f"{label}: no result.")
+            continue
+        at = int(np.nanargmax(peaks.values))
+        share = float((one["response_class"] == ResponseClass.PERIODIC).mean())
+        sentences.append(
+            f"{label}: largest peak {float(peaks[at]) * _MM:.3g} mm at "
+            f"{float(peaks['omega'][at]):g} Hz, {100 * share:.0f} % of the responses periodic."
+        )
+    return " ".join(sentences)
+
+
+def _static_figures(static: xr.Dataset) -> Iterator[Drawn]:
+    # The ladders are there where a study decides claims: then it is about the paper.
+    if SYMMETRIC not in static["gap"].values or "poly_rmse" not in static:
+        return
+    scene = static.sel(gap=SYMMETRIC).load()
+    curves = (
+        "Contact force near the gap, its error there, and its error in the fit range; one column "
+        "per stiffness. Shade: the gap; dotted: the forcing p."
+    )
+    ladders = (
+        "Errors per unit stiffness against degree and convergence parameter; dotted: in-gap "
+        "force of a tenth of the forcing."
+    )
+    for number, name, draw, caption in (
+        ("2", "Polynomials", polynomial_forces, curves),
+        ("3", "Rational polynomials", rational_forces, curves),
+        ("4", "Smooth laws", smooth_forces, curves),
+        ("5", "Static convergence", static_convergence, ladders),
+    ):
+        title = f"{name}, gap {SYMMETRIC} mm"
+        yield Drawn(number, title, caption, f"{title}. {caption}", draw(scene))
+
+
+def _history_figures(histories: xr.Dataset) -> Iterator[Drawn]:
+    """Figure 11, once for every protocol."""
+    chosen = [
+        h
+        for h in range(histories.sizes["history"])
+        if float(histories["omega"][h]) in HISTORIES_AT
+        and float(histories["K_c"][h]) == HARD
+        and histories["gap"].values[h] == ASYMMETRIC
+    ]
+    stored = labels_of(histories)
+    for protocol in _protocols(histories):
+        labels = [label + protocol for label in LIMITS if label + protocol in stored]
+        scene = histories.isel(history=chosen).sel(representation=labels)
+        scene = swept(scene)
+        if 2 * scene.sizes["representation"] < len(LIMITS) or not scene.sizes["history"]:
+            continue
+        frequencies = " and ".join(f"{omega:g} Hz" for omega in scene["omega"].values)
+        title = f"Time histories and spectra at {frequencies} (K_c = {_plain(HARD)} N/m, "
+        title += f"gap {ASYMMETRIC} mm{protocol and f', {protocol}'})"
+        caption = (
+            f"Last {SHOWN_PERIODS} forcing periods of the motion from the start, and amplitude "
+            f"spectrum of its last {int(scene['n_periods'].max())} (Hann window). "
+            "P3: repeats after three periods."
+        )
+        words = (
+            f"{label} at {float(one['omega']):g} Hz: {kind(one.sel(representation=label))}"
+            for one in (scene.isel(history=h) for h in range(scene.sizes["history"]))
+            for label in labels_of(scene)
+        )
+        description = f"{title}. {'; '.join(words)}."
+        yield Drawn("11", title, caption, description, histories_and_spectra(scene.load()))
+
+
+def _protocols(dataset: xr.Dataset) -> list[str]:
+    """Suffixes of the labels; the empty one, where there is no protocol, first."""
+    return sorted({label.removeprefix(label.partition("@")[0]) for label in labels_of(dataset)})
+
+
+def _plain(K_c: float) -> str:
+    return f"{K_c:g}".replace("e+0", "e")

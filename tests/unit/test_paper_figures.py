@@ -1,0 +1,224 @@
+"""The paper's figures: which are drawn, from what, and that nothing is lost or overprinted."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.colors import to_hex
+from numpy.testing import assert_allclose
+from tests.figure_texts import overlaps
+
+import gapsweep as gs
+from gapsweep.analysis.histories import histories
+from gapsweep.report.paper import LIMITS, STRONG, WEAK, paper_figures
+from gapsweep.report.paper_figures import (
+    histories_and_spectra,
+    peak_curves,
+    stacked_bifurcations,
+)
+from gapsweep.report.style import MATPLOTLIB, colour
+from gapsweep.response.result import ResponseClass
+from gapsweep.status import Status
+
+OMEGA = np.arange(1.0, 31.0)
+STARTS = ["fixed", "fixed", "sweep_up", "sweep_down"]
+PERIODIC, CHAOTIC = int(ResponseClass.PERIODIC), int(ResponseClass.CHAOTIC)
+
+
+def responses_of(labels, K_c=(1.4e4,), gaps=((0.4, 0.4),)):
+    """Made-up responses: peaks fall with frequency, a millimetre apart between labels."""
+    dims = ("representation", "K_c", "gap", "omega", "initial_condition")
+    sizes = (len(labels), len(K_c), len(gaps), OMEGA.size, len(STARTS))
+    peak = np.broadcast_to(1e-3 / OMEGA[:, None], sizes).copy()
+    peak += 1e-5 * np.arange(sizes[0])[:, None, None, None, None]
+    extrema = np.stack([peak, -0.5 * peak, np.full(sizes, np.nan)], axis=-1)
+    j_1, j_2 = 1e-3 * np.array(gaps).T
+    return xr.Dataset(
+        {
+            "x_max": (dims, peak),
+            "x_min": (dims, -0.5 * peak),
+            "extrema": ((*dims, "extremum"), extrema),
+            "response_class": (dims, np.full(sizes, PERIODIC, "i1")),
+            "status": (dims, np.zeros(sizes, "i1")),
+        },
+        {
+            "representation": list(labels),
+            "K_c": list(K_c),
+            "gap": [f"{a:g}/{b:g}" for a, b in gaps],
+            "j_1": ("gap", j_1),
+            "j_2": ("gap", j_2),
+            "omega": OMEGA,
+            "initial_condition": range(len(STARTS)),
+            "x_0": ("initial_condition", [0.0, 1e-3, np.nan, np.nan]),
+            "v_0": ("initial_condition", [0.0, 0.0, np.nan, np.nan]),
+            "start": ("initial_condition", STARTS),
+        },
+    )
+
+
+@pytest.fixture(autouse=True)
+def report_style():
+    with mpl.rc_context(MATPLOTLIB):
+        yield
+
+
+@pytest.fixture
+def scene():
+    return responses_of(WEAK).isel(K_c=0, gap=0)
+
+
+@pytest.fixture(scope="module")
+def kept():
+    table = {"representation": list(LIMITS), "K_c": 1.4e6, "gap": [0.0, 8e-4], "t_end": 8.0}
+    sweep = {"representation": ["piecewise"], "K_c": [1.4e6], "gap": [[0.0, 8e-4]]}
+    tables = {
+        "study": {"name": "kept"},
+        "sweep": [sweep | {"omega": [11.0]}],
+        "history": [table | {"omega": omega} for omega in (11.0, 21.75)],
+    }
+    return histories(gs.Study.from_dict(tables))
+
+
+def points(axes, label):
+    """Displacements [mm] of all points drawn for a label."""
+    lines = [line for line in axes.lines if to_hex(line.get_color()) == colour(label).lower()]
+    return np.sort(np.concatenate([line.get_ydata() for line in lines]))
+
+
+def numbers(*args):
+    return [drawn.number for drawn in paper_figures(*args)]
+
+
+def test_no_text_lies_on_another(scene, kept):
+    scene["status"][3, 2:9] = Status.UNRESOLVED
+    scene["status"][3, 9:15] = Status.ERROR
+    assert not overlaps(peak_curves(scene))
+    assert not overlaps(stacked_bifurcations(scene.isel(initial_condition=0)))
+    assert not overlaps(histories_and_spectra(kept))
+
+
+def test_every_representation_has_its_peaks_before_those_of_the_exact_law(scene):
+    figure = peak_curves(scene)
+    exact = np.sort(scene["x_max"].sel(representation="piecewise").values.ravel()) * 1e3
+    for axes, label in zip(figure.axes, WEAK, strict=True):
+        assert axes.get_title(loc="left") == label
+        own = np.sort(scene["x_max"].sel(representation=label).values.ravel()) * 1e3
+        assert_allclose(points(axes, label), own)
+        assert_allclose(points(axes, "piecewise"), exact)
+
+
+def test_peaks_far_above_the_exact_law_stay_in_sight(scene):
+    scene["x_max"][1, 3, 0] = 9e-3
+    axes = peak_curves(scene).axes[1]
+    triangles = [line for line in axes.lines if line.get_marker() == "^"]
+    assert [line.get_xdata().tolist() for line in triangles] == [[OMEGA[3]]]
+    assert axes.get_ylim()[1] < 2.0
+
+
+def test_peaks_far_beyond_the_walls_make_the_axis_logarithmic(scene):
+    assert {axes.get_yscale() for axes in peak_curves(scene).axes} == {"linear"}
+    scene["x_max"][0, 3, 0] = 6e-3
+    figure = peak_curves(scene)
+    assert {axes.get_yscale() for axes in figure.axes} == {"symlog"}
+    assert figure.axes[0].get_ylim()[1] > 6.0
+    assert not overlaps(figure)
+
+
+def test_every_extremum_is_drawn(scene):
+    one = scene.isel(initial_condition=0)
+    for axes, label in zip(stacked_bifurcations(one).axes, WEAK, strict=True):
+        extrema = one["extrema"].sel(representation=label).values.ravel() * 1e3
+        assert axes.get_title(loc="left") == label
+        assert_allclose(points(axes, label), np.sort(extrema[np.isfinite(extrema)]))
+
+
+def test_shades_say_the_class(scene):
+    one = scene.isel(initial_condition=0)
+    one["response_class"][2, 4:6] = CHAOTIC
+    one["status"][2, 10] = Status.ERROR
+    shades = [
+        (bars.get_facecolor()[0][:3].tolist(), path.get_extents().intervalx.tolist())
+        for bars in stacked_bifurcations(one).axes[2].collections
+        for path in bars.get_paths()
+    ]
+    assert [spans for _, spans in shades] == [[4.5, 6.5], [10.5, 11.5]]
+    assert shades[0][0] != shades[1][0]
+
+
+def test_histories_show_six_periods_and_the_lines_of_the_spectrum(kept):
+    axes = histories_and_spectra(kept).axes
+    assert len(axes) == 4 * len(LIMITS)
+    t, x = axes[0].lines[-1].get_data()
+    assert_allclose((t[0], t[-1]), (0.0, 6.0), atol=0.01)
+    steady = kept["x"].sel(representation="piecewise", part="steady").values[0]
+    assert_allclose(x, steady[-t.size :] * 1e3)
+    multiple, amplitude = axes[1].lines[-1].get_data()
+    forced = np.argmin(np.abs(multiple - 1.0))
+    assert multiple[forced] == 1.0
+    assert_allclose(amplitude[forced], kept["spectrum"].values[0, 0, forced] * 1e3)
+
+
+def test_failed_history_is_named(kept):
+    failed = kept.copy(deep=True)
+    failed["x"][0, 1] = np.nan
+    failed["spectrum"][0, 1] = np.nan
+    failed["status"][0, 1] = Status.DIVERGED
+    figure = histories_and_spectra(failed)
+    assert "diverged" in [text.get_text() for text in figure.axes[4].texts]
+    assert not overlaps(figure)
+
+
+def test_figures_are_those_the_run_has_points_for(kept):
+    assert numbers(responses_of(WEAK)) == ["6b", "8b"]
+    assert numbers(responses_of(WEAK, gaps=[(1.0, 1.0), (0.0, 0.8)])) == ["6a", "6c"]
+    assert numbers(responses_of(WEAK, K_c=(1.4e3, 1.4e6))) == ["8a", "8c"]
+    assert numbers(responses_of(STRONG, K_c=(1.4e6,))) == ["7", "9"]
+    hard = responses_of(LIMITS, K_c=(1.4e6,), gaps=[(0.0, 0.8)])
+    assert numbers(hard, kept) == ["10", "11"]
+    assert numbers(responses_of(WEAK, K_c=(2e4,))) == []
+
+
+def test_a_figure_needs_the_exact_law_and_half_of_the_representations():
+    assert numbers(responses_of(WEAK[1:])) == []
+    assert numbers(responses_of(WEAK[:2])) == []
+    assert numbers(responses_of(WEAK[:3])) == ["6b", "8b"]
+
+
+def test_a_figure_from_rest_needs_a_start_at_rest():
+    assert numbers(responses_of(WEAK).isel(initial_condition=[1, 2])) == ["6b"]
+
+
+def test_every_protocol_gets_its_figure():
+    labels = [*WEAK, *(f"{label}@paper" for label in WEAK), "piecewise@half"]
+    drawn = list(paper_figures(responses_of(labels)))
+    assert [one.number for one in drawn] == ["6b", "6b", "8b", "8b"]
+    assert ["@paper" in one.title for one in drawn] == [False, True, False, True]
+
+
+def test_points_not_asked_for_are_left_out():
+    responses = responses_of(WEAK)
+    responses["status"][5] = Status.NOT_REQUESTED
+    responses["status"][:, :, :, 20:] = Status.NOT_REQUESTED
+    first = next(paper_figures(responses))
+    assert len(first.figure.axes) == 6
+    assert not first.figure.axes[5].get_visible()
+    assert first.figure.axes[0].get_xlim()[1] < 21.0
+    assert "400 sweep points from 2 fixed starts, sweep up, sweep down" in first.caption
+
+
+def test_words_carry_what_is_seen_and_what_is_missing():
+    responses = responses_of(WEAK)
+    responses["status"][1, :, :, :5] = Status.UNRESOLVED
+    responses["status"][2] = Status.ERROR
+    responses["x_max"][2] = np.nan
+    first = next(paper_figures(responses))
+    assert "20 unresolved, 120 failed" in first.caption
+    assert "piecewise: largest peak 1 mm at 1 Hz, 100 %" in first.description
+    assert "ratpoly-5/3: no result." in first.description
+
+
+def test_a_scene_without_any_result_draws(scene, tmp_path):
+    for name in ("x_max", "x_min", "extrema"):
+        scene[name][:] = np.nan
+    peak_curves(scene).savefig(tmp_path / "peaks.png", dpi=30)
+    stacked_bifurcations(scene.isel(initial_condition=0)).savefig(tmp_path / "stack.png", dpi=30)
