@@ -22,7 +22,7 @@ LAYERS = (
     {"cli", "__init__"},
 )
 FENCES = {
-    "scipy": {"model", "integrate", "response", "study"},
+    "scipy": {"model", "integrate", "response", "study", "analysis"},
     "numba": {"model", "integrate", "response"},
     "xarray": {"store", "execution", "analysis", "report", "workflow"},
     "netCDF4": {"store", "execution"},
