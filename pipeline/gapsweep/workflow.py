@@ -188,8 +188,11 @@ def _failures(store: Cache, planned: Plan) -> dict[str, int]:
 
 def analyse(folder: Path) -> None:
     """Write the analysis datasets beside ``responses.nc``."""
-    with netcdf.read(folder / RESPONSES) as responses:
-        compared = agreement(responses)
+    with (
+        netcdf.read(folder / RESPONSES) as responses,
+        netcdf.read(folder / ATTRACTORS) as attractors,
+    ):
+        compared = agreement(responses, attractors)
         if compared is not None:
             netcdf.write(compared, folder / AGREEMENT)
         else:
