@@ -23,7 +23,7 @@ LAYERS = (
     {"cli", "__init__"},
 )
 FENCES = {
-    "scipy": {"model", "integrate", "response", "study"},
+    "scipy": {"model", "integrate", "response", "study", "analysis"},
     "numba": {"model", "integrate", "response"},
     "xarray": {"store", "analysis", "report", "workflow", "cli"},
     "netCDF4": {"store", "execution"},

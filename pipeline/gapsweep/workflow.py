@@ -430,7 +430,8 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
     with netcdf.read(folder / RESPONSES) as responses:
         if stage.file == TIMING:
             return timing(responses)
-        compared = agreement(responses)
+        with netcdf.read(folder / ATTRACTORS) as attractors:
+            compared = agreement(responses, attractors)
         assert compared is not None, "the stage is left out where the exact law is"
         return compared
 

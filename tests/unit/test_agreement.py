@@ -1,119 +1,235 @@
-"""Agreement metrics on hand-made responses, and the Hausdorff distance by brute force."""
+"""`agreement.nc` as a whole: a made-up study with everything in it, summed up independently."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given
-from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
+from tests.made import chaotic, datasets, failed, periodic, tables, unresolved
 
 from gapsweep import ResponseClass, Status
-from gapsweep.analysis.agreement import agreement, hausdorff
-from gapsweep.analysis.timing import timing
-from gapsweep.study.schema import POINT_DIMS
+from gapsweep.analysis.agreement import agreement
+from gapsweep.analysis.classes import CLASSES
+from gapsweep.analysis.metrics import METRICS, REGIMES, variables
+from gapsweep.store import netcdf
 
-numbers = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=8).map(np.array)
-
-
-@given(numbers, numbers)
-def test_hausdorff_is_the_largest_nearest_distance(a, b):
-    table = np.abs(a[:, None] - b[None, :])
-    assert hausdorff(a, b) == max(table.min(axis=0).max(), table.min(axis=1).max())
-    assert hausdorff(a, b) == hausdorff(b, a)
-    assert hausdorff(a, np.append(a, np.nan)) == 0.0
-
-
-def test_hausdorff_of_an_empty_set_is_unknown():
-    assert np.isnan(hausdorff(np.array([np.nan]), np.array([1.0])))
+LABELS = ["piecewise", "piecewise@half", "piecewise@jitter", "tanh-1e4", "tanh-1e4@paper"]
+OMEGA = np.round(np.arange(5.0, 9.0, 0.25), 12)
+PROTOCOLS = {
+    "half": {"rtol": 5e-10, "atol": 5e-13},
+    "jitter": {"start_jitter": 1e-9},
+    "paper": {"rtol": 1e-4, "atol": 1e-7, "controller": "ode45"},
+}
+SCENE = {"K_c": 0, "gap": 0}
 
 
-def responses(amplitude, period, extrema, status=None, host=None, cpu_time=None):
-    """Two representations (exact first) at as many frequencies as columns are given."""
-    shape = (2, 1, 1, np.shape(amplitude)[1], 1)
-
-    def grid(values, dtype=float):
-        return POINT_DIMS, np.reshape(np.array(values, dtype), shape)
-
-    zeros = np.zeros(shape)
-    return xr.Dataset(
-        {
-            "amplitude": grid(amplitude),
-            "period_multiple": grid(period, int),
-            "response_class": grid(np.where(np.array(period) > 0, ResponseClass.PERIODIC, 2), int),
-            "status": grid(np.zeros(shape) if status is None else status, int),
-            "extrema": ((*POINT_DIMS, "extremum"), np.reshape(extrema, (*shape, -1))),
-            "host": (POINT_DIMS, np.reshape(zeros if host is None else host, shape).astype(int),
-                     {"flag_meanings": "left right"}),
-            "cpu_time": grid(zeros if cpu_time is None else cpu_time),
-            **{name: grid(zeros, int) for name in ("nfev", "n_steps", "n_rejected", "n_contacts")},
-        },
-        coords={
-            "representation": ["piecewise", "tanh-1e4"],
-            "K_c": [1.4e4],
-            "gap": ["0.4/0.4"],
-            "j_1": ("gap", [0.4e-3]),
-            "j_2": ("gap", [0.4e-3]),
-            "omega": np.arange(1.0, shape[3] + 1),
-            "initial_condition": [0],
-        },
-        attrs=dict.fromkeys(("title", "study", "study_json", "numerics_fingerprint"), ""),
-    )  # fmt: skip
+def answer(label, omega, i):
+    """Any class of response, reproducibly; exact-against-exact ones differ a little."""
+    seed = [int(omega * 100), i]
+    spread = {"piecewise": 0.0, "piecewise@half": 1e-9, "piecewise@jitter": 2e-9}.get(label, 1e-5)
+    kind = np.random.default_rng(seed if spread < 1e-6 else [*seed, len(label)]).integers(9)
+    rng = np.random.default_rng(seed)
+    noise = spread * np.random.default_rng([*seed, len(label)]).normal()
+    if kind == 0:
+        return failed()
+    if kind == 1:
+        return unresolved(rng.normal(0, 5e-4, (32, 2)) + noise, omega)
+    if kind == 2:
+        return chaotic(rng.normal(0, 5e-4, (32, 2)) + noise, omega)
+    return periodic(rng.normal(0, 5e-4, (kind - 2, 2)) + noise, omega)
 
 
-def test_metrics_of_known_responses():
-    data = responses(
-        amplitude=[[1e-3, 0.1e-3], [1.1e-3, 0.2e-3]],
-        period=[[1, 1], [1, 2]],
-        extrema=[[[1e-3, -1e-3], [1e-4, -1e-4]], [[1.1e-3, -1.1e-3], [2e-4, -2e-4]]],
-    )
-    result = agreement(data).sel(representation="tanh-1e4").squeeze()
-    # The second amplitude is below half the gap, 0.4 mm, which then is the scale.
-    assert_allclose(result["amplitude_error"], [0.1, 0.25])
-    assert_allclose(result["extrema_distance"], [1e-4, 1e-4])
-    assert result["class_agreement"].values.tolist() == [1.0, 0.0]
-    assert_allclose(result["amplitude_error_median"], 0.175)
-    assert_allclose(result["class_agreement_mean"], 0.5)
+STUDY = tables(LABELS, OMEGA, starts=3, sweeps=("sweep_up",), protocol=PROTOCOLS)
 
 
-def test_exact_law_agrees_with_itself():
-    data = responses([[1e-3, 2e-3]] * 2, [[1, 0]] * 2, [[[1e-3], [2e-3]]] * 2)
-    result = agreement(data)
-    assert (result["amplitude_error"] == 0).all()
-    assert (result["class_agreement"] == 1).all()
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return datasets(tmp_path_factory.mktemp("made"), STUDY, answer)
 
 
-def test_points_without_a_response_are_counted_not_dropped():
-    nan = np.nan
-    data = responses(
-        amplitude=[[1e-3, 1e-3], [nan, 1e-3]],
-        period=[[1, 1], [0, 1]],
-        extrema=[[[1e-3], [1e-3]], [[nan], [1e-3]]],
-        status=[[0, 0], [Status.DIVERGED, 0]],
-    )
-    result = agreement(data).sel(representation="tanh-1e4").squeeze()
-    assert (int(result["n_compared"]), int(result["n_points"])) == (1, 2)
-    assert np.isnan(result["class_agreement"].values[0])
+@pytest.fixture(scope="module")
+def whole(files):
+    return agreement(*files).isel(SCENE)
 
 
-def test_no_exact_law_no_agreement():
-    data = responses([[1e-3]] * 2, [[1]] * 2, [[[1e-3]]] * 2)
-    assert agreement(data.isel(representation=[1])) is None
+def test_no_exact_law_no_agreement(tmp_path):
+    assert agreement(*datasets(tmp_path, tables(["tanh-1e4"], [7.0]), answer)) is None
 
 
-def test_times_of_different_machines_are_never_mixed():
-    data = responses(
-        [[1e-3] * 3] * 2, [[1] * 3] * 2, [[[1e-3]] * 3] * 2,
-        host=[[0, 1, 1], [1, 1, 0]], cpu_time=[[100.0, 2.0, 4.0], [1.0, 3.0, 100.0]],
-    )  # fmt: skip
-    result = timing(data)
-    assert_allclose(result["cpu_time_mean"].squeeze(), [3.0, 2.0])
-    assert result["n_points_elsewhere"].values.ravel().tolist() == [1, 1]
-    assert result.attrs["measured_on"] == "right"
+def test_exact_law_agrees_with_itself(whole):
+    exact = whole.sel(representation="piecewise", regime="all")
+    for name, metric in variables():
+        if metric.worst and not name.endswith(("_ci", "_floor")):
+            values = exact[name].values[np.isfinite(exact[name].values)]
+            assert values.size, name
+            assert set(values.tolist()) == {1.0 if metric.worst == "min" else 0.0}, name
+    assert exact["cpu_time_ratio"] == exact["nfev_ratio"] == 1.0
 
 
-@pytest.mark.parametrize("make", [agreement, timing])
-def test_every_variable_has_a_unit_and_a_name(make):
-    data = responses([[1e-3]] * 2, [[1]] * 2, [[[1e-3]]] * 2)
-    for variable in make(data).data_vars.values():
-        assert variable.attrs["units"]
-        assert variable.attrs["long_name"]
+@pytest.mark.parametrize("name", [name for name, metric in METRICS.items() if metric.statistics])
+def test_summaries_are_those_of_the_points(files, whole, name):
+    exact = files[0].isel(SCENE).sel(representation="piecewise")
+    points = exact["response_class"]
+    frequencies = {
+        "periodic": (points == ResponseClass.PERIODIC).all("initial_condition"),
+        "chaotic": (points == ResponseClass.CHAOTIC).any("initial_condition"),
+    }
+    stored = name.removesuffix("_relative")
+    for label in LABELS:
+        for regime in REGIMES:
+            values = whole[stored].sel(representation=label)
+            if regime != "all" and "initial_condition" in values.dims:
+                values = values.where(points == REGIMES.index(regime) - 1)
+            elif regime != "all":
+                values = values.where(frequencies[regime])
+            values = np.abs(values.values[np.isfinite(values.values)])
+            if name != stored:
+                values = values / 0.8e-3
+            for statistic in METRICS[name].statistics:
+                found = whole[f"{name}_{statistic}"].sel(representation=label, regime=regime)
+                q = {"median": 0.5, "p95": 0.95}.get(statistic)
+                expected = np.nan
+                if values.size:
+                    expected = np.mean(values) if q is None else np.quantile(values, q)
+                assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_pooled_shares_are_those_of_the_counts(whole):
+    total = whole[[f"n_attractors{s}" for s in ("", "_exact", "_matched")]].sum("omega")
+    n, n_exact, n_matched = total.data_vars.values()
+    pooled = whole.sel(regime="all")
+    assert_allclose(pooled["precision_pooled"], n_matched / n)
+    assert_allclose(pooled["recall_pooled"], n_matched / n_exact)
+    assert_allclose(pooled["f1_pooled"], 2 * n_matched / (n + n_exact))
+
+
+def test_accuracy_and_kappa_are_those_of_the_confusion_table(whole):
+    for label in LABELS:
+        row = whole.sel(representation=label, regime="all")
+        table = row["confusion"].values / row["confusion"].values.sum()
+        agreed, chance = np.trace(table), table.sum(axis=0) @ table.sum(axis=1)
+        assert_allclose(row["class_agreement_mean"], agreed)
+        assert_allclose(row["kappa"], (agreed - chance) / (1 - chance))
+
+
+def test_unresolved_and_failed_points_are_counted_not_dropped(files, whole):
+    responses = files[0].isel(SCENE)
+    kinds = responses["response_class"]
+    exact = kinds.sel(representation="piecewise")
+    for label in LABELS:
+        ours = kinds.sel(representation=label)
+        for regime, here in zip(REGIMES, (exact >= 0, exact == 0, exact == 1), strict=True):
+            row = whole.sel(representation=label, regime=regime)
+            assert row["n_points"] == here.sum()
+            assert row["n_unresolved"] == (here & (ours == ResponseClass.UNRESOLVED)).sum()
+            assert row["n_failed"] == (here & (ours == ResponseClass.FAILED)).sum()
+            both = responses["amplitude"].notnull().sel(representation=[label, "piecewise"])
+            assert row["n_compared"] == (here & both.all("representation")).sum()
+        table = whole["confusion"].sel(representation=label).to_pandas()
+        assert table.to_numpy().sum() == exact.size
+        assert table["failed"].sum() == (ours == ResponseClass.FAILED).sum()
+        assert table.loc["unresolved"].sum() == (exact == ResponseClass.UNRESOLVED).sum()
+
+
+def test_floor_is_the_worst_of_exact_against_exact(whole):
+    assert whole.attrs["floor_representations"] == "piecewise@half piecewise@jitter"
+    exact = whole.sel(representation=["piecewise@half", "piecewise@jitter"])
+    for name, metric in variables():
+        if f"{name}_floor" in whole:
+            worst = exact[name].min if metric.worst == "min" else abs(exact[name]).max
+            assert_array_equal(whole[f"{name}_floor"], worst("representation"))
+    floor = whole["amplitude_error_median_floor"].sel(regime="all")
+    assert 0.0 < floor < whole["amplitude_error_median"].sel(regime="all")[-1]
+    share = whole["same_attractor_mean"] - whole["same_attractor_mean_floor"]
+    assert_array_equal(whole["same_attractor_above_floor"], share)
+
+
+def test_no_protocol_for_it_no_floor(tmp_path):
+    study = tables(["piecewise", "piecewise@paper"], [7.0], protocol=PROTOCOLS)
+    result = agreement(*datasets(tmp_path, study, answer))
+    assert result.attrs["floor_representations"] == ""
+    assert all(result[name].isnull().all() for name in result if name.endswith("_floor"))
+
+
+def test_shares_and_intervals_are_in_their_range(whole):
+    for name, metric in variables():
+        values = whole[name].values[np.isfinite(whole[name].values)]
+        if metric.worst == "min" and not name.startswith("kappa"):
+            assert np.all((values >= 0.0) & (values <= 1.0)), name
+        if f"{name}_ci" in whole:
+            low, high = (whole[f"{name}_ci"].sel(bound=b) for b in ("low", "high"))
+            known = low.notnull() & high.notnull()
+            assert (low <= high).where(known, True).all(), name
+            # Jumps and changes are rare: too few blocks hold one.
+            assert known.sel(regime="all").any() or "shift" in name, name
+
+
+def test_starts_have_no_order(tmp_path, whole):
+    order = [2, 0, 1, 3]
+    shuffled = datasets(tmp_path, STUDY, lambda label, w, i: answer(label, w, order[i]))
+    result = agreement(*shuffled).isel(SCENE)
+    for name, metric in METRICS.items():
+        for statistic in metric.statistics:
+            assert_allclose(result[f"{name}_{statistic}"], whole[f"{name}_{statistic}"], rtol=1e-9)
+    assert_array_equal(result["confusion"], whole["confusion"])
+
+
+def test_scenes_are_apart_and_what_was_not_asked_for_is_empty(tmp_path):
+    study = tables(["piecewise", "tanh-1e4"], [7.0, 8.0])
+    study["sweep"] += tables(["tanh-1e4"], [8.0], gap=(0.0, 0.8e-3))["sweep"]
+    result = agreement(*datasets(tmp_path, study, lambda _, w, i: periodic([[1e-3, 0.0]], w)))
+    ours = result.sel(representation="tanh-1e4", K_c=1.4e4, regime="all")
+    assert ours["n_points"].values.tolist() == [2, 1]
+    assert ours["n_compared"].values.tolist() == [2, 0]
+    assert ours["f1_pooled"].values.tolist()[0] == 1.0
+    assert np.isnan(ours["f1_pooled"].values[1])
+    assert ours["amplitude_error"].count() == 2
+
+
+def test_points_missing_from_the_cache_are_not_compared(tmp_path):
+    def some(label, omega, i):
+        return None if label == "tanh-1e4" and omega == 7.0 else periodic([[1e-3, 0.0]], omega)
+
+    files = datasets(tmp_path, tables(["piecewise", "tanh-1e4"], [7.0, 8.0]), some)
+    assert (files[0]["status"] == Status.NOT_REQUESTED).sum() == 1
+    row = agreement(*files).isel(SCENE).sel(representation="tanh-1e4", regime="all")
+    assert (row["n_points"], row["n_attractors_exact"].sum()) == (1, 1)
+
+
+def test_without_a_gap_lengths_are_in_ranges_of_the_response(tmp_path):
+    study = tables(["piecewise", "tanh-1e4"], [7.0], gap=(0.0, 0.0))
+    amplitudes = {"piecewise": 1e-3, "tanh-1e4": 1.09e-3}
+    files = datasets(tmp_path, study, lambda x, w, i: periodic([[amplitudes[x], 0.0]], w))
+    row = agreement(*files).isel(SCENE).sel(representation="tanh-1e4", regime="all")
+    assert_allclose(row["section_w1_relative_median"], 0.09e-3 / 2e-3)
+    assert row["f1"] == 1.0  # within 5 % of the range, 2 mm
+
+
+@pytest.mark.parametrize("gap", [(0.0, 0.0), (0.4e-3, 0.4e-3)])
+@pytest.mark.parametrize(("ours", "exact"), [(0.0, 0.0), (1e10, 1e-3), (1e160, 1e-3), (0.0, 1e-3)])
+def test_responses_at_rest_or_run_away_do_not_stop_it(tmp_path, gap, ours, exact):
+    amplitudes = {"piecewise": exact, "tanh-1e4": ours}
+    study = tables(amplitudes, [7.0, 8.0], gap=gap)
+    files = datasets(tmp_path, study, lambda x, w, i: periodic([[amplitudes[x], 0.0]], w))
+    row = agreement(*files).isel(SCENE).sel(representation="tanh-1e4", regime="all")
+    assert row["class_agreement_mean"] == 1.0
+    assert (row["amplitude_error_median"] == 0.0) == (ours == exact)
+
+
+def test_file_explains_itself(files, tmp_path):
+    result = agreement(*files)
+    netcdf.write(result, tmp_path / "agreement.nc")
+    with xr.open_dataset(tmp_path / "agreement.nc") as read:
+        assert set(read.data_vars) == {name for name, _ in variables()}
+        for name, variable in read.data_vars.items():
+            assert all(variable.attrs[key] for key in ("units", "long_name", "definition")), name
+            assert variable.dtype == METRICS[name].dtype if name in METRICS else True
+        assert read["class"].values.tolist() == list(CLASSES)
+        assert read["j_1"].dims == ("gap",)
+        assert read.attrs["study_json"] == files[0].attrs["study_json"]
+
+
+def test_documentation_names_every_metric():
+    text = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
+    assert [name for name in METRICS if f"`{name}`" not in text] == []

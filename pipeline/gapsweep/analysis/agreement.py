@@ -1,117 +1,139 @@
-"""How well each representation agrees with the exact law, point by point.
+"""How well each representation agrees with the exact law: ``agreement.nc``.
 
-Definitions (A: half the range of the steady response, G: width of the gap):
-
-* amplitude error [-]: ``|A - A_exact| / max(A_exact, G/2)``;
-* extrema distance [m]: Hausdorff distance of the two sets of steady extrema, the largest
-  distance from a member of either set to the other set;
-* class agreement [-]: 1 if response class and period multiple are the same, else 0.
-
-A point counts only where both responses exist (resolved or not); all others are counted in
-`n_compared` against `n_points`, never dropped in silence.
+Every representation, exact ones with other solver settings included, is compared with the one
+labelled ``piecewise``: start by start, attractor by attractor, and summed up per scene. What
+each variable means stands in `gapsweep.analysis.metrics`.
 """
+
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.statistics import SWEPT, mean, quantile
+from gapsweep.analysis.bands import band_metrics
+from gapsweep.analysis.classes import CLASSES
+from gapsweep.analysis.curves import curve_metrics
+from gapsweep.analysis.floors import REFERENCE, floor_labels
+from gapsweep.analysis.metrics import BOUND, BOUNDS, CLASS_DIMS, REGIME, REGIMES, variables
+from gapsweep.analysis.sets import basin_metrics, matching, set_metrics
+from gapsweep.analysis.slab import Slab, slab
+from gapsweep.analysis.starts import start_metrics
+from gapsweep.analysis.summary import summaries
 from gapsweep.status import Status
 from gapsweep.study.schema import POINT_DIMS
 
-REFERENCE = "piecewise"
+_VARIABLES = dict(variables())
+_TINY = 1e-300
 
-Array = NDArray[np.float64]
+Tables = dict[str, NDArray[Any]]
+Position = tuple[int, ...]
 
 
-def agreement(responses: xr.Dataset) -> xr.Dataset | None:
+def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | None:
     """Compare every representation with `piecewise`; None if the exact law was not swept.
 
     Parameters
     ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
+    responses, attractors : Dataset
+        As stored in ``responses.nc`` and ``attractors.nc``; read slab by slab.
 
     Returns
     -------
     Dataset
-        Point-wise metrics over all dimensions, and their medians and 95th percentiles over
-        frequencies and starts.
+        The variables of `gapsweep.analysis.metrics.variables`.
     """
-    if REFERENCE not in responses["representation"].values:
+    labels = [str(label) for label in responses["representation"].values]
+    if REFERENCE not in labels:
         return None
-    exact = responses.sel(representation=REFERENCE, drop=True)
-    gap_width = (responses["j_1"] + responses["j_2"]).drop_vars(("j_1", "j_2"), errors="ignore")
-    both = _exists(responses) & _exists(exact)
-    scale = exact["amplitude"].clip(min=0.5 * gap_width)
-    amplitude_error = (abs(responses["amplitude"] - exact["amplitude"]) / scale).where(both)
-    same = (responses["response_class"] == exact["response_class"]) & (
-        responses["period_multiple"] == exact["period_multiple"]
-    )
-    distance = _extrema_distance(responses, exact).where(both)
-    requested = responses["status"] != Status.NOT_REQUESTED
-    metrics = {
-        "amplitude_error": (amplitude_error, "1", "amplitude error relative to the exact law"),
-        "extrema_distance": (distance, "m", "Hausdorff distance of the steady extrema"),
-        "class_agreement": (same.where(both), "1", "same class and period multiple"),
+    floors = floor_labels(responses.attrs.get("study_json", ""), labels)
+    sizes = {dim: responses.sizes[dim] for dim in POINT_DIMS} | {
+        REGIME: len(REGIMES),
+        BOUND: len(BOUNDS),
+        **dict.fromkeys(CLASS_DIMS, len(CLASSES)),
     }
-    variables = {}
-    for name, (values, units, long_name) in metrics.items():
-        variables[name] = _labelled(values, units, long_name)
-        for suffix, label, value in _summaries(name, values):
-            variables[f"{name}_{suffix}"] = _labelled(value, units, f"{long_name}, {label}")
-    counts = {"n_compared": both, "n_points": requested}
-    for name, what in counts.items():
-        count = what.sum(SWEPT).astype("i4")
-        variables[name] = _labelled(count, "1", f"sweep points {name.removeprefix('n_')}")
-    result = xr.Dataset(variables).transpose(*POINT_DIMS)
-    return result.assign_attrs(_kept(responses), reference=REFERENCE)
+    tables: Tables = {}
+    for name, metric in _VARIABLES.items():
+        missing = 0 if metric.dtype == "i4" else np.nan
+        tables[name] = np.full([sizes[dim] for dim in metric.dims], missing, metric.dtype)
+    requested = (responses["status"] != Status.NOT_REQUESTED).any(POINT_DIMS[3:]).values
+    for scene in np.ndindex(*requested.shape[1:]):
+        exact = slab(responses, attractors, (labels.index(REFERENCE), *scene))
+        width = _width(float(responses["j_1"][scene[1]] + responses["j_2"][scene[1]]), exact)
+        symmetric = bool(responses["j_1"][scene[1]] == responses["j_2"][scene[1]])
+        for r in np.flatnonzero(requested[:, *scene]).tolist():
+            is_exact = labels[r] == REFERENCE
+            ours = exact if is_exact else slab(responses, attractors, (r, *scene))
+            # Infinity and NaN are what comes of a response that ran away, or of none.
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                for name, values in _compared(ours, exact, width, symmetric=symmetric):
+                    tables[name][r, *scene] = values
+        _set_floors(tables, [labels.index(label) for label in floors], scene)
+    return _dataset(tables, responses, floors)
 
 
-def _kept(responses: xr.Dataset) -> dict[str, str]:
-    names = ("title", "study", "study_json", "numerics_fingerprint")
-    return {name: responses.attrs[name] for name in names}
+def _width(gap: float, exact: Slab) -> float:
+    """Scale of lengths [m]: the width of the gap, or where there is none, of the response."""
+    if gap > 0.0:
+        return gap
+    amplitude = exact.amplitude[exact.exists]
+    # At rest any difference is large.
+    return max(2.0 * float(np.median(amplitude)), _TINY) if amplitude.size else _TINY
 
 
-def _exists(responses: xr.Dataset) -> xr.DataArray:
-    return responses["amplitude"].notnull()
+def _compared(
+    ours: Slab, exact: Slab, width: float, *, symmetric: bool
+) -> Iterator[tuple[str, Any]]:
+    """All variables of one slab, floors apart."""
+    found = matching(ours, exact, width, symmetric=symmetric)
+    values, curves = curve_metrics(ours, exact, 0.5 * width)
+    values |= start_metrics(ours, exact, 0.5 * width, symmetric=symmetric)
+    values |= set_metrics(found, ours, exact, 0.5 * width)
+    values |= basin_metrics(found, ours, exact)
+    values |= band_metrics(ours, exact, width, symmetric=symmetric)
+    yield from values.items()
+    yield from curves.items()
+    yield from summaries(ours, exact, values, width)
 
 
-def _summaries(name: str, values: xr.DataArray) -> list[tuple[str, str, xr.DataArray]]:
-    if name == "class_agreement":
-        return [("mean", "share of the compared points", mean(values))]
-    return [
-        ("median", "median over frequencies and starts", quantile(values, 0.5)),
-        ("p95", "95th percentile", quantile(values, 0.95)),
-    ]
+def _set_floors(tables: Tables, floors: list[int], scene: Position) -> None:
+    """The worst of the exact-against-exact values, where there are any."""
+    for name, metric in _VARIABLES.items():
+        if floors and f"{name}_floor" in tables:
+            values = [tables[name][r, *scene] for r in floors]
+            lowest = metric.worst == "min"
+            worst = np.fmin.reduce(values) if lowest else np.fmax.reduce(np.abs(values))
+            tables[f"{name}_floor"][scene] = worst
+    k, g = scene
+    floor = tables["same_attractor_mean_floor"][k, g]
+    tables["same_attractor_above_floor"][:, k, g] = tables["same_attractor_mean"][:, k, g] - floor
 
 
-def _labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
-    return values.assign_attrs(units=units, long_name=long_name)
-
-
-def _extrema_distance(responses: xr.Dataset, exact: xr.Dataset) -> xr.DataArray:
-    distance = xr.full_like(responses["amplitude"], np.nan)
-    for label in responses["representation"].values:
-        here = {"representation": label}
-        ours = responses["extrema"].sel(here).values
-        theirs = exact["extrema"].values
-        cells = [hausdorff(ours[at], theirs[at]) for at in np.ndindex(ours.shape[:-1])]
-        distance.loc[here] = np.reshape(cells, ours.shape[:-1])
-    return distance
-
-
-def hausdorff(a: Array, b: Array) -> float:
-    """Hausdorff distance of two sets of numbers; NaN entries are padding, NaN if one is empty."""
-    a, b = np.sort(a[np.isfinite(a)]), np.sort(b[np.isfinite(b)])
-    if not a.size or not b.size:
-        return float("nan")
-    return max(_directed(a, b), _directed(b, a))
-
-
-def _directed(a: Array, b: Array) -> float:
-    """Largest distance from a member of sorted `a` to the nearest member of sorted `b`."""
-    right = np.searchsorted(b, a)
-    above = np.abs(b[np.minimum(right, b.size - 1)] - a)
-    below = np.abs(b[np.maximum(right - 1, 0)] - a)
-    return float(np.max(np.minimum(above, below)))
+def _dataset(tables: Tables, responses: xr.Dataset, floors: list[str]) -> xr.Dataset:
+    coordinates = {name: c for name, c in responses.coords.items() if set(c.dims) <= {*POINT_DIMS}}
+    labels = {REGIME: REGIMES, BOUND: BOUNDS, **dict.fromkeys(CLASS_DIMS, CLASSES)}
+    for dim, values in labels.items():
+        coordinates[dim] = xr.DataArray(list(values), dims=dim, attrs={"long_name": dim})
+    result = xr.Dataset(
+        {
+            name: (
+                metric.dims,
+                tables[name],
+                {
+                    "units": metric.units,
+                    "long_name": metric.long_name,
+                    "metric": metric.number,
+                    "definition": metric.definition,
+                },
+            )
+            for name, metric in _VARIABLES.items()
+        },
+        coordinates,
+    )
+    kept = ("title", "study", "study_json", "numerics_fingerprint")
+    return result.assign_attrs(
+        {name: responses.attrs[name] for name in kept},
+        reference=REFERENCE,
+        floor_representations=" ".join(floors),
+    )

@@ -119,7 +119,7 @@ def _agreement_rows(responses: xr.Dataset, agreement: xr.Dataset) -> Iterator[di
     for label in responses["representation"].values:
         if label == agreement.attrs["reference"]:
             continue
-        row = agreement.sel(representation=label)
+        row = agreement.sel(representation=label, regime="all")
         yield {
             "representation": str(label),
             "colour": colour(str(label)),

@@ -1,0 +1,326 @@
+"""What `agreement.nc` holds: every metric, its unit, its formula, and how it is summed up.
+
+Written down once, here; ``docs/metrics.md`` explains it to readers. A4 to A14 are the numbers
+of the metrics there; A1 to A3 compare forces and need no responses.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from gapsweep.analysis.bands import FINENESS
+from gapsweep.analysis.bootstrap import BLOCK, FEWEST_BLOCKS, LEVEL, N_DRAWS
+from gapsweep.analysis.classes import CLASSES
+from gapsweep.analysis.curves import JUMP, STEEPER, WINDOW
+from gapsweep.analysis.sets import CLOSE, CLOUD_CLOSE, CLOUD_SHARE
+from gapsweep.analysis.starts import PARTIAL
+from gapsweep.study.schema import POINT_DIMS
+
+SCENE = POINT_DIMS[:3]
+FREQUENCY = POINT_DIMS[:4]
+CURVE = (*SCENE, POINT_DIMS[4])
+REGIME, BOUND = "regime", "bound"
+CLASS_DIMS = ("class_exact", "class")
+POOLED = (*SCENE, REGIME)
+REGIMES = ("all", "periodic", "chaotic")
+BOUNDS = ("low", "high")
+
+STATISTICS = {
+    "median": "median of the absolute value",
+    "p95": "95th percentile of the absolute value",
+    "mean": "mean",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """One variable.
+
+    Attributes
+    ----------
+    number : str
+        A4 to A14.
+    dims : tuple of str
+    units, long_name, definition : str
+    statistics : tuple of str
+        How it is summed up over frequencies and starts: keys of `STATISTICS`.
+    worst : str
+        Whether the ``max`` or the ``min`` of the exact-against-exact values is their worst;
+        empty where a floor has no meaning.
+    interval : bool
+        Whether a pooled number has a confidence interval.
+    stored : bool
+        Whether it is a variable itself, not only its summaries.
+    dtype : str
+    """
+
+    number: str
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
+    definition: str
+    statistics: tuple[str, ...] = ()
+    worst: str = ""
+    interval: bool = False
+    stored: bool = True
+    dtype: str = "f8"
+
+
+_G = "G: width of the gap (if 0, the median range of the exact responses)"
+_SPREAD = ("median", "p95")
+_MEAN = ("mean",)
+
+
+def _error(number: str, dims: tuple[str, ...], units: str, name: str, formula: str) -> Metric:
+    """Not negative, 0 for complete agreement."""
+    return Metric(number, dims, units, name, formula, _SPREAD, "max", dtype="f4")
+
+
+def _share(number: str, dims: tuple[str, ...], name: str, formula: str) -> Metric:
+    """Within 0 and 1, 1 for complete agreement."""
+    return Metric(number, dims, "1", name, formula, _MEAN, "min", dtype="f4")
+
+
+def _pooled(number: str, units: str, name: str, formula: str, worst: str = "") -> Metric:
+    return Metric(number, POOLED, units, name, formula, worst=worst, interval=True)
+
+
+def _count(number: str, dims: tuple[str, ...], name: str, formula: str) -> Metric:
+    return Metric(number, dims, "1", name, formula, dtype="i4")
+
+
+METRICS: dict[str, Metric] = {
+    "amplitude_error": _error(
+        "A4", POINT_DIMS, "1", "amplitude error, start by start",
+        f"|A - A_exact| / max(A_exact, G/2); A: half the range; {_G}",
+    ),
+    "amplitude_error_paired": _error(
+        "A4", FREQUENCY, "1", "amplitude error of paired attractors",
+        "mean of |A - A_exact| / max(A_exact, G/2) over all pairs of the one-to-one assignment of "
+        "attractors (see n_attractors_matched), close or not",
+    ),
+    "jump_shift": _error(
+        "A5", POINT_DIMS, "Hz", "shift of a jump, at the frequency below the exact jump",
+        "omega of the jump - omega of the exact one; a jump: neighbours on a curve, both periodic, "
+        f"|dA| >= {JUMP} max(A, G/2) and > {STEEPER:g} times the steps before and after; matched "
+        f"one to one with the same direction within {WINDOW:g} Hz, NaN if with none",
+    ),
+    "change_shift": _error(
+        "A5", POINT_DIMS, "Hz", "shift of a change of class, at the frequency below the exact one",
+        "omega of the change - omega of the exact one; a change: neighbours on a curve of another "
+        "class or period multiple, both resolved; matched one to one with the same change within "
+        f"{WINDOW:g} Hz, NaN if with none",
+    ),
+    "section_w1": _error(
+        "A6", POINT_DIMS, "m", "Wasserstein distance of the displacements at whole periods",
+        "integral of |CDF - CDF_exact| over x; section points of equal weight",
+    ),
+    "extrema_w1": _error(
+        "A6", POINT_DIMS, "m", "Wasserstein distance of the steady extrema",
+        "integral of |CDF - CDF_exact| over x; stored extrema of equal weight",
+    ),
+    "section_distance": _error(
+        "A7", POINT_DIMS, "m", "Hausdorff distance of the stroboscopic sections",
+        "of the points (x, v / (2 pi omega)): largest distance to the nearest point of the other "
+        f"set; unless both are periodic, the {PARTIAL:g} quantile instead of the largest",
+    ),
+    "extrema_distance": _error(
+        "A7", POINT_DIMS, "m", "Hausdorff distance of the steady extrema",
+        "largest distance of an extremum to the nearest one of the other set",
+    ),
+    "band_jaccard": _share(
+        "A8", FREQUENCY, "Jaccard index of the pixels of the bifurcation diagram",
+        f"|P and P_exact| / |P or P_exact|; P: bins of height G/{FINENESS} that hold steady "
+        "extrema of any start, for symmetric gaps with their mirror images",
+    ),
+    "band_jaccard_tolerant": _share(
+        "A8", FREQUENCY, "Jaccard index of the bifurcation diagram, neighbouring pixels being one",
+        "h / (|P| + |P_exact| - h); h: mean number of pixels of either diagram that are occupied "
+        "in the other, or have a neighbour above or below that is",
+    ),
+    "class_agreement": _share(
+        "A9", POINT_DIMS, "same class of response",
+        f"1 if both are the same of {', '.join(CLASSES)}; else 0; its mean is the raw accuracy",
+    ),
+    "kappa": _pooled(
+        "A9", "1", "Cohen's kappa of the classes",
+        "(p_o - p_e) / (1 - p_e) of the confusion table; p_o: share of agreement, p_e: that of "
+        "independent choices with the same margins; 1 if all agree, NaN if the exact law shows one "
+        "class only and not all agree", "min",
+    ),
+    "confusion": _count(
+        "A9", (*SCENE, *CLASS_DIMS), "sweep points by class",
+        "number of sweep points of class_exact with the exact law and of class here",
+    ),
+    "attractor_distance": _error(
+        "A10", FREQUENCY, "m", "distance of paired attractors",
+        "mean over all pairs of the one-to-one assignment, close or not, of the Hausdorff distance "
+        f"of the sections; for two chaotic ones of its {CLOUD_SHARE:g} quantile",
+    ),
+    "n_attractors": _count(
+        "A10", FREQUENCY, "attractors found",
+        "attractors reached from the starts that both representations were asked for; mirror "
+        "images are one if the gap is symmetric",
+    ),
+    "n_attractors_exact": _count(
+        "A10", FREQUENCY, "attractors found with the exact law", "as n_attractors, same starts"
+    ),
+    "n_attractors_matched": _count(
+        "A10", FREQUENCY, "attractors that match an exact one",
+        "pairs of the one-to-one assignment (the most pairs within the tolerance; of these the "
+        f"least total distance) within the tolerance: Hausdorff distance <= {CLOSE} G; for two "
+        f"chaotic ones {CLOUD_SHARE:g} quantile <= max({CLOSE} G, {CLOUD_CLOSE} extent)",
+    ),
+    "precision": Metric(
+        "A10", FREQUENCY, "1", "share of the attractors that are right",
+        "n_attractors_matched / n_attractors", dtype="f4",
+    ),
+    "recall": Metric(
+        "A10", FREQUENCY, "1", "share of the exact attractors that are found",
+        "n_attractors_matched / n_attractors_exact", dtype="f4",
+    ),
+    "f1": Metric(
+        "A10", FREQUENCY, "1", "agreement of the attractor sets",
+        "2 n_attractors_matched / (n_attractors + n_attractors_exact)", dtype="f4",
+    ),
+    "precision_pooled": _pooled(
+        "A10", "1", "share of the attractors that are right, over frequencies",
+        "sum of n_attractors_matched / sum of n_attractors", "min",
+    ),
+    "recall_pooled": _pooled(
+        "A10", "1", "share of the exact attractors that are found, over frequencies",
+        "sum of n_attractors_matched / sum of n_attractors_exact", "min",
+    ),
+    "f1_pooled": _pooled(
+        "A10", "1", "agreement of the attractor sets, over frequencies",
+        "2 sum of n_attractors_matched / sum of (n_attractors + n_attractors_exact)", "min",
+    ),
+    "basin_distance": Metric(
+        "A11", FREQUENCY, "1", "total variation of the basin shares",
+        "1/2 sum |phi - phi_exact| over matched attractors, unmatched ones and no attractor; phi: "
+        "share of the N fixed starts that both were asked for; NaN if N < 2",
+        _MEAN, "max", dtype="f4",
+    ),
+    "basin_distance_error": Metric(
+        "A11", FREQUENCY, "1", "standard error of the total variation of the basin shares",
+        "1/2 sqrt(sum (phi (1 - phi) + phi_exact (1 - phi_exact)) / N)", dtype="f4",
+    ),
+    "same_attractor": _share(
+        "A12", POINT_DIMS, "start ends on the matching attractor",
+        "1 if the two attractors match (see n_attractors_matched); 0 if not or if only one of the "
+        "responses is on an attractor; NaN if none is",
+    ),
+    "same_attractor_above_floor": Metric(
+        "A12", POOLED, "1", "starts that end on the matching attractor, beyond exact against exact",
+        "same_attractor_mean - same_attractor_mean_floor",
+    ),
+    "lyapunov_difference": _error(
+        "A13", POINT_DIMS, "s-1", "difference of the largest Lyapunov exponents",
+        "lambda_1 - lambda_1_exact",
+    ),
+    "lyapunov_difference_error": Metric(
+        "A13", POINT_DIMS, "s-1", "standard error of the difference of the Lyapunov exponents",
+        "sqrt(error^2 + error_exact^2)", dtype="f4",
+    ),
+    "lyapunov_sign_agreement": _share(
+        "A13", POINT_DIMS, "same sign of the largest Lyapunov exponent",
+        "1 if both are positive, both negative or both within three standard errors of 0; else 0",
+    ),
+    "cpu_time_ratio": _pooled(
+        "A14", "1", "processor time, relative to the exact law",
+        "sum of cpu_time / that of the exact law, over points timed on the same machine",
+    ),
+    "nfev_ratio": _pooled(
+        "A14", "1", "right-hand sides, relative to the exact law",
+        "sum of nfev / that of the exact law (a Taylor method counts expansions)",
+    ),
+    "n_steps_ratio": _pooled(
+        "A14", "1", "accepted steps, relative to the exact law",
+        "sum of n_steps / that of the exact law",
+    ),
+    "cpu_time_per_period": _pooled(
+        "A14", "s", "processor time per forcing period",
+        "sum of cpu_time / sum of omega t_simulated",
+    ),
+    "nfev_per_period": _pooled(
+        "A14", "1", "right-hand sides per forcing period", "sum of nfev / sum of omega t_simulated"
+    ),
+    "n_contacts_per_period": _pooled(
+        "A14", "1", "crossings per forcing period", "sum of n_contacts / sum of omega t_simulated"
+    ),
+    "rejected_share": _pooled(
+        "A14", "1", "share of the steps that were rejected",
+        "sum of n_rejected / sum of (n_steps + n_rejected)",
+    ),
+    "largest_jump": Metric(
+        "A5", CURVE, "Hz", "frequency of the largest jump of a curve",
+        "omega of the jump (see jump_shift) with the largest |dA|",
+    ),
+    "largest_jump_shift": Metric(
+        "A5", CURVE, "Hz", "shift of the largest jump of a curve",
+        "largest_jump - that of the exact law", worst="max",
+    ),
+    **{
+        f"n_{name}{suffix}": _count("A5", CURVE, f"{what} along a curve{which}", f"see {see}")
+        for name, what, see in (
+            ("jumps", "jumps", "jump_shift"), ("changes", "changes of class", "change_shift")
+        )
+        for suffix, which in (
+            ("", ""), ("_exact", ", exact law"), ("_matched", ", matched with an exact one")
+        )
+    },
+    "n_points": _count("all", POOLED, "sweep points", "asked for"),
+    "n_compared": _count("all", POOLED, "sweep points compared", "with both responses"),
+    "n_unresolved": _count("all", POOLED, "sweep points unresolved", "of class unresolved"),
+    "n_failed": _count("all", POOLED, "sweep points failed", "of class failed"),
+}  # fmt: skip
+
+# Summed up in widths of the gap too.
+for _name in ("section_w1", "extrema_w1"):
+    METRICS[f"{_name}_relative"] = replace(
+        METRICS[_name],
+        units="1",
+        long_name=f"{METRICS[_name].long_name} / G",
+        definition=f"{_name} / G; {_G}",
+        stored=False,
+    )
+
+
+def variables() -> Iterator[tuple[str, Metric]]:
+    """All variables of the file: metrics, summaries, confidence intervals and floors."""
+    for name, metric in METRICS.items():
+        if metric.stored:
+            yield from _with_companions(name, metric)
+        for statistic in metric.statistics:
+            what = STATISTICS[statistic]
+            summary = Metric(
+                metric.number,
+                POOLED,
+                metric.units,
+                f"{metric.long_name}, {what}",
+                f"{what} over the frequencies and starts of the regime; {metric.definition}",
+                worst=metric.worst,
+                interval=True,
+            )
+            yield from _with_companions(f"{name}_{statistic}", summary)
+
+
+def _with_companions(name: str, metric: Metric) -> Iterator[tuple[str, Metric]]:
+    yield name, metric
+    if metric.interval:
+        interval = replace(
+            metric,
+            dims=(*metric.dims, BOUND),
+            long_name=f"{metric.long_name}, {LEVEL:.0%} confidence interval",
+            definition=f"percentiles of {N_DRAWS} bootstrap draws of whole blocks of {BLOCK:g} Hz; "
+            f"NaN for fewer than {FEWEST_BLOCKS} blocks",
+        )
+        yield f"{name}_ci", interval
+    if metric.worst and metric.dims in (POOLED, CURVE):
+        floor = replace(
+            metric,
+            dims=metric.dims[1:],
+            long_name=f"{metric.long_name}, exact against exact",
+            definition=f"{metric.worst} of {name} over floor_representations (absolute values if "
+            "signed); NaN if there are none",
+        )
+        yield f"{name}_floor", floor

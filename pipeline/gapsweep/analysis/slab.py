@@ -1,0 +1,148 @@
+"""One representation at one stiffness and gap: its stored results as plain arrays."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.analysis.arrays import Array, Bools, Ints
+from gapsweep.analysis.classes import CHAOTIC, NONE, class_numbers
+from gapsweep.status import Status
+from gapsweep.study.points import FIXED
+
+COSTS = ("cpu_time", "nfev", "n_steps", "n_rejected", "n_contacts", "t_simulated")
+_INTEGERS = ("status", "response_class", "period_multiple", "attractor", "host")
+_FLOATS = ("amplitude", "lyapunov", "lyapunov_error", "extrema")
+_SECTION = ("section_x", "section_v")
+_FOUND_INTEGERS = ("response_class", "period_multiple", "mirror_of")
+_FOUND_FLOATS = ("x_max", "x_min", *_SECTION)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """The attractors of every frequency, padded to the largest number of them.
+
+    Attributes
+    ----------
+    n : ndarray of int, shape (n_omega,)
+    response_class, period_multiple, mirror_of : ndarray of int, shape (n_omega, n_attractors)
+    amplitude : ndarray, shape (n_omega, n_attractors)
+        Half the range [m].
+    section : ndarray, shape (n_omega, n_attractors, n_points, 2)
+        Stroboscopic section ``(x, v / (2π ω))`` [m].
+    """
+
+    n: Ints
+    response_class: Ints
+    period_multiple: Ints
+    mirror_of: Ints
+    amplitude: Array
+    section: Array
+
+    @property
+    def size(self) -> int:
+        """The largest number of attractors."""
+        return int(self.amplitude.shape[1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slab:
+    """Responses over frequency and start, and the attractors they are on.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (n_omega,)
+        Forcing frequency [Hz].
+    fixed : ndarray of bool, shape (n_starts,)
+        Which starts are fixed states; the others are sweeps.
+    requested : ndarray of bool, shape (n_omega, n_starts)
+        Which cells are sweep points. The shape of all that follow, but for a last dimension.
+    class_number : ndarray of int
+        Position in `gapsweep.analysis.classes.CLASSES`, -1 where nothing was asked for.
+    attractor, host : ndarray of int
+    amplitude, lyapunov, lyapunov_error : ndarray
+        [m], [1/s], [1/s]; NaN where there is no response.
+    extrema : ndarray, shape (..., n_extrema)
+        [m], NaN-padded.
+    section : ndarray, shape (..., n_points, 2)
+        Stroboscopic section ``(x, v / (2π ω))`` [m], NaN-padded.
+    costs : dict of str to ndarray
+        The variables named in `COSTS`.
+    found : Found
+    """
+
+    omega: Array
+    fixed: Bools
+    requested: Bools
+    class_number: Ints
+    attractor: Ints
+    host: Ints
+    amplitude: Array
+    lyapunov: Array
+    lyapunov_error: Array
+    extrema: Array
+    section: Array
+    costs: dict[str, Array]
+    found: Found
+
+    @property
+    def exists(self) -> Bools:
+        """Where there is a response, resolved or not."""
+        return np.asarray(self.requested & np.isfinite(self.amplitude))
+
+    @property
+    def periodic(self) -> Bools:
+        return np.asarray((self.class_number != NONE) & (self.class_number < CHAOTIC))
+
+    @property
+    def chaotic(self) -> Bools:
+        return np.asarray(self.class_number == CHAOTIC)
+
+
+def slab(responses: xr.Dataset, attractors: xr.Dataset, at: tuple[int, ...]) -> Slab:
+    """Read one slab.
+
+    Parameters
+    ----------
+    responses, attractors : Dataset
+        As stored in ``responses.nc`` and ``attractors.nc``.
+    at : tuple of int
+        Position along representation, K_c and gap.
+    """
+    omega = responses["omega"].values
+    here = _read(responses, (*_INTEGERS, *_FLOATS, *_SECTION, *COSTS), at)
+    requested = here["status"] != Status.NOT_REQUESTED
+    return Slab(
+        omega=omega,
+        fixed=responses["start"].values == FIXED,
+        requested=requested,
+        class_number=class_numbers(requested, here["response_class"], here["period_multiple"]),
+        attractor=here["attractor"],
+        host=here["host"],
+        section=_section(here, omega),
+        costs={name: here[name] for name in COSTS},
+        found=_found(attractors, at),
+        **{name: here[name] for name in _FLOATS},
+    )
+
+
+def _found(attractors: xr.Dataset, at: tuple[int, ...]) -> Found:
+    here = _read(attractors, ("n_attractors", *_FOUND_INTEGERS, *_FOUND_FLOATS), at)
+    return Found(
+        n=here["n_attractors"],
+        amplitude=0.5 * (here["x_max"] - here["x_min"]),
+        section=_section(here, attractors["omega"].values),
+        **{name: here[name] for name in _FOUND_INTEGERS},
+    )
+
+
+def _read(dataset: xr.Dataset, names: tuple[str, ...], at: tuple[int, ...]) -> dict[str, Any]:
+    """Some variables at one position of the first three dimensions, small integers widened."""
+    here = {name: dataset.variables[name][at].values for name in names}
+    return {n: v.astype(np.int64) if v.dtype.kind == "i" else v for n, v in here.items()}
+
+
+def _section(here: dict[str, Any], omega: Array) -> Array:
+    speed = 2.0 * np.pi * omega.reshape(-1, 1, 1)
+    return np.stack([here["section_x"], here["section_v"] / speed], axis=-1)

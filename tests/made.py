@@ -1,0 +1,99 @@
+"""Datasets of made-up responses, through the real cache and the real export."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from gapsweep import Response, ResponseClass, Status, Study
+from gapsweep.execution.assemble import export
+from gapsweep.execution.plan import plan
+from gapsweep.store.cache import Cache, Row
+from gapsweep.study.points import content_key
+
+COST = {"n_steps": 10, "nfev": 100, "n_rejected": 0, "n_contacts": 4, "cpu_time": 0.5}
+
+
+def motion(kind, section, omega, extrema=None, **changes):
+    """A response with these section points ``(x, v / (2π ω))`` [m].
+
+    Its extrema are the section's displacements and their opposites, if not given.
+    """
+    points = np.reshape(section, (-1, 2))
+    x = np.array([*points[:, 0], *-points[:, 0]] if extrema is None else extrema, dtype=float)
+    values: dict[str, Any] = {
+        "status": Status.UNRESOLVED if kind is ResponseClass.UNRESOLVED else Status.OK,
+        "response_class": kind,
+        "period_multiple": len(points) if kind is ResponseClass.PERIODIC else 0,
+        "section": tuple((points * (1.0, 2.0 * np.pi * omega)).ravel().tolist()),
+        "extrema": tuple(x.tolist()),
+        "extremum_kind": (1,) * len(x),
+        "n_extrema": len(x),
+        "x_max": float(x.max()),
+        "x_min": float(x.min()),
+        "amplitude": float(np.ptp(x)) / 2.0,
+        "lyapunov": 1.0 if kind is ResponseClass.CHAOTIC else -1.0,
+        "lyapunov_error": 0.1 if kind is ResponseClass.CHAOTIC else 0.0,
+        "t_simulated": 10.0,
+        **COST,
+    }
+    return Response(**(values | changes))
+
+
+def periodic(section, omega, extrema=None, **changes):
+    return motion(ResponseClass.PERIODIC, section, omega, extrema, **changes)
+
+
+def chaotic(section, omega, extrema=None, **changes):
+    return motion(ResponseClass.CHAOTIC, section, omega, extrema, **changes)
+
+
+def unresolved(section, omega, extrema=None, **changes):
+    return motion(ResponseClass.UNRESOLVED, section, omega, extrema, **changes)
+
+
+def failed(**changes):
+    return Response(**({"status": Status.DIVERGED} | changes))
+
+
+def tables(labels, omega, *, gap=(0.4e-3, 0.4e-3), starts=1, sweeps=(), **more):
+    """A study of one stiffness and one gap with that many fixed starts, and sweeps."""
+    block = {
+        "representation": list(labels),
+        "K_c": [1.4e4],
+        "gap": [list(gap)],
+        "omega": [float(w) for w in omega],
+        "initial_condition": [[1e-5 * i, 0.0] for i in range(starts)],
+    }
+    blocks = [block, *({**block, "initial_condition": sweep} for sweep in sweeps)]
+    return {"study": {"name": "made"}, "sweep": blocks, **more}
+
+
+def datasets(folder, study_tables, answer) -> tuple[xr.Dataset, xr.Dataset]:
+    """Responses and attractors of a study whose points have been answered by a function.
+
+    Parameters
+    ----------
+    answer : callable
+        From label, frequency [Hz] and number of the start to a Response; None: not in the cache.
+    """
+    folder = Path(folder)
+    study = Study.from_dict(study_tables)
+    grid = study.grid
+    (folder / "cache.sqlite").unlink(missing_ok=True)
+    with Cache(folder / "cache.sqlite") as cache:
+        rows = []
+        for chain in study.chains():
+            for index, identity in zip(chain, study.identities(chain), strict=True):
+                r, _, _, w, i = index
+                response = answer(grid.representations[r], grid.omega[w], i)
+                if response is not None:
+                    rows.append(Row(content_key(identity), identity, response, "here"))
+        cache.commit(rows)
+        planned = plan(study, cache.status)
+        export(study, planned, cache, folder / "responses.nc", folder / "attractors.nc")
+    return tuple(
+        xr.load_dataset(folder / f"{name}.nc", engine="netcdf4")
+        for name in ("responses", "attractors")
+    )
