@@ -12,8 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from gapsweep.errors import StoreError
 from gapsweep.execution.plan import Plan
-from gapsweep.store.artefact import digests, is_intact
+from gapsweep.store.artefact import digests, is_intact, sha256
 from gapsweep.store.cache import Cache
 from gapsweep.store.netcdf import attributes
 from gapsweep.study.fingerprint import code_fingerprint
@@ -21,6 +22,7 @@ from gapsweep.study.study import Study
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
+CLAIMS = "claims.json"
 REPORT = "report/index.html"
 
 MadeFrom = Mapping[str, str]
@@ -40,7 +42,7 @@ class Stage:
     code : str
         The module that makes it; all that it imports counts too.
     inputs : tuple of str
-        What it is made from: files of the run, `STUDY` or `POINTS`.
+        What it is made from: files of the run, `STUDY`, `POINTS` or `CLAIMS_FILE`.
     """
 
     file: str
@@ -49,7 +51,7 @@ class Stage:
 
 
 # What is made from no file: the settings of the study, and its results in the cache.
-STUDY, POINTS = "study", "sweep points"
+STUDY, POINTS, CLAIMS_FILE = "study", "sweep points", "claims file"
 
 STAGES = (
     Stage(RESPONSES, "execution/assemble.py", (STUDY, POINTS)),
@@ -57,12 +59,17 @@ STAGES = (
     Stage(STATIC, "analysis/static.py", (STUDY,)),
     Stage(AGREEMENT, "analysis/agreement.py", (RESPONSES, ATTRACTORS)),
     Stage(TIMING, "analysis/timing.py", (RESPONSES,)),
+    Stage(
+        CLAIMS,
+        "analysis/claims.py",
+        (CLAIMS_FILE, RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING),
+    ),
     Stage(REPORT, "report/html.py", (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING)),
 )
 
 
 def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
-    """Digests of what is no file: the settings of a study, and its rows in the cache."""
+    """Digests of what is no file of the run: settings of a study, its rows in the cache, claims."""
     digest = hashlib.sha256()
     for start in range(0, len(plan.keys), _ROWS):
         some = plan.keys[start : start + _ROWS]
@@ -70,7 +77,22 @@ def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
         for key in some:
             digest.update(key + stored.get(key, b"missing"))
     settings = hashlib.sha256(study.json.encode()).hexdigest()
-    return {STUDY: settings, POINTS: digest.hexdigest()}
+    found = {STUDY: settings, POINTS: digest.hexdigest()}
+    return found | (claims_source(study.claims_file) if study.claims_file else {})
+
+
+def claims_source(path: Path) -> MadeFrom:
+    """Digest of a claims file: a threshold changed there makes every verdict stale.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be read.
+    """
+    try:
+        return {CLAIMS_FILE: sha256(path)}
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def made_from(stage: Stage, folder: Path, sources: MadeFrom) -> MadeFrom:
@@ -96,7 +118,7 @@ def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:
     path = folder / stage.file
     if not path.exists():
         return "absent"
-    if path.suffix == ".nc" and not is_intact(path):
+    if path.suffix in (".nc", ".json") and not is_intact(path):
         return "damaged"
     before = _recorded(path)
     if not before:
@@ -115,7 +137,9 @@ def _recorded(path: Path) -> MadeFrom:
     try:
         if path.suffix == ".nc":
             return dict(json.loads(attributes(path).get("made_from", "{}")))
+        if path.suffix == ".json":
+            return dict(json.loads(path.read_text(encoding="utf-8"))["made_from"])
         found = re.search(_META, path.read_text(encoding="utf-8", errors="replace"))
         return dict(json.loads(html.unescape(found[1]))) if found else {}
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, TypeError, KeyError):
         return {}

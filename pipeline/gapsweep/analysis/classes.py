@@ -3,7 +3,7 @@
 import numpy as np
 
 from gapsweep.analysis.arrays import Array, Bools, Ints
-from gapsweep.response.respond import ResponseClass as R
+from gapsweep.response.result import ResponseClass as R
 
 _LONGEST = 8
 CLASSES = (

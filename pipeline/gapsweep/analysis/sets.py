@@ -21,7 +21,7 @@ from gapsweep.analysis.distances import hausdorff_in_plane, hausdorff_on_line
 from gapsweep.analysis.matching import assignment
 from gapsweep.analysis.slab import Found, Slab
 from gapsweep.response.attractors import NONE
-from gapsweep.response.respond import ResponseClass
+from gapsweep.response.result import ResponseClass
 
 # Of the gap width.
 CLOSE = 0.05

@@ -186,6 +186,12 @@ class FitTable(_Table):
     range: Positive = 4e-3
 
 
+class ClaimsTable(_Table):
+    """Presence asks for verdicts; the path is relative to the study file."""
+
+    file: Annotated[str, Field(min_length=1)]
+
+
 class StudySpec(_Table):
     study: StudyTable
     oscillator: OscillatorTable = OscillatorTable()
@@ -194,6 +200,7 @@ class StudySpec(_Table):
     protocol: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")], SolverTable] = {}
     steady: SteadyTable = SteadyTable()
     fit: FitTable = FitTable()
+    claims: ClaimsTable | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "StudySpec":
