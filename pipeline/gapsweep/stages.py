@@ -78,7 +78,7 @@ def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
             digest.update(key + stored.get(key, b"missing"))
     settings = hashlib.sha256(study.json.encode()).hexdigest()
     found = {STUDY: settings, POINTS: digest.hexdigest()}
-    return found | (claims_source(study.claims_file) if study.claims_file else {})
+    return {**found, **(claims_source(study.claims_file) if study.claims_file else {})}
 
 
 def claims_source(path: Path) -> MadeFrom:

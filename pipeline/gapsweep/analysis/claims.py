@@ -37,6 +37,7 @@ Datasets = Mapping[str, xr.Dataset]
 Outcome = dict[str, Any]
 
 _RESPONSES, _ATTRACTORS, _STATIC = "responses", "attractors", "static"
+_SHOWN = 3  # tests of a kind that a sentence quotes; all stand beside it
 # Labels of numbers are found within this relative distance.
 _SAME = 1e-9
 _HOLDS: dict[str, Callable[[float, float], bool]] = {
@@ -168,16 +169,20 @@ def _verdict(claim: Claim, holds: list[bool | None]) -> str:
 def _sentence(claim: Claim, verdict: str, tests: list[Outcome]) -> str:
     if not tests:
         return f"Not stated in the paper: {claim.undecidable}"
-    parts = {
-        "Holds": [_shown(t) for t in tests if t["holds"] is True],
-        "Does not hold": [_shown(t) for t in tests if t["holds"] is False],
-        "Open": [f"{t['says']} ({t['reason']})" for t in tests if t["holds"] is None],
-    }
-    return " ".join(f"{name}: {'; '.join(some)}." for name, some in parts.items() if some)
+    parts = []
+    for name, holds in (("holds", True), ("does not hold", False), ("open", None)):
+        some = [_shown(test) for test in tests if test["holds"] is holds]
+        if some:
+            more = [f"and {len(some) - _SHOWN} more"] if len(some) > _SHOWN else []
+            parts.append(f"{name} ({len(some)} of {len(tests)}): {'; '.join(some[:_SHOWN] + more)}")
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def _shown(test: Outcome) -> str:
-    floor = "" if test["floor"] is None else f", floor {test['floor']:.2g}"
+    if test["holds"] is None:
+        return f"{test['says']} ({test['reason']})"
+    floor = f", floor {test['floor']:.2g}" if test["floor"] else ""
     return f"{test['says']} ({test['found']}{floor})"
 
 
@@ -219,7 +224,7 @@ def outcome(test: Test, datasets: Datasets) -> Outcome:
 def _decide_order(
     test: Test, numbers: list[Number], found: list[float], datasets: Datasets, result: Outcome
 ) -> None:
-    result["found"] = " < ".join(f"{v:.3g}" for v in found) + (" asked" if len(found) > 1 else "")
+    result["found"] = ", ".join(f"{v:.3g}" for v in found)
     floors = [_floor(test, number, datasets) for number in numbers]
     result["floor"] = max(floors)
     differences = np.diff(found)
@@ -241,7 +246,6 @@ def _decide_threshold(
     value, floor = _combined(test, found, floors)
     op = test.op if test.kind == "compare" else "<="
     result["value"], result["floor"] = value, floor
-    result["found"] = f"{value:.3g} {op} {test.threshold:.3g}"
     if len(numbers) == 1 and test.number.data == "agreement":
         # A distance from the exact law: the floor must be nearer to it than the threshold is.
         ideal = evaluated(_of(test.number, REFERENCE), datasets).value
@@ -249,7 +253,7 @@ def _decide_threshold(
     else:
         margin = abs(value - test.threshold)
     holds = _HOLDS[op](value, test.threshold)
-    result["found"] = f"{value:.3g}, {'is' if holds else 'not'} {op} {test.threshold:.3g}"
+    result["found"] = f"{value:.3g}{'' if holds else ', not'} {op} {test.threshold:.3g}"
     if floor > 0.0 and not floor < margin:
         raise UndecidedError(
             f"{value:.3g} against {test.threshold:.3g}: the floor, {floor:.2g}, is not below the "
@@ -332,6 +336,8 @@ def evaluated(number: Number, datasets: Datasets) -> Value:
             raise UndecidedError(f"no {number.along} fulfils the condition")
         return Value(float(np.min(reached)), hits.size, 0)
     values = dataset[number.variable].where(counts & _conditions(number, dataset))
+    if number.absolute:
+        values = abs(values)
     finite = int(values.notnull().sum())
     n_missing = int(counts.sum()) * values.size // max(counts.size, 1) - finite
     if not finite:
@@ -473,6 +479,8 @@ def _conditions(number: Number, dataset: xr.Dataset) -> xr.DataArray:
             met = met & (values > wanted)
         elif relation == "below":
             met = met & (values < wanted)
+        elif relation == "outside":
+            met = met & ((values < wanted[0]) | (values > wanted[1]))
         else:
             listed = wanted if relation == "in" else [wanted]
             met = met & values.isin([_flag(values, one) for one in listed])

@@ -15,12 +15,8 @@ from gapsweep.errors import StudyError
 
 Data = Literal["responses", "attractors", "agreement", "static", "timing"]
 Scalar = str | int | float
-Condition = dict[Literal["is", "in", "above", "below"], Any]
+Condition = dict[Literal["is", "in", "outside", "above", "below"], Any]
 
-STATISTICS = (
-    "only", "mean", "sum", "median", "p95", "max", "min", "share", "argmax",
-    "slope", "largest_rise", "first",
-)  # fmt: skip
 Statistic = Literal[
     "only", "mean", "sum", "median", "p95", "max", "min", "share", "argmax",
     "slope", "largest_rise", "first",
@@ -29,6 +25,20 @@ Statistic = Literal[
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+def _fits(condition: Condition) -> bool:
+    """Whether what is asked for is of the kind that the condition needs."""
+    ((relation, wanted),) = condition.items()
+    several = wanted if isinstance(wanted, list) else [wanted]
+    numbers = all(isinstance(one, int | float) and not isinstance(one, bool) for one in several)
+    if relation == "outside":
+        return isinstance(wanted, list) and len(wanted) == 2 and numbers
+    if relation in ("above", "below"):
+        return not isinstance(wanted, list) and numbers
+    return isinstance(wanted, list) == (relation == "in") and (
+        numbers or all(isinstance(one, str) for one in several)
+    )
 
 
 class Number(_Table):
@@ -51,18 +61,21 @@ class Number(_Table):
         Only frequencies [Hz] that are whole multiples of this.
     where : dict of str to dict
         Conditions on variables of the same dataset, all of which hold for what counts: ``is`` a
-        number or flag meaning, ``in`` a list, ``above`` or ``below`` a number.
+        number or flag meaning, ``in`` a list, ``outside`` a closed interval, ``above`` or
+        ``below`` a number.
     any_over, weight : str
         With ``share``: a dimension along which one that counts is enough; a variable whose sum
         over what counts along dimension `any_over` is averaged instead.
     statistic : str
         ``only`` the one number selected; ``mean``, ``sum``, ``median``, ``p95``, ``max``, ``min``
-        of the magnitudes that are not NaN, with sign; ``share`` of sweep points or scenes for
+        of what is not NaN; ``share`` of sweep points or scenes for
         which `where` holds; ``argmax`` the coordinate of the largest; ``first`` the smallest
         coordinate for which `where` holds; ``slope`` of log against log; ``largest_rise``, the
         largest relative increase from one value to the next; the last four along `along`.
     along : str
         Dimension of the last four.
+    absolute : bool
+        Take magnitudes first.
     """
 
     data: Data
@@ -76,6 +89,7 @@ class Number(_Table):
     weight: str = ""
     statistic: Statistic = "only"
     along: str = ""
+    absolute: bool = False
 
     @model_validator(mode="after")
     def _complete(self) -> "Number":
@@ -92,7 +106,9 @@ class Number(_Table):
             problems.append("any_over: missing, weight needs it")
         for name, condition in self.where.items():
             if len(condition) != 1:
-                problems.append(f"where.{name}: must be one of is, in, above, below")
+                problems.append(f"where.{name}: must be one of is, in, outside, above, below")
+            elif not _fits(condition):
+                problems.append(f"where.{name} = {condition}: no such condition")
         if problems:
             raise ValueError("; ".join(problems))
         return self
