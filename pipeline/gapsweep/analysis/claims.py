@@ -36,7 +36,7 @@ VERDICTS = (CONFIRMED, REFUTED, PARTLY, UNDECIDABLE)
 Datasets = Mapping[str, xr.Dataset]
 Outcome = dict[str, Any]
 
-_RESPONSES, _ATTRACTORS, _STATIC = "responses", "attractors", "static"
+_RESPONSES, _STATIC = "responses", "static"
 _SHOWN = 3  # tests of a kind that a sentence quotes; all stand beside it
 # Labels of numbers are found within this relative distance.
 _SAME = 1e-9
@@ -98,8 +98,7 @@ def check_variables(claims: Iterable[Claim], source: str) -> None:
     problems = []
     for claim in claims:
         for test in claim.test:
-            numbers = [varied(test.number, changes) for changes in ({}, *test.changes)]
-            for number in numbers:
+            for number in _numbers(test):
                 where = f"{source}: claim {claim.id}: test.number"
                 named = (number.variable, number.weight, *number.where)
                 for name in (name for name in named if name):
@@ -132,9 +131,27 @@ def verdicts(claims: Iterable[Claim], datasets: Datasets) -> dict[str, Any]:
         ``claims``, one entry per claim with its verdict, sentence and tests, and ``counts`` by
         verdict; fit for JSON.
     """
-    decided = [_decided(claim, datasets) for claim in claims]
+    claims = list(claims)
+    loaded = _loaded(claims, datasets)
+    decided = [_decided(claim, loaded) for claim in claims]
     counts = Counter(entry["verdict"] for entry in decided)
     return {"counts": {verdict: counts[verdict] for verdict in VERDICTS}, "claims": decided}
+
+
+def _loaded(claims: list[Claim], datasets: Datasets) -> Datasets:
+    """The variables that claims name, in memory: each is used many times."""
+    used: dict[str, set[str]] = {name: set() for name in datasets}
+    used.setdefault(_RESPONSES, set()).add("status")
+    for number in (n for claim in claims for test in claim.test for n in _numbers(test)):
+        used.setdefault(number.data, set()).update((number.variable, number.weight, *number.where))
+    return {
+        name: dataset[[variable for variable in used[name] if variable in dataset]].load()
+        for name, dataset in datasets.items()
+    }
+
+
+def _numbers(test: Test) -> list[Number]:
+    return [test.number, *(varied(test.number, changes) for changes in test.changes)]
 
 
 def _decided(claim: Claim, datasets: Datasets) -> Outcome:
@@ -254,7 +271,7 @@ def _decide_threshold(
         margin = abs(value - test.threshold)
     holds = _HOLDS[op](value, test.threshold)
     result["found"] = f"{value:.3g}{'' if holds else ', not'} {op} {test.threshold:.3g}"
-    if floor > 0.0 and not floor < margin:
+    if floor != 0.0 and not floor < margin:
         raise UndecidedError(
             f"{value:.3g} against {test.threshold:.3g}: the floor, {floor:.2g}, is not below the "
             "distance of the threshold"
@@ -335,11 +352,13 @@ def evaluated(number: Number, datasets: Datasets) -> Value:
         if not reached.size:
             raise UndecidedError(f"no {number.along} fulfils the condition")
         return Value(float(np.min(reached)), hits.size, 0)
-    values = dataset[number.variable].where(counts & _conditions(number, dataset))
-    if number.absolute:
-        values = abs(values)
+    asked, values = xr.broadcast(counts, dataset[number.variable])
+    values = abs(values) if number.absolute else values
+    n_missing = int((asked & values.isnull()).sum())
+    if number.missing == "worst":
+        values = values.fillna(np.inf)
+    values = values.where(asked & _conditions(number, dataset))
     finite = int(values.notnull().sum())
-    n_missing = int(counts.sum()) * values.size // max(counts.size, 1) - finite
     if not finite:
         raise UndecidedError(f"{number.variable} has no value at {_place(number)}")
     if number.along:
@@ -349,9 +368,9 @@ def evaluated(number: Number, datasets: Datasets) -> Value:
             raise UndecidedError(
                 f"{number.variable}: {values.size} numbers at {_place(number)}, not one"
             )
-        return Value(float(values), 1, 0)
+        return Value(float(values.values.item()), 1, 0)
     flat = values.values.ravel()
-    return Value(_STATISTICS[number.statistic](flat[np.isfinite(flat)]), finite, n_missing)
+    return Value(_STATISTICS[number.statistic](flat[~np.isnan(flat)]), finite, n_missing)
 
 
 _STATISTICS: dict[str, Callable[[NDArray[Any]], float]] = {
@@ -460,14 +479,13 @@ def _counted(number: Number, dataset: xr.Dataset, datasets: Datasets) -> xr.Data
     """Which cells of a selection were asked for."""
     if number.data == _RESPONSES:
         return dataset["status"] != Status.NOT_REQUESTED
-    if number.data == _ATTRACTORS:
-        responses = datasets.get(_RESPONSES)
-        if responses is None:
-            raise UndecidedError("no responses.nc in this run")
-        status = _cut(number, responses[["status"]])["status"]
-        asked = status != Status.NOT_REQUESTED
-        return asked.any("initial_condition").drop_vars(("j_1", "j_2"), errors="ignore")
-    return xr.DataArray(True)
+    responses = datasets.get(_RESPONSES)
+    if responses is None or "omega" not in dataset.dims:
+        return xr.DataArray(True)
+    asked = _cut(number, responses[["status"]])["status"] != Status.NOT_REQUESTED
+    if "initial_condition" not in dataset.dims:
+        asked = asked.any("initial_condition")
+    return asked.drop_vars(("j_1", "j_2"), errors="ignore")
 
 
 def _conditions(number: Number, dataset: xr.Dataset) -> xr.DataArray:

@@ -76,6 +76,8 @@ class Number(_Table):
         Dimension of the last four.
     absolute : bool
         Take magnitudes first.
+    missing : str
+        What a sweep point without a value is: ``dropped``, or the ``worst``, an infinite error.
     """
 
     data: Data
@@ -90,6 +92,7 @@ class Number(_Table):
     statistic: Statistic = "only"
     along: str = ""
     absolute: bool = False
+    missing: Literal["dropped", "worst"] = "dropped"
 
     @model_validator(mode="after")
     def _complete(self) -> "Number":
