@@ -258,7 +258,9 @@ def test_conditions(condition, expected):
 
 
 def test_flags_are_named_by_their_meaning():
-    chaotic = number("responses", "", "tanh-1e4", "share", where={"response_class": {"is": "chaotic"}})
+    chaotic = number(
+        "responses", "", "tanh-1e4", "share", where={"response_class": {"is": "chaotic"}}
+    )
     assert value(datasets(period=(1, 1, 0, 1)), **chaotic) == 1.0
     wrong = compare(">", 0, chaotic | {"where": {"response_class": {"is": "odd"}}})
     assert "'odd'" in decided(wrong)["sentence"]
@@ -292,3 +294,11 @@ def test_a_missing_response_can_be_the_worst_error():
     worst = compare("<=", 0.05, given | {"missing": "worst"})
     assert decided(worst, data=data)["verdict"] == "refuted"
     assert decided(worst, data=data)["tests"][0]["value"] is None
+
+
+def test_costs_are_per_forcing_period():
+    data = datasets()
+    data["responses"]["cpu_time"] = over(POINT, np.full(4, 6.0))
+    data["responses"]["t_simulated"] = over(POINT, np.full(4, 2.0))
+    given = number("responses", "cpu_time", per_period=True, range={"omega": [3, 3]})
+    assert value(data, **given) == 1.0

@@ -36,6 +36,7 @@ VERDICTS = (CONFIRMED, REFUTED, PARTLY, UNDECIDABLE)
 Datasets = Mapping[str, xr.Dataset]
 Outcome = dict[str, Any]
 
+_DURATION = "t_simulated"
 _RESPONSES, _STATIC = "responses", "static"
 _SHOWN = 3  # tests of a kind that a sentence quotes; all stand beside it
 # Labels of numbers are found within this relative distance.
@@ -143,7 +144,8 @@ def _loaded(claims: list[Claim], datasets: Datasets) -> Datasets:
     used: dict[str, set[str]] = {name: set() for name in datasets}
     used.setdefault(_RESPONSES, set()).add("status")
     for number in (n for claim in claims for test in claim.test for n in _numbers(test)):
-        used.setdefault(number.data, set()).update((number.variable, number.weight, *number.where))
+        named = (number.variable, number.weight, *number.where, _DURATION)
+        used.setdefault(number.data, set()).update(named)
     return {
         name: dataset[[variable for variable in used[name] if variable in dataset]].load()
         for name, dataset in datasets.items()
@@ -353,6 +355,8 @@ def evaluated(number: Number, datasets: Datasets) -> Value:
             raise UndecidedError(f"no {number.along} fulfils the condition")
         return Value(float(np.min(reached)), hits.size, 0)
     asked, values = xr.broadcast(counts, dataset[number.variable])
+    if number.per_period:
+        values = values / (dataset[_DURATION] * dataset["omega"])
     values = abs(values) if number.absolute else values
     n_missing = int((asked & values.isnull()).sum())
     if number.missing == "worst":
@@ -423,6 +427,7 @@ def _selected(number: Number, datasets: Datasets) -> xr.Dataset:
         raise UndecidedError(f"no {number.data}.nc in this run")
     wanted = [n for n in (number.variable, number.weight, *number.where) if n]
     wanted += ["status"] if number.data == _RESPONSES else []
+    wanted += [_DURATION] if number.per_period else []
     missing = [name for name in wanted if name not in dataset]
     if missing:
         raise UndecidedError(f"{number.data}.nc has no {', '.join(missing)}")

@@ -76,6 +76,8 @@ class Number(_Table):
         Dimension of the last four.
     absolute : bool
         Take magnitudes first.
+    per_period : bool
+        Divide a variable of the responses by the number of forcing periods simulated.
     missing : str
         What a sweep point without a value is: ``dropped``, or the ``worst``, an infinite error.
     """
@@ -92,6 +94,7 @@ class Number(_Table):
     statistic: Statistic = "only"
     along: str = ""
     absolute: bool = False
+    per_period: bool = False
     missing: Literal["dropped", "worst"] = "dropped"
 
     @model_validator(mode="after")
@@ -107,6 +110,8 @@ class Number(_Table):
             problems.append("variable: missing")
         if self.weight and not self.any_over:
             problems.append("any_over: missing, weight needs it")
+        if self.per_period and self.data != "responses":
+            problems.append("per_period: is for data 'responses' only")
         for name, condition in self.where.items():
             if len(condition) != 1:
                 problems.append(f"where.{name}: must be one of is, in, outside, above, below")
