@@ -231,7 +231,7 @@ def outcome(test: Test, datasets: Datasets) -> Outcome:
         result["n_missing"] = sum(v.n_missing for v in values)
         found = [v.value for v in values]
         if test.kind == "order":
-            _decide_order(test, numbers, found, datasets, result)
+            _decide_order(numbers, found, datasets, result)
         else:
             _decide_threshold(test, numbers, found, datasets, result)
     except UndecidedError as undecided:
@@ -241,10 +241,10 @@ def outcome(test: Test, datasets: Datasets) -> Outcome:
 
 
 def _decide_order(
-    test: Test, numbers: list[Number], found: list[float], datasets: Datasets, result: Outcome
+    numbers: list[Number], found: list[float], datasets: Datasets, result: Outcome
 ) -> None:
     result["found"] = ", ".join(f"{v:.3g}" for v in found)
-    floors = [_floor(test, number, datasets) for number in numbers]
+    floors = [_floor(number, datasets) for number in numbers]
     result["floor"] = max(floors)
     differences = np.diff(found)
     if np.all(differences > result["floor"]):
@@ -261,7 +261,7 @@ def _decide_threshold(
     test: Test, numbers: list[Number], found: list[float], datasets: Datasets, result: Outcome
 ) -> None:
     assert test.threshold is not None, "checked when the claims were read"
-    floors = [_floor(test, number, datasets) for number in numbers]
+    floors = [_floor(number, datasets) for number in numbers]
     value, floor = _combined(test, found, floors)
     op = test.op if test.kind == "compare" else "<="
     result["value"], result["floor"] = value, floor
@@ -295,19 +295,19 @@ def _combined(test: Test, found: list[float], floors: list[float]) -> tuple[floa
     if other == 0.0:
         raise UndecidedError(f"the ratio of {ours:.3g} to 0 is not defined")
     value = ours / other
-    scale = max(abs(ours), abs(other))
-    return value, abs(value) * max(floors) / scale
+    # The first order of what both floors can do to the ratio.
+    return value, (floors[0] + abs(value) * floors[1]) / abs(other)
 
 
-def _floor(test: Test, number: Number, datasets: Datasets) -> float:
-    """Spread of a number among the exact laws.
+def _floor(number: Number, datasets: Datasets) -> float:
+    """Spread of a number among the exact laws; 0 for what comes from forces alone.
 
     Raises
     ------
     UndecidedError
         If there are no exact laws to compare at this selection.
     """
-    if test.floor == "none" or number.data == _STATIC:
+    if number.data == _STATIC:
         return 0.0
     labels = _floor_labels(datasets)
     spreads = []

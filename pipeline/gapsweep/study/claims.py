@@ -142,9 +142,6 @@ class Test(_Table):
     op, threshold
     of : list of dict
         As `against`.
-    floor : str
-        ``exact``: the spread of the same number among exact laws; ``none``: the number is
-        computed from forces alone or is a count of what it says, so nothing varies.
     """
 
     __test__ = False  # no test of pytest's
@@ -157,7 +154,6 @@ class Test(_Table):
     op: Literal["<", "<=", ">", ">="] = "<="
     threshold: float | None = None
     of: list[dict[str, Any]] = []
-    floor: Literal["exact", "none"] = "exact"
 
     @model_validator(mode="after")
     def _complete(self) -> "Test":
@@ -167,8 +163,6 @@ class Test(_Table):
             raise ValueError(f"of: kind {self.kind!r} needs two or more")
         if self.kind == "alike" and (self.threshold is None or self.threshold <= 1.0):
             raise ValueError("threshold: kind 'alike' needs a factor > 1")
-        if self.floor == "none" and self.number.data not in ("static",):
-            raise ValueError("floor: 'none' is for data 'static' only")
         for changes in self.changes:
             try:
                 varied(self.number, changes)
