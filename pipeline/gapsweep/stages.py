@@ -13,9 +13,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from gapsweep.errors import ModelError
+from gapsweep.errors import ModelError, StoreError
 from gapsweep.execution.plan import Plan
-from gapsweep.store.artefact import digests, is_intact
+from gapsweep.store.artefact import digests, is_intact, sha256
 from gapsweep.store.cache import Cache
 from gapsweep.store.netcdf import attributes
 from gapsweep.study.fingerprint import code_fingerprint
@@ -24,7 +24,7 @@ from gapsweep.study.study import Study
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
-HISTORIES = "histories.nc"
+HISTORIES, CLAIMS = "histories.nc", "claims.json"
 REPORT = "report/index.html"
 
 MadeFrom = Mapping[str, str]
@@ -44,7 +44,7 @@ class Stage:
     code : str
         The module that makes it; all that it imports counts too.
     inputs : tuple of str
-        What it is made from: files of the run, `STUDY` or `POINTS`.
+        What it is made from: files of the run, `STUDY`, `POINTS` or `CLAIMS_FILE`.
     """
 
     file: str
@@ -53,7 +53,7 @@ class Stage:
 
 
 # What is made from no file: the settings of the study, and its results in the cache.
-STUDY, POINTS = "study", "sweep points"
+STUDY, POINTS, CLAIMS_FILE = "study", "sweep points", "claims file"
 
 STAGES = (
     Stage(RESPONSES, "execution/assemble.py", (STUDY, POINTS)),
@@ -62,12 +62,17 @@ STAGES = (
     Stage(AGREEMENT, "analysis/agreement.py", (RESPONSES, ATTRACTORS)),
     Stage(TIMING, "analysis/timing.py", (RESPONSES,)),
     Stage(HISTORIES, "analysis/histories.py", (STUDY,)),
+    Stage(
+        CLAIMS,
+        "analysis/claims.py",
+        (CLAIMS_FILE, RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING),
+    ),
     Stage(REPORT, "report/html.py", (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES)),
 )
 
 
 def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
-    """Digests of what is no file: the settings of a study, and its rows in the cache."""
+    """Digests of what is no file of the run: settings of a study, its rows in the cache, claims."""
     digest = hashlib.sha256()
     for start in range(0, len(plan.keys), _ROWS):
         some = plan.keys[start : start + _ROWS]
@@ -75,7 +80,22 @@ def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
         for key in some:
             digest.update(key + stored.get(key, b"missing"))
     settings = hashlib.sha256((study.json + _own_laws(study)).encode()).hexdigest()
-    return {STUDY: settings, POINTS: digest.hexdigest()}
+    found = {STUDY: settings, POINTS: digest.hexdigest()}
+    return {**found, **(claims_source(study.claims_file) if study.claims_file else {})}
+
+
+def claims_source(path: Path) -> MadeFrom:
+    """Digest of a claims file: a threshold changed there makes every verdict stale.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be read.
+    """
+    try:
+        return {CLAIMS_FILE: sha256(path)}
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _own_laws(study: Study) -> str:
@@ -111,7 +131,7 @@ def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:
     path = folder / stage.file
     if not path.exists():
         return "absent"
-    if path.suffix == ".nc" and not is_intact(path):
+    if path.suffix in (".nc", ".json") and not is_intact(path):
         return "damaged"
     before = _recorded(path)
     if not before:
@@ -130,7 +150,9 @@ def _recorded(path: Path) -> MadeFrom:
     try:
         if path.suffix == ".nc":
             return dict(json.loads(attributes(path).get("made_from", "{}")))
+        if path.suffix == ".json":
+            return dict(json.loads(path.read_text(encoding="utf-8"))["made_from"])
         found = re.search(_META, path.read_text(encoding="utf-8", errors="replace"))
         return dict(json.loads(html.unescape(found[1]))) if found else {}
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, TypeError, KeyError):
         return {}

@@ -5,6 +5,7 @@ Dask, numba, xarray and matplotlib are imported by the steps that need them: a r
 everything up to date ends before they would be loaded.
 """
 
+import json
 import os
 import random
 import tempfile
@@ -30,6 +31,7 @@ from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.stages import (
     AGREEMENT,
     ATTRACTORS,
+    CLAIMS,
     HISTORIES,
     REPORT,
     RESPONSES,
@@ -38,16 +40,18 @@ from gapsweep.stages import (
     TIMING,
     Stage,
     as_text,
+    claims_source,
     made_from,
     reason_to_run,
     sources,
 )
 from gapsweep.status import Status
 from gapsweep.store import netcdf
-from gapsweep.store.artefact import alone_in
+from gapsweep.store.artefact import alone_in, is_recorded, recording
 from gapsweep.store.cache import Cache, is_sound
 from gapsweep.store.maintenance import numerics_of
 from gapsweep.store.state import FAILED, FINISHED, INTERRUPTED, RUNNING, RunState
+from gapsweep.study.claims import read_claims
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.study import Selection, Study
 
@@ -58,6 +62,7 @@ if TYPE_CHECKING:
 DEFAULT_CACHE = Path("data/cache.sqlite")
 RUNS = Path("data/runs")
 EXACT = "piecewise"
+CLAIMS_COPY = "claims.toml"
 _STATE_SECONDS = 1.0
 
 
@@ -223,6 +228,11 @@ def carry_out(
     folder = run_folder(study, out)
     check_writable(folder)
     planned = plan(study, cache, retry_failed=retry_failed)
+    if study.claims_file is not None and planned.n_missing:
+        from gapsweep.analysis.claims import check_variables
+
+        # Before anything is computed: the datasets that it names come last.
+        check_variables(read_claims(study.claims_file), str(study.claims_file))
     with _Recorder(folder, study, cache_path(cache), planned, on_progress) as recorder:
         progress = _computed(
             study, client, planned, cache, recorder, retry_failed=retry_failed, **how
@@ -405,13 +415,17 @@ def _failures(planned: Plan) -> dict[str, int]:
 
 
 def _stages(study: Study) -> list[Stage]:
-    """The stages of a study: without the exact law there is nothing to agree with."""
-    left_out = set()
-    if EXACT not in study.grid.representations:
-        left_out.add(AGREEMENT)
-    if not study.spec.history:
-        left_out.add(HISTORIES)
-    return [stage for stage in STAGES if stage.file not in left_out]
+    """The stages of a study.
+
+    Without the exact law there is nothing to agree with, without claims nothing to decide, and
+    motions are kept only where some are asked for.
+    """
+    left_out = {
+        AGREEMENT: EXACT not in study.grid.representations,
+        HISTORIES: not study.spec.history,
+        CLAIMS: study.claims_file is None,
+    }
+    return [stage for stage in STAGES if not left_out.get(stage.file)]
 
 
 def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
@@ -424,6 +438,9 @@ def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
         if stage.file in (RESPONSES, ATTRACTORS):
             files = folder / RESPONSES, folder / ATTRACTORS
             export(study, planned, store, *files, made_from=as_text(now))
+        elif stage.file == CLAIMS:
+            assert study.claims_file is not None, "the stage is left out without claims"
+            claims(folder, study.claims_file)
         elif stage.file == REPORT:
             report(folder)
         else:
@@ -435,11 +452,12 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
     """The dataset of an analysis stage."""
     from gapsweep.analysis.agreement import agreement
     from gapsweep.analysis.histories import histories
-    from gapsweep.analysis.static import law_statics
+    from gapsweep.analysis.static import law_statics, static
     from gapsweep.analysis.timing import timing
 
     if stage.file == STATIC:
-        return law_statics(study)
+        # The ladders take a minute or two; only claims ask for them.
+        return law_statics(study) if study.claims_file is None else static(study)
     if stage.file == HISTORIES:
         kept = histories(study)
         assert kept is not None, "the stage is left out where none is asked for"
@@ -453,6 +471,57 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
         compared = agreement(responses, attractors)
         assert compared is not None, "the stage is left out where the exact law is"
         return compared
+
+
+def claims(folder: str | Path, file: str | Path | None = None) -> dict[str, Any]:
+    """Decide claims from the NetCDF files of a run and write ``claims.json``.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run; datasets that are not there leave the claims that need them undecidable.
+    file : path, optional
+        The claims; the copy that the run left in its folder if None.
+
+    Returns
+    -------
+    dict
+        What stands in ``claims.json``.
+
+    Raises
+    ------
+    GapsweepError
+        If there are no responses or no claims, or a file is damaged.
+    """
+    from gapsweep.analysis.claims import check_variables, verdicts
+
+    folder = Path(folder)
+    if not (folder / RESPONSES).exists():
+        raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
+    path = Path(file) if file is not None else folder / CLAIMS_COPY
+    stated = read_claims(path)
+    check_variables(stated, str(path))
+    stage = next(stage for stage in STAGES if stage.file == CLAIMS)
+    with ExitStack() as opened:
+        datasets = {
+            name.removesuffix(".nc"): opened.enter_context(netcdf.read(folder / name))
+            for name in stage.inputs
+            if name.endswith(".nc") and (folder / name).exists()
+        }
+        decided = {
+            "study": datasets["responses"].attrs["study"],
+            "claims_file": path.name,
+            "made_from": dict(made_from(stage, folder, claims_source(path))),
+            **netcdf.provenance(),
+            **verdicts(stated, datasets),
+        }
+    if path.absolute() != (folder / CLAIMS_COPY).absolute():
+        with recording(folder / CLAIMS_COPY, is_recorded) as temporary:
+            temporary.write_bytes(path.read_bytes())
+    with recording(folder / CLAIMS, is_recorded) as temporary:
+        text = json.dumps(decided, indent=1, ensure_ascii=False, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+    return decided
 
 
 def report(folder: str | Path) -> Path:

@@ -50,7 +50,7 @@ CONSTRAINTS = ("none", "no constant or linear term")
 _SAME_OPTIMUM = 1.0 + 1e-3
 _N_IN_GAP = 2001
 
-_LADDER: dict[str, tuple[tuple[str, ...], Variable]] = {
+LADDER: dict[str, tuple[tuple[str, ...], Variable]] = {
     name: (dims, Variable(dtype, units, long_name))
     for name, dims, dtype, units, long_name in (
         ("poly_rmse", ("gap", "constraint", "degree"), "f8", "m",
@@ -122,7 +122,7 @@ def ladders(study: Study) -> xr.Dataset:
     values["tanh_threshold_predicted"] = np.reshape(predicted, leak.shape[:2])
     variables = {
         name: (dims, values[name].astype(v.dtype), _attributes(v))
-        for name, (dims, v) in _LADDER.items()
+        for name, (dims, v) in LADDER.items()
     }
     coords = {n: (n, axis, _attributes(v)) for n, (axis, v) in _axes(study).items()}
     return xr.Dataset(variables, coords)

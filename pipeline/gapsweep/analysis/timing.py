@@ -10,7 +10,7 @@ import xarray as xr
 from gapsweep.analysis.statistics import SWEPT, mean, quantile
 from gapsweep.status import Status
 
-_COSTS = {
+COSTS = {
     "cpu_time": ("s", "processor time per point"),
     "nfev": ("1", "right-hand sides per point"),
     "n_steps": ("1", "accepted steps per point"),
@@ -32,7 +32,7 @@ def timing(responses: xr.Dataset) -> xr.Dataset:
     chosen = _busiest(host)
     measured = requested & (host == chosen)
     variables = {}
-    for name, (units, long_name) in _COSTS.items():
+    for name, (units, long_name) in COSTS.items():
         values = responses[name].where(measured)
         for statistic, value in (("mean", mean(values)), ("median", quantile(values, 0.5))):
             attributes = {"units": units, "long_name": f"{long_name}, {statistic}"}

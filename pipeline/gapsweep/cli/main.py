@@ -14,7 +14,7 @@ from gapsweep.cli.cache import cache_commands
 from gapsweep.console import duration, progress_bar
 from gapsweep.errors import GapsweepError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
-from gapsweep.stages import REPORT, RESPONSES
+from gapsweep.stages import CLAIMS, REPORT, RESPONSES
 from gapsweep.store.state import RunState
 
 FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
@@ -205,6 +205,29 @@ def _short(text: str) -> str:
 def report(folder: Path) -> int:
     """Rebuild the report of a run from its NetCDF files alone."""
     click.echo(f"report: {workflow.report(folder)}")
+    return FINISHED
+
+
+@commands.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.option(
+    "--file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Claims to decide.  [default: those of the run, claims.toml in DIR]",
+)
+@options.as_json
+def claims(folder: Path, file: Path | None, as_json: bool) -> int:
+    """Decide claims from the NetCDF files of a run; writes claims.json there."""
+    decided = workflow.claims(folder, file)
+    if as_json:
+        click.echo(json.dumps(decided, ensure_ascii=False))
+        return FINISHED
+    for claim in decided["claims"]:
+        click.echo(f"{claim['id']:>3}  {claim['verdict']:<11}  {claim['place']}: {claim['claim']}")
+        click.echo(f"     {claim['sentence']}")
+    counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
+    click.echo(f"{len(decided['claims'])} claims: {counts}")
+    click.echo(f"written: {folder / CLAIMS}")
     return FINISHED
 
 

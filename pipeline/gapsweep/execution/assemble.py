@@ -105,6 +105,8 @@ def export(
     with writing(responses, attributes) as dataset:
         _define(dataset, layout)
         for piece in layout.pieces():
+            if not layout.grid.requested[piece.cells].any():
+                continue
             rows, at = layout.rows(piece, cache)
             values = _point_arrays(layout, piece, rows, at, hosts)
             found.append((piece, _group(study, layout, piece, rows, at, values["attractor"])))
@@ -373,18 +375,19 @@ def _create(
     if variable.dtype == "str":
         created = dataset.createVariable(name, str, dimensions)
     else:
-        # Every cell is written, so no fill value: integers stay integers when opened.
         created = dataset.createVariable(
             name,
             variable.dtype,
             dimensions,
-            fill_value=False,
+            fill_value=variable.missing,
             compression="zlib" if chunk else None,
             complevel=1,
             chunksizes=chunk,
             fletcher32=chunk is not None,
             chunk_cache=1,  # every chunk is written once: to keep it would only fill memory
         )
+        # Chunks never written read as missing; without the attribute integers stay integers.
+        created.delncattr("_FillValue")
     created.units, created.long_name = variable.units, variable.long_name
     _set_flags(created, variable.flags)
 

@@ -92,6 +92,11 @@ def is_intact(path: Path) -> bool | None:
     return sha256(path) in known if known else None
 
 
+def is_recorded(path: Path) -> bool:
+    """Whether a run of ours wrote a file, sound or damaged; then it may be replaced."""
+    return bool(digests(path))
+
+
 def sha256(path: Path) -> str:
     """SHA-256 of a file in hex."""
     with path.open("rb") as file:

@@ -214,6 +214,12 @@ class HistoryTable(_Table):
         return self
 
 
+class ClaimsTable(_Table):
+    """Presence asks for verdicts; the path is relative to the study file."""
+
+    file: Annotated[str, Field(min_length=1)]
+
+
 class StudySpec(_Table):
     study: StudyTable
     oscillator: OscillatorTable = OscillatorTable()
@@ -223,6 +229,7 @@ class StudySpec(_Table):
     steady: SteadyTable = SteadyTable()
     fit: FitTable = FitTable()
     history: list[HistoryTable] = []
+    claims: ClaimsTable | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "StudySpec":

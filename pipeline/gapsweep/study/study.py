@@ -15,6 +15,7 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import canonical_label
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.result import Steady
+from gapsweep.study.claims import read_claims
 from gapsweep.study.points import FIXED, Point, Start, canonical, content_key
 from gapsweep.study.spec import (
     MAX_POINTS,
@@ -133,6 +134,8 @@ class Study:
             _ = self._protocols
         except ModelError as error:
             raise StudyError([f"{self.source}: solver: {error}"]) from None
+        if self.claims_file is not None:
+            read_claims(self.claims_file)
         cells = int(np.prod([len(axis) for axis in self._axes], dtype=np.int64))
         if cells > MAX_POINTS:
             raise StudyError(
@@ -155,6 +158,12 @@ class Study:
     def json(self) -> str:
         """The checked study, defaults filled in, as JSON."""
         return json.dumps(self.spec.model_dump(exclude_none=True), sort_keys=True)
+
+    @property
+    def claims_file(self) -> Path | None:
+        """The claims to decide, beside the study file unless its path says otherwise."""
+        table = self.spec.claims
+        return None if table is None else Path(self.source).parent / table.file
 
     @cached_property
     def oscillator(self) -> Oscillator:
