@@ -452,12 +452,13 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
     """The dataset of an analysis stage."""
     from gapsweep.analysis.agreement import agreement
     from gapsweep.analysis.histories import histories
-    from gapsweep.analysis.static import law_statics, static
+    from gapsweep.analysis.static import static
     from gapsweep.analysis.timing import timing
 
     if stage.file == STATIC:
-        # The ladders take a minute or two; only claims ask for them.
-        return law_statics(study) if study.claims_file is None else static(study)
+        # Only claims ask for the ladders. What a user's law may do, it does on workers.
+        decides = study.claims_file is not None
+        return static(study, with_ladders=decides, with_own_laws=False)
     if stage.file == HISTORIES:
         kept = histories(study)
         assert kept is not None, "the stage is left out where none is asked for"

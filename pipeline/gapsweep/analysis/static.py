@@ -64,20 +64,26 @@ LIST_VARIABLES = {
 }
 
 
-def static(study: Study) -> xr.Dataset:
+def static(study: Study, *, with_ladders: bool = True, with_own_laws: bool = True) -> xr.Dataset:
     """Static quality of every representation, and the ladders of fits and parameters.
 
     Parameters
     ----------
     study : Study
         Labels lose their protocol here, and each is there once.
+    with_ladders : bool
+        Whether to compute the ladders, which take a minute.
+    with_own_laws : bool
+        Whether to evaluate laws of the user's own here, in this process, which they could hang
+        or end; they are refused otherwise.
 
     Returns
     -------
     Dataset
         `law_statics` and `ladders` in one, with title, study, study_json as attributes.
     """
-    of_laws, of_ladders = law_statics(study), ladders(study)
+    of_laws = law_statics(study, with_own_laws=with_own_laws)
+    of_ladders = ladders(study) if with_ladders else xr.Dataset()
     attributes = {
         "title": study.title,
         "study": study.name,
@@ -89,7 +95,7 @@ def static(study: Study) -> xr.Dataset:
     return xr.Dataset(variables, {**of_laws.coords, **of_ladders.coords}, attributes)
 
 
-def law_statics(study: Study) -> xr.Dataset:
+def law_statics(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     """Force, errors, frequencies and equilibria over representation, K_c and gap.
 
     A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
@@ -99,6 +105,8 @@ def law_statics(study: Study) -> xr.Dataset:
     x = displacements(grid.gaps, x_max)
     scenes = {
         (r, k, g): _measured(study.oscillator, label, K_c, gap, x, x_max)
+        if with_own_laws or ":" not in label
+        else {"refusal": "a law of the user's own, evaluated by workers only"}
         for r, label in enumerate(labels)
         for k, K_c in enumerate(grid.K_c)
         for g, gap in enumerate(grid.gaps)

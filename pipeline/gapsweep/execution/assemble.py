@@ -379,15 +379,16 @@ def _create(
             name,
             variable.dtype,
             dimensions,
-            fill_value=variable.missing,
+            fill_value=variable.missing if chunk else False,
             compression="zlib" if chunk else None,
             complevel=1,
             chunksizes=chunk,
             fletcher32=chunk is not None,
             chunk_cache=1,  # every chunk is written once: to keep it would only fill memory
         )
-        # Chunks never written read as missing; without the attribute integers stay integers.
-        created.delncattr("_FillValue")
+        if chunk:
+            # Chunks never written read as missing; without the attribute integers stay integers.
+            created.delncattr("_FillValue")
     created.units, created.long_name = variable.units, variable.long_name
     _set_flags(created, variable.flags)
 
