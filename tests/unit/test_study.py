@@ -148,6 +148,7 @@ def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path):
     }.items():
         module.write_text(text)
         fingerprint.numerics_fingerprint.cache_clear()
+        fingerprint._scanned.cache_clear()
         prints[name] = fingerprint.numerics_fingerprint(tmp_path)
     fingerprint.numerics_fingerprint.cache_clear()
     assert prints["first"] == prints["cosmetic"] != prints["changed"]

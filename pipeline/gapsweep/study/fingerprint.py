@@ -52,29 +52,30 @@ def _digest(package: Path, files: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in sorted(files):
         digest.update(path.relative_to(package).as_posix().encode())
-        is_module = path.suffix == ".py"
-        digest.update(_normalised(_tree(path)).encode() if is_module else path.read_bytes())
+        digest.update(_scanned(path)[0] if path.suffix == ".py" else path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def _tree(module: Path) -> ast.Module:
-    return ast.parse(module.read_text(encoding="utf-8"))
+@cache
+def _scanned(module: Path) -> tuple[bytes, tuple[str, ...]]:
+    """SHA-256 of a module's normalised source, and the names that it imports."""
+    tree = ast.parse(module.read_text(encoding="utf-8"))
+    names: list[str] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names += (node.module, *(f"{node.module}.{alias.name}" for alias in node.names))
+    return hashlib.sha256(_normalised(tree).encode()).digest(), tuple(names)
 
 
 def _imported(module: Path, package: Path) -> Iterator[Path]:
     """Modules of the package that a module imports."""
-    for node in ast.walk(_tree(module)):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        else:
-            continue
-        for name in names:
-            top, *parts = name.split(".")
-            path = package.joinpath(*parts)
-            if top == package.name and parts and path.with_suffix(".py").is_file():
-                yield path.with_suffix(".py")
+    for name in _scanned(module)[1]:
+        top, *parts = name.split(".")
+        path = package.joinpath(*parts).with_suffix(".py")
+        if top == package.name and parts and path.is_file():
+            yield path
 
 
 def _normalised(tree: ast.Module) -> str:
