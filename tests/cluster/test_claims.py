@@ -46,7 +46,7 @@ threshold = 0.05
 @pytest.fixture
 def study(tables, tmp_path, monkeypatch):
     # The ladders of fits take a minute, and no claim here asks for them.
-    monkeypatch.setattr(static, "static", static.law_statics)
+    monkeypatch.setattr(static, "static", lambda study, **how: static.law_statics(study))
     (tmp_path / "claims.toml").write_text(TEXT)
     return gs.Study.from_dict(tables | {"claims": {"file": str(tmp_path / "claims.toml")}})
 
