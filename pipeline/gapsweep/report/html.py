@@ -96,7 +96,7 @@ def _sections(
     for k in range(responses.sizes["K_c"]):
         for g in range(responses.sizes["gap"]):
             at = {"K_c": k, "gap": g}
-            here = swept(responses.isel(at).load())
+            here = swept(responses.isel(at)).load()
             if not here.sizes["representation"]:
                 continue
             title = f"K_c = {_number(float(here['K_c']))} N/m, gap {here['gap'].item()} mm"
