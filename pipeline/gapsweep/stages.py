@@ -67,7 +67,11 @@ STAGES = (
         "analysis/claims.py",
         (CLAIMS_FILE, RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING),
     ),
-    Stage(REPORT, "report/html.py", (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES)),
+    Stage(
+        REPORT,
+        "report/html.py",
+        (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, CLAIMS),
+    ),
 )
 
 

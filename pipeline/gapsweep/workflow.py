@@ -47,7 +47,7 @@ from gapsweep.stages import (
 )
 from gapsweep.status import Status
 from gapsweep.store import netcdf
-from gapsweep.store.artefact import alone_in, is_recorded, recording
+from gapsweep.store.artefact import alone_in, digests, is_intact, is_recorded, recording
 from gapsweep.store.cache import Cache, is_sound
 from gapsweep.store.maintenance import numerics_of
 from gapsweep.store.state import FAILED, FINISHED, INTERRUPTED, RUNNING, RunState
@@ -557,8 +557,21 @@ def report(folder: str | Path) -> Path:
             files.enter_context(netcdf.read(folder / TIMING)),
             histories=motions,
             static=stored(STATIC),
+            claims=_decided(folder),
             made_from=as_text(made_from(stage, folder, {})),
         )
+
+
+def _decided(folder: Path) -> dict[str, Any] | None:
+    """The verdicts of a run; None if there are none, or if they rest on other responses."""
+    path = folder / CLAIMS
+    if not path.exists():
+        return None
+    if not is_intact(path):
+        raise StoreError(f"{path}: damaged; 'gapsweep claims {folder}' decides again")
+    decided: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    same = decided["made_from"].get(RESPONSES) == " ".join(digests(folder / RESPONSES))
+    return decided if same else None
 
 
 def check_writable(folder: Path) -> None:

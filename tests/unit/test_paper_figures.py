@@ -172,7 +172,8 @@ def test_figures_are_those_the_run_has_points_for(kept):
     assert numbers(responses_of(WEAK)) == ["6b", "8b"]
     assert numbers(responses_of(WEAK, gaps=[(1.0, 1.0), (0.0, 0.8)])) == ["6a", "6c"]
     assert numbers(responses_of(WEAK, K_c=(1.4e3, 1.4e6))) == ["8a", "8c"]
-    assert numbers(responses_of(STRONG, K_c=(1.4e6,))) == ["7", "9"]
+    assert numbers(responses_of(STRONG, gaps=[(0.0, 0.8)])) == ["7"]
+    assert numbers(responses_of(STRONG, K_c=(1.4e6,))) == ["9"]
     hard = responses_of(LIMITS, K_c=(1.4e6,), gaps=[(0.0, 0.8)])
     assert numbers(hard, kept) == ["10", "11"]
     assert numbers(responses_of(WEAK, K_c=(2e4,))) == []

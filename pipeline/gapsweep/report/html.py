@@ -1,23 +1,25 @@
 """The HTML report: one self-contained file, built from the NetCDF datasets of a run."""
 
+import base64
+import hashlib
 import io
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import matplotlib
-import numpy as np
 import xarray as xr
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from gapsweep.report.figures import bifurcation, frequency_response
+from gapsweep.report.findings import findings, outcomes, overview
 from gapsweep.report.paper import Drawn, paper_figures, swept
-from gapsweep.report.style import MATPLOTLIB, colour
-from gapsweep.response.result import ResponseClass
+from gapsweep.report.style import MATPLOTLIB
+from gapsweep.report.tables import VERDICTS, Row, agreement_rows, claim_rows, number, timing_rows
 from gapsweep.status import Status
 from gapsweep.store.artefact import replacing
 
@@ -30,11 +32,11 @@ class Section:
 
     title: str
     anchor: str
-    summary: list[str]
+    summary: str
     frequency_response: Markup
     bifurcation: Markup
-    agreement: list[dict[str, Any]]
-    timing: list[dict[str, Any]]
+    agreement: list[Row]
+    timing: list[Row]
 
 
 def write_report(
@@ -45,6 +47,7 @@ def write_report(
     *,
     histories: xr.Dataset | None = None,
     static: xr.Dataset | None = None,
+    claims: Mapping[str, Any] | None = None,
     made_from: str = "",
 ) -> Path:
     """Write the report; complete or not at all.
@@ -57,6 +60,8 @@ def write_report(
         As stored in the run's folder; `agreement` is None if the exact law was not swept.
     histories, static : Dataset, optional
         As stored in the run's folder, for the paper's figures.
+    claims : mapping, optional
+        What stands in ``claims.json``.
     made_from : str
         Kept in a meta element, so that the report is made again only if that changes.
     """
@@ -67,6 +72,7 @@ def write_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    script = (_TEMPLATES / "claims.js").read_text(encoding="utf-8")
     with matplotlib.rc_context(MATPLOTLIB):
         sections = list(_sections(responses, agreement, timing))
         paper = list(_paper(paper_figures(responses, histories, static)))
@@ -74,15 +80,28 @@ def write_report(
         title=responses.attrs["title"],
         made_from=made_from,
         study=responses.attrs["study"],
+        findings=findings(responses, agreement, claims),
+        overview=None if agreement is None else overview(agreement),
+        claims=claims and {"counts": claims["counts"], "rows": list(claim_rows(claims))},
+        verdicts=VERDICTS,
+        script=Markup(script),  # our own file, without anything of the user's
+        script_digest=_digest(script),
         sections=sections,
         paper=paper,
         statuses=_status_counts(responses),
         measured_on=timing.attrs["measured_on"],
         provenance=_provenance(responses),
+        version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
+        fingerprint=responses.attrs["numerics_fingerprint"],
     )
     with replacing(path, _is_ours) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
+
+
+def _digest(script: str) -> str:
+    """SHA-256 by which the page allows its own script, and no other."""
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def _is_ours(path: Path) -> bool:
@@ -99,17 +118,19 @@ def _sections(
             here = swept(responses.isel(at)).load()
             if not here.sizes["representation"]:
                 continue
-            title = f"K_c = {_number(float(here['K_c']))} N/m, gap {here['gap'].item()} mm"
-            compared = None if agreement is None else agreement.isel(at).load()
-            rows = [] if compared is None else list(_agreement_rows(here, compared))
+            labels = [str(label) for label in here["representation"].values]
+            title = f"K_c = {number(float(here['K_c']))} N/m, gap {here['gap'].item()} mm"
+            rows: list[Row] = []
+            if agreement is not None and agreement.attrs["reference"] in labels:
+                rows = list(agreement_rows(agreement.isel(at).load(), labels))
             yield Section(
                 title=title,
                 anchor=f"scene-{k}-{g}",
-                summary=_summary(here, rows),
+                summary=outcomes(here),
                 frequency_response=_svg(frequency_response(here), f"Frequency response, {title}"),
                 bifurcation=_svg(bifurcation(here), f"Bifurcation diagram, {title}"),
                 agreement=rows,
-                timing=list(_timing_rows(here, timing.isel(at).load())),
+                timing=list(timing_rows(timing.isel(at).load(), labels)),
             )
 
 
@@ -121,66 +142,6 @@ def _paper(figures: Iterable[Drawn]) -> Iterator[dict[str, Any]]:
             "caption": drawn.caption,
             "svg": _svg(drawn.figure, drawn.description),
         }
-
-
-def _agreement_rows(responses: xr.Dataset, agreement: xr.Dataset) -> Iterator[dict[str, Any]]:
-    for label in responses["representation"].values:
-        if label == agreement.attrs["reference"]:
-            continue
-        row = agreement.sel(representation=label, regime="all")
-        yield {
-            "representation": str(label),
-            "colour": colour(str(label)),
-            "amplitude_median": _percent(row["amplitude_error_median"].item()),
-            "amplitude_p95": _percent(row["amplitude_error_p95"].item()),
-            "amplitude_median_value": row["amplitude_error_median"].item(),
-            "distance_median": _number(1e3 * row["extrema_distance_median"].item()),
-            "distance_p95": _number(1e3 * row["extrema_distance_p95"].item()),
-            "same_class": _percent(row["class_agreement_mean"].item()),
-            "n_compared": row["n_compared"].item(),
-            "n_points": row["n_points"].item(),
-        }
-
-
-def _timing_rows(responses: xr.Dataset, timing: xr.Dataset) -> Iterator[dict[str, Any]]:
-    for label in responses["representation"].values:
-        row = timing.sel(representation=label)
-        yield {
-            "representation": str(label),
-            "colour": colour(str(label)),
-            "cpu": _number(1e3 * row["cpu_time_median"].item()),
-            **{n: _number(row[f"{n}_median"].item()) for n in _COUNTS},
-            "n_points": row["n_points"].item(),
-            "n_elsewhere": row["n_points_elsewhere"].item(),
-        }
-
-
-_COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
-
-
-def _summary(responses: xr.Dataset, rows: list[dict[str, Any]]) -> list[str]:
-    """What the numbers say, in sentences."""
-    sentences = []
-    ranked = sorted(
-        (row for row in rows if np.isfinite(row["amplitude_median_value"])),
-        key=lambda row: row["amplitude_median_value"],
-    )
-    if ranked:
-        best, worst = ranked[0], ranked[-1]
-        sentences.append(
-            f"Closest to the exact law in amplitude is {best['representation']} (median error "
-            f"{best['amplitude_median']}); farthest is {worst['representation']} "
-            f"({worst['amplitude_median']})."
-        )
-    status = responses["status"].values
-    asked = status[status != Status.NOT_REQUESTED]
-    unresolved, failed = (asked == Status.UNRESOLVED).sum(), (asked > Status.OUT_OF_FIT_RANGE).sum()
-    chaotic = (responses["response_class"].values == ResponseClass.CHAOTIC).sum()
-    sentences.append(
-        f"Of {asked.size} sweep points {chaotic} are chaotic, {unresolved} unresolved, "
-        f"{failed} failed; all others are periodic."
-    )
-    return sentences
 
 
 def _status_counts(responses: xr.Dataset) -> list[tuple[str, int]]:
@@ -210,17 +171,3 @@ def _svg(figure: Figure, description: str) -> Markup:
     label = Markup('<svg role="img" aria-label="{}"').format(description)
     # matplotlib made this text from numbers and escaped labels.
     return Markup(svg.replace("<svg", str(label), 1))
-
-
-def _number(value: float) -> str:
-    """Three significant digits, exponents only where they help."""
-    if not np.isfinite(value):
-        return "–"
-    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
-        return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
-    mantissa, exponent = f"{value:.2e}".split("e")
-    return f"{float(mantissa):g}e{int(exponent)}"
-
-
-def _percent(value: float) -> str:
-    return f"{100.0 * value:.3g} %" if np.isfinite(value) else "–"

@@ -140,8 +140,15 @@ PAPER = (
         peak_curves,
         _PEAKS_CAPTION,
     ),
+    # The paper does not state the scene of Fig. 7: workflows/paper.toml says why this one.
     PaperFigure(
-        "7", "Peak displacement, hard", STRONG, HARD, SYMMETRIC, peak_curves, _PEAKS_CAPTION
+        "7",
+        "Peak displacement, soft, asymmetric, strong grade",
+        STRONG,
+        SOFT,
+        ASYMMETRIC,
+        peak_curves,
+        _PEAKS_CAPTION,
     ),
     *(
         PaperFigure(

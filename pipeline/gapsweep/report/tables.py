@@ -1,0 +1,119 @@
+"""Tables of the report: rows of texts, from the datasets of a run."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.report.style import colour
+
+Row = dict[str, Any]
+
+_COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
+_MM = 1e3
+# Worst first: what a reader looks for.
+VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
+
+
+def agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[Row]:
+    """Agreement of representations with the exact law in one scene, and the floors at the end.
+
+    Parameters
+    ----------
+    agreement : Dataset
+        One stiffness and one gap of ``agreement.nc``, loaded.
+    labels : list of str
+        Representations swept there.
+    """
+    pooled = agreement.sel(regime="all")
+    floors = str(agreement.attrs["floor_representations"]).split()
+    for label in labels:
+        if label not in (agreement.attrs["reference"], *floors):
+            row = pooled.sel(representation=label)
+            yield {
+                "representation": label,
+                "colour": colour(label),
+                "compared": f"{row['n_compared'].item()} of {row['n_points'].item()}",
+                **_agreement(row),
+            }
+    if floors:
+        yield {
+            "representation": "exact against exact",
+            "colour": colour("piecewise"),
+            "compared": "",
+            **_agreement(pooled, floor="_floor"),
+        }
+
+
+def _agreement(row: xr.Dataset, floor: str = "") -> Row:
+    def value(name: str) -> float:
+        return float(row[name + floor])
+
+    return {
+        "amplitude_median": percent(value("amplitude_error_median")),
+        "amplitude_interval": "" if floor else _interval(row["amplitude_error_median_ci"]),
+        "amplitude_p95": percent(value("amplitude_error_p95")),
+        "distance_median": number(_MM * value("extrema_distance_median")),
+        "recall": percent(value("recall_pooled")),
+        "precision": percent(value("precision_pooled")),
+        "same_class": percent(value("class_agreement_mean")),
+        "basin_distance": number(value("basin_distance_mean")),
+    }
+
+
+def _interval(bounds: xr.DataArray) -> str:
+    low, high = (percent(float(bound)) for bound in bounds)
+    return f"{low.removesuffix(' %')} to {high}" if "–" not in (low, high) else ""
+
+
+def timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[Row]:
+    """Median costs per sweep point in one scene of ``timing.nc``."""
+    for label in labels:
+        row = timing.sel(representation=label)
+        yield {
+            "representation": label,
+            "colour": colour(label),
+            "cpu": number(1e3 * row["cpu_time_median"].item()),
+            **{n: number(row[f"{n}_median"].item()) for n in _COUNTS},
+            "n_points": row["n_points"].item(),
+            "n_elsewhere": row["n_points_elsewhere"].item(),
+        }
+
+
+def claim_rows(decided: Mapping[str, Any]) -> Iterator[Row]:
+    """The claims of ``claims.json``, their numbers as texts."""
+    for claim in decided["claims"]:
+        tests = [
+            {
+                "says": test["says"],
+                "outcome": _OUTCOMES[test["holds"]],
+                "found": test["found"] or test["reason"],
+                "floor": "–" if test["floor"] is None else number(test["floor"]),
+                "n": test["n"],
+                "n_missing": test["n_missing"],
+            }
+            for test in claim["tests"]
+        ]
+        yield {**claim, "sign": _SIGNS[claim["verdict"]], "tests": tests}
+
+
+_OUTCOMES = {True: "holds", False: "does not hold", None: "open"}
+_SIGNS = {"confirmed": "✓", "refuted": "✗", "partly": "◐", "undecidable": "?"}
+
+
+def number(value: float) -> str:
+    """Three significant digits, exponents only where they help."""
+    if not np.isfinite(value):
+        return "–"
+    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
+        return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    mantissa, exponent = f"{value:.2e}".split("e")
+    return f"{float(mantissa):g}e{int(exponent)}"
+
+
+def percent(value: float) -> str:
+    """A share or a relative error, three significant digits."""
+    if not np.isfinite(value):
+        return "–"
+    return f"{100.0 * value:.0f} %" if abs(value) >= 1.0 else f"{number(100.0 * value)} %"

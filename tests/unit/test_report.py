@@ -1,0 +1,148 @@
+"""The report: its sentences follow from the data, and no text of a user's becomes markup."""
+
+import json
+import re
+import subprocess
+
+import pytest
+from tests.made import datasets, failed, periodic, tables
+
+from gapsweep.analysis.agreement import agreement
+from gapsweep.analysis.timing import timing
+from gapsweep.report.findings import findings, overview
+from gapsweep.report.html import write_report
+from gapsweep.report.tables import VERDICTS, number, percent
+
+LABELS = ("piecewise", "piecewise@half", "tanh-1e4", "poly-13")
+OMEGA = (1.0, 2.0, 3.0, 4.0)
+HALF = {"protocol": {"half": {"rtol": 5e-10}}}
+HOSTILE = '"><img src=x onerror=alert(1)><script>alert(2)</script>'
+
+
+def amplitudes(sizes):
+    """An answer: a periodic response whose amplitude [mm] is the label's."""
+
+    def answer(label, omega, start):
+        size = sizes[label]
+        return failed() if size is None else periodic([(size * 1e-3, 0.0)], omega)
+
+    return answer
+
+
+def made(folder, sizes, **more):
+    responses, attractors = datasets(
+        folder, tables(LABELS, OMEGA, **HALF, **more), amplitudes(sizes)
+    )
+    return responses, agreement(responses, attractors)
+
+
+EQUAL = {"piecewise": 1.0, "piecewise@half": 1.001, "tanh-1e4": 1.02, "poly-13": 1.3}
+
+
+def test_findings_name_the_closest_and_the_farthest(tmp_path):
+    sentences = " ".join(findings(*made(tmp_path, EQUAL), None))
+    assert "closest" not in sentences
+    assert "is tanh-1e4 (median amplitude error 2 %), farthest poly-13 (30 %)" in sentences
+    assert "Exact against exact, the same number is 0.1 % at most" in sentences
+    swapped = EQUAL | {"tanh-1e4": 0.5, "poly-13": 0.99}
+    sentences = " ".join(findings(*made(tmp_path, swapped), None))
+    assert "is poly-13 (median amplitude error 1 %), farthest tanh-1e4 (50 %)" in sentences
+
+
+def test_failures_are_counted_and_never_ranked(tmp_path):
+    responses, compared = made(tmp_path, EQUAL | {"poly-13": None})
+    sentences = findings(responses, compared, None)
+    assert sentences[0] == (
+        "Of 16 sweep points 12 are periodic, 0 chaotic, 0 unresolved and 4 failed."
+    )
+    assert "farthest" not in " ".join(sentences)
+    cells = {row["representation"]: row["cells"] for row in overview(compared)["rows"]}
+    assert [cell["text"] for cell in cells["poly-13"]] == ["–"]
+    assert [cell["faithful"] for cell in cells["tanh-1e4"]] == [True]
+
+
+def decided(sentence="Holds."):
+    tests = [
+        {
+            "says": HOSTILE,
+            "holds": holds,
+            "found": "1 <= 2",
+            "reason": "",
+            "floor": None,
+            "n": 3,
+            "n_missing": 1,
+        }
+        for holds in (True, False, None)
+    ]
+    claims = [
+        {
+            "id": i,
+            "place": f"Fig. {i}",
+            "claim": HOSTILE,
+            "verdict": verdict,
+            "sentence": sentence,
+            "why": HOSTILE,
+            "tests": tests,
+        }
+        for i, verdict in enumerate(VERDICTS, start=1)
+    ]
+    return {"counts": dict.fromkeys(VERDICTS, 1), "claims": claims}
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    study = tables(LABELS[:1], OMEGA)
+    study["study"] = {"name": "made", "title": HOSTILE + "\u202eright to left" + "x" * 9000}
+    responses, attractors = datasets(folder, study, amplitudes(EQUAL))
+    return write_report(
+        folder / "report" / "index.html",
+        responses,
+        agreement(responses, attractors),
+        timing(responses),
+        claims=decided(),
+        made_from=HOSTILE,
+    )
+
+
+def test_hostile_texts_stay_texts(page):
+    text = page.read_text()
+    assert "<img" not in text
+    assert text.count("<script>") == 1
+    assert "&lt;script&gt;alert(2)" in text
+
+
+def test_claims_stand_in_the_page_with_their_numbers(page):
+    text = page.read_text()
+    assert [v for v in VERDICTS if f'data-verdict="{v}"' not in text] == []
+    assert "1 refuted, 1 partly, 1 confirmed, 1 undecidable" in text
+    assert text.count("does not hold") == len(VERDICTS)
+
+
+def test_the_page_asks_for_nothing_and_allows_only_its_own_script(page):
+    text = page.read_text()
+    outside = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?(https?:[^"\'\s)]*)', text)
+    assert [url for url in outside if "w3.org" not in url] == []
+    digest = re.search(r"script-src 'sha256-([^']+)'", text)[1]
+    script = re.search(r"<script>(.*?)</script>", text, re.DOTALL)[1]
+    command = ["openssl", "dgst", "-sha256", "-binary"]
+    raw = subprocess.run(command, input=script.encode(), capture_output=True, check=True).stdout
+    assert (
+        digest
+        == subprocess.run(["base64"], input=raw, capture_output=True, check=True)
+        .stdout.decode()
+        .strip()
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (1234.5, "1234"), (1.4e6, "1.4e6"), (0.01234, "0.0123"), (float("nan"), "–")],
+)
+def test_numbers_keep_three_digits(value, text):
+    assert number(value) == text
+
+
+def test_percent():
+    assert [percent(v) for v in (0.0123456, 1.5, float("inf"))] == ["1.23 %", "150 %", "–"]
+    assert json.dumps(percent(0.0)) == '"0 %"'
