@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.findings import findings, outcomes, overview
-from gapsweep.report.paper import Drawn, paper_figures, swept
+from gapsweep.report.paper import Drawn, paper_figures
+from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.style import MATPLOTLIB
 from gapsweep.report.tables import VERDICTS, Row, agreement_rows, claim_rows, number, timing_rows
 from gapsweep.status import Status
@@ -74,8 +75,9 @@ def write_report(
     )
     script = (_TEMPLATES / "claims.js").read_text(encoding="utf-8")
     with matplotlib.rc_context(MATPLOTLIB):
-        sections = list(_sections(responses, agreement, timing))
-        paper = list(_paper(paper_figures(responses, histories, static)))
+        scenes = Scenes(responses)
+        sections = list(_sections(responses, scenes, agreement, timing))
+        paper = list(_paper(paper_figures(responses, histories, static, scenes)))
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
@@ -110,28 +112,35 @@ def _is_ours(path: Path) -> bool:
 
 
 def _sections(
-    responses: xr.Dataset, agreement: xr.Dataset | None, timing: xr.Dataset
+    responses: xr.Dataset, scenes: Scenes, agreement: xr.Dataset | None, timing: xr.Dataset
 ) -> Iterator[Section]:
     for k in range(responses.sizes["K_c"]):
         for g in range(responses.sizes["gap"]):
             at = {"K_c": k, "gap": g}
-            here = swept(responses.isel(at)).load()
-            if not here.sizes["representation"]:
+            here = scenes.at(k, g)
+            if here is None:
                 continue
             labels = [str(label) for label in here["representation"].values]
             title = f"K_c = {number(float(here['K_c']))} N/m, gap {here['gap'].item()} mm"
+            shown = _without_protocols(here)
             rows: list[Row] = []
             if agreement is not None and agreement.attrs["reference"] in labels:
-                rows = list(agreement_rows(agreement.isel(at).load(), labels))
+                rows = list(agreement_rows(agreement.isel(at), labels))
             yield Section(
                 title=title,
                 anchor=f"scene-{k}-{g}",
                 summary=outcomes(here),
-                frequency_response=_svg(frequency_response(here), f"Frequency response, {title}"),
-                bifurcation=_svg(bifurcation(here), f"Bifurcation diagram, {title}"),
+                frequency_response=_svg(frequency_response(shown), f"Frequency response, {title}"),
+                bifurcation=_svg(bifurcation(shown), f"Bifurcation diagram, {title}"),
                 agreement=rows,
                 timing=list(timing_rows(timing.isel(at).load(), labels)),
             )
+
+
+def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
+    """The representations as they are; those of other solver settings if there is nothing else."""
+    plain = [i for i, label in enumerate(scene["representation"].values) if "@" not in str(label)]
+    return swept(scene.isel(representation=plain)) if plain else scene
 
 
 def _paper(figures: Iterable[Drawn]) -> Iterator[dict[str, Any]]:

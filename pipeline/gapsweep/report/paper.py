@@ -18,6 +18,7 @@ from gapsweep.report.paper_figures import (
     peak_curves,
     stacked_bifurcations,
 )
+from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.static_figures import (
     polynomial_forces,
     rational_forces,
@@ -88,6 +89,7 @@ def paper_figures(
     responses: xr.Dataset,
     histories: xr.Dataset | None = None,
     static: xr.Dataset | None = None,
+    scenes: Scenes | None = None,
 ) -> Iterator[Drawn]:
     """Those of the paper's figures that the datasets have enough for, in the paper's order.
 
@@ -102,12 +104,15 @@ def paper_figures(
         As stored in ``histories.nc``.
     static : Dataset, optional
         As stored in ``static.nc``.
+    scenes : Scenes, optional
+        Those of the responses that may have been read already.
     """
+    scenes = scenes or Scenes(responses)
     if static is not None:
         yield from _static_figures(static)
     for wanted in PAPER:
         for protocol in _protocols(responses):
-            scene = _scene(responses, wanted, protocol)
+            scene = _scene(responses, scenes, wanted, protocol)
             if scene is not None:
                 yield _drawn(wanted, scene)
     if histories is not None:
@@ -165,32 +170,25 @@ PAPER = (
 )
 
 
-def _scene(responses: xr.Dataset, wanted: PaperFigure, protocol: str) -> xr.Dataset | None:
-    """What a figure shows, loaded; None if too little of it was swept."""
+def _scene(
+    responses: xr.Dataset, scenes: Scenes, wanted: PaperFigure, protocol: str
+) -> xr.Dataset | None:
+    """What a figure shows; None if too little of it was swept."""
     gap = _large_gap(responses) if wanted.gap == LARGE else wanted.gap
-    if gap not in responses["gap"].values or wanted.K_c not in responses["K_c"].values:
+    scene = scenes.labelled(wanted.K_c, gap)
+    if scene is None:
         return None
-    stored = set(labels_of(responses))
+    stored = set(labels_of(scene))
     labels = [label + protocol for label in wanted.labels if label + protocol in stored]
-    scene = responses.sel(K_c=wanted.K_c, gap=gap, representation=labels)
     if wanted.from_rest:
         at_rest = (scene["start"] == "fixed") & (scene["x_0"] == 0.0) & (scene["v_0"] == 0.0)
         if not at_rest.any():
             return None
         scene = scene.isel(initial_condition=int(np.argmax(at_rest.values)))
-    scene = swept(scene)
+    scene = swept(scene.sel(representation=labels))
     here = labels_of(scene)
     enough = 2 * len(here) >= len(wanted.labels) and _EXACT + protocol in here
-    return scene.load() if enough and scene.sizes["omega"] > 1 else None
-
-
-def swept(scene: xr.Dataset) -> xr.Dataset:
-    """Only the representations, frequencies and starts that were asked for here."""
-    asked = scene["status"].load() != Status.NOT_REQUESTED
-    for dim in asked.dims:
-        others = [other for other in asked.dims if other != dim]
-        scene = scene.isel({dim: np.flatnonzero(asked.any(others).values)})
-    return scene
+    return scene if enough and scene.sizes["omega"] > 1 else None
 
 
 def _large_gap(responses: xr.Dataset) -> str:
@@ -293,7 +291,7 @@ def _history_figures(histories: xr.Dataset) -> Iterator[Drawn]:
     for protocol in _protocols(histories):
         labels = [label + protocol for label in LIMITS if label + protocol in stored]
         scene = histories.isel(history=chosen).sel(representation=labels)
-        scene = swept(scene)
+        scene = swept(scene.load())
         if 2 * scene.sizes["representation"] < len(LIMITS) or not scene.sizes["history"]:
             continue
         frequencies = " and ".join(f"{omega:g} Hz" for omega in scene["omega"].values)
@@ -310,7 +308,7 @@ def _history_figures(histories: xr.Dataset) -> Iterator[Drawn]:
             for label in labels_of(scene)
         )
         description = f"{title}. {'; '.join(words)}."
-        yield Drawn("11", title, caption, description, histories_and_spectra(scene.load()))
+        yield Drawn("11", title, caption, description, histories_and_spectra(scene))
 
 
 def _protocols(dataset: xr.Dataset) -> list[str]:

@@ -22,11 +22,11 @@ def agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[Row]:
     Parameters
     ----------
     agreement : Dataset
-        One stiffness and one gap of ``agreement.nc``, loaded.
+        One stiffness and one gap of ``agreement.nc``.
     labels : list of str
         Representations swept there.
     """
-    pooled = agreement.sel(regime="all")
+    pooled = agreement[list(_SHOWN)].sel(regime="all").load()
     floors = str(agreement.attrs["floor_representations"]).split()
     for label in labels:
         if label not in (agreement.attrs["reference"], *floors):
@@ -44,6 +44,24 @@ def agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[Row]:
             "compared": "",
             **_agreement(pooled, floor="_floor"),
         }
+
+
+_POOLED = (
+    "amplitude_error_median",
+    "amplitude_error_p95",
+    "extrema_distance_median",
+    "recall_pooled",
+    "precision_pooled",
+    "class_agreement_mean",
+    "basin_distance_mean",
+)
+_SHOWN = (
+    *_POOLED,
+    *(f"{name}_floor" for name in _POOLED),
+    "amplitude_error_median_ci",
+    "n_compared",
+    "n_points",
+)
 
 
 def _agreement(row: xr.Dataset, floor: str = "") -> Row:

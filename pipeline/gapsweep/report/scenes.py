@@ -1,0 +1,83 @@
+"""The scenes of ``responses.nc``: what was swept at one stiffness and gap, in memory."""
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.status import Status
+
+# What figures and sentences use.
+_SHOWN = ("status", "response_class", "amplitude", "x_max", "x_min", "extrema")
+_PADDED = "extremum"
+
+
+class Scenes:
+    """Scenes of a dataset, the last one kept.
+
+    Whole chunks are read and cut in memory: to pick out frequencies or starts on the way from a
+    compressed file costs more than all else in a report.
+
+    Parameters
+    ----------
+    responses : Dataset
+        As stored in ``responses.nc``.
+    """
+
+    def __init__(self, responses: xr.Dataset) -> None:
+        self._responses = responses[[name for name in _SHOWN if name in responses]]
+        self._asked = responses["status"].load() != Status.NOT_REQUESTED
+        self._last: tuple[int, int, xr.Dataset | None] = (-1, -1, None)
+
+    def at(self, k: int, g: int) -> xr.Dataset | None:
+        """Representations, frequencies and starts swept at the k-th stiffness and g-th gap.
+
+        None if there are none.
+        """
+        if self._last[:2] != (k, g):
+            self._last = (-1, -1, None)  # never two scenes in memory
+            asked = self._asked.isel(K_c=k, gap=g)
+            self._last = (k, g, self._scene(k, g) if bool(asked.any()) else None)
+        return self._last[2]
+
+    def labelled(self, K_c: float, gap: str) -> xr.Dataset | None:
+        """The scene of a stiffness [N/m] and gap, None if it was not swept."""
+        stiffnesses, gaps = (self._responses[name].values.tolist() for name in ("K_c", "gap"))
+        if K_c not in stiffnesses or gap not in gaps:
+            return None
+        return self.at(stiffnesses.index(K_c), gaps.index(gap))
+
+    def _scene(self, k: int, g: int) -> xr.Dataset:
+        asked = self._asked.isel(K_c=k, gap=g)
+        rows = np.flatnonzero(asked.any(["omega", "initial_condition"]))
+        omega = np.flatnonzero(asked.any(["representation", "initial_condition"]))
+        starts = np.flatnonzero(asked.any(["representation", "omega"]))
+        parts = []
+        for row in rows.tolist():
+            slab = self._responses.isel(representation=row, K_c=k, gap=g).load()
+            parts.append(_without_padding(slab.isel(omega=omega, initial_condition=starts)))
+        longest = max(part.sizes.get(_PADDED, 0) for part in parts)
+        padded = [
+            p.pad({_PADDED: (0, longest - n)}) if (n := p.sizes.get(_PADDED)) else p for p in parts
+        ]
+        return xr.concat(
+            padded, "representation", coords="minimal", compat="override", join="exact"
+        )
+
+
+def _without_padding(slab: xr.Dataset) -> xr.Dataset:
+    """A slab without the end of its ragged lists that is empty throughout."""
+    if _PADDED not in slab.dims:
+        return slab
+    others = [dim for dim in slab["extrema"].dims if dim != _PADDED]
+    used = np.flatnonzero(slab["extrema"].notnull().any(others).values)
+    kept = slab.isel({_PADDED: slice(0, int(used[-1]) + 1 if used.size else 1)})
+    # What is drawn needs no more digits, and a view would keep the whole slab in memory.
+    return kept.assign(extrema=kept["extrema"].astype("f4"))
+
+
+def swept(scene: xr.Dataset) -> xr.Dataset:
+    """Only the representations, frequencies and starts that were asked for here."""
+    asked = scene["status"] != Status.NOT_REQUESTED
+    for dim in asked.dims:
+        others = [other for other in asked.dims if other != dim]
+        scene = scene.isel({dim: np.flatnonzero(asked.any(others).values)})
+    return scene
