@@ -24,7 +24,7 @@ from gapsweep.study.study import Study
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
-HISTORIES, CLAIMS = "histories.nc", "claims.json"
+HISTORIES, ADVICE, CLAIMS = "histories.nc", "advice.nc", "claims.json"
 REPORT = "report/index.html"
 
 MadeFrom = Mapping[str, str]
@@ -62,6 +62,7 @@ STAGES = (
     Stage(AGREEMENT, "analysis/agreement.py", (RESPONSES, ATTRACTORS)),
     Stage(TIMING, "analysis/timing.py", (RESPONSES,)),
     Stage(HISTORIES, "analysis/histories.py", (STUDY,)),
+    Stage(ADVICE, "analysis/advice.py", (STUDY,)),
     Stage(
         CLAIMS,
         "analysis/claims.py",
@@ -70,7 +71,7 @@ STAGES = (
     Stage(
         REPORT,
         "report/html.py",
-        (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, CLAIMS),
+        (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, ADVICE, CLAIMS),
     ),
 )
 

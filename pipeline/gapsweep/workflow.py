@@ -28,7 +28,9 @@ from gapsweep.execution.explain import explain as explanations
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
+from gapsweep.model.labels import AUTO
 from gapsweep.stages import (
+    ADVICE,
     AGREEMENT,
     ATTRACTORS,
     CLAIMS,
@@ -417,11 +419,14 @@ def _failures(planned: Plan) -> dict[str, int]:
 def _stages(study: Study) -> list[Stage]:
     """The stages of a study.
 
-    Without the exact law there is nothing to agree with, without claims nothing to decide, and
-    motions are kept only where some are asked for.
+    Without the exact law there is nothing to agree with, without claims nothing to decide,
+    motions are kept only where some are asked for, and advice where ``auto`` took it.
     """
+    labels = study.grid.representations
     left_out = {
-        AGREEMENT: EXACT not in study.grid.representations,
+        STATIC: labels == (AUTO,),
+        AGREEMENT: EXACT not in labels,
+        ADVICE: AUTO not in labels,
         HISTORIES: not study.spec.history,
         CLAIMS: study.claims_file is None,
     }
@@ -450,6 +455,7 @@ def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
 
 def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
     """The dataset of an analysis stage."""
+    from gapsweep.analysis.advice import advice
     from gapsweep.analysis.agreement import agreement
     from gapsweep.analysis.histories import histories
     from gapsweep.analysis.static import static
@@ -459,6 +465,8 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
         # Only claims ask for the ladders. What a user's law may do, it does on workers.
         decides = study.claims_file is not None
         return static(study, with_ladders=decides, with_own_laws=False)
+    if stage.file == ADVICE:
+        return advice(study)
     if stage.file == HISTORIES:
         kept = histories(study)
         assert kept is not None, "the stage is left out where none is asked for"

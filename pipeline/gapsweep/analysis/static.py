@@ -16,7 +16,7 @@ from gapsweep.analysis.ladders import ladders
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw, Piecewise, static_error
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
-from gapsweep.model.labels import contact_law
+from gapsweep.model.labels import AUTO, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.schema import COORDINATES, POINT_DIMS, Variable
@@ -101,7 +101,7 @@ def law_statics(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
     """
     grid, x_max = study.grid, study.spec.fit.range
-    labels = tuple(dict.fromkeys(label.partition("@")[0] for label in grid.representations))
+    labels = tuple(dict.fromkeys(r.partition("@")[0] for r in grid.representations if r != AUTO))
     x = displacements(grid.gaps, x_max)
     scenes = {
         (r, k, g): _measured(study.oscillator, label, K_c, gap, x, x_max)

@@ -16,6 +16,7 @@ from gapsweep.errors import GapsweepError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.stages import CLAIMS, REPORT, RESPONSES
 from gapsweep.store.state import RunState
+from gapsweep.study.study import Study
 
 FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
 
@@ -198,6 +199,41 @@ def explain(
 
 def _short(text: str) -> str:
     return text if len(text) <= 40 else f"{text[:18]}...{text[-18:]}"
+
+
+@commands.command()
+@options.study
+@click.option(
+    "--error",
+    type=float,
+    help="Error of the steady amplitude to meet.  [default: [auto] of the study, else 1e-3]",
+)
+@options.as_json
+def advise(study: Path, error: float | None, as_json: bool) -> int:
+    """Say what is the least model that each scene needs, without computing any.
+
+    \b
+    Example:
+      gapsweep advise workflows/quick.toml --error 1e-2
+    """
+    from gapsweep.analysis.advice import advice, sentences
+
+    found = advice(Study.load(study), error)
+    scenes = sentences(found)
+    if as_json:
+        click.echo(json.dumps({"error": found.attrs["error"], "scenes": scenes}))
+        return FINISHED
+    click.echo(f"for an error of the steady amplitude of {found.attrs['error']:g}:")
+    for scene in scenes:
+        click.echo(f"K_c = {scene['K_c']:g} N/m, gap {scene['gap']} mm")
+        for one in scene["starts"]:
+            click.echo(f"  from {one['start']}:")
+            for part in one["advice"]:
+                hertz = f"{part['from']:g} to {part['to']:g} Hz"
+                model = f"{part['model']}, rtol {part['rtol']:g}"
+                click.echo(f"    {hertz:<16} {model:<22} {part['reason']}")
+        click.echo(f"  {scene['stand_ins']}")
+    return FINISHED
 
 
 @commands.command()

@@ -1,7 +1,7 @@
 """What an engine is given: initial value problems and solver settings."""
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,6 +143,10 @@ class Solver:
             d if given is None else given for d, given in zip(default, (rtol, atol), strict=True)
         )
         return cls(engine=engine, rtol=rtol, atol=atol, controller=controller, restart=restart)
+
+    def with_rtol(self, rtol: float) -> "Solver":
+        """The same solver at another relative tolerance, the absolute one changed alike."""
+        return replace(self, rtol=rtol, atol=self.atol / self.rtol * rtol)
 
 
 def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:

@@ -8,6 +8,7 @@
 ``tanh-1e4``              tanh, epsilon = 1e4 /m; ``arctan-…`` likewise
 ``logarctan-1e4``         log-arctan, gamma = 1e4 /m
 ``my_module:spring``      the function ``spring(x)`` of the importable ``my_module``
+``auto``                  in a study: the least model that each sweep point needs
 ========================= ==========================================================
 """
 
@@ -32,6 +33,7 @@ from gapsweep.model.contact import (
 from gapsweep.model.fit import MAX_DEGREE, MAX_RATIONAL_DEGREE
 from gapsweep.model.oscillator import Gap
 
+AUTO = "auto"
 EXAMPLES = (
     "piecewise, piecewise-noevents, poly-13, ratpoly-5/3, tanh-1e4, arctan-1e4, logarctan-1e4"
 )
@@ -52,7 +54,7 @@ def canonical_label(label: str) -> str:
         If the label is unknown or its parameter out of range.
     """
     family, _, parameter = label.partition("-")
-    if label in ("piecewise", "piecewise-noevents") or _FUNCTION.fullmatch(label):
+    if label in ("piecewise", "piecewise-noevents", AUTO) or _FUNCTION.fullmatch(label):
         return label
     if family in _SMOOTH:
         return f"{family}-{_canonical_number(label, parameter)}"
@@ -81,6 +83,8 @@ def contact_law(label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE) 
     """
     label = canonical_label(label)
     family, _, parameter = label.partition("-")
+    if label == AUTO:
+        raise ModelError("'auto' is no law: a study chooses one for every sweep point")
     if ":" in label:
         return law(_imported(label), K_c, gap)
     if family == "piecewise":

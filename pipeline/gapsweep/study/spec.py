@@ -22,7 +22,8 @@ from pydantic import (
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
-from gapsweep.model.labels import canonical_label
+from gapsweep.model.labels import AUTO, canonical_label
+from gapsweep.study.advice import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ERROR
 
 MAX_POINTS = 10**7
 # Of a time history; its dense output is kept in memory.
@@ -214,6 +215,12 @@ class HistoryTable(_Table):
         return self
 
 
+class AutoTable(_Table):
+    """What representation "auto" and `gapsweep advise` have to meet."""
+
+    error: Annotated[float, Field(ge=SMALLEST_ERROR, le=LARGEST_ERROR)] = DEFAULT_ERROR
+
+
 class ClaimsTable(_Table):
     """Presence asks for verdicts; the path is relative to the study file."""
 
@@ -228,6 +235,7 @@ class StudySpec(_Table):
     protocol: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")], SolverTable] = {}
     steady: SteadyTable = SteadyTable()
     fit: FitTable = FitTable()
+    auto: AutoTable = AutoTable()
     history: list[HistoryTable] = []
     claims: ClaimsTable | None = None
 
@@ -240,6 +248,10 @@ class StudySpec(_Table):
             f"protocol {name!r} is used by a label but there is no [protocol.{name}]"
             for name in sorted(used - set(self.protocol))
         ]
+        if any(label.startswith(f"{AUTO}@") for label in labels):
+            problems.append("'auto' chooses its solver settings itself: it takes no protocol")
+        if any(AUTO in table.representation for table in self.history):
+            problems.append("'auto' has no time histories: name the representation")
         count = sum(block.count for block in self.sweep)
         if count > MAX_POINTS:
             problems.append(f"{count} sweep points: must be <= {MAX_POINTS}; coarsen a grid")

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.labels import canonical_label
+from gapsweep.model.labels import AUTO, canonical_label
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.result import Steady
+from gapsweep.study.advice import Advice, advise
 from gapsweep.study.claims import read_claims
 from gapsweep.study.points import FIXED, Point, Start, canonical, content_key
 from gapsweep.study.spec import (
@@ -255,22 +256,52 @@ class Study:
         return Selection(tuple(positions))
 
     def point(self, index: Index) -> Point:
-        """The sweep point at a position of the grid."""
+        """The sweep point at a position of the grid; for ``auto``, the one that it chooses."""
         grid = self.grid
         r, k, g, w, i = index
-        label, _, protocol = grid.representations[r].partition("@")
-        solver, start_jitter = self._protocols[protocol]
-        return Point(
+        full = grid.representations[r]
+        point = Point(
             oscillator=self.oscillator,
-            representation=label,
+            representation=full.partition("@")[0],
             K_c=grid.K_c[k],
             gap=grid.gaps[g],
             omega=grid.omega[w],
             start=grid.starts[i],
-            solver=solver,
+            solver=self.solver(full),
             steady=self.steady,
             fit_range=self.spec.fit.range,
-            start_jitter=start_jitter,
+            start_jitter=self.start_jitter(full),
+        )
+        if full != AUTO:
+            return point
+        least = self.advice(index)
+        return replace(
+            point,
+            representation="piecewise",
+            oscillator=least.oscillator,
+            K_c=least.K_c,
+            solver=point.solver.with_rtol(least.rtol),
+        )
+
+    def advice(self, index: Index, error: float | None = None) -> Advice:
+        """The least model that is adequate at a position of the grid, whatever representation.
+
+        Parameters
+        ----------
+        index : Index
+        error : float, optional
+            What it has to meet; that of ``[auto]`` if None.
+        """
+        grid = self.grid
+        _, k, g, w, i = index
+        start = grid.starts[i]
+        return advise(
+            self.oscillator,
+            grid.K_c[k],
+            grid.gaps[g],
+            grid.omega[w],
+            (start.x_0, start.v_0) if start.kind == FIXED else None,
+            error=self.spec.auto.error if error is None else error,
         )
 
     def chains(self, selection: Selection | None = None) -> Iterator[tuple[Index, ...]]:
@@ -299,8 +330,12 @@ class Study:
                     yield tuple((r, k, g, w, i) for w in order)
 
     def solver(self, label: str) -> Solver:
-        """Solver settings of a representation, its protocol's where the label has one."""
-        return self._protocols[label.partition("@")[2]][0]
+        """Solver settings of a representation, its protocol's where the label has one.
+
+        Of ``auto`` the loosest that it may choose for a point.
+        """
+        solver = self._protocols[label.partition("@")[2]][0]
+        return solver.with_rtol(self.spec.auto.error) if label == AUTO else solver
 
     def start_jitter(self, label: str) -> float:
         """What a representation's protocol adds to fixed initial displacements [m]."""

@@ -1,0 +1,247 @@
+"""No more model than a scene needs: what is adequate, from the scene's parameters alone.
+
+Nothing is integrated, so no answer can leak into the choice. Two statements are proved, two
+were measured (docs/decisions/0010-advice.md):
+
+- *The walls are never reached.* The linear oscillator answers a force of magnitude f by at most
+  L f, with L the integral of its impulse response's magnitude. As long as ``|x| <= b``, the cubic
+  spring is such a force of at most ``|α| b³ / m``. Let b_0 bound the linear motion, transient
+  included. If ``b = b_0 + L |α| b³ / m`` has a root below both walls, the motion never leaves it:
+  plain Duffing, whose motion is the same.
+- *The cubic spring is not seen.* By the same bound it moves the steady motion by at most
+  ``L |α| b³ / m``, now with the linear steady amplitude as b_0. Below the error: linear.
+- *A smooth law is adequate* if its force error is below the error times the forcing.
+- *A tolerance* of a tenth of the error is enough, of a hundredth where walls that are stiff
+  beside the oscillator's own spring may be reached.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.errors import ModelError
+from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.labels import contact_law
+from gapsweep.model.oscillator import Gap, Oscillator, checked
+
+Array = NDArray[np.float64]
+
+DEFAULT_ERROR = 1e-3
+SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 0.1
+# Solver tolerance per asked error, and where walls of so many times the spring's stiffness are met.
+_TOLERANCE, _TOLERANCE_STIFF = 0.1, 0.01
+_STIFF = 3.0
+_SMALLEST_RTOL = 1e-12
+_FAMILIES = ("tanh", "arctan", "logarctan")
+_DECADES = range(2, 13)
+
+
+class Model(IntEnum):
+    """What a scene needs; the order is part of the schema."""
+
+    EXACT = 0
+    DUFFING = 1
+    LINEAR = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Advice:
+    """The least model that is adequate for one scene and start.
+
+    Attributes
+    ----------
+    model : Model
+    bound : float
+        What the displacement never exceeds [m]; infinite where nothing is certain.
+    oscillator : Oscillator
+        The one to simulate: without the cubic spring if `model` is linear.
+    K_c : float
+        Contact stiffness to simulate [N/m]: 0 if the walls are never reached. Crossings of the
+        walls are counted all the same, and would show.
+    rtol : float
+        Relative tolerance of the solver [-].
+    """
+
+    model: Model
+    bound: float
+    oscillator: Oscillator
+    K_c: float
+    rtol: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StandIn:
+    """How a smooth law would do in a scene.
+
+    Attributes
+    ----------
+    label : str
+    force_error : float
+        Largest difference from the exact force, relative to the forcing [-].
+    is_adequate : bool
+    """
+
+    label: str
+    force_error: float
+    is_adequate: bool
+
+
+def advise(
+    oscillator: Oscillator,
+    K_c: float,
+    gap: Gap,
+    omega: float,
+    start: tuple[float, float] | None = (0.0, 0.0),
+    *,
+    error: float = DEFAULT_ERROR,
+) -> Advice:
+    """The least model that is adequate.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+    K_c : float
+        Contact stiffness [N/m].
+    gap : Gap
+    omega : float
+        Forcing frequency [Hz].
+    start : (float, float), optional
+        Displacement [m] and velocity [m/s] at forcing phase zero; None if not known.
+    error : float
+        Error of the steady amplitude that is accepted, relative to the amplitude or half the
+        gap, whichever is larger; 1e-9 to 0.1.
+    """
+    check_error(error)
+    bound, steady, moved = math.inf, 0.0, math.inf
+    if start is not None:
+        steady, transient = _linear_motion(oscillator, omega, start)
+        cubic = _cubic_share(oscillator)
+        bound = _smallest_root(steady + transient, cubic)
+        moved = cubic * _smallest_root(steady, cubic) ** 3
+    if not bound < min(gap.j_1, gap.j_2):
+        stiff = K_c > _STIFF * oscillator.mass * oscillator.omega_n_rad**2
+        return Advice(
+            model=Model.EXACT,
+            bound=math.inf,
+            oscillator=oscillator,
+            K_c=K_c,
+            rtol=_rtol(error, _TOLERANCE_STIFF if stiff else _TOLERANCE),
+        )
+    is_linear = moved <= error * max(steady - moved, 0.5 * gap.width)
+    return Advice(
+        model=Model.LINEAR if is_linear else Model.DUFFING,
+        bound=bound,
+        oscillator=replace(oscillator, alpha=0.0) if is_linear else oscillator,
+        K_c=0.0,
+        rtol=_rtol(error, _TOLERANCE),
+    )
+
+
+def _rtol(error: float, share: float) -> float:
+    return max(share * error, _SMALLEST_RTOL)
+
+
+def check_error(error: float) -> float:
+    """The error, if it may be asked for.
+
+    Raises
+    ------
+    ModelError
+        If it is not within 1e-9..0.1.
+    """
+    error = checked("error", error)
+    if not SMALLEST_ERROR <= error <= LARGEST_ERROR:
+        raise ModelError(f"error = {error:g}: must be in {SMALLEST_ERROR:g}..{LARGEST_ERROR:g}")
+    return error
+
+
+def stand_ins(K_c: float, gap: Gap, forcing: float, *, error: float) -> list[StandIn]:
+    """Per family the smooth law with the smallest adequate power of ten as its parameter.
+
+    Families without one up to 1e12 /m are left out.
+    """
+    found = []
+    for family in _FAMILIES:
+        for decade in _DECADES:
+            one = stand_in(f"{family}-1e{decade}", K_c, gap, forcing, error=error)
+            if one.is_adequate:
+                found.append(one)
+                break
+    return found
+
+
+def stand_in(
+    label: str, K_c: float, gap: Gap, forcing: float, *, error: float, fit_range: float = 4e-3
+) -> StandIn:
+    """Static screening of one smooth law.
+
+    Parameters
+    ----------
+    label : str
+        As in a study.
+    forcing : float
+        Forcing amplitude [N].
+    fit_range : float
+        Half-width [m] of the range in which forces are compared, and polynomials fitted.
+    """
+    law = contact_law(label, K_c, gap, fit_range)
+    largest = _largest_force_error(law, fit_range)
+    relative = largest / abs(forcing) if forcing else math.inf
+    return StandIn(label=label, force_error=relative, is_adequate=relative <= check_error(error))
+
+
+def _largest_force_error(law: ContactLaw, reach: float) -> float:
+    # Smooth laws err most within their layer at a wall, however thin; fits between the walls.
+    steps = np.concatenate([[0.0], np.geomspace(1e-13, 2.0 * reach, 600)])
+    walls = (-law.gap.j_1, law.gap.j_2)
+    x = np.concatenate(
+        [np.linspace(-reach, reach, 2001), *(w + s * steps for w in walls for s in (-1, 1))]
+    )
+    x = x[np.abs(x) <= reach]
+    return float(np.max(np.abs(law.force(x) - Piecewise(law.K_c, law.gap).force(x))))
+
+
+def _linear_motion(
+    oscillator: Oscillator, omega: float, start: tuple[float, float]
+) -> tuple[float, float]:
+    """Amplitude of the linear steady motion, and bound of its transient [m]."""
+    omega_rad, omega_n, zeta = 2.0 * math.pi * omega, oscillator.omega_n_rad, oscillator.zeta
+    response = (
+        (oscillator.forcing / oscillator.mass)
+        / complex(omega_n**2 - omega_rad**2, 2.0 * zeta * omega_n * omega_rad)
+        if (omega_rad != omega_n or zeta)
+        else complex(math.inf)
+    )
+    steady = abs(response)
+    if not math.isfinite(steady) or zeta >= 1.0:
+        # Overdamped oscillators have no simple envelope, and resonance without damping no bound.
+        return steady, math.inf
+    x = start[0] - response.real
+    v = start[1] + omega_rad * response.imag
+    damped = omega_n * math.sqrt(1.0 - zeta**2)
+    return steady, math.hypot(x, (v + oscillator.decay_rate * x) / damped)
+
+
+def _cubic_share(oscillator: Oscillator) -> float:
+    """L |α| / m [1/m²], with L the integral of the magnitude of the linear impulse response."""
+    zeta = oscillator.zeta
+    if oscillator.alpha == 0.0:
+        return 0.0
+    if not 0.0 < zeta < 1.0:
+        return math.inf
+    half_period = math.pi * zeta / math.sqrt(1.0 - zeta**2)
+    gain = 1.0 / (oscillator.omega_n_rad**2 * math.tanh(0.5 * half_period))
+    return gain * abs(oscillator.alpha) / oscillator.mass
+
+
+def _smallest_root(b_0: float, cubic: float) -> float:
+    """Smallest positive b with ``b = b_0 + cubic b³``; infinite if there is none."""
+    if cubic == 0.0:
+        return b_0
+    sine = 1.5 * math.sqrt(3.0 * cubic) * b_0
+    if not sine <= 1.0:
+        return math.inf
+    return 2.0 / math.sqrt(3.0 * cubic) * math.sin(math.asin(sine) / 3.0)

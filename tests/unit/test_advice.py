@@ -1,0 +1,204 @@
+"""No more model than a scene needs: bounds that hold, models that are adequate, `auto`."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.integrate import quad
+from scipy.optimize import minimize_scalar
+
+import gapsweep as gs
+from gapsweep.analysis.advice import advice, sentences
+from gapsweep.cli.main import FAULT, FINISHED, exit_code
+from gapsweep.study.advice import Model, advise, stand_in, stand_ins
+
+GAP = gs.Gap(0.4e-3, 0.4e-3)
+
+oscillators = st.builds(
+    gs.Oscillator,
+    zeta=st.floats(0.01, 0.5),
+    omega_n=st.floats(3.0, 8.0),
+    mass=st.floats(1.0, 5.0),
+    alpha=st.floats(-1e9, 1e9),
+    forcing=st.floats(0.1, 10.0),
+)
+frequencies = st.floats(0.5, 40.0)
+starts = st.tuples(st.floats(-3e-4, 3e-4), st.floats(-0.02, 0.02))
+
+
+@given(oscillators, frequencies, starts)
+def test_no_motion_leaves_its_bound(oscillator, omega, start):
+    far = gs.Gap(1e-3, 1e-3)
+    found = advise(oscillator, 1.4e5, far, omega, start)
+    if found.model is Model.EXACT:
+        return
+    assert max(abs(start[0]), 0.0) <= found.bound < 1e-3
+    law = gs.Piecewise(1.4e5, far)
+    run = gs.simulate(oscillator, law, omega, *start, t_end=20.0 / omega + 3.0)
+    assert run.n_contacts == 0
+    assert np.max(np.abs(run.extrema), initial=abs(start[0])) <= found.bound * (1 + 1e-6)
+
+
+@given(oscillators, frequencies)
+def test_linear_scenes_meet_the_error(oscillator, omega):
+    found = advise(oscillator, 1e5, GAP, omega, error=1e-2)
+    if found.model is not Model.LINEAR:
+        return
+    assert found.oscillator.alpha == 0.0
+    least = gs.respond(found.oscillator, gs.Piecewise(found.K_c, GAP), omega, rtol=found.rtol)
+    exact = gs.respond(oscillator, gs.Piecewise(1e5, GAP), omega)
+    assert abs(least.amplitude - exact.amplitude) <= 1e-2 * max(exact.amplitude, 0.4e-3)
+
+
+def test_gain_of_the_cubic_spring_is_the_integral_of_the_impulse_response():
+    # One scene whose bound is known in closed form but for that integral.
+    oscillator = gs.Oscillator(zeta=0.1, forcing=0.0)
+    natural = oscillator.omega_n_rad
+    damped = natural * math.sqrt(1 - 0.1**2)
+    pieces = [
+        quad(lambda t: math.exp(-0.1 * natural * t) * abs(math.sin(damped * t)) / damped, a, b)[0]
+        for a, b in zip(*(np.arange(n, 200 + n) * math.pi / damped for n in (0, 1)), strict=True)
+    ]
+    share = sum(pieces) * oscillator.alpha / oscillator.mass
+    bound = advise(oscillator, 1e4, GAP, 5.0, (1e-4, 0.0)).bound
+    linear = math.hypot(1e-4, 0.1 * natural * 1e-4 / damped)
+    assert_allclose(bound, linear + share * bound**3, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("oscillator", "start"),
+    [
+        (gs.Oscillator(zeta=0.0), (0.0, 0.0)),  # the cubic spring may pump without end
+        (gs.Oscillator(zeta=1.5), (0.0, 0.0)),
+        (gs.Oscillator(zeta=0.0, omega_n=20.0, alpha=0.0), (0.0, 0.0)),  # resonance
+        (gs.Oscillator(), (5e-4, 0.0)),
+        (gs.Oscillator(), None),
+    ],
+)
+def test_nothing_is_left_out_where_nothing_is_certain(oscillator, start):
+    found = advise(oscillator, 1.4e4, GAP, 20.0, start)
+    assert (found.model, found.bound, found.K_c) == (Model.EXACT, math.inf, 1.4e4)
+
+
+def test_a_wall_at_the_origin_is_always_reached():
+    assert advise(gs.Oscillator(), 1.4e4, gs.Gap(0.0, 0.8e-3), 30.0).model is Model.EXACT
+
+
+def test_static_error_of_a_smooth_law():
+    layer = minimize_scalar(lambda u: -u * (1 - math.tanh(u)) / 2, bounds=(0, 3), method="bounded")
+    found = stand_in("tanh-1e6", 1.4e4, GAP, 4.0, error=1e-3)
+    assert_allclose(found.force_error, -layer.fun * 1.4e4 / 1e6 / 4.0, rtol=1e-4)
+    assert found.is_adequate
+    assert not stand_in("tanh-1e5", 1.4e4, GAP, 4.0, error=1e-3).is_adequate
+
+
+def test_the_least_smooth_laws_are_one_decade_from_failing():
+    for one in stand_ins(1.4e6, GAP, 4.0, error=1e-2):
+        family, _, decade = one.label.partition("-1e")
+        assert one.is_adequate
+        coarser = stand_in(f"{family}-1e{int(decade) - 1}", 1.4e6, GAP, 4.0, error=1e-2)
+        assert not coarser.is_adequate
+
+
+@pytest.mark.parametrize("error", [0.0, 1e-12, 0.5, math.nan])
+def test_absurd_errors_are_refused(error):
+    with pytest.raises(gs.ModelError, match="error"):
+        advise(gs.Oscillator(), 1.4e4, GAP, 5.0, error=error)
+
+
+AUTO = {
+    "study": {"name": "least"},
+    "sweep": [
+        {
+            "representation": ["piecewise", "auto"],
+            "K_c": [1.4e4],
+            "gap": [[0.4e-3, 0.4e-3]],
+            "omega": [7.0, 12.0, 24.0, 30.0],
+        }
+    ],
+}
+
+
+def test_auto_meets_its_error_and_says_what_it_chose(client, tmp_path):
+    study = gs.Study.from_dict(AUTO)
+    out, cache = tmp_path / "out", tmp_path / "cache.sqlite"
+    found = gs.run(study, client, out=out, cache=cache).isel(K_c=0, gap=0, initial_condition=0)
+    exact, least = (found["amplitude"].sel(representation=r) for r in ("piecewise", "auto"))
+    assert (abs(least - exact) <= 1e-3 * np.maximum(exact, 0.4e-3)).all()
+    with gs.open(out / "advice.nc") as chosen:
+        model = chosen["model"].isel(K_c=0, gap=0, initial_condition=0)
+        assert model.values.tolist() == [Model.EXACT, Model.EXACT, Model.DUFFING, Model.LINEAR]
+        assert (chosen["bound"].values[..., 2:, :] < 0.4e-3).all()
+
+
+def test_auto_shares_the_points_that_it_chooses():
+    study = gs.Study.from_dict(AUTO)
+    chosen = study.point((1, 0, 0, 0, 0))
+    assert (chosen.representation, chosen.K_c) == ("piecewise", 1.4e4)
+    tables = json.loads(json.dumps(AUTO))
+    tables["solver"] = {"rtol": chosen.solver.rtol, "atol": chosen.solver.atol}
+    plain = gs.Study.from_dict(tables).point((0, 0, 0, 0, 0))
+    assert plain.identity() == chosen.identity()
+    assert study.point((1, 0, 0, 3, 0)).oscillator.alpha == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"auto": {"error": 0.5}}, r"auto\.error = 0.5: must be <= 0.1"),
+        (
+            {"sweep": [AUTO["sweep"][0] | {"representation": ["auto@x"]}], "protocol": {"x": {}}},
+            "takes no protocol",
+        ),
+        (
+            {
+                "history": [
+                    {
+                        "representation": "auto",
+                        "K_c": 1.0,
+                        "gap": [0.0, 0.0],
+                        "omega": 1.0,
+                        "t_end": 9.0,
+                    }
+                ]
+            },
+            "no time histories",
+        ),
+    ],
+)
+def test_what_auto_cannot_do_is_refused(change, message):
+    with pytest.raises(gs.StudyError, match=message):
+        gs.Study.from_dict(AUTO | change)
+
+
+def test_advice_covers_every_frequency_once():
+    study = gs.Study.from_dict(AUTO)
+    (scene,) = sentences(advice(study))
+    (start,) = scene["starts"]
+    assert [(p["from"], p["to"], p["model"]) for p in start["advice"]] == [
+        (7.0, 12.0, "exact"),
+        (24.0, 24.0, "duffing"),
+        (30.0, 30.0, "linear"),
+    ]
+    assert start["start"] == "rest"
+
+
+def test_command_advises_without_computing(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text(
+        '[study]\nname = "s"\n[[sweep]]\nrepresentation = ["piecewise", "tanh-1e4"]\n'
+        "K_c = [1.4e4]\ngap = [[0.4e-3, 0.4e-3]]\nomega = [7.0, 30.0]\n"
+    )
+    assert exit_code(["advise", "s.toml", "--error", "1e-2"]) == FINISHED
+    text = capsys.readouterr().out
+    assert "7 to 7 Hz" in text
+    assert "not adequate: tanh-1e4" in text
+    assert exit_code(["advise", "s.toml", "--json"]) == FINISHED
+    assert json.loads(capsys.readouterr().out)["error"] == 1e-3
+    assert exit_code(["advise", "s.toml", "--error", "2"]) == FAULT
+    assert "error = 2: must be in" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]
