@@ -258,6 +258,7 @@ def test_units_are_those_of_the_dataset(responses, ax):
         (lambda r, a: r.gapsweep.bifurcation(stiffness=3.0), "stiffness: no coordinate"),
         (lambda r, a: r.gapsweep.bifurcation(gap=slice(1, 2)), "gap: holds text"),
         (lambda r, a: r.gapsweep.bifurcation(representation="tan"), "unknown representation"),
+        (lambda r, a: r.gapsweep.bifurcation(omega=[5.0, 5.5]), r"omega = 5.5: not in this"),
         (lambda r, a: r.gapsweep.compare("piecewise", "poly-7"), "'poly-7': not in this"),
         (lambda r, a: r.gapsweep.attractors(omega=5.0), "room for one .* representation='piece"),
         (lambda r, a: r.gapsweep.bifurcation(along="gap"), "draw along omega or K_c"),

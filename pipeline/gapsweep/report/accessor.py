@@ -14,7 +14,7 @@ from gapsweep.errors import DatasetError
 from gapsweep.report import drawing
 from gapsweep.report.drawing import axis_label, labels_of
 from gapsweep.report.scene import as_words, missing_variable, scene, selected
-from gapsweep.report.style import MATPLOTLIB, colour
+from gapsweep.report.style import colour
 from gapsweep.report.summary import as_html, as_text
 
 if TYPE_CHECKING:
@@ -244,13 +244,12 @@ _AGREEMENT = "; the metrics are in agreement.nc, which gs.open opens"
 
 
 def _axes(ax: "Axes | None") -> "Axes":
-    """The axes given, or new ones in the report's style."""
+    """The axes given, or new ones in the user's own style."""
     if ax is not None:
         return ax
     import matplotlib.pyplot as plt
 
-    with plt.rc_context(MATPLOTLIB):
-        return plt.subplots()[1]
+    return plt.subplots(layout="constrained")[1]
 
 
 def _finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
