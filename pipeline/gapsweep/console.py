@@ -34,11 +34,13 @@ def progress_bar() -> Iterator[OnProgress]:
         TimeRemainingColumn(),
     )
     with Bar(*columns, console=console) as bar:
-        task = bar.add_task("", total=None, rate=0.0, hits=0, failed=0)
+        # Hidden until something is computed: everything may be in the cache.
+        task = bar.add_task("", total=None, visible=False, rate=0.0, hits=0, failed=0)
 
         def update(progress: Progress) -> None:
             bar.update(
                 task,
+                visible=True,
                 total=progress.n_points,
                 completed=progress.n_done,
                 rate=progress.rate,

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import weakref
 
 import matplotlib as mpl
 import numpy as np
@@ -323,6 +324,15 @@ def test_hostile_texts_in_a_summary_are_harmless(responses):
     bad = responses.assign_attrs(title=hostile).assign_coords(gap=[hostile])
     assert "<img" not in bad.gapsweep._repr_html_()
     assert "&lt;img" in bad.gapsweep._repr_html_()
+
+
+def test_a_dataset_that_was_drawn_is_let_go(responses, ax):
+    """An open file must not wait for the garbage collector."""
+    copy = responses.copy()
+    copy.gapsweep.bifurcation(ax=ax)
+    alive = weakref.ref(copy)
+    del copy
+    assert alive() is None
 
 
 def test_datasets_bring_the_accessor_and_matplotlib_waits_for_a_plot():

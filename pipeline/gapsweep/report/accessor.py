@@ -24,7 +24,6 @@ _CURVES = ("representation", "initial_condition")
 _RIM, _DOT = 5.0, 3.0  # points: of the law behind, of the one before it
 
 
-@xr.register_dataset_accessor("gapsweep")  # type: ignore[no-untyped-call]
 class GapsweepAccessor:
     """Plots of a dataset, as ``ds.gapsweep.bifurcation(K_c=1.4e4, gap="0.4/0.4")``.
 
@@ -316,3 +315,9 @@ def _plane(axes: "Axes", x: xr.DataArray, v: xr.DataArray, shown: xr.Dataset) ->
     axes.set_xlabel(axis_label(x))
     axes.set_ylabel(axis_label(v))
     return _titled(axes, shown)
+
+
+# xarray's own register_dataset_accessor keeps the accessor in the dataset and so both alive, with
+# the file open, until the garbage collector comes by. netCDF crashes when files that hold strings
+# pile up open (Unidata/netcdf4-python issue 261); a property leaves no such cycle.
+xr.Dataset.gapsweep = property(GapsweepAccessor)  # type: ignore[attr-defined]
