@@ -4,7 +4,9 @@ from collections.abc import Iterable, Iterator
 
 import click
 
+from gapsweep.analysis import histories, static
 from gapsweep.analysis.metrics import variables
+from gapsweep.analysis.timing import COSTS
 from gapsweep.cli.main import commands
 from gapsweep.status import Status
 from gapsweep.study.schema import (
@@ -31,6 +33,9 @@ def pages() -> dict[str, str]:
         "responses": _table(("variable", "over", *_FACTS), _responses()),
         "attractors": _table(("variable", "over", *_FACTS), _attractors()),
         "agreement": _table(("variable", "over", "units", "what it is"), _agreement()),
+        "timing": _table(("variable", "over", "units", "what it is"), _timing()),
+        "static": _table(("variable", "over", *_FACTS), _static()),
+        "histories": _table(("variable", "over", *_FACTS), _histories()),
         "flags": _table(("variable", "value", "meaning"), _flags()),
         "commands": "\n".join(_commands(commands, "gapsweep")),
     }
@@ -75,6 +80,30 @@ def _agreement() -> Iterator[tuple[str, ...]]:
     for name, metric in variables():
         over = ", ".join(metric.dims).replace(", ".join(POINT_DIMS), "point")
         yield f"`{name}`", over, metric.units, f"{metric.number}: {metric.long_name}"
+
+
+def _timing() -> Iterator[tuple[str, ...]]:
+    for name, (units, long_name) in COSTS.items():
+        for statistic in ("mean", "median"):
+            yield f"`{name}_{statistic}`", "scene", units, f"{long_name}, {statistic}"
+    yield "`n_points`", "scene", "1", "sweep points measured"
+    yield "`n_points_elsewhere`", "scene", "1", "points of other machines"
+
+
+def _static() -> Iterator[tuple[str, ...]]:
+    for name, variable in static.CURVES.items():
+        yield _row(name, ["scene", "x"], variable)
+    for name, variable in static.SCENE_VARIABLES.items():
+        yield _row(name, ["scene"], variable)
+    for name, variable in static.LIST_VARIABLES.items():
+        yield _row(name, ["scene", static.EQUILIBRIUM], variable)
+
+
+def _histories() -> Iterator[tuple[str, ...]]:
+    for name, variable in histories.SCENE.items():
+        yield _row(name, ["history"], variable)
+    for name, (dims, variable) in {**histories.VARIABLES, **histories.AXES}.items():
+        yield _row(name, dims, variable)
 
 
 def _flags() -> Iterator[tuple[str, ...]]:
