@@ -1,5 +1,6 @@
 """``ds.gapsweep``: draws what is in the data, of any selection, and says what it cannot draw."""
 
+import contextlib
 import subprocess
 import sys
 import weakref
@@ -8,7 +9,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
@@ -294,6 +295,47 @@ def test_any_selection_is_drawn_whole(responses, selection, starts, drop):
     axes = Figure().subplots()
     chosen.gapsweep.frequency_response(ax=axes)
     assert_allclose(drawn(axes), expected(chosen["amplitude"]))
+
+
+@settings(max_examples=10)
+@given(st.fixed_dictionaries({"representation": part(3), "omega": part(4)}), part(3), st.booleans())
+def test_every_plot_of_any_selection_is_drawn_or_refused(made, compared, selection, starts, drop):
+    """Never another error, and no warning."""
+    scene = {"K_c": 0, "gap": 0}
+    responses, attractors = (ds.isel(selection).isel(scene, drop=drop) for ds in made)
+    numbers = compared.isel(selection).isel(scene, drop=drop)
+    responses = responses.isel(initial_condition=starts)
+    labels = np.atleast_1d(responses["representation"].values).tolist()
+    for draw in (
+        lambda ax: responses.gapsweep.compare(labels[0], labels[-1], ax=ax),
+        lambda ax: responses.gapsweep.attractors(ax=ax),
+        lambda ax: attractors.gapsweep.attractors(ax=ax),
+        lambda ax: numbers.gapsweep.agreement(ax=ax),
+        lambda ax: numbers.gapsweep.agreement("amplitude_error_paired", ax=ax),
+        lambda ax: numbers.isel(regime=1).gapsweep.agreement("f1_pooled", ax=ax),
+    ):
+        axes = Figure().subplots()
+        with contextlib.suppress(gs.DatasetError):
+            assert draw(axes) is axes
+            assert axes.get_xlabel()
+
+
+def test_agreement_of_the_reference_alone_is_refused(compared):
+    with pytest.raises(gs.DatasetError, match=r"piecewise: .* itself"):
+        compared.gapsweep.agreement(representation="piecewise")
+
+
+def test_stiffness_can_be_the_axis(responses, ax):
+    stiffer = responses.assign_coords(K_c=responses["K_c"] * 100).assign(
+        amplitude=(2.0 * responses["amplitude"]).assign_attrs(units="m")
+    )
+    both = xr.concat([responses, stiffer], "K_c").sel(omega=6.0, gap="0.4/0.4")
+    both.gapsweep.frequency_response(along="K_c", ax=ax, representation="piecewise", start="fixed")
+    assert ax.get_xlabel() == "contact stiffness [N/m]"
+    assert ax.get_xscale() == "log"
+    at_rest = both["amplitude"].sel(representation="piecewise").isel(initial_condition=0)
+    assert_allclose(ax.lines[0].get_xdata(), [1.4e4, 1.4e6])
+    assert_allclose(ax.lines[0].get_ydata(), 1e3 * at_rest)
 
 
 def test_a_dropped_label_does_not_hinder(responses, ax):

@@ -183,7 +183,10 @@ class GapsweepAccessor:
             wanted = {"regime": "all", **wanted}
         value = _numbers(self._dataset, variable, ("representation",), wanted)
         assert value is not None
-        others = value["representation"].values != self._dataset.attrs.get("reference")
+        reference = self._dataset.attrs.get("reference")
+        others = value["representation"].values != reference
+        if not others.any():
+            raise DatasetError(f"{reference}: what all others are compared with, not itself")
         value = value.isel(representation=others)
         interval = _numbers(self._dataset, f"{variable}_ci", ("representation", "bound"), wanted)
         of_all = {name: what for name, what in wanted.items() if name != "representation"}
@@ -213,7 +216,6 @@ class GapsweepAccessor:
         drawing.work_precision(axes, shown)
         axes.set_xlabel(axis_label(shown["trajectory_error"]))
         axes.set_ylabel(axis_label(shown["cpu_time"]))
-        axes.legend(fontsize=8)
         return _titled(axes, shown)
 
     def _along(
@@ -256,13 +258,13 @@ def _finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
     values = shown[along].values
     if along == "K_c" and values.min() > 0.0 and values.max() > 30.0 * values.min():
         axes.set_xscale("log")
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8)
     return _titled(axes, shown)
 
 
 def _titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
-    """Name what the plot shows one value of."""
+    """Say what is what, and what the plot shows one value of."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=8)
     parts = []
     for name, words in _TITLES.items():
         if name in shown.coords and shown[name].size == 1:
@@ -289,11 +291,12 @@ def _basins(found: xr.Dataset, ax: "Axes | None") -> "Axes":
 
 
 def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
-    names = ("attractor", "period_multiple", "x_max")
+    # As variables, so that of a single start they get their dimension back too.
+    dataset = dataset.reset_coords([name for name in ("x_0", "v_0") if name in dataset.coords])
+    names = ("attractor", "period_multiple", "x_max", "x_0", "v_0")
     shown = scene(dataset, dict.fromkeys(names, ("initial_condition",)), {})
     axes = _axes(ax)
     drawing.starts(axes, shown)
-    axes.legend(fontsize=8)
     return _plane(axes, shown["x_0"], shown["v_0"], shown)
 
 
@@ -307,7 +310,6 @@ def _sections(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
     shown = scene(dataset, needed, {})
     axes = _axes(ax)
     drawing.sections(axes, shown)
-    axes.legend(fontsize=8)
     return _plane(axes, shown["section_x"], shown["section_v"], shown)
 
 
