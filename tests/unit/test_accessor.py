@@ -361,6 +361,10 @@ def test_summary_counts_classes_and_failures(responses):
     assert "3 chaotic" in text
 
 
+def test_summary_does_not_count_padding(attractors):
+    assert "none" not in repr(attractors.gapsweep)
+
+
 def test_hostile_texts_in_a_summary_are_harmless(responses):
     hostile = '"><img src=x onerror=alert(1)>'
     bad = responses.assign_attrs(title=hostile).assign_coords(gap=[hostile])

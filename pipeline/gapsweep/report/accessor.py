@@ -319,7 +319,7 @@ def _plane(axes: "Axes", x: xr.DataArray, v: xr.DataArray, shown: xr.Dataset) ->
     return _titled(axes, shown)
 
 
-# xarray's own register_dataset_accessor keeps the accessor in the dataset and so both alive, with
-# the file open, until the garbage collector comes by. netCDF crashes when files that hold strings
-# pile up open (Unidata/netcdf4-python issue 261); a property leaves no such cycle.
+# xarray's own register_dataset_accessor keeps the accessor in the dataset, so that both stay alive,
+# and the file open, until the garbage collector comes by. netCDF4 crashes if that closes one file
+# while another is being opened; a property leaves no such cycle.
 xr.Dataset.gapsweep = property(GapsweepAccessor)  # type: ignore[attr-defined]

@@ -10,6 +10,7 @@ from gapsweep.report.scene import SHOWN_VALUES, listed
 from gapsweep.study.schema import CLASS_FLAGS, POINT_DIMS, STATUS_FLAGS
 
 _NOT_REQUESTED = "not_requested"
+_PADDING = (_NOT_REQUESTED, "none")  # cells that are no sweep point or no attractor
 
 
 def as_text(dataset: xr.Dataset) -> str:
@@ -56,7 +57,7 @@ def _facts(dataset: xr.Dataset) -> Iterator[tuple[str, str]]:
 
 def _counts(values: np.ndarray, flags: tuple[tuple[str, int], ...]) -> str:
     counts = {label: int((values == value).sum()) for label, value in flags}
-    shown = (f"{n} {label}" for label, n in counts.items() if n and label != _NOT_REQUESTED)
+    shown = (f"{n} {label}" for label, n in counts.items() if n and label not in _PADDING)
     return ", ".join(label.replace("_", " ") for label in shown)
 
 
