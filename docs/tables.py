@@ -120,7 +120,8 @@ def _flags() -> Iterator[tuple[str, ...]]:
 
 def _commands(command: click.Command, path: str) -> Iterator[str]:
     """A heading and the help of a command, and of all below it."""
-    context = click.Context(command, info_name=path, terminal_width=_WIDTH)
+    settings = commands.context_settings | {"terminal_width": _WIDTH}
+    context = click.Context(command, info_name=path, **settings)
     yield f"## {path}\n\n```text\n{command.get_help(context)}\n```\n"
     for name, child in getattr(command, "commands", {}).items():
         yield from _commands(child, f"{path} {name}")

@@ -137,3 +137,4 @@ def test_every_command_is_in_the_generated_reference(monkeypatch):
     made = tables.pages()["commands"]
     names = [*commands.commands, *(f"cache {n}" for n in commands.commands["cache"].commands)]
     assert all(f"## gapsweep {name}\n" in made for name in names)
+    assert made.count("-h, --help") == len(names) + 1
