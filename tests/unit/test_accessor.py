@@ -73,19 +73,21 @@ def precision():
     dims = ("scene", "method", "tolerance")
     error = np.geomspace(1e-2, 1e-8, 4) * np.array([[[1.0], [3.0]], [[1.0], [3.0]]])
     status = np.zeros(error.shape, "i1")
-    status[:, 1, 0] = 3
+    status[:, 1, 0] = gs.Status.DIVERGED
+    status[:, 0, 3] = gs.Status.NOT_REQUESTED
     return xr.Dataset(
         {
             "trajectory_error": (dims, error, {"units": "1", "long_name": "end error"}),
             "cpu_time": (dims, 1e-6 / error**0.1, {"units": "s", "long_name": "cost per second"}),
-            "model_error": (dims, 0.0 * error + np.array([[0.0], [1e-3]]), {"units": "1"}),
+            "model_error": (dims[:2], [[0.0, 1e-3], [0.0, 1e-3]], {"units": "1"}),
             "status": (dims, status),
-            "on_front": (dims, np.broadcast_to([[True], [False]], error.shape)),
+            "on_front": (dims, np.zeros(error.shape, "i1") + np.array([[1], [0]], "i1")),
         },
         {
             "scene": ["soft", "hard"],
+            "K_c": ("scene", [1.4e4, 1.4e6], {"units": "N m-1"}),
             "method": ["piecewise", "tanh-1e4"],
-            "tolerance": [1e-3, 1e-5, 1e-7, 1e-9],
+            "rtol": (dims[1:], [[1e-3, 1e-5, 1e-7, 1e-9]] * 2),
         },
     )
 
@@ -222,9 +224,11 @@ def test_agreement_over_frequency_is_a_curve(compared, ax):
 def test_work_precision_shows_front_and_failures(precision, ax):
     precision.gapsweep.work_precision(scene="soft", ax=ax)
     assert ax.get_legend_handles_labels()[1] == ["piecewise", "tanh-1e4 (1 failed)"]
+    assert ax.get_title(loc="left") == "soft, K_c = 14000 N/m"
     soft = precision.sel(scene="soft")
-    for n_failed, name in enumerate(["piecewise", "tanh-1e4"]):
-        one = soft.isel({"method": n_failed, "tolerance": slice(n_failed, None)})
+    there = {"piecewise": slice(3), "tanh-1e4": slice(1, None)}
+    for position, (name, tolerances) in enumerate(there.items()):
+        one = soft.isel({"method": position, "tolerance": tolerances})
         (line,) = [ln for ln in ax.lines if ln.get_label().split(" ")[0] == name]
         assert_allclose(line.get_xdata(), one["trajectory_error"])
         assert_allclose(line.get_ydata(), one["cpu_time"])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gapsweep.report.style import colour, lines
 from gapsweep.response.result import ResponseClass
+from gapsweep.status import Status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -278,14 +279,17 @@ def work_precision(axes: "Axes", scene: xr.Dataset) -> None:
         one = scene.isel({"method": position})  # sel(method=...) is xarray's own keyword
         error, cost = drawn(one["trajectory_error"]), drawn(one["cpu_time"])
         shown = np.isfinite(error) & np.isfinite(cost) & (error > 0.0)
-        if "status" in one:
-            shown &= one["status"].values == 0
-        lost = int(np.size(error) - shown.sum())
+        status = (
+            one["status"].values if "status" in one else np.where(shown, Status.OK, Status.ERROR)
+        )
+        shown &= status == Status.OK
+        # Methods have ladders of different lengths: what was not asked for is no failure.
+        lost = int(np.sum((status != Status.OK) & (status != Status.NOT_REQUESTED)))
         style: dict[str, Any] = {"color": colour(name), "markersize": 4}
         words = f"{name} ({lost} failed)" if lost else name
         axes.plot(error[shown], cost[shown], f"o{styles[name]}", label=words, **style)
         if "on_front" in one:
-            best = shown & one["on_front"].values.astype(bool)
+            best = shown & (one["on_front"].values == 1)
             axes.plot(
                 error[best], cost[best], "o", color=colour(name), markersize=9, fillstyle="none"
             )

@@ -49,12 +49,16 @@ def scene(
         if dim not in needed:
             raise DatasetError(_too_many(part, str(dim)))
     return xr.Dataset(
-        {name: _over(part[name], dims) for name, dims in variables.items()}, attrs=part.attrs
+        {name: _over(part, name, dims) for name, dims in variables.items()}, attrs=part.attrs
     ).load()
 
 
-def _over(variable: xr.DataArray, dims: Sequence[str]) -> xr.DataArray:
-    return variable.expand_dims([dim for dim in dims if dim not in variable.dims])
+def _over(part: xr.Dataset, name: str, dims: Sequence[str]) -> xr.DataArray:
+    """A variable over all the dimensions; repeated along those that only others have."""
+    missing = [dim for dim in dims if dim not in part[name].dims]
+    repeated = {dim: part.sizes[dim] for dim in missing if dim in part.dims}
+    alone = [dim for dim in missing if dim not in part.dims]
+    return part[name].expand_dims(repeated).expand_dims(alone)
 
 
 def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
