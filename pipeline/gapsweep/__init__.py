@@ -4,7 +4,14 @@ import importlib
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from gapsweep.errors import ClusterError, GapsweepError, ModelError, StoreError, StudyError
+from gapsweep.errors import (
+    ClusterError,
+    DatasetError,
+    GapsweepError,
+    ModelError,
+    StoreError,
+    StudyError,
+)
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.status import Status
 
@@ -59,10 +66,14 @@ _ON_DEMAND = {
     "simulate": "integrate.simulate",
 }
 
+# What these return is drawn by ``ds.gapsweep``: it is there once one of them is.
+_RETURN_DATASETS = ("basins", "open", "query", "run")
+
 __all__ = [
     "Arctan",
     "ClusterError",
     "ContactLaw",
+    "DatasetError",
     "Gap",
     "GapsweepError",
     "LogArctan",
@@ -97,5 +108,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _ON_DEMAND:
         raise AttributeError(f"module 'gapsweep' has no attribute {name!r}")
+    if name in _RETURN_DATASETS:
+        importlib.import_module("gapsweep.report.accessor")
     module = importlib.import_module(f"gapsweep.{_ON_DEMAND[name]}")
     return getattr(module, "read" if name == "open" else name)

@@ -1,4 +1,4 @@
-"""Progress of a run: a bar on a terminal, a line now and then elsewhere; both on stderr."""
+"""Progress of a run: a bar on a terminal or in a notebook, elsewhere a line now and then."""
 
 import sys
 import time
@@ -12,12 +12,16 @@ from rich.progress import Progress as Bar
 from gapsweep.execution.progress import OnProgress, Progress
 
 _LINE_SECONDS = 10.0
+_NOTEBOOK_SECONDS = 0.2
 
 
 @contextmanager
 def progress_bar() -> Iterator[OnProgress]:
     """An observer of a run that draws what it sees."""
     console = Console(stderr=True)
+    if console.is_jupyter:
+        yield _notebook_bar()
+        return
     if not console.is_terminal:
         yield _line_writer()
         return
@@ -30,11 +34,13 @@ def progress_bar() -> Iterator[OnProgress]:
         TimeRemainingColumn(),
     )
     with Bar(*columns, console=console) as bar:
-        task = bar.add_task("", total=None, rate=0.0, hits=0, failed=0)
+        # Hidden until something is computed: everything may be in the cache.
+        task = bar.add_task("", total=None, visible=False, rate=0.0, hits=0, failed=0)
 
         def update(progress: Progress) -> None:
             bar.update(
                 task,
+                visible=True,
                 total=progress.n_points,
                 completed=progress.n_done,
                 rate=progress.rate,
@@ -45,23 +51,45 @@ def progress_bar() -> Iterator[OnProgress]:
         yield update
 
 
-def _line_writer() -> OnProgress:
-    last = time.monotonic()
+def _notebook_bar() -> OnProgress:
+    """A bar in the output of a notebook's cell, which keeps its last state."""
+    from IPython.display import HTML, display
+
+    shown = display(HTML(""), display_id=True)
 
     def write(progress: Progress) -> None:
+        bar = f'<progress max="{progress.n_points}" value="{progress.n_done}"></progress>'
+        shown.update(HTML(f"{bar} {_sentence(progress)}"))
+
+    return _now_and_then(write, _NOTEBOOK_SECONDS)
+
+
+def _line_writer() -> OnProgress:
+    return _now_and_then(
+        lambda progress: print(_sentence(progress), file=sys.stderr), _LINE_SECONDS
+    )
+
+
+def _now_and_then(write: OnProgress, seconds: float) -> OnProgress:
+    """The observer, called at the end and not more often than so many seconds before."""
+    last = time.monotonic()
+
+    def observe(progress: Progress) -> None:
         nonlocal last
         finished = progress.n_done == progress.n_points
-        if not finished and time.monotonic() - last < _LINE_SECONDS:
-            return
-        last = time.monotonic()
-        left = (progress.n_points - progress.n_done) / progress.rate if progress.rate else 0.0
-        print(
-            f"{progress.n_done}/{progress.n_points} points, {progress.rate:.1f}/s, "
-            f"{progress.n_hits} hits, {progress.n_failed} failed, {duration(left)} left",
-            file=sys.stderr,
-        )
+        if finished or time.monotonic() - last >= seconds:
+            last = time.monotonic()
+            write(progress)
 
-    return write
+    return observe
+
+
+def _sentence(progress: Progress) -> str:
+    left = (progress.n_points - progress.n_done) / progress.rate if progress.rate else 0.0
+    return (
+        f"{progress.n_done}/{progress.n_points} points, {progress.rate:.1f}/s, "
+        f"{progress.n_hits} hits, {progress.n_failed} failed, {duration(left)} left"
+    )
 
 
 def duration(seconds: float) -> str:

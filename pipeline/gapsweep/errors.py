@@ -6,6 +6,7 @@
     ├── ModelError      a parameter, contact law or fit that cannot be used
     ├── StudyError      a study file that cannot be run; carries one line per problem
     ├── StoreError      a cache or NetCDF file that cannot be read or written
+    ├── DatasetError    a dataset that does not hold what a plot needs
     └── ClusterError    a Dask cluster that cannot be reached or was lost
 
 Each message names the value, the allowed range and the remedy. A sweep point that
@@ -39,6 +40,10 @@ class StudyError(GapsweepError, ValueError):
 
 class StoreError(GapsweepError, OSError):
     """A cache or NetCDF file that cannot be read or written."""
+
+
+class DatasetError(GapsweepError, ValueError):
+    """A dataset that does not hold what a plot needs, or holds more than fits into one."""
 
 
 class ClusterError(GapsweepError, RuntimeError):

@@ -22,6 +22,7 @@ from gapsweep.status import Status
 
 OMEGA = np.arange(1.0, 31.0)
 STARTS = ["fixed", "fixed", "sweep_up", "sweep_down"]
+METRES = {"units": "m"}
 PERIODIC, CHAOTIC = int(ResponseClass.PERIODIC), int(ResponseClass.CHAOTIC)
 
 
@@ -35,9 +36,9 @@ def responses_of(labels, K_c=(1.4e4,), gaps=((0.4, 0.4),)):
     j_1, j_2 = 1e-3 * np.array(gaps).T
     return xr.Dataset(
         {
-            "x_max": (dims, peak),
-            "x_min": (dims, -0.5 * peak),
-            "extrema": ((*dims, "extremum"), extrema),
+            "x_max": (dims, peak, METRES),
+            "x_min": (dims, -0.5 * peak, METRES),
+            "extrema": ((*dims, "extremum"), extrema, METRES),
             "response_class": (dims, np.full(sizes, PERIODIC, "i1")),
             "status": (dims, np.zeros(sizes, "i1")),
         },
@@ -45,8 +46,8 @@ def responses_of(labels, K_c=(1.4e4,), gaps=((0.4, 0.4),)):
             "representation": list(labels),
             "K_c": list(K_c),
             "gap": [f"{a:g}/{b:g}" for a, b in gaps],
-            "j_1": ("gap", j_1),
-            "j_2": ("gap", j_2),
+            "j_1": ("gap", j_1, METRES),
+            "j_2": ("gap", j_2, METRES),
             "omega": OMEGA,
             "initial_condition": range(len(STARTS)),
             "x_0": ("initial_condition", [0.0, 1e-3, np.nan, np.nan]),

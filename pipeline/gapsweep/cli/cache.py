@@ -15,7 +15,13 @@ from gapsweep.study.fingerprint import numerics_fingerprint
 
 @click.group("cache")
 def cache_commands() -> None:
-    """Look after the cache: its contents, soundness, size, and copies."""
+    """Look after the cache: contents, soundness, size and copies.
+
+    \b
+    Examples:
+      gapsweep cache info
+      gapsweep cache verify --sample 20
+    """
 
 
 def _existing(cache: Path | None) -> Cache:
@@ -29,7 +35,12 @@ def _existing(cache: Path | None) -> Cache:
 @options.cache
 @options.as_json
 def info(cache: Path | None, as_json: bool) -> None:
-    """Say how much is stored, of which code, and with which outcome."""
+    """Say how much is stored, of which code, and with which outcome.
+
+    \b
+    Example:
+      gapsweep cache info --json
+    """
     with _existing(cache) as store:
         found = maintenance.info(store, numerics_fingerprint())
     if as_json:
@@ -53,7 +64,12 @@ def info(cache: Path | None, as_json: bool) -> None:
     help="Compute so many random rows again and compare.  [default: 0]",
 )
 def verify(cache: Path | None, sample: int) -> int:
-    """Check the file, every row, and on request the numbers themselves."""
+    """Check the file, every row, and on request the numbers.
+
+    \b
+    Example:
+      gapsweep cache verify --sample 20
+    """
     with _existing(cache) as store:
         verdict = maintenance.verify(store)
         differing = workflow.recomputed_otherwise(store, sample) if sample else []
@@ -75,7 +91,13 @@ def verify(cache: Path | None, sample: int) -> int:
 @options.cache
 @click.option("--apply", is_flag=True, help="Really delete.  [default: only say what would go]")
 def gc(cache: Path | None, apply: bool) -> None:
-    """Delete the rows of other code, and damaged ones."""
+    """Delete the rows of other code, and damaged ones.
+
+    \b
+    Examples:
+      gapsweep cache gc
+      gapsweep cache gc --apply
+    """
     with _existing(cache) as store:
         keys = maintenance.removable(store, numerics_fingerprint())
         if apply and keys:
@@ -88,7 +110,12 @@ def gc(cache: Path | None, apply: bool) -> None:
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
 @options.cache
 def export(file: Path, cache: Path | None) -> None:
-    """Copy all sound rows to a new cache FILE."""
+    """Copy all sound rows to a new cache FILE.
+
+    \b
+    Example:
+      gapsweep cache export copy.sqlite
+    """
     with _existing(cache) as store:
         n_rows = maintenance.export(store, file)
     click.echo(f"{n_rows} rows in {file}")

@@ -26,6 +26,9 @@ FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
 def commands() -> None:
     """Parameter studies of oscillators with freeplay.
 
+    Exit codes: 0 finished, 1 a study, file or cluster error, 2 a wrong command line, 3 finished
+    but some points failed, 130 interrupted (run again to resume).
+
     \b
     Examples:
       gapsweep run workflows/quick.toml
@@ -59,7 +62,14 @@ commands.add_command(cache_commands)
 )
 @options.retry_failed
 def run(study: Path, engine: str | None, **how: Any) -> int:
-    """Compute a study, its datasets and its report; resumes by itself."""
+    """Compute a study, its datasets and its report; resumes by itself.
+
+    \b
+    Examples:
+      gapsweep run workflows/quick.toml
+      gapsweep run workflows/quick.toml --out /tmp/quick --workers 4
+      gapsweep run workflows/quick.toml --scheduler tcp://host:8786
+    """
     loaded = options.loaded(study, engine)
     with progress_bar() as observer:
         outcome = workflow.carry_out(loaded, on_progress=observer, **how)
@@ -93,7 +103,13 @@ def plan(
     retry_failed: bool,
     as_json: bool,
 ) -> int:
-    """Say what a run would compute and make, without doing it."""
+    """Say what a run would compute and make, without doing it.
+
+    \b
+    Examples:
+      gapsweep plan workflows/quick.toml
+      gapsweep plan workflows/quick.toml --json
+    """
     loaded = options.loaded(study, engine)
     planned = workflow.plan(loaded, cache, retry_failed=retry_failed)
     expected = workflow.expected_seconds(planned, cache, workers)
@@ -121,7 +137,12 @@ def plan(
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @options.as_json
 def status(folder: Path, as_json: bool) -> int:
-    """Tell how a run is doing, or how it ended, from any shell."""
+    """Tell how a run is doing, or how it ended, from any shell.
+
+    \b
+    Example:
+      gapsweep status data/runs/quick
+    """
     state = RunState.read(folder)
     if as_json:
         click.echo(json.dumps(state.as_dict()))
@@ -143,10 +164,15 @@ def status(folder: Path, as_json: bool) -> int:
 @options.workers
 @options.scheduler
 @click.option(
-    "--to", "form", type=click.Choice(["csv", "json", "nc"]), default="csv", show_default=True
+    "--to",
+    "form",
+    type=click.Choice(["csv", "json", "nc"]),
+    default="csv",
+    show_default=True,
+    help="A row per point (csv), a JSON object per line (json), NetCDF (nc).",
 )
 @click.option(
-    "--output", type=click.Path(path_type=Path, dir_okay=False), help="File.  [default: stdout]"
+    "--output", type=click.Path(path_type=Path, dir_okay=False), help="New file.  [default: stdout]"
 )
 def query(
     study: Path,
@@ -159,9 +185,10 @@ def query(
     """Print a table of responses; computes only what is missing.
 
     \b
-    Example:
+    Examples:
+      gapsweep query workflows/quick.toml --sel omega=10:12
       gapsweep query workflows/quick.toml --sel representation=piecewise \\
-          --sel omega=10:12 --to csv
+          --to nc --output exact.nc
     """
     from gapsweep.cli.table import written
 
@@ -180,11 +207,24 @@ def query(
 @options.selection
 @options.cache
 @options.engine
-@click.option("--limit", type=click.IntRange(min=1), default=10, show_default=True)
+@click.option(
+    "--limit",
+    type=click.IntRange(min=1),
+    default=10,
+    show_default=True,
+    help="Points to explain.",
+)
 def explain(
     study: Path, wanted: tuple[str, ...], cache: Path | None, engine: str | None, limit: int
 ) -> int:
-    """Say why points are hits or misses: their key against the nearest one stored."""
+    """Say why points are in the cache or not.
+
+    The key of each point, field by field, is set against the nearest one that is stored.
+
+    \b
+    Example:
+      gapsweep explain workflows/quick.toml --sel omega=10
+    """
     loaded = options.loaded(study, engine)
     for point in workflow.explain(loaded, cache, limit, **options.selected(wanted)):
         click.echo(f"{point.label}: {point.status}{f' on {point.host}' if point.host else ''}")
@@ -239,7 +279,12 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
 @commands.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 def report(folder: Path) -> int:
-    """Rebuild the report of a run from its NetCDF files alone."""
+    """Rebuild the report of a run from its NetCDF files alone.
+
+    \b
+    Example:
+      gapsweep report data/runs/quick
+    """
     click.echo(f"report: {workflow.report(folder)}")
     return FINISHED
 
@@ -253,7 +298,14 @@ def report(folder: Path) -> int:
 )
 @options.as_json
 def claims(folder: Path, file: Path | None, as_json: bool) -> int:
-    """Decide claims from the NetCDF files of a run; writes claims.json there."""
+    """Decide claims from the NetCDF files of a run.
+
+    The verdicts are printed and written to claims.json in DIR.
+
+    \b
+    Example:
+      gapsweep claims data/runs/paper
+    """
     decided = workflow.claims(folder, file)
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))

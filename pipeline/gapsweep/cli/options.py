@@ -19,7 +19,9 @@ out = click.option(
     type=click.Path(path_type=Path),
     help="Output folder.  [default: data/runs/<study name>]",
 )
-engine = click.option("--engine", type=click.Choice(ENGINES), help="Override [solver].")
+engine = click.option(
+    "--engine", type=click.Choice(ENGINES), help="Solver engine.  [default: as the study says]"
+)
 retry_failed = click.option("--retry-failed", is_flag=True, help="Compute failed points again.")
 workers = click.option(
     "--workers", type=click.IntRange(min=1), default=2, show_default=True, help="Local processes."
@@ -31,8 +33,9 @@ selection = click.option(
     "wanted",
     metavar="KEY=VALUE",
     multiple=True,
-    help="representation, K_c, gap, omega or initial_condition; a value, a list A,B,... or, for "
-    "numbers, a range A:B that includes both ends. Repeat for several keys.",
+    help="Points to take: KEY is representation, K_c, gap, omega or initial_condition, VALUE one "
+    "value, a list A,B,... or, for numbers, a range A:B that includes both ends. Repeat for "
+    "several keys.",
 )
 
 _NUMBERS = {"K_c": float, "omega": float, "initial_condition": int}

@@ -10,11 +10,11 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from gapsweep.report.drawing import labels_of
 from gapsweep.report.paper_figures import (
     SHOWN_PERIODS,
     histories_and_spectra,
     kind,
-    labels_of,
     peak_curves,
     stacked_bifurcations,
 )

@@ -3,9 +3,6 @@
 `gapsweep.report.paper` says which scene each of them shows.
 """
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
@@ -14,6 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from gapsweep.report import drawing
+from gapsweep.report.drawing import MANY, WALL, labels_of
 from gapsweep.report.style import colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -21,10 +20,8 @@ from gapsweep.status import Status
 _MM = 1e3
 _WIDTH = 9.5  # inches, the report's column
 _EXACT = "piecewise"
-_MANY = 2000  # points as vectors would make the report heavy
 # Backgrounds by response class: light enough for every point colour, and told apart by depth.
 _CHAOTIC, _UNRESOLVED, _FAILED = "#fbd9d3", "#c8d8e6", "#8a8a8a"
-_WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
 _RIM = 1.8  # of the exact law's points around those of a stand-in, points
 # A peak so many wall distances out needs a logarithmic axis beside motions within the gap.
 _FAR = 4.0
@@ -54,13 +51,12 @@ def peak_curves(scene: xr.Dataset) -> Figure:
     size = _marker_size(scene, n_columns)
     exact = next((label for label in labels if _law(label) == _EXACT), None)
     for axes, label in zip(panels.flat, labels, strict=False):
-        for wall in (-float(scene["j_1"]), float(scene["j_2"])):
-            axes.axhline(wall * _MM, **_WALL)
+        drawing.walls(axes, scene)
         if exact is not None:
             rim = 0.0 if label == exact else _RIM
-            _peaks(axes, scene.sel(representation=exact), size + rim, high)
+            drawing.peaks(axes, scene.sel(representation=exact), size + rim, high)
         if label != exact:
-            _peaks(axes, scene.sel(representation=label), size, high)
+            drawing.peaks(axes, scene.sel(representation=label), size, high)
         axes.set_title(label, fontsize=9, loc="left")
         _note_failures(axes, scene.sel(representation=label))
     _scale_peaks(panels, scene, low, high)
@@ -82,8 +78,7 @@ def stacked_bifurcations(scene: xr.Dataset) -> Figure:
     for axes, label in zip(panels.flat, labels, strict=True):
         one = scene.sel(representation=label)
         _class_bands(axes, one)
-        for wall in (-float(scene["j_1"]), float(scene["j_2"])):
-            axes.axhline(wall * _MM, **_WALL)
+        drawing.walls(axes, scene)
         extrema = one["extrema"].transpose("omega", "extremum").values * _MM
         omega = np.broadcast_to(one["omega"].values[:, None], extrema.shape)
         shown = np.isfinite(extrema)
@@ -94,7 +89,7 @@ def stacked_bifurcations(scene: xr.Dataset) -> Figure:
             color=colour(label),
             markersize=_marker_size(scene, 1),
             markeredgewidth=0.0,
-            rasterized=bool(shown.sum() > _MANY),
+            rasterized=bool(shown.sum() > MANY),
         )
         axes.grid(axis="y", visible=False)
         axes.set_title(label, fontsize=9, loc="left", pad=3)
@@ -104,7 +99,7 @@ def stacked_bifurcations(scene: xr.Dataset) -> Figure:
     figure.supylabel("steady extrema [mm]", fontsize=9)
     bands = {"chaotic": _CHAOTIC, "unresolved": _UNRESOLVED, "failed": _FAILED}
     handles: list[Artist] = [Patch(color=shade, label=name) for name, shade in bands.items()]
-    handles.append(Line2D([], [], **_WALL, label="wall"))
+    handles.append(Line2D([], [], **WALL, label="wall"))
     figure.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=8)
     return figure
 
@@ -143,42 +138,8 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
     return figure
 
 
-def labels_of(dataset: xr.Dataset) -> list[str]:
-    return [str(label) for label in dataset["representation"].values]
-
-
 def _law(label: str) -> str:
     return label.partition("@")[0]
-
-
-def _peaks(axes: Axes, one: xr.Dataset, size: float, high: float) -> None:
-    """Peaks of one representation: periodic full, others pale, those above the frame on it."""
-    label = str(one["representation"].values)
-    peaks = one["x_max"].transpose("omega", "initial_condition").values * _MM
-    omega = np.broadcast_to(one["omega"].values[:, None], peaks.shape)
-    periodic = one["response_class"].transpose("omega", ...).values == ResponseClass.PERIODIC
-    above = peaks > high
-    for where, alpha in ((~periodic, 0.35), (periodic, 1.0)):
-        shown = where & np.isfinite(peaks) & ~above
-        axes.plot(
-            omega[shown],
-            peaks[shown],
-            "o",
-            color=colour(label),
-            alpha=alpha,
-            markersize=size,
-            markeredgewidth=0.0,
-            rasterized=bool(shown.sum() > _MANY),
-        )
-    _mark_outside(axes, omega[above], high, "^", label)
-
-
-def _mark_outside(
-    axes: Axes, omega: Sequence[float] | np.ndarray, edge: float, marker: str, label: str
-) -> None:
-    if len(omega):
-        edges = np.full(len(omega), edge)
-        axes.plot(omega, edges, marker, color=colour(label), markersize=2.5, clip_on=False)
 
 
 def _peak_range(scene: xr.Dataset) -> tuple[float, float]:
@@ -240,8 +201,8 @@ def _limit_to_exact(panels: list[Axes], scene: xr.Dataset) -> None:
     for axes, label in zip(panels, labels, strict=True):
         one = scene.sel(representation=label)
         omega = one["omega"].values
-        _mark_outside(axes, omega[one["x_max"].values * _MM > high], high, "^", label)
-        _mark_outside(axes, omega[one["x_min"].values * _MM < low], low, "v", label)
+        drawing.outside(axes, omega[one["x_max"].values * _MM > high], high, "^", label)
+        drawing.outside(axes, omega[one["x_min"].values * _MM < low], low, "v", label)
 
 
 def _class_bands(axes: Axes, one: xr.Dataset) -> None:
@@ -312,8 +273,7 @@ def _motion(axes: Axes, one: xr.Dataset, shade: str) -> None:
     end = np.nanmax(periods, initial=0.0)
     shown = periods > np.round(end) - SHOWN_PERIODS - 1e-9
     first = np.round(end) - SHOWN_PERIODS
-    for wall in (-float(one["j_1"]), float(one["j_2"])):
-        axes.axhline(wall * _MM, **_WALL)
+    drawing.walls(axes, one)
     axes.plot(periods[shown] - first, steady["x"].values[shown] * _MM, color=shade, linewidth=1.1)
     axes.set_xlim(0.0, SHOWN_PERIODS)
     axes.set_xticks(range(SHOWN_PERIODS + 1))

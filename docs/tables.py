@@ -1,0 +1,127 @@
+"""Reference pages made from the code: datasets from the schema, commands from the command line."""
+
+from collections.abc import Iterable, Iterator
+
+import click
+
+from gapsweep.analysis import histories, static
+from gapsweep.analysis.metrics import variables
+from gapsweep.analysis.timing import COSTS
+from gapsweep.cli.main import commands
+from gapsweep.status import Status
+from gapsweep.study.schema import (
+    ATTRACTOR_VARIABLES,
+    CLASS_FLAGS,
+    COORDINATES,
+    KIND_FLAGS,
+    LISTS,
+    MULTIPLIERS,
+    N_ATTRACTORS,
+    POINT_DIMS,
+    STATUS_FLAGS,
+    VARIABLES,
+    Variable,
+)
+
+_WIDTH = 80
+
+
+def pages() -> dict[str, str]:
+    """Text of every generated page, by name."""
+    return {
+        "coordinates": _table(("coordinate", "over", *_FACTS), _coordinates()),
+        "responses": _table(("variable", "over", *_FACTS), _responses()),
+        "attractors": _table(("variable", "over", *_FACTS), _attractors()),
+        "agreement": _table(("variable", "over", "units", "what it is"), _agreement()),
+        "timing": _table(("variable", "over", "units", "what it is"), _timing()),
+        "static": _table(("variable", "over", *_FACTS), _static()),
+        "histories": _table(("variable", "over", *_FACTS), _histories()),
+        "flags": _table(("variable", "value", "meaning"), _flags()),
+        "commands": "\n".join(_commands(commands, "gapsweep")),
+    }
+
+
+_FACTS = ("type", "units", "what it is")
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    lines = [list(head), *([text.replace("|", r"\|") for text in row] for row in rows)]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _row(name: str, over: Iterable[str], variable: Variable) -> tuple[str, ...]:
+    return (f"`{name}`", ", ".join(over), variable.dtype, variable.units, variable.long_name)
+
+
+def _coordinates() -> Iterator[tuple[str, ...]]:
+    return (_row(name, [dim], variable) for name, (dim, variable) in COORDINATES.items())
+
+
+def _responses() -> Iterator[tuple[str, ...]]:
+    for name, variable in VARIABLES.items():
+        yield _row(name, ["point"], variable)
+    for name, (dim, variable) in LISTS.items():
+        yield _row(name, ["point", dim], variable)
+
+
+def _attractors() -> Iterator[tuple[str, ...]]:
+    yield _row("n_attractors", ["scene"], N_ATTRACTORS)
+    for name, variable in ATTRACTOR_VARIABLES.items():
+        yield _row(name, ["scene", "attractor"], variable)
+    for name, variable in MULTIPLIERS.items():
+        yield _row(name, ["scene", "attractor", "multiplier"], variable)
+    for name in ("section_x", "section_v"):
+        dim, variable = LISTS[name]
+        yield _row(name, ["scene", "attractor", dim], variable)
+
+
+def _agreement() -> Iterator[tuple[str, ...]]:
+    for name, metric in variables():
+        over = ", ".join(metric.dims).replace(", ".join(POINT_DIMS), "point")
+        yield f"`{name}`", over, metric.units, f"{metric.number}: {metric.long_name}"
+
+
+def _timing() -> Iterator[tuple[str, ...]]:
+    for name, (units, long_name) in COSTS.items():
+        for statistic in ("mean", "median"):
+            yield f"`{name}_{statistic}`", "scene", units, f"{long_name}, {statistic}"
+    yield "`n_points`", "scene", "1", "sweep points measured"
+    yield "`n_points_elsewhere`", "scene", "1", "points of other machines"
+
+
+def _static() -> Iterator[tuple[str, ...]]:
+    for name, variable in static.CURVES.items():
+        yield _row(name, ["scene", "x"], variable)
+    for name, variable in static.SCENE_VARIABLES.items():
+        yield _row(name, ["scene"], variable)
+    for name, variable in static.LIST_VARIABLES.items():
+        yield _row(name, ["scene", static.EQUILIBRIUM], variable)
+
+
+def _histories() -> Iterator[tuple[str, ...]]:
+    for name, variable in histories.SCENE.items():
+        yield _row(name, ["history"], variable)
+    for name, (dims, variable) in {**histories.VARIABLES, **histories.AXES}.items():
+        yield _row(name, dims, variable)
+
+
+def _flags() -> Iterator[tuple[str, ...]]:
+    known = (
+        ("status", STATUS_FLAGS),
+        ("response_class", CLASS_FLAGS),
+        ("extremum_kind", KIND_FLAGS),
+    )
+    for name, flags in known:
+        for meaning, value in flags:
+            failed = name == "status" and Status(value).failed
+            yield f"`{name}`", str(value), f"{meaning}{' (failed)' if failed else ''}"
+
+
+def _commands(command: click.Command, path: str) -> Iterator[str]:
+    """A heading and the help of a command, and of all below it."""
+    settings = commands.context_settings | {"terminal_width": _WIDTH}
+    context = click.Context(command, info_name=path, **settings)
+    yield f"## {path}\n\n```text\n{command.get_help(context)}\n```\n"
+    for name, child in getattr(command, "commands", {}).items():
+        yield from _commands(child, f"{path} {name}")

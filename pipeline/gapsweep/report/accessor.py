@@ -1,0 +1,325 @@
+"""``ds.gapsweep``: plots and a summary of any selection of a dataset.
+
+`gapsweep.open`, `gapsweep.run`, `gapsweep.query` and `gapsweep.basins` bring it along. With plain
+``xarray.open_dataset``, ``import gapsweep.report.accessor`` once.
+"""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.errors import DatasetError
+from gapsweep.report import drawing
+from gapsweep.report.drawing import axis_label, labels_of
+from gapsweep.report.scene import as_words, missing_variable, scene, selected
+from gapsweep.report.style import colour
+from gapsweep.report.summary import as_html, as_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_CURVES = ("representation", "initial_condition")
+_RIM, _DOT = 5.0, 3.0  # points: of the law behind, of the one before it
+
+
+class GapsweepAccessor:
+    """Plots of a dataset, as ``ds.gapsweep.bifurcation(K_c=1.4e4, gap="0.4/0.4")``.
+
+    Every plot takes `ax`, the axes to draw into (new ones if None), and selects by coordinate:
+    a value, a list, or for numbers a slice that includes both ends. What cannot be drawn is
+    refused with a `gapsweep.DatasetError` that names what is missing. In a notebook,
+    ``ds.gapsweep`` by itself shows what the dataset holds and where its points came from.
+    """
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        self._dataset = dataset
+
+    def __repr__(self) -> str:
+        return as_text(self._dataset)
+
+    def _repr_html_(self) -> str:
+        return as_html(self._dataset)
+
+    def frequency_response(
+        self, *, along: str = "omega", ax: "Axes | None" = None, **wanted: Any
+    ) -> "Axes":
+        """Amplitude over frequency, one curve per representation and start.
+
+        Parameters
+        ----------
+        along : str
+            Numeric dimension of the horizontal axis.
+        ax : Axes, optional
+            Drawn into; new ones if None.
+        **wanted
+            Selection by coordinate; one stiffness and one gap must be left.
+        """
+        shown = self._along(along, {"amplitude": _CURVES}, wanted)
+        axes = _axes(ax)
+        drawing.curves(axes, shown["amplitude"], along)
+        axes.set_ylabel(axis_label(shown["amplitude"], "amplitude"))
+        axes.set_ylim(bottom=0)
+        return _finished(axes, shown, along)
+
+    def bifurcation(
+        self, *, along: str = "omega", ax: "Axes | None" = None, **wanted: Any
+    ) -> "Axes":
+        """All steady extrema over frequency, from all starts.
+
+        One representation: its colour where the response is periodic, red where it is not.
+        Several: each in its colour.
+
+        Parameters
+        ----------
+        along, ax, **wanted
+            As for `frequency_response`.
+        """
+        needed = {"extrema": (*_CURVES, "extremum"), "response_class": _CURVES}
+        shown = self._along(along, needed, wanted)
+        labels = labels_of(shown)
+        other = drawing.NOT_PERIODIC if len(labels) == 1 else None
+        axes = _axes(ax)
+        drawing.walls(axes, shown)
+        for label in labels:
+            drawing.extrema(axes, shown.sel(representation=label), along, other=other)
+            axes.plot([], [], ".", color=colour(label), label=label)
+        if other:
+            axes.plot([], [], ".", color=other, label="not periodic")
+        axes.set_ylabel(axis_label(shown["extrema"], "steady extrema"))
+        return _finished(axes, shown, along)
+
+    def compare(
+        self, a: str, b: str, *, along: str = "omega", ax: "Axes | None" = None, **wanted: Any
+    ) -> "Axes":
+        """Peaks of two representations from all starts, `a` behind `b`.
+
+        What shows of `a` is missed by `b`, what shows of `b` alone is invented. Responses that
+        are not periodic are pale.
+
+        Parameters
+        ----------
+        a, b : str
+            Labels, as ``"piecewise"`` and ``"tanh-1e4"``.
+        along, ax, **wanted
+            As for `frequency_response`.
+        """
+        needed = {"x_max": _CURVES, "response_class": _CURVES}
+        shown = self._along(along, needed, {**wanted, "representation": [a, b]})
+        axes = _axes(ax)
+        drawing.walls(axes, shown)
+        for label, size in ((a, _RIM), (b, _DOT)):
+            one = selected(shown, {"representation": label})
+            drawing.peaks(axes, one, size, along=along)
+            axes.plot([], [], "o", color=colour(label), markersize=size, label=label)
+        axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
+        return _finished(axes, shown, along)
+
+    def attractors(
+        self, *, along: str = "omega", ax: "Axes | None" = None, **wanted: Any
+    ) -> "Axes":
+        """Which attractors there are.
+
+        Of ``attractors.nc``: the peak of every attractor over frequency, the dot as large as its
+        basin, hollow if not periodic; at a single frequency the stroboscopic sections. Of
+        ``responses.nc`` at a single frequency, and of `gapsweep.basins`: the attractor that every
+        start ends on.
+
+        Parameters
+        ----------
+        along, ax, **wanted
+            As for `frequency_response`.
+        """
+        dataset = selected(self._dataset, wanted)
+        if "attractor_number" in dataset.dims:
+            return _basins(dataset, ax)
+        if "basin_share" not in dataset:
+            if "attractor" in dataset:
+                return _starts(dataset, ax)
+            raise DatasetError(missing_variable(dataset, "basin_share"))
+        if dataset.sizes.get(along, 1) == 1:
+            return _sections(dataset, ax)
+        needed = dict.fromkeys(
+            ("x_max", "basin_share", "response_class"), ("representation", "attractor")
+        )
+        shown = self._along(along, needed, wanted)
+        axes = _axes(ax)
+        drawing.walls(axes, shown)
+        for label in labels_of(shown):
+            drawing.attractor_peaks(axes, shown.sel(representation=label), along)
+            axes.plot([], [], "o", color=colour(label), markersize=4, label=label)
+        axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
+        return _finished(axes, shown, along)
+
+    def agreement(
+        self,
+        variable: str = "amplitude_error_median",
+        *,
+        along: str = "omega",
+        ax: "Axes | None" = None,
+        **wanted: Any,
+    ) -> "Axes":
+        """A metric of ``agreement.nc``: with its interval and floor, or over frequency.
+
+        Parameters
+        ----------
+        variable : str
+            A summary, as ``"same_attractor_mean"``: a row per representation with its confidence
+            interval, and the floor of exact against exact as a dashed line. A variable over
+            `along`, as ``"amplitude_error"``: a curve per representation and start.
+        along, ax, **wanted
+            As for `frequency_response`; `regime` is ``"all"`` if not given.
+        """
+        if variable not in self._dataset:
+            raise DatasetError(missing_variable(self._dataset, variable) + _AGREEMENT)
+        if along in self._dataset[variable].dims:
+            shown = self._along(along, {variable: _CURVES}, wanted)
+            axes = _axes(ax)
+            drawing.curves(axes, shown[variable], along)
+            axes.set_ylabel(axis_label(shown[variable]))
+            return _finished(axes, shown, along)
+        if "regime" in self._dataset[variable].dims:
+            wanted = {"regime": "all", **wanted}
+        value = _numbers(self._dataset, variable, ("representation",), wanted)
+        assert value is not None
+        reference = self._dataset.attrs.get("reference")
+        others = value["representation"].values != reference
+        if not others.any():
+            raise DatasetError(f"{reference}: what all others are compared with, not itself")
+        value = value.isel(representation=others)
+        interval = _numbers(self._dataset, f"{variable}_ci", ("representation", "bound"), wanted)
+        of_all = {name: what for name, what in wanted.items() if name != "representation"}
+        floor = _numbers(self._dataset, f"{variable}_floor", (), of_all)
+        axes = _axes(ax)
+        drawing.summary(axes, value, interval, floor)
+        axes.set_xlabel(axis_label(value))
+        return _titled(axes, value.to_dataset(name=variable))
+
+    def work_precision(self, *, ax: "Axes | None" = None, **wanted: Any) -> "Axes":
+        """Cost of every method over its error, of one scene of ``work_precision.nc``.
+
+        Rings mark the methods that no other beats in both; dotted lines the error of the model
+        itself, which no tolerance mends; failed runs are counted in the legend.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Drawn into; new ones if None.
+        **wanted
+            Selection by coordinate; one scene must be left.
+        """
+        names = ("trajectory_error", "cpu_time", "model_error", "status", "on_front")
+        needed = [name for name in names if name in names[:2] or name in self._dataset]
+        shown = scene(self._dataset, dict.fromkeys(needed, ("method", "tolerance")), wanted)
+        axes = _axes(ax)
+        drawing.work_precision(axes, shown)
+        axes.set_xlabel(axis_label(shown["trajectory_error"]))
+        axes.set_ylabel(axis_label(shown["cpu_time"]))
+        return _titled(axes, shown)
+
+    def _along(
+        self, along: str, variables: Mapping[str, tuple[str, ...]], wanted: dict[str, Any]
+    ) -> xr.Dataset:
+        """The variables that are drawn, over `along` and the other dimensions they need."""
+        if along not in self._dataset.coords:
+            raise DatasetError(
+                f"{along}: no coordinate of this dataset, so nothing can be drawn along it; "
+                "select without drop=True to keep it"
+            )
+        if self._dataset[along].dtype.kind not in "iuf":
+            raise DatasetError(f"{along}: holds text; draw along omega or K_c")
+        needed = {name: tuple(dict.fromkeys((along, *dims))) for name, dims in variables.items()}
+        return scene(self._dataset, needed, wanted)
+
+
+_TITLES = {
+    "scene": "",
+    "representation": "",
+    "K_c": "K_c =",
+    "gap": "gap",
+    "omega": "omega =",
+    "regime": "regime:",
+}
+_AGREEMENT = "; the metrics are in agreement.nc, which gs.open opens"
+
+
+def _axes(ax: "Axes | None") -> "Axes":
+    """The axes given, or new ones in the user's own style."""
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(layout="constrained")[1]
+
+
+def _finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
+    axes.set_xlabel(axis_label(shown[along]))
+    values = shown[along].values
+    if along == "K_c" and values.min() > 0.0 and values.max() > 30.0 * values.min():
+        axes.set_xscale("log")
+    return _titled(axes, shown)
+
+
+def _titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
+    """Say what is what, and what the plot shows one value of."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=8)
+    parts = []
+    for name, words in _TITLES.items():
+        if name in shown.coords and shown[name].size == 1:
+            value = as_words(np.atleast_1d(shown[name].values))[0]
+            unit = axis_label(shown[name], " ").strip(" []")
+            parts.append(f"{words} {value} {unit}".strip())
+    axes.set_title(", ".join(parts), fontsize=9, loc="left")
+    return axes
+
+
+def _numbers(
+    dataset: xr.Dataset, name: str, dims: tuple[str, ...], wanted: dict[str, Any]
+) -> xr.DataArray | None:
+    """A summary variable over the dimensions; None if there is none."""
+    if name not in dataset:
+        return None
+    return scene(dataset, {name: dims}, wanted)[name]
+
+
+def _basins(found: xr.Dataset, ax: "Axes | None") -> "Axes":
+    axes = _axes(ax)
+    drawing.basins(axes, found)
+    return _plane(axes, found["x_0"], found["v_0"], found)
+
+
+def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
+    # As variables, so that of a single start they get their dimension back too.
+    dataset = dataset.reset_coords([name for name in ("x_0", "v_0") if name in dataset.coords])
+    names = ("attractor", "period_multiple", "x_max", "x_0", "v_0")
+    shown = scene(dataset, dict.fromkeys(names, ("initial_condition",)), {})
+    axes = _axes(ax)
+    drawing.starts(axes, shown)
+    return _plane(axes, shown["x_0"], shown["v_0"], shown)
+
+
+def _sections(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
+    needed = {
+        "section_x": ("attractor", "section_point"),
+        "section_v": ("attractor", "section_point"),
+        "period_multiple": ("attractor",),
+        "x_max": ("attractor",),
+    }
+    shown = scene(dataset, needed, {})
+    axes = _axes(ax)
+    drawing.sections(axes, shown)
+    return _plane(axes, shown["section_x"], shown["section_v"], shown)
+
+
+def _plane(axes: "Axes", x: xr.DataArray, v: xr.DataArray, shown: xr.Dataset) -> "Axes":
+    axes.set_xlabel(axis_label(x))
+    axes.set_ylabel(axis_label(v))
+    return _titled(axes, shown)
+
+
+# xarray's own register_dataset_accessor keeps the accessor in the dataset, so that both stay alive,
+# and the file open, until the garbage collector comes by. netCDF4 was seen to crash after files had
+# been closed that way; a property leaves no such cycle.
+xr.Dataset.gapsweep = property(GapsweepAccessor)  # type: ignore[attr-defined]

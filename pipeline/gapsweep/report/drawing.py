@@ -1,0 +1,326 @@
+"""What the report's figures and the accessor share: functions that draw into given axes.
+
+Every function takes matplotlib axes and a dataset that holds the dimensions it names. Units come
+from the dataset; lengths are drawn in millimetres. matplotlib itself comes with the axes, so that
+importing this module is cheap.
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.report.style import colour, lines
+from gapsweep.response.result import ResponseClass
+from gapsweep.status import Status
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+NOT_PERIODIC = "#c00000"
+WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
+MANY = 2000  # points as vectors would make a file heavy
+_FEW = 60  # points on a curve that can be told apart
+# UDUNITS text to a factor and what stands on an axis.
+_SHOWN_UNITS = {
+    "m": (1e3, "mm"),
+    "m s-1": (1e3, "mm/s"),
+    "N m-1": (1.0, "N/m"),
+    "s-1": (1.0, "1/s"),
+    "1": (1.0, ""),
+}
+
+
+def factor(variable: xr.DataArray) -> float:
+    """What values are multiplied with to be drawn: lengths in metres are drawn in millimetres."""
+    return _shown_unit(variable)[0]
+
+
+def drawn(variable: xr.DataArray) -> NDArray[np.float64]:
+    """Values as they are drawn."""
+    return np.asarray(variable.values * factor(variable), dtype=float)
+
+
+def axis_label(variable: xr.DataArray, words: str = "") -> str:
+    """The words, or else the variable's long name, and the unit in which it is drawn."""
+    words = words or str(variable.attrs.get("long_name", variable.name))
+    unit = _shown_unit(variable)[1]
+    return f"{words} [{unit}]" if unit else words
+
+
+def labels_of(dataset: xr.Dataset) -> list[str]:
+    """Representations of a dataset."""
+    return [str(label) for label in dataset["representation"].values]
+
+
+def curves(axes: "Axes", variable: xr.DataArray, along: str) -> None:
+    """A curve per representation and start; the exact law thick, behind the others.
+
+    Parameters
+    ----------
+    variable : DataArray
+        Dimensions representation, `along`, initial_condition.
+    """
+    x = drawn(variable[along])
+    labels = [str(label) for label in variable["representation"].values]
+    styles = lines(labels)
+    for label in labels:
+        y = drawn(variable.sel(representation=label).transpose("initial_condition", along))
+        if not np.isfinite(y).any():
+            continue
+        exact = label == "piecewise"
+        for start, curve in enumerate(y):
+            axes.plot(
+                x,
+                curve,
+                styles[label],
+                color=colour(label),
+                label=label if start == 0 else None,
+                linewidth=2.2 if exact else 1.2,
+                zorder=1 if exact else 2,
+                marker="." if x.size <= _FEW else None,
+                markersize=5 if exact else 3,
+            )
+
+
+def walls(axes: "Axes", scene: xr.Dataset) -> None:
+    """Both walls of the gap, where the dataset knows them."""
+    for name, sign in (("j_1", -1.0), ("j_2", 1.0)):
+        if name in scene.coords and scene[name].ndim == 0:
+            axes.axhline(sign * float(drawn(scene[name])), **WALL)
+
+
+def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = None) -> None:
+    """All steady extrema of one representation.
+
+    Parameters
+    ----------
+    one : Dataset
+        ``extrema(along, initial_condition, extremum)`` and ``response_class``.
+    other : str, optional
+        Colour of responses that are not periodic; the representation's own if None.
+    """
+    own = colour(_label(one))
+    x, y = _broadcast(one, "extrema", along)
+    is_periodic = one["response_class"].transpose(along, "initial_condition").values
+    periodic = (is_periodic == ResponseClass.PERIODIC)[..., None]
+    for chosen, shade in ((periodic, own), (~periodic, other or own)):
+        shown = chosen & np.isfinite(y)
+        _points(axes, x[shown], y[shown], color=shade, marker=".", markersize=2.5)
+
+
+def peaks(
+    axes: "Axes", one: xr.Dataset, size: float, high: float = np.inf, *, along: str = "omega"
+) -> None:
+    """Peaks of one representation: periodic full, others pale, those above the frame on it.
+
+    Parameters
+    ----------
+    one : Dataset
+        ``x_max(along, initial_condition)`` and ``response_class``.
+    size : float
+        Diameter [points].
+    high : float
+        Upper edge of the frame.
+    """
+    label = _label(one)
+    places, height = _broadcast(one, "x_max", along)
+    kinds = one["response_class"].transpose(along, "initial_condition").values
+    periodic = kinds == ResponseClass.PERIODIC
+    above = height > high
+    style = {"color": colour(label), "marker": "o", "markersize": size, "markeredgewidth": 0.0}
+    for where, alpha in ((~periodic, 0.35), (periodic, 1.0)):
+        shown = where & np.isfinite(height) & ~above
+        _points(axes, places[shown], height[shown], alpha=alpha, **style)
+    outside(axes, places[above], high, "^", label)
+
+
+def outside(axes: "Axes", omega: Any, edge: float, marker: str, label: str) -> None:
+    """Triangles on the edge of the frame for what lies beyond it."""
+    if len(omega):
+        edges = np.full(len(omega), edge)
+        axes.plot(omega, edges, marker, color=colour(label), markersize=2.5, clip_on=False)
+
+
+def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
+    """Peak of every attractor of one representation; the larger its basin, the larger the dot.
+
+    Parameters
+    ----------
+    one : Dataset
+        ``x_max(along, attractor)``, ``basin_share`` and ``response_class``.
+    """
+    order = (along, "attractor")
+    height = drawn(one["x_max"].transpose(*order))
+    x = np.broadcast_to(drawn(one[along])[:, None], height.shape)
+    share = one["basin_share"].transpose(*order).values
+    # No share is known of what only sweeps reach.
+    area = 4.0 + 20.0 * np.where(np.isfinite(share), share, 0.0)
+    periodic = one["response_class"].transpose(*order).values == ResponseClass.PERIODIC
+    shade = colour(_label(one))
+    for where, face in ((periodic, shade), (~periodic, "none")):
+        shown = where & np.isfinite(height)
+        axes.scatter(
+            x[shown], height[shown], area[shown], facecolors=face, edgecolors=shade, linewidths=0.8
+        )
+
+
+def sections(axes: "Axes", one: xr.Dataset) -> None:
+    """Stroboscopic section of every attractor in the plane of displacement and velocity.
+
+    Parameters
+    ----------
+    one : Dataset
+        ``section_x(attractor, section_point)``, ``section_v``, ``period_multiple``, ``x_max``.
+    """
+    order = ("attractor", "section_point")
+    x, v = (drawn(one[name].transpose(*order)) for name in ("section_x", "section_v"))
+    names = attractor_names(one["period_multiple"], one["x_max"])
+    shades = _shades(len(names))
+    for n, name in enumerate(names):
+        if np.isfinite(x[n]).any():
+            axes.plot(x[n], v[n], "o", color=shades(n), markersize=4, label=name)
+
+
+def starts(axes: "Axes", one: xr.Dataset) -> None:
+    """Attractor of every fixed start of one sweep point, by colour; crosses where there is none.
+
+    Parameters
+    ----------
+    one : Dataset
+        ``attractor(initial_condition)``, ``period_multiple``, ``x_max``.
+    """
+    one = one.isel(initial_condition=np.isfinite(one["x_0"].values))
+    ids = one["attractor"].values
+    x, v = drawn(one["x_0"]), drawn(one["v_0"])
+    shades = _shades(int(ids.max(initial=0)) + 1)
+    axes.plot(x[ids < 0], v[ids < 0], "x", color="#888888", markersize=4)
+    for n in np.unique(ids[ids >= 0]):
+        here = ids == n
+        first = one.isel(initial_condition=slice(int(np.argmax(here)), int(np.argmax(here)) + 1))
+        (name,) = attractor_names(first["period_multiple"], first["x_max"])
+        axes.plot(x[here], v[here], "o", color=shades(n), markersize=4, label=name)
+
+
+def basins(axes: "Axes", found: xr.Dataset) -> None:
+    """Attractor of every start of a grid; white where there is none.
+
+    Parameters
+    ----------
+    found : Dataset
+        As `gapsweep.basins` returns it.
+    """
+    n = max(found.sizes["attractor_number"], 1)
+    ids = found["attractor"].transpose("v_0", "x_0")
+    mesh = axes.pcolormesh(
+        drawn(found["x_0"]),
+        drawn(found["v_0"]),
+        ids.where(ids >= 0),
+        cmap=_shades(n),
+        vmin=-0.5,
+        vmax=n - 0.5,
+    )
+    bar = axes.figure.colorbar(mesh, ax=axes, ticks=range(n))
+    bar.ax.set_yticklabels(attractor_names(found["period_multiple"], found["x_max"]))
+    axes.grid(visible=False)
+
+
+def attractor_names(period_multiple: xr.DataArray, x_max: xr.DataArray) -> list[str]:
+    """What each attractor is, in words."""
+    unit = _shown_unit(x_max)[1]
+    pairs = zip(period_multiple.values, drawn(x_max), strict=True)
+    return [f"{f'P{n}' if n else 'chaotic'}, peak {x:.4g} {unit}" for n, x in pairs]
+
+
+def summary(
+    axes: "Axes",
+    value: xr.DataArray,
+    interval: xr.DataArray | None,
+    floor: xr.DataArray | None,
+) -> None:
+    """A row per representation: its number, its confidence interval, and the floor of all.
+
+    Parameters
+    ----------
+    value : DataArray
+        Over representation.
+    interval : DataArray, optional
+        Over representation and bound.
+    floor : DataArray, optional
+        One number: exact against exact.
+    """
+    labels = [str(label) for label in value["representation"].values]
+    numbers = drawn(value)
+    for row, (label, number) in enumerate(zip(labels, numbers, strict=True)):
+        if interval is not None:
+            ends = drawn(interval.sel(representation=label))
+            axes.plot(ends, [row, row], color=colour(label), linewidth=1.2)
+        axes.plot([number], [row], "o", color=colour(label), markersize=5)
+    if floor is not None and np.isfinite(floor):
+        axes.axvline(float(drawn(floor)), **WALL, label="exact against exact")
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set_ylim(len(labels) - 0.5, -0.5)
+
+
+def work_precision(axes: "Axes", scene: xr.Dataset) -> None:
+    """Cost over error, a line per method; rings on the front, dots where the model itself is off.
+
+    Parameters
+    ----------
+    scene : Dataset
+        ``trajectory_error(method, tolerance)``, ``cpu_time``; where there are any ``model_error``,
+        ``on_front`` and ``status``.
+    """
+    methods = [str(name) for name in scene["method"].values]
+    styles = lines(methods)
+    for position, name in enumerate(methods):
+        one = scene.isel({"method": position})  # sel(method=...) is xarray's own keyword
+        error, cost = drawn(one["trajectory_error"]), drawn(one["cpu_time"])
+        shown = np.isfinite(error) & np.isfinite(cost) & (error > 0.0)
+        status = (
+            one["status"].values if "status" in one else np.where(shown, Status.OK, Status.ERROR)
+        )
+        shown &= status == Status.OK
+        # Methods have ladders of different lengths: what was not asked for is no failure.
+        lost = int(np.sum((status != Status.OK) & (status != Status.NOT_REQUESTED)))
+        style: dict[str, Any] = {"color": colour(name), "markersize": 4}
+        words = f"{name} ({lost} failed)" if lost else name
+        axes.plot(error[shown], cost[shown], f"o{styles[name]}", label=words, **style)
+        if "on_front" in one:
+            best = shown & (one["on_front"].values == 1)
+            axes.plot(
+                error[best], cost[best], "o", color=colour(name), markersize=9, fillstyle="none"
+            )
+        if "model_error" in one and np.nanmax(one["model_error"], initial=0.0) > 0.0:
+            worst = factor(one["model_error"]) * float(np.nanmax(one["model_error"]))
+            axes.axvline(worst, color=colour(name), linestyle=":", linewidth=1.0)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+
+
+def _shown_unit(variable: xr.DataArray) -> tuple[float, str]:
+    units = str(variable.attrs.get("units", "1"))
+    return _SHOWN_UNITS.get(units, (1.0, units))
+
+
+def _label(one: xr.Dataset) -> str:
+    return str(one["representation"].values)
+
+
+def _broadcast(one: xr.Dataset, name: str, along: str) -> Iterator[NDArray[np.float64]]:
+    """Where along the axis, and the values; both of the shape (along, initial_condition, ...)."""
+    values = drawn(one[name].transpose(along, "initial_condition", ...))
+    places = drawn(one[along]).reshape(-1, *[1] * (values.ndim - 1))
+    return iter((np.broadcast_to(places, values.shape), values))
+
+
+def _points(axes: "Axes", x: NDArray[Any], y: NDArray[Any], **style: Any) -> None:
+    axes.plot(x, y, linestyle="none", rasterized=bool(x.size > MANY), **style)
+
+
+def _shades(n: int) -> Any:
+    from matplotlib import colormaps
+
+    return colormaps["cividis"].resampled(max(n, 1))

@@ -1,0 +1,70 @@
+"""What a dataset holds, in a few lines: as text and as HTML."""
+
+import html
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.report.scene import SHOWN_VALUES, listed
+from gapsweep.study.schema import CLASS_FLAGS, POINT_DIMS, STATUS_FLAGS
+
+_NOT_REQUESTED = "not_requested"
+_PADDING = (_NOT_REQUESTED, "none")  # cells that are no sweep point or no attractor
+
+
+def as_text(dataset: xr.Dataset) -> str:
+    """A line per fact."""
+    width = max((len(name) for name, _ in _facts(dataset)), default=0)
+    lines = [f"  {name:<{width}}  {text}" for name, text in _facts(dataset)]
+    return "\n".join([f"gapsweep: {_title(dataset)}", *lines])
+
+
+def as_html(dataset: xr.Dataset) -> str:
+    """A small table; every text in it is escaped."""
+    rows = "".join(
+        f'<tr><th style="text-align:left">{html.escape(name)}</th>'
+        f'<td style="text-align:left">{html.escape(text)}</td></tr>'
+        for name, text in _facts(dataset)
+    )
+    title = html.escape(_title(dataset))
+    return f"<table><caption><b>gapsweep</b>: {title}</caption>{rows}</table>"
+
+
+def _title(dataset: xr.Dataset) -> str:
+    return str(dataset.attrs.get("title") or dataset.attrs.get("study") or "dataset")
+
+
+def _facts(dataset: xr.Dataset) -> Iterator[tuple[str, str]]:
+    """Points, where they came from, outcomes, and what is selected."""
+    attributes = dataset.attrs
+    if "n_points" in attributes:
+        yield (
+            "points",
+            f"{attributes['n_points']}: {attributes['n_hits']} from the cache, "
+            f"{attributes['n_computed']} computed",
+        )
+    elif "status" in dataset:
+        asked = dataset["status"].values != dict(STATUS_FLAGS)[_NOT_REQUESTED]
+        yield "points", str(int(asked.sum()))
+    for name, flags in (("status", STATUS_FLAGS), ("response_class", CLASS_FLAGS)):
+        if name in dataset:
+            yield name.replace("_", " "), _counts(dataset[name].values, flags)
+    for name in POINT_DIMS:
+        if name in dataset.coords:
+            yield name.replace("_", " ") if name == POINT_DIMS[-1] else name, _values(dataset[name])
+
+
+def _counts(values: np.ndarray, flags: tuple[tuple[str, int], ...]) -> str:
+    counts = {label: int((values == value).sum()) for label, value in flags}
+    shown = (f"{n} {label}" for label, n in counts.items() if n and label not in _PADDING)
+    return ", ".join(label.replace("_", " ") for label in shown)
+
+
+def _values(coordinate: xr.DataArray) -> str:
+    values = np.atleast_1d(coordinate.values)
+    units = str(coordinate.attrs.get("units", "1"))
+    unit = "" if units == "1" else f" {units.replace('N m-1', 'N/m')}"
+    if values.size > SHOWN_VALUES and values.dtype.kind in "iuf":
+        return f"{values.size} values, {values.min():g} to {values.max():g}{unit}"
+    return listed(coordinate) + unit

@@ -1,0 +1,140 @@
+"""Every code block of the documentation runs as printed, and no name is missing in it."""
+
+import re
+import shlex
+import shutil
+import tomllib
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+from matplotlib import pyplot as plt
+
+import gapsweep as gs
+from gapsweep.cli.main import commands, exit_code
+from gapsweep.study.claims import read_claims
+from gapsweep.study.spec import check
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+MADE = {"_build", "generated", "notebooks"}
+PAGES = sorted(p for p in DOCS.rglob("*.md") if not MADE & set(p.relative_to(DOCS).parts))
+BLOCK = re.compile(r"^```(\w+)( no-test)?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+MINIMAL = {
+    "study": {"name": "fragment"},
+    "sweep": [{"representation": ["piecewise"], "K_c": [1.0], "gap": [[0, 0]], "omega": [1.0]}],
+}
+# What a block may need that a test has not: a cluster, or an installation.
+NEEDS = ("dask ", "dask_", "Client(", "kubectl", "pip install", "_COMPLETE=")
+
+pages = pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(DOCS)))
+
+
+def blocks(page, *kinds):
+    found = BLOCK.findall(page.read_text())
+    return [code for kind, skip, code in found if kind in kinds and not skip]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Where the pages are read: a clone in which the quick study has been run."""
+    folder = tmp_path_factory.mktemp("clone")
+    shutil.copytree(ROOT / "workflows", folder / "workflows")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.delenv("GAPSWEEP_CACHE", raising=False)
+        assert exit_code(["run", "workflows/quick.toml"]) == 0
+    return folder
+
+
+@pages
+def test_every_block_is_of_a_kind_that_is_tested(page):
+    text = page.read_text()
+    kinds = {kind for kind, *_ in BLOCK.findall(text)}
+    assert kinds <= {"python", "sh", "toml", "text"}
+    assert not re.search(r"\n\n    \S", BLOCK.sub("", text)), "an indented block is not tested"
+    for _, skip, code in BLOCK.findall(text):
+        assert not skip or any(need in code for need in NEEDS), "no reason not to test this"
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if blocks(p, "python")], ids=lambda p: str(p.relative_to(DOCS))
+)
+def test_python_blocks_run_in_order(page, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    mpl.use("Agg")
+    exec(compile("".join(blocks(page, "python")), page.name, "exec"), {})  # the pages are ours
+    plt.close("all")
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if blocks(p, "sh")], ids=lambda p: str(p.relative_to(DOCS))
+)
+def test_commands_run(page, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    for line in "".join(blocks(page, "sh")).splitlines():
+        name, *arguments = shlex.split(line)
+        assert name == "gapsweep"
+        assert exit_code(arguments) == 0, line
+
+
+@pages
+def test_toml_blocks_are_valid(page, tmp_path):
+    for text in blocks(page, "toml"):
+        tables = tomllib.loads(text)
+        if "claim" in tables:
+            (tmp_path / "claims.toml").write_text(text)
+            read_claims(tmp_path / "claims.toml")
+        else:
+            check({**MINIMAL, **tables}, page.name)
+
+
+def test_study_reference_names_every_key():
+    text = (DOCS / "reference" / "study.md").read_text()
+    spec = check(MINIMAL)
+    for name in type(spec).model_fields:
+        assert f"[{name}" in text, name
+        table = getattr(spec, name)
+        keys = getattr(type(table), "model_fields", {}) if table is not None else {}
+        assert not [key for key in keys if f"{key} = " not in text and key != "start_jitter"]
+
+
+def test_every_public_name_is_in_the_reference():
+    listed = re.findall(r":: gapsweep\.(\w+)$", (DOCS / "reference" / "api.md").read_text(), re.M)
+    assert sorted(listed) == sorted(gs.__all__)
+
+
+def test_every_command_is_in_the_readme_or_the_guide():
+    text = "".join(page.read_text() for page in PAGES) + (ROOT / "README.md").read_text()
+    assert not [name for name in commands.commands if f"gapsweep {name}" not in text]
+
+
+def test_every_page_and_notebook_is_in_the_contents():
+    listed = set(re.findall(r"^[\w/-]+$", (DOCS / "index.md").read_text(), re.MULTILINE))
+    written = {
+        str(p.relative_to(DOCS).with_suffix("")) for p in PAGES if "decisions" not in p.parts
+    }
+    notebooks = {f"notebooks/{p.stem}" for p in (ROOT / "workflows" / "notebooks").glob("*.md")}
+    assert listed == (written | notebooks) - {"index"}
+
+
+@pytest.mark.parametrize("name", ["responses", "attractors", "agreement", "timing", "static"])
+def test_every_variable_of_a_run_is_in_the_reference(name, folder, monkeypatch):
+    monkeypatch.syspath_prepend(DOCS)
+    import tables
+
+    made = tables.pages()
+    with gs.open(folder / "data" / "runs" / "quick" / f"{name}.nc") as ds:
+        missing = [v for v in ds.data_vars if f"`{v}`" not in made[name]]
+    assert not [v for v in missing if v != "forcing" and "ladder" not in v]
+    assert f"generated/{name}.md" in (DOCS / "reference" / "datasets.md").read_text()
+
+
+def test_every_command_is_in_the_generated_reference(monkeypatch):
+    monkeypatch.syspath_prepend(DOCS)
+    import tables
+
+    made = tables.pages()["commands"]
+    names = [*commands.commands, *(f"cache {n}" for n in commands.commands["cache"].commands)]
+    assert all(f"## gapsweep {name}\n" in made for name in names)
+    assert made.count("-h, --help") == len(names) + 1

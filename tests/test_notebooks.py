@@ -1,0 +1,45 @@
+"""Every notebook runs from top to bottom in an empty folder, and shows what it promises."""
+
+from pathlib import Path
+
+import pytest
+
+jupytext = pytest.importorskip("jupytext")
+nbclient = pytest.importorskip("nbclient")
+
+FOLDER = Path(__file__).parents[1] / "workflows" / "notebooks"
+# What must be read in the outputs, and how many figures must be drawn.
+PROMISES = {
+    "first_steps": (["63: 63 from the cache, 0 computed", "omega"], 4),
+    "query_the_cache": (
+        [
+            "11: 0 from the cache, 11 computed",
+            "11 of 42 points were stored",
+            "<progress",
+            "K_c = 20000.0",
+        ],
+        1,
+    ),
+    "own_representation": (["18: 0 from the cache, 18 computed"], 1),
+    "own_oscillator": (["wall crossings", "116: 0 from the cache"], 2),
+    "on_a_cluster": (["10 of 10 points were stored"], 1),
+}
+
+
+def test_every_notebook_is_tested():
+    assert {path.stem for path in FOLDER.glob("*.md")} == set(PROMISES)
+
+
+@pytest.mark.parametrize("name", PROMISES)
+def test_notebook_runs_and_shows_what_it_promises(name, tmp_path, monkeypatch):
+    monkeypatch.delenv("GAPSWEEP_CACHE", raising=False)
+    monkeypatch.setenv("PYDEVD_DISABLE_FILE_VALIDATION", "1")
+    notebook = jupytext.read(FOLDER / f"{name}.md")
+    where = {"metadata": {"path": str(tmp_path)}}
+    nbclient.NotebookClient(notebook, timeout=300, resources=where).execute()
+    outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]
+    shown = "".join(str(out) for out in outputs)
+    words, n_figures = PROMISES[name]
+    assert not [text for text in words if text not in shown]
+    assert sum("image/png" in out.get("data", {}) for out in outputs) == n_figures
+    assert (tmp_path / "data" / "cache.sqlite").exists()

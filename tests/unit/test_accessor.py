@@ -1,0 +1,394 @@
+"""``ds.gapsweep``: draws what is in the data, of any selection, and says what it cannot draw."""
+
+import contextlib
+import subprocess
+import sys
+import weakref
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose
+from tests.made import chaotic, datasets, failed, periodic, tables
+
+import gapsweep as gs
+import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
+from gapsweep.analysis.agreement import agreement
+from gapsweep.report.drawing import NOT_PERIODIC
+from gapsweep.report.style import colour
+
+mpl.use("Agg")
+LABELS = ["piecewise", "tanh-1e4", "poly-13"]
+OMEGA = [5.0, 6.0, 7.0, 8.0]
+SCENE = {"K_c": 1.4e4, "gap": "0.4/0.4"}
+
+
+def answer(label, omega, start):
+    """Peaks fall with frequency; tanh is chaotic at 7 Hz, the polynomial fails at 8 Hz."""
+    x = (1.0 + 0.1 * LABELS.index(label) + 0.3 * start) * 1e-3 / omega
+    if label == "tanh-1e4" and omega == 7.0:
+        return chaotic([(x, 0.0), (0.5 * x, 0.0)], omega)
+    if label == "poly-13" and omega == 8.0:
+        return failed()
+    return periodic([(x, 0.0)], omega)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    wanted = tables(LABELS, OMEGA, starts=2, sweeps=["sweep_up"])
+    return datasets(folder, wanted, answer)
+
+
+@pytest.fixture(scope="module")
+def responses(made):
+    return made[0]
+
+
+@pytest.fixture(scope="module")
+def attractors(made):
+    return made[1]
+
+
+@pytest.fixture(scope="module")
+def compared(made):
+    return agreement(*made)
+
+
+@pytest.fixture
+def ax():
+    return Figure().subplots()
+
+
+@pytest.fixture(scope="module")
+def precision():
+    """Made-up costs: each method is a straight line, and one fails at its loosest tolerance."""
+    dims = ("scene", "method", "tolerance")
+    error = np.geomspace(1e-2, 1e-8, 4) * np.array([[[1.0], [3.0]], [[1.0], [3.0]]])
+    status = np.zeros(error.shape, "i1")
+    status[:, 1, 0] = gs.Status.DIVERGED
+    status[:, 0, 3] = gs.Status.NOT_REQUESTED
+    return xr.Dataset(
+        {
+            "trajectory_error": (dims, error, {"units": "1", "long_name": "end error"}),
+            "cpu_time": (dims, 1e-6 / error**0.1, {"units": "s", "long_name": "cost per second"}),
+            "model_error": (dims[:2], [[0.0, 1e-3], [0.0, 1e-3]], {"units": "1"}),
+            "status": (dims, status),
+            "on_front": (dims, np.zeros(error.shape, "i1") + np.array([[1], [0]], "i1")),
+        },
+        {
+            "scene": ["soft", "hard"],
+            "K_c": ("scene", [1.4e4, 1.4e6], {"units": "N m-1"}),
+            "method": ["piecewise", "tanh-1e4"],
+            "rtol": (dims[1:], [[1e-3, 1e-5, 1e-7, 1e-9]] * 2),
+        },
+    )
+
+
+def drawn(axes, shade=None):
+    """All points of an axes, of one colour if given, walls and legends left out; sorted."""
+    lines = [line for line in axes.lines if len(line.get_xdata()) and line.get_linestyle() != "--"]
+    chosen = [ln for ln in lines if shade in (None, to_hex(ln.get_color()))]
+    pairs = np.concatenate([np.column_stack(ln.get_data()) for ln in chosen] or [np.empty((0, 2))])
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    return pairs[np.lexsort(pairs.T)]
+
+
+def expected(variable):
+    """Frequencies [Hz] and values [mm] of all finite values of a variable; sorted."""
+    omega, values = xr.broadcast(variable["omega"], variable)
+    pairs = np.column_stack([omega.values.ravel(), 1e3 * values.values.ravel()])
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    return pairs[np.lexsort(pairs.T)]
+
+
+def walls(axes):
+    return sorted(line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == "--")
+
+
+def test_frequency_response_draws_every_amplitude(responses, ax):
+    assert responses.gapsweep.frequency_response(ax=ax, **SCENE) is ax
+    for label in LABELS:
+        assert_allclose(
+            drawn(ax, colour(label).lower()),
+            expected(responses["amplitude"].sel(representation=label)),
+        )
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("forcing frequency [Hz]", "amplitude [mm]")
+    assert ax.get_legend_handles_labels()[1] == LABELS
+    assert ax.get_title(loc="left") == "K_c = 14000 N/m, gap 0.4/0.4 mm"
+
+
+def test_bifurcation_draws_every_extremum_between_the_walls(responses, ax):
+    responses.gapsweep.bifurcation(along="omega", ax=ax, **SCENE)
+    assert_allclose(drawn(ax), expected(responses["extrema"]))
+    assert_allclose(walls(ax), [-0.4, 0.4])
+    assert ax.get_ylabel() == "steady extrema [mm]"
+
+
+def test_one_representation_shows_what_is_not_periodic_in_red(responses, ax):
+    responses.gapsweep.bifurcation(ax=ax, representation="tanh-10000")
+    tanh = responses["extrema"].sel(representation="tanh-1e4")
+    assert_allclose(drawn(ax, NOT_PERIODIC), expected(tanh.sel(omega=[7.0])))
+    assert_allclose(
+        drawn(ax, colour("tanh-1e4").lower()), expected(tanh.sel(omega=[5.0, 6.0, 8.0]))
+    )
+
+
+def test_compare_draws_the_second_before_the_first(responses, ax):
+    responses.gapsweep.compare("piecewise", "tanh-1e4", ax=ax, omega=slice(6, 8))
+    for label in ("piecewise", "tanh-1e4"):
+        peaks = responses["x_max"].sel(representation=label, omega=slice(6, 8))
+        assert_allclose(drawn(ax, colour(label).lower()), expected(peaks))
+    sizes = {to_hex(ln.get_color()): ln.get_markersize() for ln in ax.lines}
+    assert sizes[colour("piecewise")] > sizes[colour("tanh-1e4").lower()]
+    assert [to_hex(ln.get_color()) for ln in ax.lines][-1] == colour("tanh-1e4").lower()
+
+
+def test_a_start_is_selected_by_its_kind(responses, ax):
+    responses.gapsweep.frequency_response(ax=ax, representation="piecewise", start="sweep_up")
+    up = responses["amplitude"].sel(representation="piecewise", initial_condition=2)
+    assert_allclose(drawn(ax), expected(up))
+
+
+def test_attractors_over_frequency_are_as_large_as_their_basins(attractors, ax):
+    attractors.gapsweep.attractors(ax=ax, representation="piecewise")
+    dots = np.concatenate([dots.get_offsets() for dots in ax.collections])
+    one = attractors.sel(representation="piecewise")
+    assert_allclose(dots[np.lexsort(dots.T)], expected(one["x_max"]))
+    areas = np.concatenate([dots.get_sizes() for dots in ax.collections])
+    shares = one["basin_share"].values.ravel()
+    assert_allclose(np.unique(areas), np.unique(4.0 + 20.0 * shares[np.isfinite(shares)]))
+
+
+def test_attractors_at_one_frequency_are_sections(attractors, ax):
+    attractors.gapsweep.attractors(ax=ax, representation="tanh-1e4", omega=7.0)
+    one = attractors.sel(representation="tanh-1e4", omega=7.0)
+    x = one["section_x"].values[np.isfinite(one["section_x"].values)]
+    assert_allclose(np.sort(drawn(ax)[:, 0]), np.sort(1e3 * x))
+    assert ax.get_xlabel() == "displacement at whole forcing periods [mm]"
+    assert ax.get_ylabel() == "velocity at whole forcing periods [mm/s]"
+    assert "chaotic" in ax.get_legend_handles_labels()[1][0]
+
+
+def test_attractors_of_starts_are_told_by_colour(responses, ax):
+    responses.gapsweep.attractors(ax=ax, representation="piecewise", omega=5.0)
+    assert_allclose(np.unique(drawn(ax)[:, 0]), [0.0, 0.01])
+    names = ax.get_legend_handles_labels()[1]
+    assert names == ["P1, peak 0.2 mm", "P1, peak 0.26 mm"]
+    assert ax.get_xlabel() == "initial displacement [mm]"
+
+
+def test_basins_are_a_map_of_the_starts(ax):
+    found = gs.basins(
+        gs.Oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), 20.0, x=[0.0, 1e-3], v=[0.0]
+    )
+    found.gapsweep.attractors(ax=ax)
+    assert_allclose(ax.collections[0].get_array().ravel(), found["attractor"].values.ravel())
+    assert ax.get_ylabel() == "initial velocity [mm/s]"
+
+
+def test_agreement_has_a_row_per_representation(compared, ax):
+    compared.gapsweep.agreement("amplitude_error_median", ax=ax)
+    assert [text.get_text() for text in ax.get_yticklabels()] == LABELS[1:]
+    row = compared["amplitude_error_median"].sel(regime="all", representation=LABELS[1:])
+    dots = [line.get_xdata()[0] for line in ax.lines if line.get_marker() == "o"]
+    assert_allclose(dots, row.values.ravel())
+    assert ax.get_xlabel() == row.attrs["long_name"]
+
+
+def test_agreement_shows_interval_and_floor(compared, ax):
+    with_interval = compared.copy(deep=True)
+    with_interval["amplitude_error_median_ci"][:] = [0.01, 0.2]
+    with_interval["amplitude_error_median_floor"][:] = 0.015
+    with_interval.gapsweep.agreement(ax=ax, representation="poly-13")
+    ends = [list(line.get_xdata()) for line in ax.lines if line.get_linestyle() == "-"]
+    assert [0.01, 0.2] in ends
+    assert [line.get_xdata()[0] for line in ax.lines if line.get_linestyle() == "--"] == [0.015]
+
+
+def test_agreement_over_frequency_is_a_curve(compared, ax):
+    compared.gapsweep.agreement("amplitude_error", ax=ax, representation="poly-13")
+    error = compared["amplitude_error"].sel(representation="poly-13")
+    pairs = expected(error / 1e3)
+    assert_allclose(drawn(ax), pairs, rtol=1e-6)
+    assert len(pairs) == 9
+
+
+def test_work_precision_shows_front_and_failures(precision, ax):
+    precision.gapsweep.work_precision(scene="soft", ax=ax)
+    assert ax.get_legend_handles_labels()[1] == ["piecewise", "tanh-1e4 (1 failed)"]
+    assert ax.get_title(loc="left") == "soft, K_c = 14000 N/m"
+    soft = precision.sel(scene="soft")
+    there = {"piecewise": slice(3), "tanh-1e4": slice(1, None)}
+    for position, (name, tolerances) in enumerate(there.items()):
+        one = soft.isel({"method": position, "tolerance": tolerances})
+        (line,) = [ln for ln in ax.lines if ln.get_label().split(" ")[0] == name]
+        assert_allclose(line.get_xdata(), one["trajectory_error"])
+        assert_allclose(line.get_ydata(), one["cpu_time"])
+    models = [ln.get_xdata() for ln in ax.lines if ln.get_linestyle() == ":"]
+    assert models == [[1e-3, 1e-3]]
+    rings = [ln for ln in ax.lines if ln.get_fillstyle() == "none" and len(ln.get_xdata())]
+    assert [to_hex(ln.get_color()) for ln in rings] == [colour("piecewise")]
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("end error", "cost per second [s]")
+
+
+def test_axes_are_made_where_none_are_given(responses):
+    axes = responses.gapsweep.frequency_response()
+    assert isinstance(axes, Axes)
+    plt.close(axes.figure)
+
+
+def test_units_are_those_of_the_dataset(responses, ax):
+    inches = responses.copy()
+    inches["amplitude"] = (responses["amplitude"] / 0.0254).assign_attrs(units="inch")
+    inches.gapsweep.frequency_response(ax=ax)
+    assert ax.get_ylabel() == "amplitude [inch]"
+    assert_allclose(drawn(ax), expected(inches["amplitude"] / 1e3))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda r, a: a.gapsweep.bifurcation(), "extrema: no variable .* it is in responses.nc"),
+        (lambda r, a: r.gapsweep.agreement(), "amplitude_error_median: .* in agreement.nc"),
+        (lambda r, a: r.gapsweep.work_precision(), "trajectory_error: .* work_precision.nc"),
+        (lambda r, a: r.gapsweep.bifurcation(K_c=3.0), r"K_c = 3.0: .* it has 14000"),
+        (lambda r, a: r.gapsweep.bifurcation(stiffness=3.0), "stiffness: no coordinate"),
+        (lambda r, a: r.gapsweep.bifurcation(gap=slice(1, 2)), "gap: holds text"),
+        (lambda r, a: r.gapsweep.bifurcation(representation="tan"), "unknown representation"),
+        (lambda r, a: r.gapsweep.bifurcation(omega=[5.0, 5.5]), r"omega = 5.5: not in this"),
+        (lambda r, a: r.gapsweep.compare("piecewise", "poly-7"), "'poly-7': not in this"),
+        (lambda r, a: r.gapsweep.attractors(omega=5.0), "room for one .* representation='piece"),
+        (lambda r, a: r.gapsweep.bifurcation(along="gap"), "draw along omega or K_c"),
+        (
+            lambda r, a: r.isel(omega=0, drop=True).gapsweep.bifurcation(),
+            "omega: no coordinate .* without drop=True",
+        ),
+        (
+            lambda r, a: xr.concat([r, r.assign_coords(K_c=[9.0])], "K_c").gapsweep.bifurcation(),
+            "K_c: .* room for one value .* 14000, 9; choose: K_c=14000",
+        ),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_with_the_remedy(responses, attractors, call, message):
+    with pytest.raises(gs.DatasetError, match=message):
+        call(responses, attractors)
+
+
+def part(n):
+    """Positions along a dimension: one, or some."""
+    return st.integers(0, n - 1) | st.lists(st.integers(0, n - 1), min_size=1, unique=True)
+
+
+@given(st.fixed_dictionaries({"representation": part(3), "omega": part(4)}), part(3), st.booleans())
+def test_any_selection_is_drawn_whole(responses, selection, starts, drop):
+    chosen = responses.isel(selection).isel(initial_condition=starts)
+    chosen = chosen.isel(K_c=0, gap=0, drop=drop)
+    axes = Figure().subplots()
+    chosen.gapsweep.bifurcation(ax=axes)
+    assert_allclose(drawn(axes), expected(chosen["extrema"]))
+    assert bool(walls(axes)) != drop
+    axes = Figure().subplots()
+    chosen.gapsweep.frequency_response(ax=axes)
+    assert_allclose(drawn(axes), expected(chosen["amplitude"]))
+
+
+@settings(max_examples=10)
+@given(st.fixed_dictionaries({"representation": part(3), "omega": part(4)}), part(3), st.booleans())
+def test_every_plot_of_any_selection_is_drawn_or_refused(made, compared, selection, starts, drop):
+    """Never another error, and no warning."""
+    scene = {"K_c": 0, "gap": 0}
+    responses, attractors = (ds.isel(selection).isel(scene, drop=drop) for ds in made)
+    numbers = compared.isel(selection).isel(scene, drop=drop)
+    responses = responses.isel(initial_condition=starts)
+    labels = np.atleast_1d(responses["representation"].values).tolist()
+    for draw in (
+        lambda ax: responses.gapsweep.compare(labels[0], labels[-1], ax=ax),
+        lambda ax: responses.gapsweep.attractors(ax=ax),
+        lambda ax: attractors.gapsweep.attractors(ax=ax),
+        lambda ax: numbers.gapsweep.agreement(ax=ax),
+        lambda ax: numbers.gapsweep.agreement("amplitude_error_paired", ax=ax),
+        lambda ax: numbers.isel(regime=1).gapsweep.agreement("f1_pooled", ax=ax),
+    ):
+        axes = Figure().subplots()
+        with contextlib.suppress(gs.DatasetError):
+            assert draw(axes) is axes
+            assert axes.get_xlabel()
+
+
+def test_agreement_of_the_reference_alone_is_refused(compared):
+    with pytest.raises(gs.DatasetError, match=r"piecewise: .* itself"):
+        compared.gapsweep.agreement(representation="piecewise")
+
+
+def test_stiffness_can_be_the_axis(responses, ax):
+    stiffer = responses.assign_coords(K_c=responses["K_c"] * 100).assign(
+        amplitude=(2.0 * responses["amplitude"]).assign_attrs(units="m")
+    )
+    both = xr.concat([responses, stiffer], "K_c").sel(omega=6.0, gap="0.4/0.4")
+    both.gapsweep.frequency_response(along="K_c", ax=ax, representation="piecewise", start="fixed")
+    assert ax.get_xlabel() == "contact stiffness [N/m]"
+    assert ax.get_xscale() == "log"
+    at_rest = both["amplitude"].sel(representation="piecewise").isel(initial_condition=0)
+    assert_allclose(ax.lines[0].get_xdata(), [1.4e4, 1.4e6])
+    assert_allclose(ax.lines[0].get_ydata(), 1e3 * at_rest)
+
+
+def test_a_dropped_label_does_not_hinder(responses, ax):
+    one = responses.isel(representation=0, drop=True)
+    one.gapsweep.bifurcation(ax=ax)
+    assert_allclose(drawn(ax), expected(one["extrema"]))
+
+
+def test_summary_says_what_was_asked_and_where_it_came_from(responses):
+    asked = responses.isel(omega=slice(2)).assign_attrs(n_points=18, n_hits=12, n_computed=6)
+    text = repr(asked.gapsweep)
+    assert "18: 12 from the cache, 6 computed" in text
+    assert "5, 6 Hz" in text
+    page = asked.gapsweep._repr_html_()
+    assert "18: 12 from the cache, 6 computed" in page
+    assert page.count("<tr>") == page.count("</tr>") == len(text.splitlines()) - 1
+
+
+def test_summary_counts_classes_and_failures(responses):
+    text = repr(responses.gapsweep)
+    assert "points             36\n" in text
+    assert "33 ok, 3 diverged" in text
+    assert "3 chaotic" in text
+
+
+def test_summary_does_not_count_padding(attractors):
+    assert "none" not in repr(attractors.gapsweep)
+
+
+def test_hostile_texts_in_a_summary_are_harmless(responses):
+    hostile = '"><img src=x onerror=alert(1)>'
+    bad = responses.assign_attrs(title=hostile).assign_coords(gap=[hostile])
+    assert "<img" not in bad.gapsweep._repr_html_()
+    assert "&lt;img" in bad.gapsweep._repr_html_()
+
+
+def test_a_dataset_that_was_drawn_is_let_go(responses, ax):
+    """An open file must not wait for the garbage collector."""
+    copy = responses.copy()
+    copy.gapsweep.bifurcation(ax=ax)
+    alive = weakref.ref(copy)
+    del copy
+    assert alive() is None
+
+
+def test_datasets_bring_the_accessor_and_matplotlib_waits_for_a_plot():
+    code = (
+        "import sys, gapsweep as gs; assert 'xarray' not in sys.modules; gs.open;"
+        "import xarray; assert hasattr(xarray.Dataset, 'gapsweep');"
+        "assert 'matplotlib' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

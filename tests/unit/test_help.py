@@ -1,0 +1,85 @@
+"""``--help``: fits 80 columns, has examples that can be typed, and completion works."""
+
+import shlex
+import subprocess
+import sys
+
+import click
+import pytest
+
+from gapsweep.cli.main import commands
+
+WIDTH = 80
+
+
+def every(command, path=("gapsweep",)):
+    """All commands with the words that call them."""
+    yield path, command
+    for name, child in getattr(command, "commands", {}).items():
+        yield from every(child, (*path, name))
+
+
+COMMANDS = dict(every(commands))
+ids = pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+
+
+def help_of(path):
+    with click.Context(
+        COMMANDS[path], info_name=" ".join(path), max_content_width=WIDTH
+    ) as context:
+        context.terminal_width = WIDTH
+        return COMMANDS[path].get_help(context)
+
+
+def examples(path):
+    """The lines under Example(s), continued ones joined."""
+    _, _, rest = help_of(path).replace("\\\n", " ").partition("Example")
+    return [line.strip() for line in rest.splitlines() if line.strip().startswith("gapsweep ")]
+
+
+@ids
+def test_help_fits_the_terminal_and_truncates_nothing(path):
+    text = help_of(path)
+    assert max(len(line) for line in text.splitlines()) <= WIDTH
+    assert not [line for line in text.splitlines() if line.endswith("...") and "Usage" not in line]
+
+
+@ids
+def test_every_option_says_what_it_does(path):
+    options = [p for p in COMMANDS[path].params if isinstance(p, click.Option)]
+    assert all(option.help for option in options)
+
+
+@ids
+def test_examples_can_be_typed(path):
+    assert examples(path)
+    for line in examples(path):
+        words, command = shlex.split(line), commands
+        assert tuple(words[: len(path)]) == path
+        with click.Context(commands) as context:
+            arguments = words[1:]
+            while isinstance(command, click.Group):
+                name, command, arguments = command.resolve_command(context, arguments)
+            command.make_context(name, arguments, parent=context)
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("gapsweep ru", "plain,run"),
+        ("gapsweep cache ver", "plain,verify"),
+        ("gapsweep run --engine comp", "plain,compiled"),
+        ("gapsweep run --retry", "plain,--retry-failed"),
+    ],
+)
+def test_shell_completion_offers_what_fits(words, offered):
+    environment = {
+        "_GAPSWEEP_COMPLETE": "bash_complete",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split()) - 1),
+    }
+    code = "from gapsweep.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert done.stdout.split() == [offered]
