@@ -563,6 +563,7 @@ def report(folder: str | Path) -> Path:
             responses,
             stored(AGREEMENT),
             files.enter_context(netcdf.read(folder / TIMING)),
+            attractors=stored(ATTRACTORS),
             histories=motions,
             static=stored(STATIC),
             claims=_decided(folder),

@@ -330,9 +330,8 @@ def test_agreement_of_the_reference_alone_is_refused(compared):
 
 
 def test_stiffness_can_be_the_axis(responses, ax):
-    stiffer = responses.assign_coords(K_c=responses["K_c"] * 100).assign(
-        amplitude=(2.0 * responses["amplitude"]).assign_attrs(units="m")
-    )
+    stiffer = responses.assign_coords(K_c=responses["K_c"] * 100)
+    stiffer["amplitude"] = (2.0 * stiffer["amplitude"]).assign_attrs(units="m")
     both = xr.concat([responses, stiffer], "K_c").sel(omega=6.0, gap="0.4/0.4")
     both.gapsweep.frequency_response(along="K_c", ax=ax, representation="piecewise", start="fixed")
     assert ax.get_xlabel() == "contact stiffness [N/m]"

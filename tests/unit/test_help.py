@@ -24,10 +24,8 @@ ids = pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
 
 
 def help_of(path):
-    with click.Context(
-        COMMANDS[path], info_name=" ".join(path), max_content_width=WIDTH
-    ) as context:
-        context.terminal_width = WIDTH
+    settings = commands.context_settings | {"terminal_width": WIDTH}
+    with click.Context(COMMANDS[path], info_name=" ".join(path), **settings) as context:
         return COMMANDS[path].get_help(context)
 
 

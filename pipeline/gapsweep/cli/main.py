@@ -250,7 +250,7 @@ def _short(text: str) -> str:
 )
 @options.as_json
 def advise(study: Path, error: float | None, as_json: bool) -> int:
-    """Say what is the least model that each scene needs, without computing any.
+    """Name the least model that each scene needs.
 
     \b
     Example:

@@ -13,7 +13,7 @@ import xarray as xr
 from gapsweep.errors import DatasetError
 from gapsweep.report import drawing
 from gapsweep.report.drawing import axis_label, labels_of
-from gapsweep.report.scene import as_words, missing_variable, scene, selected
+from gapsweep.report.selection import as_words, missing_variable, scene, selected
 from gapsweep.report.style import colour
 from gapsweep.report.summary import as_html, as_text
 

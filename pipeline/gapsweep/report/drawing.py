@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 NOT_PERIODIC = "#c00000"
 WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
-MANY = 2000  # points as vectors would make a file heavy
+MANY = 800  # points as vectors would make a file heavy
 _FEW = 60  # points on a curve that can be told apart
 # UDUNITS text to a factor and what stands on an axis.
 _SHOWN_UNITS = {
@@ -71,17 +71,20 @@ def curves(axes: "Axes", variable: xr.DataArray, along: str) -> None:
         if not np.isfinite(y).any():
             continue
         exact = label == "piecewise"
+        few = x.size <= _FEW
         for start, curve in enumerate(y):
+            # A start may be swept at every second frequency only: dots show which.
+            there = np.isfinite(curve)
             axes.plot(
-                x,
-                curve,
+                x[there],
+                curve[there],
                 styles[label],
                 color=colour(label),
                 label=label if start == 0 else None,
                 linewidth=2.2 if exact else 1.2,
                 zorder=1 if exact else 2,
-                marker="." if x.size <= _FEW else None,
-                markersize=5 if exact else 3,
+                marker=".",
+                markersize=(5 if exact else 3) if few else 1.5,
             )
 
 
@@ -163,7 +166,13 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
     for where, face in ((periodic, shade), (~periodic, "none")):
         shown = where & np.isfinite(height)
         axes.scatter(
-            x[shown], height[shown], area[shown], facecolors=face, edgecolors=shade, linewidths=0.8
+            x[shown],
+            height[shown],
+            area[shown],
+            facecolors=face,
+            edgecolors=shade,
+            linewidths=0.8,
+            rasterized=bool(shown.sum() > MANY / 4),  # each dot is a path of its own
         )
 
 

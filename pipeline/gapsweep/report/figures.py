@@ -55,6 +55,33 @@ def bifurcation(responses: xr.Dataset) -> Figure:
     return figure
 
 
+def attractors(found: xr.Dataset) -> Figure:
+    """Peak of every attractor over frequency, its dot as large as its basin, a panel per label.
+
+    Parameters
+    ----------
+    found : Dataset
+        One stiffness and one gap of ``attractors.nc``; dimensions representation, omega, attractor.
+    """
+    labels = labels_of(found)
+    n_columns = min(3, len(labels))
+    n_rows = math.ceil(len(labels) / n_columns)
+    figure = Figure(figsize=(_WIDTH, 0.7 + 2.4 * n_rows))
+    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for axes, label in zip(panels, labels, strict=False):
+        drawing.walls(axes, found)
+        drawing.attractor_peaks(axes, found.sel(representation=label), "omega")
+        axes.set_title(label, fontsize=9, loc="left")
+    for axes in panels[len(labels) :]:
+        axes.set_visible(False)
+    for axes in panels[max(0, len(labels) - n_columns) : len(labels)]:
+        _frequency_axis(axes, found)
+        axes.xaxis.set_tick_params(labelbottom=True)
+    for axes in panels[::n_columns]:
+        axes.set_ylabel(axis_label(found["x_max"], "peak"))
+    return figure
+
+
 def basins(found: xr.Dataset) -> Figure:
     """Attractor of every start, as returned by `gapsweep.basins`; white where there is none.
 

@@ -15,6 +15,7 @@ import xarray as xr
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.findings import findings, outcomes, overview
 from gapsweep.report.paper import Drawn, paper_figures
@@ -34,8 +35,9 @@ class Section:
     title: str
     anchor: str
     summary: str
-    frequency_response: Markup
+    frequency_response: Markup | None
     bifurcation: Markup
+    attractors: Markup | None
     agreement: list[Row]
     timing: list[Row]
 
@@ -46,6 +48,7 @@ def write_report(
     agreement: xr.Dataset | None,
     timing: xr.Dataset,
     *,
+    attractors: xr.Dataset | None = None,
     histories: xr.Dataset | None = None,
     static: xr.Dataset | None = None,
     claims: Mapping[str, Any] | None = None,
@@ -59,6 +62,8 @@ def write_report(
         The HTML file.
     responses, agreement, timing : Dataset
         As stored in the run's folder; `agreement` is None if the exact law was not swept.
+    attractors : Dataset, optional
+        As stored in the run's folder; drawn where there are several starts.
     histories, static : Dataset, optional
         As stored in the run's folder, for the paper's figures.
     claims : mapping, optional
@@ -76,7 +81,7 @@ def write_report(
     script = (_TEMPLATES / "claims.js").read_text(encoding="utf-8")
     with matplotlib.rc_context(MATPLOTLIB):
         scenes = Scenes(responses)
-        sections = list(_sections(responses, scenes, agreement, timing))
+        sections = list(_sections(responses, scenes, agreement, timing, attractors))
         paper = list(_paper(paper_figures(responses, histories, static, scenes)))
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
@@ -112,7 +117,11 @@ def _is_ours(path: Path) -> bool:
 
 
 def _sections(
-    responses: xr.Dataset, scenes: Scenes, agreement: xr.Dataset | None, timing: xr.Dataset
+    responses: xr.Dataset,
+    scenes: Scenes,
+    agreement: xr.Dataset | None,
+    timing: xr.Dataset,
+    attractors: xr.Dataset | None,
 ) -> Iterator[Section]:
     for k in range(responses.sizes["K_c"]):
         for g in range(responses.sizes["gap"]):
@@ -126,15 +135,37 @@ def _sections(
             rows: list[Row] = []
             if agreement is not None and agreement.attrs["reference"] in labels:
                 rows = list(agreement_rows(agreement.isel(at), labels))
+            several = _attractors(attractors, shown, at, title)
             yield Section(
                 title=title,
                 anchor=f"scene-{k}-{g}",
                 summary=outcomes(here),
-                frequency_response=_svg(frequency_response(shown), f"Frequency response, {title}"),
+                # Curves of many starts would cross between attractors: these have their own panels.
+                frequency_response=None
+                if several
+                else _svg(frequency_response(shown), f"Frequency response, {title}"),
                 bifurcation=_svg(bifurcation(shown), f"Bifurcation diagram, {title}"),
+                attractors=several,
                 agreement=rows,
                 timing=list(timing_rows(timing.isel(at).load(), labels)),
             )
+
+
+def _attractors(
+    attractors: xr.Dataset | None, scene: xr.Dataset, at: dict[str, int], title: str
+) -> Markup | None:
+    """Attractors of a scene, at the frequencies that have several starts; None if none has."""
+    several = (scene["status"] != Status.NOT_REQUESTED).sum("initial_condition") > 1
+    if attractors is None or not several.any():
+        return None
+    names = ["x_max", "basin_share", "response_class"]
+    found = attractors[names].isel(at).load()
+    here = several.any("omega")
+    found = found.sel(
+        representation=scene["representation"].values[here.values],
+        omega=scene["omega"].values[several.any("representation").values],
+    )
+    return _svg(attractor_panels(found), f"Attractors and their basins, {title}")
 
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
@@ -175,6 +206,7 @@ def _svg(figure: Figure, description: str) -> Markup:
     """The figure as inline SVG with an accessible description."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", dpi=150, metadata={"Date": None})
+    figure.clear()  # its cycles would keep every figure's data until the collector comes by
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :]
     label = Markup('<svg role="img" aria-label="{}"').format(description)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
-from gapsweep.report.scene import SHOWN_VALUES, listed
+from gapsweep.report.selection import SHOWN_VALUES, listed
 from gapsweep.study.schema import CLASS_FLAGS, POINT_DIMS, STATUS_FLAGS
 
 _NOT_REQUESTED = "not_requested"

@@ -11,7 +11,6 @@ from gapsweep.report.style import colour
 Row = dict[str, Any]
 
 _COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
-_MM = 1e3
 # Worst first: what a reader looks for.
 VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 
@@ -49,7 +48,6 @@ def agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[Row]:
 _POOLED = (
     "amplitude_error_median",
     "amplitude_error_p95",
-    "extrema_distance_median",
     "recall_pooled",
     "precision_pooled",
     "class_agreement_mean",
@@ -72,7 +70,6 @@ def _agreement(row: xr.Dataset, floor: str = "") -> Row:
         "amplitude_median": percent(value("amplitude_error_median")),
         "amplitude_interval": "" if floor else _interval(row["amplitude_error_median_ci"]),
         "amplitude_p95": percent(value("amplitude_error_p95")),
-        "distance_median": number(_MM * value("extrema_distance_median")),
         "recall": percent(value("recall_pooled")),
         "precision": percent(value("precision_pooled")),
         "same_class": percent(value("class_agreement_mean")),
