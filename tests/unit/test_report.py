@@ -4,13 +4,16 @@ import json
 import re
 import subprocess
 
+import numpy as np
 import pytest
+import xarray as xr
 from tests.made import datasets, failed, periodic, tables
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.timing import timing
 from gapsweep.report.findings import findings, overview
 from gapsweep.report.html import write_report
+from gapsweep.report.paper import cost_tables
 from gapsweep.report.tables import VERDICTS, number, percent
 
 LABELS = ("piecewise", "piecewise@half", "tanh-1e4", "poly-13")
@@ -146,3 +149,24 @@ def test_numbers_keep_three_digits(value, text):
 def test_percent():
     assert [percent(v) for v in (0.0123456, 1.5, float("inf"))] == ["1.23 %", "150 %", "–"]
     assert json.dumps(percent(0.0)) == '"0 %"'
+
+
+def test_table_2_stands_beside_the_papers_seconds():
+    labels = ["piecewise@paper", "poly-13@paper", "piecewise@native", "piecewise@half"]
+    n_points = np.array([30, 30, 30, 99])
+    dims = ("representation", "K_c", "gap")
+    costs = xr.Dataset(
+        {
+            "cpu_time_mean": (dims, np.reshape([2.0, 1.0, 0.5, 0.5], (4, 1, 1))),
+            "n_points": (dims, n_points.reshape(4, 1, 1)),
+        },
+        {"representation": labels, "K_c": [1.4e4], "gap": ["0.4/0.4"]},
+    )
+    (table,) = cost_tables(costs)
+    assert table["title"] == "Fig. 8b, 30 frequencies"
+    rows = {row["representation"]: row for row in table["rows"]}
+    assert list(rows) == labels[:3]  # the last one has other points
+    assert (rows["poly-13@paper"]["ours"], rows["poly-13@paper"]["our_ratio"]) == ("30", "0.5")
+    assert rows["poly-13@paper"]["their_ratio"] == number(18.57 / 48.69)
+    assert rows["piecewise@native"]["theirs"] == "–"
+    assert not list(cost_tables(costs.isel(representation=[1, 2])))

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.findings import findings, outcomes, overview
-from gapsweep.report.paper import Drawn, paper_figures
+from gapsweep.report.paper import Drawn, cost_tables, paper_figures
 from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.style import MATPLOTLIB
 from gapsweep.report.tables import VERDICTS, Row, agreement_rows, claim_rows, number, timing_rows
@@ -95,6 +95,7 @@ def write_report(
         script_digest=_digest(script),
         sections=sections,
         paper=paper,
+        costs=list(cost_tables(timing)),
         statuses=_status_counts(responses),
         measured_on=timing.attrs["measured_on"],
         provenance=_provenance(responses),

@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -25,6 +26,8 @@ from gapsweep.report.static_figures import (
     smooth_forces,
     static_convergence,
 )
+from gapsweep.report.style import colour
+from gapsweep.report.tables import number
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
@@ -170,6 +173,53 @@ PAPER = (
 )
 
 
+# Table 2: total seconds of the diagrams of Figs 8b and 9, in the order of WEAK and STRONG.
+TABLE_2 = (
+    ("Fig. 8b", WEAK, SOFT, SYMMETRIC, (48.69, 18.57, 26.49, 7.66, 7.41, 7.29)),
+    ("Fig. 9", STRONG, HARD, SYMMETRIC, (117.7, 65.69, 132.9, 18.57, 18.08, 18.49)),
+)
+
+
+def cost_tables(timing: xr.Dataset) -> Iterator[dict[str, Any]]:
+    """Table 2 of the paper beside our own times, where the study has its protocol ``@paper``.
+
+    Parameters
+    ----------
+    timing : Dataset
+        As stored in ``timing.nc``.
+    """
+    stored = labels_of(timing)
+    for place, labels, K_c, gap, seconds in TABLE_2:
+        exact = f"{_EXACT}@paper"
+        if K_c not in timing["K_c"].values or gap not in timing["gap"].values:
+            continue
+        scene = timing[["cpu_time_mean", "n_points"]].sel(K_c=K_c, gap=gap).load()
+        total = scene["cpu_time_mean"] * scene["n_points"]
+        theirs = {f"{label}@paper": t for label, t in zip(labels, seconds, strict=True)}
+        others = [label for label in stored if label.startswith(f"{_EXACT}") and "@" in label]
+        shown = [r for r in dict.fromkeys([*theirs, *others]) if r in stored]
+        n_points = {r: int(scene["n_points"].sel(representation=r)) for r in shown}
+        shown = [r for r in shown if n_points[r] == n_points.get(exact, 0) > 0]
+        if exact in shown and len(shown) > 1:
+            reference = float(total.sel(representation=exact))
+            yield {
+                "title": f"{place}, {n_points[exact]} frequencies",
+                "rows": [
+                    {
+                        "representation": label,
+                        "colour": colour(label),
+                        "ours": number(float(total.sel(representation=label))),
+                        "our_ratio": number(float(total.sel(representation=label)) / reference),
+                        "theirs": number(theirs[label]) if label in theirs else "–",
+                        "their_ratio": number(theirs[label] / seconds[0])
+                        if label in theirs
+                        else "–",
+                    }
+                    for label in shown
+                ],
+            }
+
+
 def _scene(
     responses: xr.Dataset, scenes: Scenes, wanted: PaperFigure, protocol: str
 ) -> xr.Dataset | None:
@@ -268,14 +318,14 @@ def _static_figures(static: xr.Dataset) -> Iterator[Drawn]:
         "Errors per unit stiffness against degree and convergence parameter; dotted: in-gap "
         "force of a tenth of the forcing."
     )
-    for number, name, draw, caption in (
+    for which, name, draw, caption in (
         ("2", "Polynomials", polynomial_forces, curves),
         ("3", "Rational polynomials", rational_forces, curves),
         ("4", "Smooth laws", smooth_forces, curves),
         ("5", "Static convergence", static_convergence, ladders),
     ):
         title = f"{name}, gap {SYMMETRIC} mm"
-        yield Drawn(number, title, caption, f"{title}. {caption}", draw(scene))
+        yield Drawn(which, title, caption, f"{title}. {caption}", draw(scene))
 
 
 def _history_figures(histories: xr.Dataset) -> Iterator[Drawn]:
