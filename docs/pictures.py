@@ -1,0 +1,44 @@
+"""The README's pictures, from finished runs.
+
+    python docs/pictures.py data/runs/paper data/runs/work-precision
+"""
+
+import sys
+from pathlib import Path
+
+import matplotlib
+
+import gapsweep as gs
+from gapsweep.report.paper_figures import peak_curves
+from gapsweep.report.scenes import Scenes, swept
+from gapsweep.report.style import MATPLOTLIB
+
+IMAGES = Path(__file__).parent / "images"
+LABELS = ["piecewise", "poly-13", "ratpoly-5/3", "tanh-1e4", "arctan-1e4", "logarctan-1e4"]
+
+
+def peaks(folder: Path) -> None:
+    """Fig. 6c: every peak of the exact law behind those of each stand-in."""
+    with gs.open(folder / "responses.nc") as responses:
+        scene = Scenes(responses).labelled(1.4e4, "0/0.8")
+        figure = peak_curves(swept(scene.sel(representation=LABELS)))
+    figure.savefig(IMAGES / "peaks.png", dpi=110)
+
+
+def work_precision(folder: Path) -> None:
+    """Cost over error in four scenes."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.5, 7.0))
+    with gs.open(folder / "work_precision.nc") as ds:
+        scenes = [str(scene) for scene in ds["scene"].values]
+        chosen = [s for s in scenes if s.startswith(("soft", "hard")) and s.endswith("9")][:4]
+        for axes, scene in zip(figure.subplots(2, 2).flat, chosen or scenes[:4], strict=False):
+            ds.gapsweep.work_precision(scene=scene, ax=axes)
+    figure.savefig(IMAGES / "work_precision.png", dpi=110)
+
+
+if __name__ == "__main__":
+    with matplotlib.rc_context(MATPLOTLIB):
+        peaks(Path(sys.argv[1]))
+        work_precision(Path(sys.argv[2]))
