@@ -66,7 +66,7 @@ def corners(bench: xr.Dataset, target: float) -> list[tuple[float, str, xr.DataA
     found = []
     for K_c, gap in dict.fromkeys(pairs):
         here = [pair == (K_c, gap) for pair in pairs]
-        logs = xr.DataArray(np.log(cost.isel(scene=np.flatnonzero(here))))
-        mean = np.exp(logs.mean("scene", skipna=False))
-        found.append((K_c, gap, mean))
+        logs = np.log(cost.isel(scene=np.flatnonzero(here)))
+        mean: xr.DataArray = xr.DataArray(logs).mean("scene", skipna=False)
+        found.append((K_c, gap, mean.copy(data=np.exp(mean.values))))
     return found
