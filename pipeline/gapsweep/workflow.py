@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gapsweep.console import progress_bar
-from gapsweep.errors import StoreError
+from gapsweep.errors import StoreError, StudyError
 from gapsweep.execution.assemble import export
 from gapsweep.execution.explain import Explanation
 from gapsweep.execution.explain import explain as explanations
@@ -35,15 +35,18 @@ from gapsweep.stages import (
     HISTORIES,
     REPORT,
     RESPONSES,
+    STABILITY,
     STAGES,
     STATIC,
     TIMING,
+    WORK_PRECISION,
     Stage,
     as_text,
     claims_source,
     made_from,
     reason_to_run,
     sources,
+    study_source,
 )
 from gapsweep.status import Status
 from gapsweep.store import netcdf
@@ -418,11 +421,16 @@ def _stages(study: Study) -> list[Stage]:
     """The stages of a study.
 
     Without the exact law there is nothing to agree with, without claims nothing to decide, and
-    motions are kept only where some are asked for.
+    motions are kept only where some are asked for. Scenes of a benchmark whose right answer is
+    stated make one file, the others another.
     """
+    bench = study.spec.bench
+    stated = [scene.expected is not None for scene in bench.scene] if bench else []
     left_out = {
         AGREEMENT: EXACT not in study.grid.representations,
         HISTORIES: not study.spec.history,
+        WORK_PRECISION: all(stated),
+        STABILITY: not any(stated),
         CLAIMS: study.claims_file is None,
     }
     return [stage for stage in STAGES if not left_out.get(stage.file)]
@@ -452,17 +460,20 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
     """The dataset of an analysis stage."""
     from gapsweep.analysis.agreement import agreement
     from gapsweep.analysis.histories import histories
+    from gapsweep.analysis.stability import stability
     from gapsweep.analysis.static import static
     from gapsweep.analysis.timing import timing
+    from gapsweep.analysis.work_precision import work_precision
 
     if stage.file == STATIC:
         # Only claims ask for the ladders. What a user's law may do, it does on workers.
         decides = study.claims_file is not None
         return static(study, with_ladders=decides, with_own_laws=False)
-    if stage.file == HISTORIES:
-        kept = histories(study)
-        assert kept is not None, "the stage is left out where none is asked for"
-        return kept
+    asked = {HISTORIES: histories, WORK_PRECISION: work_precision, STABILITY: stability}
+    if stage.file in asked:
+        made = asked[stage.file](study)
+        assert made is not None, "the stage is left out where none is asked for"
+        return made
     with (
         netcdf.read(folder / RESPONSES) as responses,
         netcdf.read(folder / ATTRACTORS) as attractors,
@@ -472,6 +483,36 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
         compared = agreement(responses, attractors)
         assert compared is not None, "the stage is left out where the exact law is"
         return compared
+
+
+def bench(study: Study, out: str | Path | None = None) -> list[Path]:
+    """Measure a study's ``[bench]`` afresh, in this process; its report follows if there is one.
+
+    Returns
+    -------
+    list of Path
+        ``work_precision.nc`` and ``stability.nc``, those that the scenes ask for.
+
+    Raises
+    ------
+    GapsweepError
+        If the study has no ``[bench]``, or the output folder cannot be used.
+    """
+    if study.spec.bench is None:
+        raise StudyError([f"{study.source}: bench: missing; it names scenes and methods"])
+    folder = run_folder(study, out)
+    check_writable(folder)
+    made = []
+    with alone_in(folder):
+        for stage in _stages(study):
+            if stage.file in (WORK_PRECISION, STABILITY):
+                measured = _analysed(stage, study, folder)
+                now = made_from(stage, folder, study_source(study))
+                netcdf.write(measured, folder / stage.file, {"made_from": as_text(now)})
+                made.append(folder / stage.file)
+        if (folder / RESPONSES).exists() and (folder / TIMING).exists():
+            report(folder)
+    return made
 
 
 def claims(folder: str | Path, file: str | Path | None = None) -> dict[str, Any]:
@@ -557,6 +598,8 @@ def report(folder: str | Path) -> Path:
             files.enter_context(netcdf.read(folder / TIMING)),
             histories=motions,
             static=stored(STATIC),
+            work_precision=stored(WORK_PRECISION),
+            stability=stored(STABILITY),
             made_from=as_text(made_from(stage, folder, {})),
         )
 

@@ -201,6 +201,31 @@ def _short(text: str) -> str:
 
 
 @commands.command()
+@options.study
+@options.out
+@options.as_json
+def bench(study: Path, out: Path | None, as_json: bool) -> int:
+    """Measure error, cost and status of every method on every scene of [bench]."""
+    from gapsweep.report.bench import conclusions
+    from gapsweep.store import netcdf
+
+    files = workflow.bench(options.loaded(study, None), out)
+    found = {}
+    for file in files:
+        with netcdf.read(file) as dataset:
+            found[file.name] = conclusions(dataset)
+    if as_json:
+        numbers = {name: lines.numbers for name, lines in found.items()}
+        click.echo(json.dumps({"files": [str(file) for file in files]} | numbers))
+        return FINISHED
+    for file in files:
+        for sentence in found[file.name].sentences:
+            click.echo(sentence)
+        click.echo(f"written: {file}")
+    return FINISHED
+
+
+@commands.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 def report(folder: Path) -> int:
     """Rebuild the report of a run from its NetCDF files alone."""

@@ -14,6 +14,7 @@ import xarray as xr
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from gapsweep.report.bench import Part, bench_parts
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.paper import Drawn, paper_figures, swept
 from gapsweep.report.style import MATPLOTLIB, colour
@@ -45,6 +46,8 @@ def write_report(
     *,
     histories: xr.Dataset | None = None,
     static: xr.Dataset | None = None,
+    work_precision: xr.Dataset | None = None,
+    stability: xr.Dataset | None = None,
     made_from: str = "",
 ) -> Path:
     """Write the report; complete or not at all.
@@ -57,6 +60,8 @@ def write_report(
         As stored in the run's folder; `agreement` is None if the exact law was not swept.
     histories, static : Dataset, optional
         As stored in the run's folder, for the paper's figures.
+    work_precision, stability : Dataset, optional
+        As stored in the run's folder, for the sections of the benchmark.
     made_from : str
         Kept in a meta element, so that the report is made again only if that changes.
     """
@@ -70,12 +75,14 @@ def write_report(
     with matplotlib.rc_context(MATPLOTLIB):
         sections = list(_sections(responses, agreement, timing))
         paper = list(_paper(paper_figures(responses, histories, static)))
+        bench = list(_bench(bench_parts(work_precision, stability)))
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
         study=responses.attrs["study"],
         sections=sections,
         paper=paper,
+        bench=bench,
         statuses=_status_counts(responses),
         measured_on=timing.attrs["measured_on"],
         provenance=_provenance(responses),
@@ -120,6 +127,21 @@ def _paper(figures: Iterable[Drawn]) -> Iterator[dict[str, Any]]:
             "title": drawn.title,
             "caption": drawn.caption,
             "svg": _svg(drawn.figure, drawn.description),
+        }
+
+
+def _bench(parts: Iterable[Part]) -> Iterator[dict[str, Any]]:
+    for part in parts:
+        figures = [
+            {"svg": _svg(each.figure, each.description), "caption": each.caption}
+            for each in part.figures
+        ]
+        yield {
+            "anchor": part.anchor,
+            "title": part.title,
+            "sentences": part.sentences,
+            "tables": part.tables,
+            "figures": figures,
         }
 
 
