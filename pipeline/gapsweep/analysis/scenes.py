@@ -42,6 +42,8 @@ class Scene:
         By what a right answer is known; None for work-precision.
     fit_range : float
         Half-width of the range of fits [m].
+    without : tuple of str
+        Labels of methods that are not asked for.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Scene:
     n_periods: int
     expected: str | None
     fit_range: float
+    without: tuple[str, ...]
 
     def law(self, representation: str) -> ContactLaw:
         """The contact law of a label without protocol.
@@ -106,6 +109,7 @@ def _scene(study: Study, table: SceneTable) -> Scene:
         n_periods=table.horizon or study.spec.bench.horizon,
         expected=table.expected,
         fit_range=study.spec.fit.range,
+        without=tuple(table.without),
     )
 
 

@@ -87,7 +87,7 @@ def motion(scene: Scene, law: ContactLaw | None, solver: Solver, later: int = 0)
         # The last period end is the end, however t_end was rounded.
         section = np.vstack([section[: scene.n_periods - 1], (run.x, run.v)])
     reach = float(np.max(np.abs([scene.x_0, run.x, *run.extrema, *section[:, 0]])))
-    left = not reach <= law.valid_range
+    left = math.isfinite(law.valid_range) and not reach <= law.valid_range
     return Motion(
         status=Status.OUT_OF_FIT_RANGE if left else run.status,
         section=section,

@@ -237,7 +237,7 @@ class Bench:
         for s, scene in enumerate(self.whole):
             for r in range(n_rungs):
                 for m, method in enumerate(self.methods):
-                    if r < len(method.rungs):
+                    if r < len(method.rungs) and method.label not in scene.without:
                         yield (s, m, r), scene, method, method.rungs[r]
 
     def measure_costs(self, repeats: int) -> None:
@@ -274,6 +274,8 @@ class Bench:
                 self.arrays["growth"][s] = rates[-1]
             truths = {EXACT: exact}
             for m, method in enumerate(self.methods):
+                if method.label in scene.without:
+                    continue
                 if method.own not in truths:
                     truths[method.own] = truth(scene, method.own)
                 self._errors_of(s, m, truths[method.own], exact)
@@ -334,6 +336,8 @@ class Bench:
         if found is None or true is None or not (found.section and true.section):
             return
         scene = self.scenes[cell[0]]
+        if self.methods[cell[1]].label in scene.without:
+            return
         groups = attractors([found, true], scene.omega, symmetric=False)
         self.arrays[f"same_attractor{suffix}"][cell] = any(len(g.members) == 2 for g in groups)
         error = abs(found.amplitude - true.amplitude) / true.amplitude

@@ -235,7 +235,10 @@ Tolerance = Annotated[float, Field(ge=SMALLEST_RTOL, le=LARGEST_RTOL)]
 
 
 class SceneTable(_Table):
-    """One motion of a benchmark; `expected` says by what a right answer is known."""
+    """One motion of a benchmark.
+
+    `expected` says by what a right answer is known, `without` which methods it is too long for.
+    """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,63}$")]
     oscillator: SceneOscillatorTable = SceneOscillatorTable()
@@ -245,6 +248,7 @@ class SceneTable(_Table):
     start: Range = [0.0, 0.0]
     expected: Expected | None = None
     horizon: Periods | None = None
+    without: list[Label] = []
 
     def merged(self, oscillator: OscillatorTable) -> OscillatorTable:
         """The scene's own oscillator."""
@@ -302,6 +306,9 @@ class BenchTable(_Table):
         twice = [name for some in names for name in dict.fromkeys(some) if some.count(name) > 1]
         if twice:
             raise ValueError(f"{', '.join(twice)}: given more than once")
+        unknown = {label for scene in self.scene for label in scene.without} - set(names[1])
+        if unknown:
+            raise ValueError(f"without {', '.join(sorted(unknown))}: no such method")
         return self
 
 
