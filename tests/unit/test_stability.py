@@ -61,7 +61,7 @@ def outcomes(*tables, labels=("piecewise",)):
     return found["outcome"].transpose("scene", "method", "tolerance").values
 
 
-# ---- Wrong answers -------------------------------------------------------------------------
+# ---- Wrong answers --------------------
 
 
 @pytest.mark.parametrize("expected", ["reference", "phase", "mirror"])
@@ -140,7 +140,7 @@ def test_growth_excuses_loose_tolerances_only():
     assert Outcome.SILENT_WRONG not in found["outcome"].values
 
 
-# ---- Statuses --------------------------------------------------------------------------------
+# ---- Statuses --------------------
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_chatter_is_a_failure_with_its_status(monkeypatch):
     assert answer.verdict(run, SOLVER)["outcome"] is Outcome.FAILED
 
 
-# ---- Invariants and closed forms ----------------------------------------------------------------
+# ---- Invariants and closed forms --------------------
 
 
 @pytest.mark.parametrize("rtol", [1e-6, 1e-9, 1e-12])
@@ -235,7 +235,7 @@ def test_false_wells_of_tanh_vanish_above_the_threshold(K_c, j):
     assert_allclose(threshold, 0.13923 * K_c / springs(j - 0.6392 / threshold), rtol=2e-3)
 
 
-# ---- The atlas -------------------------------------------------------------------------------------
+# ---- The atlas --------------------
 
 
 @pytest.fixture(scope="module")

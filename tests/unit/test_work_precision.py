@@ -51,7 +51,7 @@ def measured():
     return work_precision(study_of(SOFT))
 
 
-# ---- The front -----------------------------------------------------------------------------
+# ---- The front --------------------
 
 # Few values, so that ties and equal points are common.
 QUANTITY = st.sampled_from([1.0, 2.0, 3.0, 4.0, 5.0, np.nan])
@@ -105,7 +105,7 @@ def test_cheapest_is_the_cheapest_rung_that_meets_the_target():
     assert_allclose(cost, [4.0, np.nan])  # geometric; b misses the target in one scene
 
 
-# ---- Errors ----------------------------------------------------------------------------------
+# ---- Errors --------------------
 
 
 def test_solver_error_falls_and_model_error_stays(measured):
@@ -165,7 +165,7 @@ def test_failures_keep_their_status():
     assert overlaps(work_precision_figure(whole)) == []
 
 
-# ---- From study to report ----------------------------------------------------------------------
+# ---- From study to report --------------------
 
 
 def test_bench_measures_afresh_and_the_report_shows_it(tmp_path):
@@ -237,7 +237,7 @@ def test_another_law_on_the_front_is_named(measured):
     assert beaten(changed) == {"soft": ["tanh-1e4"]}
 
 
-# ---- The tables ----------------------------------------------------------------------------------
+# ---- The tables --------------------
 
 
 @pytest.mark.parametrize(
