@@ -222,6 +222,8 @@ def bench(study: Path, out: Path | None, as_json: bool) -> int:
         for sentence in found[file.name].sentences:
             click.echo(sentence)
         click.echo(f"written: {file}")
+    shown = files[0].parent / REPORT
+    click.echo(f"report: {shown}" if shown.exists() else "'gapsweep run' makes the report")
     return FINISHED
 
 
