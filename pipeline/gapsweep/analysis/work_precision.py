@@ -5,10 +5,15 @@ the exact law); between them lies the model error, a floor under each law. Every
 process; for the costs all methods take turns, round by round. Definitions: docs/bench.md.
 """
 
+import math
+import os
+import platform
 import time
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -143,6 +148,8 @@ def work_precision(study: Study) -> xr.Dataset | None:
     if not found:
         return None
     assert study.spec.bench is not None
+    # What else the machine was busy with, before this adds to it.
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
     bench = Bench(found, ladder, study.spec.bench.lanes, study.steady)
     # Costs first: their first calls are the first ones of the process.
     bench.measure_costs(study.spec.bench.repeats)
@@ -159,9 +166,20 @@ def work_precision(study: Study) -> xr.Dataset | None:
         "study_json": study.json,
         "error_scale": ERROR_SCALE,
         "n_repeats": study.spec.bench.repeats,
+        "processor": processor(),
+        "load_average": load,
     }
     coords = coordinates(bench.scenes, ladder) | tolerances(ladder)
     return xr.Dataset(variables, coords, attributes)
+
+
+def processor() -> str:
+    """Name of the processor as the system gives it."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
 
 
 def followed(scene: Scene) -> Scene:
