@@ -252,7 +252,8 @@ def test_atlas_shows_the_worst_of_each_range(mixed):
     assert tight.sel({"scene": "strong", "method": "poly-13"}) == Outcome.FAILED
     assert tight.sel({"scene": "without", "method": "tanh-1e4"}) == Outcome.NOT_REQUESTED
     spoilt = mixed.copy(deep=True)
-    spoilt["outcome"][0, 0, 2] = Outcome.SILENT_WRONG
+    spoilt["outcome"][0, 0, 1] = Outcome.SILENT_WRONG
+    spoilt["outcome"][0, 0, 2] = Outcome.FAILED
     assert worst(spoilt, tight=True)[0, 0] == Outcome.SILENT_WRONG
     assert worst(spoilt, tight=False)[0, 0] != Outcome.SILENT_WRONG
 

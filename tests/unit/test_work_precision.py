@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from gapsweep import workflow
 from gapsweep.analysis.pareto import cheapest, corners, on_front
 from gapsweep.analysis.scenes import scenes
 from gapsweep.analysis.truth import LARGEST_GROWTH, growth, motion
-from gapsweep.analysis.work_precision import followed, work_precision
+from gapsweep.analysis.work_precision import Bench, followed, work_precision
 from gapsweep.cli.main import commands
 from gapsweep.report.bench import beaten, conclusions
 from gapsweep.report.bench_figures import tolerance_figure, work_precision_figure
@@ -80,6 +81,20 @@ def test_front_in_the_file_is_that_of_its_errors_and_costs(measured):
         unbeaten = not any(beats(tuple(q), tuple(p)) for *q, _ in points)
         assert one["on_front"].values[i] == (unbeaten and not one["at_reference_floor"].values[i])
     assert one["on_front"].values.sum() >= 1
+
+
+def test_front_is_that_of_the_error_against_the_exact_law():
+    arrays = {
+        "status": np.array([[[0, 0], [0, Status.DIVERGED]]]),
+        "bounded_error": np.array([[[1e-2, 1e-5], [1e-1, 1e-9]]]),
+        "trajectory_error": np.array([[[1e-2, 1e-5], [1e-8, 1e-9]]]),
+        "at_reference_floor": np.array([[[0, 1], [0, 0]]]),
+        "cpu_time": np.array([[[1.0, 2.0], [3.0, 0.5]]]),
+        "on_front": np.zeros((1, 2, 2), dtype="i1"),
+    }
+    Bench.find_fronts(SimpleNamespace(arrays=arrays, scenes=[None]))
+    # The second beats the last two, though it is too close to the truth to be shown itself.
+    assert arrays["on_front"].tolist() == [[[1, 0], [0, 0]]]
 
 
 def made(costs, errors):
