@@ -64,6 +64,19 @@ def outcomes(*tables, labels=("piecewise",)):
 # ---- Wrong answers --------------------
 
 
+def test_engine_with_a_wrong_smooth_force_is_silent_and_wrong(monkeypatch):
+    # At every tolerance, so that its tight solution is as wrong: scipy's is the witness.
+    kernel_law = compiled._kernel_law
+
+    def broken(laws, **options):
+        stiffer = [replace(law, K_c=1.01 * law.K_c) for law in laws]
+        return kernel_law(stiffer, **options)
+
+    monkeypatch.setattr(compiled, "_kernel_law", broken)
+    found = outcomes(HARD, labels=["tanh-1e6"])[0, 0]
+    assert found.tolist()[1:] == [Outcome.SILENT_WRONG] * 2
+
+
 @pytest.mark.parametrize("expected", ["reference", "phase", "mirror"])
 def test_method_with_a_wrong_force_is_silent_and_wrong(expected, monkeypatch):
     def broken(scene, representation):
@@ -130,6 +143,13 @@ def test_the_exact_law_is_right_where_the_answer_is_known(table):
 def test_stated_answer_that_a_wall_spoils_decides_nothing():
     found = outcomes(HARD | {"expected": "duffing"})
     assert found[0, 0].tolist() == [Outcome.UNDECIDED] * 3
+
+
+def test_reference_that_steps_over_a_layer_is_no_witness():
+    graze = {"oscillator": FREE, "omega": 5.0, "start": [-0.40000000004e-3, 0.0]}
+    found = stability(study_of(HARD | graze, labels=["tanh-1e9"]))
+    assert found["reference_distance"] > 1e-7
+    assert found["outcome"].values[0, 0].tolist()[1:] == [Outcome.RIGHT] * 2
 
 
 def test_growth_excuses_loose_tolerances_only():

@@ -36,6 +36,7 @@ from gapsweep.analysis.truth import (
     growth,
     motion,
     reach_scale,
+    settled,
     truth,
 )
 from gapsweep.integrate.problem import Solver
@@ -220,6 +221,8 @@ class Judge:
         must not change.
     period : float
         Length of the motion [s].
+    apart : float
+        Distance of the law's two references [-], also if one of them has been dropped.
     """
 
     own: Truth
@@ -228,6 +231,7 @@ class Judge:
     growth: float
     energies: tuple[Callable[[Array], Array], Callable[[Array], Array]] | None
     period: float
+    apart: float
 
     def verdict(self, run: Motion, solver: Solver) -> dict[str, Any]:
         """Outcome, errors and counts of a run."""
@@ -241,7 +245,7 @@ class Judge:
             "allowed_error": allowed,
             "n_contacts": run.n_contacts,
             "n_steps": run.n_steps,
-            "reference_distance": self.own.distance(self.scale),
+            "reference_distance": self.apart,
             "growth": self.growth,
         }
 
@@ -297,6 +301,9 @@ def judge(scene: Scene, representation: str, exact: Judge | None) -> Judge:
     grown = math.nan
     if law is not None and answer.compiled.status is Status.OK:
         grown = float(growth(scene, law, answer.compiled.section)[-1])
+    apart = answer.distance(scale)
+    if scene.expected in ("reference", "phase") and representation != EXACT:
+        answer = settled(scene, representation, answer, scale, _TRUTH * grown)
     return Judge(
         own=answer,
         exact=exact.own if exact else answer,
@@ -304,6 +311,7 @@ def judge(scene: Scene, representation: str, exact: Judge | None) -> Judge:
         growth=grown,
         energies=energies,
         period=scene.n_periods / scene.omega,
+        apart=apart,
     )
 
 

@@ -161,6 +161,32 @@ def truth(scene: Scene, representation: str) -> Truth:
     return Truth(motion(scene, law, TIGHT["compiled"]), motion(scene, law, TIGHT["scipy"]))
 
 
+def settled(scene: Scene, representation: str, found: Truth, scale: Scale, promise: float) -> Truth:
+    """The truth that is left if only one of two solutions that disagree agrees with itself.
+
+    Steps of a plain solver may pass over a thin layer, or not: scipy's do near grazing. Such a
+    solution changes with its tolerance; what does not is then the truth for all. Two that both
+    agree with themselves contradict each other, and nothing is settled.
+
+    Parameters
+    ----------
+    promise : float
+        Distance [-] that the references may have.
+    """
+    if not found.distance(scale) > promise:
+        return found
+    law = law_or_none(scene, representation)
+    looser = {name: replace(tight, rtol=10.0 * tight.rtol) for name, tight in TIGHT.items()}
+    again = Truth(*(motion(scene, law, looser[name]) for name in ("compiled", "scipy")))
+    is_steady = [
+        distance(one, other, scale) <= promise
+        for one, other in ((found.compiled, again.compiled), (found.scipy, again.scipy))
+    ]
+    if is_steady == [True, False]:
+        return Truth(found.compiled, found.compiled)
+    return Truth(found.scipy, found.scipy) if is_steady == [False, True] else found
+
+
 def growth(scene: Scene, law: ContactLaw, section: Array) -> Array:
     """Largest factor by which a disturbance of the start has grown, per period end.
 
