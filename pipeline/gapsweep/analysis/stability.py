@@ -302,7 +302,7 @@ def judge(scene: Scene, representation: str, exact: Judge | None) -> Judge:
     if law is not None and answer.compiled.status is Status.OK:
         grown = float(growth(scene, law, answer.compiled.section)[-1])
     apart = answer.distance(scale)
-    if scene.expected in ("reference", "phase") and representation != EXACT:
+    if scene.expected not in ("energy", "mirror") and representation != EXACT:
         answer = settled(scene, representation, answer, scale, _TRUTH * grown)
     return Judge(
         own=answer,

@@ -161,6 +161,11 @@ def truth(scene: Scene, representation: str) -> Truth:
     return Truth(motion(scene, law, TIGHT["compiled"]), motion(scene, law, TIGHT["scipy"]))
 
 
+def _looser(solver: Solver) -> list[Solver]:
+    """Ten and a hundred times looser: once could agree by chance."""
+    return [replace(solver, rtol=f * solver.rtol, atol=f * solver.atol) for f in (10.0, 100.0)]
+
+
 def settled(scene: Scene, representation: str, found: Truth, scale: Scale, promise: float) -> Truth:
     """The truth that is left if only one of two solutions that disagree agrees with itself.
 
@@ -176,11 +181,12 @@ def settled(scene: Scene, representation: str, found: Truth, scale: Scale, promi
     if not found.distance(scale) > promise:
         return found
     law = law_or_none(scene, representation)
-    looser = {name: replace(tight, rtol=10.0 * tight.rtol) for name, tight in TIGHT.items()}
-    again = Truth(*(motion(scene, law, looser[name]) for name in ("compiled", "scipy")))
     is_steady = [
-        distance(one, other, scale) <= promise
-        for one, other in ((found.compiled, again.compiled), (found.scipy, again.scipy))
+        all(
+            distance(motion(scene, law, solver), getattr(found, name), scale) <= promise
+            for solver in _looser(TIGHT[name])
+        )
+        for name in ("compiled", "scipy")
     ]
     if is_steady == [True, False]:
         return Truth(found.compiled, found.compiled)
