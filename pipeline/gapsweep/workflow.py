@@ -11,9 +11,10 @@ import random
 import tempfile
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -456,7 +457,9 @@ def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
             netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
 
 
-def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
+def _analysed(
+    stage: Stage, study: Study, folder: Path, say: Callable[[str], None] | None = None
+) -> "xr.Dataset":
     """The dataset of an analysis stage."""
     from gapsweep.analysis.agreement import agreement
     from gapsweep.analysis.histories import histories
@@ -469,7 +472,11 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
         # Only claims ask for the ladders. What a user's law may do, it does on workers.
         decides = study.claims_file is not None
         return static(study, with_ladders=decides, with_own_laws=False)
-    asked = {HISTORIES: histories, WORK_PRECISION: work_precision, STABILITY: stability}
+    asked: dict[str, Callable[[Study], xr.Dataset | None]] = {
+        HISTORIES: histories,
+        WORK_PRECISION: partial(work_precision, say=say),
+        STABILITY: partial(stability, say=say),
+    }
     if stage.file in asked:
         made = asked[stage.file](study)
         assert made is not None, "the stage is left out where none is asked for"
@@ -485,8 +492,20 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
         return compared
 
 
-def bench(study: Study, out: str | Path | None = None) -> list[Path]:
+def bench(
+    study: Study,
+    out: str | Path | None = None,
+    say: Callable[[str], None] | None = None,
+) -> list[Path]:
     """Measure a study's ``[bench]`` afresh, in this process; its report follows if there is one.
+
+    Parameters
+    ----------
+    study : Study
+    out : path, optional
+        Output folder, ``data/runs/<study name>`` if None.
+    say : callable, optional
+        Told what is measured next.
 
     Returns
     -------
@@ -506,7 +525,7 @@ def bench(study: Study, out: str | Path | None = None) -> list[Path]:
     with alone_in(folder):
         for stage in _stages(study):
             if stage.file in (WORK_PRECISION, STABILITY):
-                measured = _analysed(stage, study, folder)
+                measured = _analysed(stage, study, folder, say)
                 now = made_from(stage, folder, study_source(study))
                 netcdf.write(measured, folder / stage.file, {"made_from": as_text(now)})
                 made.append(folder / stage.file)

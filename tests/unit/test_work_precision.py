@@ -218,7 +218,8 @@ def test_bench_measures_afresh_and_the_report_shows_it(tmp_path):
     )
     ran = CliRunner().invoke(commands, ["bench", str(path), "--out", str(out), "--json"])
     assert ran.exit_code == 0, ran.output
-    said = json.loads(ran.output)
+    said = json.loads(ran.stdout)
+    assert "stability: scene 1 of 1, known" in ran.stderr
     assert said["stability.nc"]["n_silent_wrong"] == 0
     assert said["work_precision.nc"]["not_exact_on_front"] == {}
     study = gs.Study.load(path)

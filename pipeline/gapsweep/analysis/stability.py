@@ -119,8 +119,14 @@ VARIABLES = {
 }
 
 
-def stability(study: Study) -> xr.Dataset | None:
+def stability(study: Study, say: Callable[[str], None] | None = None) -> xr.Dataset | None:
     """What comes of every method on every scene whose right answer is stated.
+
+    Parameters
+    ----------
+    study : Study
+    say : callable, optional
+        Told what is done next, for this takes minutes.
 
     Returns
     -------
@@ -142,6 +148,8 @@ def stability(study: Study) -> xr.Dataset | None:
         for name, (dims, variable) in VARIABLES.items()
     }
     for s, scene in enumerate(found):
+        if say is not None:
+            say(f"stability: scene {s + 1} of {len(found)}, {scene.name}")
         for (m, r), values in _scene_values(scene, ladder):
             for name, value in values.items():
                 arrays[name][(s, m, r)[: arrays[name].ndim]] = value

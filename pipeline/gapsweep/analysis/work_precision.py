@@ -10,7 +10,7 @@ import os
 import platform
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -135,8 +135,14 @@ VARIABLES = {
 ERROR_SCALE = "gap width; forcing's angular frequency times it for velocities"
 
 
-def work_precision(study: Study) -> xr.Dataset | None:
+def work_precision(study: Study, say: Callable[[str], None] | None = None) -> xr.Dataset | None:
     """Error, cost and status of every method on every scene without a stated answer.
+
+    Parameters
+    ----------
+    study : Study
+    say : callable, optional
+        Told what is done next, for this takes minutes.
 
     Returns
     -------
@@ -151,11 +157,18 @@ def work_precision(study: Study) -> xr.Dataset | None:
     # What else the machine was busy with, before this adds to it.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
     bench = Bench(found, ladder, study.spec.bench.lanes, study.steady)
-    # Costs first: their first calls are the first ones of the process.
-    bench.measure_costs(study.spec.bench.repeats)
-    bench.measure_errors()
-    bench.measure_responses()
-    bench.find_fronts()
+    repeats = study.spec.bench.repeats
+    steps: list[tuple[str, Callable[[], None]]] = [
+        # Costs first: their first calls are the first ones of the process.
+        ("costs", lambda: bench.measure_costs(repeats)),
+        ("errors and references", bench.measure_errors),
+        ("steady responses", bench.measure_responses),
+        ("fronts", bench.find_fronts),
+    ]
+    for name, step in steps:
+        if say is not None:
+            say(f"work-precision: {name} of {len(found)} scenes, {len(ladder)} methods")
+        step()
     variables = {
         name: (dims, bench.arrays[name], variable.attributes)
         for name, (dims, variable) in VARIABLES.items()
@@ -165,7 +178,7 @@ def work_precision(study: Study) -> xr.Dataset | None:
         "study": study.name,
         "study_json": study.json,
         "error_scale": ERROR_SCALE,
-        "n_repeats": study.spec.bench.repeats,
+        "n_repeats": repeats,
         "processor": processor(),
         "load_average": load,
     }

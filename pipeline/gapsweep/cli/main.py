@@ -209,7 +209,8 @@ def bench(study: Path, out: Path | None, as_json: bool) -> int:
     from gapsweep.report.bench import conclusions
     from gapsweep.store import netcdf
 
-    files = workflow.bench(options.loaded(study, None), out)
+    loaded = options.loaded(study, None)
+    files = workflow.bench(loaded, out, lambda text: click.echo(text, err=True))
     found = {}
     for file in files:
         with netcdf.read(file) as dataset:
