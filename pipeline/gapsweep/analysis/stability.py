@@ -305,7 +305,7 @@ def judge(scene: Scene, representation: str, exact: Judge | None) -> Judge:
     if scene.expected == "energy" and law is not None:
         energies = energy_drift(scene, law), energy_drift(scene, scene.law(EXACT))
     answer = _truth(scene, representation, law)
-    scale = exact.scale if exact else reach_scale(scene, answer.reach)
+    scale = exact.scale if exact else reach_scale(scene, answer.compiled)
     grown = math.nan
     if law is not None and answer.compiled.status is Status.OK:
         grown = float(growth(scene, law, answer.compiled.section)[-1])

@@ -114,10 +114,12 @@ def gap_scale(scene: Scene, reach: float) -> Scale:
     return Scale(length=length, speed=2.0 * math.pi * scene.omega * length)
 
 
-def reach_scale(scene: Scene, reach: float) -> Scale:
+def reach_scale(scene: Scene, run: Motion) -> Scale:
     """The size of the motion itself, also where the gap is nothing and the forcing slow."""
     omega_rad = max(2.0 * math.pi * scene.omega, scene.oscillator.omega_n_rad)
-    return Scale(length=reach, speed=omega_rad * reach)
+    # Stiff contact turns the mass round faster than either frequency.
+    seen = np.max(np.abs([scene.v_0, *run.section[:, 1]]))
+    return Scale(length=run.reach, speed=max(omega_rad * run.reach, float(seen)))
 
 
 def distance(one: Motion, other: Motion, scale: Scale) -> float:
