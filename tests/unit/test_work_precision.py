@@ -265,6 +265,7 @@ def test_another_law_on_the_front_is_named(measured):
         ({"expected": "mirror", "gap": [0.0, 8e-4]}, {}, "needs j_1 = j_2"),
         ({"oscillator": {"speed": 1.0}}, {}, "bench.scene[0].oscillator.speed"),
         ({"horizon": 0}, {}, "bench.scene[0].horizon"),
+        ({"without": ["tanh-1e4"]}, {}, "without tanh-1e4: no such method"),
         ({}, {"rtol": [1e-6, 1e-3]}, "rtol must descend"),
         ({}, {"rtol": [1.0]}, "bench.method[0].rtol[0]"),
         ({}, {"atol": [1e-6, 1e-9]}, "atol has 2 values, rtol 1"),
