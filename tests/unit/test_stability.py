@@ -171,6 +171,7 @@ def test_growth_excuses_loose_tolerances_only():
         ("piecewise", RUNS_AWAY, Status.DIVERGED),
         ("tanh-1e4", RUNS_AWAY, Status.DIVERGED),
         ("poly-13", {"K_c": 1.4e4, "oscillator": {"forcing": 100.0}}, Status.OUT_OF_FIT_RANGE),
+        ("ratpoly-7/5", {"K_c": 1.4e4, "start": [0.012, 0.0]}, Status.MODEL_INVALID),
     ],
 )
 def test_failures_keep_their_status(representation, changes, status):

@@ -63,7 +63,7 @@ NONE = Motion(
 def motion(scene: Scene, law: ContactLaw | None, solver: Solver, later: int = 0) -> Motion:
     """A scene's motion, started a whole number of forcing periods later if asked.
 
-    A fit that has been left is `out_of_fit_range`, as it is in a sweep.
+    A fit that has been left is `out_of_fit_range`, as it is in a sweep, but for one at a pole.
     """
     if law is None:
         return NONE
@@ -87,9 +87,10 @@ def motion(scene: Scene, law: ContactLaw | None, solver: Solver, later: int = 0)
         # The last period end is the end, however t_end was rounded.
         section = np.vstack([section[: scene.n_periods - 1], (run.x, run.v)])
     reach = float(np.max(np.abs([scene.x_0, run.x, *run.extrema, *section[:, 0]])))
+    at_pole = run.status is Status.MODEL_INVALID
     left = math.isfinite(law.valid_range) and not reach <= law.valid_range
     return Motion(
-        status=Status.OUT_OF_FIT_RANGE if left else run.status,
+        status=Status.OUT_OF_FIT_RANGE if left and not at_pole else run.status,
         section=section,
         t_contacts=run.t_contacts - t_0,
         reach=reach,
