@@ -1,6 +1,6 @@
 """The README's pictures, from finished runs.
 
-    python docs/pictures.py data/runs/paper data/runs/work-precision
+python docs/pictures.py data/runs/paper data/runs/work-precision
 """
 
 import sys

@@ -25,6 +25,7 @@ from gapsweep.study.study import Study
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
 HISTORIES, ADVICE, CLAIMS = "histories.nc", "advice.nc", "claims.json"
+WORK_PRECISION, STABILITY = "work_precision.nc", "stability.nc"
 REPORT = "report/index.html"
 
 MadeFrom = Mapping[str, str]
@@ -68,10 +69,23 @@ STAGES = (
         "analysis/claims.py",
         (CLAIMS_FILE, RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING),
     ),
+    Stage(WORK_PRECISION, "analysis/work_precision.py", (STUDY,)),
+    Stage(STABILITY, "analysis/stability.py", (STUDY,)),
     Stage(
         REPORT,
         "report/html.py",
-        (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, ADVICE, CLAIMS),
+        (
+            RESPONSES,
+            ATTRACTORS,
+            STATIC,
+            AGREEMENT,
+            TIMING,
+            HISTORIES,
+            ADVICE,
+            CLAIMS,
+            WORK_PRECISION,
+            STABILITY,
+        ),
     ),
 )
 
@@ -84,9 +98,13 @@ def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
         stored = cache.checksums(some)
         for key in some:
             digest.update(key + stored.get(key, b"missing"))
-    settings = hashlib.sha256((study.json + _own_laws(study)).encode()).hexdigest()
-    found = {STUDY: settings, POINTS: digest.hexdigest()}
+    found = {**study_source(study), POINTS: digest.hexdigest()}
     return {**found, **(claims_source(study.claims_file) if study.claims_file else {})}
+
+
+def study_source(study: Study) -> MadeFrom:
+    """Digest of the settings of a study, and of the user's own laws in it."""
+    return {STUDY: hashlib.sha256((study.json + _own_laws(study)).encode()).hexdigest()}
 
 
 def claims_source(path: Path) -> MadeFrom:
@@ -104,10 +122,12 @@ def claims_source(path: Path) -> MadeFrom:
 
 
 def _own_laws(study: Study) -> str:
-    """Sources of the user's own laws in time histories; those of sweeps are in their keys."""
+    """Sources of the user's own laws outside of sweeps; those of sweeps are in their keys."""
     sources = []
-    for label in (r for table in study.spec.history for r in table.representation):
-        # A law that cannot be imported is a matter of its history's status.
+    labels = [r for table in study.spec.history for r in table.representation]
+    labels += [method.label for method in study.spec.bench.method] if study.spec.bench else []
+    for label in labels:
+        # A law that cannot be imported is a matter of its motion's status.
         with suppress(ModelError):
             sources.append(law_source(label.partition("@")[0]))
     return "".join(source for source in sources if source != "null")

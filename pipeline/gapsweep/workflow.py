@@ -11,9 +11,10 @@ import random
 import tempfile
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gapsweep.console import progress_bar
-from gapsweep.errors import StoreError
+from gapsweep.errors import StoreError, StudyError
 from gapsweep.execution.assemble import export
 from gapsweep.execution.explain import Explanation
 from gapsweep.execution.explain import explain as explanations
@@ -37,15 +38,18 @@ from gapsweep.stages import (
     HISTORIES,
     REPORT,
     RESPONSES,
+    STABILITY,
     STAGES,
     STATIC,
     TIMING,
+    WORK_PRECISION,
     Stage,
     as_text,
     claims_source,
     made_from,
     reason_to_run,
     sources,
+    study_source,
 )
 from gapsweep.status import Status
 from gapsweep.store import netcdf
@@ -420,14 +424,18 @@ def _stages(study: Study) -> list[Stage]:
     """The stages of a study.
 
     Without the exact law there is nothing to agree with, without claims nothing to decide,
-    motions are kept only where some are asked for, and advice where ``auto`` took it.
+    motions are kept only where some are asked for, and advice where ``auto`` took it. Scenes of a
+    benchmark whose right answer is stated make one file, the others another.
     """
-    labels = study.grid.representations
+    labels, bench = study.grid.representations, study.spec.bench
+    stated = [scene.expected is not None for scene in bench.scene] if bench else []
     left_out = {
         STATIC: labels == (AUTO,),
         AGREEMENT: EXACT not in labels,
         ADVICE: AUTO not in labels,
         HISTORIES: not study.spec.history,
+        WORK_PRECISION: all(stated),
+        STABILITY: not any(stated),
         CLAIMS: study.claims_file is None,
     }
     return [stage for stage in STAGES if not left_out.get(stage.file)]
@@ -453,24 +461,32 @@ def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
             netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
 
 
-def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
+def _analysed(
+    stage: Stage, study: Study, folder: Path, say: Callable[[str], None] | None = None
+) -> "xr.Dataset":
     """The dataset of an analysis stage."""
     from gapsweep.analysis.advice import advice
     from gapsweep.analysis.agreement import agreement
     from gapsweep.analysis.histories import histories
+    from gapsweep.analysis.stability import stability
     from gapsweep.analysis.static import static
     from gapsweep.analysis.timing import timing
+    from gapsweep.analysis.work_precision import work_precision
 
     if stage.file == STATIC:
         # Only claims ask for the ladders. What a user's law may do, it does on workers.
         decides = study.claims_file is not None
         return static(study, with_ladders=decides, with_own_laws=False)
-    if stage.file == ADVICE:
-        return advice(study)
-    if stage.file == HISTORIES:
-        kept = histories(study)
-        assert kept is not None, "the stage is left out where none is asked for"
-        return kept
+    asked: dict[str, Callable[[Study], xr.Dataset | None]] = {
+        ADVICE: advice,
+        HISTORIES: histories,
+        WORK_PRECISION: partial(work_precision, say=say),
+        STABILITY: partial(stability, say=say),
+    }
+    if stage.file in asked:
+        made = asked[stage.file](study)
+        assert made is not None, "the stage is left out where none is asked for"
+        return made
     with (
         netcdf.read(folder / RESPONSES) as responses,
         netcdf.read(folder / ATTRACTORS) as attractors,
@@ -480,6 +496,48 @@ def _analysed(stage: Stage, study: Study, folder: Path) -> "xr.Dataset":
         compared = agreement(responses, attractors)
         assert compared is not None, "the stage is left out where the exact law is"
         return compared
+
+
+def bench(
+    study: Study,
+    out: str | Path | None = None,
+    say: Callable[[str], None] | None = None,
+) -> list[Path]:
+    """Measure a study's ``[bench]`` afresh, in this process; its report follows if there is one.
+
+    Parameters
+    ----------
+    study : Study
+    out : path, optional
+        Output folder, ``data/runs/<study name>`` if None.
+    say : callable, optional
+        Told what is measured next.
+
+    Returns
+    -------
+    list of Path
+        ``work_precision.nc`` and ``stability.nc``, those that the scenes ask for.
+
+    Raises
+    ------
+    GapsweepError
+        If the study has no ``[bench]``, or the output folder cannot be used.
+    """
+    if study.spec.bench is None:
+        raise StudyError([f"{study.source}: bench: missing; it names scenes and methods"])
+    folder = run_folder(study, out)
+    check_writable(folder)
+    made = []
+    with alone_in(folder):
+        for stage in _stages(study):
+            if stage.file in (WORK_PRECISION, STABILITY):
+                measured = _analysed(stage, study, folder, say)
+                now = made_from(stage, folder, study_source(study))
+                netcdf.write(measured, folder / stage.file, {"made_from": as_text(now)})
+                made.append(folder / stage.file)
+        if (folder / RESPONSES).exists() and (folder / TIMING).exists():
+            report(folder)
+    return made
 
 
 def claims(folder: str | Path, file: str | Path | None = None) -> dict[str, Any]:
@@ -567,6 +625,8 @@ def report(folder: str | Path) -> Path:
             histories=motions,
             static=stored(STATIC),
             claims=_decided(folder),
+            work_precision=stored(WORK_PRECISION),
+            stability=stored(STABILITY),
             made_from=as_text(made_from(stage, folder, {})),
         )
 

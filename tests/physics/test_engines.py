@@ -161,6 +161,18 @@ def test_reference_engine_has_no_ode45():
         gs.simulate(*scene, t_end=1.0, engine="scipy", controller="ode45")
 
 
+@pytest.mark.parametrize("depth", [1e-3, 1e-6])
+@pytest.mark.parametrize("rtol", [1e-7, 1e-9, 1e-11, 1e-13])
+def test_reference_engine_misses_no_shallow_contact_of_either_wall(depth, rtol):
+    # From rest beyond one wall to rest beyond the other: both contacts fit between step ends.
+    free = gs.Oscillator(zeta=0.0, forcing=0.0)
+    law = gs.Piecewise(1.4e6, SYMMETRIC)
+    start = -0.4e-3 * (1.0 + depth)
+    run = gs.simulate(free, law, 5.0, start, t_end=1.0, engine="scipy", rtol=rtol, atol=1e-3 * rtol)
+    assert run.n_contacts == 21
+    assert_allclose(np.abs(run.extrema), -start, rtol=100.0 * rtol)
+
+
 @pytest.mark.parametrize("label", LABELS)
 def test_both_engines_find_the_same_monodromy(label):
     law = gs.contact_law(label, 1.4e4, SYMMETRIC)

@@ -277,6 +277,41 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
 
 
 @commands.command()
+@options.study
+@options.out
+@options.as_json
+def bench(study: Path, out: Path | None, as_json: bool) -> int:
+    """Measure error, cost and status of methods.
+
+    Every method of the study's [bench] on every one of its scenes, in one process.
+
+    \b
+    Example:
+      gapsweep bench workflows/work_precision.toml
+    """
+    from gapsweep.report.bench import conclusions
+    from gapsweep.store import netcdf
+
+    loaded = options.loaded(study, None)
+    files = workflow.bench(loaded, out, lambda text: click.echo(text, err=True))
+    found = {}
+    for file in files:
+        with netcdf.read(file) as dataset:
+            found[file.name] = conclusions(dataset)
+    if as_json:
+        numbers = {name: lines.numbers for name, lines in found.items()}
+        click.echo(json.dumps({"files": [str(file) for file in files]} | numbers))
+        return FINISHED
+    for file in files:
+        for sentence in found[file.name].sentences:
+            click.echo(sentence)
+        click.echo(f"written: {file}")
+    shown = files[0].parent / REPORT
+    click.echo(f"report: {shown}" if shown.exists() else "'gapsweep run' makes the report")
+    return FINISHED
+
+
+@commands.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 def report(folder: Path) -> int:
     """Rebuild the report of a run from its NetCDF files alone.

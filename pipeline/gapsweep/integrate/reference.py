@@ -365,14 +365,18 @@ def _cut_at_missed_contact(scene: _Scene, mode: int, segment: _Segment) -> _Segm
     # A touch within rounding of the wall is not a contact.
     slack = 8.0 * np.finfo(float).eps * max(scene.law.gap.j_1, scene.law.gap.j_2)
     allowed = 1.0 if mode else -1.0
+    missed = []
     for side in _exits(mode):
         wall = scene.wall(side)
         wrong = np.flatnonzero(allowed * side * (x_turns - wall) < -slack)
         if wrong.size and (segment.wall != wall or turns[wrong[0]] < segment.t):
-            first = wrong[0]
-            t_before = turns[first - 1] if first else segment.motion.x[0]
-            return _cut(segment, t_before, turns[first], wall)
-    return segment
+            missed.append((int(wrong[0]), wall))
+    if not missed:
+        return segment
+    # The earliest one, of either wall: what follows it is no motion.
+    first, wall = min(missed)
+    t_before = turns[first - 1] if first else segment.motion.x[0]
+    return _cut(segment, t_before, turns[first], wall)
 
 
 def _cut(segment: _Segment, t_before: float, t_beyond: float, wall: float) -> _Segment:

@@ -15,6 +15,7 @@ import xarray as xr
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from gapsweep.report.bench import Part, bench_parts
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.findings import findings, outcomes, overview
@@ -52,6 +53,8 @@ def write_report(
     histories: xr.Dataset | None = None,
     static: xr.Dataset | None = None,
     claims: Mapping[str, Any] | None = None,
+    work_precision: xr.Dataset | None = None,
+    stability: xr.Dataset | None = None,
     made_from: str = "",
 ) -> Path:
     """Write the report; complete or not at all.
@@ -68,6 +71,8 @@ def write_report(
         As stored in the run's folder, for the paper's figures.
     claims : mapping, optional
         What stands in ``claims.json``.
+    work_precision, stability : Dataset, optional
+        As stored in the run's folder, for the sections of the benchmark.
     made_from : str
         Kept in a meta element, so that the report is made again only if that changes.
     """
@@ -83,6 +88,7 @@ def write_report(
         scenes = Scenes(responses)
         sections = list(_sections(responses, scenes, agreement, timing, attractors))
         paper = list(_paper(paper_figures(responses, histories, static, scenes)))
+        bench = list(_bench(bench_parts(work_precision, stability)))
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
@@ -96,6 +102,7 @@ def write_report(
         sections=sections,
         paper=paper,
         costs=list(cost_tables(timing)),
+        bench=bench,
         statuses=_status_counts(responses),
         measured_on=timing.attrs["measured_on"],
         provenance=_provenance(responses),
@@ -182,6 +189,21 @@ def _paper(figures: Iterable[Drawn]) -> Iterator[dict[str, Any]]:
             "title": drawn.title,
             "caption": drawn.caption,
             "svg": _svg(drawn.figure, drawn.description),
+        }
+
+
+def _bench(parts: Iterable[Part]) -> Iterator[dict[str, Any]]:
+    for part in parts:
+        figures = [
+            {"svg": _svg(each.figure, each.description), "caption": each.caption}
+            for each in part.figures
+        ]
+        yield {
+            "anchor": part.anchor,
+            "title": part.title,
+            "sentences": part.sentences,
+            "tables": part.tables,
+            "figures": figures,
         }
 
 

@@ -1,0 +1,385 @@
+"""What every method costs for the error it makes: error, cost and status, scene by scene.
+
+Errors are solver errors (against the method's own law, solved tightly) and total errors (against
+the exact law); between them lies the model error, a floor under each law. Everything is run in one
+process; for the costs all methods take turns, round by round. Definitions: docs/bench.md.
+"""
+
+import math
+import os
+import platform
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.analysis.pareto import on_front
+from gapsweep.analysis.scenes import (
+    EXACT,
+    Method,
+    Scene,
+    coordinates,
+    law_or_none,
+    methods,
+    scenes,
+    tolerances,
+)
+from gapsweep.analysis.truth import (
+    LARGEST_GROWTH,
+    TIGHT,
+    Truth,
+    distance,
+    event_time_distance,
+    gap_scale,
+    growth,
+    motion,
+    truth,
+)
+from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
+from gapsweep.integrate.simulate import prepared
+from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.response.attractors import attractors
+from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.result import Response, Steady
+from gapsweep.response.walk import Scene as Asked
+from gapsweep.status import Status
+from gapsweep.study.schema import STATUS_FLAGS, Variable
+from gapsweep.study.study import Study
+
+Array = NDArray[np.float64]
+Cell = tuple[int, int, int]
+
+# Errors below so many distances of the two references are not told from nothing.
+FLOOR = 10.0
+# A call that takes longer than this [s] is repeated so many times only: its spread is small.
+_SLOW, _FEW = 0.1, 3
+# The frequencies of the lanes that advance beside a scene, relative to it and to each other.
+_NEIGHBOUR = 1e-4
+_RESPONSE_TIGHT = Solver(engine="compiled", rtol=1e-12, atol=1e-15)
+
+_CELL = ("scene", "method", "tolerance")
+_PAIR = ("scene", "method")
+_AGREES = (("not_compared", -1), ("no", 0), ("yes", 1))
+VARIABLES = {
+    "trajectory_error": (
+        _CELL,
+        Variable("f8", "1", "solver error: largest deviation at period ends from the same law"),
+    ),
+    "total_error": (
+        _CELL,
+        Variable("f8", "1", "largest deviation at period ends from the exact law"),
+    ),
+    "bounded_error": (
+        _CELL,
+        Variable("f8", "1", "total_error, or the largest it can be where it is not measurable"),
+    ),
+    "event_time_error": (_CELL, Variable("f8", "s", "largest deviation of a contact time")),
+    "amplitude_error": (
+        _CELL,
+        Variable("f8", "1", "relative deviation of the steady amplitude from the same law"),
+    ),
+    "amplitude_total_error": (
+        _CELL,
+        Variable("f8", "1", "relative deviation of the steady amplitude from the exact law"),
+    ),
+    "same_attractor": (
+        _CELL,
+        Variable("i1", "1", "whether the start ends on the same law's attractor", -1, _AGREES),
+    ),
+    "same_attractor_total": (
+        _CELL,
+        Variable("i1", "1", "whether the start ends on the exact law's attractor", -1, _AGREES),
+    ),
+    "cpu_time": (_CELL, Variable("f8", "1", "processor time per simulated second, median")),
+    "cpu_time_q25": (_CELL, Variable("f8", "1", "processor time, lower quartile")),
+    "cpu_time_q75": (_CELL, Variable("f8", "1", "processor time, upper quartile")),
+    "nfev": (_CELL, Variable("i8", "1", "right-hand sides evaluated", 0)),
+    "n_steps": (_CELL, Variable("i8", "1", "accepted steps", 0)),
+    "n_rejected": (_CELL, Variable("i8", "1", "rejected steps", 0)),
+    "n_contacts": (_CELL, Variable("i8", "1", "wall crossings, in and out", 0)),
+    "status": (
+        _CELL,
+        Variable("i1", "1", "outcome of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
+    ),
+    "at_reference_floor": (
+        _CELL,
+        Variable("i1", "1", "whether an error is too close to the truth to be measured", 0),
+    ),
+    "on_front": (
+        _CELL,
+        Variable("i1", "1", "whether nothing is both cheaper and closer to the exact law", 0),
+    ),
+    "model_error": (
+        _PAIR,
+        Variable("f8", "1", "largest deviation of the law's own solution from the exact law's"),
+    ),
+    "reference_distance": (
+        _PAIR,
+        Variable("f8", "1", "distance of two independent tight solutions of the law"),
+    ),
+    "first_call_time": (
+        ("method",),
+        Variable("f8", "s", "processor time of the slowest first call: it compiles or loads code"),
+    ),
+    "n_lanes": (("method",), Variable("i4", "1", "points that a timed call advances", 1)),
+    "n_periods": (("scene",), Variable("i4", "1", "forcing periods that are compared", 0)),
+    "growth": (("scene",), Variable("f8", "1", "growth of a disturbance of the start")),
+}
+ERROR_SCALE = "gap width; forcing's angular frequency times it for velocities"
+
+
+def work_precision(study: Study, say: Callable[[str], None] | None = None) -> xr.Dataset | None:
+    """Error, cost and status of every method on every scene without a stated answer.
+
+    Parameters
+    ----------
+    study : Study
+    say : callable, optional
+        Told what is done next, for this takes minutes.
+
+    Returns
+    -------
+    Dataset
+        Over `scene`, `method` and `tolerance` (the rung of a method's ladder); None if the study
+        has no such scene.
+    """
+    found, ladder = scenes(study, with_answer=False), methods(study)
+    if not found:
+        return None
+    assert study.spec.bench is not None
+    # What else the machine was busy with, before this adds to it.
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
+    bench = Bench(found, ladder, study.spec.bench.lanes, study.steady)
+    repeats = study.spec.bench.repeats
+    steps: list[tuple[str, Callable[[], None]]] = [
+        # Costs first: their first calls are the first ones of the process.
+        ("costs", lambda: bench.measure_costs(repeats)),
+        ("errors and references", bench.measure_errors),
+        ("steady responses", bench.measure_responses),
+        ("fronts", bench.find_fronts),
+    ]
+    for name, step in steps:
+        if say is not None:
+            say(f"work-precision: {name} of {len(found)} scenes, {len(ladder)} methods")
+        step()
+    variables = {
+        name: (dims, bench.arrays[name], variable.attributes)
+        for name, (dims, variable) in VARIABLES.items()
+    }
+    attributes = {
+        "title": study.title,
+        "study": study.name,
+        "study_json": study.json,
+        "error_scale": ERROR_SCALE,
+        "n_repeats": repeats,
+        "processor": processor(),
+        "load_average": load,
+    }
+    coords = coordinates(bench.scenes, ladder) | tolerances(ladder)
+    return xr.Dataset(variables, coords, attributes)
+
+
+def processor() -> str:
+    """Name of the processor as the system gives it."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def followed(scene: Scene) -> Scene:
+    """The scene, no longer than disturbances stay small enough to tell right from wrong."""
+    law = scene.law(EXACT)
+    exact = motion(scene, law, TIGHT["compiled"])
+    if exact.status is not Status.OK:
+        return scene
+    small = growth(scene, law, exact.section) <= LARGEST_GROWTH
+    return replace(scene, n_periods=max(int(np.sum(small)), 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """A call that is timed: neighbouring frequencies of a scene, solved together."""
+
+    integrate: Integrate
+    problems: Problems
+
+    @property
+    def simulated(self) -> float:
+        """Simulated time [s] of all lanes."""
+        return float(np.sum(self.problems.t_end - self.problems.t_0))
+
+    def seconds(self) -> float:
+        """Processor time [s] of one call."""
+        begin = time.process_time()
+        self.integrate(self.problems)
+        return time.process_time() - begin
+
+
+def timed(scene: Scene, law: ContactLaw, solver: Solver, n_lanes: int) -> Timed:
+    """A scene and its neighbours in frequency, prepared."""
+    omega: Array = scene.omega * (1.0 + _NEIGHBOUR * np.arange(n_lanes, dtype=np.float64))
+    models = Models(oscillators=[scene.oscillator] * n_lanes, laws=[law] * n_lanes, omega=omega)
+    problems = Problems(
+        which=np.arange(n_lanes),
+        x_0=np.full(n_lanes, scene.x_0),
+        v_0=np.full(n_lanes, scene.v_0),
+        t_0=np.zeros(n_lanes),
+        t_end=scene.n_periods / omega,
+        record_from=np.full(n_lanes, np.inf),
+    )
+    return Timed(prepared(models, solver), problems)
+
+
+class Bench:
+    """Scenes, methods, and the arrays that their measurements fill."""
+
+    def __init__(
+        self, scenes: Sequence[Scene], methods: Sequence[Method], n_lanes: int, steady: Steady
+    ) -> None:
+        # Costs are those of the whole horizon, errors of what can be told right from wrong.
+        self.whole, self.scenes = list(scenes), [followed(scene) for scene in scenes]
+        self.methods, self.steady = list(methods), steady
+        # scipy solves one point after the other.
+        self.n_lanes = [1 if m.rungs[0].engine == "scipy" else n_lanes for m in self.methods]
+        sizes = {
+            "scene": len(self.scenes),
+            "method": len(self.methods),
+            "tolerance": max(len(method.rungs) for method in self.methods),
+        }
+        self.arrays: dict[str, Any] = {
+            name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
+            for name, (dims, variable) in VARIABLES.items()
+        }
+        self.arrays["n_lanes"][:] = self.n_lanes
+        self.arrays["n_periods"][:] = [scene.n_periods for scene in self.scenes]
+
+    def cells(self) -> Iterator[tuple[Cell, Scene, Method, Solver]]:
+        """All cells with their whole scenes; methods take turns within a scene and rung."""
+        n_rungs = self.arrays["status"].shape[2]
+        for s, scene in enumerate(self.whole):
+            for r in range(n_rungs):
+                for m, method in enumerate(self.methods):
+                    if r < len(method.rungs) and method.label not in scene.without:
+                        yield (s, m, r), scene, method, method.rungs[r]
+
+    def measure_costs(self, repeats: int) -> None:
+        """Median and quartiles of repeated calls; all methods take turns, round by round."""
+        times = np.full((repeats, *self.arrays["cpu_time"].shape), np.nan)
+        first = np.full(self.arrays["cpu_time"].shape, np.nan)
+        for cell, scene, method, solver in self.cells():
+            call = self._timed(cell, scene, method, solver)
+            if call is not None:
+                first[cell] = call.seconds()
+        for n in range(repeats):
+            for cell, scene, method, solver in self.cells():
+                if n >= _FEW and first[cell] > _SLOW:
+                    continue
+                call = self._timed(cell, scene, method, solver)
+                if call is not None:
+                    times[(n, *cell)] = call.seconds() / call.simulated
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "All-NaN slice")  # no such rung, no such law
+            for name, share in (("cpu_time_q25", 0.25), ("cpu_time", 0.5), ("cpu_time_q75", 0.75)):
+                self.arrays[name] = np.nanquantile(times, share, axis=0)
+            self.arrays["first_call_time"] = np.nanmax(first, axis=(0, 2))
+
+    def _timed(self, cell: Cell, scene: Scene, method: Method, solver: Solver) -> Timed | None:
+        law = law_or_none(scene, method.representation)
+        return None if law is None else timed(scene, law, solver, self.n_lanes[cell[1]])
+
+    def measure_errors(self) -> None:
+        """Errors, counts and statuses of the scenes' own motions."""
+        for s, scene in enumerate(self.scenes):
+            exact = truth(scene, EXACT)
+            if exact.compiled.status is Status.OK:
+                rates = growth(scene, scene.law(EXACT), exact.compiled.section)
+                self.arrays["growth"][s] = rates[-1]
+            truths = {EXACT: exact}
+            for m, method in enumerate(self.methods):
+                if method.label in scene.without:
+                    continue
+                if method.own not in truths:
+                    truths[method.own] = truth(scene, method.own)
+                self._errors_of(s, m, truths[method.own], exact)
+
+    def _errors_of(self, s: int, m: int, own: Truth, exact: Truth) -> None:
+        scene, method, arrays = self.scenes[s], self.methods[m], self.arrays
+        scale = gap_scale(scene, exact.reach)
+        apart = own.distance(scale)
+        arrays["reference_distance"][s, m] = apart
+        arrays["model_error"][s, m] = (
+            0.0 if method.own == EXACT else distance(own.compiled, exact.compiled, scale)
+        )
+        law = law_or_none(scene, method.representation)
+        located = isinstance(law, Piecewise) and law.located
+        for r, solver in enumerate(method.rungs):
+            cell = s, m, r
+            run = motion(scene, law, solver)
+            for name in ("status", "nfev", "n_steps", "n_rejected", "n_contacts"):
+                arrays[name][cell] = getattr(run, name)
+            target, true = own.for_engine(solver.engine), exact.for_engine(solver.engine)
+            error, total = distance(run, target, scale), distance(run, true, scale)
+            arrays["trajectory_error"][cell], arrays["total_error"][cell] = error, total
+            if located and run.status is Status.OK:
+                arrays["event_time_error"][cell] = event_time_distance(run, target)
+            limit = FLOOR * max(apart, exact.distance(scale))
+            arrays["at_reference_floor"][cell] = total < limit
+            arrays["bounded_error"][cell] = max(total, limit) if total == total else np.nan
+
+    def measure_responses(self) -> None:
+        """Steady amplitude and attractor of every cell of the compiled engine."""
+        exact = self._responses(EXACT, _RESPONSE_TIGHT)
+        own: dict[str, list[Response | None]] = {EXACT: exact}
+        for m, method in enumerate(self.methods):
+            if method.rungs[0].engine == "scipy":
+                continue
+            if method.own not in own:
+                own[method.own] = self._responses(method.own, _RESPONSE_TIGHT)
+            for r, solver in enumerate(method.rungs):
+                for s, found in enumerate(self._responses(method.representation, solver)):
+                    for suffix, true in (("", own[method.own][s]), ("_total", exact[s])):
+                        self._compare((s, m, r), suffix, found, true)
+
+    def _responses(self, representation: str, solver: Solver) -> list[Response | None]:
+        """Steady responses of a law in all scenes; None where it cannot be built."""
+        laws = [law_or_none(scene, representation) for scene in self.scenes]
+        here = [s for s, law in enumerate(laws) if law is not None]
+        questions = [self._question(self.scenes[s], laws[s], solver) for s in here]
+        answers = dict(zip(here, respond_all(questions), strict=True)) if here else {}
+        return [answers.get(s) for s in range(len(self.scenes))]
+
+    def _question(self, scene: Scene, law: Any, solver: Solver) -> Question:
+        asked = Asked(oscillator=scene.oscillator, law=law, omega=scene.omega, solver=solver)
+        return Question(scene=asked, start=(scene.x_0, scene.v_0), steady=self.steady)
+
+    def _compare(
+        self, cell: Cell, suffix: str, found: Response | None, true: Response | None
+    ) -> None:
+        if found is None or true is None or not (found.section and true.section):
+            return
+        scene = self.scenes[cell[0]]
+        if self.methods[cell[1]].label in scene.without:
+            return
+        groups = attractors([found, true], scene.omega, symmetric=False)
+        self.arrays[f"same_attractor{suffix}"][cell] = any(len(g.members) == 2 for g in groups)
+        error = abs(found.amplitude - true.amplitude) / true.amplitude
+        name = f"amplitude{suffix}_error" if suffix else "amplitude_error"
+        self.arrays[name][cell] = error
+
+    def find_fronts(self) -> None:
+        """Pareto fronts of total error and processor time, scene by scene."""
+        arrays = self.arrays
+        # A point too close to the truth to be measured still beats what is farther and dearer.
+        error = np.where(arrays["status"] == Status.OK, arrays["bounded_error"], np.nan)
+        for s in range(len(self.scenes)):
+            front = on_front(error[s], arrays["cpu_time"][s])
+            arrays["on_front"][s] = front & (arrays["at_reference_floor"][s] == 0)

@@ -1,0 +1,212 @@
+"""Figures of the benchmark: work-precision diagrams and the failure atlas."""
+
+import math
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+
+from gapsweep.analysis.stability import Outcome
+from gapsweep.report.style import colour, lines
+from gapsweep.status import Status
+
+_WIDTH = 9.5  # inches, the report's column
+_COLUMNS = 3
+_MARKERS = ("o", "s", "^", "D", "v")
+_ERRORS = (1e-14, 1e2)
+# From best to worst: what a cell of the atlas shows is the worst of its runs.
+_SEVERITY = (
+    Outcome.NOT_REQUESTED,
+    Outcome.RIGHT,
+    Outcome.MODEL_ERROR,
+    Outcome.UNDECIDED,
+    Outcome.FAILED,
+    Outcome.SILENT_WRONG,
+)
+_RANK = np.array([_SEVERITY.index(outcome) for outcome in Outcome])
+_SHADES = ("#ffffff", "#cfe8dc", "#f3d08a", "#d5d5d5", "#9fd0f0", "#D55E00")
+_LETTERS = {
+    Outcome.NOT_REQUESTED: "",
+    Outcome.RIGHT: "R",
+    Outcome.MODEL_ERROR: "M",
+    Outcome.UNDECIDED: "?",
+    Outcome.SILENT_WRONG: "!",
+}
+STATUS_LETTERS = {
+    "out of fit range": "O",
+    "diverged": "D",
+    "model invalid": "P",
+    "step underflow": "U",
+    "chatter": "C",
+}
+_QUANTITIES = {
+    "trajectory_error": "error at period ends",
+    "event_time_error": "error of contact times [s]",
+    "amplitude_error": "error of the amplitude",
+}
+
+
+def work_precision_figure(bench: xr.Dataset) -> Figure:
+    """Total error against cost, a panel per scene.
+
+    Parameters
+    ----------
+    bench : Dataset
+        ``work_precision.nc``, or some of its scenes.
+    """
+    n_rows = math.ceil(bench.sizes["scene"] / _COLUMNS)
+    columns = min(_COLUMNS, bench.sizes["scene"])
+    figure = Figure(figsize=(_WIDTH, 1.3 + 2.6 * n_rows), layout="constrained")
+    panels = figure.subplots(n_rows, columns, squeeze=False, sharex=True, sharey=True)
+    labels = bench["method"].values.tolist()
+    for axes, s in zip(panels.flat, range(bench.sizes["scene"]), strict=False):
+        _panel(axes, bench.isel(scene=s), labels)
+    for axes in panels.flat[bench.sizes["scene"] :]:
+        axes.set_visible(False)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("processor time per\nsimulated second")
+    for axes in panels[-1]:
+        axes.set_xlabel("error against the exact law")
+    figure.legend(
+        [panels[0, 0].lines[i] for i in range(len(labels))],
+        labels,
+        loc="outside upper center",
+        ncols=5,
+        fontsize=8,
+    )
+    return figure
+
+
+def _marks(labels: list[str]) -> dict[str, str]:
+    """A marker per method: another one where the colour is taken already."""
+    used: dict[str, int] = {}
+    marks = {}
+    for label in labels:
+        n = used.setdefault(colour(label), 0)
+        marks[label] = _MARKERS[n % len(_MARKERS)]
+        used[colour(label)] += 1
+    return marks
+
+
+def _panel(axes: Axes, scene: xr.Dataset, labels: list[str]) -> None:
+    styles, marks = lines(labels), _marks(labels)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    shown = (scene["status"] == Status.OK) & (scene["at_reference_floor"] == 0)
+    error = scene["total_error"].where(shown).clip(*_ERRORS)
+    for label in labels:
+        one, x = scene.sel({"method": label}), error.sel({"method": label}).values
+        y = one["cpu_time"].values
+        look: dict[str, Any] = {"color": colour(label), "linewidth": 0.9, "markersize": 3}
+        axes.plot(x, y, styles[label], marker=marks[label], markerfacecolor="white", **look)
+    for label in labels:
+        one, x = scene.sel({"method": label}), error.sel({"method": label}).values
+        y, front = one["cpu_time"].values, one["on_front"].values.astype(bool)
+        bars = np.abs(np.stack([y - one["cpu_time_q25"].values, one["cpu_time_q75"].values - y]))
+        shade = colour(label)
+        axes.errorbar(x, y, bars, fmt="none", ecolor=shade, elinewidth=0.6, alpha=0.6)
+        axes.plot(x[front], y[front], marks[label], color=shade, markersize=6, zorder=4)
+        ring: dict[str, Any] = {"markerfacecolor": "none", "markeredgecolor": "#D55E00"}
+        axes.plot(x[front], y[front], "o", markersize=9, zorder=3, **ring)
+        model = float(one["model_error"])
+        if model > 0.0:
+            axes.axvline(min(model, _ERRORS[1]), ymax=0.06, color=shade, linewidth=1.4)
+        failed = (one["status"] > Status.NOT_REQUESTED).values & np.isfinite(y)
+        if failed.any():
+            edge = axes.get_yaxis_transform()
+            look = {"transform": edge, "color": shade, "markersize": 5, "clip_on": False}
+            crosses = axes.plot(np.ones(failed.sum()), y[failed], "x", **look)
+            crosses[0].set_in_layout(False)
+    axes.grid(which="minor", visible=False)
+    title = f"{scene['gap'].item()} mm, {float(scene['omega']):g} Hz"
+    axes.set_title(title, fontsize=9, loc="left")
+    said = _failed_words(scene, labels)
+    if said:
+        axes.text(0.98, 0.97, said, transform=axes.transAxes, ha="right", va="top", fontsize=7)
+
+
+def _failed_words(scene: xr.Dataset, labels: list[str]) -> str:
+    """Which methods failed, and how, a line each."""
+    found = []
+    for label in labels:
+        status = np.unique(scene["status"].sel({"method": label}).values).tolist()
+        words = [Status(s).label.replace("_", " ") for s in status if s > Status.NOT_REQUESTED]
+        found += [f"× {label}: {word}" for word in words]
+    return "\n".join(found[:4] + (["…"] if len(found) > 4 else []))
+
+
+def tolerance_figure(bench: xr.Dataset) -> Figure:
+    """Solver errors against the tolerance asked for, medians over the scenes."""
+    figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
+    panels = figure.subplots(1, len(_QUANTITIES))
+    labels = bench["method"].values.tolist()
+    styles, marks = lines(labels), _marks(labels)
+    for axes, (name, title) in zip(panels, _QUANTITIES.items(), strict=True):
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        middle = bench[name].median("scene")
+        for label in labels:
+            x, y = bench["rtol"].sel({"method": label}), middle.sel({"method": label})
+            y = y.where(y > 0.0)
+            axes.plot(x, y, styles[label], marker=marks[label], color=colour(label),
+                      markersize=3, linewidth=0.9)  # fmt: skip
+        ends = [float(bench["rtol"].min()), float(bench["rtol"].max())]
+        axes.plot(ends, ends, "--", color="#777777", linewidth=0.8)
+        axes.set_title(title, fontsize=9, loc="left")
+        axes.set_xlabel("relative tolerance")
+        axes.grid(which="minor", visible=False)
+    figure.legend(panels[0].lines[: len(labels)], labels, loc="outside upper center", ncols=5,
+                  fontsize=8)  # fmt: skip
+    return figure
+
+
+def _in_range(stability: xr.Dataset, *, tight: bool) -> xr.DataArray:
+    limit = stability.attrs["tight_rtol"] * 1.01
+    rtol: xr.DataArray = stability["rtol"]
+    return xr.DataArray(rtol <= limit if tight else rtol > limit)
+
+
+def worst(stability: xr.Dataset, *, tight: bool) -> xr.DataArray:
+    """Worst outcome over the tight or the loose rungs, over scene and method."""
+    ranked = stability["outcome"].transpose("scene", "method", "tolerance")
+    counts = _in_range(stability, tight=tight).transpose("method", "tolerance").values
+    ranks = np.where(counts, _RANK[ranked.values - min(Outcome)], 0).max(axis=-1)
+    found: xr.DataArray = ranked.isel(tolerance=0).copy(data=np.array(_SEVERITY)[ranks])
+    return found
+
+
+def atlas(stability: xr.Dataset, *, tight: bool) -> Figure:
+    """Scene by method: outcomes as colours and as letters."""
+    outcome = worst(stability, tight=tight)
+    n_scenes, n_methods = outcome.shape
+    figure = Figure(figsize=(_WIDTH, 1.6 + 0.24 * n_scenes), layout="constrained")
+    axes = figure.subplots()
+    ranks = _RANK[outcome.values - min(Outcome)]
+    axes.imshow(ranks, cmap=ListedColormap(_SHADES), vmin=0, vmax=len(_SHADES) - 1, aspect="auto")
+    chosen = _in_range(stability, tight=tight)
+    for s in range(n_scenes):
+        for m in range(n_methods):
+            what = Outcome(outcome.values[s, m])
+            status = stability["status"].where(chosen, 0).isel(scene=s).isel(method=m).max()
+            letter = _letter(int(status)) if what is Outcome.FAILED else _LETTERS[what]
+            bold = "bold" if what is Outcome.SILENT_WRONG else "normal"
+            axes.text(m, s, letter, ha="center", va="center", fontsize=8, fontweight=bold)
+    axes.set_xticks(range(n_methods), outcome["method"].values.tolist(), rotation=60, ha="left",
+                    rotation_mode="anchor", fontsize=8)  # fmt: skip
+    axes.xaxis.tick_top()
+    axes.set_yticks(range(n_scenes), outcome["scene"].values.tolist(), fontsize=8)
+    axes.grid(visible=False)
+    axes.tick_params(length=0)
+    for edge in np.arange(0.5, n_scenes - 1):
+        axes.axhline(edge, color="white", linewidth=1.0)
+    for edge in np.arange(0.5, n_methods - 1):
+        axes.axvline(edge, color="white", linewidth=1.0)
+    axes.spines[:].set_visible(False)
+    return figure
+
+
+def _letter(status: int) -> str:
+    return STATUS_LETTERS.get(Status(status).label.replace("_", " "), "F")
