@@ -2,6 +2,9 @@
 
 import os
 import signal
+import subprocess
+import sys
+import threading
 import time
 
 import numpy as np
@@ -10,7 +13,9 @@ import xarray as xr
 
 import gapsweep as gs
 from gapsweep import workflow
+from gapsweep.execution import execute
 from gapsweep.execution.cluster import cluster
+from gapsweep.execution.plan import plan
 from gapsweep.execution.task import responses as responses_of
 from gapsweep.store.cache import Cache
 from gapsweep.study.schema import COORDINATES, POINT_DIMS, VARIABLES
@@ -214,3 +219,40 @@ def test_histories_are_kept_reported_and_made_once(tables, client, tmp_path):
     assert file.stat().st_mtime_ns == made
     run(tables, client, tmp_path)
     assert "Figure 11." not in report.read_text()
+
+
+_HOLDER = """
+import sqlite3, sys, time
+from pathlib import Path
+from gapsweep.store.claims import Claims
+cache, key, wanted = Path(sys.argv[1]), bytes.fromhex(sys.argv[2]), int(sys.argv[3])
+with Claims(cache) as claims:
+    assert claims.take(key)
+    print("held", flush=True)
+    count = 0
+    while count < wanted:
+        time.sleep(0.05)
+        with sqlite3.connect(f"file:{cache}?mode=ro", uri=True) as db:
+            count = db.execute("SELECT count(*) FROM results").fetchone()[0]
+"""
+
+
+def test_a_run_that_waits_for_another_first_lets_go_of_what_it_has(
+    tables, client, tmp_path, monkeypatch
+):
+    # Two runs that each waited for points which the other had computed but not yet stored
+    # once waited for ever.
+    monkeypatch.setattr(execute, "_COMMIT_SECONDS", 1e9)
+    study, cache = gs.Study.from_dict(tables), tmp_path / "cache.sqlite"
+    with Cache(cache):
+        pass  # the other one looks into it
+    planned = plan(study)
+    arguments = [str(cache), planned.keys[0].hex(), str(planned.n_points - 1)]
+    command = [sys.executable, "-c", _HOLDER, *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout.readline() == "held\n"
+        killer = threading.Timer(60.0, other.kill)
+        killer.start()
+        gs.run(study, client, out=tmp_path / "out", cache=cache).close()
+        killer.cancel()
+        assert other.wait() == 0, "it waited until it was killed"

@@ -144,6 +144,8 @@ class _Execution:
                 future = next(completed)
                 self._receive(future, self.in_flight.pop(future))
             elif self.elsewhere:
+                # The other run may be waiting for what we have not let go of yet.
+                self.commit()
                 time.sleep(_WAIT_SECONDS)
             else:
                 return
