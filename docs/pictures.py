@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import matplotlib
+from matplotlib.figure import Figure
 
 import gapsweep as gs
 from gapsweep.report.paper_figures import peak_curves
@@ -14,6 +15,16 @@ from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.style import MATPLOTLIB
 
 IMAGES = Path(__file__).parent / "images"
+METHODS = [
+    "piecewise",
+    "piecewise@restart",
+    "piecewise@scipy",
+    "piecewise-noevents",
+    "tanh-1e4",
+    "tanh-1e6",
+    "poly-21",
+]
+SCENES = ["soft-sym-9", "soft-asym-9", "hard-sym-9", "hard-asym-9"]
 LABELS = ["piecewise", "poly-13", "ratpoly-5/3", "tanh-1e4", "arctan-1e4", "logarctan-1e4"]
 
 
@@ -27,14 +38,10 @@ def peaks(folder: Path) -> None:
 
 def work_precision(folder: Path) -> None:
     """Cost over error in four scenes."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.5, 7.0))
     with gs.open(folder / "work_precision.nc") as ds:
-        scenes = [str(scene) for scene in ds["scene"].values]
-        chosen = [s for s in scenes if s.startswith(("soft", "hard")) and s.endswith("9")][:4]
-        for axes, scene in zip(figure.subplots(2, 2).flat, chosen or scenes[:4], strict=False):
-            ds.gapsweep.work_precision(scene=scene, ax=axes)
+        for axes, scene in zip(figure.subplots(2, 2).flat, SCENES, strict=True):
+            ds.gapsweep.work_precision(scene=scene, method=METHODS, ax=axes)
     figure.savefig(IMAGES / "work_precision.png", dpi=110)
 
 

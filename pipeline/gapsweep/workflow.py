@@ -624,6 +624,7 @@ def report(folder: str | Path) -> Path:
             attractors=stored(ATTRACTORS),
             histories=motions,
             static=stored(STATIC),
+            advice=stored(ADVICE),
             claims=_decided(folder),
             work_precision=stored(WORK_PRECISION),
             stability=stored(STABILITY),

@@ -8,7 +8,7 @@ import gapsweep as gs
 from gapsweep import workflow
 from gapsweep.analysis import static
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
-from gapsweep.stages import CLAIMS
+from gapsweep.stages import CLAIMS, REPORT
 
 TEXT = """
 [[claim]]
@@ -64,7 +64,7 @@ def test_claims_are_decided_once_and_again_when_a_threshold_changes(
 
     (tmp_path / "claims.toml").write_text(TEXT.replace("threshold = 1.0", "threshold = 0.01"))
     reasons = workflow.stage_reasons(study, planned, out, cache)
-    assert {file for file, reason in reasons.items() if reason} == {CLAIMS}
+    assert {file for file, reason in reasons.items() if reason} == {CLAIMS, REPORT}
     assert reasons[CLAIMS] == "claims file changed"
     gs.run(study, client, out=out, cache=cache).close()
     assert json.loads((out / CLAIMS).read_text())["claims"][0]["verdict"] == "confirmed"

@@ -18,7 +18,10 @@ _SCENE = ("K_c", "gap")
 
 
 def findings(
-    responses: xr.Dataset, agreement: xr.Dataset | None, decided: Mapping[str, Any] | None
+    responses: xr.Dataset,
+    agreement: xr.Dataset | None,
+    decided: Mapping[str, Any] | None,
+    advice: xr.Dataset | None = None,
 ) -> list[str]:
     """The main findings of a run.
 
@@ -30,12 +33,16 @@ def findings(
         As stored in ``agreement.nc``.
     decided : mapping, optional
         What stands in ``claims.json``.
+    advice : Dataset, optional
+        As stored in ``advice.nc``.
     """
     sentences = [outcomes(responses)]
     if agreement is not None and stand_ins(agreement):
         sentences += _faithful(agreement)
         sentences += _attractors(agreement)
         sentences += _costs(agreement)
+    if advice is not None:
+        sentences.append(_choices(advice))
     if decided is not None:
         sentences.append(_verdicts(decided))
     return sentences
@@ -167,6 +174,18 @@ def _costs(agreement: xr.Dataset) -> Iterator[str]:
     ]
     over = ", median over scenes" if n_scenes > 1 else ""
     yield f"Processor time relative to the exact law{over}: {', '.join(parts)}."
+
+
+def _choices(advice: xr.Dataset) -> str:
+    """What representation ``auto`` has taken."""
+    flags = advice["model"].attrs
+    names = dict(zip(np.ravel(flags["flag_values"]), flags["flag_meanings"].split(), strict=True))
+    chosen, counts = np.unique(advice["model"].values, return_counts=True)
+    parts = [f"{n} {names[m]}" for m, n in zip(chosen, counts, strict=True) if m >= 0]
+    return (
+        f"For an error of {advice.attrs['error']:g}, auto takes as the least model that "
+        f"{counts[chosen >= 0].sum()} scenes and starts need: {', '.join(parts)}."
+    )
 
 
 def _verdicts(decided: Mapping[str, Any]) -> str:

@@ -52,6 +52,7 @@ def write_report(
     attractors: xr.Dataset | None = None,
     histories: xr.Dataset | None = None,
     static: xr.Dataset | None = None,
+    advice: xr.Dataset | None = None,
     claims: Mapping[str, Any] | None = None,
     work_precision: xr.Dataset | None = None,
     stability: xr.Dataset | None = None,
@@ -69,6 +70,8 @@ def write_report(
         As stored in the run's folder; drawn where there are several starts.
     histories, static : Dataset, optional
         As stored in the run's folder, for the paper's figures.
+    advice : Dataset, optional
+        As stored in the run's folder, where ``auto`` is a representation.
     claims : mapping, optional
         What stands in ``claims.json``.
     work_precision, stability : Dataset, optional
@@ -93,7 +96,7 @@ def write_report(
         title=responses.attrs["title"],
         made_from=made_from,
         study=responses.attrs["study"],
-        findings=findings(responses, agreement, claims),
+        findings=findings(responses, agreement, claims, advice),
         overview=None if agreement is None else overview(agreement),
         claims=claims and {"counts": claims["counts"], "rows": list(claim_rows(claims))},
         verdicts=VERDICTS,
