@@ -42,6 +42,7 @@ def work_precision(folder: Path) -> None:
     with gs.open(folder / "work_precision.nc") as ds:
         for axes, scene in zip(figure.subplots(2, 2).flat, SCENES, strict=True):
             ds.gapsweep.work_precision(scene=scene, method=METHODS, ax=axes)
+            axes.set_title(scene, fontsize=9, loc="left")
     figure.savefig(IMAGES / "work_precision.png", dpi=110)
 
 
