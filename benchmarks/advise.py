@@ -1,8 +1,8 @@
 """Whether the advised model is adequate and how much it costs: on scenes that built no rule.
 
-    python benchmarks/advise.py --scenes 500 --seed 4
+    python benchmarks/advise.py --scenes 500 --seed 5
 
-Seeds 1 to 3 were used to find the rules (docs/decisions/0010-advice.md). A scene is judged where
+Seeds 1 to 4 were used to find the rules (docs/decisions/0010-advice.md). A scene is judged where
 the exact law agrees with itself (start moved by 1e-9 m) within the error asked for; all others are
 counted apart. The cost of a model in a scene is the processor time of sixteen copies of it that
 advance together, smallest of several rounds, interleaved. Polynomials are left out: each fit is
@@ -28,7 +28,7 @@ MODELS = (
     "exact", "duffing", "linear", "piecewise-noevents",
     *(f"{family}-1e{n}" for family in ("tanh", "arctan", "logarctan") for n in (4, 5, 6, 7)),
 )  # fmt: skip
-CHEAP, DEAR = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7), (1e-4, 1e-6)
+CHEAP, DEAR = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-9), (1e-4, 1e-6)
 
 
 def random_scenes(n, seed):
@@ -92,7 +92,7 @@ def cost(question):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=4)
+    parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--error", type=float, default=1e-3)
     settings = parser.parse_args()

@@ -11,7 +11,7 @@ were measured (docs/decisions/0010-advice.md):
 - *The cubic spring is not seen.* By the same bound it moves the steady motion by at most
   ``L |α| b³ / m``, now with the linear steady amplitude as b_0. Below the error: linear.
 - *A smooth law is adequate* if its force error is below the error times the forcing.
-- *A tolerance* of a tenth of the error is enough, of a hundredth where walls that are stiff
+- *A tolerance* of a tenth of the error is enough, of a millionth where walls that are stiff
   beside the oscillator's own spring may be reached.
 """
 
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 DEFAULT_ERROR = 1e-3
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 0.1
 # Solver tolerance per asked error, and where walls of so many times the spring's stiffness are met.
-_TOLERANCE, _TOLERANCE_STIFF = 0.1, 0.01
+_TOLERANCE, _TOLERANCE_STIFF = 0.1, 1e-6
 _STIFF = 3.0
 _SMALLEST_RTOL = 1e-12
 _FAMILIES = ("tanh", "arctan", "logarctan")
