@@ -4,7 +4,7 @@ import json
 import sys
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import click
 
@@ -365,7 +365,7 @@ def exit_code(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = _one_line  # type: ignore[assignment]  # takes what it needs
+        warnings.showwarning = _one_line
         try:
             result = commands.main(arguments, prog_name="gapsweep", standalone_mode=False)
         except GapsweepError as error:
@@ -381,7 +381,14 @@ def exit_code(arguments: list[str] | None = None) -> int:
     return int(result or FINISHED)
 
 
-def _one_line(message: Warning | str, category: type[Warning], *_: Any) -> None:
+def _one_line(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
     # Those of the libraries are not for the user.
     if category is UserWarning:
         click.echo(f"warning: {message}", err=True)

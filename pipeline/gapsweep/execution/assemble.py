@@ -179,7 +179,8 @@ class _Layout:
     def rows(self, piece: Piece, cache: Cache) -> tuple[list[Row], NDArray[np.int64]]:
         """Stored results of a piece, and the frequency and start of each, shape (2, n)."""
         n_starts = self.grid.shape[4]
-        start = self.grid.flat((*piece.position, piece.first, 0))  # type: ignore[arg-type]
+        r, k, g = piece.position
+        start = self.grid.flat((r, k, g, piece.first, 0))
         ends = np.searchsorted(self.cells, (start, start + len(piece) * n_starts))
         here = range(*ends.tolist())
         stored = cache.rows([self.keys[i] for i in here])

@@ -345,7 +345,7 @@ def _contact_event(
         return float(beyond / (t - t_start)) if t > t_start else sign
 
     event.terminal = True  # type: ignore[attr-defined]  # how scipy takes event options
-    event.direction = -sign  # type: ignore[attr-defined]  # likewise
+    event.direction = -sign  # type: ignore[attr-defined]  # how scipy takes event options
     return event
 
 

@@ -17,7 +17,7 @@ from gapsweep.errors import GapsweepError, StoreError
 try:
     import fcntl
 except ImportError:  # not a POSIX system
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None  # type: ignore[assignment]  # a module that is not there is tested for below
 
 SUMS = "SHA256SUMS"
 

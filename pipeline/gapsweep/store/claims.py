@@ -13,7 +13,7 @@ from types import TracebackType
 try:
     import fcntl
 except ImportError:  # not a POSIX system
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None  # type: ignore[assignment]  # a module that is not there is tested for below
 
 _HELD_BY_OTHERS = {errno.EAGAIN, errno.EACCES}
 
