@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import gapsweep as gs
-from gapsweep import workflow
+from gapsweep import make, workflow
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import export, verify
 
@@ -120,7 +120,7 @@ def test_damaged_dataset_is_refused(sound, tmp_path, n_flips, n_truncations):
     run = shutil.copytree(folder / "out", tmp_path / "out")
     for what, data in damages(run / "responses.nc", n_flips, n_truncations, seed=2):
         (run / "responses.nc").write_bytes(data)
-        for use in (read_peaks, workflow.report):
+        for use in (read_peaks, make.report):
             with pytest.raises(gs.StoreError, match=r"responses.nc: damaged .* SHA256SUMS"):
                 print(what, use(run))
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import gapsweep as gs
-from gapsweep import workflow
+from gapsweep import make
 from gapsweep.analysis.claims import check_variables
 from gapsweep.errors import StudyError
 from gapsweep.stages import CLAIMS, STAGES, claims_source, made_from, reason_to_run
@@ -146,7 +146,7 @@ def test_a_changed_threshold_changes_what_the_verdicts_are_made_from(tmp_path):
 
 def test_without_a_run_there_is_nothing_to_decide(tmp_path):
     with pytest.raises(gs.GapsweepError, match="no such file"):
-        workflow.claims(tmp_path, PAPER)
+        make.claims(tmp_path, PAPER)
 
 
 def test_file_is_plain_data():

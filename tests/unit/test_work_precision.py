@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.figure_texts import overlaps
 
 import gapsweep as gs
-from gapsweep import workflow
+from gapsweep import make, workflow
 from gapsweep.analysis.pareto import cheapest, corners, on_front
 from gapsweep.analysis.scenes import scenes
 from gapsweep.analysis.truth import LARGEST_GROWTH, growth, motion
@@ -237,7 +237,7 @@ def test_bench_measures_afresh_and_the_report_shows_it(tmp_path):
 def test_study_without_benchmark_is_refused(tmp_path):
     plain = gs.Study.from_dict({"study": {"name": "plain"}, "sweep": [SWEEP]})
     with pytest.raises(gs.StudyError, match="bench: missing"):
-        workflow.bench(plain, tmp_path)
+        make.bench(plain, tmp_path)
     assert work_precision(plain) is None
 
 

@@ -8,7 +8,7 @@ from typing import Any, TextIO
 
 import click
 
-from gapsweep import __version__, workflow
+from gapsweep import __version__, make, workflow
 from gapsweep.cli import options
 from gapsweep.cli.cache import cache_commands
 from gapsweep.console import duration, progress_bar
@@ -293,7 +293,7 @@ def bench(study: Path, out: Path | None, as_json: bool) -> int:
     from gapsweep.store import netcdf
 
     loaded = options.loaded(study, None)
-    files = workflow.bench(loaded, out, lambda text: click.echo(text, err=True))
+    files = make.bench(loaded, out, lambda text: click.echo(text, err=True))
     found = {}
     for file in files:
         with netcdf.read(file) as dataset:
@@ -320,7 +320,7 @@ def report(folder: Path) -> int:
     Example:
       gapsweep report data/runs/quick
     """
-    click.echo(f"report: {workflow.report(folder)}")
+    click.echo(f"report: {make.report(folder)}")
     return FINISHED
 
 
@@ -341,7 +341,7 @@ def claims(folder: Path, file: Path | None, as_json: bool) -> int:
     Example:
       gapsweep claims data/runs/paper
     """
-    decided = workflow.claims(folder, file)
+    decided = make.claims(folder, file)
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED

@@ -1,0 +1,291 @@
+"""How the files of a run are made, each by its stage: datasets, verdicts, benchmarks, report.
+
+What a file is made from and whether it must be made stands in `gapsweep.stages`. numba, xarray and
+matplotlib are imported by the stages that need them: a run that finds everything up to date ends
+before they would be loaded.
+"""
+
+import json
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gapsweep.errors import StoreError, StudyError
+from gapsweep.execution.assemble import export
+from gapsweep.execution.plan import Plan
+from gapsweep.model.labels import AUTO
+from gapsweep.stages import (
+    ADVICE,
+    AGREEMENT,
+    ATTRACTORS,
+    CLAIMS,
+    HISTORIES,
+    REPORT,
+    RESPONSES,
+    STABILITY,
+    STAGES,
+    STATIC,
+    TIMING,
+    WORK_PRECISION,
+    Stage,
+    as_text,
+    claims_source,
+    made_from,
+    reason_to_run,
+    sources,
+    study_source,
+)
+from gapsweep.store import netcdf
+from gapsweep.store.artefact import alone_in, digests, is_intact, is_recorded, recording
+from gapsweep.store.cache import Cache
+from gapsweep.study.claims import read_claims
+from gapsweep.study.study import Study
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+RUNS = Path("data/runs")
+EXACT = "piecewise"
+CLAIMS_COPY = "claims.toml"
+
+
+def run_folder(study: Study, out: str | Path | None = None) -> Path:
+    """Where a run leaves its files: the argument, else ``data/runs/<study name>``."""
+    return Path(out) if out is not None else RUNS / study.name
+
+
+def stages_of(study: Study) -> list[Stage]:
+    """The stages of a study.
+
+    Without the exact law there is nothing to agree with, without claims nothing to decide,
+    motions are kept only where some are asked for, and advice where ``auto`` took it. Scenes of a
+    benchmark whose right answer is stated make one file, the others another.
+    """
+    labels, bench = study.grid.representations, study.spec.bench
+    stated = [scene.expected is not None for scene in bench.scene] if bench else []
+    left_out = {
+        STATIC: labels == (AUTO,),
+        AGREEMENT: EXACT not in labels,
+        ADVICE: AUTO not in labels,
+        HISTORIES: not study.spec.history,
+        WORK_PRECISION: all(stated),
+        STABILITY: not any(stated),
+        CLAIMS: study.claims_file is None,
+    }
+    return [stage for stage in STAGES if not left_out.get(stage.file)]
+
+
+def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
+    """Make every file of a run that is not up to date."""
+    given = sources(study, planned, store)
+    for stage in stages_of(study):
+        now = made_from(stage, folder, given)
+        if reason_to_run(stage, folder, now) is None:
+            continue
+        if stage.file in (RESPONSES, ATTRACTORS):
+            files = folder / RESPONSES, folder / ATTRACTORS
+            export(study, planned, store, *files, made_from=as_text(now))
+        elif stage.file == CLAIMS:
+            assert study.claims_file is not None, "the stage is left out without claims"
+            claims(folder, study.claims_file)
+        elif stage.file == REPORT:
+            report(folder)
+        else:
+            result = _analysed(stage, study, folder)
+            netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
+
+
+def _analysed(
+    stage: Stage, study: Study, folder: Path, say: Callable[[str], None] | None = None
+) -> "xr.Dataset":
+    """The dataset of an analysis stage."""
+    from gapsweep.analysis.advice import advice
+    from gapsweep.analysis.agreement import agreement
+    from gapsweep.analysis.histories import histories
+    from gapsweep.analysis.stability import stability
+    from gapsweep.analysis.static import static
+    from gapsweep.analysis.timing import timing
+    from gapsweep.analysis.work_precision import work_precision
+
+    if stage.file == STATIC:
+        # Only claims ask for the ladders. What a user's law may do, it does on workers.
+        decides = study.claims_file is not None
+        return static(study, with_ladders=decides, with_own_laws=False)
+    asked: dict[str, Callable[[Study], xr.Dataset | None]] = {
+        ADVICE: advice,
+        HISTORIES: histories,
+        WORK_PRECISION: partial(work_precision, say=say),
+        STABILITY: partial(stability, say=say),
+    }
+    if stage.file in asked:
+        made = asked[stage.file](study)
+        assert made is not None, "the stage is left out where none is asked for"
+        return made
+    with (
+        netcdf.read(folder / RESPONSES) as responses,
+        netcdf.read(folder / ATTRACTORS) as attractors,
+    ):
+        if stage.file == TIMING:
+            return timing(responses)
+        compared = agreement(responses, attractors)
+        assert compared is not None, "the stage is left out where the exact law is"
+        return compared
+
+
+def bench(
+    study: Study,
+    out: str | Path | None = None,
+    say: Callable[[str], None] | None = None,
+) -> list[Path]:
+    """Measure a study's ``[bench]`` afresh, in this process; its report follows if there is one.
+
+    Parameters
+    ----------
+    study : Study
+    out : path, optional
+        Output folder, ``data/runs/<study name>`` if None.
+    say : callable, optional
+        Told what is measured next.
+
+    Returns
+    -------
+    list of Path
+        ``work_precision.nc`` and ``stability.nc``, those that the scenes ask for.
+
+    Raises
+    ------
+    GapsweepError
+        If the study has no ``[bench]``, or the output folder cannot be used.
+    """
+    if study.spec.bench is None:
+        raise StudyError([f"{study.source}: bench: missing; it names scenes and methods"])
+    folder = run_folder(study, out)
+    check_writable(folder)
+    made = []
+    with alone_in(folder):
+        for stage in stages_of(study):
+            if stage.file in (WORK_PRECISION, STABILITY):
+                measured = _analysed(stage, study, folder, say)
+                now = made_from(stage, folder, study_source(study))
+                netcdf.write(measured, folder / stage.file, {"made_from": as_text(now)})
+                made.append(folder / stage.file)
+        if (folder / RESPONSES).exists() and (folder / TIMING).exists():
+            report(folder)
+    return made
+
+
+def claims(folder: str | Path, file: str | Path | None = None) -> dict[str, Any]:
+    """Decide claims from the NetCDF files of a run and write ``claims.json``.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run; datasets that are not there leave the claims that need them undecidable.
+    file : path, optional
+        The claims; the copy that the run left in its folder if None.
+
+    Returns
+    -------
+    dict
+        What stands in ``claims.json``.
+
+    Raises
+    ------
+    GapsweepError
+        If there are no responses or no claims, or a file is damaged.
+    """
+    from gapsweep.analysis.claims import check_variables, verdicts
+
+    folder = Path(folder)
+    if not (folder / RESPONSES).exists():
+        raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
+    path = Path(file) if file is not None else folder / CLAIMS_COPY
+    stated = read_claims(path)
+    check_variables(stated, str(path))
+    stage = next(stage for stage in STAGES if stage.file == CLAIMS)
+    with ExitStack() as opened:
+        datasets = {
+            name.removesuffix(".nc"): opened.enter_context(netcdf.read(folder / name))
+            for name in stage.inputs
+            if name.endswith(".nc") and (folder / name).exists()
+        }
+        decided = {
+            "study": datasets["responses"].attrs["study"],
+            "claims_file": path.name,
+            "made_from": dict(made_from(stage, folder, claims_source(path))),
+            **netcdf.provenance(),
+            **verdicts(stated, datasets),
+        }
+    if path.absolute() != (folder / CLAIMS_COPY).absolute():
+        with recording(folder / CLAIMS_COPY, is_recorded) as temporary:
+            temporary.write_bytes(path.read_bytes())
+    with recording(folder / CLAIMS, is_recorded) as temporary:
+        text = json.dumps(decided, indent=1, ensure_ascii=False, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+    return decided
+
+
+def report(folder: str | Path) -> Path:
+    """Write ``report/index.html`` from the NetCDF files of a run.
+
+    Raises
+    ------
+    StoreError
+        If the folder holds no run, or one of its files is damaged.
+    """
+    from gapsweep.report.html import write_report
+
+    folder = Path(folder)
+    if not (folder / RESPONSES).exists():
+        raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
+    stage = next(stage for stage in STAGES if stage.file == REPORT)
+    with ExitStack() as files:
+
+        def stored(name: str) -> "xr.Dataset | None":
+            there = (folder / name).exists()
+            return files.enter_context(netcdf.read(folder / name)) if there else None
+
+        responses = files.enter_context(netcdf.read(folder / RESPONSES))
+        motions = stored(HISTORIES)
+        # A study that has since dropped its time histories leaves their file behind.
+        if motions is not None and motions.attrs["study_json"] != responses.attrs["study_json"]:
+            motions = None
+        return write_report(
+            folder / REPORT,
+            responses,
+            stored(AGREEMENT),
+            files.enter_context(netcdf.read(folder / TIMING)),
+            attractors=stored(ATTRACTORS),
+            histories=motions,
+            static=stored(STATIC),
+            advice=stored(ADVICE),
+            claims=_decided(folder),
+            work_precision=stored(WORK_PRECISION),
+            stability=stored(STABILITY),
+            made_from=as_text(made_from(stage, folder, {})),
+        )
+
+
+def _decided(folder: Path) -> dict[str, Any] | None:
+    """The verdicts of a run; None if there are none, or if they rest on other responses."""
+    path = folder / CLAIMS
+    if not path.exists():
+        return None
+    if not is_intact(path):
+        raise StoreError(f"{path}: damaged; 'gapsweep claims {folder}' decides again")
+    decided: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    same = decided["made_from"].get(RESPONSES) == " ".join(digests(folder / RESPONSES))
+    return decided if same else None
+
+
+def check_writable(folder: Path) -> None:
+    """Fail before anything is computed if the results could not be stored."""
+    existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        raise StoreError(f"{folder}: cannot be written: {existing}: {error.strerror}") from None
