@@ -124,8 +124,8 @@ class Scenes:
     Attributes
     ----------
     table : ndarray, shape (n + 1, N_ROWS)
-        Rows as the kernel reads them, the idle point last. `FLOOR` holds the size of the forced
-        motion [m].
+        Rows as the kernel reads them, the idle point last. `FLOOR` holds the size [m] of the
+        motion that the forcing keeps up against all springs.
     rtol, atol : float
         As in `scenes`.
     order : int
@@ -206,10 +206,10 @@ def scenes(
     j_1, j_2 : ndarray, shape (n,)
         Distances of the walls from the origin [m], >= 0; infinity: no wall.
     rtol, atol : float
-        A step's error in displacement is kept near ``atol + rtol * max(|x|, |v| / w)`` with
-        ``w = max(omega_n, omega)`` (rad/s): a velocity counts as the displacement it swings to. In
-        contact, x counts from the wall and ``w**2`` grows by ``K_c / mass``. `atol` [m] can only
-        tighten: it is limited to ``1e-3 * rtol`` of the motion's natural size.
+        A step's error in velocity is kept below about `rtol` times the speed that the state's
+        energy amounts to, in the gap or beside the wall, whichever springs hold it; that of a
+        disturbance below a part of `rtol` of its own size. `atol` [m] can only tighten: it is
+        limited to ``1e-3 * rtol`` of the motion's natural size.
     """
     if not 1e-14 <= rtol <= 1e-1:
         raise ValueError(f"rtol = {rtol}: must lie in [1e-14, 0.1]")
@@ -225,9 +225,9 @@ def scenes(
     table[row.CUBIC], table[row.PUSH], table[row.CONTACT] = alpha / mass, forcing / mass, K_c / mass
     table[row.LOWER], table[row.UPPER] = -j_1, j_2
     table[row.OMEGA], table[row.OMEGA_RAD], table[row.PERIOD] = omega, omega_rad, 1.0 / omega
-    table[row.VELOCITY_SCALE] = 1.0 / np.maximum(n_rad, omega_rad)
-    table[row.CONTACT_SCALE] = 1.0 / np.sqrt(np.maximum(n_rad, omega_rad) ** 2 + K_c / mass)
-    table[row.FLOOR] = np.abs(forcing) / mass / (n_rad**2 + omega_rad**2)
+    push = np.abs(table[row.PUSH])
+    springs = n_rad**2 + table[row.CONTACT] + np.cbrt(np.abs(table[row.CUBIC]) * push**2)
+    table[row.FLOOR] = push / (springs + omega_rad**2)
     table[row.RATE] = np.sqrt(n_rad**2 + K_c / mass) + omega_rad
     table[row.MIN_STEP] = _MIN_STEP / np.maximum(n_rad, omega_rad)
     _set_idle(points[-1])

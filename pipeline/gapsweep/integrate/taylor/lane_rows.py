@@ -22,21 +22,17 @@ TANGENT = 5
 STIFFNESS, DAMPING, CUBIC, PUSH, CONTACT = range(9, 14)
 LOWER, UPPER = 14, 15  # positions of the walls, -j_1 and j_2 [m]
 OMEGA, OMEGA_RAD, PERIOD = 16, 17, 18
-VELOCITY_SCALE = (
-    19  # [s]: in the gap, |v| * VELOCITY_SCALE is the displacement a velocity swings to
-)
-FLOOR = 20  # absolute part of the step's tolerance [m]
-RATE = 21  # fastest angular frequency of the linear parts [rad/s]
-END_CYCLE, END_TAU = 22, 23
-RECORD_CLOCK = 24  # recording is on from this clock (whole periods + fraction) on
+FLOOR = 19  # absolute part of the step's tolerance [m/s]
+RATE = 20  # fastest angular frequency of the linear parts [rad/s]
+END_CYCLE, END_TAU = 21, 22
+RECORD_CLOCK = 23  # recording is on from this clock (whole periods + fraction) on
 # counters
-N_STEPS, N_CONTACTS, N_SHORT = 25, 26, 27
+N_STEPS, N_CONTACTS, N_SHORT = 24, 25, 26
 # the last step: its length, wall it ended on (+1 upper, -1 lower, 0 none), and where it began
-STEP, SIDE, TAU_0, CYCLE_0, MODE_0 = 28, 29, 30, 31, 32
-TAU_START, T_START = 33, 34  # phase and time [s] of the point's own start
-CONTACT_SCALE = 35  # [s]: as VELOCITY_SCALE, for the depth that a velocity reaches in contact
-MIN_STEP = 36  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
+STEP, SIDE, TAU_0, CYCLE_0, MODE_0 = 27, 28, 29, 30, 31
+TAU_START, T_START = 32, 33  # phase and time [s] of the point's own start
+MIN_STEP = 34  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
 # what the recording of the last step found: when the step began [s], zero of the velocity, and
 # state at the whole period within it
-START_TIME, TURN_TIME, TURN_X, SECTION_TIME, SECTION_X, SECTION_V = range(37, 43)
-N_ROWS = 43
+START_TIME, TURN_TIME, TURN_X, SECTION_TIME, SECTION_X, SECTION_V = range(35, 41)
+N_ROWS = 41

@@ -55,14 +55,25 @@ def set_starts(points, table, which, x_0, v_0, t_0, t_end, record_from, rtol, at
         point[:] = table[which[i]]
         x, v = x_0[i], v_0[i]
         point[row.X], point[row.V] = x, v
-        size = max(point[row.FLOOR], max(abs(x), abs(v) * point[row.VELOCITY_SCALE]))
+        size = max(point[row.FLOOR], _swing(x, v, point))
         floor = rtol * FLOOR_SHARE * size
-        point[row.FLOOR] = min(floor, atol) if atol > 0.0 else floor
+        floor = min(floor, atol) if atol > 0.0 else floor
+        point[row.FLOOR] = floor * math.sqrt(point[row.STIFFNESS])
         _set_clocks(point, t_0[i], t_end[i], record_from[i])
         if x == point[row.UPPER] or x == point[row.LOWER]:
             outcome = ON_WALL
         point[row.MODE] = 1.0 if x > point[row.UPPER] else -1.0 if x < point[row.LOWER] else 0.0
     return outcome
+
+
+@internal
+def _swing(x, v, point):
+    """Displacement [m] that the free springs would carry the state to, as in `taylor_ir`."""
+    stiffness, cubic = point[row.STIFFNESS], abs(point[row.CUBIC])
+    energy = v * v + (stiffness + 0.5 * cubic * x * x) * x * x
+    return math.sqrt(
+        2.0 * energy / (stiffness + math.sqrt(stiffness * stiffness + 2.0 * cubic * energy))
+    )
 
 
 @internal

@@ -22,6 +22,7 @@ References
 """
 
 import math
+from functools import reduce
 
 from llvmlite import ir
 from numba import types
@@ -49,10 +50,11 @@ from .lane_ir import (
 
 # A step spans at most this part of a forcing period, so that it holds at most one section point.
 MAX_PERIODS_PER_STEP = 0.5
-# The step size comes from the terms h^N and h^(N-1), which the step still contains; the first
-# neglected term is smaller, but a run adds up the errors of some thirty steps per decay time.
-# With this factor the error at the end of the benchmark scenes is about rtol.
-SAFETY = 0.25
+# The step size comes from terms that the step still contains, h^N and h^(N-1). With this factor
+# the energy of a free swing is kept to some 20 rtol over 50 cycles, whatever the spring.
+SAFETY = 0.5
+_STEPS_PER_PERIOD = 512  # over so many the errors of the tangent's steps come to about rtol
+_POLE = 1.854  # K(1/2), complete elliptic integral: of the stiffest, purely cubic swing
 CLOCK_SLACK = 1e-9  # of a period: a record_from meant as a whole period includes its section
 MAX_HALVINGS = 3
 NEWTON_STEPS = 3
@@ -144,14 +146,65 @@ def _tangent_series(order, y_0, w_0, square, equation):
     return y
 
 
-def _step_size(order, x, scale):
-    """Largest h whose terms of degree order-1 and order stay below `scale` (to about 6 %)."""
-    allowed = rough_log2(scale * SAFETY)
-    exponent = maximum(
-        (rough_log2(absolute(x[order])) - allowed) * (1.0 / order),
-        (rough_log2(absolute(x[order - 1])) - allowed) * (1.0 / (order - 1)),
-    )
-    return rough_exp2(-exponent)
+def _rough_root(a):
+    return rough_exp2(rough_log2(a) * 0.5)
+
+
+def _swing(depth, v, stiffness, cubic):
+    """Speed and displacement that the springs would carry this state to, without all else.
+
+    Both follow from the energy, twice and per unit mass: ``v^2 + stiffness depth^2 + cubic
+    depth^4 / 2``. An error is small or large beside them, because at a turn and on a wall v or x
+    alone is zero.
+
+    Returns
+    -------
+    speed [m/s], reach [m] : Vec
+        To 6 %.
+    """
+    square = depth * depth
+    energy = fma(v, v, fma(cubic * 0.5, square, stiffness) * square)
+    root = _rough_root(fma(stiffness, stiffness, cubic * energy * 2.0))
+    log_energy = rough_log2(energy)
+    log_reach = (log_energy + 1.0 - rough_log2(stiffness + root)) * 0.5
+    return rough_exp2(log_energy * 0.5), rough_exp2(log_reach)
+
+
+def _off_grid(logarithm):
+    """A logarithm to 20 bits and a quarter of the last.
+
+    `rough_log2` and `rough_exp2` round to 20 bits. What is divided in between then never lies
+    halfway between two results, where the last bit of a double would decide: a motion in which
+    time runs twice as fast takes the same steps.
+    """
+    return (math.floor(logarithm * 2**20) + 0.25) * 2.0**-20
+
+
+def _step_size(order, x, scale, rtol, springs, hardening, damping):
+    """Largest h (to about 6 %) that keeps the motion, and what becomes of its errors, accurate.
+
+    The last two terms of the velocity stay below `scale` [m/s]; within a swing an error of x is
+    smaller beside its own scale. Two bounds hold besides, because those terms may vanish:
+
+    - A disturbance (an earlier step's error, the tangent) oscillates and decays no faster than the
+      larger of ``sqrt(springs)`` and `damping` [1/s], and h spans no more of that than a series of
+      this degree carries. Where x itself is slow or straight, it would come out as nonsense.
+    - A cubic spring swings like an elliptic cosine, whose poles lie `_POLE` over the root of
+      `hardening` [1/s^2] from the real axis: terms fall no faster than powers of h over that.
+    """
+    log_error = rough_log2(rtol * SAFETY)
+    log_scale = rough_log2(scale * SAFETY)
+    log_tangent = log_error - math.log2(_STEPS_PER_PERIOD)
+    log_carried = (log_tangent + math.log2(math.factorial(order + 1))) * (1.0 / (order + 1))
+    log_ratio = (log_error - math.log2(1.2 * (order + 1))) * (1.0 / order) + math.log2(_POLE)
+    log_rate = maximum(rough_log2(springs) * 0.5, rough_log2(damping))
+    limits = [
+        (log_scale - _off_grid(math.log2(n)) - rough_log2(absolute(x[n]))) * (1.0 / (n - 1))
+        for n in (order, order - 1)
+    ]
+    limits.append(log_carried - log_rate)
+    limits.append(log_ratio - rough_log2(hardening) * 0.5)
+    return rough_exp2(reduce(minimum, limits))
 
 
 def value_and_slope(series, t):
@@ -316,9 +369,15 @@ def _emit_step(builder, lanes, coefficients, order, has_tangent, scalars):
         store_row(coefficients, n, term)
     period = load(row.PERIOD)
     # In contact the depth is what counts: an error of x there is one of a much larger force.
-    velocity_scale = where(is_touching, load(row.CONTACT_SCALE), load(row.VELOCITY_SCALE))
-    amplitude = maximum(absolute(x - wall), absolute(v) * velocity_scale)
-    free_step = _step_size(order, series, fma(amplitude, rtol, load(row.FLOOR)))
+    damping, cubic, stiffness, _, _ = equation
+    cubic, square_wall = absolute(cubic), wall * wall
+    at_wall = contact + cubic * square_wall * 3.0
+    speed, reach = _swing(x - wall, v, stiffness + at_wall, cubic)
+    farthest = absolute(wall) + reach
+    hardening = cubic * (farthest * farthest)
+    springs = fma(hardening, 3.0, stiffness + contact)
+    scale = fma(speed, rtol, load(row.FLOOR))
+    free_step = _step_size(order, series, scale, rtol, springs, hardening, damping)
     end_cycle, end_tau = load(row.END_CYCLE), load(row.END_TAU)
     left = maximum(((end_cycle - cycle) + (end_tau - tau)) * period, 0.0 * period)
     h = minimum(free_step, period * MAX_PERIODS_PER_STEP)
