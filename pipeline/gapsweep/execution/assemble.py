@@ -46,7 +46,6 @@ Arrays = dict[str, NDArray[Any]]
 SCENE_DIMS = POINT_DIMS[:4]
 # Sweep points in memory, and in a chunk of the file, at a time.
 _PIECE = 4096
-_NOISE_FACTOR = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,9 +235,8 @@ def _group(
     ids: NDArray[np.int32],
 ) -> Arrays:
     """Attractors of every frequency of a piece; their numbers go into `ids`."""
-    r, _, g = piece.position
+    *_, g = piece.position
     grid = layout.grid
-    solver = study.solver(grid.representations[r])
     fixed = [start.kind == FIXED for start in grid.starts]
     found: dict[int, list[Attractor]] = {}
     by_frequency: dict[int, dict[int, Response]] = {}
@@ -246,12 +244,10 @@ def _group(
         by_frequency.setdefault(w, {})[i] = row.response
     for w, by_start in by_frequency.items():
         members, responses = list(by_start), list(by_start.values())
-        reach = max((abs(x.x_max) for x in responses if np.isfinite(x.x_max)), default=0.0)
         found[w] = attractors(
             responses,
             grid.omega[piece.first + w],
             symmetric=grid.gaps[g].is_symmetric,
-            noise=_NOISE_FACTOR * (solver.atol + solver.rtol * reach),
             counted=[fixed[i] for i in members],
         )
         ids[w, members] = numbers(found[w], len(members))

@@ -8,10 +8,13 @@ import numpy as np
 
 from gapsweep.response.result import Response, ResponseClass
 from gapsweep.response.section import Section, cloud_distance, orbit_distance, scaled
+from gapsweep.response.walk import DEVIATIONS
 
 NONE = -1
 # Two periodic orbits closer than this share of their reach are one, polished or not.
 _SAME_ORBIT = 1e-3
+# Two orbits about which their solver rattles are known to this share only.
+_SAME_RATTLE = 0.1
 # Two chaotic samples are of one attractor if they overlap this well, in shares of their extent.
 _SAME_CLOUD = 0.25
 
@@ -57,7 +60,6 @@ def attractors(
     omega: float,
     *,
     symmetric: bool,
-    noise: float = 0.0,
     counted: Sequence[bool] | None = None,
 ) -> list[Attractor]:
     """Group the responses of different starts in one scene.
@@ -72,8 +74,6 @@ def attractors(
         Forcing frequency [Hz].
     symmetric : bool
         Whether the gap is symmetric, so that mirror images of attractors are attractors.
-    noise : float
-        Distance [m] below which two states are the same to the solver.
     counted : sequence of bool, optional
         Which starts are a sample for basin shares; all if None. A sweep's are not.
 
@@ -86,7 +86,7 @@ def attractors(
     for i, response in enumerate(responses):
         if not response.section or response.response_class > ResponseClass.CHAOTIC:
             continue
-        own = (g for g in groups if _same(responses[g[0]], response, omega, noise))
+        own = (g for g in groups if _same(responses[g[0]], response, omega))
         group = next(own, None)
         if group is None:
             groups.append([i])
@@ -126,13 +126,16 @@ def _points(response: Response, omega: float) -> Section:
     return scaled(np.reshape(response.section, (-1, 2)), omega)
 
 
-def _same(a: Response, b: Response, omega: float, noise: float) -> bool:
+def _same(a: Response, b: Response, omega: float) -> bool:
     if a.response_class is not b.response_class:
         return False
     p, q = _points(a, omega), _points(b, omega)
     if a.response_class is ResponseClass.PERIODIC:
         reach = max(abs(a.x_max), abs(a.x_min))
-        return orbit_distance(p, q) <= max(_SAME_ORBIT * reach, noise)
+        rattles = max(a.lyapunov_error, b.lyapunov_error) > 0.0
+        noise = DEVIATIONS * max((n for n in (a.noise, b.noise) if math.isfinite(n)), default=0.0)
+        share = _SAME_RATTLE if rattles else _SAME_ORBIT
+        return orbit_distance(p, q) <= max(share * reach, noise)
     extent = max(np.ptp(part) for cloud in (p, q) for part in (cloud.real, cloud.imag))
     return cloud_distance(p, q) <= _SAME_CLOUD * float(extent)
 

@@ -18,9 +18,9 @@ def newton_steps(monodromy: Array, moved: Array) -> Array:
     Parameters
     ----------
     monodromy : ndarray, shape (n, 2, 2)
-        Derivatives of the end states by the initial states.
+        Derivatives of the ends by the starts, as section points.
     moved : ndarray, shape (n, 2)
-        End states minus initial states [m], [m/s].
+        Ends minus starts, as section points [m].
 
     Returns
     -------

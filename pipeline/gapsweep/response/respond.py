@@ -5,9 +5,10 @@ window of forcing periods is recorded. If the section contracts towards a repeat
 finds the periodic orbit itself; it is accepted only if it is close, stable, of that prime
 period, and if the motion then really approaches it. A motion that has found no orbit once
 transients must have decayed (`settle_tol`) may still be in transient chaos: it is looked at again
-and again until `t_max`. What has found none by then is asked for its Lyapunov exponent: positive
-beyond three standard errors is chaotic, anything else is `unresolved`. With ζ > 0 every area of
-the section shrinks by the same factor, so there is no third kind.
+and again (`max_decay_times`, `max_periods`). What has found none by then is asked for its Lyapunov
+exponent: positive beyond three standard errors is chaotic. Without a positive one, a motion that
+passes kinks unlocated may be a periodic one that its solver rattles. Anything else is `unresolved`.
+With ζ > 0 every area of the section shrinks by the same factor, so there is no third kind.
 """
 
 import math
@@ -17,13 +18,13 @@ from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, law_kind
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.response.result import ExtremumKind, Response, ResponseClass, Steady
-from gapsweep.response.section import converging_multiple, period_multiple
+from gapsweep.response.section import converging_multiple, likely_multiple, period_multiple
 from gapsweep.response.stability import (
     Exponents,
     Growth,
@@ -171,31 +172,58 @@ def _answered(questions: Sequence[Question]) -> list[Response]:
     return _responses([outcomes[i] for i in range(len(questions))], ensemble.costs())
 
 
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    """How many forcing periods a motion is given: between looks, to settle, and at most."""
+
+    pause: int
+    settled: int
+    last: int
+
+    @classmethod
+    def of(cls, scene: Scene, steady: Steady) -> "_Limits":
+        rate = scene.oscillator.decay_rate
+        if rate > 0.0:
+            decay_periods = scene.omega / rate
+            pause = math.ceil(math.log(1.0 / _LOOK) * decay_periods)
+            settled = math.ceil(math.log(1.0 / steady.settle_tol) * decay_periods)
+            last = min(math.ceil(steady.max_decay_times * decay_periods), steady.max_periods)
+        else:
+            pause, settled, last = steady.n_periods, steady.max_periods, steady.max_periods
+        # A full window more: slow forcing leaves no period between settling and the end.
+        last = max(settled, last) + steady.n_periods
+        if steady.t_max is not None:
+            last = max(1, min(last, math.floor(steady.t_max * scene.omega)))
+        return cls(min(pause, last), settled, last)
+
+
 def _steady_response(question: Question) -> Generator[Request, Any, Outcome]:
     walk, steady = Walk(question.scene, question.start), question.steady
-    rate = question.scene.oscillator.decay_rate
-    settle = math.log(1.0 / steady.settle_tol) / rate if rate > 0.0 else math.inf
-    pause = math.log(1.0 / _LOOK) / rate if rate > 0.0 else steady.t_max
+    limits = _Limits.of(question.scene, steady)
     window = _FIRST_WINDOW
     while walk.status is Status.OK:
-        yield from walk.advance(math.ceil(min(pause, steady.t_max) * walk.omega), record=False)
-        settled = walk.t >= settle
+        yield from walk.advance(limits.pause, record=False)
+        settled = walk.n_periods >= limits.settled
         largest = steady.n_periods if settled else min(window, steady.n_periods)
-        orbit = yield from _find_orbit(walk, steady, largest)
+        orbit = yield from _find_orbit(walk, steady, largest, limits)
         if orbit is None and settled:
             orbit = yield from _repeated(walk, steady)
         if orbit is not None:
             return _periodic(walk, steady, orbit)
-        if walk.t >= steady.t_max and walk.status is Status.OK:
+        if walk.n_periods >= limits.last and walk.status is Status.OK:
             exponents = yield from lyapunov(walk)
-            if exponents is not None:
-                return _aperiodic(walk, steady, exponents)
+            if exponents is None:
+                break
+            orbit = yield from _rattled(walk, steady, exponents)
+            if orbit is not None:
+                return _periodic(walk, steady, orbit, exponents)
+            return _aperiodic(walk, steady, exponents)
         window *= 2
     return _failure(walk)
 
 
 def _find_orbit(
-    walk: Walk, steady: Steady, n_periods: int
+    walk: Walk, steady: Steady, n_periods: int, limits: _Limits
 ) -> Generator[Request, Any, Orbit | None]:
     """Record a window, doubling it up to `n_periods`, until shooting finds the motion's orbit."""
     walk.forget()
@@ -203,11 +231,12 @@ def _find_orbit(
     while len(walk.section) < n_periods and walk.status is Status.OK:
         yield from walk.advance(min(size, n_periods) - len(walk.section), record=True)
         size *= 2
-        closeness = max(_CLOSE * walk.reach, walk.noise)
+        closeness = max(_CLOSE * walk.reach, walk.same)
         n = converging_multiple(walk.section, closeness, steady.max_period_multiple)
         if n and walk.status is Status.OK:
             orbit = yield from shoot(walk, n)
-            if orbit is not None and (yield from is_own(walk, orbit)):
+            n_left = max(limits.last - walk.n_periods, 0)
+            if orbit is not None and (yield from is_own(walk, orbit, n_left)):
                 return orbit
     return None
 
@@ -217,30 +246,67 @@ def _repeated(walk: Walk, steady: Steady) -> Generator[Shot, Orbit | None, Orbit
 
     At loose tolerances the solver's noise is larger than any Newton residual allowed.
     """
-    same = max(walk.noise, _SAME_POINT * walk.reach)
+    same = max(walk.same, _SAME_POINT * walk.reach)
     n = period_multiple(walk.section, same, steady.max_period_multiple)
-    if not n:
+    return (yield from _as_it_is(walk, n)) if n else None
+
+
+def _rattled(
+    walk: Walk, steady: Steady, exponents: Exponents
+) -> Generator[Shot, Orbit | None, Orbit | None]:
+    """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.
+
+    A kink that is passed unlocated throws a step off by more than its error estimate. The tangent
+    is another solver's, so that the exponent tells this from chaos.
+    """
+    if walk.scene.has_own_tangent or not exponents.largest <= 3.0 * exponents.error:
         return None
+    n = likely_multiple(walk.section, _CLOSE * walk.reach, steady.max_period_multiple)
+    return (yield from _as_it_is(walk, n)) if n else None
+
+
+def _as_it_is(walk: Walk, n: int) -> Generator[Shot, Orbit | None, Orbit | None]:
+    """The next n forcing periods as a periodic orbit, closed or not, if they contract."""
     orbit = yield Shot(walk.y, n, goal=math.inf, furthest=0.0)
     return orbit if orbit is not None and abs(orbit.multipliers[0]) < 1.0 else None
 
 
-def _periodic(walk: Walk, steady: Steady, orbit: Orbit) -> Outcome:
+def _periodic(
+    walk: Walk, steady: Steady, orbit: Orbit, measured: Exponents | None = None
+) -> Outcome:
     modulus = abs(orbit.multipliers[0])
-    duration = orbit.n / walk.omega
+    if measured is None:
+        exponent = math.log(modulus) * walk.omega / orbit.n if modulus > 0.0 else -math.inf
+        measured = Exponents(exponent, 0.0)
     stability = {
         "response_class": ResponseClass.PERIODIC,
         "period_multiple": orbit.n,
         "multipliers": tuple(part for z in orbit.multipliers for part in (z.real, z.imag)),
         "multiplier_abs": modulus,
-        "lyapunov": math.log(modulus) / duration if modulus > 0.0 else -math.inf,
-        "lyapunov_error": 0.0,
+        "lyapunov": measured.largest,
+        "lyapunov_error": measured.error,
         "section": tuple(orbit.part.states),
+        "noise": walk.noise(orbit.n),
         "x_end": orbit.y[0],
         "v_end": orbit.y[1],
     }
-    part = orbit.part
-    return _outcome(walk, steady, Status.OK, part.t_extrema, part.extrema, stability)
+    return _outcome(walk, steady, Status.OK, *_turns(walk.scene, orbit), stability)
+
+
+def _turns(scene: Scene, orbit: Orbit) -> tuple[list[float], list[float]]:
+    """Times [s] and displacements [m] of the extrema of one whole period.
+
+    Its end does not meet its start to the last bit. A turn just there would be missed, or counted
+    at both: then the velocities have opposite signs, and the acceleration says which it is.
+    """
+    (_, v_start), (x_end, v_end) = orbit.y, orbit.part.y
+    t_extrema, extrema = orbit.part.t_extrema, orbit.part.extrema
+    if v_start * v_end < 0.0:
+        force, _ = _force(scene.oscillator, scene.law, 0.0, x_end)
+        if (v_start - v_end) * float(force) > 0.0:
+            return [*t_extrema, orbit.n / scene.omega], [*extrema, x_end]
+        return t_extrema[1:], extrema[1:]
+    return t_extrema, extrema
 
 
 def _aperiodic(walk: Walk, steady: Steady, exponents: Exponents) -> Outcome:
@@ -251,6 +317,7 @@ def _aperiodic(walk: Walk, steady: Steady, exponents: Exponents) -> Outcome:
         "lyapunov": exponents.largest,
         "lyapunov_error": exponents.error,
         "section": tuple(part for z in section for part in (z.real, z.imag * walk.omega_rad)),
+        "noise": walk.noise(),
         "x_end": walk.y[0],
         "v_end": walk.y[1],
     }
@@ -325,9 +392,16 @@ def _kinds(
     omega, t, x : ndarray, shape (n,)
         Forcing frequency [Hz], time [s] since a whole forcing period, displacement [m].
     """
-    o = oscillator
-    drive = o.forcing * np.cos(2.0 * math.pi * omega * t)
-    springs = o.mass * o.omega_n_rad**2 * x + o.alpha * x**3 + law.force(x)
-    force = drive - springs
-    is_turn = np.abs(force) > _FLAT * (abs(o.forcing) + np.abs(springs))
+    force, springs = _force(oscillator, law, omega * t, x)
+    is_turn = np.abs(force) > _FLAT * (abs(oscillator.forcing) + np.abs(springs))
     return np.where(is_turn, -np.sign(force), int(ExtremumKind.INFLECTION)).astype(np.int64)
+
+
+def _force(
+    oscillator: Oscillator, law: ContactLaw, turns: ArrayLike, x: ArrayLike
+) -> tuple[Array, Array]:
+    """Force [N] on a mass at rest after some turns of the forcing, and the springs' part of it."""
+    x = np.asarray(x, dtype=float)
+    springs = oscillator.mass * oscillator.omega_n_rad**2 * x + oscillator.alpha * x**3
+    springs = springs + law.force(x)
+    return oscillator.forcing * np.cos(2.0 * math.pi * np.asarray(turns)) - springs, springs

@@ -35,9 +35,12 @@ class Steady:
     settle_tol : float
         Share [-] of a disturbance that may be left when a motion without a period is taken
         for settled, in (0, 0.1].
-    t_max : float
-        Simulated time [s] after which a motion without a period is asked for its exponent,
-        ``> 0``. Transient chaos may last tens of seconds.
+    max_decay_times, max_periods : float, int
+        Times ``1/(ζ ω_n)`` and forcing periods, the fewer of which a motion is watched for a
+        period, but never shorter than it needs to settle; then it is asked for its exponent.
+        Transient chaos may last many decay times. Both ``> 0``.
+    t_max : float, optional
+        Bound [s] of the time that it is watched, also where it then has not settled, ``> 0``.
     n_periods : int
         Forcing periods in a full recording window, at least twice `max_period_multiple`.
     max_period_multiple : int
@@ -47,7 +50,9 @@ class Steady:
     """
 
     settle_tol: float = 1e-6
-    t_max: float = 120.0
+    max_decay_times: float = 113.0
+    max_periods: int = 10_000
+    t_max: float | None = None
     n_periods: int = 64
     max_period_multiple: int = 32
     max_extrema: int = 256
@@ -55,8 +60,14 @@ class Steady:
     def __post_init__(self) -> None:
         if checked("settle_tol", self.settle_tol, low=0.0, strict=True) > 0.1:
             raise ModelError(f"settle_tol = {self.settle_tol:g}: must be <= 0.1")
-        checked("t_max", self.t_max, low=0.0, strict=True)
-        for name, largest in (("max_period_multiple", 256), ("max_extrema", 65536)):
+        checked("max_decay_times", self.max_decay_times, low=0.0, strict=True)
+        if self.t_max is not None:
+            checked("t_max", self.t_max, low=0.0, strict=True)
+        for name, largest in (
+            ("max_period_multiple", 256),
+            ("max_extrema", 65536),
+            ("max_periods", 10**7),
+        ):
             if not 1 <= getattr(self, name) <= largest:
                 raise ModelError(f"{name} = {getattr(self, name)}: must be in 1..{largest}")
         if not 2 * self.max_period_multiple <= self.n_periods <= 10**6:
@@ -91,8 +102,9 @@ class Response:
     multiplier_abs : float
         Largest modulus [-]; NaN if not periodic.
     lyapunov, lyapunov_error : float
-        Largest Lyapunov exponent [1/s] and its standard error; exact, from the multipliers,
-        if periodic.
+        Largest Lyapunov exponent [1/s] and its standard error: zero, as it follows from the
+        multipliers, if periodic, unless the solver rattles the motion about its orbit. NaN where
+        it could not be told.
     section : tuple of float
         Section points ``x, v, x, v, ...`` [m], [m/s]: the n of a periodic response, else the
         last `max_period_multiple` of the window.
@@ -102,6 +114,9 @@ class Response:
         Simulated time [s] after which the response was accepted.
     t_simulated : float
         Simulated time in all [s], shooting included.
+    noise : float
+        Predicted scatter [m] of section points one response period (one forcing period if there
+        is none) apart, from the solver's tolerances alone.
     x_end, v_end : float
         Last section point [m], [m/s]: where a sweep's next point starts.
     cpu_time : float
@@ -130,6 +145,7 @@ class Response:
     nfev: int = 0
     t_settled: float = math.nan
     t_simulated: float = math.nan
+    noise: float = math.nan
     x_end: float = math.nan
     v_end: float = math.nan
     cpu_time: float = math.nan

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Section = NDArray[np.complex128]
 
+_AS_WELL = 5.0
+
 
 def scaled(states: ArrayLike, omega: ArrayLike) -> Section:
     """Section points of states.
@@ -45,6 +47,30 @@ def period_multiple(section: Sequence[complex], tolerance: float, largest: int) 
         if _is_near(section[-1], section[-1 - n], tolerance) and all(
             _is_near(section[k], section[k - n], tolerance) for k in range(n, len(section))
         ):
+            return n
+    return 0
+
+
+def likely_multiple(section: Sequence[complex], closeness: float, largest: int) -> int:
+    """Smallest n after which a rattled section repeats as well as after any; 0 if none is close.
+
+    Parameters
+    ----------
+    section : sequence of complex, length n_periods
+        Section points [m].
+    closeness : float
+        Largest distance [m] of a point from the one n periods before.
+    largest : int
+        Largest n tried; at least 2 n points are needed to find n.
+    """
+    points = np.array(section)
+    distances = [
+        np.abs(points[n:] - points[:-n]) for n in range(1, min(largest, len(points) // 2) + 1)
+    ]
+    spreads = [float(np.sqrt(np.mean(each**2))) for each in distances]
+    for n, (distance, spread) in enumerate(zip(distances, spreads, strict=True), start=1):
+        # A disturbance that turns as it decays repeats better after some periods than others.
+        if distance.max() < closeness and spread <= _AS_WELL * min(spreads):
             return n
     return 0
 

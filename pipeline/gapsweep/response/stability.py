@@ -34,9 +34,10 @@ _CLOSER = 0.5
 # A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
 _INSIDE = 1.0 - 1e-6
 
-# Lyapunov exponent: as many blocks, each at least this long [s], after one to align the vector.
+# Lyapunov exponent: as many blocks, each at least this part of the decay time, after one to align
+# the vector.
 _N_BLOCKS = 60
-_BLOCK_SECONDS = 0.5
+_BLOCK = 0.47
 _BATCH = 6  # blocks per batch mean: neighbouring blocks are correlated
 
 
@@ -94,10 +95,10 @@ def orbits(ensemble: Ensemble, asked: Mapping[int, Shot]) -> list[Orbit | None]:
     y, moved = start.T, np.zeros_like(start.T)
     for _ in range(_MAX_NEWTON):
         call = ensemble.call(scenes, y, n, np.zeros(len(scenes)), tangent=True)
-        weight = 1.0 / call.omega_rad
         with np.errstate(over="ignore", invalid="ignore"):  # of motions that failed
-            missed = call.y - y
-            is_closed = call.is_ok & (np.hypot(missed[0], missed[1] * weight) <= goal)
+            missed = (call.y - y) / call.unit
+            is_near = np.hypot(*missed) <= goal
+        is_closed = call.is_ok & call.is_sound & is_near
         closed = is_closed.nonzero()[0]
         if closed.size:
             multipliers = floquet_multipliers(call.monodromy[closed]).tolist()
@@ -107,8 +108,8 @@ def orbits(ensemble: Ensemble, asked: Mapping[int, Shot]) -> list[Orbit | None]:
             break
         with np.errstate(over="ignore", invalid="ignore"):
             step = newton_steps(call.monodromy, missed.T).T
-            y, moved = y + step, moved + step
-            is_near = np.hypot(moved[0], moved[1] * weight) <= furthest
+            y, moved = y + step * call.unit, moved + step
+            is_near = np.hypot(*moved) <= furthest
         left = (is_near & call.is_ok & ~is_closed).nonzero()[0]
         if not left.size:
             break
@@ -126,28 +127,31 @@ def shoot(walk: Walk, n: int) -> Generator[Shot, Any, Orbit | None]:
         None if none was found, the period is not prime, or a multiplier lies outside the unit
         circle: then the motion has to go on by itself.
     """
-    reach, noise = walk.reach, walk.noise
-    goal = max(1e-10 * reach, 0.1 * noise if walk.scene.solver.rtol > 1e-8 else 0.0)
+    reach, same = walk.reach, walk.same
+    goal = max(1e-10 * reach, 0.1 * same if walk.scene.solver.rtol > 1e-8 else 0.0)
     orbit: Orbit | None = yield Shot(walk.y, n, goal, _SMALL_STEP * reach)
     if orbit is None or not abs(orbit.multipliers[0]) < _INSIDE:
         return None
-    is_prime = prime_multiple(orbit.part.section, max(10.0 * noise, 1e-6 * reach)) == n
+    is_prime = prime_multiple(orbit.part.section, max(10.0 * same, 1e-6 * reach)) == n
     return orbit if is_prime else None
 
 
-def is_own(walk: Walk, orbit: Orbit) -> Generator[Stretch, Any, bool]:
+def is_own(walk: Walk, orbit: Orbit, n_left: int) -> Generator[Stretch, Any, bool]:
     """Whether the motion itself approaches an orbit: the guard against a swapped attractor.
 
     It is, if it is near and came closer over its recorded window. Else it goes on, unrecorded,
-    for as long as its slowest multiplier needs to come near, and must be near then.
+    for as long as its slowest multiplier needs to come near, and must be near then. What needs
+    more than `n_left` forcing periods for that is not waited for.
     """
     before = _distance(walk, orbit)
-    if before <= max(walk.noise, min(_NEAR * walk.reach, _CLOSER * _first_distance(walk, orbit))):
+    if before <= max(walk.same, min(_NEAR * walk.reach, _CLOSER * _first_distance(walk, orbit))):
         return True
-    goal = max(min(_CLOSER * before, _NEAR * walk.reach), walk.noise)
+    goal = max(min(_CLOSER * before, _NEAR * walk.reach), walk.same)
     modulus = max(abs(orbit.multipliers[0]), 1e-12)
     # One factor of two more: the state's two directions do not shrink as one.
     repeats = max(1, math.ceil(math.log(0.5 * goal / before) / math.log(modulus)))
+    if repeats * orbit.n > n_left:
+        return False
     yield from walk.advance(repeats * orbit.n, record=False)
     return walk.status is Status.OK and _distance(walk, orbit) <= goal
 
@@ -190,7 +194,7 @@ class Grown(NamedTuple):
     status : Status
         How its last block ended; only those before have a factor.
     factors : list of float
-        What each block multiplied the disturbance's length by.
+        What each block multiplied the disturbance's length by; NaN where the tangent was unsound.
     """
 
     y: State
@@ -209,8 +213,9 @@ def growths(ensemble: Ensemble, asked: Mapping[int, Growth]) -> list[Grown]:
         call = ensemble.call(scenes, y, n_periods, np.full(len(scenes), math.inf), tangent=True)
         with np.errstate(all="ignore"):  # of motions that failed
             direction = np.matmul(call.monodromy, direction[:, :, None])[:, :, 0]
-            length = np.hypot(direction[:, 0], direction[:, 1] * (1.0 / call.omega_rad))
+            length = np.hypot(*direction.T)
             direction = direction / length[:, None]
+        length[~call.is_sound] = np.nan
         is_ok = call.is_ok
         for k in np.flatnonzero(~is_ok).tolist():
             scene = int(scenes[k])
@@ -248,9 +253,13 @@ def lyapunov(walk: Walk) -> Generator[Growth, Grown, Exponents | None]:
     """Largest Lyapunov exponent by the growth of one tangent vector along the motion.
 
     The second exponent is ``-2 ζ ω_n`` minus the first. The error is that of batch means.
-    None if the motion failed on the way.
+    None if the motion failed on the way; NaN without damping, for then nothing is long enough,
+    and where the tangent was unsound.
     """
-    n_periods = max(1, math.ceil(_BLOCK_SECONDS * walk.omega))
+    rate = walk.scene.oscillator.decay_rate
+    if rate == 0.0:
+        return Exponents(math.nan, math.nan)
+    n_periods = max(1, math.ceil(_BLOCK / rate * walk.omega))
     grown = yield Growth(walk.y, n_periods)
     walk.arrive(grown.y, grown.status, n_periods * len(grown.factors))
     if walk.status is not Status.OK:

@@ -9,7 +9,7 @@ on plain numbers, because on so few of them numpy would cost more than the motio
 import math
 import time
 from collections.abc import Generator, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import repeat
 from typing import Any, NamedTuple
@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.motion import Events, Motions
-from gapsweep.integrate.problem import Models, Problems, Solver
+from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.simulate import prepared
-from gapsweep.model.contact import ContactLaw
+from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.response.section import scaled
 from gapsweep.status import Status
@@ -29,8 +29,12 @@ Array = NDArray[np.float64]
 State = tuple[float, float]
 
 _COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
-# What the solver's tolerances admit per step, times this, is taken for noise.
-_NOISE_FACTOR = 20.0
+# A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
+_TANGENT_RTOL = 1e-8
+# How far a tangent's determinant may be off, and from which share of its size squared on its own
+# rounding shows.
+_UNSOUND, _ROUNDING = 1e-2, 1e-3
+DEVIATIONS = 4.0  # of the predicted scatter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +45,30 @@ class Scene:
     law: ContactLaw
     omega: float
     solver: Solver
+
+    @property
+    def tangent_law(self) -> ContactLaw:
+        """The same force, its kinks located if they can be."""
+        return replace(self.law, located=True) if isinstance(self.law, Piecewise) else self.law
+
+    @property
+    def tangent_solver(self) -> Solver:
+        """What the tangent along the motion is integrated with.
+
+        A step's error estimate does not see a kink that no event locates, nor the jump that the
+        tangent makes there: at loose tolerances its growth would be the solver's own invention.
+        """
+        solver = self.solver
+        is_located = isinstance(self.law, Piecewise) and self.law.located
+        if is_located or (solver.rtol <= _TANGENT_RTOL and not isinstance(self.law, Piecewise)):
+            return solver
+        rtol = min(solver.rtol, _TANGENT_RTOL)
+        return Solver.of(solver.engine, rtol, solver.atol / solver.rtol * rtol)
+
+    @property
+    def has_own_tangent(self) -> bool:
+        """Whether motion and tangent are integrated together."""
+        return self.tangent_law == self.law and self.tangent_solver == self.solver
 
 
 class Stretch(NamedTuple):
@@ -92,6 +120,11 @@ class Part(NamedTuple):
         return times
 
     @property
+    def n_steps(self) -> int:
+        """Steps that the solver took for it."""
+        return int(self.call.n_steps[self.number])
+
+    @property
     def reach(self) -> float:
         """Largest modulus of `extrema` [m], 0 if there are none."""
         return self.call.reach[self.number]
@@ -127,12 +160,17 @@ class Call:
         Their ends [m], [m/s].
     status : ndarray of int, shape (n,)
         `Status` values.
+    n_steps : ndarray of int, shape (n,)
     """
 
-    def __init__(self, found: Motions, omega: Array, t_end: Array) -> None:
-        self._omega, self._monodromy, self._read = omega, found.monodromy, found.events
+    def __init__(
+        self, found: Motions, omega: Array, t_end: Array, shrinkage: Array, monodromy: Array | None
+    ) -> None:
+        self._omega, self._monodromy, self._read = omega, monodromy, found.events
+        self._shrinkage = shrinkage
         self.y = np.array((found.x, found.v))
         self.status = found.status
+        self.n_steps = found.n_steps
         if self.status.any():
             # A fit that was left on the way but did not run away goes on; where its steady
             # response lies decides in the end.
@@ -151,10 +189,32 @@ class Call:
         return np.equal(self.status, Status.OK)
 
     @property
+    def unit(self) -> Array:
+        """What one metre of the section is in each component of a state, shape (2, n)."""
+        return np.stack((np.ones_like(self._omega), self.omega_rad))
+
+    @cached_property
     def monodromy(self) -> Array:
-        """Derivatives of the ends by the starts, shape (n, 2, 2), with the tangent only."""
+        """Derivatives of the ends by the starts, as section points; shape (n, 2, 2).
+
+        With the tangent only. Without units, no arithmetic on them sees how fast clocks run.
+        """
         assert self._monodromy is not None
-        return self._monodromy
+        unit = self.unit.T
+        return self._monodromy * (unit[:, None, :] / unit[:, :, None])
+
+    @property
+    def is_sound(self) -> NDArray[np.bool_]:
+        """Where the tangent shrinks areas as damping says, whatever the force.
+
+        Its two directions shrink so differently that the determinant is known to no better than
+        rounding of its size squared.
+        """
+        with np.errstate(all="ignore"):  # of motions that failed
+            size = np.square(self.monodromy).sum(axis=(1, 2))
+            missed = np.abs(np.linalg.det(self.monodromy) - self._shrinkage)
+            allowed = np.maximum(self._shrinkage, _ROUNDING * size)
+        return np.asarray(missed <= _UNSOUND * allowed)
 
     @cached_property
     def events(self) -> Events:
@@ -206,12 +266,18 @@ class Ensemble:
 
     def __init__(self, scenes: Sequence[Scene]) -> None:
         self._omega = np.array([scene.omega for scene in scenes])
+        self._shrink_rate = np.array([2.0 * scene.oscillator.decay_rate for scene in scenes])
         models = Models(
             oscillators=[scene.oscillator for scene in scenes],
             laws=[scene.law for scene in scenes],
             omega=self._omega,
         )
-        self._integrate = prepared(models, scenes[0].solver)
+        first = scenes[0]
+        self._integrate = prepared(models, first.solver)
+        self._integrate_tangent: Integrate | None = None
+        if not first.has_own_tangent:
+            models = replace(models, laws=[scene.tangent_law for scene in scenes])
+            self._integrate_tangent = prepared(models, first.tangent_solver)
         # Of every call, by motion: number of the scene, then what it has cost.
         self._costs: list[tuple[NDArray[Any], ...]] = []
 
@@ -254,15 +320,27 @@ class Ensemble:
             t_0=np.zeros(len(scenes)),
             t_end=t_end,
             record_from=record_from,
-            tangent=tangent,
+            tangent=tangent and self._integrate_tangent is None,
         )
+        found = self._solved(self._integrate, problems, n_periods)
+        monodromy = found.monodromy
+        if tangent and self._integrate_tangent is not None:
+            never = np.full(len(scenes), math.inf)
+            problems = replace(problems, record_from=never, tangent=True)
+            monodromy = self._solved(self._integrate_tangent, problems, n_periods).monodromy
+        shrinkage = np.exp(-self._shrink_rate[scenes] * t_end)
+        return Call(found, omega, t_end, shrinkage, monodromy)
+
+    def _solved(
+        self, integrate: Integrate, problems: Problems, n_periods: NDArray[np.int64]
+    ) -> Motions:
         begin = time.thread_time()
-        found = self._integrate(problems)
+        found = integrate(problems)
         # What ran together shares the processor time in proportion to its steps.
         seconds = (time.thread_time() - begin) * found.n_steps / max(found.n_steps.sum(), 1)
         counts = (getattr(found, name) for name in _COUNTS)
-        self._costs.append((scenes, *counts, n_periods, seconds))
-        return Call(found, omega, t_end)
+        self._costs.append((problems.which, *counts, n_periods, seconds))
+        return found
 
     def costs(self) -> list[dict[str, Any]]:
         """What the stretches of each scene have cost so far, as attributes of a `Response`."""
@@ -302,6 +380,7 @@ class Walk:
         self.y = y
         self.status = Status.OK
         self.n_periods = 0
+        self._steps_per_period = 1.0
         self.forget()
 
     @property
@@ -309,11 +388,19 @@ class Walk:
         """Time since the start [s]."""
         return self.n_periods / self.omega
 
+    def noise(self, n_periods: int = 1) -> float:
+        """Predicted scatter [m] of section points so many forcing periods apart.
+
+        It is what the solver's tolerances admit in each step, in as many random steps as it
+        takes. What scatters more than `same` is not the solver's doing.
+        """
+        solver, n_steps = self.scene.solver, self._steps_per_period * n_periods
+        return (solver.atol + solver.rtol * self.reach) * math.sqrt(n_steps)
+
     @property
-    def noise(self) -> float:
+    def same(self) -> float:
         """Distance [m] below which two states are the same to this solver."""
-        solver = self.scene.solver
-        return _NOISE_FACTOR * (solver.atol + solver.rtol * self.reach)
+        return DEVIATIONS * self.noise()
 
     @property
     def extrema(self) -> list[float]:
@@ -335,6 +422,7 @@ class Walk:
     def advance(self, n_periods: int, *, record: bool) -> Generator[Stretch, Part, None]:
         """Go on for whole periods; recorded ones are added to the window."""
         part = yield Stretch(self.y, n_periods, record)
+        self._steps_per_period = max(part.n_steps / n_periods, 1.0)
         if record:
             self._window.append((self.n_periods, part))
             self._extent = max(self._extent, part.reach)

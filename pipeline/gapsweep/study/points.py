@@ -15,7 +15,7 @@ from gapsweep.response.result import Steady
 from gapsweep.study.fingerprint import normalised_source, numerics_fingerprint
 
 # Raised whenever the stored result of a point changes its form or meaning.
-RESULT_SCHEMA = 3
+RESULT_SCHEMA = 4
 
 FIXED = "fixed"
 SWEEPS = ("sweep_up", "sweep_down")

@@ -176,7 +176,9 @@ class SolverTable(_Table):
 
 class SteadyTable(_Table):
     settle_tol: Annotated[float, Field(gt=0, le=0.1)] = 1e-6
-    t_max: Positive = 120.0
+    max_decay_times: Positive = 113.0
+    max_periods: Annotated[int, Field(ge=1, le=10**7)] = 10_000
+    t_max: Positive | None = None
     n_periods: Annotated[int, Field(ge=2, le=10**6)] = 64
     max_period_multiple: Annotated[int, Field(ge=1, le=256)] = 32
     max_extrema: Annotated[int, Field(ge=1, le=65536)] = 256
