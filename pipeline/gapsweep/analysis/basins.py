@@ -101,7 +101,10 @@ def basins(
 
 
 def _axis(name: str, values: ArrayLike) -> np.ndarray:
-    axis = np.atleast_1d(np.asarray(values, dtype=float)).ravel()
+    try:
+        axis = np.ravel(np.asarray(values, dtype=float))
+    except (TypeError, ValueError):
+        axis = np.empty(0)
     if not axis.size or not np.all(np.isfinite(axis)):
-        raise ModelError(f"{name}: must be finite numbers, at least one")
+        raise ModelError(f"{name} = {values!r}: must be finite numbers, at least one")
     return axis

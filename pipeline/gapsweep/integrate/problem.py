@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Motions
-from gapsweep.model.contact import Arctan, ContactLaw, LogArctan, Piecewise, Tanh
+from gapsweep.model.contact import Arctan, ContactLaw, LogArctan, Piecewise, Tanh, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
 
 Array = NDArray[np.float64]
@@ -41,13 +41,28 @@ class Models:
     laws: Sequence[ContactLaw]
     omega: Array
 
+    def __post_init__(self) -> None:
+        for oscillator in self.oscillators:
+            if not isinstance(oscillator, Oscillator):
+                raise ModelError(
+                    f"oscillator = {oscillator!r}: must be a gapsweep.Oscillator(); "
+                    "without arguments it is the paper's"
+                )
+        for law in self.laws:
+            checked_law(law)
+
 
 def law_kind(law: ContactLaw) -> Hashable:
     """What the laws have in common that an engine can take together.
 
     It is their family; fits and users' laws are compiled each for itself.
+
+    Raises
+    ------
+    ModelError
+        If it is no law.
     """
-    if isinstance(law, Piecewise | Tanh | Arctan | LogArctan):
+    if isinstance(checked_law(law), Piecewise | Tanh | Arctan | LogArctan):
         return type(law), isinstance(law, Piecewise) and law.located
     return law
 

@@ -306,7 +306,8 @@ def _solve(
         atol=scene.atol,
     )
     run.count(scene, solution.nfev, len(solution.t) - 1)
-    motion = _polynomial(solution.sol)
+    moved = len(solution.t) > 1
+    motion = _polynomial(solution.sol) if moved else _resting(t, solution.y[:, 0])
     end = tuple(solution.y[:, -1].tolist())
     *contacts, diverged = solution.t_events
     if diverged.size or not all(map(math.isfinite, end)):
@@ -389,6 +390,13 @@ def _cut(segment: _Segment, t_before: float, t_beyond: float, wall: float) -> _S
     breaks = np.append(segment.motion.x[:last], t)
     motion = PPoly.construct_fast(segment.motion.c[:, : breaks.size - 1], breaks)
     return _Segment(t, (wall, *motion(t)[1:].tolist()), motion, wall)
+
+
+def _resting(t: float, y: Array) -> PPoly:
+    """A motion that ends where it starts, because its first step has failed."""
+    powers = np.zeros((_DEGREE + 1, 1, len(y)))
+    powers[-1] = y
+    return PPoly.construct_fast(powers, np.array([t, np.nextafter(t, math.inf)]))
 
 
 def _polynomial(solution: OdeSolution) -> PPoly:

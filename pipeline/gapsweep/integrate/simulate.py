@@ -11,8 +11,10 @@ from gapsweep.integrate.motion import Motions
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Integrate, Models, Problems, Solver
 from gapsweep.integrate.trajectory import Trajectory
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
 
+# Largest resolution of the clock, as a share of the natural period.
+_CLOCK_SHARE = 1e-9
 _ENGINES = {"compiled": compiled.prepared, "scipy": reference.prepared}
 
 
@@ -73,8 +75,11 @@ def simulate(
     if t_end <= t_0:
         raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
     omega, x_0, v_0 = _broadcast(omega=omega, x_0=x_0, v_0=v_0)
+    models = Models(
+        oscillators=[oscillator] * omega.size, laws=[law] * omega.size, omega=omega.ravel()
+    )
+    _check_clock(oscillator, omega, t_0)
     n = omega.size
-    models = Models(oscillators=[oscillator] * n, laws=[law] * n, omega=omega.ravel())
     integrate = prepared(models, solver)
 
     def solve(record_from: float, dense_output: bool) -> Motions:
@@ -94,18 +99,38 @@ def simulate(
     return Trajectory(solve, t_0, omega.shape, dense_output)
 
 
+def _check_clock(oscillator: Oscillator, omega: NDArray[np.float64], t_0: float) -> None:
+    """Refuse a start at a forcing phase beside which a step of the motion is rounded away.
+
+    Time is kept as whole forcing periods and a fraction, so a fraction to begin with limits what
+    the clock can tell apart.
+    """
+    turns = omega.ravel() * t_0
+    resolved = np.spacing(turns - np.floor(turns)) / omega.ravel()
+    largest = _CLOCK_SHARE / oscillator.omega_n
+    coarse = resolved > largest
+    if coarse.any():
+        raise ModelError(
+            f"t_0 = {t_0:g} s: at omega = {omega.ravel()[coarse][0]:g} Hz its phase leaves a clock "
+            f"of {resolved[coarse][0]:.2g} s, must be <= {largest:.2g} s; start at t_0 = 0"
+        )
+
+
 def _broadcast(**values: ArrayLike) -> list[NDArray[np.float64]]:
     """Finite float arrays of one shape; `omega` positive."""
     arrays = []
     for name, value in values.items():
         try:
-            array = np.asarray(value, dtype=float)
+            array = np.asarray([] if value is None else value, dtype=float)
         except (TypeError, ValueError):
             raise ModelError(f"{name} = {value!r}: must be a number or numbers") from None
+        if array.size == 0:
+            raise ModelError(f"{name} = {value!r}: must be a number or numbers, at least one")
         # The first value that fails names itself.
-        suspects = array[~np.isfinite(array) | ((array <= 0.0) & (name == "omega"))]
-        for suspect in suspects.flat:
-            checked(name, suspect, low=0.0 if name == "omega" else -math.inf, strict=True)
+        is_omega = name == "omega"
+        is_good = (np.abs(array) <= LARGEST) & (array >= (SMALLEST if is_omega else -LARGEST))
+        for suspect in array[~is_good].flat:
+            checked(name, suspect, low=0.0 if is_omega else -math.inf, strict=is_omega)
         arrays.append(array)
     try:
         return list(np.broadcast_arrays(*arrays))

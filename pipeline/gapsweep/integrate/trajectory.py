@@ -104,7 +104,10 @@ class Trajectory:
         """
         if not self._has_dense_output:
             raise ModelError("no dense output was asked for: simulate with dense_output=True")
-        t = np.asarray(t, dtype=float)
+        try:
+            t = np.asarray(t, dtype=float)
+        except (TypeError, ValueError):
+            raise ModelError(f"t = {t!r}: must be a time or times [s]") from None
         end = float(np.min(self.t))
         inside = (t >= self.t_0) & (t <= end)
         if not np.all(inside):

@@ -41,7 +41,7 @@ class ContactLaw:
     def __post_init__(self) -> None:
         object.__setattr__(self, "K_c", checked("K_c", self.K_c, low=0.0))
         if not isinstance(self.gap, Gap):
-            raise ModelError(f"gap = {self.gap!r}: must be a Gap(j_1, j_2)")
+            raise ModelError(f"gap = {self.gap!r}: must be a gapsweep.Gap(j_1, j_2)")
 
     @property
     def valid_range(self) -> float:
@@ -232,7 +232,8 @@ class Polynomial(_Fitted):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checked("fit range", self.fit_range, low=0.0, strict=True)
+        value = checked("fit range", self.fit_range, low=0.0, strict=True)
+        object.__setattr__(self, "fit_range", value)
         _ = self.fit
 
     @property
@@ -267,7 +268,8 @@ class RationalPolynomial(_Fitted):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checked("fit range", self.fit_range, low=0.0, strict=True)
+        value = checked("fit range", self.fit_range, low=0.0, strict=True)
+        object.__setattr__(self, "fit_range", value)
         _ = self.fit
 
     @property
@@ -296,7 +298,10 @@ class UserLaw(ContactLaw):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not callable(self.function):
-            raise ModelError(f"{self.function!r}: must be a function of x")
+            raise ModelError(
+                f"function = {self.function!r}: must be a function of x; "
+                "for the law of a label use gapsweep.contact_law"
+            )
         try:
             value = float(self.function(0.0))
         except Exception as error:  # the user's code may raise anything
@@ -332,10 +337,19 @@ class UserLaw(ContactLaw):
         return np.asarray((self.force(x + h) - self.force(x - h)) / (2.0 * h))
 
 
+def checked_law(law: ContactLaw) -> ContactLaw:
+    """`law`, or a `ModelError` if it is none."""
+    if not isinstance(law, ContactLaw):
+        raise ModelError(
+            f"law = {law!r}: must be a contact law, as gapsweep.contact_law(label, K_c, gap) is"
+        )
+    return law
+
+
 def static_error(law: ContactLaw, fit_range: float = FIT_RANGE) -> tuple[float, float]:
     """RMSE [N] and R² [-] of any law against the exact force on 8001 uniform points."""
     x = np.linspace(-fit_range, fit_range, N_FIT_POINTS)
-    return goodness(law.force(x), law.K_c * unit_force(x, law.gap))
+    return goodness(checked_law(law).force(x), law.K_c * unit_force(x, law.gap))
 
 
 def _penetrations(x: ArrayLike, gap: Gap) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.oscillator import Gap
+from gapsweep.model.oscillator import Gap, whole
 
 Array = NDArray[np.float64]
 
@@ -72,8 +72,7 @@ def goodness(approximation: NDArray[np.floating], exact: Array) -> tuple[float, 
 @lru_cache(maxsize=256)
 def polynomial_fit(gap: Gap, degree: int, fit_range: float) -> Fit:
     """Unweighted least-squares polynomial over 8001 uniform points of ``±fit_range``."""
-    if not 1 <= degree <= MAX_DEGREE:
-        raise ModelError(f"polynomial degree {degree}: must be in 1..{MAX_DEGREE}")
+    whole("polynomial degree", degree, 1, MAX_DEGREE)
     u = np.linspace(-1.0, 1.0, N_FIT_POINTS)
     exact = unit_force(u * fit_range, gap)
     used = _used_degrees(gap, degree, odd=True)
@@ -98,8 +97,7 @@ def rational_fit(gap: Gap, numerator: int, denominator: int, fit_range: float) -
         If every optimum found has a pole inside the range; the message names it.
     """
     for name, degree in (("numerator", numerator), ("denominator", denominator)):
-        if not 1 <= degree <= MAX_RATIONAL_DEGREE:
-            raise ModelError(f"{name} degree {degree}: must be in 1..{MAX_RATIONAL_DEGREE}")
+        whole(f"{name} degree", degree, 1, MAX_RATIONAL_DEGREE)
     name = f"ratpoly-{numerator}/{denominator} for gap {gap.label} mm"
     candidates = rational_candidates(gap, numerator, denominator, fit_range)
     if gap.is_symmetric:

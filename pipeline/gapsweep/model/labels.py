@@ -53,6 +53,8 @@ def canonical_label(label: str) -> str:
     ModelError
         If the label is unknown or its parameter out of range.
     """
+    if not isinstance(label, str):
+        raise ModelError(f"representation = {label!r}: must be a label, one of {EXAMPLES}")
     family, _, parameter = label.partition("-")
     if label in ("piecewise", "piecewise-noevents", AUTO) or _FUNCTION.fullmatch(label):
         return label

@@ -7,12 +7,21 @@ The equation of motion, with `F_c` the contact force of `gapsweep.model.contact`
 
 import math
 from dataclasses import dataclass, fields
+from operator import index
 
 from gapsweep.errors import ModelError
 
+# Within these bounds no product or quotient that a model is prepared with overflows, not even the
+# frequencies' squares times its ratios; no machine comes near them.
+SMALLEST, LARGEST = 1e-50, 1e50
+
 
 def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = False) -> float:
-    """`value` as a finite float above `low`, or a `ModelError` that names it."""
+    """`value` as a finite float above `low`, or a `ModelError` that names it.
+
+    What must be positive (``low=0.0, strict=True``) must be at least `SMALLEST`, and nothing may be
+    larger than `LARGEST`.
+    """
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -21,6 +30,21 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
         raise ModelError(f"{name} = {number}: must be finite")
     if number < low or (strict and number == low):
         raise ModelError(f"{name} = {number:g}: must be {'>' if strict else '>='} {low:g}")
+    if strict and number - low < SMALLEST:
+        raise ModelError(f"{name} = {number:g}: must be >= {low + SMALLEST:g}")
+    if abs(number) > LARGEST:
+        raise ModelError(f"{name} = {number:g}: must be within -{LARGEST:g}..{LARGEST:g}")
+    return number
+
+
+def whole(name: str, value: int, low: int, high: int) -> int:
+    """`value` as an int in ``low..high``, or a `ModelError` that names it."""
+    try:
+        number = index(value)
+    except TypeError:
+        number = low - 1
+    if not low <= number <= high:
+        raise ModelError(f"{name} = {value!r}: must be a whole number in {low}..{high}")
     return number
 
 

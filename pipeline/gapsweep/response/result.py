@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from gapsweep.errors import ModelError
-from gapsweep.model.oscillator import checked
+from gapsweep.model.oscillator import checked, whole
 from gapsweep.status import Status
 
 
@@ -58,22 +58,27 @@ class Steady:
     max_extrema: int = 256
 
     def __post_init__(self) -> None:
-        if checked("settle_tol", self.settle_tol, low=0.0, strict=True) > 0.1:
+        durations = (
+            "settle_tol",
+            "max_decay_times",
+            *(("t_max",) if self.t_max is not None else ()),
+        )
+        for name in durations:
+            value = checked(name, getattr(self, name), low=0.0, strict=True)
+            object.__setattr__(self, name, value)
+        if self.settle_tol > 0.1:
             raise ModelError(f"settle_tol = {self.settle_tol:g}: must be <= 0.1")
-        checked("max_decay_times", self.max_decay_times, low=0.0, strict=True)
-        if self.t_max is not None:
-            checked("t_max", self.t_max, low=0.0, strict=True)
         for name, largest in (
             ("max_period_multiple", 256),
             ("max_extrema", 65536),
+            ("n_periods", 10**6),
             ("max_periods", 10**7),
         ):
-            if not 1 <= getattr(self, name) <= largest:
-                raise ModelError(f"{name} = {getattr(self, name)}: must be in 1..{largest}")
-        if not 2 * self.max_period_multiple <= self.n_periods <= 10**6:
+            object.__setattr__(self, name, whole(name, getattr(self, name), 1, largest))
+        if not 2 * self.max_period_multiple <= self.n_periods:
             raise ModelError(
                 f"n_periods = {self.n_periods}: must be >= 2 max_period_multiple "
-                f"({2 * self.max_period_multiple}) and <= 1000000"
+                f"({2 * self.max_period_multiple})"
             )
 
 
