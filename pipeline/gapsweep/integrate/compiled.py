@@ -101,7 +101,7 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
 
     def integrate(problems: Problems) -> Motions:
         try:
-            run = smooth.run(scenes, **_given(problems))
+            run = smooth.run(scenes, **_given(problems), contacts=problems.contacts)
         except NumbaError as error:
             reason = str(error).strip().splitlines()[0]
             raise ModelError(

@@ -86,6 +86,9 @@ class Problems:
         Whether the motions are kept for sampling, from `record_from` on.
     tangent : bool
         Whether the variational equations are integrated along.
+    contacts : bool
+        Whether contact times must be among the events. Laws without located contacts spend steps
+        on them; what comes by them anyway records them unasked.
     """
 
     which: NDArray[np.intp]
@@ -96,6 +99,7 @@ class Problems:
     record_from: Array
     dense_output: bool = False
     tangent: bool = False
+    contacts: bool = False
 
     def __len__(self) -> int:
         return len(self.which)

@@ -93,6 +93,7 @@ def simulate(
                 record_from=np.full(n, record_from),
                 dense_output=dense_output,
                 tangent=tangent,
+                contacts=math.isfinite(record_from) and not dense_output,
             )
         )
 

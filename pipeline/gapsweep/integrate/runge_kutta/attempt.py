@@ -29,8 +29,10 @@ class Outcome(NamedTuple):
     # the step is as small as it may be and still fails, or left the bounds, or ran out of attempts
     failed: int
     stopped: int  # it has to be cut at a wall or at the edge of a smoothing layer
-    recorded: int  # it holds an extremum or a section point to record
-    dipped: int  # it may have crossed a wall (or left a fit's range) and come back
+    recorded: int  # it may hold an event to record
+    dipped: (
+        int  # it turns back near a wall (or the edge of a fit's range): pieces must be looked at
+    )
 
 
 @njit(forceinline=True)
@@ -151,14 +153,6 @@ def _wall_passings(x, x1, low, high):
     """How many walls lie between the two ends, as a float vector."""
     at_high = select(_passed(x, x1, high), simd.splat(1.0), 0.0)
     return at_high + select(_passed(-x, -x1, -low), simd.splat(1.0), 0.0)
-
-
-@njit(forceinline=True)
-def _returns(x, x1, hull_low, hull_high, wall):
-    """Both ends on one side of the wall while the step's hull reaches the other."""
-    return ((hull_high > wall) & ~(x > wall) & ~(x1 > wall)) | (
-        (hull_low < wall) & (x > wall) & (x1 > wall)
-    )
 
 
 @njit(forceinline=True)
@@ -288,10 +282,11 @@ def attempt(law, q, lane, tableau, k, k_tangent, settings):
     turns_back = (rise <= 0.0) & (fall >= 0.0)
 
     low, high = load(q, laws.WALL_LOW), load(q, laws.WALL_HIGH)
+    # Where the motion turns back, its ends do not tell how often it has passed a wall.
     dipped = (
         commit
         & turns_back
-        & (_returns(x, x1, hull_low, hull_high, high) | _returns(x, x1, hull_low, hull_high, low))
+        & (((hull_low <= high) & (hull_high > high)) | ((hull_low < low) & (hull_high >= low)))
     )
     invalid = simd.absolute(x1) > settings[ln.S_BOUND]
     if laws.has_range(law):
@@ -313,7 +308,7 @@ def attempt(law, q, lane, tableau, k, k_tangent, settings):
     since_start = (
         (load(lane, ln.TURNS) - 0.0) + (load(lane, ln.TAU) - load(lane, ln.PHASE_0))
     ) * load(lane, ln.PERIOD)
-    h_min = maximum(3.6e-15 * since_start, 1e-17 * load(lane, ln.PERIOD))
+    h_min = maximum(3.6e-15 * since_start, load(lane, ln.H_MIN))
     underflow = ~accepted & ~probing & (h <= h_min)
     exhausted = load(lane, ln.N_ATTEMPTS) >= settings[ln.S_MAX_ATTEMPTS]
     failed = underflow | exhausted | (commit & invalid)
@@ -341,6 +336,8 @@ def attempt(law, q, lane, tableau, k, k_tangent, settings):
 
     recording = commit & (load(lane, ln.TURNS) + load(lane, ln.TAU) >= load(lane, ln.RECORD_TURNS))
     eventful = turns_back | passed_turn
+    if settings[ln.S_CONTACTS] > 0.0:
+        eventful = eventful | (passings > 0.0)
     if settings[ln.S_DENSE] > 0.0:
         eventful = commit
     return Outcome(

@@ -5,6 +5,8 @@ All state lives in two arrays, so the stepping loop can be left at any attempt (
 entered again, and its memory does not depend on the number of points or the length of a run.
 """
 
+import math
+
 import numpy as np
 
 from gapsweep.integrate.jit import entry
@@ -28,15 +30,22 @@ N_STEPS, N_REJECTED, N_ATTEMPTS, N_CONTACTS = range(36, 40)
 # Tangent columns (dx, dv), and their values before the last attempt.
 TANGENT, OLD_TANGENT = 40, 44
 STEP_H = 48  # length of the step whose events are being polished
-N_ROWS = 49
+H_MIN = 49  # shortest step that makes progress
+NEXT_WHOLE = 50  # the whole turn whose section point is recorded next
+PASSED_AT = 51  # time within that step of the last wall passing
+N_ROWS = 52
 
 # --- rows of the integer block `lane_int`, shape (N_INT_ROWS, WIDTH) ---
 # LANDING: 1 while a step is being cut; LANDED: 1 when it has arrived and the contact mode must
 # flip.
-MODE, POINT, N_PROBES, PROBE, TRIES, LANDING, LANDED = range(7)
-N_INT_ROWS = 7
+# KIND: of the event that is being probed.
+MODE, POINT, N_PROBES, PROBE, TRIES, LANDING, LANDED, KIND = range(8)
+N_INT_ROWS = 8
 # --- rows of the probe block, shape (2 * MAX_PROBES, WIDTH): theta, then kind ---
-MAX_PROBES = 12
+# As many as a step can hold: MAX_TURNS extrema, and both walls passed between any two of them. (Its
+# section points, which may be more, are not listed.)
+MAX_TURNS = 8
+MAX_PROBES = MAX_TURNS + 2 * (MAX_TURNS + 1)
 
 # Modes of a lane.
 IDLE, START, STEPPING, PROBING = range(4)
@@ -47,7 +56,7 @@ P_STIFFNESS, P_DAMPING, P_CUBIC, P_LAW = range(8, 12)
 N_COLUMNS = P_LAW + laws.N_PARAMETERS
 
 # --- columns of the result table ---
-(R_STATUS, R_X, R_V, R_T, R_CONTACTS, R_STEPS, R_REJECTED, R_NFEV) = range(8)
+(R_STATUS, R_X, R_V, R_LEFT, R_CONTACTS, R_STEPS, R_REJECTED, R_NFEV) = range(8)
 R_TANGENT = 8
 N_RESULTS = 12
 
@@ -63,13 +72,15 @@ N_RESULTS = 12
     S_DENSE,
     S_EXPONENT,
     S_FIRST_STEP,
-) = range(10)
-N_SETTINGS = 10
+    S_CONTACTS,
+) = range(11)
+N_SETTINGS = 11
 
 # --- columns of the event buffer, and kinds of records ---
 (E_KIND, E_POINT, E_T, E_X, E_V, E_H, E_TAU) = range(7)
 N_EVENT_COLUMNS = 7
-EXTREMUM, SECTION, STEP, CONTACT = range(4)
+# A probe says which wall it aims at; a record is a CONTACT at either.
+EXTREMUM, SECTION, STEP, CONTACT, CONTACT_LOW = range(5)
 
 # --- counters shared by all lanes ---
 NEXT_POINT, N_EVENTS = range(2)
@@ -84,6 +95,8 @@ OK, OUT_OF_FIT_RANGE, DIVERGED, MODEL_INVALID, STEP_UNDERFLOW, CHATTER, TIMED_OU
     7,
     8,
 )
+
+_CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
 
 
 def aligned(rows, width):
@@ -127,6 +140,9 @@ def load_point(lane, lane_int, q, table, point, i):
     lane[FREQUENCY, i], lane[PERIOD, i] = row[P_FREQUENCY], 1.0 / row[P_FREQUENCY]
     lane[END_TURNS, i], lane[END_TAU, i] = row[P_END_TURNS], row[P_END_TAU]
     lane[RECORD_TURNS, i] = row[P_RECORD]
+    fastest = max(row[P_FREQUENCY], math.sqrt(row[P_STIFFNESS]))
+    # A clock that starts at a phase cannot tell shorter steps from none.
+    lane[H_MIN, i] = max(1e-17 / fastest, _CLOCK_ROUNDING * row[P_PHASE] * lane[PERIOD, i])
     lane[FORCING, i], lane[STIFFNESS, i] = row[P_FORCING], row[P_STIFFNESS]
     lane[DAMPING, i], lane[CUBIC, i] = row[P_DAMPING], row[P_CUBIC]
     lane[TANGENT, i] = lane[TANGENT + 3, i] = 1.0
@@ -152,8 +168,9 @@ def unload_point(lane, lane_int, results, status, n_new_stages, i):
     row = results[lane_int[POINT, i]]
     left_range = lane[OUT_OF_RANGE, i] > 0.0 and (status in (OK, DIVERGED, STEP_UNDERFLOW))
     row[R_STATUS] = OUT_OF_FIT_RANGE if left_range else status
-    row[R_X], row[R_V], row[R_T] = lane[X, i], lane[V, i], elapsed(lane, i)
-    row[R_CONTACTS], row[R_STEPS] = lane[N_CONTACTS, i], lane[N_STEPS, i]
+    row[R_X], row[R_V], row[R_LEFT] = lane[X, i], lane[V, i], remaining(lane, i)
+    # Below zero: the start lies on a wall and has not left it.
+    row[R_CONTACTS], row[R_STEPS] = max(lane[N_CONTACTS, i], 0.0), lane[N_STEPS, i]
     row[R_REJECTED], row[R_NFEV] = lane[N_REJECTED, i], lane[N_ATTEMPTS, i] * n_new_stages
     for k in range(4):
         row[R_TANGENT + k] = lane[TANGENT + k, i]

@@ -1,49 +1,25 @@
-"""What happens to one lane after an attempt that needs attention: events, landings, ends, failures.
-
-An extremum or a section point is polished by *probes*: attempts of the same lane that repeat the
-accepted step from its start with a length theta h and are never committed. So an event is as
-accurate
-as the steps themselves, for any method and without an interpolant of its own, and a probe costs one
-attempt of one lane while the other lanes go on.
+"""What happens to one lane after an attempt that needs attention: landings, ends, failures; and its
+events, which are found by `probing`.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
 from gapsweep.integrate.jit import allocating
 
 from . import lanes as ln
 from . import laws
-from .interpolant import (
-    STACK_SHAPE,
-    derivative_coefficients,
-    evaluate,
-    position_coefficients,
-    roots,
+from .interpolant import roots
+from .probing import (
+    begin_probing,
+    coefficients,
+    count_dips,
+    is_recording,
+    passings,
+    plan_probes,
+    probed,
+    record,
+    return_to_start,
 )
-
-
-class Scratch(NamedTuple):
-    """Work space for one lane: Bernstein coefficients of x and dx, roots, and the stack of the root
-    finder.
-    """
-
-    b: NDArray[np.float64]
-    found: NDArray[np.float64]
-    stack: NDArray[np.float64]
-
-
-def new_scratch():
-    """Work space of the right shapes."""
-    return Scratch(np.zeros(11), np.zeros(8), np.zeros(STACK_SHAPE))
-
-
-# A probe this close to the extremum (in units of the step) leaves the parabola through it exact to
-# rounding.
-CLOSE_ENOUGH = 1e-5
-MAX_TRIES = 8
 
 
 @allocating
@@ -59,7 +35,7 @@ def first_step(lane, settings, exponent, i):
     h = min(lane[ln.H_MAX, i], left)
     if settings[ln.S_FIRST_STEP] > 0.0:
         return min(h, settings[ln.S_FIRST_STEP])
-    return max(1.0 / rate if h * rate > 1.0 else h, 1e-17 * lane[ln.PERIOD, i])
+    return max(1.0 / rate if h * rate > 1.0 else h, lane[ln.H_MIN, i])
 
 
 @allocating
@@ -67,7 +43,6 @@ def started(lane, lane_int, settings, exponent, i):
     """The acceleration at the start is known: choose the first step."""
     lane[ln.A, i] = lane[ln.A1, i]
     left = ln.remaining(lane, i)
-    # Native steps stay within one period so that a step holds at most one section point.
     lane[ln.H_MAX, i] = 0.1 * left if settings[ln.S_ODE45] > 0.0 else lane[ln.PERIOD, i]
     lane[ln.H, i] = first_step(lane, settings, exponent, i)
     lane[ln.EXACT, i] = 0.0
@@ -75,141 +50,13 @@ def started(lane, lane_int, settings, exponent, i):
 
 
 @allocating
-def _coefficients(lane, b, i):
-    """Interpolant of the last attempt: x into b[:6], its derivative into b[6:]."""
-    position_coefficients(
-        lane[ln.OLD_H, i], lane[ln.OLD_X, i], lane[ln.OLD_V, i], lane[ln.OLD_A, i],
-        lane[ln.X1, i], lane[ln.V1, i], lane[ln.A1, i], b,
-    )  # fmt: skip
-    derivative_coefficients(b, b[6:])
-
-
-@allocating
-def _passings(q, before, after, i):
-    low, high = q[laws.WALL_LOW, i], q[laws.WALL_HIGH, i]
-    return int((before > high) != (after > high)) + int((before < low) != (after < low))
-
-
-@allocating
-def count_dips(lane, q, scratch, i):
-    """Wall passings (and leaving of a fit's range) by extrema inside a step with both ends on one
-    side.
-    """
-    b, found = scratch.b, scratch.found
-    _coefficients(lane, b, i)
-    n = roots(b[6:], found, scratch.stack)
-    before = lane[ln.OLD_X, i]
-    total = -_passings(q, before, lane[ln.X1, i], i)
-    for m in range(n + 1):
-        after = evaluate(b[:6], found[m]) if m < n else lane[ln.X1, i]
-        total += _passings(q, before, after, i)
-        if q[laws.RANGE, i] > 0.0 and abs(after) > q[laws.RANGE, i]:
-            lane[ln.OUT_OF_RANGE, i] = 1.0
-        before = after
-    lane[ln.N_CONTACTS, i] += total
-
-
-# --- records --------------------------------------------------------------------------------------
-
-
-@allocating
-def _record(lane, lane_int, events, counters, kind, t, x, v, i):
-    row = events[counters[ln.N_EVENTS]]
-    row[ln.E_KIND], row[ln.E_POINT] = kind, lane_int[ln.POINT, i]
-    row[ln.E_T], row[ln.E_X], row[ln.E_V] = t, x, v
-    row[ln.E_H], row[ln.E_TAU] = lane[ln.OLD_H, i], lane[ln.OLD_TAU, i]
-    counters[ln.N_EVENTS] += 1
-
-
-@allocating
-def _is_recording(lane, t, i):
-    """Whether time t (since the start) lies in the recorded part, to rounding."""
-    turns = t * lane[ln.FREQUENCY, i] + lane[ln.PHASE_0, i]
-    return turns >= lane[ln.RECORD_TURNS, i] - 1e-12 * (1.0 + abs(turns))
-
-
-@allocating
-def _add_probe(lane_int, probes, theta, kind, i):
-    """Insert a probe in order of time."""
-    n = lane_int[ln.N_PROBES, i]
-    if n == ln.MAX_PROBES:
-        return
-    j = n
-    while j > 0 and probes[j - 1, i] > theta:
-        probes[j, i], probes[ln.MAX_PROBES + j, i] = (
-            probes[j - 1, i],
-            probes[ln.MAX_PROBES + j - 1, i],
-        )
-        j -= 1
-    probes[j, i], probes[ln.MAX_PROBES + j, i] = theta, kind
-    lane_int[ln.N_PROBES, i] = n + 1
-
-
-@allocating
-def _plan_probes(lane, lane_int, probes, scratch, i):
-    """List the section points and extrema inside the accepted step."""
-    lane_int[ln.N_PROBES, i] = lane_int[ln.PROBE, i] = lane_int[ln.TRIES, i] = 0
-    whole = lane[ln.OLD_TURNS, i] + 1.0
-    while whole <= lane[ln.TURNS, i]:
-        until = ((whole - lane[ln.OLD_TURNS, i]) - lane[ln.OLD_TAU, i]) * lane[ln.PERIOD, i]
-        if whole >= lane[ln.RECORD_TURNS, i] - 1e-9:
-            _add_probe(lane_int, probes, min(until / lane[ln.OLD_H, i], 1.0), ln.SECTION, i)
-        whole += 1.0
-    b, found = scratch.b, scratch.found
-    _coefficients(lane, b, i)
-    for m in range(roots(b[6:], found, scratch.stack)):
-        _add_probe(lane_int, probes, found[m], ln.EXTREMUM, i)
-
-
-@allocating
-def _begin_probing(lane, lane_int, probes, i):
-    """Set the lane back to the start of the step and send the first probe."""
-    for offset in range(6):
-        lane[ln.KEPT_X + offset, i] = lane[ln.X + offset, i]
-    _return_to_start(lane, i)
-    lane[ln.STEP_H, i] = lane[ln.OLD_H, i]
-    lane[ln.H, i] = probes[0, i] * lane[ln.OLD_H, i]
-    lane[ln.EXACT, i] = 1.0
-    lane_int[ln.MODE, i] = ln.PROBING
-
-
-@allocating
-def _return_to_start(lane, i):
-    for offset in range(5):
-        lane[ln.X + offset, i] = lane[ln.OLD_X + offset, i]
-
-
-@allocating
-def _probed(lane, lane_int, probes, events, counters, i):
-    """Judge one probe; true when the last event of the step is recorded."""
-    j = lane_int[ln.PROBE, i]
-    kind = int(probes[ln.MAX_PROBES + j, i])
-    h, step = lane[ln.H, i], lane[ln.STEP_H, i]
-    x, v, a = lane[ln.X1, i], lane[ln.V1, i], lane[ln.A1, i]
-    t = ln.elapsed(lane, i) + h
-    if kind == ln.EXTREMUM:
-        dt = -v / a if a != 0.0 else 0.0
-        dt = min(max(dt, -0.25 * step), 0.25 * step)
-        if abs(dt) > CLOSE_ENOUGH * step and lane_int[ln.TRIES, i] < MAX_TRIES:
-            lane[ln.H, i] = min(max(h + dt, 0.0), step)
-            lane_int[ln.TRIES, i] += 1
-            return False
-        x, v, t = x + 0.5 * v * dt, 0.0, t + dt
-    else:
-        whole = lane[ln.TURNS, i] + np.rint(lane[ln.TAU, i] + h * lane[ln.FREQUENCY, i])
-        t = (whole - lane[ln.PHASE_0, i]) * lane[ln.PERIOD, i]
-    if _is_recording(lane, t, i):
-        _record(lane, lane_int, events, counters, kind, t, x, v, i)
-    lane_int[ln.TRIES, i] = 0
-    lane_int[ln.PROBE, i] = j + 1
-    if j + 1 < lane_int[ln.N_PROBES, i]:
-        lane[ln.H, i] = probes[j + 1, i] * step
-        return False
-    for offset in range(6):
-        lane[ln.X + offset, i] = lane[ln.KEPT_X + offset, i]
-    lane[ln.EXACT, i] = 0.0
-    lane_int[ln.MODE, i] = ln.STEPPING
-    return True
+def _heads_out(lane, q, i):
+    """How many walls a start lies on and heads out over: to leave a wall is not to pass it."""
+    heading = lane[ln.V, i] if lane[ln.V, i] != 0.0 else lane[ln.A, i]
+    x = lane[ln.X, i]
+    over_high = x == q[laws.WALL_HIGH, i] and heading > 0.0
+    over_low = x == q[laws.WALL_LOW, i] and heading < 0.0
+    return int(over_high) + int(over_low)
 
 
 # --- steps cut at a wall or at the edge of a layer
@@ -247,8 +94,8 @@ def _first_edge(lane, q, scratch, is_located, i):
 def _revoke(lane, q, is_located, i):
     """Undo the accepted step: it is repeated in part."""
     if not is_located:
-        lane[ln.N_CONTACTS, i] -= _passings(q, lane[ln.OLD_X, i], lane[ln.X1, i], i)
-    _return_to_start(lane, i)
+        lane[ln.N_CONTACTS, i] -= passings(q, lane[ln.OLD_X, i], lane[ln.X1, i], i)
+    return_to_start(lane, i)
     for row in range(4):
         lane[ln.TANGENT + row, i] = lane[ln.OLD_TANGENT + row, i]
     lane[ln.N_STEPS, i] -= 1.0
@@ -259,7 +106,7 @@ def _revoke(lane, q, is_located, i):
 @allocating
 def _cut(lane, lane_int, q, scratch, is_located, i):
     """Repeat the step up to the first edge; false if it does not reach one after all."""
-    _coefficients(lane, scratch.b, i)
+    coefficients(lane, scratch.b, i)
     theta = _first_edge(lane, q, scratch, is_located, i)
     if theta > 1.0:
         return False
@@ -281,6 +128,12 @@ def _landing_wall(lane, q, i):
 
 
 @allocating
+def _n_walls(q, i):
+    """Walls passed at once: where no gap lies between them one is left and the other entered."""
+    return 2 if q[laws.WALL_LOW, i] == q[laws.WALL_HIGH, i] else 1
+
+
+@allocating
 def _landed(lane, lane_int, q, i):
     """Newton's method on the landing time; true when x is on the wall (and set to it exactly)."""
     wall = _landing_wall(lane, q, i)
@@ -295,7 +148,7 @@ def _landed(lane, lane_int, q, i):
     lane[ln.X, i] = wall
     lane_int[ln.LANDING, i] = 0
     lane_int[ln.LANDED, i] = 1
-    lane[ln.N_CONTACTS, i] += 1.0
+    lane[ln.N_CONTACTS, i] += _n_walls(q, i)
     return True
 
 
@@ -360,53 +213,41 @@ def attend(lane, lane_int, q, probes, scratch, events, counters, settings, outco
         if not (np.isfinite(lane[ln.A1, i]) and abs(lane[ln.X, i]) <= settings[ln.S_BOUND]):
             return ln.DIVERGED
         started(lane, lane_int, settings, settings[ln.S_EXPONENT], i)
+        if not is_located:
+            lane[ln.N_CONTACTS, i] = -_heads_out(lane, q, i)
         if is_located and _corrects_mode(lane, q, i):
             ln.begin_start(lane, lane_int, i)  # the acceleration was that of another mode
             return -1
         return ln.OK if ln.remaining(lane, i) <= 0.0 else -1
     if mode == ln.PROBING:
-        if not _probed(lane, lane_int, probes, events, counters, i):
+        if not probed(lane, lane_int, q, probes, events, counters, i):
             return -1
         return ln.OK if after_events(lane, lane_int, q, i) else -1
     if outcome.failed & bit:
+        if outcome.accepted & bit and not is_located:  # no part of the motion, nor what it passed
+            lane[ln.N_CONTACTS, i] -= passings(q, lane[ln.OLD_X, i], lane[ln.X1, i], i)
         return _failure_status(lane, q, settings, outcome.accepted & bit != 0, i)
     if is_located and lane_int[ln.LANDING, i] and outcome.accepted & bit:
         if not _landed(lane, lane_int, q, i):
             return -1
-        if _is_recording(lane, ln.elapsed(lane, i), i):
-            _record(
-                lane,
-                lane_int,
-                events,
-                counters,
-                ln.CONTACT,
-                ln.elapsed(lane, i),
-                lane[ln.X, i],
-                lane[ln.V, i],
-                i,
-            )
+        t = ln.elapsed(lane, i)
+        if is_recording(lane, t, i):
+            x, v = lane[ln.X, i], lane[ln.V, i]
+            for _ in range(_n_walls(q, i)):
+                record(lane, lane_int, events, counters, ln.CONTACT, t, x, v, i)
     elif outcome.stopped & bit and _cut(lane, lane_int, q, scratch, is_located, i):
         return -1
-    if outcome.dipped & bit:
-        count_dips(lane, q, scratch, i)
+    has_dipped = outcome.dipped & bit != 0
+    n_passed = 0 if is_located else passings(q, lane[ln.OLD_X, i], lane[ln.X1, i], i)
+    if has_dipped:
+        n_passed += count_dips(lane, q, scratch, i)
     if outcome.recorded & bit:
         if settings[ln.S_DENSE] > 0.0:
-            t = (lane[ln.OLD_TURNS, i] + (lane[ln.OLD_TAU, i] - lane[ln.PHASE_0, i])) * lane[
-                ln.PERIOD, i
-            ]
-            _record(
-                lane,
-                lane_int,
-                events,
-                counters,
-                ln.STEP,
-                t,
-                lane[ln.OLD_X, i],
-                lane[ln.OLD_V, i],
-                i,
-            )
-        _plan_probes(lane, lane_int, probes, scratch, i)
-        if lane_int[ln.N_PROBES, i] > 0:
-            _begin_probing(lane, lane_int, probes, i)
+            start = lane[ln.OLD_TURNS, i] + (lane[ln.OLD_TAU, i] - lane[ln.PHASE_0, i])
+            t, x, v = start * lane[ln.PERIOD, i], lane[ln.OLD_X, i], lane[ln.OLD_V, i]
+            record(lane, lane_int, events, counters, ln.STEP, t, x, v, i)
+        n_listed = n_passed if settings[ln.S_CONTACTS] > 0.0 else 0
+        plan_probes(lane, lane_int, q, probes, scratch, n_listed, has_dipped, i)
+        if begin_probing(lane, lane_int, probes, i):
             return -1
     return ln.OK if after_events(lane, lane_int, q, i) else -1

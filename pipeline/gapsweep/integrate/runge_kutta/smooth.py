@@ -20,7 +20,8 @@ from . import lanes as ln
 from . import laws, simd, tableaux
 from .attempt import attempt
 from .lanes import load_first_points, load_point, unload_point
-from .recording import attend, new_scratch
+from .probing import new_scratch
+from .recording import attend
 
 # Attempts per call: keyboard interrupts are seen between calls.
 _ATTEMPTS_PER_CALL = 2_000_000
@@ -166,7 +167,7 @@ class Run:
         return self._of_kind(ln.SECTION, point)[:, [ln.E_T, ln.E_X, ln.E_V]]
 
     def contacts(self, point: int = 0) -> NDArray[np.float64]:
-        """(t, x, v) of located contacts, shape (n, 3); with ``restart=True`` only."""
+        """(t, x, v) of wall passings, shape (n, 3)."""
         return self._of_kind(ln.CONTACT, point)[:, [ln.E_T, ln.E_X, ln.E_V]]
 
     def sample(
@@ -205,7 +206,8 @@ def _replay_steps(replay, point, steps, t):
     settings = replay["settings"].copy()
     # Any error is accepted and the first step is the whole way: exactly one step.
     settings[ln.S_RTOL] = settings[ln.S_ATOL] = 1e200
-    settings[[ln.S_ODE45, ln.S_STOP_AT_LAYER, ln.S_TANGENT, ln.S_DENSE]] = 0.0
+    off = [ln.S_ODE45, ln.S_STOP_AT_LAYER, ln.S_TANGENT, ln.S_DENSE, ln.S_CONTACTS]
+    settings[off] = 0.0
     settings[ln.S_FIRST_STEP] = 1e100
     results, _ = _drained(replay["law"], replay["tableau"], table, settings)
     return results[:, ln.R_X], results[:, ln.R_V]
@@ -264,7 +266,8 @@ def _split_turns(start_phase, span, frequency):
     """
     end = start_phase + span * frequency
     whole = np.rint(end)
-    is_whole = np.abs(end - whole) <= 1e-13 * (1.0 + np.abs(end))
+    # No whole turn is meant as no time at all.
+    is_whole = (whole > 0.0) & (np.abs(end - whole) <= 1e-13 * (1.0 + np.abs(end)))
     turns = np.where(is_whole, whole, np.floor(end))
     return turns, np.where(is_whole, 0.0, end - turns)
 
@@ -318,6 +321,7 @@ def integrate(
     forcing: ArrayLike = 4.0,
     tangent: bool = False,
     dense_output: bool = False,
+    contacts: bool = False,
     **options: Any,
 ) -> Run:
     """Integrate many points of one law.
@@ -328,7 +332,7 @@ def integrate(
     ----------
     law, omega, zeta, omega_n, mass, alpha, forcing, **options
         As in `scenes`.
-    x_0, v_0, t_0, t_end, record_from, tangent, dense_output
+    x_0, v_0, t_0, t_end, record_from, tangent, dense_output, contacts
         As in `run`.
 
     Returns
@@ -341,7 +345,14 @@ def integrate(
     arrays = [np.ravel(a).astype(float) for a in broadcast]
     prepared = scenes(law, *arrays[:6], **options)
     which = np.arange(arrays[0].size)
-    return run(prepared, which, *arrays[6:], tangent=tangent, dense_output=dense_output)
+    return run(
+        prepared,
+        which,
+        *arrays[6:],
+        tangent=tangent,
+        dense_output=dense_output,
+        contacts=contacts,
+    )
 
 
 def scenes(
@@ -427,6 +438,7 @@ def run(
     *,
     tangent: bool = False,
     dense_output: bool = False,
+    contacts: bool = False,
 ) -> Run:
     """Integrate prepared oscillators from their starts.
 
@@ -443,6 +455,8 @@ def run(
         Carry the 2 x 2 variational equations.
     dense_output : bool
         Keep every step from `record_from` on, for `Run.sample`.
+    contacts : bool
+        Record wall passings of a law without located contacts too: a probe or two for each.
     """
     if not np.all(t_end >= t_0):
         raise ValueError("t_end must not lie before t_0")
@@ -452,8 +466,9 @@ def run(
     _set_starts(table, x_0, v_0, t_0, t_end, record_from)
     settings = prepared.settings.copy()
     settings[ln.S_TANGENT], settings[ln.S_DENSE] = tangent, dense_output
+    settings[ln.S_CONTACTS] = contacts
     results, records = _drained(prepared.kind, prepared.method, table, settings)
-    return _result(prepared.kind, prepared.method, table, settings, results, records, t_0)
+    return _result(prepared.kind, prepared.method, table, settings, results, records, t_0, t_end)
 
 
 def _set_starts(table, x_0, v_0, t_0, t_end, record_from):
@@ -467,14 +482,14 @@ def _set_starts(table, x_0, v_0, t_0, t_end, record_from):
     table[:, ln.P_RECORD] = phase + (np.maximum(record_from, t_0) - t_0) * omega
 
 
-def _result(kind, method, table, settings, results, records, t_0):
+def _result(kind, method, table, settings, results, records, t_0, t_end):
     counts = {name: results[:, column].astype(np.int64) for name, column in _COUNTS.items()}
     # Inside, times count from t_0 so that a late start loses no digits.
     records[:, ln.E_T] += t_0[records[:, ln.E_POINT].astype(np.int64)]
     return Run(
         x=results[:, ln.R_X].copy(),
         v=results[:, ln.R_V].copy(),
-        t=results[:, ln.R_T] + t_0,
+        t=t_end - results[:, ln.R_LEFT],
         tangent=results[:, ln.R_TANGENT :].reshape(-1, 2, 2).transpose(0, 2, 1).copy(),
         records=records,
         _replay={"law": kind, "tableau": method, "table": table, "settings": settings},

@@ -87,9 +87,9 @@ def _set_clocks(point, t_0, t_end, record_from):
     if tau == 0.0 and stop == np.rint(stop):
         end = stop - start
     # An end that rounding alone separates from a whole period is meant as one: else its section
-    # point would be lost.
+    # point would be lost. None is meant as no time at all.
     whole = np.rint(end)
-    if abs(end - whole) <= _CLOCK_ROUNDING * (1.0 + end):
+    if whole > 0.0 and abs(end - whole) <= _CLOCK_ROUNDING * (1.0 + end):
         end = whole
     point[row.TAU] = point[row.TAU_START] = tau
     point[row.T_START] = t_0

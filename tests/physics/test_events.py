@@ -1,0 +1,134 @@
+"""Events of laws without located contacts, and clocks at their limits, against scipy's engine."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import gapsweep as gs
+
+OSCILLATOR = gs.Oscillator()
+SOFT = 1.4e4
+GAPS = {"wide": gs.Gap(4e-4, 4e-4), "one-sided": gs.Gap(0.0, 8e-4), "none": gs.Gap(0.0, 0.0)}
+TIGHT = {"rtol": 1e-11, "atol": 1e-14}
+LABELS = ("tanh-1e4", "arctan-1e4", "logarctan-1e4", "poly-13", "piecewise-noevents")
+
+
+def spring(x):
+    return 2e3 * x + 1e9 * x**3
+
+
+def laws(gap):
+    return [*(gs.contact_law(label, SOFT, gap) for label in LABELS), gs.law(spring, SOFT, gap)]
+
+
+# ---- Contact times --------------------
+
+
+@pytest.mark.parametrize("gap", GAPS.values(), ids=GAPS)
+def test_contact_times_of_laws_without_located_contacts_agree_with_scipy(gap):
+    for law in laws(gap):
+        one, other = (
+            gs.simulate(OSCILLATOR, law, 9.0, t_end=0.6, engine=engine, **TIGHT)
+            for engine in ("compiled", "scipy")
+        )
+        assert one.n_contacts == other.n_contacts > 5
+        # A step across a kink that is not located costs digits.
+        within = 1e-8 if law == gs.contact_law("piecewise-noevents", SOFT, gap) else 1e-10
+        assert_allclose(one.t_contacts, other.t_contacts, rtol=0.0, atol=within)
+
+
+@pytest.mark.parametrize("settings", [{"controller": "ode45"}, {"restart": True},
+                                      {"controller": "ode45", "restart": True}])  # fmt: skip
+@pytest.mark.parametrize("gap", GAPS.values(), ids=GAPS)
+def test_contact_times_under_other_step_controls_are_the_located_ones(gap, settings):
+    law = gs.Piecewise(SOFT, gap)
+    located = gs.simulate(OSCILLATOR, law, 9.0, t_end=0.6)
+    run = gs.simulate(OSCILLATOR, law, 9.0, t_end=0.6, rtol=1e-8, atol=1e-11, **settings)
+    assert run.n_contacts == located.n_contacts
+    assert_allclose(run.t_contacts, located.t_contacts, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("controller", ["native", "ode45"])
+@pytest.mark.parametrize("rtol", [1e-1, 1e-4])
+def test_every_contact_counted_has_its_time(rtol, controller):
+    # Coarse steps hold several extrema and contacts each; softening motions run away on the way.
+    rng = np.random.default_rng(5)
+    starts = rng.uniform(-2e-3, 2e-3, 64), rng.uniform(-0.1, 0.1, 64)
+    omega, n_diverged = rng.uniform(0.3, 40.0, 64), 0
+    for oscillator in (OSCILLATOR, gs.Oscillator(alpha=-1e11)):
+        for label in ("tanh-1e4", "piecewise-noevents"):
+            for gap in GAPS.values():
+                law = gs.contact_law(label, 1e5, gap)
+                runs = gs.simulate(oscillator, law, omega, *starts, t_end=1.0, rtol=rtol,
+                                   atol=1e-3 * rtol, controller=controller)  # fmt: skip
+                assert [len(t) for t in runs.t_contacts] == runs.n_contacts.tolist()
+                assert all(np.all(np.diff(t) >= 0.0) for t in runs.t_contacts)
+                n_diverged += np.sum(runs.status == gs.Status.DIVERGED)
+    assert n_diverged > 0
+
+
+def test_contacts_are_the_sides_that_extrema_change():
+    # Between two extrema the motion is monotone: it passes the wall if they lie on its two sides. A
+    # coarse step that passes it may hold extrema too. (Polished extrema may lie on the other side
+    # of a wall that they only graze.)
+    law = gs.Tanh(1e5, gs.Gap(1.0, 1e-4), 1e4)
+    rng = np.random.default_rng(3)
+    starts = rng.uniform(-5e-4, 5e-4, 256), rng.uniform(-0.02, 0.02, 256)
+    omega = rng.uniform(20.0, 60.0, 256)
+    runs = gs.simulate(OSCILLATOR, law, omega, *starts, t_end=1.0, rtol=1e-3, atol=1e-6)
+    ends = zip(starts[0], runs.extrema, runs.x, strict=True)
+    sides = [np.array([x_0, *extrema, x_1]) > 1e-4 for x_0, extrema, x_1 in ends]
+    passed = np.array([np.sum(side[1:] != side[:-1]) for side in sides])
+    assert np.mean(passed == runs.n_contacts) > 0.99
+
+
+# ---- Section points --------------------
+
+
+@pytest.mark.parametrize("restart", [False, True])
+def test_steps_over_many_forcing_periods_keep_every_section_point(restart):
+    # Without forcing nothing keeps ode45's steps short of its period.
+    free, law = gs.Oscillator(forcing=0.0), gs.Tanh(SOFT, GAPS["wide"], 1e4)
+    law = gs.Piecewise(SOFT, GAPS["wide"]) if restart else law
+    run = gs.simulate(free, law, 500.0, 1e-3, t_end=0.5, rtol=1e-6, atol=1e-9,
+                      controller="ode45", restart=restart)  # fmt: skip
+    assert run.n_steps < 200
+    truth = gs.simulate(free, law, 500.0, 1e-3, t_end=0.5, engine="scipy", **TIGHT)
+    assert run.section.shape == truth.section.shape == (250, 2)
+    assert_allclose(run.section / (1.0, 30.0), truth.section / (1.0, 30.0), rtol=0.0, atol=1e-7)
+
+
+# ---- The clock --------------------
+
+
+@pytest.mark.parametrize("omega", [1e-12, 1e-16, 1e-20, 1e-50])
+@pytest.mark.parametrize("label", ["piecewise", "tanh-1e4"])
+def test_forcing_slower_than_any_clock_is_a_constant_force(label, omega):
+    law = gs.contact_law(label, SOFT, GAPS["wide"])
+    run = gs.simulate(OSCILLATOR, law, omega, t_end=1.0, dense_output=True)
+    truth = gs.simulate(OSCILLATOR, law, omega, t_end=1.0, engine="scipy", **TIGHT)
+    assert run.status is gs.Status.OK
+    assert run.t == 1.0
+    assert_allclose([run.x, run.v], [truth.x, truth.v], rtol=1e-6)
+    assert run.n_contacts == len(run.t_contacts) == truth.n_contacts > 20
+    assert_allclose(run.extrema, truth.extrema, rtol=1e-7)
+    assert_allclose(run.sample(0.5), run_half(law, omega), rtol=1e-7)
+
+
+def run_half(law, omega):
+    half = gs.simulate(OSCILLATOR, law, omega, t_end=0.5, engine="scipy", **TIGHT)
+    return half.x, half.v
+
+
+@pytest.mark.parametrize("label", ["piecewise", "tanh-1e4", "piecewise-noevents"])
+@pytest.mark.parametrize(("t_0", "t_end"), [(0.0, 1.0), (0.1, 0.3), (1e3, 1e3 + 0.7)])
+def test_a_motion_ends_at_the_time_asked_for(label, t_0, t_end):
+    law = gs.contact_law(label, SOFT, GAPS["wide"])
+    assert gs.simulate(OSCILLATOR, law, 8.7, t_0=t_0, t_end=t_end).t == t_end
+
+
+@pytest.mark.parametrize("label", ["piecewise", "tanh-1e4"])
+def test_phase_that_hides_the_steps_of_the_motion_is_refused(label):
+    law = gs.contact_law(label, SOFT, GAPS["wide"])
+    with pytest.raises(gs.ModelError, match=r"t_0 = 5e\+15 s: at omega = 1e-16 Hz .* t_0 = 0"):
+        gs.simulate(OSCILLATOR, law, [9.0, 1e-16], t_0=5e15, t_end=5e15 + 2.0)
