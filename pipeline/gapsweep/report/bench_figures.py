@@ -64,6 +64,7 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     labels = bench["method"].values.tolist()
     for axes, s in zip(panels.flat, range(bench.sizes["scene"]), strict=False):
         _panel(axes, bench.isel(scene=s), labels)
+    _widen(panels[0, 0])
     for axes in panels.flat[bench.sizes["scene"] :]:
         axes.set_visible(False)
     for axes in panels[:, 0]:
@@ -126,6 +127,19 @@ def _panel(axes: Axes, scene: xr.Dataset, labels: list[str]) -> None:
     said = _failed_words(scene, labels)
     if said:
         axes.text(0.98, 0.97, said, transform=axes.transAxes, ha="right", va="top", fontsize=7)
+
+
+def _widen(axes: Axes) -> None:
+    """Show a decade about values that are all one.
+
+    Error bars make of one value two, a rounding apart, and so narrow would be the axis.
+    """
+    for (low, high), set_limits in (
+        (axes.get_xlim(), axes.set_xlim),
+        (axes.get_ylim(), axes.set_ylim),
+    ):
+        if high < 1.01 * low:
+            set_limits(low / math.sqrt(10.0), high * math.sqrt(10.0))
 
 
 def _failed_words(scene: xr.Dataset, labels: list[str]) -> str:
