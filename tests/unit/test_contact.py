@@ -153,8 +153,14 @@ def test_user_law_is_evaluated_and_differentiated():
         (lambda: gs.Piecewise(-1.0, SYMMETRIC), r"K_c = -1: must be >= 0"),
         (lambda: gs.Tanh(SOFT, SYMMETRIC, 0.0), r"epsilon = 0: must be > 0"),
         (lambda: gs.LogArctan(SOFT, SYMMETRIC, math.inf), r"gamma = inf: must be finite"),
-        (lambda: gs.Polynomial(SOFT, SYMMETRIC, 61), r"degree 61: must be in 1..60"),
-        (lambda: gs.RationalPolynomial(SOFT, SYMMETRIC, 0, 1), r"degree 0: must be in 1..20"),
+        (
+            lambda: gs.Polynomial(SOFT, SYMMETRIC, 61),
+            r"degree = 61: must be a whole number in 1..60",
+        ),
+        (
+            lambda: gs.RationalPolynomial(SOFT, SYMMETRIC, 0, 1),
+            r"degree = 0: must be a whole number in 1..20",
+        ),
         (lambda: gs.Oscillator(zeta=-0.1), r"zeta = -0.1: must be >= 0"),
         (lambda: gs.Oscillator(omega_n=0.0), r"omega_n = 0: must be > 0"),
         (lambda: gs.Oscillator(mass="heavy"), r"mass = 'heavy': must be a number"),

@@ -150,7 +150,7 @@ def test_slow_drift_is_no_period():
     [
         ("settle_tol", 0.5, "settle_tol = 0.5: must be <= 0.1"),
         ("t_max", -1.0, "t_max = -1: must be > 0"),
-        ("max_extrema", 0, "max_extrema = 0: must be in 1..65536"),
+        ("max_extrema", 0, "max_extrema = 0: must be a whole number in 1..65536"),
         ("n_periods", 10, "n_periods = 10: must be >= 2 max_period_multiple"),
     ],
 )
