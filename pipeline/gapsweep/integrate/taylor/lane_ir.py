@@ -136,9 +136,9 @@ def _call(name, *args):
 
 
 def fma(a, b, c):
-    """``a * b + c``, in one instruction where the processor has one."""
+    """``a * b + c``, rounded once on every processor: in one instruction where it has one."""
     return _call(
-        "fmuladd",
+        "fma",
         a,
         b if isinstance(b, Vec) else a.constant(b),
         c if isinstance(c, Vec) else a.constant(c),
