@@ -36,7 +36,6 @@ REFUSED = {
     "tiny mass": (lambda: gs.Oscillator(mass=1e-308), "mass = 1e-308: must be >= 1e-50"),
     "huge gamma": (lambda: gs.LogArctan(1.4e4, GAP, 1e300), r"gamma = 1e\+300: must be within"),
     "response without law": (lambda: answered(law=None), "law = None: must be a contact law"),
-    "response of text": (lambda: answered(oscillator="it"), "oscillator = 'it': must be"),
     "text for a time": (
         lambda: simulated(dense_output=True).sample("a"),
         "t = 'a': must be a time",
