@@ -1,0 +1,148 @@
+"""No silent wrong number: determinants, energies, clocks, noise; more: benchmarks/trust.py."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from tests import random_scenes as rs
+
+import gapsweep as gs
+from gapsweep.integrate.problem import Solver
+from gapsweep.response.result import ResponseClass
+from gapsweep.status import Status
+
+LINEAR = gs.Oscillator(alpha=0.0, forcing=1.0)
+FREE = gs.Piecewise(1.4e4, gs.Gap(0.1, 0.1))  # walls that are never reached
+HARD, ASYMMETRIC = 1.4e6, gs.Gap(0.0, 0.8e-3)
+
+
+@pytest.mark.parametrize(("rtol", "allowed"), [(1e-4, 1e-2), (1e-9, 1e-6)])
+def test_tangents_shrink_areas_as_damping_does(rtol, allowed):
+    cases = list(rs.random_cases(80, 11))
+    for case, response in zip(cases, rs.responses(cases, rtol), strict=True):
+        if rs.is_periodic(response):
+            assert rs.determinant_error(case, response, rtol) <= allowed
+        if case.kind == "linear":
+            assert response.period_multiple == 1
+
+
+@pytest.mark.parametrize("omega", [0.05, 0.2, 0.5, 2.5])
+@pytest.mark.parametrize("rtol", [1e-4, 1e-9])
+def test_a_slow_linear_motion_has_its_own_multipliers(omega, rtol):
+    found = gs.respond(LINEAR, FREE, omega, rtol=rtol, atol=1e-3 * rtol)
+    assert found.status is Status.OK
+    assert found.period_multiple == 1
+    per_period = LINEAR.decay_rate / omega
+    # Where a period shrinks everything to nothing there is nothing to compare.
+    if per_period < 20.0:
+        assert_allclose(found.multiplier_abs, math.exp(-per_period), rtol=1e3 * rtol)
+
+
+def test_a_quiet_duffing_oscillator_is_not_chaotic():
+    found = gs.respond(gs.Oscillator(zeta=0.3, forcing=1.0), FREE, 0.305)
+    assert found.response_class is ResponseClass.PERIODIC
+    assert found.lyapunov < 0.0
+
+
+@pytest.mark.parametrize("omega", [7.0, 9.0, 14.0])
+def test_a_wall_without_a_gap_has_its_own_multipliers(omega):
+    found = gs.respond(gs.Oscillator(), gs.Piecewise(HARD, gs.Gap(0.0, 0.0)), omega)
+    product = np.prod(np.reshape(found.multipliers, (2, 2)) @ [1.0, 1.0j])
+    n = found.period_multiple
+    assert_allclose(abs(product), math.exp(-2 * n * gs.Oscillator().decay_rate / omega), rtol=1e-6)
+
+
+@given(
+    alpha=st.sampled_from([0.0, 1e2, 1e4, 1e6, 1e8, 1e10]),
+    omega_n=st.floats(0.1, 100.0),
+    mass=st.floats(1e-3, 10.0),
+    x_0=st.floats(1e-4, 1e-2),
+    rtol=st.sampled_from([1e-3, 1e-6, 1e-9, 1e-12]),
+)
+@settings(max_examples=60)
+def test_a_free_swing_keeps_its_energy(alpha, omega_n, mass, x_0, rtol):
+    oscillator = gs.Oscillator(zeta=0.0, omega_n=omega_n, mass=mass, alpha=alpha, forcing=0.0)
+    assert rs.energy_error(oscillator, x_0, rtol) <= 100.0 * rtol
+
+
+def _in_clock(response, clock):
+    """What of a response must not change by a bit with the clock."""
+    return (
+        response.response_class,
+        response.n_steps,
+        response.extrema,
+        response.x_end,
+        response.v_end * clock,
+        response.multipliers,
+    )
+
+
+@pytest.mark.parametrize("power", [-7, 3, 7])
+def test_a_clock_of_a_power_of_two_changes_no_bit(power):
+    cases = list(rs.random_cases(25, 12))
+    slow = rs.responses([case.slowed(2.0**power) for case in cases], 1e-9)
+    for own, other in zip(rs.responses(cases, 1e-9), slow, strict=True):
+        assert _in_clock(own, 1.0) == _in_clock(other, 2.0**power)
+
+
+@pytest.mark.parametrize("clock", [0.01, 100.0])
+def test_a_slow_oscillator_is_given_its_time(clock):
+    case = rs.Case("walls", gs.Oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), 9.0)
+    own, slow = rs.responses([case, case.slowed(clock)], 1e-9)
+    assert slow.status is Status.OK
+    assert_allclose(slow.amplitude, own.amplitude, rtol=1e-6)
+
+
+@pytest.mark.parametrize("omega", [0.02, 9.0, 40.0])
+@pytest.mark.parametrize("zeta", [0.0, 1e-3, 0.03])
+def test_a_point_is_bounded_in_time(omega, zeta):
+    oscillator = gs.Oscillator(zeta=zeta)
+    steady = gs.Steady(max_decay_times=20.0, max_periods=500)
+    found = gs.respond(oscillator, gs.Piecewise(HARD, ASYMMETRIC), omega, steady=steady)
+    rate = oscillator.decay_rate
+    settling = math.log(1e6) / rate if rate else 0.0
+    watched = max(settling, min(20.0 / rate if rate else math.inf, 500.0 / omega))
+    exponent = 61 * (0.47 / rate + 1.0 / omega) if rate else 0.0
+    # Windows and shots: at each look as many periods again, and six shots of up to 32 periods.
+    assert found.t_simulated <= 4.0 * watched + exponent + 2000.0 / omega
+    if not zeta:
+        assert rs.is_periodic(found) or found.status is Status.UNRESOLVED
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-4, 1e-6])
+def test_a_turn_on_the_section_is_counted_once(rtol):
+    # At rest on average and driven far below its own frequency, x turns where the force does.
+    for omega in np.linspace(0.05, 0.5, 10):
+        found = gs.respond(LINEAR, FREE, float(omega), rtol=rtol, atol=1e-3 * rtol)
+        stiffness = LINEAR.mass * LINEAR.omega_n_rad**2
+        r = omega / LINEAR.omega_n
+        amplitude = LINEAR.forcing / stiffness / math.hypot(1 - r * r, 2 * LINEAR.zeta * r)
+        assert found.n_extrema == 2
+        assert_allclose(found.amplitude, amplitude, rtol=20 * rtol)
+
+
+def test_a_rattling_solver_is_not_chaotic():
+    paper = Solver.of("compiled", 1e-4, 1e-7, "ode45", True)
+    frequencies = np.array([5.1, 6.2, 8.2, 9.3, 10.3, 12.9, 17.0, 17.3, 19.1, 20.4, 24.7])
+    exact = rs.rattled(Solver.of(), gs.Piecewise(HARD, ASYMMETRIC), frequencies)
+    for law in (gs.Piecewise(HARD, ASYMMETRIC, located=False), gs.Tanh(HARD, ASYMMETRIC, 1e9)):
+        found = rs.rattled(paper, law, frequencies)
+        for omega, one, own in zip(frequencies, found, exact, strict=True):
+            assert not rs.is_taken_for_chaos(one, own, float(omega), ASYMMETRIC), omega
+            assert one.response_class is not ResponseClass.CHAOTIC, omega
+
+
+def test_chaos_stays_chaos():
+    frequencies = np.array([1.5, 2.6, 3.9, 14.0, 14.2, 14.5])
+    for law, solver in (
+        (gs.Piecewise(HARD, ASYMMETRIC), Solver.of()),
+        (
+            gs.Piecewise(HARD, ASYMMETRIC, located=False),
+            Solver.of("compiled", 1e-4, 1e-7, "ode45", True),
+        ),
+    ):
+        for found in rs.rattled(solver, law, frequencies):
+            assert found.response_class is ResponseClass.CHAOTIC
