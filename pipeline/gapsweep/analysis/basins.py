@@ -72,7 +72,7 @@ def basins(
         solver=Solver.of(engine, rtol, atol),
     )
     questions = [
-        Question(scene=scene, start=(x_0, v_0), steady=steady or Steady())
+        Question(scene=scene, start=(x_0, v_0), steady=Steady() if steady is None else steady)
         for v_0 in starts_v.tolist()
         for x_0 in starts_x.tolist()
     ]

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, law_kind
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
@@ -60,6 +61,14 @@ class Question:
     scene: Scene
     start: State
     steady: Steady
+
+    def __post_init__(self) -> None:
+        for name, value, kind in (
+            ("oscillator", self.scene.oscillator, Oscillator),
+            ("steady", self.steady, Steady),
+        ):
+            if not isinstance(value, kind):
+                raise ModelError(f"{name} = {value!r}: must be a gapsweep.{kind.__name__}")
 
 
 class Outcome(NamedTuple):
@@ -119,7 +128,9 @@ def respond(
         solver=Solver.of(engine, rtol, atol),
     )
     start = checked("x_0", x_0), checked("v_0", v_0)
-    return respond_all([Question(scene=scene, start=start, steady=steady or Steady())])[0]
+    return respond_all(
+        [Question(scene=scene, start=start, steady=Steady() if steady is None else steady)]
+    )[0]
 
 
 def respond_all(questions: Sequence[Question]) -> list[Response]:
