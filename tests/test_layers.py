@@ -9,7 +9,7 @@ import gapsweep
 
 PACKAGE = Path(gapsweep.__file__).parent
 LAYERS = (
-    {"errors", "status"},
+    {"errors", "status", "source"},
     {"model"},
     {"integrate"},
     {"response"},

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from gapsweep.errors import StoreError, StudyError
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import Plan
+from gapsweep.model import own_law
 from gapsweep.model.labels import AUTO
 from gapsweep.stages import (
     ADVICE,
@@ -94,8 +95,20 @@ def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
         elif stage.file == REPORT:
             report(folder)
         else:
-            result = _analysed(stage, study, folder)
+            result = _unedited(stage, study, folder)
             netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
+
+
+def _unedited(
+    stage: Stage, study: Study, folder: Path, say: Callable[[str], None] | None = None
+) -> "xr.Dataset":
+    """The dataset of an analysis stage, if the laws that it was made with are still there."""
+    before = study_source(study)
+    made = _analysed(stage, study, folder, say)
+    own_law.refresh()
+    if study_source(study) != before:
+        raise StudyError([f"{study.source}: a law of your own was edited meanwhile; run again"])
+    return made
 
 
 def _analysed(
@@ -164,11 +177,12 @@ def bench(
         raise StudyError([f"{study.source}: bench: missing; it names scenes and methods"])
     folder = run_folder(study, out)
     check_writable(folder)
+    own_law.refresh()
     made = []
     with alone_in(folder):
         for stage in stages_of(study):
             if stage.file in (WORK_PRECISION, STABILITY):
-                measured = _analysed(stage, study, folder, say)
+                measured = _unedited(stage, study, folder, say)
                 now = made_from(stage, folder, study_source(study))
                 netcdf.write(measured, folder / stage.file, {"made_from": as_text(now)})
                 made.append(folder / stage.file)

@@ -19,7 +19,7 @@ from gapsweep.store.artefact import digests, is_intact, sha256
 from gapsweep.store.cache import Cache
 from gapsweep.store.netcdf import attributes
 from gapsweep.study.fingerprint import code_fingerprint
-from gapsweep.study.points import law_source
+from gapsweep.study.points import OURS, law_code
 from gapsweep.study.study import Study
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
@@ -122,15 +122,15 @@ def claims_source(path: Path) -> MadeFrom:
 
 
 def _own_laws(study: Study) -> str:
-    """Sources of the user's own laws outside of sweeps; those of sweeps are in their keys."""
-    sources = []
+    """Code of the user's own laws outside of sweeps; that of sweeps is in their keys."""
+    codes = []
     labels = [r for table in study.spec.history for r in table.representation]
     labels += [method.label for method in study.spec.bench.method] if study.spec.bench else []
     for label in labels:
         # A law that cannot be imported is a matter of its motion's status.
         with suppress(ModelError):
-            sources.append(law_source(label.partition("@")[0]))
-    return "".join(source for source in sources if source != "null")
+            codes.append(law_code(label.partition("@")[0]))
+    return "".join(code for code in codes if code != OURS)
 
 
 def made_from(stage: Stage, folder: Path, sources: MadeFrom) -> MadeFrom:

@@ -29,7 +29,7 @@ def dask(*arguments, **environment):
     command = [sys.executable, "-m", "dask", *arguments]
     process = subprocess.Popen(
         command,
-        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        env={"PYTHONPATH": str(ROOT)} | os.environ | environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,

@@ -1,5 +1,9 @@
 """Study files: expansion, canonical coordinates, keys, and all problems at once."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -148,10 +152,32 @@ def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path):
     }.items():
         module.write_text(text)
         fingerprint.numerics_fingerprint.cache_clear()
-        fingerprint._scanned.cache_clear()
+        fingerprint._read.cache_clear()
         prints[name] = fingerprint.numerics_fingerprint(tmp_path)
     fingerprint.numerics_fingerprint.cache_clear()
     assert prints["first"] == prints["cosmetic"] != prints["changed"]
+
+
+LOADED = """
+import sys
+import gapsweep
+before = set(sys.modules)
+import gapsweep.{module}
+print("\\n".join(n for n in set(sys.modules) - before if n.startswith("gapsweep.")))
+"""
+
+
+@pytest.mark.parametrize("name", ["analysis/histories.py", "report/html.py"])
+def test_all_that_python_loads_for_a_stage_is_in_its_fingerprint(name, tmp_path):
+    module = name.removesuffix(".py").replace("/", ".")
+    command = [sys.executable, "-c", LOADED.format(module=module)]
+    loaded = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+    assert len(loaded) > 20
+    package = Path(gs.__file__).parent
+    needed = fingerprint.modules(package / name, package)
+    names = {p.relative_to(package).with_suffix("").as_posix() for p in needed}
+    names = {name.removesuffix("/__init__").replace("/", ".") for name in names}
+    assert {name.removeprefix("gapsweep.") for name in loaded} <= names
 
 
 def test_result_schema_is_part_of_the_key(tables, monkeypatch):

@@ -3,20 +3,31 @@
 from dataclasses import fields
 from typing import Any
 
+from gapsweep.errors import ModelError
 from gapsweep.execution.task import REST, responses
 from gapsweep.response.result import Response
 from gapsweep.response.walk import State
 from gapsweep.store.cache import Cache
-from gapsweep.study.points import point_of
+from gapsweep.study.points import Point, law_code, point_of
 
 
 def differences(cache: Cache, key: bytes) -> list[str]:
     """Names of the values of a stored result that come out otherwise now; `cpu_time` may."""
     row = cache.rows([key])[key]
     point, previous = point_of(row.identity)
+    if not _is_current(point):
+        return []
     (again,) = responses([([point], _start(cache, previous))])
     names = [field.name for field in fields(Response) if field.name not in ("cpu_time", "message")]
     return [n for n in names if not _same(getattr(again, n), getattr(row.response, n))]
+
+
+def _is_current(point: Point) -> bool:
+    """Whether the user's own law of a point, if it has one, is still the one that computed it."""
+    try:
+        return point.law_code == law_code(point.representation)
+    except ModelError:  # it has gone
+        return False
 
 
 def _start(cache: Cache, previous: str | None) -> State:

@@ -14,6 +14,7 @@ import sys
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
+from gapsweep.errors import GapsweepError
 from gapsweep.execution.task import Task, TaskResult, Work, continued, responses, state_after
 from gapsweep.response.result import Response
 from gapsweep.status import Status
@@ -71,10 +72,12 @@ class _Child:
             if not self.connection.poll(timeout):
                 message = f"took longer than {timeout:g} s"
                 return Response(status=Status.TIMED_OUT, message=message)
-            response: Response = self.connection.recv()
+            answer: Response | GapsweepError = self.connection.recv()
         except (EOFError, BrokenPipeError, ConnectionResetError):
             return Response(status=Status.KILLED, message=self._end_of_process())
-        return response
+        if isinstance(answer, GapsweepError):  # of the process itself, so of none of its points
+            raise answer
+        return answer
 
     def _end_of_process(self) -> str:
         code = self.process.wait()
@@ -97,4 +100,7 @@ def child() -> None:
             work: Work = connection.recv()
         except EOFError:
             return
-        connection.send(responses([work])[0])
+        try:
+            connection.send(responses([work])[0])
+        except GapsweepError as error:
+            connection.send(error)

@@ -251,6 +251,8 @@ class _Execution:
         error = future.exception()
         if error is None:
             self._store(job, future.result())
+        elif isinstance(error, ClusterError):  # of the worker itself, so of none of its points
+            raise error
         elif job.attempts < (_MAX_ATTEMPTS if isinstance(error, KilledWorker) else 1):
             self.suspects.append(_Job(job.pieces, job.attempts + 1))
         else:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.model import own_law
 from gapsweep.status import Status
 from gapsweep.store.cache import DAMAGED, MISSING
 from gapsweep.study.study import Index, Selection, Study
@@ -128,6 +129,7 @@ def plan(
     retry_failed : bool
         Whether stored failures count as missing.
     """
+    own_law.refresh()
     cells: list[int] = []
     keys: list[bytes] = []
     chain_starts = [0]

@@ -5,11 +5,9 @@ for symmetric, asymmetric and zero gaps. Formulas and labels are those of the us
 `gapsweep.model.labels` builds any law from its label.
 """
 
-import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -313,15 +311,6 @@ class UserLaw(ContactLaw):
     def name(self) -> str:
         """Where the function lives, as ``"module:function"``."""
         return f"{self.function.__module__}:{getattr(self.function, '__qualname__', '?')}"
-
-    @property
-    def source(self) -> str:
-        """Source text of the function; part of the identity of its results."""
-        target: Any = getattr(self.function, "py_func", self.function)
-        try:
-            return inspect.getsource(target)
-        except (OSError, TypeError):
-            raise ModelError(f"{self.name}: its source must be readable, in a .py file") from None
 
     def __str__(self) -> str:
         return self.name

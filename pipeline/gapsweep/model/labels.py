@@ -12,13 +12,13 @@
 ========================= ==========================================================
 """
 
-import importlib
 import math
 import re
 from collections.abc import Callable
 from decimal import Decimal
 
 from gapsweep.errors import ModelError
+from gapsweep.model import own_law
 from gapsweep.model.contact import (
     FIT_RANGE,
     Arctan,
@@ -88,7 +88,7 @@ def contact_law(label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE) 
     if label == AUTO:
         raise ModelError("'auto' is no law: a study chooses one for every sweep point")
     if ":" in label:
-        return law(_imported(label), K_c, gap)
+        return law(own_law.function(label), K_c, gap)
     if family == "piecewise":
         return Piecewise(K_c, gap, located=not parameter)
     if family == "poly":
@@ -119,14 +119,3 @@ def _degree(label: str, text: str, largest: int) -> int:
     if not re.fullmatch(r"[0-9]{1,3}", text) or not 1 <= int(text) <= largest:
         raise ModelError(f"{label!r}: degree {text!r} must be a whole number in 1..{largest}")
     return int(text)
-
-
-def _imported(label: str) -> Callable[[float], float]:
-    module, _, name = label.partition(":")
-    try:
-        function: Callable[[float], float] = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise ModelError(
-            f"{label!r}: {error}; the module must be importable here and on every worker"
-        ) from None
-    return function

@@ -8,17 +8,19 @@ from functools import lru_cache
 from typing import Any
 
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.contact import FIT_RANGE, ContactLaw, UserLaw
+from gapsweep.model import own_law
+from gapsweep.model.contact import FIT_RANGE, ContactLaw
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.result import Steady
-from gapsweep.study.fingerprint import normalised_source, numerics_fingerprint
+from gapsweep.study.fingerprint import numerics_fingerprint
 
 # Raised whenever the stored result of a point changes its form or meaning.
-RESULT_SCHEMA = 4
+RESULT_SCHEMA = 5
 
 FIXED = "fixed"
 SWEEPS = ("sweep_up", "sweep_down")
+OURS = "null"  # in place of the code of a user's law
 
 
 def canonical(value: float) -> float:
@@ -62,6 +64,8 @@ class Point:
         Half-width [m] of the range of fitted laws.
     start_jitter : float
         Added to a fixed initial displacement [m], for exact-against-exact floors.
+    law_code : str
+        Of a user's own law, as JSON; whoever computes the point must have the same.
     """
 
     oscillator: Oscillator
@@ -74,11 +78,22 @@ class Point:
     steady: Steady
     fit_range: float
     start_jitter: float = 0.0
+    law_code: str = OURS
 
     @property
     def law(self) -> ContactLaw:
-        build = contact_law if ":" in self.representation else _own_law
-        return build(self.representation, self.K_c, self.gap, self.fit_range)
+        """The contact law.
+
+        Raises
+        ------
+        ClusterError
+            If it is the user's own, and its code is another one here.
+        """
+        asked = self.representation, self.K_c, self.gap, self.fit_range
+        if self.law_code == OURS:
+            return _our_law(*asked)
+        own_law.require(self.representation, self.law_code)
+        return contact_law(*asked)
 
     def identity(self, previous: str | None = None) -> str:
         """All that the result depends on, as canonical JSON; its SHA-256 is the content key.
@@ -91,7 +106,7 @@ class Point:
         fields = {
             "K_c": repr(self.K_c),
             "gap": _canonical_json(self.gap),
-            "law_source": law_source(self.representation),
+            "law": self.law_code,
             "omega": repr(self.omega),
             "oscillator": _canonical_json(self.oscillator),
             "representation": json.dumps(self.representation),
@@ -115,7 +130,7 @@ def point_of(identity: str) -> tuple[Point, str | None]:
     """The sweep point that an identity describes, and the key, in hex, of the one before it."""
     stored = json.loads(identity)
     fields: dict[str, Any] = {"fit_range": FIT_RANGE, **stored["point"]}
-    del fields["law_source"]
+    fields["law_code"] = _json(fields.pop("law"))
     for name, kind in _SETTINGS.items():
         fields[name] = kind(**fields[name])
     return Point(**fields), stored["previous"]
@@ -143,18 +158,26 @@ def _object(members: Mapping[str, str]) -> str:
 @lru_cache(maxsize=4096)
 def _canonical_json(settings: Any) -> str:
     # The same few settings stand in all points of a study: they are written out once.
-    return json.dumps(asdict(settings), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return _json(asdict(settings))
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 # Points of one curve share their law. Not so a user's law, which may be imported anew.
-_own_law = lru_cache(maxsize=256)(contact_law)
+_our_law = lru_cache(maxsize=256)(contact_law)
 
 
-@lru_cache(maxsize=64)
-def law_source(representation: str) -> str:
-    """Normalised source, as JSON, of a user's own law; null for ours (numerics fingerprint)."""
+def law_code(representation: str) -> str:
+    """All that a user's own law computes with, as JSON; null for ours (numerics fingerprint).
+
+    Raises
+    ------
+    ModelError
+        If it cannot be imported or keyed, or is no function of x.
+    """
     if ":" not in representation:
-        return "null"
-    law = contact_law(representation, 0.0, Gap(0.0, 0.0))
-    assert isinstance(law, UserLaw)
-    return json.dumps(normalised_source(law.source))
+        return OURS
+    contact_law(representation, 0.0, Gap(0.0, 0.0))
+    return own_law.code(representation)

@@ -17,7 +17,7 @@ from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advise
 from gapsweep.study.claims import read_claims
-from gapsweep.study.points import FIXED, Point, Start, canonical, content_key
+from gapsweep.study.points import FIXED, Point, Start, canonical, content_key, law_code
 from gapsweep.study.spec import (
     MAX_POINTS,
     SobolStarts,
@@ -271,6 +271,7 @@ class Study:
             steady=self.steady,
             fit_range=self.spec.fit.range,
             start_jitter=self.start_jitter(full),
+            law_code=law_code(full.partition("@")[0]),
         )
         if full != AUTO:
             return point

@@ -1,0 +1,392 @@
+"""A user's own law, ``module:function``: the function, and the code of all that it computes with.
+
+The code is what cache keys hold and what a worker must have. It is the sources of the module and
+of all modules of the user's that it imports, at any depth; versions stand in for what is installed.
+Numbers may reach a module from outside as well (a table, the environment), so the values of its
+variables count too, as they are when it has just been imported.
+
+The files decide, not what this process happens to have in memory: for every study a law is imported
+anew, with all of these modules, and what Python then has loaded must be what was read.
+"""
+
+import functools
+import importlib
+import importlib.metadata
+import json
+import numbers
+import os
+import pickle
+import pkgutil
+import sys
+import sysconfig
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any
+
+from gapsweep.errors import ClusterError, ModelError
+from gapsweep.source import read, short_digest, with_parents
+
+_STANDARD = Path(sysconfig.get_path("stdlib"))
+_INSTALLED = {"site-packages", "dist-packages"}
+_OURS = "gapsweep"  # stands in every key by a fingerprint of its own
+
+
+@dataclass(frozen=True)
+class _Sources:
+    """What the import statements of a module lead to.
+
+    Attributes
+    ----------
+    package : str
+        The law's own, followed by its files also where it is installed.
+    files : dict of str to Path
+        The user's modules.
+    digests : dict of str to str
+        Of what these files say.
+    installed : dict of str to str
+        Versions of the installed packages that they import.
+    absent : set of str
+        What is not to be found, as it may be under an ``except ImportError``.
+    """
+
+    package: str
+    files: dict[str, Path] = field(default_factory=dict)
+    digests: dict[str, str] = field(default_factory=dict)
+    installed: dict[str, str] = field(default_factory=dict)
+    absent: set[str] = field(default_factory=set)
+
+
+# The code of what was imported, by module.
+_loaded: dict[str, str] = {}
+_lock = threading.RLock()
+
+
+def code(label: str) -> str:
+    """All that a law computes with, as a JSON object: digests by module, versions by package.
+
+    Parameters
+    ----------
+    label : str
+        ``"module:function"``.
+
+    Raises
+    ------
+    ModelError
+        If the module cannot be imported, or something in it cannot be keyed.
+    """
+    module = label.partition(":")[0]
+    with _lock:
+        if module not in _loaded:
+            _loaded[module] = json.dumps(_load(label), sort_keys=True, separators=(",", ":"))
+        return _loaded[module]
+
+
+def function(label: str) -> Callable[[float], float]:
+    """The function that a label names, of that code."""
+    with _lock:
+        code(label)
+        module, _, name = label.partition(":")
+        try:
+            found: Callable[[float], float] = getattr(sys.modules[module], name)
+        except AttributeError as error:
+            raise _unusable(label, error) from None
+    return found
+
+
+def refresh() -> None:
+    """Import all laws anew when they are asked for next: files, and what they read, may differ."""
+    with _lock:
+        _loaded.clear()
+
+
+def require(label: str, wanted: str) -> None:
+    """Have a law of this code, imported anew if need be.
+
+    Raises
+    ------
+    ClusterError
+        If the files here hold another one; the message names what differs.
+    """
+    try:
+        if code(label) == wanted:
+            return
+        with _lock:
+            _loaded.pop(label.partition(":")[0], None)
+        here, there = json.loads(code(label)), json.loads(wanted)
+    except ModelError as error:  # the client could use it
+        raise ClusterError(f"a worker cannot use the law {error}") from None
+    if here != there:
+        differing = {n.split()[0] for n in {**here, **there} if here.get(n) != there.get(n)}
+        raise ClusterError(
+            f"{label!r}: {', '.join(sorted(differing))} differ between client and worker, or were "
+            "edited during the run: make them the same on both sides and run again"
+        )
+
+
+def _unusable(label: str, error: BaseException | str) -> ModelError:
+    return ModelError(f"{label!r}: {error}; the module must be importable here and on every worker")
+
+
+def _load(label: str) -> dict[str, str]:
+    """Import a module, and all of the user's that it imports, from the files as they are now."""
+    module = label.partition(":")[0]
+    sources = _sources(module)
+    if module not in sources.files:
+        reason = f"No module named {module!r}" if module in sources.absent else "no file of yours"
+        raise _unusable(label, reason)
+    try:
+        with _compiled_apart(sources), _imported_anew(sources):
+            importlib.import_module(module)
+            for name in sources.files:
+                _check(label, name, sources)
+    except (ModelError, KeyboardInterrupt):
+        raise
+    except ImportError as error:
+        raise _unusable(label, error) from None
+    except BaseException as error:  # the user's code may raise anything, SystemExit too
+        raise _unusable(label, f"importing it raised {type(error).__name__}: {error}") from None
+    if _sources(module) != sources:
+        raise ModelError(f"{label!r}: edited while it was imported; run again")
+    return _described(sources)
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+def _sources(module: str) -> _Sources:
+    """Follow the import statements of a module, without running anything."""
+    importlib.invalidate_caches()
+    found = _Sources(module.partition(".")[0])
+    folders: dict[str, Sequence[str]] = {}
+    waiting, seen = [module], {_OURS}
+    while waiting:
+        for name in with_parents(waiting.pop()):
+            if name not in seen:
+                seen.add(name)
+                waiting += _follow(name, found, folders)
+    return found
+
+
+def _follow(name: str, found: _Sources, folders: dict[str, Sequence[str]]) -> Sequence[str]:
+    """Add a module to what was found; what it imports, if it is a file of the user's.
+
+    `folders` are those in which the modules of a package lie, of the user's packages alone.
+    """
+    parent = name.rpartition(".")[0]
+    if parent and parent not in folders:
+        return ()
+    spec = _spec(name, folders.get(parent))
+    if spec is None:
+        # Within a package it may be any variable.
+        found.absent.update(() if parent else (name,))
+        return ()
+    if spec.origin is None:  # a folder without __init__.py
+        folders[name] = list(spec.submodule_search_locations or ())
+        return ()
+    path = Path(spec.origin)
+    if not spec.has_location or _is_standard(path):
+        return ()
+    package = name.partition(".")[0]
+    is_foreign = _is_installed(path) and package != found.package
+    if is_foreign and (version := _version(package)) is not None:
+        found.installed[package] = version
+        return ()
+    try:
+        if path.suffix != ".py":
+            raise ValueError("must be a .py file, or of an installed package")
+        source = read(path, name)
+    except (OSError, SyntaxError, ValueError) as error:
+        raise ModelError(f"{path}: cannot be keyed: {error}") from None
+    found.files[name], found.digests[name] = path, source.digest
+    if spec.submodule_search_locations is not None:
+        folders[name] = spec.submodule_search_locations
+    return source.imports
+
+
+def _spec(name: str, folders: Sequence[str] | None) -> ModuleSpec | None:
+    """Where Python would import a module from; `importlib.util.find_spec` runs its packages."""
+    if folders is None:
+        found = (finder.find_spec(name, None) for finder in sys.meta_path)
+        return next((spec for spec in found if spec is not None), None)
+    without_file = ModuleSpec(name, None, is_package=True)
+    for folder in folders:
+        in_folder = pkgutil.get_importer(folder)
+        spec = in_folder.find_spec(name) if in_folder is not None else None
+        if spec is not None and spec.loader is not None:
+            return spec
+        if spec is not None and without_file.submodule_search_locations is not None:
+            without_file.submodule_search_locations += spec.submodule_search_locations or ()
+    return without_file if without_file.submodule_search_locations else None
+
+
+def _is_installed(path: Path) -> bool:
+    return not _INSTALLED.isdisjoint(path.parts)
+
+
+def _is_standard(path: Path) -> bool:
+    return _STANDARD in path.parents and not _is_installed(path)
+
+
+@functools.cache
+def _version(package: str) -> str | None:
+    """Version of what an installed package comes with; None if nobody says."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        names = importlib.metadata.packages_distributions().get(package, [])
+        return " ".join(map(importlib.metadata.version, sorted(set(names)))) or None
+
+
+# --- memory -------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _imported_anew(sources: _Sources) -> Iterator[None]:
+    """Imports in this block run the user's modules again, from their files."""
+    # With the folders that they lie in, which need no file to be packages.
+    names = {each for name in sources.files for each in with_parents(name)}
+    old = {name: sys.modules.pop(name) for name in names if name in sys.modules}
+    settings = sys.pycache_prefix, sys.dont_write_bytecode
+    # Byte code is recognised by the second and the size: it may be that of a file edited since.
+    sys.pycache_prefix, sys.dont_write_bytecode = os.devnull, True
+    try:
+        yield
+    except BaseException:
+        sys.modules.update(old)
+        raise
+    finally:
+        sys.pycache_prefix, sys.dont_write_bytecode = settings
+        for name, module in old.items():
+            _keep_submodules(module, sys.modules.get(name, module))
+
+
+def _keep_submodules(old: ModuleType, new: ModuleType) -> None:
+    """``import a.b`` sets `b` in `a` once; what was not imported again must still be there."""
+    for name, value in vars(old).items():
+        if value is sys.modules.get(f"{old.__name__}.{name}") and not hasattr(new, name):
+            setattr(new, name, value)
+
+
+@contextmanager
+def _compiled_apart(sources: _Sources) -> Iterator[None]:
+    """What numba keeps on disk of functions imported in this block is found by no other process.
+
+    It would load old machine code after an edit of a helper, or of a number, in another file.
+    """
+    if "numba" not in sources.installed:
+        yield
+        return
+    from numba import config  # most laws need none, and it takes a second
+
+    users_choice = config.CACHE_DIR
+    config.CACHE_DIR = tempfile.mkdtemp(dir=_scratch().name)
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = users_choice
+
+
+@functools.cache
+def _scratch() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="gapsweep-laws-")
+
+
+def _check(label: str, name: str, sources: _Sources) -> None:
+    """Refuse a module whose contents come from where no import statement led."""
+    module = sys.modules.get(name)
+    if module is None:  # imported by a function that nobody has called
+        return
+    loaded = [(name, module)]
+    for value in vars(module).values():
+        origin = value.__name__ if isinstance(value, ModuleType) else _module_of(value)
+        if origin in sys.modules:
+            loaded.append((origin, sys.modules[origin]))
+    for origin, each in loaded:
+        path = Path(getattr(each, "__file__", None) or _STANDARD / "built-in")
+        is_followed = path == sources.files.get(origin, path) and (
+            origin in sources.files
+            or origin.partition(".")[0] == _OURS
+            or _is_standard(path)
+            or _is_installed(path)
+        )
+        if not is_followed:
+            raise ModelError(
+                f"{label!r}: {name} uses {origin} ({path}), which no import statement leads to, "
+                "so it cannot be keyed: import it by its name, from a folder in PYTHONPATH"
+            )
+
+
+def _module_of(value: Any) -> str:
+    name = getattr(value, "__module__", None)
+    return name if isinstance(name, str) else ""
+
+
+def _described(sources: _Sources) -> dict[str, str]:
+    """The code: digests of files and of the values in memory, and versions."""
+    values = {
+        f"{name} (values)": short_digest(repr(found).encode())
+        for name in sources.files
+        if name in sys.modules and (found := _values(vars(sys.modules[name]), sources, set()))
+    }
+    return sources.digests | sources.installed | values
+
+
+def _values(variables: Any, sources: _Sources, seen: set[int]) -> dict[str, Any]:
+    return {
+        str(name): value
+        for name, given in sorted(variables.items(), key=lambda item: str(item[0]))
+        if not str(name).startswith("__") and (value := _value(given, sources, seen)) is not None
+    }
+
+
+def _value(value: Any, sources: _Sources, seen: set[int]) -> Any:
+    """A value in a form that every process writes alike; None for what is no data."""
+    if isinstance(value, numbers.Number | bytes):
+        return repr(value)
+    if isinstance(value, str):
+        return None if os.sep in value else value  # paths differ from machine to machine
+    if id(value) in seen or isinstance(value, ModuleType):
+        return None
+    seen = seen | {id(value)}
+    if isinstance(value, list | tuple):
+        return [_value(each, sources, seen) for each in value]
+    if isinstance(value, set | frozenset):
+        return sorted(repr(_value(each, sources, seen)) for each in value)
+    if isinstance(value, dict):
+        return _values(value, sources, seen)
+    if isinstance(value, functools.partial):
+        return _value([value.func, value.args, value.keywords], sources, seen)
+    value = getattr(value, "py_func", value)  # a function compiled by numba
+    if isinstance(value, FunctionType):
+        return _value([value.__defaults__, value.__kwdefaults__, _cells(value)], sources, seen)
+    if isinstance(value, type):
+        return _values(vars(value), sources, seen) if value.__module__ in sources.files else None
+    kind = type(value).__module__
+    if kind in sources.files:
+        return _values(getattr(value, "__dict__", {}), sources, seen)
+    return _pickled(value) if kind.partition(".")[0] in sources.installed else None
+
+
+def _cells(function: FunctionType) -> list[Any]:
+    """What a function has taken along from the one that made it."""
+    found = []
+    for cell in function.__closure__ or ():
+        try:
+            found.append(cell.cell_contents)
+        except ValueError:  # nothing assigned yet
+            continue
+    return found
+
+
+def _pickled(value: Any) -> str | None:
+    """Digest of an array, a spline, or whatever else a library has made of numbers."""
+    try:
+        return short_digest(pickle.dumps(value))
+    except Exception:  # locks, files, generated classes: not everything can be
+        return None
