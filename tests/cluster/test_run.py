@@ -19,6 +19,7 @@ from gapsweep.execution.plan import plan
 from gapsweep.execution.task import responses as responses_of
 from gapsweep.store.cache import Cache
 from gapsweep.study.schema import COORDINATES, POINT_DIMS, VARIABLES
+from gapsweep.study.software import versions
 
 
 def poison(x: float) -> float:
@@ -62,6 +63,8 @@ def test_dataset_has_every_dimension_unit_and_flag(responses):
     assert meanings == [status.label for status in gs.Status]
     assert len(responses["response_class"].attrs["flag_values"]) == 5
     assert {"study_json", "numerics_fingerprint", "versions", "host"} <= set(responses.attrs)
+    for library in ("Python", "numba", "llvmlite", "numpy", "scipy"):
+        assert f"{library} {versions()[library]}" in responses.attrs["computed_with"]
 
 
 def test_dataset_holds_what_respond_returns(responses, tables):
@@ -189,7 +192,7 @@ def test_a_cluster_started_elsewhere_is_used(tables, tmp_path):
 
 def test_workers_with_other_numerics_are_refused(tables, client, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "gapsweep.execution.cluster.numerics_fingerprint", lambda: "of another version"
+        "gapsweep.execution.cluster.software", lambda: {"numerics": "of another version"}
     )
     with pytest.raises(gs.ClusterError, match=r"runs other numerics .* install the same gapsweep"):
         run(tables, client, tmp_path)

@@ -162,6 +162,20 @@ def test_a_worker_with_another_copy_of_the_law_is_refused(of_mine, tmp_path, min
         assert asked(of_mine, tmp_path, scheduler=address)[1] == 0
 
 
+def test_a_worker_with_other_libraries_is_refused(tables, tmp_path):
+    folder = tmp_path / "llvmlite-0.1.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: llvmlite\nVersion: 0.1\n")
+    path = os.pathsep.join([str(tmp_path), str(ROOT)])
+    with (
+        scheduler() as (address, _),
+        worker(address, PYTHONPATH=path),
+        pytest.raises(gs.ClusterError, match=r"^tcp://\S+ runs llvmlite 0.1, here \d\S+: use the"),
+    ):
+        asked(tables, tmp_path, scheduler=address)
+    assert stored(tmp_path) == 0
+
+
 def command(*arguments, path, folder):
     done = subprocess.run(
         [sys.executable, "-c", "from gapsweep.cli import main; main()", *arguments],

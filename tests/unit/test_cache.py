@@ -33,7 +33,7 @@ def key(name):
 @given(st.lists(finite, max_size=5), finite, st.sampled_from(gs.Status), st.text(max_size=20))
 def test_responses_round_trip_exactly(extrema, x_max, status, message):
     response = gs.Response(status=status, extrema=tuple(extrema), x_max=x_max, message=message)
-    back = _decoded(_encoded(response))
+    back, _ = _decoded(_encoded(response))
     assert back.extrema == response.extrema
     assert (back.x_max, back.status, back.message) == (x_max, status, message)
     assert math.isnan(back.amplitude)
@@ -41,7 +41,7 @@ def test_responses_round_trip_exactly(extrema, x_max, status, message):
 
 @given(st.sampled_from([float("inf"), float("-inf")]))
 def test_infinities_round_trip(value):
-    back = _decoded(_encoded(gs.Response(status=gs.Status.OK, lyapunov=value, message="inf")))
+    back, _ = _decoded(_encoded(gs.Response(status=gs.Status.OK, lyapunov=value, message="inf")))
     assert back.lyapunov == value
     assert back.message == "inf"
 
@@ -55,6 +55,19 @@ def test_committed_rows_are_there_after_reopening(tmp_path):
         assert stored.tolist() == [gs.Status.OK, gs.Status.KILLED, MISSING]
         assert cache.rows([key("a")])[key("a")].response.x_max == 1e-3
         assert cache.cpu_times([key("a")]) == {key("a"): 0.25}
+
+
+def test_a_failure_never_takes_the_place_of_a_result(tmp_path):
+    late = gs.Status.TIMED_OUT
+    with Cache(tmp_path / "cache.sqlite") as cache:
+        cache.commit([row("a"), row("b", status=gs.Status.KILLED), row("c")])
+        with cache.transaction():
+            cache.db.execute("UPDATE results SET host = 'damage' WHERE key = ?", [key("c")])
+        cache.commit([row(name, status=late) for name in "abcd"])
+        found = cache.status([key(name) for name in "abcd"])
+        assert found.tolist() == [gs.Status.OK, late, late, late]
+        cache.commit([row("b")])
+        assert cache.status([key("b")]).tolist() == [gs.Status.OK]
 
 
 def test_more_keys_than_one_query_takes(tmp_path):

@@ -180,6 +180,32 @@ def test_all_that_python_loads_for_a_stage_is_in_its_fingerprint(name, tmp_path)
     assert {name.removeprefix("gapsweep.") for name in loaded} <= names
 
 
+@pytest.mark.parametrize(
+    ("library", "engine", "moved"),
+    [
+        ("numba", "compiled", {0, 1, 2}),
+        ("llvmlite", "compiled", {0, 1, 2}),
+        ("scipy", "scipy", {0, 1, 2}),
+        ("numba", "scipy", set()),
+        ("scipy", "compiled", {2}),
+        ("numpy", "compiled", {2}),
+        ("Python", "compiled", set()),
+    ],
+)
+def test_an_upgrade_moves_the_keys_of_what_the_library_decides(
+    tables, monkeypatch, library, engine, moved
+):
+    def keys():
+        points._versions.cache_clear()
+        return all_keys(study_of(tables, solver={"engine": engine}))
+
+    before, ours = keys(), points.versions()
+    monkeypatch.setattr(points, "versions", lambda: {**ours, library: "99.9"})
+    after = keys()
+    points._versions.cache_clear()
+    assert {index[0] for index in before if before[index] != after[index]} == moved
+
+
 def test_result_schema_is_part_of_the_key(tables, monkeypatch):
     before = set(all_keys(study_of(tables)).values())
     monkeypatch.setattr(points, "RESULT_SCHEMA", points.RESULT_SCHEMA + 1)

@@ -18,7 +18,7 @@ from gapsweep.errors import GapsweepError
 from gapsweep.execution.task import Task, TaskResult, Work, continued, responses, state_after
 from gapsweep.response.result import Response
 from gapsweep.status import Status
-from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.study.software import software
 
 _START_SECONDS = 120.0
 _CHILD = "from gapsweep.execution.alone import child; child()"
@@ -26,7 +26,7 @@ _CHILD = "from gapsweep.execution.alone import child; child()"
 
 def compute_alone(task: Task) -> TaskResult:
     """Body of a Dask task: like `compute`, but nothing that a point does can harm the worker."""
-    fingerprint = numerics_fingerprint()
+    ours = software()
     found: list[Response] = []
     child: _Child | None = None
     try:
@@ -44,7 +44,7 @@ def compute_alone(task: Task) -> TaskResult:
     finally:
         if child is not None:
             child.end()
-    return TaskResult(found, platform.node(), fingerprint)
+    return TaskResult(found, platform.node(), ours)
 
 
 class _Child:

@@ -100,6 +100,7 @@ def export(
     layout = _Layout.of(study, plan, selection)
     attributes = _attributes(study) | {"made_from": made_from}
     hosts: list[str] = []
+    versions: set[str] = set()
     found: list[tuple[Piece, Arrays]] = []
     with writing(responses, attributes) as dataset:
         _define(dataset, layout)
@@ -107,10 +108,12 @@ def export(
             if not layout.grid.requested[piece.cells].any():
                 continue
             rows, at = layout.rows(piece, cache)
+            versions.update(row.versions for row in rows)
             values = _point_arrays(layout, piece, rows, at, hosts)
             found.append((piece, _group(study, layout, piece, rows, at, values["attractor"])))
             _write(dataset, piece, values)
         _set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
+        dataset.computed_with = "; ".join(sorted(versions - {""}))
     with writing(attractors, attributes) as dataset:
         _define_attractors(dataset, layout, found)
         for piece, values in found:

@@ -1,10 +1,9 @@
 """The Dask cluster a run works on: a local one, or any that is already there."""
 
 import logging
-import platform
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,7 +11,7 @@ import dask
 from distributed import Client, LocalCluster
 
 from gapsweep.errors import ClusterError
-from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.study.software import software
 
 _CONNECT_SECONDS = 10
 _LOCAL_SETTINGS = {
@@ -89,12 +88,12 @@ def check_workers(client: Client) -> None:
     Raises
     ------
     ClusterError
-        If there is no worker, or one cannot answer, or one has other numerics or another
-        Python.
+        If there is no worker, or one cannot answer, or one has other numerics, another Python,
+        or other versions of the libraries that compute.
     """
     try:
         client.wait_for_workers(1, timeout=_CONNECT_SECONDS)
-        answers = client.run(_about_here, on_error="return")
+        answers = client.run(software, on_error="return")
     except (OSError, TimeoutError) as error:
         raise ClusterError(f"the cluster has no usable worker: {first_line(error)}") from None
     for worker, answer in answers.items():
@@ -105,32 +104,27 @@ def check_workers(client: Client) -> None:
                 f"{worker} cannot run gapsweep ({first_line(answer)}): install the same version "
                 "there, in the environment that its 'dask worker' runs in"
             )
-        check_code(worker, *answer)
+        check_software(worker, answer)
 
 
-def _about_here() -> tuple[str, str]:
-    """Fingerprint of the numerics and Python version of the process that runs this."""
-    return numerics_fingerprint(), ".".join(platform.python_version_tuple()[:2])
-
-
-def check_code(worker: str, fingerprint: str, python: str | None = None) -> None:
-    """Refuse a worker that would compute something else.
+def check_software(worker: str, theirs: Mapping[str, str]) -> None:
+    """Refuse a worker that would compute something else; `theirs` is its `software`.
 
     Raises
     ------
     ClusterError
-        If its numerics or its Python differ from ours.
+        If its numerics, its Python or a library differ from ours.
     """
-    our_fingerprint, our_python = _about_here()
-    if fingerprint != our_fingerprint:
-        raise ClusterError(
-            f"{worker} runs other numerics ({fingerprint}, here {our_fingerprint}): install the "
-            "same gapsweep there and start it again"
-        )
-    if python not in (None, our_python):
-        raise ClusterError(
-            f"{worker} runs Python {python}, here {our_python}: use the same on both sides"
-        )
+    for name, ours in software().items():
+        if name == "numerics" and theirs[name] != ours:
+            raise ClusterError(
+                f"{worker} runs other numerics ({theirs[name]}, here {ours}): install the same "
+                "gapsweep there and start it again"
+            )
+        if theirs[name] != ours:
+            raise ClusterError(
+                f"{worker} runs {name} {theirs[name]}, here {ours}: use the same on both sides"
+            )
 
 
 def first_line(error: BaseException) -> str:

@@ -20,7 +20,7 @@ from distributed.scheduler import KilledWorker
 
 from gapsweep.errors import ClusterError
 from gapsweep.execution.alone import compute_alone
-from gapsweep.execution.cluster import check_code, check_workers
+from gapsweep.execution.cluster import check_software, check_workers
 from gapsweep.execution.plan import Piece, Plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.task import REST, Task, TaskResult, Work, compute, process
@@ -30,7 +30,7 @@ from gapsweep.response.walk import State
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Row
 from gapsweep.store.claims import Claims
-from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.study.software import software, versions
 from gapsweep.study.study import Study
 
 # Long against the price of a task (some milliseconds), short against a user's patience.
@@ -132,6 +132,8 @@ class _Execution:
         self.rows: list[Row] = []
         self.held: list[bytes] = []  # claims on the points of those rows
         self.last_commit = time.monotonic()
+        # The workers' too, or they are refused.
+        self.versions = ", ".join(f"{name} {number}" for name, number in versions().items())
         self.costs = _Costs(study.spec.solver.engine or DEFAULT_ENGINE)
 
     def finish(self, on_progress: OnProgress | None) -> None:
@@ -260,10 +262,10 @@ class _Execution:
             status = Status.KILLED if killed else Status.ERROR
             message = "its worker process died" if killed else f"{type(error).__name__}: {error}"
             failed = [Response(status=status, message=message)] * job.n_points
-            self._store(job, TaskResult(failed, "", numerics_fingerprint()))
+            self._store(job, TaskResult(failed, "", software()))
 
     def _store(self, job: _Job, result: TaskResult) -> None:
-        check_code("a worker", result.fingerprint)
+        check_software("a worker", result.software)
         responses = iter(result.responses)
         for piece in job.pieces:
             for point in range(piece.first, piece.last):
@@ -279,7 +281,7 @@ class _Execution:
         is_first = point == self.plan.chain_starts[piece.chain]
         previous = None if is_first else self.plan.keys[point - 1].hex()
         identity = self.study.point(self.plan.index(point)).identity(previous)
-        self.rows.append(Row(self.plan.keys[point], identity, response, host))
+        self.rows.append(Row(self.plan.keys[point], identity, response, host, self.versions))
         self.progress.n_computed += 1
         self.progress.n_failed += response.status.failed
         self.costs.add(self._representation(point), response.cpu_time)

@@ -10,7 +10,7 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -25,8 +25,8 @@ from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import Response
 from gapsweep.response.walk import Ensemble, Scene, State
 from gapsweep.status import Status
-from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import FIXED, Point
+from gapsweep.study.software import software
 
 REST: State = (0.0, 0.0)
 _RESTARTED = "the point before it failed: starts from the last settled one"
@@ -56,18 +56,18 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class TaskResult:
-    """Responses in the order of the points, and what computed them."""
+    """Responses in the order of the points, and where and by what `software` they were computed."""
 
     responses: list[Response]
     host: str
-    fingerprint: str
+    software: Mapping[str, str]
 
 
 def compute(task: Task) -> TaskResult:
     """Body of a Dask task."""
-    fingerprint = numerics_fingerprint()  # of what runs now: it may be edited meanwhile
+    ours = software()  # of what runs now: it may be edited meanwhile
     with _ending_after(task.timeout if task.client != process() else math.inf):
-        return TaskResult(responses(task.work), platform.node(), fingerprint)
+        return TaskResult(responses(task.work), platform.node(), ours)
 
 
 def process() -> tuple[str, int]:

@@ -52,12 +52,19 @@ Record = tuple[bytes, str, str, int, float | None, str, str, bytes]
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A stored result, the identity its key was made of, and the machine that computed it."""
+    """A stored result, the identity its key was made of, and what computed it.
+
+    Attributes
+    ----------
+    versions : str
+        Of Python and the libraries, as text; empty in rows of older versions.
+    """
 
     key: bytes
     identity: str
     response: Response
     host: str
+    versions: str = ""
 
 
 class Cache:
@@ -188,7 +195,8 @@ class Cache:
         for row in rows:
             response = row.response
             cpu_time = None if math.isnan(response.cpu_time) else response.cpu_time
-            values = _encoded(response), int(response.status), cpu_time, row.host, now
+            text = _encoded(response, row.versions)
+            values = text, int(response.status), cpu_time, row.host, now
             records.append(_record(row.key, row.identity, *values))
         with self.errors(), self.transaction():
             self.insert(records)
@@ -256,13 +264,14 @@ def _record(
 
 def _row(record: Record) -> Row:
     key, identity, response, _, _, host, *_ = record
-    return Row(key, identity, _decoded(response), host)
+    found, versions = _decoded(response)
+    return Row(key, identity, found, host, versions)
 
 
-def _encoded(response: Response) -> str:
-    """JSON of a response, which has no NaN (null) and no infinities (text)."""
+def _encoded(response: Response, versions: str = "") -> str:
+    """JSON of a response, which has no NaN (null) and no infinities (text), and of versions."""
     values = {name: _plain(getattr(response, name)) for name in _FIELDS}
-    return json.dumps(values, separators=(",", ":"), allow_nan=False)
+    return json.dumps(values | {"versions": versions}, separators=(",", ":"), allow_nan=False)
 
 
 def _plain(value: Any) -> Any:
@@ -271,8 +280,9 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _decoded(text: str) -> Response:
+def _decoded(text: str) -> tuple[Response, str]:
     values = json.loads(text)
+    versions = values.pop("versions", "")
     for name, value in values.items():
         if value is None:
             values[name] = math.nan
@@ -283,4 +293,4 @@ def _decoded(text: str) -> Response:
     values["status"] = Status(values["status"])
     values["response_class"] = ResponseClass(values["response_class"])
     # What an older version did not know keeps its default.
-    return Response(**values)
+    return Response(**values), versions

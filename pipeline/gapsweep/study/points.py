@@ -14,6 +14,7 @@ from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.result import Steady
 from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.study.software import deciding, versions
 
 # Raised whenever the stored result of a point changes its form or meaning.
 RESULT_SCHEMA = 5
@@ -122,6 +123,7 @@ class Point:
             "point": _object(fields),
             "previous": json.dumps(previous),
             "schema": str(RESULT_SCHEMA),
+            "versions": _versions(self.representation, self.solver.engine),
         }
         return _object(whole)
 
@@ -169,6 +171,11 @@ def _json(value: Any) -> str:
 _our_law = lru_cache(maxsize=256)(contact_law)
 
 
+@lru_cache(maxsize=256)
+def _versions(representation: str, engine: str) -> str:
+    return _json({name: versions()[name] for name in deciding(representation, engine)})
+
+
 def law_code(representation: str) -> str:
     """All that a user's own law computes with, as JSON; null for ours (numerics fingerprint).
 
@@ -179,5 +186,12 @@ def law_code(representation: str) -> str:
     """
     if ":" not in representation:
         return OURS
+    code = own_law.code(representation)
+    _try_out(representation, code)
+    return code
+
+
+@lru_cache(maxsize=64)
+def _try_out(representation: str, code: str) -> None:
+    """Refuse what is no function of x; once, for every point of a study asks."""
     contact_law(representation, 0.0, Gap(0.0, 0.0))
-    return own_law.code(representation)

@@ -1,0 +1,34 @@
+"""The software that computes: what two processes must have in common to give the same numbers."""
+
+import platform
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import version
+
+from gapsweep.study.fingerprint import numerics_fingerprint
+
+LIBRARIES = ("numba", "llvmlite", "numpy", "scipy")
+
+
+def software() -> Mapping[str, str]:
+    """Fingerprint of the numerics, and `versions`, of this process."""
+    return {"numerics": numerics_fingerprint(), **versions()}
+
+
+@cache
+def versions() -> Mapping[str, str]:
+    """Versions of Python, without its last number, and of the libraries that compute."""
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"Python": python, **{name: version(name) for name in LIBRARIES}}
+
+
+def deciding(representation: str, engine: str) -> tuple[str, ...]:
+    """The libraries that decide a result: a new version of one may give other numbers.
+
+    What writes the machine code of the compiled engine, the solver of the other one, and the
+    searches by which laws are fitted. numpy's arithmetic is in all of them, but the same in all
+    versions up to rounding: an upgrade of it is recorded and asks for no new numbers.
+    """
+    fitting = ("numpy", "scipy") if representation.startswith(("poly-", "ratpoly-")) else ()
+    solving = ("numba", "llvmlite") if engine == "compiled" else ("scipy",)
+    return *fitting, *solving
