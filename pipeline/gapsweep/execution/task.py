@@ -11,7 +11,7 @@ import platform
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -19,8 +19,6 @@ import numpy as np
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.labels import contact_law
-from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import Response
 from gapsweep.response.walk import Ensemble, Scene, State
@@ -30,6 +28,11 @@ from gapsweep.study.software import software
 
 REST: State = (0.0, 0.0)
 _RESTARTED = "the point before it failed: starts from the last settled one"
+
+# What points share that are computed in one call: representation, code of a user's law, range of
+# fits, solver. One that was computed before has its machine code.
+_Kind = tuple[str, str, float, Solver]
+_warm: set[_Kind] = set()
 
 # Points that follow each other, and the state that the first one starts from.
 Work = tuple[Sequence[Point], State]
@@ -156,34 +159,31 @@ def state_after(response: Response, state: State) -> State:
 def _together(points: Sequence[tuple[Point, State]]) -> list[Response]:
     """Responses of independent points, those with one solver and law family in one call."""
     answers: dict[int, Response] = {}
-    groups: dict[tuple[str, float, Solver], dict[int, Question]] = {}
+    groups: dict[_Kind, dict[int, Question]] = {}
     for i, (point, state) in enumerate(points):
         try:
             question = _question(point, state)
         except ModelError as error:
             answers[i] = Response(status=Status.MODEL_INVALID, message=str(error))
         else:
-            kind = point.representation, point.fit_range, point.solver
+            kind = point.representation, point.law_code, point.fit_range, point.solver
             groups.setdefault(kind, {})[i] = question
     for kind, group in groups.items():
-        _warm_up(*kind)
-        answers |= zip(group, _answered(list(group.values())), strict=True)
+        answers |= zip(group, _answered(kind, list(group.values())), strict=True)
     return [answers[i] for i in range(len(points))]
 
 
-@lru_cache(maxsize=256)
-def _warm_up(representation: str, fit_range: float, solver: Solver) -> None:
-    """Load or compile what a kind of point needs: no point's processor time may hold that."""
-    if solver.engine != "compiled":
+def _warm_up(kind: _Kind, question: Question) -> None:
+    """Load or compile what a kind of point needs: no point's processor time may hold that.
+
+    With a point of that kind, from where it starts: what this raises, the point raises as well.
+    """
+    if kind in _warm or question.scene.solver.engine != "compiled":
         return
-    # Whatever is wrong here is wrong with the points themselves, and said there.
-    with suppress(Exception):
-        law = contact_law(representation, 1.0, Gap(1e-4, 1e-4), fit_range)
-        scene = Scene(oscillator=Oscillator(), law=law, omega=5.0, solver=solver)
-        ensemble = Ensemble([scene])
-        rest, one = np.zeros((2, 1)), np.ones(1, int)
-        for tangent in (False, True):
-            ensemble.call(np.arange(1), rest, one, np.zeros(1), tangent=tangent)
+    ensemble, start = Ensemble([question.scene]), np.reshape(question.start, (2, 1))
+    for tangent in (False, True):
+        ensemble.call(np.arange(1), start, np.ones(1, int), np.zeros(1), tangent=tangent)
+    _warm.add(kind)
 
 
 def _question(point: Point, state: State) -> Question:
@@ -195,13 +195,14 @@ def _question(point: Point, state: State) -> Question:
     return Question(scene=scene, start=state, steady=point.steady)
 
 
-def _answered(questions: Sequence[Question]) -> list[Response]:
+def _answered(kind: _Kind, questions: Sequence[Question]) -> list[Response]:
     """Responses; what a point raises is its own response, the others are asked again alone."""
     try:
+        _warm_up(kind, questions[0])
         return respond_all(questions)
     except Exception as error:  # the task boundary: whatever a point raises is its result
         if len(questions) > 1:
-            return [response for question in questions for response in _answered([question])]
+            return [response for question in questions for response in _answered(kind, [question])]
         invalid = isinstance(error, ModelError)
-        message = str(error) if invalid else f"{type(error).__name__}: {error}"
+        message = str(error) if invalid else f"{type(error).__name__}: {error}".splitlines()[0]
         return [Response(status=Status.MODEL_INVALID if invalid else Status.ERROR, message=message)]

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numba import float64, njit
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
@@ -103,11 +104,13 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
         try:
             run = smooth.run(scenes, **_given(problems), contacts=problems.contacts)
         except NumbaError as error:
-            reason = str(error).strip().splitlines()[0]
+            reason = _why_not_compiled(models.laws[0])
+            if reason is None:  # not the user's fault
+                raise
             raise ModelError(
                 f"{models.laws[0]}: numba cannot compile it ({reason}); use arithmetic and math "
                 "functions only, or engine='scipy'"
-            ) from None
+            ) from error
 
         def events() -> Events:
             kind, point, t, x, v, *_ = run.records.T
@@ -120,6 +123,17 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
         return _motions(run, events, sampler, run.tangent if problems.tangent else None)
 
     return integrate
+
+
+def _why_not_compiled(law: ContactLaw) -> str | None:
+    """What numba says of a user's function alone; None if it can compile it, or the law is ours."""
+    if not isinstance(law, UserLaw):
+        return None
+    try:
+        njit(getattr(law.function, "py_func", law.function)).compile((float64,))
+    except NumbaError as error:
+        return str(error).strip().splitlines()[0]
+    return None
 
 
 def _events(

@@ -189,7 +189,7 @@ class Cache:
         return {r[0]: r[7] for r in self._records(keys)}
 
     def commit(self, rows: Sequence[Row]) -> None:
-        """Store results in one transaction."""
+        """Store results in one transaction; a failure never takes the place of a result."""
         now = datetime.now(UTC).isoformat(timespec="seconds")
         records = []
         for row in rows:
@@ -198,8 +198,12 @@ class Cache:
             text = _encoded(response, row.versions)
             values = text, int(response.status), cpu_time, row.host, now
             records.append(_record(row.key, row.identity, *values))
+        failed = [row.key for row in rows if row.response.status.failed]
         with self.errors(), self.transaction():
-            self.insert(records)
+            # Another run may have come to an end with what this one gave up.
+            stored = self._records(failed)
+            kept = {r[0] for r in stored if is_sound(r) and not Status(r[3]).failed}
+            self.insert(r for r in records if r[0] not in kept)
 
     def insert(self, records: Iterable[Record]) -> None:
         """Add or replace records as they are, within the caller's transaction."""

@@ -1,0 +1,111 @@
+"""Whose fault a failure is, and that it never takes the place of a result."""
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+import gapsweep as gs
+from gapsweep.execution.cluster import cluster
+from gapsweep.integrate.runge_kutta import smooth
+from gapsweep.store.cache import Cache, Row
+from gapsweep.study.points import content_key
+
+LAWS = "tests.laws"
+COMMAND = "from gapsweep.cli import main; main()"
+OPTIONS = ("--out", "out", "--cache", "c.sqlite", "--workers", "1")
+
+
+def break_numba(n_times: float = float("inf")) -> None:
+    """Have numba fail, as it does on a bug of its own or where it lacks memory."""
+    from numba.core.errors import LoweringError
+
+    whole, failures = smooth.run, []
+
+    def run(*arguments, **options):
+        if len(failures) < n_times:
+            failures.append(1)
+            raise LoweringError("out of registers\nand so on")
+        return whole(*arguments, **options)
+
+    smooth.run = run
+
+
+@pytest.fixture
+def one_point(tables):
+    tables["sweep"][0] |= {"representation": ["tanh-1e4"], "omega": [12.0]}
+    return tables
+
+
+def run(tables, folder, client, **options):
+    study = gs.Study.from_dict(tables)
+    return gs.run(study, client, out=folder / "out", cache=folder / "c.sqlite", **options).load()
+
+
+def responses(tables, folder):
+    study = gs.Study.from_dict(tables)
+    with Cache(folder / "c.sqlite") as cache:
+        keys = [key for chain in study.chains() for key in study.keys(chain)]
+        return [cache.rows([key])[key].response for key in keys]
+
+
+def test_only_a_users_law_can_be_one_that_numba_does_not_compile(one_point, tmp_path):
+    labels = ["tanh-1e4", f"{LAWS}:undefined", f"{LAWS}:leaving"]
+    with cluster(workers=1) as own:
+        own.wait_for_workers(1)
+        own.run(break_numba)
+        one_point["sweep"][0]["representation"] = labels
+        run(one_point, tmp_path, own)
+    ours, compiles, does_not = responses(one_point, tmp_path)
+    assert ours.status == gs.Status.ERROR
+    assert ours.message == "LoweringError: out of registers"
+    assert compiles.status == gs.Status.ERROR
+    assert does_not.status == gs.Status.MODEL_INVALID
+    assert does_not.message.startswith(f"{LAWS}:leaving: numba cannot compile it (")
+    one_point["sweep"][0]["representation"] = labels[:1]
+    with cluster(workers=1) as own:
+        ds = run(one_point, tmp_path, own, retry_failed=True)
+    assert ds["status"].item() == gs.Status.OK
+
+
+def test_what_fails_before_the_clock_starts_is_no_secret(one_point, tmp_path):
+    # It would be done again within the first point's time.
+    with cluster(workers=1) as own:
+        own.wait_for_workers(1)
+        own.run(break_numba, 1)
+        assert run(one_point, tmp_path, own)["status"].item() == gs.Status.ERROR
+
+
+STUDY = """
+[study]
+name = "late"
+[solver]
+engine = "scipy"
+[[sweep]]
+representation = ["tests.laws:hanging"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = [12.0]
+"""
+
+
+def test_a_late_failure_does_not_replace_what_another_run_has_found(tmp_path):
+    (tmp_path / "s.toml").write_text(STUDY)
+    study = gs.Study.load(tmp_path / "s.toml")
+    (chain,) = study.chains()
+    (identity,) = study.identities(chain)
+    key, answer = content_key(identity), gs.Response(status=gs.Status.OK, x_max=1e-3)
+    gives_up = subprocess.Popen(
+        [sys.executable, "-c", COMMAND, "run", "s.toml", *OPTIONS, "--timeout", "2"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.getcwd()},
+    )
+    while not (tmp_path / "out" / "run.json").exists():
+        assert gives_up.poll() is None
+        time.sleep(0.05)
+    with Cache(tmp_path / "c.sqlite") as cache:  # as on another machine, where no lock is seen
+        cache.commit([Row(key, identity, answer, "another")])
+        assert gives_up.wait() == 0, "its own failure was its result"
+        assert cache.rows([key])[key].response == answer
