@@ -43,3 +43,23 @@ def counted(x: float) -> float:
         os.write(log, b".")
         os.close(log)
     return 0.0
+
+
+def exiting(x: float) -> float:
+    if abs(x) > REACH:
+        raise SystemExit("bye")
+    return 0.0
+
+
+class Stopped(BaseException):
+    """Not an Exception, so that what only looks for those lets it through."""
+
+
+def stopping(x: float) -> float:
+    if abs(x) > REACH:
+        raise Stopped("enough")
+    return 0.0
+
+
+def innocent(x: float) -> float:
+    return 1e3 * x

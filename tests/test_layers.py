@@ -28,7 +28,7 @@ FENCES = {
     "numba": {"model", "integrate", "response"},
     "xarray": {"store", "analysis", "report", "make", "workflow", "cli"},
     "netCDF4": {"store", "execution"},
-    "psutil": {"store"},
+    "psutil": {"store", "execution"},
     "dask": {"execution"},
     "distributed": {"execution", "workflow"},
     "matplotlib": {"report"},

@@ -7,6 +7,7 @@ before they would be loaded.
 
 import json
 import tempfile
+import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from gapsweep.errors import StoreError, StudyError
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import Plan
+from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.model import own_law
 from gapsweep.model.labels import AUTO
 from gapsweep.stages import (
@@ -23,6 +25,7 @@ from gapsweep.stages import (
     AGREEMENT,
     ATTRACTORS,
     CLAIMS,
+    DAMAGED,
     HISTORIES,
     REPORT,
     RESPONSES,
@@ -39,6 +42,7 @@ from gapsweep.stages import (
     sources,
     study_source,
 )
+from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in, digests, is_intact, is_recorded, recording
 from gapsweep.store.cache import Cache
@@ -79,13 +83,33 @@ def stages_of(study: Study) -> list[Stage]:
     return [stage for stage in STAGES if not left_out.get(stage.file)]
 
 
-def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
-    """Make every file of a run that is not up to date."""
+def update(
+    study: Study,
+    planned: Plan,
+    store: Cache,
+    folder: Path,
+    *,
+    timeout: float = DEFAULT_TIMEOUT,
+    retry_failed: bool = False,
+) -> None:
+    """Make every file of a run that is not up to date.
+
+    Parameters
+    ----------
+    timeout : float
+        Time [s] that a motion with a law of the user's own may take.
+    retry_failed : bool
+        Whether files with failed motions are made again.
+    """
     given = sources(study, planned, store)
     for stage in stages_of(study):
         now = made_from(stage, folder, given)
-        if reason_to_run(stage, folder, now) is None:
+        reason = reason_to_run(stage, folder, now)
+        again = retry_failed and bool(failed_motions(folder / stage.file))
+        if reason is None and not again:
             continue
+        if reason == DAMAGED:
+            warnings.warn(f"{folder / stage.file}: {DAMAGED}, made again", stacklevel=2)
         if stage.file in (RESPONSES, ATTRACTORS):
             files = folder / RESPONSES, folder / ATTRACTORS
             export(study, planned, store, *files, made_from=as_text(now))
@@ -95,16 +119,20 @@ def update(study: Study, planned: Plan, store: Cache, folder: Path) -> None:
         elif stage.file == REPORT:
             report(folder)
         else:
-            result = _unedited(stage, study, folder)
+            result = _unedited(stage, study, folder, timeout)
             netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
 
 
 def _unedited(
-    stage: Stage, study: Study, folder: Path, say: Callable[[str], None] | None = None
+    stage: Stage,
+    study: Study,
+    folder: Path,
+    timeout: float,
+    say: Callable[[str], None] | None = None,
 ) -> "xr.Dataset":
     """The dataset of an analysis stage, if the laws that it was made with are still there."""
     before = study_source(study)
-    made = _analysed(stage, study, folder, say)
+    made = _analysed(stage, study, folder, timeout, say)
     own_law.refresh()
     if study_source(study) != before:
         raise StudyError([f"{study.source}: a law of your own was edited meanwhile; run again"])
@@ -112,7 +140,11 @@ def _unedited(
 
 
 def _analysed(
-    stage: Stage, study: Study, folder: Path, say: Callable[[str], None] | None = None
+    stage: Stage,
+    study: Study,
+    folder: Path,
+    timeout: float,
+    say: Callable[[str], None] | None = None,
 ) -> "xr.Dataset":
     """The dataset of an analysis stage."""
     from gapsweep.analysis.advice import advice
@@ -129,9 +161,9 @@ def _analysed(
         return static(study, with_ladders=decides, with_own_laws=False)
     asked: dict[str, Callable[[Study], xr.Dataset | None]] = {
         ADVICE: advice,
-        HISTORIES: histories,
-        WORK_PRECISION: partial(work_precision, say=say),
-        STABILITY: partial(stability, say=say),
+        HISTORIES: partial(histories, timeout=timeout),
+        WORK_PRECISION: partial(work_precision, say=say, timeout=timeout),
+        STABILITY: partial(stability, say=say, timeout=timeout),
     }
     if stage.file in asked:
         made = asked[stage.file](study)
@@ -152,8 +184,12 @@ def bench(
     study: Study,
     out: str | Path | None = None,
     say: Callable[[str], None] | None = None,
+    *,
+    timeout: float = DEFAULT_TIMEOUT,
 ) -> list[Path]:
-    """Measure a study's ``[bench]`` afresh, in this process; its report follows if there is one.
+    """Measure a study's ``[bench]`` afresh; its report follows if there is one.
+
+    Laws of the user's own have a process for themselves, all others this one.
 
     Parameters
     ----------
@@ -162,6 +198,8 @@ def bench(
         Output folder, ``data/runs/<study name>`` if None.
     say : callable, optional
         Told what is measured next.
+    timeout : float
+        Time [s] that a call of a law of the user's own may take.
 
     Returns
     -------
@@ -182,13 +220,26 @@ def bench(
     with alone_in(folder):
         for stage in stages_of(study):
             if stage.file in (WORK_PRECISION, STABILITY):
-                measured = _unedited(stage, study, folder, say)
+                measured = _unedited(stage, study, folder, timeout, say)
                 now = made_from(stage, folder, study_source(study))
                 netcdf.write(measured, folder / stage.file, {"made_from": as_text(now)})
                 made.append(folder / stage.file)
         if (folder / RESPONSES).exists() and (folder / TIMING).exists():
             report(folder)
     return made
+
+
+def failed_motions(path: Path) -> dict[str, int]:
+    """Number of motions in a file per status that says that they failed.
+
+    Of a benchmark, which looks for failures of methods, only those of the user's own code.
+    """
+    if path.name not in (HISTORIES, WORK_PRECISION, STABILITY):
+        return {}
+    first = Status.DIVERGED if path.name == HISTORIES else Status.TIMED_OUT
+    found = netcdf.values(path, "status")
+    counts = {status.label: int((found == status).sum()) for status in Status if status >= first}
+    return {label: n for label, n in counts.items() if n}
 
 
 def claims(folder: str | Path, file: str | Path | None = None) -> dict[str, Any]:

@@ -30,6 +30,7 @@ REPORT = "report/index.html"
 
 MadeFrom = Mapping[str, str]
 
+DAMAGED = "damaged"  # why a stage runs whose file is not as it was written
 _ROWS = 10_000  # looked up at a time
 _META = r'<meta name="gapsweep-made-from" content="([^"]*)">'
 
@@ -157,7 +158,7 @@ def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:
     if not path.exists():
         return "absent"
     if path.suffix in (".nc", ".json") and not is_intact(path):
-        return "damaged"
+        return DAMAGED
     before = _recorded(path)
     if not before:
         return "not known what it was made from"

@@ -27,7 +27,7 @@ from gapsweep.execution.explain import explain as explanations
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
-from gapsweep.make import check_writable, run_folder, stages_of, update
+from gapsweep.make import check_writable, failed_motions, run_folder, stages_of, update
 from gapsweep.stages import ATTRACTORS, RESPONSES, made_from, reason_to_run, sources
 from gapsweep.status import Status
 from gapsweep.store import netcdf
@@ -57,11 +57,14 @@ class Outcome:
     progress : Progress
     failures : mapping of str to int
         Number of sweep points per failure status.
+    failed_motions : mapping of str to mapping
+        By file, the number of motions in it per failure status.
     """
 
     folder: Path
     progress: Progress
     failures: Mapping[str, int]
+    failed_motions: Mapping[str, Mapping[str, int]]
 
 
 def cache_path(cache: str | Path | None = None) -> Path:
@@ -197,6 +200,7 @@ def carry_out(
     out: str | Path | None = None,
     cache: str | Path | None = None,
     on_progress: OnProgress | None = None,
+    timeout: float = DEFAULT_TIMEOUT,
     retry_failed: bool = False,
     **how: Any,
 ) -> Outcome:
@@ -210,15 +214,16 @@ def carry_out(
         # Before anything is computed: the datasets that it names come last.
         check_variables(read_claims(study.claims_file), str(study.claims_file))
     with _Recorder(folder, study, cache_path(cache), planned, on_progress) as recorder:
-        progress = _computed(
-            study, client, planned, cache, recorder, retry_failed=retry_failed, **how
-        )
+        how |= {"timeout": timeout, "retry_failed": retry_failed}
+        progress = _computed(study, client, planned, cache, recorder, **how)
         with Cache(cache_path(cache)) as store:
             if planned.n_missing:
                 planned = replace(planned, status=store.status(planned.keys))
             with alone_in(folder):
-                update(study, planned, store, folder)
-    return Outcome(folder, progress, _failures(planned))
+                update(study, planned, store, folder, timeout=timeout, retry_failed=retry_failed)
+    motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
+    failed = {file: counts for file, counts in motions.items() if counts}
+    return Outcome(folder, progress, _failures(planned), failed)
 
 
 def query(

@@ -7,7 +7,7 @@ the harmonics of period-2 to period-6 motions, too, lie on bins.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
+from gapsweep.execution.alone import Alone, CallError
+from gapsweep.execution.progress import DEFAULT_TIMEOUT
+from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.simulate import simulate
-from gapsweep.integrate.trajectory import Trajectory
 from gapsweep.model.labels import contact_law
-from gapsweep.model.oscillator import Gap
+from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.section import period_multiple, scaled
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
@@ -65,8 +67,14 @@ AXES = {
 _WINDOW = "Hann over whole forcing periods, scaled so that a sinusoid on a bin shows its amplitude"
 
 
-def histories(study: Study) -> xr.Dataset | None:
+def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | None:
     """Time histories and spectra of a study's ``[[history]]`` tables; None if it has none.
+
+    Parameters
+    ----------
+    study : Study
+    timeout : float
+        Time [s] that a motion with a law of the user's own may take; it is alone in a process.
 
     Returns
     -------
@@ -92,14 +100,15 @@ def histories(study: Study) -> xr.Dataset | None:
         name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
         for name, (dims, variable) in (VARIABLES | AXES).items()
     }
-    for h, table in enumerate(tables):
-        t, frequency = sampled(table.omega, table.t_end)
-        arrays["t"][h, :, : t.shape[1]] = t
-        arrays["frequency"][h, : frequency.size] = frequency
-        for label in table.representation:
-            for name, value in _history(study, table, label, t).items():
-                here = arrays[name][h, labels.index(label), ...]
-                here[_leading(value)] = value
+    with Alone(timeout) as alone:
+        for h, table in enumerate(tables):
+            t, frequency = sampled(table.omega, table.t_end)
+            arrays["t"][h, :, : t.shape[1]] = t
+            arrays["frequency"][h, : frequency.size] = frequency
+            for label in table.representation:
+                for name, value in _history(_asked(study, table, label), alone).items():
+                    here = arrays[name][h, labels.index(label), ...]
+                    here[_leading(value)] = value
     coords = {
         "representation": ("representation", labels, COORDINATES["representation"][1].attributes),
         "part": ("part", list(PARTS), {"units": "1", "long_name": "first or last periods"}),
@@ -176,16 +185,61 @@ def _gap(table: HistoryTable) -> Gap:
     return Gap(canonical(j_1), canonical(j_2))
 
 
-def _history(study: Study, table: HistoryTable, label: str, t: Array) -> Mapping[str, Any]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Asked:
+    """One motion: all that it depends on."""
+
+    oscillator: Oscillator
+    representation: str
+    K_c: float
+    gap: Gap
+    omega: float
+    t_end: float
+    start: tuple[float, float]
+    fit_range: float
+    solver: Solver
+
+
+def _asked(study: Study, table: HistoryTable, label: str) -> _Asked:
+    x_0, v_0 = table.start
+    return _Asked(
+        oscillator=study.oscillator,
+        representation=label.partition("@")[0],
+        K_c=table.K_c,
+        gap=_gap(table),
+        omega=table.omega,
+        t_end=table.t_end,
+        start=(x_0 + study.start_jitter(label), v_0),
+        fit_range=study.spec.fit.range,
+        solver=study.solver(label),
+    )
+
+
+def _history(asked: _Asked, alone: Alone) -> Mapping[str, Any]:
     """The variables of one motion; its status alone if it has failed."""
+    if ":" not in asked.representation:
+        return _motion(asked)
     try:
-        motion = _motion(study, table, label)
+        return alone(_motion, asked)
+    except CallError as lost:
+        return {"status": lost.status}
+
+
+def _motion(asked: _Asked) -> Mapping[str, Any]:
+    t, _ = sampled(asked.omega, asked.t_end)
+    try:
+        law = contact_law(asked.representation, asked.K_c, asked.gap, asked.fit_range)
+        motion = simulate(
+            asked.oscillator,
+            law,
+            asked.omega,
+            *asked.start,
+            t_end=_whole_periods(asked.omega, asked.t_end) / asked.omega,
+            dense_output=True,
+            **asdict(asked.solver),
+        )
     except ModelError:
         return {"status": Status.MODEL_INVALID}
-    except Exception:  # the user's code may raise anything
-        if ":" not in label:
-            raise
-        return {"status": Status.ERROR}
     if motion.t < t.max():
         return {"status": motion.status}
     x, v = motion.sample(t)
@@ -196,22 +250,7 @@ def _history(study: Study, table: HistoryTable, label: str, t: Array) -> Mapping
         "v": v,
         "spectrum": spectrum(x[-1]),
         "period_multiple": period_multiple(
-            scaled(steady, table.omega).tolist(), same, len(steady) // 2
+            scaled(steady, asked.omega).tolist(), same, len(steady) // 2
         ),
         "status": motion.status,
     }
-
-
-def _motion(study: Study, table: HistoryTable, label: str) -> Trajectory:
-    law = contact_law(label.partition("@")[0], table.K_c, _gap(table), study.spec.fit.range)
-    x_0, v_0 = table.start
-    return simulate(
-        study.oscillator,
-        law,
-        table.omega,
-        x_0 + study.start_jitter(label),
-        v_0,
-        t_end=_whole_periods(table.omega, table.t_end) / table.omega,
-        dense_output=True,
-        **asdict(study.solver(label)),
-    )

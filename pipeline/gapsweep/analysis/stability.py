@@ -39,6 +39,8 @@ from gapsweep.analysis.truth import (
     settled,
     truth,
 )
+from gapsweep.execution.alone import Alone, CallError
+from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import Arctan, ContactLaw, LogArctan, Tanh
 from gapsweep.model.equilibria import (
@@ -119,7 +121,11 @@ VARIABLES = {
 }
 
 
-def stability(study: Study, say: Callable[[str], None] | None = None) -> xr.Dataset | None:
+def stability(
+    study: Study,
+    say: Callable[[str], None] | None = None,
+    timeout: float = DEFAULT_TIMEOUT,
+) -> xr.Dataset | None:
     """What comes of every method on every scene whose right answer is stated.
 
     Parameters
@@ -127,6 +133,9 @@ def stability(study: Study, say: Callable[[str], None] | None = None) -> xr.Data
     study : Study
     say : callable, optional
         Told what is done next, for this takes minutes.
+    timeout : float
+        Time [s] that a method with a law of the user's own may take for a scene; it is alone in
+        a process.
 
     Returns
     -------
@@ -147,12 +156,13 @@ def stability(study: Study, say: Callable[[str], None] | None = None) -> xr.Data
         name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
         for name, (dims, variable) in VARIABLES.items()
     }
-    for s, scene in enumerate(found):
-        if say is not None:
-            say(f"stability: scene {s + 1} of {len(found)}, {scene.name}")
-        for (m, r), values in _scene_values(scene, ladder):
-            for name, value in values.items():
-                arrays[name][(s, m, r)[: arrays[name].ndim]] = value
+    with Alone(timeout) as alone:
+        for s, scene in enumerate(found):
+            if say is not None:
+                say(f"stability: scene {s + 1} of {len(found)}, {scene.name}")
+            for (m, r), values in _scene_values(scene, ladder, alone):
+                for name, value in values.items():
+                    arrays[name][(s, m, r)[: arrays[name].ndim]] = value
     rtol = tolerances(ladder)
     tight = rtol["rtol"][1] <= TIGHT_RTOL * (1.0 + 1e-12)
     silent = (arrays["outcome"] == Outcome.SILENT_WRONG) & tight
@@ -174,22 +184,22 @@ def stability(study: Study, say: Callable[[str], None] | None = None) -> xr.Data
 
 
 def _scene_values(
-    scene: Scene, ladder: list[Method]
+    scene: Scene, ladder: list[Method], alone: Alone
 ) -> Iterator[tuple[tuple[int, int], dict[str, Any]]]:
     """Everything about one scene, by method and rung."""
-    judges = {EXACT: judge(scene, EXACT, None)}
-    asked = [(m, method) for m, method in enumerate(ladder) if method.label not in scene.without]
-    for m, method in asked:
-        if method.own not in judges:
-            judges[method.own] = judge(scene, method.own, judges[EXACT])
-        own = judges[method.own]
-        law = law_or_none(scene, method.representation)
-        predicted = predictors(scene, law)
-        for r, solver in enumerate(method.rungs):
-            run = observed(scene, law, solver)
-            values = own.verdict(run, solver) | predicted
-            values["layer_over_step"] = _layer(law) / own.way(run)
-            yield (m, r), values
+    judges: dict[str, Judge] = {}
+    for m, method in enumerate(ladder):
+        if method.label in scene.without:
+            continue
+        if ":" not in method.representation:
+            of_rungs = _method_values(scene, method, judges)
+        else:
+            try:
+                of_rungs = alone(_method_values, scene, method, {})
+            except CallError as lost:
+                failed = {"status": lost.status, "outcome": Outcome.FAILED}
+                of_rungs = [failed] * len(method.rungs)
+        yield from (((m, r), values) for r, values in enumerate(of_rungs))
 
 
 # ---- The run, and what it should be ------------------------------------------------------
@@ -296,6 +306,23 @@ class Judge:
         if solver_error > max(WRONG, 10.0 * rtol):
             return Outcome.UNDECIDED
         return Outcome.RIGHT if total_error <= max(WRONG, solver_error) else Outcome.MODEL_ERROR
+
+
+def _method_values(scene: Scene, method: Method, judges: dict[str, Judge]) -> list[dict[str, Any]]:
+    """What came of a method on a scene, rung by rung; `judges` gains those that were missing."""
+    if EXACT not in judges:
+        judges[EXACT] = judge(scene, EXACT, None)
+    if method.own not in judges:
+        judges[method.own] = judge(scene, method.own, judges[EXACT])
+    own = judges[method.own]
+    law = law_or_none(scene, method.representation)
+    predicted = predictors(scene, law)
+    found = []
+    for solver in method.rungs:
+        run = observed(scene, law, solver)
+        layer = {"layer_over_step": _layer(law) / own.way(run)}
+        found.append(own.verdict(run, solver) | predicted | layer)
+    return found
 
 
 def judge(scene: Scene, representation: str, exact: Judge | None) -> Judge:

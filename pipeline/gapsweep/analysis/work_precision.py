@@ -8,18 +8,18 @@ process; for the costs all methods take turns, round by round. Definitions: docs
 import math
 import os
 import platform
-import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.analysis.costs import cost
 from gapsweep.analysis.pareto import on_front
 from gapsweep.analysis.scenes import (
     EXACT,
@@ -42,9 +42,10 @@ from gapsweep.analysis.truth import (
     motion,
     truth,
 )
-from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
-from gapsweep.integrate.simulate import prepared
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.execution.alone import Alone, CallError
+from gapsweep.execution.progress import DEFAULT_TIMEOUT
+from gapsweep.integrate.problem import Solver
+from gapsweep.model.contact import Piecewise
 from gapsweep.response.attractors import attractors
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import Response, Steady
@@ -55,13 +56,12 @@ from gapsweep.study.study import Study
 
 Array = NDArray[np.float64]
 Cell = tuple[int, int, int]
+Result = TypeVar("Result")
 
 # Errors below so many distances of the two references are not told from nothing.
 FLOOR = 10.0
 # A call that takes longer than this [s] is repeated so many times only: its spread is small.
 _SLOW, _FEW = 0.1, 3
-# The frequencies of the lanes that advance beside a scene, relative to it and to each other.
-_NEIGHBOUR = 1e-4
 _RESPONSE_TIGHT = Solver(engine="compiled", rtol=1e-12, atol=1e-15)
 
 _CELL = ("scene", "method", "tolerance")
@@ -135,7 +135,11 @@ VARIABLES = {
 ERROR_SCALE = "gap width; forcing's angular frequency times it for velocities"
 
 
-def work_precision(study: Study, say: Callable[[str], None] | None = None) -> xr.Dataset | None:
+def work_precision(
+    study: Study,
+    say: Callable[[str], None] | None = None,
+    timeout: float = DEFAULT_TIMEOUT,
+) -> xr.Dataset | None:
     """Error, cost and status of every method on every scene without a stated answer.
 
     Parameters
@@ -143,6 +147,8 @@ def work_precision(study: Study, say: Callable[[str], None] | None = None) -> xr
     study : Study
     say : callable, optional
         Told what is done next, for this takes minutes.
+    timeout : float
+        Time [s] that each call of a law of the user's own may take; it is alone in a process.
 
     Returns
     -------
@@ -156,7 +162,8 @@ def work_precision(study: Study, say: Callable[[str], None] | None = None) -> xr
     assert study.spec.bench is not None
     # What else the machine was busy with, before this adds to it.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
-    bench = Bench(found, ladder, study.spec.bench.lanes, study.steady)
+    alone = Alone(timeout)
+    bench = Bench(found, ladder, study.spec.bench.lanes, study.steady, alone)
     repeats = study.spec.bench.repeats
     steps: list[tuple[str, Callable[[], None]]] = [
         # Costs first: their first calls are the first ones of the process.
@@ -165,10 +172,11 @@ def work_precision(study: Study, say: Callable[[str], None] | None = None) -> xr
         ("steady responses", bench.measure_responses),
         ("fronts", bench.find_fronts),
     ]
-    for name, step in steps:
-        if say is not None:
-            say(f"work-precision: {name} of {len(found)} scenes, {len(ladder)} methods")
-        step()
+    with alone:
+        for name, step in steps:
+            if say is not None:
+                say(f"work-precision: {name} of {len(found)} scenes, {len(ladder)} methods")
+            step()
     variables = {
         name: (dims, bench.arrays[name], variable.attributes)
         for name, (dims, variable) in VARIABLES.items()
@@ -205,49 +213,76 @@ def followed(scene: Scene) -> Scene:
     return replace(scene, n_periods=max(int(np.sum(small)), 1))
 
 
-@dataclass(frozen=True, slots=True)
-class Timed:
-    """A call that is timed: neighbouring frequencies of a scene, solved together."""
+def errors(scene: Scene, method: Method, own: Truth, exact: Truth) -> dict[str, Any]:
+    """Errors, counts and statuses of a method on a scene: of the pair, and lists by rung."""
+    scale = gap_scale(scene, exact.reach)
+    apart = own.distance(scale)
+    same = method.own == EXACT
+    found: dict[str, Any] = {
+        "reference_distance": apart,
+        "model_error": 0.0 if same else distance(own.compiled, exact.compiled, scale),
+    }
+    law = law_or_none(scene, method.representation)
+    located = isinstance(law, Piecewise) and law.located
+    limit = FLOOR * max(apart, exact.distance(scale))
+    rungs = []
+    for solver in method.rungs:
+        run = motion(scene, law, solver)
+        target, true = own.for_engine(solver.engine), exact.for_engine(solver.engine)
+        total = distance(run, true, scale)
+        timed_right = located and run.status is Status.OK
+        counts = ("status", "nfev", "n_steps", "n_rejected", "n_contacts")
+        rungs.append(
+            {name: getattr(run, name) for name in counts}
+            | {
+                "trajectory_error": distance(run, target, scale),
+                "total_error": total,
+                "event_time_error": event_time_distance(run, target) if timed_right else np.nan,
+                "at_reference_floor": total < limit,
+                "bounded_error": max(total, limit) if total == total else np.nan,
+            }
+        )
+    return found | {name: [rung[name] for rung in rungs] for name in rungs[0]}
 
-    integrate: Integrate
-    problems: Problems
 
-    @property
-    def simulated(self) -> float:
-        """Simulated time [s] of all lanes."""
-        return float(np.sum(self.problems.t_end - self.problems.t_0))
-
-    def seconds(self) -> float:
-        """Processor time [s] of one call."""
-        begin = time.process_time()
-        self.integrate(self.problems)
-        return time.process_time() - begin
-
-
-def timed(scene: Scene, law: ContactLaw, solver: Solver, n_lanes: int) -> Timed:
-    """A scene and its neighbours in frequency, prepared."""
-    omega: Array = scene.omega * (1.0 + _NEIGHBOUR * np.arange(n_lanes, dtype=np.float64))
-    models = Models(oscillators=[scene.oscillator] * n_lanes, laws=[law] * n_lanes, omega=omega)
-    problems = Problems(
-        which=np.arange(n_lanes),
-        x_0=np.full(n_lanes, scene.x_0),
-        v_0=np.full(n_lanes, scene.v_0),
-        t_0=np.zeros(n_lanes),
-        t_end=scene.n_periods / omega,
-        record_from=np.full(n_lanes, np.inf),
-    )
-    return Timed(prepared(models, solver), problems)
+def responses(
+    scenes: Sequence[Scene], representation: str, solver: Solver, steady: Steady
+) -> list[Response | None]:
+    """Steady responses of a law in some scenes; None where it cannot be built."""
+    laws = [law_or_none(scene, representation) for scene in scenes]
+    questions = {
+        s: Question(
+            scene=Asked(oscillator=scene.oscillator, law=law, omega=scene.omega, solver=solver),
+            start=(scene.x_0, scene.v_0),
+            steady=steady,
+        )
+        for s, (scene, law) in enumerate(zip(scenes, laws, strict=True))
+        if law is not None
+    }
+    answers = respond_all(list(questions.values())) if questions else []
+    found = dict(zip(questions, answers, strict=True))
+    return [found.get(s) for s in range(len(scenes))]
 
 
 class Bench:
-    """Scenes, methods, and the arrays that their measurements fill."""
+    """Scenes, methods, and the arrays that their measurements fill.
+
+    What a law of the user's own does to its process, it does to that of `alone`.
+    """
 
     def __init__(
-        self, scenes: Sequence[Scene], methods: Sequence[Method], n_lanes: int, steady: Steady
+        self,
+        scenes: Sequence[Scene],
+        methods: Sequence[Method],
+        n_lanes: int,
+        steady: Steady,
+        alone: Alone,
     ) -> None:
         # Costs are those of the whole horizon, errors of what can be told right from wrong.
         self.whole, self.scenes = list(scenes), [followed(scene) for scene in scenes]
-        self.methods, self.steady = list(methods), steady
+        self.methods, self.steady, self.alone = list(methods), steady, alone
+        # Laws of the user's own that came to nothing, by scene and representation.
+        self.lost: dict[tuple[int, str], Status] = {}
         # scipy solves one point after the other.
         self.n_lanes = [1 if m.rungs[0].engine == "scipy" else n_lanes for m in self.methods]
         sizes = {
@@ -276,25 +311,43 @@ class Bench:
         times = np.full((repeats, *self.arrays["cpu_time"].shape), np.nan)
         first = np.full(self.arrays["cpu_time"].shape, np.nan)
         for cell, scene, method, solver in self.cells():
-            call = self._timed(cell, scene, method, solver)
-            if call is not None:
-                first[cell] = call.seconds()
+            found = self._cost(cell, scene, method, solver)
+            if found is not None:
+                first[cell] = found[0]
         for n in range(repeats):
             for cell, scene, method, solver in self.cells():
                 if n >= _FEW and first[cell] > _SLOW:
                     continue
-                call = self._timed(cell, scene, method, solver)
-                if call is not None:
-                    times[(n, *cell)] = call.seconds() / call.simulated
+                found = self._cost(cell, scene, method, solver)
+                if found is not None:
+                    seconds, simulated = found
+                    times[(n, *cell)] = seconds / simulated
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "All-NaN slice")  # no such rung, no such law
             for name, share in (("cpu_time_q25", 0.25), ("cpu_time", 0.5), ("cpu_time_q75", 0.75)):
                 self.arrays[name] = np.nanquantile(times, share, axis=0)
             self.arrays["first_call_time"] = np.nanmax(first, axis=(0, 2))
 
-    def _timed(self, cell: Cell, scene: Scene, method: Method, solver: Solver) -> Timed | None:
-        law = law_or_none(scene, method.representation)
-        return None if law is None else timed(scene, law, solver, self.n_lanes[cell[1]])
+    def _cost(
+        self, cell: Cell, scene: Scene, method: Method, solver: Solver
+    ) -> tuple[float, float] | None:
+        s, m, _ = cell
+        label, n_lanes = method.representation, self.n_lanes[m]
+        return self._call(s, label, cost, scene, label, solver, n_lanes)
+
+    def _call(
+        self, s: int, representation: str, function: Callable[..., Result], *arguments: Any
+    ) -> Result | None:
+        """A call that may run a law of the user's own; None if that came to nothing here."""
+        if ":" not in representation:
+            return function(*arguments)
+        if (s, representation) in self.lost:
+            return None
+        try:
+            return self.alone(function, *arguments)
+        except CallError as lost:
+            self.lost[s, representation] = lost.status
+            return None
 
     def measure_errors(self) -> None:
         """Errors, counts and statuses of the scenes' own motions."""
@@ -303,37 +356,17 @@ class Bench:
             if exact.compiled.status is Status.OK:
                 rates = growth(scene, scene.law(EXACT), exact.compiled.section)
                 self.arrays["growth"][s] = rates[-1]
-            truths = {EXACT: exact}
+            truths: dict[str, Truth | None] = {EXACT: exact}
             for m, method in enumerate(self.methods):
                 if method.label in scene.without:
                     continue
-                if method.own not in truths:
-                    truths[method.own] = truth(scene, method.own)
-                self._errors_of(s, m, truths[method.own], exact)
-
-    def _errors_of(self, s: int, m: int, own: Truth, exact: Truth) -> None:
-        scene, method, arrays = self.scenes[s], self.methods[m], self.arrays
-        scale = gap_scale(scene, exact.reach)
-        apart = own.distance(scale)
-        arrays["reference_distance"][s, m] = apart
-        arrays["model_error"][s, m] = (
-            0.0 if method.own == EXACT else distance(own.compiled, exact.compiled, scale)
-        )
-        law = law_or_none(scene, method.representation)
-        located = isinstance(law, Piecewise) and law.located
-        for r, solver in enumerate(method.rungs):
-            cell = s, m, r
-            run = motion(scene, law, solver)
-            for name in ("status", "nfev", "n_steps", "n_rejected", "n_contacts"):
-                arrays[name][cell] = getattr(run, name)
-            target, true = own.for_engine(solver.engine), exact.for_engine(solver.engine)
-            error, total = distance(run, target, scale), distance(run, true, scale)
-            arrays["trajectory_error"][cell], arrays["total_error"][cell] = error, total
-            if located and run.status is Status.OK:
-                arrays["event_time_error"][cell] = event_time_distance(run, target)
-            limit = FLOOR * max(apart, exact.distance(scale))
-            arrays["at_reference_floor"][cell] = total < limit
-            arrays["bounded_error"][cell] = max(total, limit) if total == total else np.nan
+                own = method.own
+                if own not in truths:
+                    truths[own] = self._call(s, own, truth, scene, own)
+                found = self._call(s, own, errors, scene, method, truths[own], exact)
+                for name, value in (found or {}).items():
+                    rungs = (slice(len(value)),) if isinstance(value, list) else ()
+                    self.arrays[name][(s, m, *rungs)] = value
 
     def measure_responses(self) -> None:
         """Steady amplitude and attractor of every cell of the compiled engine."""
@@ -350,16 +383,22 @@ class Bench:
                         self._compare((s, m, r), suffix, found, true)
 
     def _responses(self, representation: str, solver: Solver) -> list[Response | None]:
-        """Steady responses of a law in all scenes; None where it cannot be built."""
-        laws = [law_or_none(scene, representation) for scene in self.scenes]
-        here = [s for s, law in enumerate(laws) if law is not None]
-        questions = [self._question(self.scenes[s], laws[s], solver) for s in here]
-        answers = dict(zip(here, respond_all(questions), strict=True)) if here else {}
-        return [answers.get(s) for s in range(len(self.scenes))]
+        """Steady responses of a law in all scenes; None where there are none."""
+        if ":" not in representation:
+            return responses(self.scenes, representation, solver, self.steady)
+        asked = representation, solver, self.steady
+        found = (
+            self._call(s, representation, responses, [scene], *asked)
+            for s, scene in enumerate(self.scenes)
+        )
+        return [one[0] if one else None for one in found]
 
-    def _question(self, scene: Scene, law: Any, solver: Solver) -> Question:
-        asked = Asked(oscillator=scene.oscillator, law=law, omega=scene.omega, solver=solver)
-        return Question(scene=asked, start=(scene.x_0, scene.v_0), steady=self.steady)
+    def _state_losses(self) -> None:
+        """Where a law of the user's own came to nothing, that is the status."""
+        for (s, representation), status in self.lost.items():
+            for m, method in enumerate(self.methods):
+                if method.representation == representation:
+                    self.arrays["status"][s, m, : len(method.rungs)] = status
 
     def _compare(
         self, cell: Cell, suffix: str, found: Response | None, true: Response | None
@@ -377,6 +416,7 @@ class Bench:
 
     def find_fronts(self) -> None:
         """Pareto fronts of total error and processor time, scene by scene."""
+        self._state_losses()
         arrays = self.arrays
         # A point too close to the truth to be measured still beats what is farther and dearer.
         error = np.where(arrays["status"] == Status.OK, arrays["bounded_error"], np.nan)

@@ -3,6 +3,7 @@
 import json
 import sys
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -13,7 +14,6 @@ from gapsweep.cli import options
 from gapsweep.cli.cache import cache_commands
 from gapsweep.console import duration, progress_bar
 from gapsweep.errors import GapsweepError
-from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.stages import CLAIMS, REPORT, RESPONSES
 from gapsweep.store.state import RunState
 from gapsweep.study.study import Study
@@ -53,13 +53,7 @@ commands.add_command(cache_commands)
     type=click.IntRange(min=1),
     help="Sweep points per task.  [default: chosen from measured cost]",
 )
-@click.option(
-    "--timeout",
-    type=click.FloatRange(min=0, min_open=True),
-    default=DEFAULT_TIMEOUT,
-    show_default=True,
-    help="Seconds that one sweep point may take.",
-)
+@options.timeout
 @options.retry_failed
 def run(study: Path, engine: str | None, **how: Any) -> int:
     """Compute a study, its datasets and its report; resumes by itself.
@@ -80,10 +74,15 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
     )
     click.echo(f"report: {outcome.folder / REPORT}")
     if outcome.failures:
-        counts = ", ".join(f"{n} {label}" for label, n in sorted(outcome.failures.items()))
-        click.echo(f"failed points: {counts}; see 'status' in {RESPONSES}", err=True)
-        return SOME_FAILED
-    return FINISHED
+        _say_failed("points", outcome.failures, RESPONSES)
+    for file, counts in outcome.failed_motions.items():
+        _say_failed("motions", counts, file)
+    return SOME_FAILED if outcome.failures or outcome.failed_motions else FINISHED
+
+
+def _say_failed(what: str, counts: Mapping[str, int], file: str) -> None:
+    listed = ", ".join(f"{n} {label}" for label, n in sorted(counts.items()))
+    click.echo(f"failed {what}: {listed}; see 'status' in {file}", err=True)
 
 
 @commands.command()
@@ -279,11 +278,13 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
 @commands.command()
 @options.study
 @options.out
+@options.timeout
 @options.as_json
-def bench(study: Path, out: Path | None, as_json: bool) -> int:
+def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
     """Measure error, cost and status of methods.
 
-    Every method of the study's [bench] on every one of its scenes, in one process.
+    Every method of the study's [bench] on every one of its scenes, in one process; laws of your
+    own in another, so that they can harm nothing.
 
     \b
     Example:
@@ -293,22 +294,25 @@ def bench(study: Path, out: Path | None, as_json: bool) -> int:
     from gapsweep.store import netcdf
 
     loaded = options.loaded(study, None)
-    files = make.bench(loaded, out, lambda text: click.echo(text, err=True))
-    found = {}
+    files = make.bench(loaded, out, lambda text: click.echo(text, err=True), timeout=timeout)
+    found, code = {}, FINISHED
     for file in files:
+        if counts := make.failed_motions(file):
+            _say_failed("motions", counts, file.name)
+            code = SOME_FAILED
         with netcdf.read(file) as dataset:
             found[file.name] = conclusions(dataset)
     if as_json:
         numbers = {name: lines.numbers for name, lines in found.items()}
         click.echo(json.dumps({"files": [str(file) for file in files]} | numbers))
-        return FINISHED
+        return code
     for file in files:
         for sentence in found[file.name].sentences:
             click.echo(sentence)
         click.echo(f"written: {file}")
     shown = files[0].parent / REPORT
     click.echo(f"report: {shown}" if shown.exists() else "'gapsweep run' makes the report")
-    return FINISHED
+    return code
 
 
 @commands.command()

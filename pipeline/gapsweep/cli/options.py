@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import ENGINES
 from gapsweep.study.study import Study
 
@@ -23,6 +24,13 @@ engine = click.option(
     "--engine", type=click.Choice(ENGINES), help="Solver engine.  [default: as the study says]"
 )
 retry_failed = click.option("--retry-failed", is_flag=True, help="Compute failed points again.")
+timeout = click.option(
+    "--timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    default=DEFAULT_TIMEOUT,
+    show_default=True,
+    help="Seconds of processor time that one sweep point or motion may take.",
+)
 workers = click.option(
     "--workers", type=click.IntRange(min=1), default=2, show_default=True, help="Local processes."
 )

@@ -1,83 +1,182 @@
-"""Suspects: points whose worker died or took too long, computed one by one in a child process.
+"""Calls that nothing can harm: in a child process, one by one, each with a time limit.
 
-When a worker is lost, nobody can tell which of its points was to blame, if any. Here every
-point has the child process for itself and a time limit: what kills or hangs it is known, and
-all others are computed. Runs on a worker, as the body of a task.
+Suspects of a sweep are computed this way, as the body of a task: when a worker is lost, nobody
+can tell which of its points was to blame. So are the motions of histories and benchmarks with a
+law of the user's own, which may end its process, hang or raise anything.
 """
 
+import faulthandler
 import multiprocessing
 import os
 import platform
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Any, TypeVar
 
-from gapsweep.errors import GapsweepError
-from gapsweep.execution.task import Task, TaskResult, Work, continued, responses, state_after
+import psutil
+
+from gapsweep.errors import ClusterError
+from gapsweep.execution.task import (
+    Task,
+    TaskResult,
+    continued,
+    failure,
+    responses,
+    state_after,
+)
 from gapsweep.response.result import Response
+from gapsweep.response.walk import State
 from gapsweep.status import Status
+from gapsweep.study.points import Point
 from gapsweep.study.software import software
 
+Result = TypeVar("Result")
+
 _START_SECONDS = 120.0
+_LOOK_SECONDS = 0.1
+# Share of the processor below which a call that takes too long waits for something that will not
+# come. Whoever gets more is held up by a busy machine, up to 50 time limits.
+_IDLE = 0.02
 _CHILD = "from gapsweep.execution.alone import child; child()"
+
+
+class CallError(Exception):
+    """A call that gave no result.
+
+    Attributes
+    ----------
+    status : Status
+        `KILLED`, `TIMED_OUT`, `MODEL_INVALID` or `ERROR`.
+    """
+
+    def __init__(self, status: Status, message: str) -> None:
+        super().__init__(status, message)
+        self.status, self.message = status, message
+
+
+class Alone:
+    """Carries out calls in a child process; a context manager.
+
+    The process is started by the first call, and again after one that has ended it.
+
+    Parameters
+    ----------
+    timeout : float
+        Time [s] that a call may take: of the processor, so that a busy machine fails nobody, or
+        of the clock if the call makes next to no use of the processor.
+    """
+
+    def __init__(self, timeout: float) -> None:
+        self.timeout = timeout
+        self._child: _Child | None = None
+
+    def __enter__(self) -> "Alone":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._end()
+
+    def __call__(self, function: Callable[..., Result], *arguments: Any) -> Result:
+        """What a function of a module returns for arguments that can be pickled.
+
+        Raises
+        ------
+        CallError
+            If it raises, ends its process or takes too long.
+        ClusterError
+            If the process has other code than the caller.
+        """
+        self._child = self._child or _Child()
+        try:
+            found = self._child.ask(function, arguments, self.timeout)
+        except BaseException:
+            self._end()
+            raise
+        if isinstance(found, CallError | ClusterError):
+            raise found
+        result: Result = found
+        return result
+
+    def _end(self) -> None:
+        if self._child is not None:
+            self._child.end()
+            self._child = None
 
 
 def compute_alone(task: Task) -> TaskResult:
     """Body of a Dask task: like `compute`, but nothing that a point does can harm the worker."""
     ours = software()
     found: list[Response] = []
-    child: _Child | None = None
-    try:
+    with Alone(task.timeout) as alone:
         for points, state in task.work:
             previous: Response | None = None
             for point in points:
-                child = child or _Child()
-                response = child.ask(([point], state), task.timeout)
-                if response.status in (Status.KILLED, Status.TIMED_OUT):
-                    child.end()
-                    child = None
+                response = _response(alone, point, state)
                 previous = continued(response, previous)
                 found.append(previous)
                 state = state_after(response, state)
-    finally:
-        if child is not None:
-            child.end()
     return TaskResult(found, platform.node(), ours)
 
 
+def _response(alone: Alone, point: Point, state: State) -> Response:
+    try:
+        (response,) = alone(responses, [([point], state)])
+    except CallError as lost:
+        return Response(status=lost.status, message=lost.message)
+    return response
+
+
 class _Child:
-    """A process that answers one point at a time."""
+    """A process that answers one call at a time."""
 
     def __init__(self) -> None:
         self.connection, theirs = multiprocessing.Pipe()
         self.process = subprocess.Popen(
-            [sys.executable, "-c", _CHILD, str(theirs.fileno())],
+            [sys.executable, "-P", "-c", _CHILD, str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
         theirs.close()
-        # Starting up does not count against the first point.
+        # Starting up does not count against the first call.
         with suppress(EOFError):
             if self.connection.poll(_START_SECONDS):
                 self.connection.recv()
 
-    def ask(self, work: Work, timeout: float) -> Response:
-        """The response of a point, or what became of the process."""
+    def ask(self, function: Callable[..., Any], arguments: Any, timeout: float) -> Any:
+        """What a call returns, or as a `CallError` what it raised; without either it is raised."""
         try:
-            self.connection.send(work)
-            if not self.connection.poll(timeout):
-                message = f"took longer than {timeout:g} s"
-                return Response(status=Status.TIMED_OUT, message=message)
-            answer: Response | GapsweepError = self.connection.recv()
+            self.connection.send((function, arguments, timeout))
+            self._wait(timeout)
+            return self.connection.recv()
         except (EOFError, BrokenPipeError, ConnectionResetError):
-            return Response(status=Status.KILLED, message=self._end_of_process())
-        if isinstance(answer, GapsweepError):  # of the process itself, so of none of its points
-            raise answer
-        return answer
+            raise CallError(Status.KILLED, self._end_of_process()) from None
+
+    def _wait(self, timeout: float) -> None:
+        began, spent = time.monotonic(), self._processor_seconds()
+        while not self.connection.poll(min(_LOOK_SECONDS, timeout)):
+            took, used = time.monotonic() - began, self._processor_seconds() - spent
+            if used > timeout or (took > timeout and used < _IDLE * took):
+                raise CallError(Status.TIMED_OUT, f"took longer than {timeout:g} s")
+
+    def _processor_seconds(self) -> float:
+        try:
+            times = psutil.Process(self.process.pid).cpu_times()
+        except psutil.Error:  # it has just ended
+            return 0.0
+        return float(times.user + times.system)
 
     def _end_of_process(self) -> str:
         code = self.process.wait()
@@ -93,14 +192,24 @@ class _Child:
 
 def child() -> None:
     """Answer until nobody asks any more."""
+    # A terminal sends Ctrl-C to all processes; the client alone decides how a run ends.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     connection = Connection(int(sys.argv[1]))
     connection.send("ready")
     while True:
         try:
-            work: Work = connection.recv()
+            function, arguments, timeout = connection.recv()
         except EOFError:
             return
-        try:
-            connection.send(responses([work])[0])
-        except GapsweepError as error:
-            connection.send(error)
+        # Should the client have died, nobody else ends a call that hangs.
+        faulthandler.dump_traceback_later(timeout / _IDLE, exit=True)
+        connection.send(_answer(function, arguments))
+
+
+def _answer(function: Callable[..., Any], arguments: Any) -> Any:
+    try:
+        return function(*arguments)
+    except ClusterError as error:  # of the process itself, so of none of its points
+        return error
+    except BaseException as error:  # a law may raise SystemExit, or what is no Exception at all
+        return CallError(*failure(error))

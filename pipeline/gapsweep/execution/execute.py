@@ -50,6 +50,7 @@ _COMMIT_ROWS = 200
 # Workers that a suspect may lose, before it is taken for guilty although it was alone.
 _MAX_ATTEMPTS = 5
 _WAIT_SECONDS = 0.1
+_CLUSTER_LOST = "the cluster was lost; run again to resume"
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,13 +250,22 @@ class _Execution:
 
     def _receive(self, future: Future, job: _Job) -> None:
         if future.status in ("cancelled", "lost"):
-            raise ClusterError("the cluster was lost; run again to resume")
-        error = future.exception()
-        if error is None:
-            self._store(job, future.result())
-        elif isinstance(error, ClusterError):  # of the worker itself, so of none of its points
-            raise error
-        elif job.attempts < (_MAX_ATTEMPTS if isinstance(error, KilledWorker) else 1):
+            raise ClusterError(_CLUSTER_LOST)
+        try:
+            result = future.result()
+        except ClusterError:  # of the worker itself, so of none of its points
+            raise
+        except Exception as error:
+            # Also a worker's that died with a result which nobody had fetched yet.
+            if future.status != "error":
+                raise ClusterError(_CLUSTER_LOST) from None
+            self._take_up(job, error)
+        else:
+            self._store(job, result)
+
+    def _take_up(self, job: _Job, error: Exception) -> None:
+        """Compute a job that failed as a whole once more, alone; or give it up."""
+        if job.attempts < (_MAX_ATTEMPTS if isinstance(error, KilledWorker) else 1):
             self.suspects.append(_Job(job.pieces, job.attempts + 1))
         else:
             killed = isinstance(error, KilledWorker)

@@ -164,7 +164,8 @@ def _together(points: Sequence[tuple[Point, State]]) -> list[Response]:
         try:
             question = _question(point, state)
         except ModelError as error:
-            answers[i] = Response(status=Status.MODEL_INVALID, message=str(error))
+            status, message = failure(error)
+            answers[i] = Response(status=status, message=message)
         else:
             kind = point.representation, point.law_code, point.fit_range, point.solver
             groups.setdefault(kind, {})[i] = question
@@ -200,9 +201,15 @@ def _answered(kind: _Kind, questions: Sequence[Question]) -> list[Response]:
     try:
         _warm_up(kind, questions[0])
         return respond_all(questions)
-    except Exception as error:  # the task boundary: whatever a point raises is its result
+    except BaseException as error:  # the task boundary: SystemExit, too, is a point's own result
         if len(questions) > 1:
             return [response for question in questions for response in _answered(kind, [question])]
-        invalid = isinstance(error, ModelError)
-        message = str(error) if invalid else f"{type(error).__name__}: {error}".splitlines()[0]
-        return [Response(status=Status.MODEL_INVALID if invalid else Status.ERROR, message=message)]
+        status, message = failure(error)
+        return [Response(status=status, message=message)]
+
+
+def failure(error: BaseException) -> tuple[Status, str]:
+    """Status and message of a point or motion that raised."""
+    if isinstance(error, ModelError):
+        return Status.MODEL_INVALID, str(error)
+    return Status.ERROR, f"{type(error).__name__}: {error}".splitlines()[0]

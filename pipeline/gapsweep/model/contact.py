@@ -302,7 +302,9 @@ class UserLaw(ContactLaw):
             )
         try:
             value = float(self.function(0.0))
-        except Exception as error:  # the user's code may raise anything
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # the user's code may raise anything, SystemExit too
             raise ModelError(f"{self.name}(0.0) raised {type(error).__name__}: {error}") from error
         if not math.isfinite(value):
             raise ModelError(f"{self.name}(0.0) = {value}: must be finite")

@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import netCDF4
+import numpy as np
+from numpy.typing import NDArray
 
 from gapsweep.errors import GapsweepError, StoreError
 from gapsweep.store.artefact import digests, is_intact, recording
@@ -92,6 +94,15 @@ def attributes(path: Path) -> dict[str, Any]:
             return {name: dataset.getncattr(name) for name in dataset.ncattrs()}
     except (OSError, RuntimeError, UnicodeDecodeError, AttributeError):
         return {}
+
+
+def values(path: Path, name: str) -> NDArray[Any]:
+    """A small variable of a NetCDF file; empty if it cannot be read."""
+    try:
+        with netCDF4.Dataset(path) as dataset:
+            return np.asarray(dataset[name][:])
+    except (OSError, RuntimeError, IndexError):
+        return np.empty(0)
 
 
 def read(path: str | Path) -> "xr.Dataset":

@@ -1,0 +1,62 @@
+"""What a method costs: processor time of calls that advance a scene and its neighbours."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.analysis.scenes import Scene, law_or_none
+from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
+from gapsweep.integrate.simulate import prepared
+from gapsweep.model.contact import ContactLaw
+
+Array = NDArray[np.float64]
+
+# The frequencies of the lanes that advance beside a scene, relative to it and to each other.
+_NEIGHBOUR = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """A call that is timed: neighbouring frequencies of a scene, solved together."""
+
+    integrate: Integrate
+    problems: Problems
+
+    @property
+    def simulated(self) -> float:
+        """Simulated time [s] of all lanes."""
+        return float(np.sum(self.problems.t_end - self.problems.t_0))
+
+    def seconds(self) -> float:
+        """Processor time [s] of one call."""
+        begin = time.process_time()
+        self.integrate(self.problems)
+        return time.process_time() - begin
+
+
+def timed(scene: Scene, law: ContactLaw, solver: Solver, n_lanes: int) -> Timed:
+    """A scene and its neighbours in frequency, prepared."""
+    omega: Array = scene.omega * (1.0 + _NEIGHBOUR * np.arange(n_lanes, dtype=np.float64))
+    models = Models(oscillators=[scene.oscillator] * n_lanes, laws=[law] * n_lanes, omega=omega)
+    problems = Problems(
+        which=np.arange(n_lanes),
+        x_0=np.full(n_lanes, scene.x_0),
+        v_0=np.full(n_lanes, scene.v_0),
+        t_0=np.zeros(n_lanes),
+        t_end=scene.n_periods / omega,
+        record_from=np.full(n_lanes, np.inf),
+    )
+    return Timed(prepared(models, solver), problems)
+
+
+def cost(
+    scene: Scene, representation: str, solver: Solver, n_lanes: int
+) -> tuple[float, float] | None:
+    """Processor time and simulated time [s] of one call; None if there is no such law."""
+    law = law_or_none(scene, representation)
+    if law is None:
+        return None
+    call = timed(scene, law, solver, n_lanes)
+    return call.seconds(), call.simulated

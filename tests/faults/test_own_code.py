@@ -1,0 +1,143 @@
+"""Code of the user's own that ends, hangs or raises: what a real run makes of it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import gapsweep as gs
+from gapsweep.status import Status
+from gapsweep.store.cache import Cache
+
+COMMAND = Path(sys.executable).with_name("gapsweep")
+ROOT = Path(__file__).parents[2]
+SWEEP = """
+[study]
+name = "own"
+[[sweep]]
+representation = {laws}
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = [12.0]
+[solver]
+engine = "scipy"
+rtol = 1e-4
+atol = 1e-7
+[steady]
+settle_tol = 1e-2
+n_periods = 16
+max_period_multiple = 8
+"""
+
+
+def labels(*names):
+    return [f"tests.laws:{name}" for name in names]
+
+
+def gapsweep(folder, *arguments, seconds=100):
+    """The installed command, as a user types it."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "GAPSWEEP_CACHE": "c.sqlite"}
+    return subprocess.run(
+        [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
+        timeout=seconds,
+    )  # fmt: skip
+
+
+def study(folder, text, *laws):
+    (folder / "own.toml").write_text(text.replace("{laws}", str(list(laws)).replace("'", '"')))
+
+
+def test_a_law_that_exits_fails_its_own_points_only(tmp_path):
+    study(tmp_path, SWEEP, "piecewise", *labels("exiting", "stopping"))
+    done = gapsweep(tmp_path, "run", "own.toml", "--out", "out")
+    assert done.returncode == 3, done.stderr
+    assert "failed points: 2 error" in done.stderr
+    assert "Traceback" not in done.stderr
+    with Cache(tmp_path / "c.sqlite") as cache:
+        keys = [record[0] for record in cache.records()]
+        messages = {row.response.message for row in cache.rows(keys).values()}
+    assert messages == {"", "SystemExit: bye", "Stopped: enough"}
+    again = gapsweep(tmp_path, "run", "own.toml", "--out", "out")
+    assert (again.returncode, again.stdout.split("\n")[0]) == (
+        3, "3 points: 3 from the cache, 0 computed"
+    )  # fmt: skip
+
+
+def test_a_law_that_exits_when_imported_is_one_line(tmp_path):
+    (tmp_path / "gone.py").write_text("raise SystemExit('bye')")
+    study(tmp_path, SWEEP, "gone:law")
+    done = gapsweep(tmp_path, "run", "own.toml", "--out", "out")
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "'gone:law': SystemExit: bye" in done.stderr
+
+
+POISONS = {
+    "innocent": Status.OK,
+    "raising": Status.ERROR,
+    "exiting": Status.ERROR,
+    "leaving": Status.KILLED,
+    "hanging": Status.TIMED_OUT,
+}
+HISTORY = """
+[[history]]
+representation = {laws}
+K_c = 1.4e4
+gap = [0.4e-3, 0.4e-3]
+omega = 12.0
+t_end = 2.0
+"""
+
+
+def test_histories_survive_any_law_and_say_what_failed(tmp_path):
+    text = SWEEP.replace("{laws}", '["piecewise"]') + HISTORY
+    study(tmp_path, text, *labels(*POISONS))
+    done = gapsweep(tmp_path, "run", "own.toml", "--out", "out", "--timeout", "3")
+    assert done.returncode == 3, done.stderr
+    assert "failed motions: 2 error, 1 killed, 1 timed_out; see 'status' in histories.nc" in (
+        done.stderr
+    )
+    with gs.open(tmp_path / "out" / "histories.nc") as kept:
+        assert kept["representation"].values.tolist() == labels(*POISONS)
+        assert kept["status"].values.ravel().tolist() == list(POISONS.values())
+    assert (tmp_path / "out" / "report" / "index.html").exists()
+    again = gapsweep(tmp_path, "run", "own.toml", "--out", "out", "--timeout", "3")
+    assert again.returncode == 3, "what failed stays failed"
+
+
+BENCH = """
+[bench]
+repeats = 1
+lanes = 1
+horizon = 2
+[[bench.scene]]
+name = "measured"
+K_c = 1.4e4
+gap = [0.4e-3, 0.4e-3]
+omega = 12.0
+[[bench.scene]]
+name = "stated"
+K_c = 1.4e4
+gap = [0.4e-3, 0.4e-3]
+omega = 12.0
+expected = "reference"
+[[bench.method]]
+label = "piecewise"
+rtol = [1e-4]
+"""
+
+
+def test_benchmarks_survive_any_law_and_say_what_failed(tmp_path):
+    poisons = {name: POISONS[name] for name in ("leaving", "hanging")}
+    methods = [
+        f'[[bench.method]]\nlabel = "{label}"\nrtol = [1e-4]\n' for label in labels(*poisons)
+    ]
+    study(tmp_path, SWEEP.replace("{laws}", '["piecewise"]') + BENCH + "".join(methods))
+    done = gapsweep(tmp_path, "bench", "own.toml", "--out", "out", "--timeout", "3")
+    assert done.returncode == 3, done.stderr
+    for file in ("work_precision.nc", "stability.nc"):
+        counts = "failed motions: 1 killed, 1 timed_out"
+        assert f"{counts}; see 'status' in {file}" in done.stderr
+        with gs.open(tmp_path / "out" / file) as measured:
+            status = measured["status"].squeeze()
+            assert status.values.tolist() == [Status.OK, *poisons.values()]
