@@ -10,7 +10,7 @@ import random
 import tempfile
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,7 +33,7 @@ from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
 from gapsweep.store.cache import Cache, is_sound
-from gapsweep.store.maintenance import numerics_of
+from gapsweep.store.maintenance import numerics_of, representation_of
 from gapsweep.store.state import FAILED, FINISHED, INTERRUPTED, RUNNING, RunState
 from gapsweep.study.claims import read_claims
 from gapsweep.study.fingerprint import numerics_fingerprint
@@ -374,20 +374,32 @@ def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -
         return list(explanations(study, planned, store, limit))
 
 
-def recomputed_otherwise(cache: Cache, sample: int) -> list[tuple[str, list[str]]]:
+def recomputed_otherwise(
+    cache: Cache, sample: int, own_laws: Collection[str] = ()
+) -> tuple[list[tuple[str, list[str]]], int]:
     """Compute random rows of the present code again; those that came out otherwise.
+
+    A row is data: the code that it names is not run, unless `own_laws` names it too.
 
     Returns
     -------
-    list of (str, list of str)
+    differing : list of (str, list of str)
         Key in hex, and the names of the values that differ; `cpu_time` always may.
+    n_skipped : int
+        Rows of laws that are not in `own_laws`.
     """
     from gapsweep.execution.again import differences
+    from gapsweep.execution.alone import Alone
 
     now = numerics_fingerprint()
-    ours = [r[0] for r in cache.records() if numerics_of(r) == now and is_sound(r)]
+    laws = {
+        r[0]: representation_of(r) for r in cache.records() if numerics_of(r) == now and is_sound(r)
+    }
+    ours = [key for key, law in laws.items() if ":" not in law or law in own_laws]
     chosen = random.sample(ours, min(sample, len(ours)))
-    return [(key.hex(), names) for key in chosen if (names := differences(cache, key))]
+    with Alone(DEFAULT_TIMEOUT) as alone:
+        compared = [(key.hex(), differences(cache, key, alone)) for key in chosen]
+    return [pair for pair in compared if pair[1]], len(laws) - len(ours)
 
 
 def _failures(planned: Plan) -> dict[str, int]:

@@ -1,6 +1,7 @@
 """Commands on studies and runs, and how errors become exit codes."""
 
 import json
+import os
 import sys
 import warnings
 from collections.abc import Mapping
@@ -360,8 +361,8 @@ def claims(folder: Path, file: Path | None, as_json: bool) -> int:
 
 def main() -> None:
     """Entry point: every known error becomes a line on stderr, never a traceback."""
-    # A user's own law is looked up where the command is typed.
-    sys.path.insert(0, "")
+    # In worker processes, too, no module of the current folder may stand in for a library.
+    os.environ["PYTHONSAFEPATH"] = "1"
     sys.exit(exit_code())
 
 

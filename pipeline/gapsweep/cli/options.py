@@ -1,5 +1,7 @@
 """Arguments and options that several commands share."""
 
+import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +52,13 @@ _NUMBERS = {"K_c": float, "omega": float, "initial_condition": int}
 
 
 def loaded(path: Path, engine: str | None) -> Study:
-    """The study in a file, on the engine asked for."""
+    """The study in a file, on the engine asked for.
+
+    If it names code, that is looked up in the current folder too, after all libraries.
+    """
     found = Study.load(path)
+    if found.own_laws:
+        sys.path.append(os.getcwd())
     return found.with_engine(engine) if engine else found
 
 

@@ -122,14 +122,15 @@ def compute_alone(task: Task) -> TaskResult:
         for points, state in task.work:
             previous: Response | None = None
             for point in points:
-                response = _response(alone, point, state)
+                response = response_of(alone, point, state)
                 previous = continued(response, previous)
                 found.append(previous)
                 state = state_after(response, state)
     return TaskResult(found, platform.node(), ours)
 
 
-def _response(alone: Alone, point: Point, state: State) -> Response:
+def response_of(alone: Alone, point: Point, state: State) -> Response:
+    """The response of one point; what became of its process is its status."""
     try:
         (response,) = alone(responses, [([point], state)])
     except CallError as lost:

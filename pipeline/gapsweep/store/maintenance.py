@@ -130,6 +130,14 @@ def numerics_of(record: Record) -> str:
         return ""
 
 
+def representation_of(record: Record) -> str:
+    """The law of a row; empty if the row does not say."""
+    try:
+        return str(json.loads(record[1])["point"]["representation"])
+    except (ValueError, TypeError, KeyError):
+        return ""
+
+
 def _status_label(record: Record) -> str:
     try:
         return Status(record[3]).label

@@ -20,6 +20,7 @@ from gapsweep.study.claims import read_claims
 from gapsweep.study.points import FIXED, Point, Start, canonical, content_key, law_code
 from gapsweep.study.spec import (
     MAX_POINTS,
+    HistoryTable,
     SobolStarts,
     SolverTable,
     StudySpec,
@@ -173,6 +174,14 @@ class Study:
     @cached_property
     def steady(self) -> Steady:
         return Steady(**self.spec.steady.model_dump())
+
+    @property
+    def own_laws(self) -> tuple[str, ...]:
+        """The code that the study names: laws of the user's own, as ``module:function``."""
+        tables: list[SweepTable | HistoryTable] = [*self.spec.sweep, *self.spec.history]
+        labels = [label for table in tables for label in table.representation]
+        labels += [method.label for method in self.spec.bench.method] if self.spec.bench else []
+        return tuple(dict.fromkeys(x.partition("@")[0] for x in labels if ":" in x))
 
     def with_engine(self, engine: str) -> "Study":
         """The same study on another engine."""
