@@ -63,3 +63,10 @@ def stopping(x: float) -> float:
 
 def innocent(x: float) -> float:
     return 1e3 * x
+
+
+def spinning(x: float) -> float:
+    """Hangs at work, compiled or not."""
+    while abs(x) > REACH:
+        pass
+    return 0.0

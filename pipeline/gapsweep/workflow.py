@@ -8,14 +8,13 @@ everything up to date ends before they would be loaded.
 import os
 import random
 import tempfile
-import time
 import warnings
-from collections.abc import Collection, Mapping
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Collection, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import wraps
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -27,14 +26,15 @@ from gapsweep.execution.explain import explain as explanations
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
+from gapsweep.execution.recorder import Recorder
 from gapsweep.make import check_writable, failed_motions, run_folder, stages_of, update
 from gapsweep.stages import ATTRACTORS, RESPONSES, made_from, reason_to_run, sources
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
-from gapsweep.store.cache import Cache, is_sound
+from gapsweep.store.cache import Cache, DamagedCacheError, is_sound
 from gapsweep.store.maintenance import numerics_of, representation_of
-from gapsweep.store.state import FAILED, FINISHED, INTERRUPTED, RUNNING, RunState
+from gapsweep.store.salvage import salvage
 from gapsweep.study.claims import read_claims
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.study import Selection, Study
@@ -43,8 +43,10 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
 DEFAULT_CACHE = Path("data/cache.sqlite")
-_STATE_SECONDS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,7 @@ def plan(
     path = cache_path(cache)
     if not path.exists():
         return make_plan(study, selection=selection)
-    with Cache(path) as store:
+    with Cache(path, read_only=True) as store:
         return make_plan(study, store.status, selection=selection, retry_failed=retry_failed)
 
 
@@ -95,7 +97,7 @@ def expected_seconds(plan: Plan, cache: str | Path | None = None, workers: int =
     path = cache_path(cache)
     if not path.exists():
         return None
-    with Cache(path) as store:
+    with Cache(path, read_only=True) as store:
         stored = store.cpu_times(plan.keys)
     if not stored:
         return None
@@ -118,7 +120,7 @@ def stage_reasons(
     stages = stages_of(study)
     if plan.n_missing or not path.exists():
         return {stage.file: "sweep points are missing" for stage in stages}
-    with Cache(path) as store:
+    with Cache(path, read_only=True) as store:
         given = sources(study, plan, store)
     reasons: dict[str, str | None] = {}
     for stage in stages:
@@ -193,6 +195,23 @@ def run(
     return netcdf.read(outcome.folder / RESPONSES)
 
 
+def _salvaging(work: Callable[Given, Result]) -> Callable[Given, Result]:
+    """The function, going on after a damaged cache that stopped it has been salvaged."""
+
+    @wraps(work)
+    def salvaged(*arguments: Given.args, **named: Given.kwargs) -> Result:
+        try:
+            return work(*arguments, **named)
+        except DamagedCacheError as error:
+            done = salvage(error.path)
+        if done is not None:
+            warnings.warn(done, stacklevel=2)
+        return work(*arguments, **named)
+
+    return salvaged
+
+
+@_salvaging
 def carry_out(
     study: Study,
     client: "Client | None" = None,
@@ -213,12 +232,12 @@ def carry_out(
 
         # Before anything is computed: the datasets that it names come last.
         check_variables(read_claims(study.claims_file), str(study.claims_file))
-    with _Recorder(folder, study, cache_path(cache), planned, on_progress) as recorder:
+    with Recorder(folder, study, cache_path(cache), planned, on_progress) as recorder:
         how |= {"timeout": timeout, "retry_failed": retry_failed}
         progress = _computed(study, client, planned, cache, recorder, **how)
-        with Cache(cache_path(cache)) as store:
+        with Cache(cache_path(cache), read_only=True) as store:
             if planned.n_missing:
-                planned = replace(planned, status=store.status(planned.keys))
+                planned = _as_stored(planned, store)
             with alone_in(folder):
                 update(study, planned, store, folder, timeout=timeout, retry_failed=retry_failed)
     motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
@@ -226,6 +245,7 @@ def carry_out(
     return Outcome(folder, progress, _failures(planned), failed)
 
 
+@_salvaging
 def query(
     study: Study,
     client: "Client | None" = None,
@@ -272,7 +292,8 @@ def query(
         progress = _computed(
             study, client, planned, cache, observer, workers=workers, scheduler=scheduler
         )
-    with tempfile.TemporaryDirectory() as folder, Cache(cache_path(cache)) as store:
+    path = cache_path(cache)
+    with tempfile.TemporaryDirectory() as folder, Cache(path, read_only=True) as store:
         responses = Path(folder) / RESPONSES
         export(study, planned, store, responses, Path(folder) / ATTRACTORS, selection=selection)
         with netcdf.read(responses) as dataset:
@@ -282,6 +303,17 @@ def query(
                 "n_computed": progress.n_computed,
             }
             return dataset.load().assign_attrs(counts)
+
+
+def _as_stored(planned: Plan, store: Cache) -> Plan:
+    """A plan that has been carried out, with what is stored now."""
+    status = store.status(planned.keys)
+    if lost := int(np.sum(status < 0)):
+        raise StoreError(
+            f"{store.path}: {lost} points of this run are no longer stored, another run has set "
+            "the file aside or a disk failed: run again to resume"
+        )
+    return replace(planned, status=status)
 
 
 def _computed(
@@ -316,53 +348,6 @@ def _computed(
         return execute(study, planned, store, connected, on_progress=on_progress, **how)
 
 
-class _Recorder:
-    """Keeps `run.json` up to date while a run goes on, and hands progress on."""
-
-    def __init__(
-        self,
-        folder: Path,
-        study: Study,
-        cache: Path,
-        planned: Plan,
-        on_progress: OnProgress | None,
-    ) -> None:
-        self.folder, self.on_progress = folder, on_progress
-        self.state = RunState(
-            state=RUNNING,
-            study=study.name,
-            cache=str(cache.absolute()),
-            points=planned.n_points,
-            hits=planned.n_hits,
-        )
-        self.written = -np.inf
-
-    def __enter__(self) -> "_Recorder":
-        return self
-
-    def __call__(self, progress: Progress) -> None:
-        self.state = replace(self.state, computed=progress.n_computed, failed=progress.n_failed)
-        if time.monotonic() - self.written > _STATE_SECONDS:
-            self.state.write(self.folder)
-            self.written = time.monotonic()
-        if self.on_progress is not None:
-            self.on_progress(progress)
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if error is None:
-            replace(self.state, state=FINISHED).write(self.folder)
-        elif self.written > -np.inf:
-            state = INTERRUPTED if isinstance(error, KeyboardInterrupt) else FAILED
-            # The disk may be full: that is what the error says already.
-            with suppress(StoreError):
-                replace(self.state, state=state, message=str(error)).write(self.folder)
-
-
 def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -> list[Explanation]:
     """Why the selected points, the first `limit` of them, are hits or misses."""
     selection = study.select(**wanted)
@@ -370,7 +355,7 @@ def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -
     path = cache_path(cache)
     if not path.exists():
         raise StoreError(f"{path}: no such file, so every point is missing")
-    with Cache(path) as store:
+    with Cache(path, read_only=True) as store:
         return list(explanations(study, planned, store, limit))
 
 

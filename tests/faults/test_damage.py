@@ -107,7 +107,7 @@ def test_export_saves_what_a_torn_cache_still_holds(sound, tmp_path):
     path.write_bytes(data)
     with Cache(path) as cache:
         assert not verify(cache).is_sound
-        n_saved = export(cache, tmp_path / "copy.sqlite")
+    n_saved = export(path, tmp_path / "copy.sqlite")
     with Cache(tmp_path / "copy.sqlite") as copy:
         verdict = verify(copy)
     assert verdict.is_sound

@@ -135,9 +135,9 @@ def test_export_copies_sound_rows_and_refuses_to_replace(tmp_path):
         cache.commit([row("a"), row("b")])
         with cache.transaction():
             cache.db.execute("UPDATE results SET status = 4 WHERE key = ?", [key("a")])
-        assert maintenance.export(cache, copy) == 1
+        assert maintenance.export(path, copy) == 1
         with pytest.raises(gs.StoreError, match="exists already"):
-            maintenance.export(cache, copy)
+            maintenance.export(path, copy)
     with Cache(copy) as saved:
         assert saved.status([key("a"), key("b")]).tolist() == [MISSING, gs.Status.OK]
 

@@ -381,6 +381,7 @@ class Bench:
                 for s, found in enumerate(self._responses(method.representation, solver)):
                     for suffix, true in (("", own[method.own][s]), ("_total", exact[s])):
                         self._compare((s, m, r), suffix, found, true)
+        self._state_losses()
 
     def _responses(self, representation: str, solver: Solver) -> list[Response | None]:
         """Steady responses of a law in all scenes; None where there are none."""
@@ -416,7 +417,6 @@ class Bench:
 
     def find_fronts(self) -> None:
         """Pareto fronts of total error and processor time, scene by scene."""
-        self._state_losses()
         arrays = self.arrays
         # A point too close to the truth to be measured still beats what is farther and dearer.
         error = np.where(arrays["status"] == Status.OK, arrays["bounded_error"], np.nan)

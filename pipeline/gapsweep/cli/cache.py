@@ -24,11 +24,15 @@ def cache_commands() -> None:
     """
 
 
-def _existing(cache: Path | None) -> Cache:
+def _existing(cache: Path | None, *, read_only: bool = True) -> Cache:
+    return Cache(_path(cache), read_only=read_only)
+
+
+def _path(cache: Path | None) -> Path:
     path = workflow.cache_path(cache)
     if not path.exists():
         raise StoreError(f"{path}: no such file; 'gapsweep run' makes it")
-    return Cache(path)
+    return path
 
 
 @cache_commands.command()
@@ -96,7 +100,7 @@ def verify(cache: Path | None, sample: int, study: Path | None) -> int:
         )
     click.echo(f"{verdict.n_rows} rows, {len(verdict.damaged)} damaged")
     if verdict.faults:
-        click.echo("'gapsweep cache export' saves the sound rows to a new file", err=True)
+        click.echo("the next run saves the sound rows and sets the file aside", err=True)
     elif verdict.damaged:
         click.echo("the next run computes damaged rows again", err=True)
     return 0 if verdict.is_sound and not differing else 1
@@ -113,7 +117,7 @@ def gc(cache: Path | None, apply: bool) -> None:
       gapsweep cache gc
       gapsweep cache gc --apply
     """
-    with _existing(cache) as store:
+    with _existing(cache, read_only=False) as store:
         keys = maintenance.removable(store, numerics_fingerprint())
         if apply and keys:
             maintenance.remove(store, keys)
@@ -131,6 +135,5 @@ def export(file: Path, cache: Path | None) -> None:
     Example:
       gapsweep cache export copy.sqlite
     """
-    with _existing(cache) as store:
-        n_rows = maintenance.export(store, file)
+    n_rows = maintenance.export(_path(cache), file)
     click.echo(f"{n_rows} rows in {file}")

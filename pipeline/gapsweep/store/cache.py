@@ -67,6 +67,22 @@ class Row:
     versions: str = ""
 
 
+class DamagedCacheError(StoreError):
+    """A cache file that SQLite cannot make sense of; a run salvages what is sound in it.
+
+    Attributes
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path, error: sqlite3.Error) -> None:
+        super().__init__(
+            f"{path}: {error}: if it is a cache, the next run saves its sound rows and sets the "
+            "damaged file aside"
+        )
+        self.path = path
+
+
 class Cache:
     """An open point cache; a context manager.
 
@@ -74,6 +90,8 @@ class Cache:
     ----------
     path : path-like
         The file; created, with its folder, if it does not exist.
+    read_only : bool
+        Whether it is left as it is, and may lie where nothing can be written.
 
     Attributes
     ----------
@@ -83,44 +101,103 @@ class Cache:
 
     Raises
     ------
+    DamagedCacheError
+        If the file is damaged, or no SQLite file at all.
     StoreError
         If the file cannot be opened or is not a gapsweep cache that this version can read.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, read_only: bool = False) -> None:
         self.path = Path(path)
+        with self.errors():
+            self.db = self._connected_to_read() if read_only else self._connected()
+            try:
+                if read_only and self._version()[0] == 1:  # must be brought up to date first
+                    self.db.close()
+                    self.db, read_only = self._connected(), False
+                # Whatever bytes damage has left in a text: its checksum will tell.
+                self.db.text_factory = lambda data: data.decode(errors="replace")
+                if read_only:
+                    self._check()
+                else:
+                    self._prepare()
+                self.db.execute(f"SELECT {_COLUMNS} FROM results LIMIT 0")
+            except BaseException:
+                self.db.close()
+                raise
+
+    @property
+    def on_network(self) -> bool:
+        return is_on_network(self.path.parent)
+
+    def _connected(self) -> sqlite3.Connection:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise StoreError(f"{self.path.parent}: cannot be created: {error.strerror}") from None
-        self.on_network = is_on_network(self.path.parent)
-        with self.errors():
-            self.db = sqlite3.connect(self.path, timeout=60.0, isolation_level=None)
-            # Whatever bytes damage has left in a text: its checksum will tell.
-            self.db.text_factory = lambda data: data.decode(errors="replace")
-            mode = "DELETE" if self.on_network else "WAL"
-            self.db.execute(f"PRAGMA journal_mode = {mode}")
-            # A commit survives the death of the process; power loss may cost the last ones.
-            self.db.execute(f"PRAGMA synchronous = {'FULL' if self.on_network else 'NORMAL'}")
-            self._prepare()
+        return sqlite3.connect(self.path, timeout=60.0, isolation_level=None)
+
+    def _connected_to_read(self) -> sqlite3.Connection:
+        """A connection for reading, also where SQLite cannot put its log beside the file."""
+        # Not "ro": such a connection leaves its log behind.
+        db = self._at("mode=rw")
+        try:
+            db.execute("PRAGMA user_version").fetchone()
+        except sqlite3.Error as error:
+            db.close()
+            log = self.path.with_name(f"{self.path.name}-wal")
+            if _code(error) not in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY):
+                raise
+            if log.is_file() and log.stat().st_size:
+                raise StoreError(
+                    f"{self.path}: its log, {log.name}, cannot be read where nothing can be "
+                    "written: copy both to a folder that can be written"
+                ) from None
+            # Nobody else can write there either.
+            return self._at("mode=ro&immutable=1")
+        return db
+
+    def _at(self, mode: str) -> sqlite3.Connection:
+        place = f"{self.path.absolute().as_uri()}?{mode}"
+        return sqlite3.connect(place, uri=True, timeout=60.0, isolation_level=None)
+
+    def _check(self) -> None:
+        """Whether the cache can be read as it is."""
+        version, n_tables = self._version()
+        if version == 0 and n_tables == 0:  # a run that was killed before it made the table
+            self.db.execute(_TABLE.replace("CREATE TABLE", "CREATE TEMP TABLE"))
+        elif version != SCHEMA_VERSION:
+            raise self._other_format(version)
+        self.db.execute("PRAGMA query_only = ON")
+
+    def _version(self) -> tuple[int, int]:
+        """Format, and number of tables."""
+        (version,) = self.db.execute("PRAGMA user_version").fetchone()
+        (n_tables,) = self.db.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        return version, n_tables
+
+    def _other_format(self, version: int) -> StoreError:
+        return StoreError(
+            f"{self.path}: a cache of format {version}, this gapsweep reads 1 to "
+            f"{SCHEMA_VERSION}: choose another file with --cache"
+        )
 
     def _prepare(self) -> None:
-        (version,) = self.db.execute("PRAGMA user_version").fetchone()
-        if version == SCHEMA_VERSION:
+        mode = "DELETE" if self.on_network else "WAL"
+        self.db.execute(f"PRAGMA journal_mode = {mode}")
+        # A commit survives the death of the process; power loss may cost the last ones.
+        self.db.execute(f"PRAGMA synchronous = {'FULL' if self.on_network else 'NORMAL'}")
+        if self._version()[0] == SCHEMA_VERSION:
             return
         with self.transaction():
             # Another process may have come first.
-            (version,) = self.db.execute("PRAGMA user_version").fetchone()
-            (n_tables,) = self.db.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            version, n_tables = self._version()
             if version == 0 and n_tables == 0:
                 self.db.execute(_TABLE)
             elif version == 1:
                 self._migrate()
             elif version != SCHEMA_VERSION:
-                raise StoreError(
-                    f"{self.path}: a cache of format {version}, this gapsweep reads 1 to "
-                    f"{SCHEMA_VERSION}: choose another file with --cache"
-                )
+                raise self._other_format(version)
             self.db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
     def _migrate(self) -> None:
@@ -150,8 +227,9 @@ class Cache:
         try:
             yield
         except sqlite3.Error as error:
-            remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF, "")
-            raise StoreError(f"{self.path}: {error}{remedy}") from None
+            if _code(error) in _DAMAGED:
+                raise DamagedCacheError(self.path, error) from None
+            raise StoreError(f"{self.path}: {error}{_REMEDIES.get(_code(error), '')}") from None
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -228,11 +306,22 @@ class Cache:
 
 _REMEDIES = {
     sqlite3.SQLITE_FULL: ": make room and run again; everything stored so far is kept",
-    sqlite3.SQLITE_CORRUPT: (
-        ": the file is damaged; 'gapsweep cache export' saves the sound rows to a new one"
-    ),
     sqlite3.SQLITE_READONLY: ": the cache must be writable; choose another with --cache",
+    sqlite3.SQLITE_CANTOPEN: ": name a file in a folder that can be written with --cache",
+    sqlite3.SQLITE_IOERR: ": the disk failed or is full; everything stored so far is kept",
 }
+# An error of SQL itself can only mean that the table is not what it was.
+_DAMAGED = {
+    sqlite3.SQLITE_CORRUPT,
+    sqlite3.SQLITE_NOTADB,
+    sqlite3.SQLITE_TOOBIG,
+    sqlite3.SQLITE_ERROR,
+}
+
+
+def _code(error: sqlite3.Error) -> int:
+    """SQLite's primary code of an error; 0 if it is none of SQLite's own."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF
 
 
 def is_sound(record: Record) -> bool:

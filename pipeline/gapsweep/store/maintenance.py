@@ -9,7 +9,15 @@ from typing import Any
 
 from gapsweep.errors import StoreError
 from gapsweep.status import Status
-from gapsweep.store.cache import SCHEMA_VERSION, Cache, Record, identity_matches, is_sound
+from gapsweep.store.cache import (
+    SCHEMA_VERSION,
+    Cache,
+    DamagedCacheError,
+    Record,
+    identity_matches,
+    is_sound,
+)
+from gapsweep.store.salvage import sound_records
 
 _BATCH = 500
 
@@ -89,8 +97,8 @@ def remove(cache: Cache, keys: list[bytes]) -> None:
         cache.db.execute("VACUUM")
 
 
-def export(cache: Cache, target: Path) -> int:
-    """Copy all sound rows to a new cache; how many there were.
+def export(source: Path, target: Path) -> int:
+    """Copy all sound rows of a cache, however damaged, to a new one; how many there were.
 
     Raises
     ------
@@ -99,13 +107,15 @@ def export(cache: Cache, target: Path) -> int:
     """
     if target.exists():
         raise StoreError(f"{target}: exists already; name a new file")
-    n_rows = 0
-    with Cache(target) as copy, copy.errors(), copy.transaction():
-        for record in readable(cache):
-            if is_sound(record):
-                copy.insert([record])
-                n_rows += 1
-    return n_rows
+    with Cache(target) as copy, copy.errors():
+        try:
+            with Cache(source, read_only=True) as cache, copy.transaction():
+                copy.insert(record for record in cache.records() if is_sound(record))
+        except DamagedCacheError:
+            with copy.transaction():
+                copy.insert(sound_records(source).values())
+        (n_rows,) = copy.db.execute("SELECT count(*) FROM results").fetchone()
+    return int(n_rows)
 
 
 def readable(cache: Cache) -> Iterator[Record]:

@@ -1,0 +1,64 @@
+"""Keeps the state of a run in its folder, for other shells, while it goes on."""
+
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from gapsweep.errors import StoreError
+from gapsweep.execution.plan import Plan
+from gapsweep.execution.progress import OnProgress, Progress
+from gapsweep.store.state import FAILED, FINISHED, INTERRUPTED, RUNNING, RunState
+from gapsweep.study.study import Study
+
+_STATE_SECONDS = 1.0
+
+
+class Recorder:
+    """Keeps `run.json` up to date while a run goes on, and hands progress on."""
+
+    def __init__(
+        self,
+        folder: Path,
+        study: Study,
+        cache: Path,
+        planned: Plan,
+        on_progress: OnProgress | None,
+    ) -> None:
+        self.folder, self.on_progress = folder, on_progress
+        self.state = RunState(
+            state=RUNNING,
+            study=study.name,
+            cache=str(cache.absolute()),
+            points=planned.n_points,
+            hits=planned.n_hits,
+        )
+        self.written = -np.inf
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __call__(self, progress: Progress) -> None:
+        self.state = replace(self.state, computed=progress.n_computed, failed=progress.n_failed)
+        if time.monotonic() - self.written > _STATE_SECONDS:
+            self.state.write(self.folder)
+            self.written = time.monotonic()
+        if self.on_progress is not None:
+            self.on_progress(progress)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            replace(self.state, state=FINISHED).write(self.folder)
+        elif self.written > -np.inf:
+            state = INTERRUPTED if isinstance(error, KeyboardInterrupt) else FAILED
+            # The disk may be full: that is what the error says already.
+            with suppress(StoreError):
+                replace(self.state, state=state, message=str(error)).write(self.folder)

@@ -1,0 +1,205 @@
+"""Rows of a damaged cache, found without the help of SQLite, whose trees may be torn.
+
+A row is a record in one page, its end in a chain of overflow pages if it is long. Records are
+looked for wherever the pages hold what could be the head of one, also in pages that no tree
+leads to any more; the checksum of every row tells what is one. File format: sqlite.org/fileformat2.
+"""
+
+import mmap
+import re
+import struct
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from gapsweep.errors import StoreError
+from gapsweep.status import Status
+from gapsweep.store.artefact import alone_in
+from gapsweep.store.cache import Cache, DamagedCacheError, Record, is_sound
+
+Buffer = mmap.mmap | bytes
+
+_PAGE = 4096  # SQLite's own choice, where the file does not say
+_WAL_HEAD, _FRAME_HEAD = 32, 24
+_TABLE = b"CREATE TABLE results"
+# Length of the head, then the type of each column: key and checksum are blobs of 32 bytes, status
+# and processor time numbers, all others texts.
+_NUMBER = rb"[\x00-\x09]"
+_TEXT = rb"[\x80-\xff]{0,3}[\x00-\x7f]"
+_HEAD = re.compile(rb"(?=[\x09-\x1f]\x4c" + 2 * _TEXT + 2 * _NUMBER + 2 * _TEXT + rb"\x4c)")
+_INTEGER_BYTES = (0, 1, 2, 3, 4, 6, 8)
+_REAL, _ZERO, _ONE = 7, 8, 9
+_COLUMNS = 8
+
+
+def salvage(path: Path) -> str | None:
+    """Set a damaged cache aside and put its sound rows in its place.
+
+    Returns
+    -------
+    str or None
+        What was done, in a line; None if another process has done it meanwhile.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be told to be a cache of ours; it is left alone then.
+    """
+    with alone_in(path.parent):
+        if _is_whole(path):
+            return None
+        records = sound_records(path)
+        if not records and _TABLE not in path.read_bytes():
+            raise StoreError(
+                f"{path}: no row of a cache is left in it, if it ever was one: move it away or "
+                "choose another file with --cache"
+            )
+        fresh = path.with_name(f".{path.name}.salvaged")
+        fresh.unlink(missing_ok=True)
+        with Cache(fresh) as cache, cache.errors(), cache.transaction():
+            cache.insert(records.values())
+        aside = _unused(path)
+        # Its log first: beside another file it would be taken for that one's.
+        log = path.with_name(f"{path.name}-wal")
+        if log.exists() and log.stat().st_size:
+            log.rename(aside.with_name(f"{aside.name}-wal"))
+        for useless in (log, path.with_name(f"{path.name}-shm")):
+            useless.unlink(missing_ok=True)
+        path.rename(aside)
+        fresh.rename(path)
+    return f"{path}: damaged; {len(records)} sound rows saved, the damaged file is now {aside}"
+
+
+def _is_whole(path: Path) -> bool:
+    try:
+        with Cache(path, read_only=True) as cache, cache.errors():
+            return cache.db.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+    except DamagedCacheError:
+        return False
+
+
+def _unused(path: Path) -> Path:
+    names = (f"{path.name}.damaged{n or ''}" for n in range(1_000_000))
+    return next(p for p in map(path.with_name, names) if not p.exists())
+
+
+def sound_records(path: Path) -> dict[bytes, Record]:
+    """All rows that can be found in a cache file and its write-ahead log, by key.
+
+    Of several rows with one key, the latest result is taken before any failure.
+    """
+    found: dict[bytes, Record] = {}
+    with ExitStack() as files:
+        main = _mapped(path, files)
+        log = _mapped(path.with_name(f"{path.name}-wal"), files)
+        for size in {_page_size(main), _PAGE}:
+            pages = _Pages(main, log, size)
+            for record in pages.records():
+                known = found.get(record[0])
+                if known is None or _rank(known) < _rank(record):
+                    found[record[0]] = record
+    return found
+
+
+def _rank(record: Record) -> tuple[bool, str]:
+    return record[3] <= Status.OUT_OF_FIT_RANGE, record[6]
+
+
+def _mapped(path: Path, files: ExitStack) -> Buffer:
+    if not path.is_file() or not path.stat().st_size:
+        return b""
+    file = files.enter_context(path.open("rb"))
+    return files.enter_context(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+
+
+def _page_size(main: Buffer) -> int:
+    stated = int.from_bytes(main[16:18], "big")
+    size = 65536 if stated == 1 else stated
+    return size if size in (2**n for n in range(9, 17)) else _PAGE
+
+
+class _Pages:
+    """The pages of a cache file, and the later ones in its log."""
+
+    def __init__(self, main: Buffer, log: Buffer, size: int) -> None:
+        self.main, self.log, self.size = main, log, size
+        stride = _FRAME_HEAD + size
+        heads = range(_WAL_HEAD, len(log) - stride + 1, stride)
+        self.logged = {
+            int.from_bytes(log[at : at + 4], "big"): log[at + _FRAME_HEAD : at + stride]
+            for at in heads
+        }
+
+    def records(self) -> Iterator[Record]:
+        """All sound records."""
+        for buffer in (self.main, self.log):
+            for match in _HEAD.finditer(buffer):
+                # A page of the log may have been written anew; the older one is in the file still.
+                for logged in (self.logged, {}) if self.logged else ({},):
+                    record = self._record(buffer, match.start(), logged)
+                    if record is not None:
+                        yield record
+                        break
+
+    def _record(self, buffer: Buffer, at: int, logged: dict[int, bytes]) -> Record | None:
+        types = _types(buffer[at : at + buffer[at]])
+        sizes = [_size(kind) for kind in types]
+        payload = self._payload(buffer, at, buffer[at] + sum(sizes), logged)
+        if len(types) != _COLUMNS or payload is None:
+            return None
+        values, start = [], buffer[at]
+        for kind, size in zip(types, sizes, strict=True):
+            values.append(_value(kind, payload[start : start + size]))
+            start += size
+        cpu_time = values[4]
+        values[4] = None if cpu_time is None else float(cpu_time)
+        record: Any = tuple(values)
+        return record if is_sound(record) else None
+
+    def _payload(
+        self, buffer: Buffer, at: int, length: int, logged: dict[int, bytes]
+    ) -> bytes | None:
+        """So many bytes from a place on, along the chain of overflow pages; None if it is torn."""
+        room = self.size - 4
+        local = length
+        if length > self.size - 35:
+            least = (self.size - 12) * 32 // 255 - 23
+            local = least + (length - least) % room
+            local = local if local <= self.size - 35 else least
+        parts = [buffer[at : at + local]]
+        following = buffer[at + local : at + local + 4]
+        for _ in range(-(-(length - local) // room)):
+            number = int.from_bytes(following, "big")
+            page = logged.get(number) or self.main[(number - 1) * self.size : number * self.size]
+            following = page[:4]
+            parts.append(page[4:])
+        whole = b"".join(parts)[:length]
+        return whole if len(whole) == length else None
+
+
+def _types(head: bytes) -> list[int]:
+    """Types of the columns in the head of a record, each a number of seven-bit digits."""
+    types, value = [], 0
+    for byte in head[1:]:
+        value = value << 7 | byte & 0x7F
+        if byte < 0x80:
+            types.append(value)
+            value = 0
+    return types
+
+
+def _size(kind: int) -> int:
+    if kind >= 12:
+        return (kind - 12) // 2
+    return 8 if kind == _REAL else _INTEGER_BYTES[kind] if kind < _REAL else 0
+
+
+def _value(kind: int, data: bytes) -> Any:
+    if kind >= 12:
+        return data.decode(errors="replace") if kind % 2 else data
+    if kind == _REAL:
+        return struct.unpack(">d", data)[0]
+    if kind in (_ZERO, _ONE):
+        return kind - _ZERO
+    return int.from_bytes(data, "big", signed=True) if kind else None

@@ -1,0 +1,214 @@
+"""Damaged caches: what is sound in them is saved, the rest is computed again."""
+
+import json
+import os
+import random
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+import gapsweep as gs
+from gapsweep.store.cache import Cache, DamagedCacheError, Row
+from gapsweep.store.maintenance import verify
+from gapsweep.store.salvage import salvage, sound_records
+from gapsweep.study.points import content_key
+
+COMMAND = Path(sys.executable).with_name("gapsweep")
+STUDY = """
+[study]
+name = "tiny"
+[[sweep]]
+representation = ["piecewise"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = { start = 10.0, stop = 20.0, num = 30 }
+[steady]
+settle_tol = 1e-2
+n_periods = 16
+max_period_multiple = 8
+"""
+N_ROWS = 200
+
+
+def made(n, **more):
+    """A row; every tenth is too long for a page."""
+    generator = random.Random(n)
+    extrema = tuple(generator.uniform(-1e-3, 1e-3) for _ in range(400 if n % 10 == 0 else 6))
+    identity = json.dumps({"numerics": "now", "point": {"number": n, "more": "x" * 500}})
+    values = {"status": gs.Status.OK, "x_max": float(n), "extrema": extrema, "cpu_time": 0.5}
+    return Row(content_key(identity), identity, gs.Response(**values | more), "machine")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "c.sqlite"
+    with Cache(path) as cache:
+        cache.commit([made(n) for n in range(N_ROWS)])
+    return path
+
+
+def zeroed(data, generator, pages):
+    for _ in range(pages):
+        at = 4096 * generator.randrange(len(data) // 4096)
+        data[at : at + 4096] = bytes(4096)
+
+
+def flipped(data, generator, bits):
+    for _ in range(bits):
+        data[generator.randrange(len(data))] ^= 1 << generator.randrange(8)
+
+
+def swapped(data, generator, pages):
+    one, other = (4096 * generator.randrange(1, len(data) // 4096) for _ in range(2))
+    data[one : one + 4096] = data[other : other + 4096]
+
+
+def cut(data, generator, size):
+    del data[-size:]
+
+
+# What was done, and how many rows it may cost.
+DAMAGES = {
+    "one page of the root": (lambda d, g: d.__setitem__(slice(0, 100), bytes(100)), 0),
+    "tail of 5 kB": (lambda d, g: cut(d, g, 5000), 8),
+    "half": (lambda d, g: cut(d, g, len(d) // 2), 130),
+    "20 bits": (lambda d, g: flipped(d, g, 20), 25),
+    "200 bits": (lambda d, g: flipped(d, g, 200), 120),
+    "3 zeroed pages": (lambda d, g: zeroed(d, g, 3), 20),
+    "a doubled page": (lambda d, g: swapped(d, g, 1), 8),
+    "first page of 0xff": (lambda d, g: d.__setitem__(slice(0, 4096), b"\xff" * 4096), 4),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGES)
+@pytest.mark.parametrize("seed", range(3))
+def test_sound_rows_are_saved_and_no_other(whole, tmp_path, what, seed):
+    path = tmp_path / "c.sqlite"
+    harm, cost = DAMAGES[what]
+    data = bytearray(whole.read_bytes())
+    harm(data, random.Random(seed))
+    path.write_bytes(data)
+    line = salvage(path)
+    if line is None:
+        assert what in ("20 bits", "a doubled page")
+        return
+    assert (tmp_path / "c.sqlite.damaged").read_bytes() == data
+    with Cache(path) as cache:
+        verdict = verify(cache)
+        assert verdict.is_sound
+        assert N_ROWS - cost <= verdict.n_rows <= N_ROWS
+        assert f"damaged; {verdict.n_rows} sound rows saved" in line
+        rows = [made(n) for n in range(N_ROWS)]
+        for key, row in cache.rows([row.key for row in rows]).items():
+            assert row.response == next(r for r in rows if r.key == key).response
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.sqlite", "c.sqlite.damaged"]
+
+
+def test_rows_of_the_log_are_saved_and_the_latest_success_wins(whole, tmp_path):
+    path = tmp_path / "c.sqlite"
+    shutil.copyfile(whole, path)
+    other = Cache(path)  # kept open: what it commits stays in the log
+    other.db.execute("PRAGMA wal_autocheckpoint = 0")
+    other.commit([made(N_ROWS + n) for n in range(20)])
+    other.commit([made(3, status=gs.Status.KILLED), made(4, x_max=-1.0)])
+    found = sound_records(path)
+    other.db.close()
+    assert len(found) == N_ROWS + 20
+    values = [json.loads(found[made(n).key][2])["x_max"] for n in (3, 4)]
+    assert values[0] == 3.0
+    assert values[1] in (4.0, -1.0)  # stored within one second
+
+
+def test_files_of_others_are_left_alone(tmp_path):
+    path = tmp_path / "c.sqlite"
+    path.write_text("my own notes, and quite a lot of them " * 300)
+    before = path.read_bytes()
+    with pytest.raises(gs.StoreError, match=r"c.sqlite: no row of a cache is left in it"):
+        salvage(path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["c.sqlite"]
+
+
+def gapsweep(folder, *arguments):
+    environment = os.environ | {"GAPSWEEP_CACHE": "c.sqlite"}
+    return subprocess.run(
+        [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
+        timeout=100,
+    )  # fmt: skip
+
+
+def test_a_run_salvages_a_torn_cache_says_so_and_goes_on(tmp_path):
+    (tmp_path / "tiny.toml").write_text(STUDY)
+    done = gapsweep(tmp_path, "run", "tiny.toml", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    path = tmp_path / "c.sqlite"
+    torn = path.read_bytes()[:-5000]
+    path.write_bytes(torn)
+
+    planned = gapsweep(tmp_path, "plan", "tiny.toml")
+    assert planned.returncode == 1
+    assert planned.stderr.count("\n") == 1
+    assert "the next run saves its sound rows" in planned.stderr
+    assert path.read_bytes() == torn, "to plan is not to repair"
+
+    exported = gapsweep(tmp_path, "cache", "export", "copy.sqlite")
+    assert exported.returncode == 0, exported.stderr
+    n_saved = int(exported.stdout.split(" rows in ")[0])
+    assert 20 <= n_saved < 30
+
+    done = gapsweep(tmp_path, "run", "tiny.toml", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    assert f"30 points: {n_saved} from the cache, {30 - n_saved} computed" in done.stdout
+    warning = f"c.sqlite: damaged; {n_saved} sound rows saved, the damaged file is now"
+    assert [warning in line for line in done.stderr.splitlines()].count(True) == 1
+    assert (tmp_path / "c.sqlite.damaged").read_bytes() == torn
+    with Cache(path) as cache:
+        assert verify(cache).is_sound
+
+
+def test_reading_commands_need_no_room_beside_the_cache(tmp_path):
+    (tmp_path / "tiny.toml").write_text(STUDY.replace("num = 30", "num = 3"))
+    done = gapsweep(tmp_path, "run", "tiny.toml", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    # As on a file system that is mounted read-only: SQLite finds no room for its log.
+    for suffix in ("-wal", "-shm"):
+        (tmp_path / f"c.sqlite{suffix}").mkdir()
+    before = (tmp_path / "c.sqlite").read_bytes()
+    with pytest.raises(sqlite3.OperationalError), sqlite3.connect(tmp_path / "c.sqlite") as db:
+        db.execute("SELECT count(*) FROM results")
+    for arguments, said in (
+        (("plan", "tiny.toml", "--out", "out"), "hits  3"),
+        (("query", "tiny.toml"), "piecewise"),
+        (("cache", "export", "copy.sqlite"), "3 rows in copy.sqlite"),
+    ):
+        done = gapsweep(tmp_path, *arguments)
+        assert done.returncode == 0, done.stderr
+        assert said in done.stdout
+    assert (tmp_path / "c.sqlite").read_bytes() == before
+
+
+def test_plan_writes_nothing(whole, tmp_path):
+    path = tmp_path / "c.sqlite"
+    shutil.copyfile(whole, path)
+    path.chmod(0o444)
+    with Cache(path, read_only=True) as cache, pytest.raises(sqlite3.OperationalError):
+        cache.db.execute("DELETE FROM results")
+    path.write_bytes(b"")
+    with Cache(path, read_only=True) as cache:  # a run killed before it made the table
+        assert list(cache.records()) == []
+    assert path.read_bytes() == b""
+
+
+def test_a_cache_that_cannot_be_prepared_is_closed(tmp_path):
+    path = tmp_path / "c.sqlite"
+    path.write_bytes(b"no database " * 1000)
+    for read_only in (False, True):
+        with pytest.raises(DamagedCacheError):
+            Cache(path, read_only=read_only)
+    opened = [file.path for file in psutil.Process().open_files()]
+    assert str(path) not in opened
