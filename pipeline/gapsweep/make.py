@@ -8,8 +8,8 @@ before they would be loaded.
 import json
 import tempfile
 import warnings
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,6 +46,7 @@ from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in, digests, is_intact, is_recorded, recording
 from gapsweep.store.cache import Cache
+from gapsweep.store.state import RunState
 from gapsweep.study.claims import read_claims
 from gapsweep.study.study import Study
 
@@ -55,6 +56,8 @@ if TYPE_CHECKING:
 RUNS = Path("data/runs")
 EXACT = "piecewise"
 CLAIMS_COPY = "claims.toml"
+# The files by which one sees whose folder it is.
+_OWNED = (RESPONSES, WORK_PRECISION, STABILITY)
 
 
 def run_folder(study: Study, out: str | Path | None = None) -> Path:
@@ -109,15 +112,18 @@ def update(
         if reason is None and not again:
             continue
         if reason == DAMAGED:
-            warnings.warn(f"{folder / stage.file}: {DAMAGED}, made again", stacklevel=2)
+            warnings.warn(
+                f"{folder / stage.file}: damaged or changed since it was written, made again",
+                stacklevel=2,
+            )
         if stage.file in (RESPONSES, ATTRACTORS):
             files = folder / RESPONSES, folder / ATTRACTORS
             export(study, planned, store, *files, made_from=as_text(now))
         elif stage.file == CLAIMS:
             assert study.claims_file is not None, "the stage is left out without claims"
-            claims(folder, study.claims_file)
+            _claims(folder, study.claims_file)
         elif stage.file == REPORT:
-            report(folder)
+            _report(folder)
         else:
             result = _unedited(stage, study, folder, timeout)
             netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
@@ -218,6 +224,7 @@ def bench(
     own_law.refresh()
     made = []
     with alone_in(folder):
+        check_owner(study, folder)
         for stage in stages_of(study):
             if stage.file in (WORK_PRECISION, STABILITY):
                 measured = _unedited(stage, study, folder, timeout, say)
@@ -225,7 +232,7 @@ def bench(
                 netcdf.write(measured, folder / stage.file, {"made_from": as_text(now)})
                 made.append(folder / stage.file)
         if (folder / RESPONSES).exists() and (folder / TIMING).exists():
-            report(folder)
+            _report(folder)
     return made
 
 
@@ -262,12 +269,29 @@ def claims(folder: str | Path, file: str | Path | None = None) -> dict[str, Any]
     GapsweepError
         If there are no responses or no claims, or a file is damaged.
     """
-    from gapsweep.analysis.claims import check_variables, verdicts
-
     folder = Path(folder)
+    with _run_in(folder):
+        return _claims(folder, Path(file) if file is not None else folder / CLAIMS_COPY)
+
+
+@contextmanager
+def _run_in(folder: Path) -> Iterator[None]:
+    """Keep others from writing into the folder of a run.
+
+    Raises
+    ------
+    StoreError
+        If it holds none.
+    """
     if not (folder / RESPONSES).exists():
         raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
-    path = Path(file) if file is not None else folder / CLAIMS_COPY
+    with alone_in(folder):
+        yield
+
+
+def _claims(folder: Path, path: Path) -> dict[str, Any]:
+    from gapsweep.analysis.claims import check_variables, verdicts
+
     stated = read_claims(path)
     check_variables(stated, str(path))
     stage = next(stage for stage in STAGES if stage.file == CLAIMS)
@@ -301,11 +325,17 @@ def report(folder: str | Path) -> Path:
     StoreError
         If the folder holds no run, or one of its files is damaged.
     """
+    with _run_in(Path(folder)):
+        return _report(Path(folder))
+
+
+def _report(folder: Path) -> Path:
     from gapsweep.report.html import write_report
 
-    folder = Path(folder)
-    if not (folder / RESPONSES).exists():
-        raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
+    if (folder / REPORT).parent.is_symlink():
+        raise StoreError(
+            f"{(folder / REPORT).parent}: a symbolic link, which could lead anywhere: remove it"
+        )
     stage = next(stage for stage in STAGES if stage.file == REPORT)
     with ExitStack() as files:
 
@@ -344,6 +374,24 @@ def _decided(folder: Path) -> dict[str, Any] | None:
     decided: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     same = decided["made_from"].get(RESPONSES) == " ".join(digests(folder / RESPONSES))
     return decided if same else None
+
+
+def check_owner(study: Study, folder: Path) -> None:
+    """Refuse a folder in which another study has left its files.
+
+    Raises
+    ------
+    StoreError
+        If its run or one of its datasets is that of a study with another name.
+    """
+    owners = {netcdf.attributes(folder / name).get("study") for name in _OWNED}
+    with suppress(StoreError):  # no run yet, or its state is damaged
+        owners.add(RunState.read(folder).study)
+    for owner in owners - {None, study.name}:
+        raise StoreError(
+            f"{folder}: holds the files of study {owner!r}, this one is {study.name!r}: choose "
+            "another folder with --out, or delete this one"
+        )
 
 
 def check_writable(folder: Path) -> None:

@@ -157,8 +157,9 @@ def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:
     path = folder / stage.file
     if not path.exists():
         return "absent"
-    if path.suffix in (".nc", ".json") and not is_intact(path):
-        return DAMAGED
+    intact = is_intact(path)
+    if not intact:
+        return DAMAGED if intact is False else "no SHA-256 of it is recorded"
     before = _recorded(path)
     if not before:
         return "not known what it was made from"

@@ -27,7 +27,7 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.recorder import Recorder
-from gapsweep.make import check_writable, failed_motions, run_folder, stages_of, update
+from gapsweep.make import check_owner, check_writable, failed_motions, run_folder, stages_of, update
 from gapsweep.stages import ATTRACTORS, RESPONSES, made_from, reason_to_run, sources
 from gapsweep.status import Status
 from gapsweep.store import netcdf
@@ -226,6 +226,7 @@ def carry_out(
     """`run`, with the outcome instead of the dataset."""
     folder = run_folder(study, out)
     check_writable(folder)
+    check_owner(study, folder)
     planned = plan(study, cache, retry_failed=retry_failed)
     if study.claims_file is not None and planned.n_missing:
         from gapsweep.analysis.claims import check_variables
@@ -238,7 +239,9 @@ def carry_out(
         with Cache(cache_path(cache), read_only=True) as store:
             if planned.n_missing:
                 planned = _as_stored(planned, store)
+            recorder.write()
             with alone_in(folder):
+                check_owner(study, folder)
                 update(study, planned, store, folder, timeout=timeout, retry_failed=retry_failed)
     motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
     failed = {file: counts for file, counts in motions.items() if counts}

@@ -151,8 +151,13 @@ def test_run_writes_a_damaged_dataset_again(sound, tmp_path):
         data = bytearray((run / name).read_bytes())
         data[len(data) // 2] ^= 1
         (run / name).write_bytes(data)
-    with gs.run(study, out=run, cache=folder / "cache.sqlite") as again:
+    with pytest.warns(UserWarning, match="made again") as told:
+        again = gs.run(study, out=run, cache=folder / "cache.sqlite")
+    with again:
         xr.testing.assert_equal(again["x_max"].load(), truth["x_max"])
+    assert [str(one.message).split(":")[0] for one in told] == [
+        str(run / name) for name in ("responses.nc", "agreement.nc")
+    ]
 
 
 def test_files_of_others_are_never_replaced(sound, tmp_path):

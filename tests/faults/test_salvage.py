@@ -128,7 +128,7 @@ def test_files_of_others_are_left_alone(tmp_path):
     path = tmp_path / "c.sqlite"
     path.write_text("my own notes, and quite a lot of them " * 300)
     before = path.read_bytes()
-    with pytest.raises(gs.StoreError, match=r"c.sqlite: no row of a cache is left in it"):
+    with pytest.raises(gs.StoreError, match=r"c.sqlite: file is not a database, or no row"):
         salvage(path)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["c.sqlite"]

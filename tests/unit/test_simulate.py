@@ -174,3 +174,10 @@ def test_bad_arguments_are_refused_by_name(arguments, message):
     given = {"omega": 5.0, "t_end": 1.0} | arguments
     with pytest.raises(gs.ModelError, match=message):
         gs.simulate(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
+
+
+def test_a_wall_too_stiff_for_one_step_is_a_status():
+    law = gs.Piecewise(1e35, gs.Gap(0.0, 8e-4))
+    run = gs.simulate(gs.Oscillator(), law, 9.0, t_end=0.5, engine="scipy")
+    assert run.status is gs.Status.STEP_UNDERFLOW
+    assert run.t < 0.5

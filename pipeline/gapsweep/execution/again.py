@@ -17,7 +17,12 @@ def differences(cache: Cache, key: bytes, alone: Alone) -> list[str]:
     row = cache.rows([key])[key]
     try:
         point, previous = point_of(row.identity)
-    except (ValueError, TypeError, KeyError):  # whoever wrote this, it was not a run
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+    ):  # whoever wrote this, it was not a run
         return ["identity"]
     if not _is_current(point):
         return []

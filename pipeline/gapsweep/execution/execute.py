@@ -10,11 +10,12 @@ nobody; only what fails alone is marked as failed.
 import math
 import random
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
+import numpy as np
 from distributed import Client, Future, as_completed
 from distributed.scheduler import KilledWorker
 
@@ -25,6 +26,7 @@ from gapsweep.execution.plan import Piece, Plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.task import REST, Task, TaskResult, Work, compute, process
 from gapsweep.integrate.problem import DEFAULT_ENGINE
+from gapsweep.model.labels import AUTO
 from gapsweep.response.result import Response
 from gapsweep.response.walk import State
 from gapsweep.status import Status
@@ -122,6 +124,11 @@ class _Execution:
         self.study, self.plan, self.cache, self.claims = study, plan, cache, claims
         self.client, self.batch, self.timeout = client, batch, timeout
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
+        # What must be computed although it is stored: failures, and what follows them in a sweep.
+        self.stale = {
+            plan.keys[point] for point in np.flatnonzero(plan.is_missing & (plan.status >= 0))
+        }
+        self.repeated = _repeated(study, plan)
         self.progress = Progress(plan.n_points, plan.n_hits)
         self.new = _shuffled(plan)
         # What comes before new pieces: the rest of long sweeps.
@@ -212,21 +219,32 @@ class _Execution:
                 self.elsewhere.append(piece)
         # Only now: what was stored before we claimed it has been seen.
         status = self.cache.status(keys)
-        done = dict(zip(keys, (status >= 0) & (status <= self.largest_hit), strict=True))
+        hit = (status >= 0) & (status <= self.largest_hit)
+        done = {key for key, is_hit in zip(keys, hit, strict=True) if is_hit} - self.stale
         return [part for piece in mine if (part := self._undone(piece, done))]
 
-    def _undone(self, piece: Piece, done: dict[bytes, bool]) -> Piece | None:
-        """The next part of a piece after what another run has stored meanwhile."""
+    def _undone(self, piece: Piece, done: set[bytes]) -> Piece | None:
+        """The next part of a piece that is not stored, up to what is."""
         first = piece.first
-        while first < piece.last and done[self.plan.keys[first]]:
+        while first < piece.last and self.plan.keys[first] in done:
+            self._count_done(first)
             first += 1
-        self.progress.n_shared += first - piece.first
         if first > piece.first:
             self.claims.release(self.plan.keys[piece.first])
             if first < piece.last:
                 self.begun.append(Piece(piece.chain, first, piece.last))
             return None
-        return Piece(piece.chain, first, min(first + _CHAIN_PART, piece.last))
+        last = first + 1
+        while last < min(first + _CHAIN_PART, piece.last) and self.plan.keys[last] not in done:
+            last += 1
+        return Piece(piece.chain, first, last)
+
+    def _count_done(self, point: int) -> None:
+        """Count a point that turns out to be stored: by us under another label, or by others."""
+        if self.plan.keys[point] in self.repeated:
+            self.progress.n_computed += 1
+        elif self.plan.is_missing[point]:
+            self.progress.n_shared += 1
 
     def _share_of_task(self, point: int) -> float:
         """Share of a task that a point fills."""
@@ -314,6 +332,14 @@ class _Execution:
         with suppress(Exception):
             self.client.cancel(list(self.in_flight))
         self.in_flight.clear()
+
+
+def _repeated(study: Study, plan: Plan) -> set[bytes]:
+    """Keys of the points that a study names under several labels."""
+    labels = study.grid.representations
+    if AUTO not in labels and len({x.partition("@")[0] for x in labels}) == len(labels):
+        return set()
+    return {key for key, n in Counter(plan.keys).items() if n > 1}
 
 
 class _Costs:

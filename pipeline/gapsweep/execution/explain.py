@@ -67,15 +67,15 @@ def _label(study: Study, index: Index) -> str:
 
 
 def _fields(identity: str) -> dict[str, str]:
-    """An identity's fields by dotted name, as text."""
+    """An identity's fields by dotted name, as text; none if a run cannot have written it."""
     try:
         whole = json.loads(identity)
-    except ValueError:
+        # Format 1 kept the point alone.
+        return dict(_flat("", whole.get("point", whole))) | {
+            name: str(whole[name]) for name in ("numerics", "previous", "schema") if name in whole
+        }
+    except (ValueError, TypeError, AttributeError, RecursionError):
         return {}
-    # Format 1 kept the point alone.
-    return dict(_flat("", whole.get("point", whole))) | {
-        name: str(whole[name]) for name in ("numerics", "previous", "schema") if name in whole
-    }
 
 
 def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -43,8 +43,8 @@ class Plan:
         Stored status, `MISSING` or `DAMAGED`.
     chain_starts : ndarray of int, shape (n_chains + 1,)
         Number of each chain's first point, and the end.
-    n_done : ndarray of int, shape (n_chains,)
-        How many of a chain's first points need no computation.
+    is_missing : ndarray of bool, shape (n_points,)
+        Which points are to be computed.
     shape : tuple of int
         Of the study's grid.
     """
@@ -53,7 +53,7 @@ class Plan:
     keys: list[bytes]
     status: NDArray[np.int8]
     chain_starts: NDArray[np.int64]
-    n_done: NDArray[np.int64]
+    is_missing: NDArray[np.bool_]
     shape: tuple[int, ...]
 
     @property
@@ -62,11 +62,11 @@ class Plan:
 
     @property
     def n_missing(self) -> int:
-        return self.n_points - self.n_hits
+        return int(self.is_missing.sum())
 
     @property
     def n_hits(self) -> int:
-        return int(self.n_done.sum())
+        return self.n_points - self.n_missing
 
     @property
     def n_failed(self) -> int:
@@ -77,13 +77,6 @@ class Plan:
     def n_damaged(self) -> int:
         """Stored points that fail their checksum; they count as missing."""
         return int(np.sum(self.status == DAMAGED))
-
-    @property
-    def is_missing(self) -> NDArray[np.bool_]:
-        """Which points are to be computed."""
-        ends = self.chain_starts[:-1] + self.n_done
-        chain = np.repeat(np.arange(len(ends)), np.diff(self.chain_starts))
-        return np.asarray(np.arange(self.n_points) >= ends[chain])
 
     def index(self, point: int) -> Index:
         """Position of a point in the study's grid."""
@@ -96,12 +89,12 @@ class Plan:
 
     def unfinished(self) -> NDArray[np.int64]:
         """Numbers of the chains that are not done."""
-        return np.flatnonzero(self.n_done < np.diff(self.chain_starts))
+        return np.unique(_chain_of(self.chain_starts)[self.is_missing])
 
     def piece(self, chain: int) -> Piece:
-        """What is left of a chain."""
-        first = self.chain_starts[chain] + self.n_done[chain]
-        return Piece(chain, int(first), int(self.chain_starts[chain + 1]))
+        """A chain from its first missing point on."""
+        first, last = (int(n) for n in self.chain_starts[chain : chain + 2])
+        return Piece(chain, first + int(np.argmax(self.is_missing[first:last])), last)
 
 
 def nothing_stored(keys: list[bytes]) -> NDArray[np.int8]:
@@ -138,20 +131,21 @@ def plan(
         cells += (study.grid.flat(index) for index in chain)
         chain_starts.append(len(keys))
     status = look(keys)
-    done = status >= 0
-    if retry_failed:
-        done &= status <= Status.OUT_OF_FIT_RANGE
     starts = np.array(chain_starts)
-    return Plan(
-        np.array(cells, np.int64), keys, status, starts, _n_done(done, starts), study.grid.shape
-    )
+    # What lies beyond a lost row of a sweep was computed when it was there, and still holds.
+    missing = status < 0
+    if retry_failed:
+        missing |= _after(status > Status.OUT_OF_FIT_RANGE, starts)
+    return Plan(np.array(cells, np.int64), keys, status, starts, missing, study.grid.shape)
 
 
-def _n_done(done: NDArray[np.bool_], starts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Per chain, how many points are done before the first that is not.
+def _after(failed: NDArray[np.bool_], starts: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """The failed points and all behind them in their chains, which may now start elsewhere."""
+    so_far = np.append(0, np.cumsum(failed))
+    before = so_far[starts[:-1]][_chain_of(starts)]
+    return np.asarray(so_far[1:] > before)
 
-    What follows a missing point of a sweep starts elsewhere: its key says so too.
-    """
-    undone = np.append(np.flatnonzero(~done), len(done))
-    first_undone = undone[np.searchsorted(undone, starts[:-1])]
-    return np.asarray(np.minimum(first_undone, starts[1:]) - starts[:-1])
+
+def _chain_of(starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number of each point's chain."""
+    return np.repeat(np.arange(len(starts) - 1), np.diff(starts))

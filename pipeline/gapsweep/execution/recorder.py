@@ -44,10 +44,19 @@ class Recorder:
     def __call__(self, progress: Progress) -> None:
         self.state = replace(self.state, computed=progress.n_computed, failed=progress.n_failed)
         if time.monotonic() - self.written > _STATE_SECONDS:
-            self.state.write(self.folder)
-            self.written = time.monotonic()
+            self.write()
         if self.on_progress is not None:
             self.on_progress(progress)
+
+    def write(self) -> None:
+        """Store the state now."""
+        self._store(self.state)
+        self.written = time.monotonic()
+
+    def _store(self, state: RunState) -> None:
+        """Where another run of the study goes on in the same folder, that is what is told."""
+        if not state.is_hidden_in(self.folder):
+            state.write(self.folder)
 
     def __exit__(
         self,
@@ -56,9 +65,9 @@ class Recorder:
         trace: TracebackType | None,
     ) -> None:
         if error is None:
-            replace(self.state, state=FINISHED).write(self.folder)
+            self._store(replace(self.state, state=FINISHED))
         elif self.written > -np.inf:
             state = INTERRUPTED if isinstance(error, KeyboardInterrupt) else FAILED
             # The disk may be full: that is what the error says already.
             with suppress(StoreError):
-                replace(self.state, state=state, message=str(error)).write(self.folder)
+                self._store(replace(self.state, state=state, message=str(error)))

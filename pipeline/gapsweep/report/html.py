@@ -24,7 +24,7 @@ from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.style import MATPLOTLIB
 from gapsweep.report.tables import VERDICTS, Row, agreement_rows, claim_rows, number, timing_rows
 from gapsweep.status import Status
-from gapsweep.store.artefact import replacing
+from gapsweep.store.artefact import is_recorded, recording
 
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -112,7 +112,7 @@ def write_report(
         version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
         fingerprint=responses.attrs["numerics_fingerprint"],
     )
-    with replacing(path, _is_ours) as temporary:
+    with recording(path, _is_ours) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
 
@@ -123,8 +123,11 @@ def _digest(script: str) -> str:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether the file there is a report, which may be replaced."""
-    return '<meta name="generator" content="gapsweep">' in path.read_text(errors="replace")[:1000]
+    """Whether the file there is a report, sound or changed, which may be replaced."""
+    return (
+        is_recorded(path)
+        or '<meta name="generator" content="gapsweep">' in path.read_text(errors="replace")[:1000]
+    )
 
 
 def _sections(

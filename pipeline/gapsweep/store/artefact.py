@@ -7,10 +7,14 @@ renamed into place. Its SHA-256 stands in ``SHA256SUMS`` beside it, in the form 
 
 import hashlib
 import os
+import platform
+import re
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import psutil
 
 from gapsweep.errors import GapsweepError, StoreError
 
@@ -44,7 +48,9 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
         )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        _remove_leftovers(path)
+        owner = f"{platform.node()}.{os.getpid()}"
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.{owner}.", dir=path.parent)
         os.close(handle)
     except OSError as error:
         raise StoreError(f"{path}: cannot be written: {error.strerror}") from None
@@ -64,6 +70,15 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
     finally:
         with suppress(FileNotFoundError):
             temporary.unlink()
+
+
+def _remove_leftovers(path: Path) -> None:
+    """Remove temporary files for a path whose process, on this machine, was killed."""
+    ours = re.escape(f".{path.name}.{platform.node()}.") + r"(\d+)\.\w+"
+    for there in path.parent.iterdir():
+        owner = re.fullmatch(ours, there.name)
+        if owner and not psutil.pid_exists(int(owner[1])):
+            there.unlink(missing_ok=True)
 
 
 def _flush(path: Path) -> None:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
+from enum import IntEnum
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import StoreError
-from gapsweep.response.result import Response, ResponseClass
+from gapsweep.response.result import Response
 from gapsweep.status import Status
 from gapsweep.store.filesystem import is_on_network
 
@@ -33,6 +34,7 @@ MISSING, DAMAGED = -1, -2
 _BATCH = 500  # keys per query; SQLite allows 999 parameters everywhere
 _FIELDS = tuple(field.name for field in fields(Response))
 _LISTS = {field.name for field in fields(Response) if field.default == ()}
+_KINDS: dict[str, Any] = {f.name: tuple if f.name in _LISTS else f.type for f in fields(Response)}
 
 _TABLE = """
 CREATE TABLE results (
@@ -250,13 +252,26 @@ class Cache:
         found = np.full(len(keys), MISSING, np.int8)
         for start in range(0, len(keys), _BATCH):
             some = keys[start : start + _BATCH]
-            stored = {r[0]: r[3] if is_sound(r) else DAMAGED for r in self._records(some)}
+            stored = {r[0]: _status(r) for r in self._records(some)}
             found[start : start + _BATCH] = [stored.get(key, MISSING) for key in some]
         return found
 
     def rows(self, keys: Sequence[bytes]) -> dict[bytes, Row]:
-        """Stored results; damaged ones are left out, as if missing."""
-        return {r[0]: _row(r) for r in self._records(keys) if is_sound(r)}
+        """Stored results; damaged ones are left out, as if missing.
+
+        Raises
+        ------
+        StoreError
+            If a row is as it was written, but holds no result.
+        """
+        sound = [record for record in self._records(keys) if is_sound(record)]
+        try:
+            return {record[0]: _row(record) for record in sound}
+        except ValueError as error:
+            raise StoreError(
+                f"{self.path}: a row was written by something else than a run ({error}): "
+                "'gapsweep cache gc --apply' deletes it"
+            ) from None
 
     def cpu_times(self, keys: Sequence[bytes]) -> dict[bytes, float]:
         """Processor time [s] of every key that is stored and has one."""
@@ -332,6 +347,19 @@ def is_sound(record: Record) -> bool:
         return False
 
 
+def holds_result(record: Record) -> bool:
+    """Whether a run can have written a record: is it sound, and what it holds a response?"""
+    try:
+        return is_sound(record) and _row(record).response.status == record[3]
+    except ValueError:
+        return False
+
+
+def _status(record: Record) -> int:
+    whole = is_sound(record) and 0 <= record[3] <= max(Status)
+    return record[3] if whole else DAMAGED
+
+
 def identity_matches(record: Record) -> bool:
     """Whether a record's key is that of its identity; of format 1 too little is known."""
     key, identity, *_ = record
@@ -374,16 +402,32 @@ def _plain(value: Any) -> Any:
 
 
 def _decoded(text: str) -> tuple[Response, str]:
-    values = json.loads(text)
-    versions = values.pop("versions", "")
-    for name, value in values.items():
-        if value is None:
-            values[name] = math.nan
-        elif name in _LISTS:
-            values[name] = tuple(value)
-        elif value in ("inf", "-inf") and name != "message":
-            values[name] = float(value)
-    values["status"] = Status(values["status"])
-    values["response_class"] = ResponseClass(values["response_class"])
-    # What an older version did not know keeps its default.
-    return Response(**values), versions
+    """The response in a row, and the versions that computed it.
+
+    Raises
+    ------
+    ValueError
+        If it is none, whatever else it may be.
+    """
+    try:
+        stored = json.loads(text)
+        versions = str(stored.pop("versions", ""))
+        values = {name: _valued(name, value) for name, value in stored.items()}
+        # What an older version did not know keeps its default.
+        return Response(**values), versions
+    except (TypeError, AttributeError, KeyError, RecursionError) as error:
+        raise ValueError(f"{type(error).__name__}: {error}") from None
+
+
+def _valued(name: str, value: Any) -> Any:
+    """A value of a response from its JSON."""
+    kind = _KINDS[name]
+    if kind is float:
+        value = math.nan if value is None else float(value)
+    elif name in _LISTS:
+        if not all(type(one) in (int, float) for one in value):
+            raise TypeError(f"{name}: must be numbers")
+        value = tuple(value)
+    elif type(value) is not (str if kind is str else int):
+        raise TypeError(f"{name} = {value!r:.40}")
+    return kind(value) if issubclass(kind, IntEnum) else value

@@ -14,6 +14,7 @@ from gapsweep.store.cache import (
     Cache,
     DamagedCacheError,
     Record,
+    holds_result,
     identity_matches,
     is_sound,
 )
@@ -75,7 +76,7 @@ def verify(cache: Cache) -> Verdict:
     n_rows, damaged = 0, []
     for record in readable(cache):
         n_rows += 1
-        if not (is_sound(record) and identity_matches(record)):
+        if not (holds_result(record) and identity_matches(record)):
             damaged.append(_hex(record[0]))
     return Verdict(n_rows, tuple(damaged), tuple(f for f in faults if f != "ok"))
 
@@ -85,7 +86,7 @@ def removable(cache: Cache, numerics: str) -> list[bytes]:
     return [
         record[0]
         for record in cache.records()
-        if numerics_of(record) != numerics or not is_sound(record)
+        if numerics_of(record) != numerics or not holds_result(record)
     ]
 
 
@@ -134,18 +135,22 @@ def readable(cache: Cache) -> Iterator[Record]:
 
 def numerics_of(record: Record) -> str:
     """Fingerprint of the code that computed a row; empty if the row does not say."""
-    try:
-        return str(json.loads(record[1]).get("numerics", ""))
-    except (ValueError, TypeError, AttributeError):
-        return ""
+    return str(_identity(record).get("numerics", ""))
 
 
 def representation_of(record: Record) -> str:
     """The law of a row; empty if the row does not say."""
+    point = _identity(record).get("point")
+    return str(point.get("representation", "")) if isinstance(point, dict) else ""
+
+
+def _identity(record: Record) -> dict[str, Any]:
+    """A row's identity; nothing if a run cannot have written it."""
     try:
-        return str(json.loads(record[1])["point"]["representation"])
-    except (ValueError, TypeError, KeyError):
-        return ""
+        whole = json.loads(record[1])
+    except (ValueError, TypeError, RecursionError):
+        return {}
+    return whole if isinstance(whole, dict) else {}
 
 
 def _status_label(record: Record) -> str:

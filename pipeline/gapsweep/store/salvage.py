@@ -52,8 +52,8 @@ def salvage(path: Path) -> str | None:
         records = sound_records(path)
         if not records and _TABLE not in path.read_bytes():
             raise StoreError(
-                f"{path}: no row of a cache is left in it, if it ever was one: move it away or "
-                "choose another file with --cache"
+                f"{path}: file is not a database, or no row of a cache is left in it: move it "
+                "away or choose another file with --cache"
             )
         fresh = path.with_name(f".{path.name}.salvaged")
         fresh.unlink(missing_ok=True)

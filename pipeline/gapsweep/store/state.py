@@ -94,6 +94,15 @@ class RunState:
             return replace(found, state=DIED, message="its process is gone; run again to resume")
         return found
 
+    def is_hidden_in(self, folder: Path) -> bool:
+        """Whether a folder tells of another study, or of another run that goes on there."""
+        try:
+            there = RunState.read(folder)
+        except StoreError:
+            return False
+        mine = (there.host, there.pid) == (self.host, self.pid)
+        return there.study != self.study or (there.state == RUNNING and not mine)
+
     @property
     def done(self) -> int:
         return self.hits + self.computed

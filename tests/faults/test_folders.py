@@ -1,0 +1,165 @@
+"""The folder of a run: whose it is, what is left in it, and who may write."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import gapsweep as gs
+from gapsweep.store.artefact import alone_in
+
+COMMAND = Path(sys.executable).with_name("gapsweep")
+STUDY = """
+[study]
+name = "tiny"
+[[sweep]]
+representation = ["piecewise", "piecewise@same"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = { start = 10.0, stop = 15.0, num = 20 }
+initial_condition = "sweep_up"
+[protocol.same]
+[steady]
+settle_tol = 1e-2
+n_periods = 16
+max_period_multiple = 8
+"""
+
+
+def gapsweep(folder, *arguments):
+    environment = os.environ | {"GAPSWEEP_CACHE": "c.sqlite"}
+    return subprocess.run(
+        [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
+        timeout=100,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run whose study names every point under two labels; the tests go on with it."""
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "tiny.toml").write_text(STUDY)
+    done = gapsweep(folder, "run", "tiny.toml", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("40 points: 0 from the cache, 40 computed\n")
+    return folder
+
+
+def test_another_study_is_refused_in_a_folder_that_is_taken(finished):
+    other = STUDY.replace('"tiny"', '"other"')
+    (finished / "other.toml").write_text(other)
+    before = (finished / "out" / "responses.nc").read_bytes()
+    for command in ("run", "bench"):
+        done = gapsweep(finished, command, "other.toml", "--out", "out")
+        if command == "bench":  # it has none, and says so first
+            assert "bench: missing" in done.stderr
+            continue
+        assert done.returncode == 1
+        assert done.stderr.count("\n") == 1
+        assert "out: holds the files of study 'tiny', this one is 'other'" in done.stderr
+    assert (finished / "out" / "responses.nc").read_bytes() == before
+
+
+def test_repairs_are_told(finished):
+    page = finished / "out" / "report" / "index.html"
+    whole = page.read_text()
+    page.write_text(whole.replace("median", "MEDIAN"))
+    data = bytearray((finished / "out" / "timing.nc").read_bytes())
+    data[len(data) // 2] ^= 1
+    (finished / "out" / "timing.nc").write_bytes(data)
+    done = gapsweep(finished, "run", "tiny.toml", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    told = [line for line in done.stderr.splitlines() if "damaged or changed" in line]
+    assert [line.split(":")[1].strip() for line in told] == [
+        "out/timing.nc",
+        "out/report/index.html",
+    ]
+    assert "MEDIAN" not in page.read_text()
+
+
+def test_one_lost_row_of_a_sweep_is_one_point_to_compute(finished):
+    path = finished / "c.sqlite"
+    data = bytearray(path.read_bytes())
+    at = data.index(b'"x_max":', len(data) // 2) + 12
+    data[at] ^= 1
+    path.write_bytes(data)
+    done = gapsweep(finished, "run", "tiny.toml", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    # The row stands for a point of each label.
+    assert done.stdout.startswith("40 points: 38 from the cache, 2 computed\n")
+    assert "2 damaged rows, computed again" in done.stderr
+
+
+LEFT = """
+import os, signal, sys, time
+from pathlib import Path
+from gapsweep.store.artefact import replacing
+with replacing(Path(sys.argv[1])) as temporary:
+    temporary.write_text("half of it")
+    print(temporary.name, flush=True)
+    if sys.argv[2] == "dies":
+        os.kill(os.getpid(), signal.SIGKILL)
+    sys.stdin.read()
+"""
+
+
+def test_temporary_files_of_the_dead_are_removed_and_no_others(finished):
+    responses = finished / "out" / "responses.nc"
+    command = [sys.executable, "-c", LEFT, str(responses)]
+    dead = subprocess.run([*command, "dies"], capture_output=True, text=True)
+    with subprocess.Popen(
+        [*command, "waits"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as alive:
+        theirs = alive.stdout.readline().strip()
+        assert (responses.parent / dead.stdout.strip()).exists()
+        responses.unlink()
+        done = gapsweep(finished, "run", "tiny.toml", "--out", "out")
+        assert done.returncode == 0, done.stderr
+        assert [p.name for p in responses.parent.glob(".*")] == [theirs]
+        alive.kill()
+
+
+def test_claims_wait_for_whoever_writes_into_the_folder(finished):
+    (finished / "claims.toml").write_text(
+        '[[claim]]\nid = 1\nplace = "here"\ntext = "Something."\nwhy = "It is."\n'
+        '[[claim.test]]\nsays = "a number"\nkind = "compare"\n'
+        'number = { data = "responses", variable = "x_max", statistic = "mean" }\n'
+        'op = ">"\nthreshold = 0.0\n'
+    )
+    command = [COMMAND, "claims", "out", "--file", "claims.toml"]
+    with alone_in(finished / "out"):
+        waiting = subprocess.Popen(command, cwd=finished, stderr=subprocess.PIPE, text=True)
+        with pytest.raises(subprocess.TimeoutExpired):
+            waiting.wait(10)
+        assert not (finished / "out" / "claims.json").exists()
+    _, errors = waiting.communicate(timeout=60)
+    assert waiting.returncode == 0, errors
+    assert (finished / "out" / "claims.json").exists()
+
+
+SLOW = STUDY.replace("[steady]", '[solver]\nengine = "scipy"\nrtol = 1e-7\natol = 1e-10\n[steady]')
+
+
+def test_two_runs_in_one_folder_tell_of_one_that_goes_on(tmp_path):
+    (tmp_path / "long.toml").write_text(SLOW.replace("1e-2", "1e-6"))
+    (tmp_path / "short.toml").write_text(SLOW.replace("num = 20", "num = 1"))
+    command = [COMMAND, "run", "long.toml", "--out", "out", "--cache", "l.sqlite"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, cwd=tmp_path, start_new_session=True, **quiet) as long:
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "out" / "run.json").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        # The same study, as far as its name goes; it ends first.
+        done = gapsweep(tmp_path, "run", "short.toml", "--out", "out")
+        assert done.returncode == 0, done.stderr
+        assert long.poll() is None
+        state = json.loads((tmp_path / "out" / "run.json").read_text())
+        assert (state["state"], state["pid"]) == ("running", long.pid)
+        os.killpg(long.pid, 9)
+    with gs.open(tmp_path / "out" / "responses.nc") as ds:
+        assert ds.sizes["omega"] == 1
