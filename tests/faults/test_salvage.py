@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 import gapsweep as gs
-from gapsweep.store.cache import Cache, DamagedCacheError, Row
+from gapsweep.store.cache import Cache, DamagedCacheError, Row, _record
 from gapsweep.store.maintenance import verify
 from gapsweep.store.salvage import salvage, sound_records
 from gapsweep.study.points import content_key
@@ -212,3 +212,19 @@ def test_a_cache_that_cannot_be_prepared_is_closed(tmp_path):
             Cache(path, read_only=read_only)
     opened = [file.path for file in psutil.Process().open_files()]
     assert str(path) not in opened
+
+
+def test_a_row_that_no_run_has_written_is_one_line_and_can_be_deleted(tmp_path):
+    (tmp_path / "tiny.toml").write_text(STUDY.replace("num = 30", "num = 1"))
+    study = gs.Study.load(tmp_path / "tiny.toml")
+    identity = study.point((0, 0, 0, 0, 0)).identity()
+    with Cache(tmp_path / "c.sqlite") as cache, cache.transaction():
+        forged = content_key(identity), identity, '{"status":0,"mystery":1}', 0, 0.5, "", "2001"
+        cache.insert([_record(*forged)])
+    for command in ("query", "explain"):
+        done = gapsweep(tmp_path, command, "tiny.toml")
+        assert done.returncode == 1
+        assert done.stderr.count("\n") == 1
+        assert "'gapsweep cache gc --apply' deletes it" in done.stderr
+    assert "1 rows deleted" in gapsweep(tmp_path, "cache", "gc", "--apply").stdout
+    assert gapsweep(tmp_path, "plan", "tiny.toml").returncode == 0

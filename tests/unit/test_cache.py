@@ -13,7 +13,16 @@ from hypothesis import strategies as st
 
 import gapsweep as gs
 from gapsweep.store import filesystem, maintenance
-from gapsweep.store.cache import DAMAGED, MISSING, SCHEMA_VERSION, Cache, Row, _decoded, _encoded
+from gapsweep.store.cache import (
+    DAMAGED,
+    MISSING,
+    SCHEMA_VERSION,
+    Cache,
+    Row,
+    _decoded,
+    _encoded,
+    _record,
+)
 from gapsweep.study.points import content_key
 
 FIRST_VERSION = Path(__file__).parents[1] / "data" / "cache-v1.sqlite"
@@ -202,3 +211,40 @@ def test_unwritable_folder_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(gs.StoreError, match="file: cannot be created"):
         Cache(tmp_path / "file" / "cache.sqlite")
+
+
+NO_RESULTS = {
+    "unknown field": '{"status":0,"mystery":1}',
+    "status that there is not": '{"status":99}',
+    "no status": "{}",
+    "no JSON": "nonsense",
+    "a list": "[]",
+    "nested": "[" * 100_000,
+    "text for numbers": '{"status":0,"extrema":["a"]}',
+    "a number for numbers": '{"status":0,"section":1}',
+    "text for a number": '{"status":0,"n_steps":"many"}',
+    "number for a text": '{"status":0,"message":1}',
+    "object for a number": '{"status":0,"x_max":{}}',
+}
+
+
+@pytest.mark.parametrize("text", NO_RESULTS.values(), ids=NO_RESULTS.keys())
+@pytest.mark.parametrize("identity", [row("a").identity, "nonsense", "[1]", "[" * 100_000])
+def test_rows_that_no_run_has_written_are_one_line(tmp_path, text, identity):
+    with Cache(tmp_path / "cache.sqlite") as cache:
+        cache.commit([row("b")])
+        with cache.transaction():
+            cache.insert([_record(key("a"), identity, text, 0, None, "there", "2001-01-01")])
+        with pytest.raises(gs.StoreError, match="'gapsweep cache gc --apply' deletes it"):
+            cache.rows([key("a"), key("b")])
+        assert maintenance.verify(cache).damaged == (key("a").hex(),)
+        assert maintenance.info(cache, "now")["rows"] == 2
+        assert maintenance.removable(cache, "now") == [key("a")]
+
+
+@pytest.mark.parametrize("status", [99, -7, 10**6])
+def test_a_status_that_there_is_not_is_damage(tmp_path, status):
+    with Cache(tmp_path / "cache.sqlite") as cache, cache.transaction():
+        text = _encoded(row("a").response)
+        cache.insert([_record(key("a"), row("a").identity, text, status, None, "", "2001-01-01")])
+        assert cache.status([key("a")]).tolist() == [DAMAGED]
