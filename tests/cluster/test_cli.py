@@ -66,9 +66,11 @@ def test_run_writes_datasets_and_report(finished):
     run = finished / "data" / "runs" / "tiny"
     names = sorted(str(p.relative_to(run)) for p in run.rglob("*") if p.is_file())
     stored = ["agreement.nc", "attractors.nc", "responses.nc", "static.nc", "timing.nc"]
-    assert names == sorted([*stored, "SHA256SUMS", "report/index.html", "run.json"])
+    page = ["report/SHA256SUMS", "report/index.html"]
+    assert names == sorted([*stored, *page, "SHA256SUMS", "run.json"])
     sums = ["sha256sum", "--check", "--quiet", "SHA256SUMS"]
     assert subprocess.run(sums, cwd=run).returncode == 0
+    assert subprocess.run(sums, cwd=run / "report").returncode == 0
     page = (run / "report" / "index.html").read_text()
     assert page.count("<svg") == 2
     # XML namespaces are names, not requests; nothing else may point outside.

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import gapsweep as gs
+from gapsweep import workflow
 from gapsweep.store.artefact import alone_in
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
@@ -53,15 +54,24 @@ def test_another_study_is_refused_in_a_folder_that_is_taken(finished):
     other = STUDY.replace('"tiny"', '"other"')
     (finished / "other.toml").write_text(other)
     before = (finished / "out" / "responses.nc").read_bytes()
-    for command in ("run", "bench"):
-        done = gapsweep(finished, command, "other.toml", "--out", "out")
-        if command == "bench":  # it has none, and says so first
-            assert "bench: missing" in done.stderr
-            continue
-        assert done.returncode == 1
-        assert done.stderr.count("\n") == 1
-        assert "out: holds the files of study 'tiny', this one is 'other'" in done.stderr
+    done = gapsweep(finished, "run", "other.toml", "--out", "out")
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "out: holds the files of study 'tiny', this one is 'other'" in done.stderr
     assert (finished / "out" / "responses.nc").read_bytes() == before
+
+
+def test_status_knows_a_run_of_which_everything_is_stored(finished, monkeypatch):
+    (finished / "out" / "run.json").unlink()
+    seen = []
+
+    def update(study, planned, store, folder, **how):
+        seen.append(json.loads(gapsweep(finished, "status", "out", "--json").stdout))
+
+    monkeypatch.setattr(workflow, "update", update)
+    study = gs.Study.load(finished / "tiny.toml")
+    workflow.carry_out(study, out=finished / "out", cache=finished / "c.sqlite")
+    assert [(one["state"], one["hits"]) for one in seen] == [("running", 40)]
 
 
 def test_repairs_are_told(finished):
@@ -110,11 +120,11 @@ with replacing(Path(sys.argv[1])) as temporary:
 def test_temporary_files_of_the_dead_are_removed_and_no_others(finished):
     responses = finished / "out" / "responses.nc"
     command = [sys.executable, "-c", LEFT, str(responses)]
-    dead = subprocess.run([*command, "dies"], capture_output=True, text=True)
     with subprocess.Popen(
         [*command, "waits"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as alive:
         theirs = alive.stdout.readline().strip()
+        dead = subprocess.run([*command, "dies"], capture_output=True, text=True)
         assert (responses.parent / dead.stdout.strip()).exists()
         responses.unlink()
         done = gapsweep(finished, "run", "tiny.toml", "--out", "out")
@@ -145,8 +155,8 @@ SLOW = STUDY.replace("[steady]", '[solver]\nengine = "scipy"\nrtol = 1e-7\natol 
 
 
 def test_two_runs_in_one_folder_tell_of_one_that_goes_on(tmp_path):
-    (tmp_path / "long.toml").write_text(SLOW.replace("1e-2", "1e-6"))
-    (tmp_path / "short.toml").write_text(SLOW.replace("num = 20", "num = 1"))
+    (tmp_path / "long.toml").write_text(SLOW.replace("num = 20", "num = 999"))
+    (tmp_path / "short.toml").write_text(STUDY.replace("num = 20", "num = 1"))
     command = [COMMAND, "run", "long.toml", "--out", "out", "--cache", "l.sqlite"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(command, cwd=tmp_path, start_new_session=True, **quiet) as long:

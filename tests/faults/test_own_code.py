@@ -3,9 +3,14 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import pytest
+from tests.laws import working
+
 import gapsweep as gs
+from gapsweep.execution.alone import Alone, CallError
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 
@@ -144,3 +149,18 @@ def test_benchmarks_survive_any_law_and_say_what_failed(tmp_path):
             assert measured["method"].values.tolist() == ["piecewise", *poisons]
             status = measured["status"].values.ravel().tolist()
         assert status == [Status.OK, leaving, Status.TIMED_OUT]
+
+
+def test_processor_time_is_what_counts_and_idling_is_a_hang():
+    with Alone(2.0) as alone:
+        assert alone(working, 3.0) == 3.0, "longer than the limit by the clock alone"
+        began = time.monotonic()
+        with pytest.raises(CallError, match="took longer than 2 s") as idle:
+            alone(time.sleep, 60.0)
+        assert idle.value.status is Status.TIMED_OUT
+        assert time.monotonic() - began < 30.0
+        with pytest.raises(CallError, match="took longer than 2 s"):
+            alone(working, 60.0)
+        with pytest.raises(CallError, match="ValueError") as raised:
+            alone(int, "no number")
+        assert raised.value.status is Status.ERROR

@@ -241,9 +241,11 @@ class _Execution:
 
     def _count_done(self, point: int) -> None:
         """Count a point that turns out to be stored: by us under another label, or by others."""
+        if not self.plan.is_missing[point]:
+            return
         if self.plan.keys[point] in self.repeated:
             self.progress.n_computed += 1
-        elif self.plan.is_missing[point]:
+        else:
             self.progress.n_shared += 1
 
     def _share_of_task(self, point: int) -> float:
