@@ -225,9 +225,7 @@ def scenes(
     table[row.CUBIC], table[row.PUSH], table[row.CONTACT] = alpha / mass, forcing / mass, K_c / mass
     table[row.LOWER], table[row.UPPER] = -j_1, j_2
     table[row.OMEGA], table[row.OMEGA_RAD], table[row.PERIOD] = omega, omega_rad, 1.0 / omega
-    push = np.abs(table[row.PUSH])
-    springs = n_rad**2 + table[row.CONTACT] + np.cbrt(np.abs(table[row.CUBIC]) * push**2)
-    table[row.FLOOR] = push / (springs + omega_rad**2)
+    table[row.FLOOR] = _forced_size(table, np.minimum(j_1, j_2))
     table[row.RATE] = np.sqrt(n_rad**2 + K_c / mass) + omega_rad
     table[row.MIN_STEP] = _MIN_STEP / np.maximum(n_rad, omega_rad)
     _set_idle(points[-1])
@@ -308,6 +306,16 @@ def _check(**values):
             is_bad, rule = is_bad | (array < 0), rule + " and >= 0"
         if is_bad.any():
             raise ValueError(f"{name} = {array[is_bad][0]}: must be {rule}")
+
+
+def _forced_size(table, to_wall):
+    """Displacement [m] that the forcing keeps up against the springs, and the wall if it is met."""
+    push = np.abs(table[row.PUSH])
+    cubic = np.cbrt(np.abs(table[row.CUBIC]) * push**2)
+    springs = table[row.STIFFNESS] + cubic + table[row.OMEGA_RAD] ** 2
+    free = push / springs
+    beyond = np.maximum(free - to_wall, 0.0)
+    return free - beyond * (table[row.CONTACT] / (springs + table[row.CONTACT]))
 
 
 def _set_mode_on_walls(points):

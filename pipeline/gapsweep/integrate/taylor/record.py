@@ -128,6 +128,7 @@ def _record_extrema(lanes, k, point, log, fill, work):
     series, degree = work.series, len(work.series) - 1
     roots, multiplicity = work.roots, work.multiplicity
     rising = work.reduced[0] > 0.0  # sign of v right after the start; each simple root flips it
+    halt = math.nan  # displacement of the last inflection: rounding may show one as several
     i = 0
     while i < n_roots:
         t = roots[i]
@@ -140,9 +141,13 @@ def _record_extrema(lanes, k, point, log, fill, work):
             if abs(x_next - x) <= _SAME_DISPLACEMENT * abs(x):
                 kind, t = INFLECTION, 0.5 * (t + roots[i + 1])
                 i += 1
+        is_again = False
         if kind != INFLECTION:
             rising = not rising
-        if t >= first:
+        else:
+            is_again = abs(x - halt) <= _SAME_DISPLACEMENT * abs(x)
+            halt = x
+        if t >= first and not is_again:
             _write(log, fill, point, kind, start + t, x, 0.0)
         i += 1
 
