@@ -102,7 +102,7 @@ def test_a_response_is_the_same_alone_and_in_any_company():
         gs.Polynomial(1.4e4, SYMMETRIC, degree=3, fit_range=1e-3),
         gs.Polynomial(1.4e5, SYMMETRIC, degree=3, fit_range=1e-3),
     ]
-    steady = gs.Steady(t_max=6.0)
+    steady = gs.Steady(settle_tol=1e-2, max_decay_times=6.0)
     softening = gs.Oscillator(alpha=-7e8)
     points = [(gs.Oscillator(), law, omega, (0.0, 0.0)) for omega in (7.0, 14.0) for law in laws]
     points.append((softening, laws[0], 5.0, (5e-3, 0.0)))

@@ -222,7 +222,10 @@ def _steady_response(question: Question) -> Generator[Request, Any, Outcome]:
         if orbit is not None:
             return _periodic(walk, steady, orbit)
         if walk.n_periods >= limits.last and walk.status is Status.OK:
-            exponents = yield from lyapunov(walk)
+            # A motion that was given no time to settle is nobody's example.
+            exponents: Exponents | None = Exponents(math.nan, math.nan)
+            if settled:
+                exponents = yield from lyapunov(walk)
             if exponents is None:
                 break
             orbit = yield from _rattled(walk, steady, exponents)
