@@ -241,8 +241,8 @@ def test_one_outlier_does_not_separate_two_clouds():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"x": []}, "x: must be finite numbers, at least one"),
-        ({"v": [math.nan]}, "v: must be finite numbers"),
+        ({"x": []}, r"x = \[\]: must be finite numbers, at least one"),
+        ({"v": [math.nan]}, r"v = \[nan\]: must be finite numbers"),
         ({"omega": 0.0}, "omega = 0: must be > 0"),
         ({"x": np.zeros(2000), "v": np.zeros(2000)}, "2000 x 2000 starts: must be <= 1000000"),
     ],

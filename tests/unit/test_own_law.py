@@ -263,7 +263,7 @@ def test_a_study_tries_a_law_out_once_for_every_code(own, tables):
     assert own_law.function(LABEL).__globals__["CALLS"] == [0.0]
     assert plan(study).keys == first
     (folder / "laws.py").write_text("spring = 3.0\n")
-    with pytest.raises(gs.ModelError, match=r"^3\.0: must be a function of x$"):
+    with pytest.raises(gs.ModelError, match=r"^function = 3\.0: must be a function of x;"):
         plan(study)
     (folder / "laws.py").write_text("")
     with pytest.raises(

@@ -15,7 +15,6 @@ import importlib.metadata
 import json
 import numbers
 import os
-import pickle
 import pkgutil
 import sys
 import sysconfig
@@ -370,7 +369,11 @@ def _value(value: Any, sources: _Sources, seen: set[int]) -> Any:
     kind = type(value).__module__
     if kind in sources.files:
         return _values(getattr(value, "__dict__", {}), sources, seen)
-    return _pickled(value) if kind.partition(".")[0] in sources.installed else None
+    return (
+        _value(_parts(value), sources, seen)
+        if kind.partition(".")[0] in sources.installed
+        else None
+    )
 
 
 def _cells(function: FunctionType) -> list[Any]:
@@ -384,9 +387,10 @@ def _cells(function: FunctionType) -> list[Any]:
     return found
 
 
-def _pickled(value: Any) -> str | None:
-    """Digest of an array, a spline, or whatever else a library has made of numbers."""
+def _parts(value: Any) -> Any:
+    """What a library's object, an array or a spline, tells whoever would copy it that it is."""
     try:
-        return short_digest(pickle.dumps(value))
-    except Exception:  # locks, files, generated classes: not everything can be
+        _, *parts = value.__reduce_ex__(2)
+    except Exception:  # locks, files, generated classes: not everything can be copied
         return None
+    return parts[:2]
