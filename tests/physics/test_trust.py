@@ -11,11 +11,14 @@ from tests import random_scenes as rs
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
+from gapsweep.integrate.runge_kutta import representations
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
 LINEAR = gs.Oscillator(alpha=0.0, forcing=1.0)
 FREE = gs.Piecewise(1.4e4, gs.Gap(0.1, 0.1))  # walls that are never reached
+FREE_FAR = gs.Piecewise(1.0, rs.FAR)
+STIFFNESS = (2.0 * math.pi) ** 2  # N/m, of 1 kg at 1 Hz
 HARD, ASYMMETRIC = 1.4e6, gs.Gap(0.0, 0.8e-3)
 
 
@@ -146,3 +149,82 @@ def test_chaos_stays_chaos():
     ):
         for found in rs.rattled(solver, law, frequencies):
             assert found.response_class is ResponseClass.CHAOTIC
+
+
+CREEPING = gs.Piecewise(5e4, gs.Gap(0.0, 4e-4))
+
+
+@pytest.mark.parametrize(
+    ("omega", "n", "modulus"),
+    # From 20,000 forcing periods at rtol 1e-12: two near a period doubling, one far from it.
+    [(11.13733905579399, 1, 0.9995), (4.655820268021372, 1, 0.9973), (9.0, 1, None)],
+)
+def test_a_motion_that_creeps_is_not_its_own_orbit(omega, n, modulus):
+    found = gs.respond(gs.Oscillator(), CREEPING, omega)
+    if found.response_class is ResponseClass.PERIODIC and modulus is not None:
+        assert found.period_multiple == n
+        assert_allclose(found.multiplier_abs, modulus, atol=1e-4)
+    if found.response_class is ResponseClass.PERIODIC:
+        run = gs.simulate(
+            gs.Oscillator(), CREEPING, omega, found.x_end, found.v_end,
+            t_end=found.period_multiple / omega, rtol=1e-12, atol=1e-15,
+        )  # fmt: skip
+        assert abs(run.x - found.x_end) < 1e-7 * found.x_max
+
+
+def test_where_an_orbit_has_just_vanished_none_is_found():
+    # DOP853 leaves the place after hundreds of periods for an amplitude of .19885.
+    oscillator = gs.Oscillator(zeta=0.05, omega_n=1.0, mass=1.0, alpha=40.0, forcing=4.0)
+    start = -0.08992926024925171, 6.01826186332802
+    found = gs.respond(oscillator, FREE_FAR, 1.2348242187499996, *start)
+    assert found.status is Status.UNRESOLVED or abs(found.amplitude - 0.19885) < 1e-4
+
+
+@pytest.mark.parametrize("zeta", [0.03, 0.5, 3.0, 5.0])
+@pytest.mark.parametrize("x_0", [1.0, 1.0 - 1e-6])
+def test_nothing_that_is_not_forced_is_chaotic(zeta, x_0):
+    # x = 1 m is a saddle of the softening spring: what does not stay there decays.
+    oscillator = gs.Oscillator(zeta=zeta, omega_n=1.0, mass=1.0, alpha=-STIFFNESS, forcing=0.0)
+    found = gs.respond(oscillator, FREE_FAR, 30.0, x_0)
+    assert found.response_class is not ResponseClass.CHAOTIC
+    if rs.is_periodic(found):
+        assert abs(found.x_max) < 1e-6
+
+
+@pytest.mark.parametrize("zeta", [1.0, 2.0, 30.0])
+def test_an_overdamped_motion_is_given_the_time_of_its_slow_part(zeta):
+    oscillator = gs.Oscillator(zeta=zeta, omega_n=1.0, mass=1.0, alpha=0.0, forcing=STIFFNESS)
+    found = gs.respond(oscillator, FREE_FAR, 2.0, 1.0)
+    amplitude = 1.0 / math.hypot(1.0 - 4.0, 2.0 * zeta * 2.0)
+    assert_allclose(found.amplitude, amplitude, rtol=1e-6)
+    assert found.period_multiple == 1
+
+
+@pytest.mark.parametrize("zeta", [0.03, 1e-5, 1e-300, 5e-324])
+def test_a_bound_in_seconds_holds(zeta):
+    oscillator = gs.Oscillator(zeta=zeta, omega_n=1.0, mass=1.0, alpha=0.0, forcing=1.0)
+    found = gs.respond(oscillator, FREE_FAR, 1.2345678, 0.1, steady=gs.Steady(t_max=50.0))
+    assert found.t_simulated <= 2.0 * 50.0 + 300.0 / 1.2345678
+
+
+def test_an_exponent_survives_the_underflow_of_its_multiplier():
+    oscillator = gs.Oscillator(zeta=0.05, omega_n=100.0, mass=1.0, alpha=0.0, forcing=1.0)
+    assert_allclose(gs.respond(oscillator, FREE_FAR, 0.02).lyapunov, -oscillator.decay_rate)
+
+
+@pytest.mark.parametrize("omega", [1e-4, 1e-2, 0.5])
+def test_a_slow_motion_has_a_maximum_and_a_minimum(omega):
+    oscillator = gs.Oscillator(zeta=0.3, omega_n=1.0, mass=1.0, alpha=0.0, forcing=STIFFNESS)
+    assert sorted(gs.respond(oscillator, FREE_FAR, omega).extremum_kind) == [-1, 1]
+
+
+def test_a_users_slope_is_right_at_any_length():
+    law = gs.law(_nanometres, 1.0, gs.Gap(0.0, 0.0))
+    kind = representations.user(_nanometres).kind
+    for x in (2e-9, 1e-6, 1.0):
+        assert_allclose(law.derivative(x), 3e18 * x**2, rtol=1e-6)
+        assert_allclose(kind.slope(x), 3e18 * x**2, rtol=1e-6)
+
+
+def _nanometres(x):
+    return 1e18 * x**3

@@ -106,6 +106,7 @@ def test_a_response_is_the_same_alone_and_in_any_company():
     softening = gs.Oscillator(alpha=-7e8)
     points = [(gs.Oscillator(), law, omega, (0.0, 0.0)) for omega in (7.0, 14.0) for law in laws]
     points.append((softening, laws[0], 5.0, (5e-3, 0.0)))
+    points.append((gs.Oscillator(zeta=0.0), laws[0], 7.3, (0.0, 0.0)))  # without end
     questions = [
         Question(scene=Scene(oscillator=oscillator, law=law, omega=omega, solver=Solver.of()),
                  start=start, steady=steady)

@@ -19,6 +19,9 @@ from gapsweep.model.oscillator import Gap, checked
 
 Array = NDArray[np.float64]
 FIT_RANGE = 4e-3
+# A user's law has central differences for its slope: over the part of x that balances truncation
+# and rounding, and never less than of a length [m] below which nothing moves.
+SLOPE_STEP, SLOPE_LENGTH = 6e-6, 1e-9
 
 
 @dataclass(frozen=True)
@@ -323,8 +326,7 @@ class UserLaw(ContactLaw):
 
     def derivative(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
-        # Central difference at the step that balances truncation and rounding.
-        h = 6e-6 * np.maximum(np.abs(x), 1e-4)
+        h = SLOPE_STEP * np.maximum(np.abs(x), SLOPE_LENGTH)
         return np.asarray((self.force(x + h) - self.force(x - h)) / (2.0 * h))
 
 

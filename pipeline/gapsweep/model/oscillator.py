@@ -89,6 +89,18 @@ class Oscillator:
         """Rate ζω_n at which free oscillations of the linear system decay [1/s]."""
         return self.zeta * self.omega_n_rad
 
+    @property
+    def settling_rate(self) -> float:
+        """Rate at which the last of a free motion of the linear system decays [1/s].
+
+        It is `decay_rate` up to critical damping; beyond, the motion creeps ever more slowly.
+        """
+        if self.zeta <= 1.0:
+            return self.decay_rate
+        return self.omega_n_rad / (
+            self.zeta + math.sqrt(self.zeta - 1.0) * math.sqrt(self.zeta + 1.0)
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Gap:

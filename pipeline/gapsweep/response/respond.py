@@ -14,18 +14,22 @@ With ζ > 0 every area of the section shrinks by the same factor, so there is no
 import math
 from collections.abc import Callable, Generator, Hashable, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, law_kind
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.response.result import ExtremumKind, Response, ResponseClass, Steady
-from gapsweep.response.section import converging_multiple, likely_multiple, period_multiple
+from gapsweep.response.section import (
+    converging_multiple,
+    likely_multiple,
+    period_multiple,
+    prime_multiple,
+)
 from gapsweep.response.stability import (
     Exponents,
     Growth,
@@ -46,12 +50,11 @@ Request = Stretch | Shot | Growth
 _FIRST_WINDOW = 6
 # The next look comes when disturbances have shrunk to this share.
 _LOOK = 0.25
-# Section points closer than this share of the reach are taken for one...
-_SAME_POINT = 1e-4
-# ... and within this share shooting is worth a try.
+# Shooting is worth a try when section points repeat within this share of the reach.
 _CLOSE = 0.1
-# Curvature below this share of the largest possible one is an inflection.
-_FLAT = 1e-6
+_ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
+_NOTHING = 1e-290  # below it doubles lose digits
+_ENDLESS = 1e7  # forcing periods that no motion is watched for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,24 +72,6 @@ class Question:
         ):
             if not isinstance(value, kind):
                 raise ModelError(f"{name} = {value!r}: must be a gapsweep.{kind.__name__}")
-
-
-class Outcome(NamedTuple):
-    """What a point comes to: its response but for the kinds of its extrema and what it cost.
-
-    Attributes
-    ----------
-    scene : Scene
-    t_extrema, extrema : list of float
-        Times [s] since a whole forcing period and displacements [m] of the extrema kept.
-    values : dict
-        Attributes of the `Response`.
-    """
-
-    scene: Scene
-    t_extrema: list[float]
-    extrema: list[float]
-    values: dict[str, Any]
 
 
 def respond(
@@ -155,7 +140,7 @@ def _answered(questions: Sequence[Question]) -> list[Response]:
     """
     ensemble = Ensemble([question.scene for question in questions])
     points = [_steady_response(question) for question in questions]
-    outcomes: dict[int, Outcome] = {}
+    outcomes: dict[int, dict[str, Any]] = {}
     asked: dict[type, dict[int, Any]] = {Stretch: {}, Shot: {}, Growth: {}}
     answers: dict[type, Callable[[Ensemble, dict[int, Any]], Sequence[Any]]] = {
         Stretch: Ensemble.parts,
@@ -180,7 +165,8 @@ def _answered(questions: Sequence[Question]) -> list[Response]:
         waiting, asked[kind] = asked[kind], {}
         for i, answer in zip(waiting, answers[kind](ensemble, waiting), strict=True):
             go_on(i, answer)
-    return _responses([outcomes[i] for i in range(len(questions))], ensemble.costs())
+    costs = ensemble.costs()
+    return [Response(**outcomes[i], **costs[i]) for i in range(len(questions))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,22 +179,25 @@ class _Limits:
 
     @classmethod
     def of(cls, scene: Scene, steady: Steady) -> "_Limits":
-        rate = scene.oscillator.decay_rate
-        if rate > 0.0:
-            decay_periods = scene.omega / rate
-            pause = math.ceil(math.log(1.0 / _LOOK) * decay_periods)
-            settled = math.ceil(math.log(1.0 / steady.settle_tol) * decay_periods)
-            last = min(math.ceil(steady.max_decay_times * decay_periods), steady.max_periods)
-        else:
-            pause, settled, last = steady.n_periods, steady.max_periods, steady.max_periods
+        rate = scene.oscillator.settling_rate
+        # Without damping nothing settles: what does not repeat at once never will.
+        decay_periods = scene.omega / rate if rate > 0.0 else 0.0
+        pause, settled, longest = (
+            math.ceil(min(times * decay_periods, _ENDLESS))
+            for times in (
+                math.log(1.0 / _LOOK),
+                math.log(1.0 / steady.settle_tol),
+                steady.max_decay_times,
+            )
+        )
         # A full window more: slow forcing leaves no period between settling and the end.
-        last = max(settled, last) + steady.n_periods
+        last = max(settled, min(longest, steady.max_periods)) + steady.n_periods
         if steady.t_max is not None:
-            last = max(1, min(last, math.floor(steady.t_max * scene.omega)))
-        return cls(min(pause, last), settled, last)
+            last = math.floor(min(last, max(1.0, steady.t_max * scene.omega)))
+        return cls(max(1, min(pause, last)), settled, last)
 
 
-def _steady_response(question: Question) -> Generator[Request, Any, Outcome]:
+def _steady_response(question: Question) -> Generator[Request, Any, dict[str, Any]]:
     walk, steady = Walk(question.scene, question.start), question.steady
     limits = _Limits.of(question.scene, steady)
     window = _FIRST_WINDOW
@@ -225,7 +214,7 @@ def _steady_response(question: Question) -> Generator[Request, Any, Outcome]:
             # A motion that was given no time to settle is nobody's example.
             exponents: Exponents | None = Exponents(math.nan, math.nan)
             if settled:
-                exponents = yield from lyapunov(walk)
+                exponents = yield from lyapunov(walk, limits.last)
             if exponents is None:
                 break
             orbit = yield from _rattled(walk, steady, exponents)
@@ -258,11 +247,15 @@ def _find_orbit(
 def _repeated(walk: Walk, steady: Steady) -> Generator[Shot, Orbit | None, Orbit | None]:
     """A settled motion that repeats itself, though shooting could not improve on it.
 
-    At loose tolerances the solver's noise is larger than any Newton residual allowed.
+    At loose tolerances the solver's noise is larger than any Newton residual allowed. What repeats
+    less well than that may creep past where there is no orbit at all.
     """
-    same = max(walk.same, _SAME_POINT * walk.reach)
-    n = period_multiple(walk.section, same, steady.max_period_multiple)
-    return (yield from _as_it_is(walk, n)) if n else None
+    n = period_multiple(walk.section, walk.same, steady.max_period_multiple)
+    if not n:
+        return None
+    # So coarse that it also repeats sooner?
+    n = prime_multiple(walk.section[-n:], walk.same * math.sqrt(n))
+    return (yield from _as_it_is(walk, n))
 
 
 def _rattled(
@@ -282,15 +275,19 @@ def _rattled(
 def _as_it_is(walk: Walk, n: int) -> Generator[Shot, Orbit | None, Orbit | None]:
     """The next n forcing periods as a periodic orbit, closed or not, if they contract."""
     orbit = yield Shot(walk.y, n, goal=math.inf, furthest=0.0)
-    return orbit if orbit is not None and abs(orbit.multipliers[0]) < 1.0 else None
+    largest = 1.0 if walk.scene.oscillator.zeta > 0.0 else 1.0 + _ON_CIRCLE
+    return orbit if orbit is not None and abs(orbit.multipliers[0]) < largest else None
 
 
 def _periodic(
     walk: Walk, steady: Steady, orbit: Orbit, measured: Exponents | None = None
-) -> Outcome:
+) -> dict[str, Any]:
     modulus = abs(orbit.multipliers[0])
     if measured is None:
-        exponent = math.log(modulus) * walk.omega / orbit.n if modulus > 0.0 else -math.inf
+        # What has shrunk to nothing shrank on average as areas do.
+        exponent = -walk.scene.oscillator.decay_rate
+        if modulus > _NOTHING:
+            exponent = math.log(modulus) * walk.omega / orbit.n
         measured = Exponents(exponent, 0.0)
     stability = {
         "response_class": ResponseClass.PERIODIC,
@@ -304,27 +301,29 @@ def _periodic(
         "x_end": orbit.y[0],
         "v_end": orbit.y[1],
     }
-    return _outcome(walk, steady, Status.OK, *_turns(walk.scene, orbit), stability)
+    return _outcome(walk, steady, Status.OK, _turns(walk.scene, orbit), stability)
 
 
-def _turns(scene: Scene, orbit: Orbit) -> tuple[list[float], list[float]]:
-    """Times [s] and displacements [m] of the extrema of one whole period.
+def _turns(scene: Scene, orbit: Orbit) -> list[float]:
+    """Displacements [m] of the extrema of one whole period.
 
     Its end does not meet its start to the last bit. A turn just there would be missed, or counted
     at both: then the velocities have opposite signs, and the acceleration says which it is.
     """
     (_, v_start), (x_end, v_end) = orbit.y, orbit.part.y
-    t_extrema, extrema = orbit.part.t_extrema, orbit.part.extrema
-    if v_start * v_end < 0.0:
-        force, _ = _force(scene.oscillator, scene.law, 0.0, x_end)
-        if (v_start - v_end) * float(force) > 0.0:
-            return [*t_extrema, orbit.n / scene.omega], [*extrema, x_end]
-        return t_extrema[1:], extrema[1:]
-    return t_extrema, extrema
+    extrema = orbit.part.extrema
+    if v_start * v_end >= 0.0:
+        return extrema
+    o, force = scene.oscillator, float(scene.law.force(x_end))
+    springs = o.mass * o.omega_n_rad**2 * x_end + o.alpha * x_end**3 + force
+    is_missed = (v_start - v_end) * (o.forcing - springs) > 0.0
+    return [*extrema, x_end] if is_missed else extrema[1:]
 
 
-def _aperiodic(walk: Walk, steady: Steady, exponents: Exponents) -> Outcome:
-    chaotic = exponents.is_positive
+def _aperiodic(walk: Walk, steady: Steady, exponents: Exponents) -> dict[str, Any]:
+    # On an unstable orbit a disturbance grows too; but there the motion repeats itself.
+    repeats = period_multiple(walk.section, walk.step_error, steady.max_period_multiple)
+    chaotic = exponents.is_positive and not repeats
     section = walk.section[-steady.max_period_multiple :]
     stability = {
         "response_class": ResponseClass.CHAOTIC if chaotic else ResponseClass.UNRESOLVED,
@@ -336,86 +335,53 @@ def _aperiodic(walk: Walk, steady: Steady, exponents: Exponents) -> Outcome:
         "v_end": walk.y[1],
     }
     status = Status.OK if chaotic else Status.UNRESOLVED
-    return _outcome(walk, steady, status, walk.t_extrema, walk.extrema, stability)
+    return _outcome(walk, steady, status, walk.extrema, stability)
 
 
 def _outcome(
     walk: Walk,
     steady: Steady,
     status: Status,
-    t_extrema: list[float],
     extrema: list[float],
     stability: dict[str, Any],
-) -> Outcome:
+) -> dict[str, Any]:
+    """Attributes of a `Response` but for what it has cost."""
     # A response without a turning point in its window still has a position.
-    seen = extrema or [walk.y[0]]
+    seen = extrema or [stability["x_end"]]
     x_max, x_min = max(seen), min(seen)
     left_range = max(abs(x_max), abs(x_min)) > walk.scene.law.valid_range
+    n, closed = steady.max_extrema, stability["response_class"] is ResponseClass.PERIODIC
     values = {
         "status": Status.OUT_OF_FIT_RANGE if left_range else status,
+        "extrema": tuple(extrema[:n]),
+        "extremum_kind": _kinds(extrema, closed=closed)[:n],
         "n_extrema": len(extrema),
         "x_max": x_max,
         "x_min": x_min,
         "amplitude": 0.5 * (x_max - x_min),
         "t_settled": walk.t,
     }
-    n = steady.max_extrema
-    return Outcome(walk.scene, t_extrema[:n], extrema[:n], values | stability)
+    return values | stability
 
 
-def _failure(walk: Walk) -> Outcome:
+def _failure(walk: Walk) -> dict[str, Any]:
     left_range = not abs(walk.y[0]) <= walk.scene.law.valid_range
     status = Status.OUT_OF_FIT_RANGE if left_range else walk.status
     where = f"{walk.status.label} before t = {walk.t:.6g} s at x = {walk.y[0]:.3g} m"
-    return Outcome(walk.scene, [], [], {"status": status, "message": where})
+    return {"status": status, "message": where}
 
 
-def _responses(outcomes: Sequence[Outcome], costs: Sequence[dict[str, Any]]) -> list[Response]:
-    """Responses, with the kinds of all extrema under one law found together."""
-    of_one_law: dict[tuple[Oscillator, ContactLaw], list[int]] = {}
-    for i, outcome in enumerate(outcomes):
-        of_one_law.setdefault((outcome.scene.oscillator, outcome.scene.law), []).append(i)
-    kinds: dict[int, list[int]] = {}
-    for (oscillator, law), numbers in of_one_law.items():
-        some = [outcomes[i] for i in numbers]
-        counts = [len(outcome.t_extrema) for outcome in some]
-        omega = np.repeat([outcome.scene.omega for outcome in some], counts)
-        t = np.array([t for outcome in some for t in outcome.t_extrema])
-        x = np.array([x for outcome in some for x in outcome.extrema])
-        found = _kinds(oscillator, law, omega, t, x).tolist()
-        ends = pairwise(accumulate(counts, initial=0))
-        kinds |= {i: found[a:b] for i, (a, b) in zip(numbers, ends, strict=True)}
-    return [
-        Response(
-            extrema=tuple(outcome.extrema),
-            extremum_kind=tuple(kinds[i]),
-            **outcome.values,
-            **costs[i],
-        )
-        for i, outcome in enumerate(outcomes)
-    ]
+def _kinds(x: list[float], *, closed: bool) -> tuple[int, ...]:
+    """`ExtremumKind` of zero-velocity displacements in the order of time.
 
-
-def _kinds(
-    oscillator: Oscillator, law: ContactLaw, omega: Array, t: Array, x: Array
-) -> NDArray[np.int64]:
-    """`ExtremumKind` of zero-velocity points, by the sign of the acceleration there.
-
-    Parameters
-    ----------
-    omega, t, x : ndarray, shape (n,)
-        Forcing frequency [Hz], time [s] since a whole forcing period, displacement [m].
+    What is passed on the way from one neighbour to the other is an inflection. `closed`: the first
+    follows the last.
     """
-    force, springs = _force(oscillator, law, omega * t, x)
-    is_turn = np.abs(force) > _FLAT * (abs(oscillator.forcing) + np.abs(springs))
-    return np.where(is_turn, -np.sign(force), int(ExtremumKind.INFLECTION)).astype(np.int64)
-
-
-def _force(
-    oscillator: Oscillator, law: ContactLaw, turns: ArrayLike, x: ArrayLike
-) -> tuple[Array, Array]:
-    """Force [N] on a mass at rest after some turns of the forcing, and the springs' part of it."""
-    x = np.asarray(x, dtype=float)
-    springs = oscillator.mass * oscillator.omega_n_rad**2 * x + oscillator.alpha * x**3
-    springs = springs + law.force(x)
-    return oscillator.forcing * np.cos(2.0 * math.pi * np.asarray(turns)) - springs, springs
+    if len(x) < 2:
+        return (int(ExtremumKind.INFLECTION),) * len(x)
+    before, after = (np.roll(x, 1), np.roll(x, -1))
+    if not closed:
+        before[0], after[-1] = x[1], x[-2]
+    is_maximum = (x > before) & (x > after)
+    is_minimum = (x < before) & (x < after)
+    return tuple((is_maximum.astype(int) - is_minimum).tolist())

@@ -4,6 +4,7 @@ A section point is the complex number ``x + i v / (2π ω)`` [m]: the modulus of
 distance of two states.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Section = NDArray[np.complex128]
 
-_AS_WELL = 5.0
+_AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
 
 def scaled(states: ArrayLike, omega: ArrayLike) -> Section:
@@ -31,21 +32,27 @@ def scaled(states: ArrayLike, omega: ArrayLike) -> Section:
 
 
 def period_multiple(section: Sequence[complex], tolerance: float, largest: int) -> int:
-    """Smallest n for which the section repeats after n forcing periods; 0 if none does.
+    """Smallest n for which the section repeats every n forcing periods; 0 if none does.
+
+    All points n, 2n, ... periods apart must be the same: a motion that still creeps along repeats
+    well from one period to the next.
 
     Parameters
     ----------
     section : sequence of complex, length n_periods
         Section points [m], one per forcing period.
     tolerance : float
-        Largest distance [m] of two points, in either component, taken for the same.
+        Largest distance [m] of two points one forcing period apart, in either component, taken for
+        the same. It grows with the root of n, as random errors do.
     largest : int
         Largest n tried; at least 2 n points are needed to find n.
     """
+    last = len(section) - 1
     for n in range(1, min(largest, len(section) // 2) + 1):
+        allowed = tolerance * math.sqrt(n)
         # Mostly the last point alone decides.
-        if _is_near(section[-1], section[-1 - n], tolerance) and all(
-            _is_near(section[k], section[k - n], tolerance) for k in range(n, len(section))
+        if _is_near(section[last], section[last - n], allowed) and all(
+            _is_near(section[k], section[last - (last - k) % n], allowed) for k in range(last)
         ):
             return n
     return 0
@@ -69,9 +76,13 @@ def likely_multiple(section: Sequence[complex], closeness: float, largest: int) 
     ]
     spreads = [float(np.sqrt(np.mean(each**2))) for each in distances]
     for n, (distance, spread) in enumerate(zip(distances, spreads, strict=True), start=1):
-        # A disturbance that turns as it decays repeats better after some periods than others.
+        # A disturbance that turns as it decays repeats better after some periods than others, ...
         if distance.max() < closeness and spread <= _AS_WELL * min(spreads):
-            return n
+            # ... though the points scatter about fewer places.
+            phases = points[len(points) % n :].reshape(-1, n)
+            places = phases.mean(axis=0)
+            scatter = float(np.sqrt(np.mean(np.abs(phases - places) ** 2)))
+            return prime_multiple(places.tolist(), _AS_WELL * scatter / math.sqrt(len(phases)))
     return 0
 
 

@@ -141,7 +141,8 @@ def is_own(walk: Walk, orbit: Orbit, n_left: int) -> Generator[Stretch, Any, boo
 
     It is, if it is near and came closer over its recorded window. Else it goes on, unrecorded,
     for as long as its slowest multiplier needs to come near, and must be near then. What needs
-    more than `n_left` forcing periods for that is not waited for.
+    more than `n_left` forcing periods for that is not waited for: near the orbit it must have
+    shrunk at least half as much over its window as the multiplier says.
     """
     before = _distance(walk, orbit)
     if before <= max(walk.same, min(_NEAR * walk.reach, _CLOSER * _first_distance(walk, orbit))):
@@ -151,7 +152,9 @@ def is_own(walk: Walk, orbit: Orbit, n_left: int) -> Generator[Stretch, Any, boo
     # One factor of two more: the state's two directions do not shrink as one.
     repeats = max(1, math.ceil(math.log(0.5 * goal / before) / math.log(modulus)))
     if repeats * orbit.n > n_left:
-        return False
+        expected = modulus ** ((len(walk.section) - 1) // orbit.n)
+        shrunk = before <= 0.5 * (1.0 + expected) * _first_distance(walk, orbit)
+        return shrunk and before <= _NEAR * walk.reach
     yield from walk.advance(repeats * orbit.n, record=False)
     return walk.status is Status.OK and _distance(walk, orbit) <= goal
 
@@ -249,17 +252,20 @@ class Exponents:
         return self.largest > 3.0 * self.error
 
 
-def lyapunov(walk: Walk) -> Generator[Growth, Grown, Exponents | None]:
+def lyapunov(walk: Walk, longest: int) -> Generator[Growth, Grown, Exponents | None]:
     """Largest Lyapunov exponent by the growth of one tangent vector along the motion.
+
+    It takes about `longest` forcing periods at most.
 
     The second exponent is ``-2 ζ ω_n`` minus the first. The error is that of batch means.
     None if the motion failed on the way; NaN without damping, for then nothing is long enough,
     and where the tangent was unsound.
     """
-    rate = walk.scene.oscillator.decay_rate
+    rate = walk.scene.oscillator.settling_rate
     if rate == 0.0:
         return Exponents(math.nan, math.nan)
-    n_periods = max(1, math.ceil(_BLOCK / rate * walk.omega))
+    wanted = min(_BLOCK / rate * walk.omega, longest / (_N_BLOCKS + 1))
+    n_periods = max(1, math.ceil(wanted))
     grown = yield Growth(walk.y, n_periods)
     walk.arrive(grown.y, grown.status, n_periods * len(grown.factors))
     if walk.status is not Status.OK:

@@ -114,12 +114,6 @@ class Part(NamedTuple):
         return extrema
 
     @property
-    def t_extrema(self) -> list[float]:
-        """Times [s] of `extrema` since its start."""
-        times: list[float] = self.call.events.t_extrema[self._turns].tolist()
-        return times
-
-    @property
     def n_steps(self) -> int:
         """Steps that the solver took for it."""
         return int(self.call.n_steps[self.number])
@@ -394,8 +388,12 @@ class Walk:
         It is what the solver's tolerances admit in each step, in as many random steps as it
         takes. What scatters more than `same` is not the solver's doing.
         """
-        solver, n_steps = self.scene.solver, self._steps_per_period * n_periods
-        return (solver.atol + solver.rtol * self.reach) * math.sqrt(n_steps)
+        return self.step_error * math.sqrt(self._steps_per_period * n_periods)
+
+    @property
+    def step_error(self) -> float:
+        """What the solver's tolerances admit in a step [m]."""
+        return self.scene.solver.atol + self.scene.solver.rtol * self.reach
 
     @property
     def same(self) -> float:
@@ -406,11 +404,6 @@ class Walk:
     def extrema(self) -> list[float]:
         """Displacements [m] of the window's zero-velocity points."""
         return [x for _, part in self._window for x in part.extrema]
-
-    @property
-    def t_extrema(self) -> list[float]:
-        """Times [s] of `extrema` since the start."""
-        return [n / self.omega + t for n, part in self._window for t in part.t_extrema]
 
     def forget(self) -> None:
         """Start an empty window here."""

@@ -9,6 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
+from gapsweep.model.contact import SLOPE_LENGTH, SLOPE_STEP
+
 from . import laws
 from .smooth import ContactLaw
 
@@ -96,23 +98,26 @@ def user(
     j_1: float = np.inf,
     j_2: float = np.inf,
     slope: Callable[[float], float] | None = None,
-    length: float = 1e-4,
 ) -> ContactLaw:
     """A scalar function F(x) [N] that numba can compile; compiled once in every process.
 
-    Without `slope` the tangent equations use central differences over ``1e-5 * length`` [m].
+    Without `slope` the tangent equations use central differences.
     """
     q, _ = _rows(1.0, j_1, j_2)
-    return ContactLaw(_user_kind(function, slope, length), q)
+    return ContactLaw(_user_kind(function, slope), q)
+
+
+@njit
+def _central(force, x, h):
+    return (force(x + h) - force(x - h)) / (2.0 * h)
 
 
 @lru_cache(maxsize=64)
-def _user_kind(function, slope, length):
+def _user_kind(function, slope):
     # The dispatchers are part of the kernel's type: new ones would compile the kernel anew.
     force = function if hasattr(function, "py_func") else njit(function)
     if slope is None:
-        delta = 1e-5 * length
-        slope = njit(lambda x: (force(x + delta) - force(x - delta)) / (2.0 * delta))
+        slope = njit(lambda x: _central(force, x, SLOPE_STEP * max(abs(x), SLOPE_LENGTH)))
     elif not hasattr(slope, "py_func"):
         slope = njit(slope)
     return laws.User(force, slope)
