@@ -17,13 +17,8 @@ def differences(cache: Cache, key: bytes, alone: Alone) -> list[str]:
     row = cache.rows([key])[key]
     try:
         point, previous = point_of(row.identity)
-    except (
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-    ):  # whoever wrote this, it was not a run
-        return ["identity"]
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return ["identity"]  # whoever wrote this, it was not a run
     if not _is_current(point):
         return []
     again = response_of(alone, point, _start(cache, previous))

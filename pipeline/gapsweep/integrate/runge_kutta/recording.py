@@ -59,8 +59,7 @@ def _heads_out(lane, q, i):
     return int(over_high) + int(over_low)
 
 
-# --- steps cut at a wall or at the edge of a layer
-# ----------------------------------------------------
+# --- steps cut at a wall or at the edge of a layer ------------------------------------------------
 
 
 @allocating
@@ -177,8 +176,7 @@ def _corrects_mode(lane, q, i):
     return q[laws.ACTIVE_STIFFNESS, i] != before and not on_wall
 
 
-# --- one lane's turn
-# ------------------------------------------------------------------------------------
+# --- one lane's turn -------------------------------------------------------------------------------
 
 
 @allocating
@@ -186,11 +184,9 @@ def _failure_status(lane, q, settings, committed, i):
     x = lane[ln.X1, i]
     if not (np.isfinite(x) and abs(x) <= settings[ln.S_BOUND]):
         return ln.DIVERGED
-    if committed and lane[ln.N_ATTEMPTS, i] <= settings[ln.S_MAX_ATTEMPTS]:
-        return ln.MODEL_INVALID
     if lane[ln.N_ATTEMPTS, i] > settings[ln.S_MAX_ATTEMPTS]:
         return ln.TIMED_OUT
-    return ln.STEP_UNDERFLOW
+    return ln.MODEL_INVALID if committed else ln.STEP_UNDERFLOW
 
 
 @allocating
