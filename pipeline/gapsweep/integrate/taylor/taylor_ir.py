@@ -53,7 +53,7 @@ MAX_PERIODS_PER_STEP = 0.5
 # The step size comes from terms that the step still contains, h^N and h^(N-1). With this factor
 # the energy of a free swing is kept to some 20 rtol over 50 cycles, whatever the spring.
 SAFETY = 0.5
-_STEPS_PER_PERIOD = 2048  # over so many the errors of the tangent's steps come to about rtol
+_STEPS_PER_PERIOD = 8192  # at a stiff wall: over so many the tangent's errors come to about rtol
 _POLE = 1.854  # K(1/2), complete elliptic integral: of the stiffest, purely cubic swing
 CLOCK_SLACK = 1e-9  # of a period: a record_from meant as a whole period includes its section
 MAX_HALVINGS = 3
