@@ -176,7 +176,7 @@ def _corrects_mode(lane, q, i):
     return q[laws.ACTIVE_STIFFNESS, i] != before and not on_wall
 
 
-# --- one lane's turn -------------------------------------------------------------------------------
+# --- one lane's turn ------------------------------------------------------------------------------
 
 
 @allocating
