@@ -121,8 +121,192 @@ def test_numbers_read_when_the_module_is_imported_are_in_its_code(own, tmp_path,
     assert before[0] != after[0]
 
 
+# Of `X`, which the environment decides.
+SOFT_AND_HARD = "def soft(x):\n    return x\n\ndef hard(x):\n    return 3 * x\n\n"
+LOCAL = "def made(k):\n    return lambda x: k * x\n\n"
+CHOSEN = {
+    "function by name": f"{SOFT_AND_HARD}spring = hard if X == '1.0' else soft\n",
+    "function in a table": f"{SOFT_AND_HARD}spring = {{'1.0': soft}}.get(X, hard)\n",
+    "local function": (
+        "def made():\n    if X == '1.0':\n        f = lambda x: x\n"
+        "    else:\n        f = lambda x: 2 * x\n    return f\nspring = made()\n"
+    ),
+    "eval": "spring = eval(f'lambda x: {X} * x')\n",
+    "eval of names": "spring = eval('lambda x: a' + ('x' if X == '1.0' else 'y'))\n",
+    "exec": "space = {'k': float(X)}\nexec('def spring(x):\\n    return k * x', space)\n"
+    "spring = space['spring']\ndel space\n",
+    "builtin": "import math\nspring = getattr(math, 'sin' if X == '1.0' else 'cos')\n",
+    "bare builtin": "spring = abs if X == '1.0' else float\n",
+    "ufunc": "import numpy as np\nspring = np.sin if X == '1.0' else np.cos\n",
+    "numpy function": "import numpy as np\nspring = np.sum if X == '1.0' else np.prod\n",
+    "module": "import cmath, math\nm = math if X == '1.0' else cmath\n",
+    "attribute of a function": "def spring(x):\n    return spring.k * x\nspring.k = float(X)\n",
+    "keyword default": "def spring(x, *, k=float(X)):\n    return k * x\n",
+    "bound method": (
+        "class Wall:\n    def __init__(self, k):\n        self.k = k\n"
+        "    def force(self, x):\n        return self.k * x\nspring = Wall(float(X)).force\n"
+    ),
+    "method of a copy": "spring = float(X).__mul__\n",
+    "lru_cache": f"import functools\n{LOCAL}spring = functools.lru_cache(made(float(X)))\n",
+    "cached property": (
+        f"import functools\n{LOCAL}class A:\n    k = functools.cached_property(made(X))\n"
+    ),
+    "slots": (
+        "class Wall:\n    __slots__ = ('k',)\n    def __init__(self, k):\n        self.k = k\n"
+        "    def __call__(self, x):\n        return self.k * x\nspring = Wall(float(X))\n"
+    ),
+    "an object that tells a copy nothing": (
+        "class Wall:\n    def __reduce__(self):\n        return Wall, ()\n"
+        "wall = Wall()\nwall.k = float(X)\n"
+    ),
+    "classmethod": f"{LOCAL}class A:\n    spring = classmethod(made(float(X)))\n",
+    "staticmethod": f"{LOCAL}class A:\n    spring = staticmethod(made(float(X)))\n",
+    "property": f"{LOCAL}class A:\n    spring = property(made(float(X)))\n",
+    "base": "A = type('A', (int if X == '1.0' else float,), {})\n",
+    "namespace": "import types\nT = types.SimpleNamespace(k=float(X))\n",
+    "deque": "import collections\nT = collections.deque([float(X)])\n",
+    "array.array": "import array\nT = array.array('d', [float(X)])\n",
+    "bytearray": "T = bytearray(X.encode())\n",
+    "repeat": "import itertools\nT = itertools.repeat(float(X))\n",
+    "attrgetter": "import operator\nT = operator.attrgetter('a' if X == '1.0' else 'b')\n",
+    "configuration": (
+        "import configparser\nT = configparser.ConfigParser()\n"
+        "T.read_string('[a]\\nk = ' + X)\n"
+    ),
+    "np.vectorize": f"import numpy as np\n{LOCAL}spring = np.vectorize(made(float(X)))\n",
+    "subclass of arrays": (
+        "import numpy as np\nclass A(np.ndarray):\n    pass\n"
+        "T = np.zeros(2).view(A)\nT.k = float(X)\n"
+    ),
+    "array of objects": f"import numpy as np\n{LOCAL}T = np.array([made(X)], dtype=object)\n",
+    "array of no import": "from scipy import linalg\nT = linalg.hilbert(2) * float(X)\n",
+    "numba": f"import numba\n{LOCAL}spring = numba.njit(made(float(X)))\n",
+    "numba option": f"import numba\n{LOCAL}spring = numba.njit(made(1), fastmath=X == '1.0')\n",
+    "numba type": "import numba\nT = numba.float32 if X == '1.0' else numba.float64\n",
+    "numba vectorize": f"import numba\n{LOCAL}spring = numba.vectorize(made(float(X)))\n",
+    "enumeration": "import enum\nclass E(enum.Enum):\n    A = float(X)\n",
+    "member": "import enum\nE = enum.Enum('E', 'A B')\nT = E.A if X == '1.0' else E.B\n",
+    "dataclass": "import dataclasses\n@dataclasses.dataclass\nclass D:\n    k: float = float(X)\n",
+    "named tuple": "from typing import NamedTuple\nclass N(NamedTuple):\n    k: float = float(X)\n",
+    "pattern": "import re\nT = re.compile(X)\n",
+    "logger": "import logging\nT = logging.getLogger(X)\n",
+    "set": "T = {frozenset([X, 'a']), 3}\n",
+    "subclass of int": "class I(int):\n    pass\nT = I(float(X))\n",
+    "text with a stroke": "T = 'a/' + X\n",
+    "absolute text": "T = '/' + X\n",
+    "two underscores": "__K = float(X)\n",
+    "entry None": "T = {'a': None} if X == '1.0' else {}\n",
+    "order": "T = {'a': 1, 'b': 2} if X == '1.0' else {'b': 2, 'a': 1}\n",
+    "key of a type": "T = {1: 0} if X == '1.0' else {'1': 0}\n",
+    "truth or text": "T = True if X == '1.0' else 'True'\n",
+    "number or text": "T = 1.0 if X == '1.0' else '1.0'\n",
+    "integer or float": "T = 1 if X == '1.0' else 1.0\n",
+    "truth or integer": "T = True if X == '1.0' else 1\n",
+    "sign of zero": "T = 0.0 if X == '1.0' else -0.0\n",
+    "list or tuple": "T = [1] if X == '1.0' else (1,)\n",
+    "None or nothing": "if X == '1.0':\n    T = None\n",
+    "where texts end": "T = ['ab', 'c'] if X == '1.0' else ['a', 'bc']\n",
+    "which is shared": "A = []\nB = []\nT = [A, B, A] if X == '1.0' else [A, B, B]\n",
+    "long integer": "T = 10**5000 + int(float(X))\n",
+    "partial": "import functools\nspring = functools.partial(pow, float(X))\n",
+    "union": "T = int | (float if X == '1.0' else str)\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", CHOSEN)
+def test_whatever_the_environment_decides_is_in_the_code(own, monkeypatch, how):
+    own(laws=f"import os\nX = os.environ['OWN_X']\n{CHOSEN[how]}\ndel X\n")
+    found = []
+    for x in ("1.0", "2.0", "1.0"):
+        monkeypatch.setenv("OWN_X", x)
+        found.append(code())
+    assert found[0] == found[2]
+    assert found[0] != found[1]
+
+
+def test_the_code_is_the_same_in_every_process(own):
+    more = (
+        "import os, pathlib, typing\nfrom os import environ\nfrom sys import stdout\n"
+        "S = {'a', 'b', 'c', ('d', 1), frozenset('xyz')}\nHERE = pathlib.Path(__file__).parent\n"
+        "cycle = []\ncycle.append({'again': cycle})\nsentinel = object()\n"
+        "T = typing.TypeVar('T')\nO = typing.Optional[typing.Callable[[float], 'T']]\n"
+        "class P(typing.Protocol[T]):\n    def f(self) -> T: ...\n"
+        "def among(x):\n    return x in {'a', 'b', 'c', 'd'}\n"
+    )
+    parts = {f"part{n}": f"X = '1.0'\n{text}" for n, text in enumerate(CHOSEN.values())}
+    folder = own(laws="\n".join([f"from . import {', '.join(parts)}", more]), **parts)
+    program = f"from gapsweep.model import own_law; print(own_law.code({LABEL!r}))"
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env=os.environ | {"PYTHONPATH": str(folder.parent), "PYTHONHASHSEED": seed},
+            capture_output=True, text=True, check=True,
+        ).stdout.strip()
+        for seed in ("1", "2")
+    }  # fmt: skip
+    assert found == {code()}
+
+
+@pytest.mark.parametrize(
+    ("laws", "message"),
+    [
+        ("import threading\nT = [threading.Lock()]\n", r"own\.laws\.T .*: a _thread\.lock: keep"),
+        ("T = open(__file__)\nT.close()\n", r"own\.laws\.T .*: a _io\.TextIOWrapper: keep"),
+        ("T = (i for i in ())\n", r"own\.laws\.T .*: a generator: keep"),
+        ("import numpy as np\nT = np.frompyfunc(abs, 1, 1)\n", r"own\.laws\.T .*: the ufunc"),
+        (
+            "class A:\n    def __getattribute__(self, name):\n        raise OSError\nT = A()\n",
+            r"own\.laws\.T .*: a own\.laws\.A: keep|own\.laws\.T .*: a A: OSError: keep",
+        ),
+        ("T = []\nfor _ in range(5000):\n    T = [T]\n", r"own\.laws\.T .*: RecursionError: keep"),
+        (
+            "import importlib\nT = {'a': importlib.import_module('be' + 'side')}\n",
+            r"own\.laws\.T .*: the module beside, which no import",
+        ),
+    ],
+)  # fmt: skip
+def test_values_that_cannot_be_keyed_are_refused_by_name(own, laws, message):
+    folder = own(laws=f"{laws}\ndef spring(x):\n    return x\n")
+    (folder.parent / "beside.py").write_text("K = 1.0\n")
+    with pytest.raises(gs.ModelError, match=message) as refused:
+        code()
+    assert len(str(refused.value).splitlines()) == 1
+    assert "cannot be keyed: " in str(refused.value)
+
+
+def test_an_attribute_that_raises_is_no_traceback(own):
+    own(
+        laws="class A:\n    def __getattr__(self, name):\n        raise RuntimeError(name)\n"
+        f"T = A()\nK = 1.0\n{SPRING}"
+    )
+    assert force() == 1.0
+
+
+@pytest.mark.parametrize(
+    ("value", "name"),
+    [("time.time()", "START"), ("np.random.default_rng()", "START"), ("[time.time()]", "START")],
+)
+def test_a_value_that_is_another_at_every_import_is_named(own, value, name):
+    own(laws=f"import time\nimport numpy as np\n{name} = {value}\nK = 1.0\n{SPRING}")
+    theirs = code()
+    own_law.refresh()
+    message = rf"own\.laws\.{name} is another at every import: make it a constant, or"
+    with pytest.raises(gs.ModelError, match=message):
+        own_law.require(LABEL, theirs)
+
+
+def test_a_number_by_a_computed_import_is_keyed_as_it_is_at_import(own):
+    folder = own(laws=f"K = __import__('be' + 'side').K\n{SPRING}")
+    (folder.parent / "beside.py").write_text("K = 1.0\n")
+    before = code()
+    del sys.modules["beside"]  # as in a new process
+    (folder.parent / "beside.py").write_text("K = 22.0\n")
+    assert code() != before
+
+
 def test_comments_docstrings_and_the_machine_are_not(own, tmp_path):
     text = f'"""Laws."""\nimport os\nHERE = os.path.dirname(__file__)\nK = 1.0  # N/m\n{SPRING}'
+    text += 'def other(x):\n    """Laws."""\n    return (lambda y: y)(x), HERE\n'
     folder = own(laws=text)
     before = code()
     own(laws=text.replace("# N/m", "# stiffness").replace("Laws.", "My laws."))

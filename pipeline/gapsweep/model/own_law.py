@@ -13,7 +13,6 @@ import functools
 import importlib
 import importlib.metadata
 import json
-import numbers
 import os
 import pkgutil
 import sys
@@ -25,15 +24,21 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import ModuleType
 from typing import Any
 
 from gapsweep.errors import ClusterError, ModelError
+from gapsweep.model.encoding import Encoder, UnkeyableError
 from gapsweep.source import read, short_digest, with_parents
 
 _STANDARD = Path(sysconfig.get_path("stdlib"))
 _INSTALLED = {"site-packages", "dist-packages"}
 _OURS = "gapsweep"  # stands in every key by a fingerprint of its own
+# What Python puts into modules: where they stand, and what they say to readers.
+_OF_EVERY_MODULE = {
+    "__name__", "__doc__", "__package__", "__loader__", "__spec__", "__path__", "__file__",
+    "__cached__", "__builtins__", "__warningregistry__",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -111,6 +116,8 @@ def require(label: str, wanted: str) -> None:
     ------
     ClusterError
         If the files here hold another one; the message names what differs.
+    ModelError
+        If no two imports give the same one; the message names the variables.
     """
     try:
         if code(label) == wanted:
@@ -121,10 +128,23 @@ def require(label: str, wanted: str) -> None:
     except ModelError as error:  # the client could use it
         raise ClusterError(f"a worker cannot use the law {error}") from None
     if here != there:
+        _refuse_unstable(label)
         differing = {n.split()[0] for n in {**here, **there} if here.get(n) != there.get(n)}
         raise ClusterError(
             f"{label!r}: {', '.join(sorted(differing))} differ between client and worker, or were "
             "edited during the run: make them the same on both sides and run again"
+        )
+
+
+def _refuse_unstable(label: str) -> None:
+    """Tell of variables, as a time or a random number, that no two imports agree upon."""
+    with _lock:
+        first, second = _variables(label), _variables(label)
+    names = sorted(name for name in {**first, **second} if first.get(name) != second.get(name))
+    if names:
+        raise ModelError(
+            f"{label!r}: {', '.join(names)} is another at every import: make it a constant, or "
+            "keep it inside a function"
         )
 
 
@@ -133,6 +153,27 @@ def _unusable(label: str, error: BaseException | str) -> ModelError:
 
 
 def _load(label: str) -> dict[str, str]:
+    """The code of a law, imported anew: digests of files and of values in memory, versions."""
+    sources = _imported(label)
+    values = {
+        f"{name} (values)": short_digest(json.dumps(found, sort_keys=True).encode())
+        for name in sources.files
+        if (found := _values(label, name, sources))
+    }
+    return sources.digests | sources.installed | values
+
+
+def _variables(label: str) -> dict[str, str]:
+    """Digests of all variables, by module and name, of the modules imported anew."""
+    sources = _imported(label)
+    return {
+        f"{name}.{variable}": digest
+        for name in sources.files
+        for variable, digest in _values(label, name, sources).items()
+    }
+
+
+def _imported(label: str) -> _Sources:
     """Import a module, and all of the user's that it imports, from the files as they are now."""
     module = label.partition(":")[0]
     sources = _sources(module)
@@ -152,7 +193,7 @@ def _load(label: str) -> dict[str, str]:
         raise _unusable(label, f"importing it raised {type(error).__name__}: {error}") from None
     if _sources(module) != sources:
         raise ModelError(f"{label!r}: edited while it was imported; run again")
-    return _described(sources)
+    return sources
 
 
 # --- files --------------------------------------------------------------------------------------
@@ -268,8 +309,13 @@ def _imported_anew(sources: _Sources) -> Iterator[None]:
 def _keep_submodules(old: ModuleType, new: ModuleType) -> None:
     """``import a.b`` sets `b` in `a` once; what was not imported again must still be there."""
     for name, value in vars(old).items():
-        if value is sys.modules.get(f"{old.__name__}.{name}") and not hasattr(new, name):
+        if _is_submodule(old, name) and not hasattr(new, name):
             setattr(new, name, value)
+
+
+def _is_submodule(module: ModuleType, name: str) -> bool:
+    key = f"{module.__name__}.{name}"
+    return key in sys.modules and vars(module)[name] is sys.modules[key]
 
 
 @contextmanager
@@ -303,7 +349,8 @@ def _check(label: str, name: str, sources: _Sources) -> None:
         return
     loaded = [(name, module)]
     for value in vars(module).values():
-        origin = value.__name__ if isinstance(value, ModuleType) else _module_of(value)
+        is_module = issubclass(type(value), ModuleType)
+        origin = value.__name__ if is_module else _module_of(value)
         if origin in sys.modules:
             loaded.append((origin, sys.modules[origin]))
     for origin, each in loaded:
@@ -322,75 +369,45 @@ def _check(label: str, name: str, sources: _Sources) -> None:
 
 
 def _module_of(value: Any) -> str:
-    name = getattr(value, "__module__", None)
+    try:
+        name = getattr(value, "__module__", None)
+    except Exception:  # the user's classes may raise anything
+        return ""
     return name if isinstance(name, str) else ""
 
 
-def _described(sources: _Sources) -> dict[str, str]:
-    """The code: digests of files and of the values in memory, and versions."""
-    values = {
-        f"{name} (values)": short_digest(repr(found).encode())
-        for name in sources.files
-        if name in sys.modules and (found := _values(vars(sys.modules[name]), sources, set()))
-    }
-    return sources.digests | sources.installed | values
-
-
-def _values(variables: Any, sources: _Sources, seen: set[int]) -> dict[str, Any]:
-    return {
-        str(name): value
-        for name, given in sorted(variables.items(), key=lambda item: str(item[0]))
-        if not str(name).startswith("__") and (value := _value(given, sources, seen)) is not None
-    }
-
-
-def _value(value: Any, sources: _Sources, seen: set[int]) -> Any:
-    """A value in a form that every process writes alike; None for what is no data."""
-    if isinstance(value, numbers.Number | bytes):
-        return repr(value)
-    if isinstance(value, str):
-        return None if os.sep in value else value  # paths differ from machine to machine
-    if id(value) in seen or isinstance(value, ModuleType):
-        return None
-    seen = seen | {id(value)}
-    if isinstance(value, list | tuple):
-        return [_value(each, sources, seen) for each in value]
-    if isinstance(value, set | frozenset):
-        return sorted(repr(_value(each, sources, seen)) for each in value)
-    if isinstance(value, dict):
-        return _values(value, sources, seen)
-    if isinstance(value, functools.partial):
-        return _value([value.func, value.args, value.keywords], sources, seen)
-    value = getattr(value, "py_func", value)  # a function compiled by numba
-    if isinstance(value, FunctionType):
-        return _value([value.__defaults__, value.__kwdefaults__, _cells(value)], sources, seen)
-    if isinstance(value, type):
-        return _values(vars(value), sources, seen) if value.__module__ in sources.files else None
-    kind = type(value).__module__
-    if kind in sources.files:
-        return _values(getattr(value, "__dict__", {}), sources, seen)
-    return (
-        _value(_parts(value), sources, seen)
-        if kind.partition(".")[0] in sources.installed
-        else None
-    )
-
-
-def _cells(function: FunctionType) -> list[Any]:
-    """What a function has taken along from the one that made it."""
-    found = []
-    for cell in function.__closure__ or ():
-        try:
-            found.append(cell.cell_contents)
-        except ValueError:  # nothing assigned yet
-            continue
+def _values(label: str, name: str, sources: _Sources) -> dict[str, str]:
+    """Digests of a module's variables; none if a function imports it that nobody has called."""
+    module = sys.modules.get(name)
+    if module is None:
+        return {}
+    found = {}
+    for variable, value in vars(module).items():
+        # Which of its modules a package has loaded, others decide as well.
+        if variable not in _OF_EVERY_MODULE and not _is_submodule(module, variable):
+            found[variable] = _value(f"{label!r}: {name}.{variable}", value, name, sources)
     return found
 
 
-def _parts(value: Any) -> Any:
-    """What a library's object, an array or a spline, tells whoever would copy it that it is."""
+def _value(where: str, value: Any, name: str, sources: _Sources) -> str:
+    """Digest of one variable; what has none is refused."""
+    is_foreign = functools.partial(_is_foreign, sources)
     try:
-        _, *parts = value.__reduce_ex__(2)
-    except Exception:  # locks, files, generated classes: not everything can be copied
-        return None
-    return parts[:2]
+        return Encoder(sources.files[name], sources.files, is_foreign).digest(value).hex()
+    except UnkeyableError as error:
+        reason = str(error)
+    except Exception as error:  # the user's classes may raise anything when they are looked at
+        reason = f"a {type(value).__qualname__}: {type(error).__name__}"
+    raise ModelError(f"{where} cannot be keyed: {reason}: keep it inside a function")
+
+
+def _is_foreign(sources: _Sources, name: str) -> bool:
+    """Whether a module is of Python, of an installed package or of gapsweep: its name suffices."""
+    if name in sources.files or name not in sys.modules:
+        return False
+    path = getattr(sys.modules[name], "__file__", None)
+    if name.partition(".")[0] == _OURS:
+        return True
+    return name != "__main__" and (
+        path is None or _is_standard(Path(path)) or _is_installed(Path(path))
+    )
