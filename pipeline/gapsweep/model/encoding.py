@@ -271,7 +271,7 @@ class Encoder:
         if not self._is_foreign(kind.__module__) or kind.__module__ == "builtins":
             return None
         for module in (kind.__module__, "sys"):
-            for name, found in vars(sys.modules[module]).items():
+            for name, found in list(vars(sys.modules[module]).items()):
                 # `__stdout__` is the same as `stdout` unless somebody catches what is printed.
                 if found is value and not name.startswith("__"):
                     return module, name

@@ -115,9 +115,8 @@ def require(label: str, wanted: str) -> None:
     Raises
     ------
     ClusterError
-        If the files here hold another one; the message names what differs.
-    ModelError
-        If no two imports give the same one; the message names the variables.
+        If the files here hold another one, or if no two imports give the same; the message
+        names what differs.
     """
     try:
         if code(label) == wanted:
@@ -125,10 +124,15 @@ def require(label: str, wanted: str) -> None:
         with _lock:
             _loaded.pop(label.partition(":")[0], None)
         here, there = json.loads(code(label)), json.loads(wanted)
+        unstable = _unstable(label) if here != there else []
     except ModelError as error:  # the client could use it
         raise ClusterError(f"a worker cannot use the law {error}") from None
+    if unstable:
+        raise ClusterError(
+            f"{label!r}: {', '.join(unstable)} is another at every import: make it a constant, or "
+            "keep it inside a function"
+        )
     if here != there:
-        _refuse_unstable(label)
         differing = {n.split()[0] for n in {**here, **there} if here.get(n) != there.get(n)}
         raise ClusterError(
             f"{label!r}: {', '.join(sorted(differing))} differ between client and worker, or were "
@@ -136,16 +140,11 @@ def require(label: str, wanted: str) -> None:
         )
 
 
-def _refuse_unstable(label: str) -> None:
-    """Tell of variables, as a time or a random number, that no two imports agree upon."""
+def _unstable(label: str) -> list[str]:
+    """Variables that no two imports agree upon, as a time or a random number."""
     with _lock:
         first, second = _variables(label), _variables(label)
-    names = sorted(name for name in {**first, **second} if first.get(name) != second.get(name))
-    if names:
-        raise ModelError(
-            f"{label!r}: {', '.join(names)} is another at every import: make it a constant, or "
-            "keep it inside a function"
-        )
+    return sorted(name for name in {**first, **second} if first.get(name) != second.get(name))
 
 
 def _unusable(label: str, error: BaseException | str) -> ModelError:
