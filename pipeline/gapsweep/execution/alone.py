@@ -8,13 +8,14 @@ law of the user's own, which may end its process, hang or raise anything.
 import faulthandler
 import multiprocessing
 import os
+import pickle
 import platform
 import signal
+import struct
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any, TypeVar
@@ -43,6 +44,11 @@ _LOOK_SECONDS = 0.1
 # Share of the processor below which a call that takes too long waits for something that will not
 # come. Whoever gets more is held up by a busy machine, up to 50 time limits.
 _IDLE = 0.02
+# An answer: mark, number of the call, length in bytes, then the pickled result.
+_MARK = b"gapsweep"
+_HEAD = struct.Struct(">8sQQ")
+_PIECE = 2**20
+_OTHERWISE = "its process answered with something else"
 _CHILD = "from gapsweep.execution.alone import child; child()"
 
 
@@ -97,6 +103,8 @@ class Alone:
         ClusterError
             If the process has other code than the caller.
         """
+        if self._child is not None and self._child.is_spent:
+            self._end()  # that is no fault of this call
         self._child = self._child or _Child()
         try:
             found = self._child.ask(function, arguments, self.timeout)
@@ -151,26 +159,63 @@ class _Child:
             stderr=subprocess.DEVNULL,
         )
         theirs.close()
+        self.n_calls = 0
+        began = time.monotonic()
+
+        def is_late() -> bool:
+            return time.monotonic() - began > _START_SECONDS
+
         # Starting up does not count against the first call.
-        with suppress(EOFError):
-            if self.connection.poll(_START_SECONDS):
-                self.connection.recv()
+        try:
+            self._answer(is_late, _START_SECONDS)
+        except BaseException:
+            self.end()
+            raise
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether it has ended, or said something that nobody asked for."""
+        return self.connection.poll()
 
     def ask(self, function: Callable[..., Any], arguments: Any, timeout: float) -> Any:
         """What a call returns, or as a `CallError` what it raised; without either it is raised."""
+        self.n_calls += 1
         try:
-            self.connection.send((function, arguments, timeout))
-            self._wait(timeout)
-            return self.connection.recv()
-        except (EOFError, BrokenPipeError, ConnectionResetError):
-            raise CallError(Status.KILLED, self._end_of_process()) from None
-
-    def _wait(self, timeout: float) -> None:
+            self.connection.send((self.n_calls, function, arguments, timeout))
+        except (BrokenPipeError, ConnectionResetError):
+            raise CallError(Status.KILLED, self._end_of_process(timeout)) from None
         began, spent = time.monotonic(), self._processor_seconds()
-        while not self.connection.poll(min(_LOOK_SECONDS, timeout)):
+
+        def is_late() -> bool:
             took, used = time.monotonic() - began, self._processor_seconds() - spent
-            if used > timeout or (took > timeout and used < _IDLE * took):
-                raise CallError(Status.TIMED_OUT, f"took longer than {timeout:g} s")
+            return used > timeout or (took > timeout and used < _IDLE * took)
+
+        return self._answer(is_late, timeout)
+
+    def _answer(self, is_late: Callable[[], bool], timeout: float) -> Any:
+        """The answer to the latest call.
+
+        Read piece by piece: whatever else writes into the pipe may announce more than comes.
+        """
+        said = b""
+        while not _is_whole(said, self.n_calls):
+            if self.connection.poll(min(_LOOK_SECONDS, timeout)):
+                piece = self._piece()
+                if not piece:
+                    raise CallError(Status.KILLED, self._end_of_process(timeout))
+                said += piece
+            elif is_late():
+                raise _too_long(timeout)
+        try:
+            return pickle.loads(said[_HEAD.size :])
+        except Exception:  # bytes that are no pickle may make it raise anything
+            raise CallError(Status.KILLED, _OTHERWISE) from None
+
+    def _piece(self) -> bytes:
+        try:
+            return os.read(self.connection.fileno(), _PIECE)
+        except ConnectionResetError:
+            return b""
 
     def _processor_seconds(self) -> float:
         try:
@@ -179,8 +224,12 @@ class _Child:
             return 0.0
         return float(times.user + times.system)
 
-    def _end_of_process(self) -> str:
-        code = self.process.wait()
+    def _end_of_process(self, timeout: float) -> str:
+        # Its end of the pipe is closed, which the process itself may outlive.
+        try:
+            code = self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            raise _too_long(timeout) from None
         if code >= 0:
             return f"its process ended with exit code {code}"
         return f"its process was ended by {signal.Signals(-code).name}"
@@ -191,20 +240,49 @@ class _Child:
         self.process.wait()
 
 
+def _is_whole(said: bytes, number: int) -> bool:
+    """Whether all of the answer to a call has come.
+
+    Raises
+    ------
+    CallError
+        If it is something else.
+    """
+    mark, given, length = _HEAD.unpack(said[: _HEAD.size].ljust(_HEAD.size, b"\0"))
+    whole: int = _HEAD.size + length
+    if len(said) >= _HEAD.size and ((mark, given) != (_MARK, number) or len(said) > whole):
+        raise CallError(Status.KILLED, _OTHERWISE)
+    return _HEAD.size <= len(said) == whole
+
+
+def _too_long(timeout: float) -> CallError:
+    return CallError(Status.TIMED_OUT, f"took longer than {timeout:g} s")
+
+
 def child() -> None:
     """Answer until nobody asks any more."""
     # A terminal sends Ctrl-C to all processes; the client alone decides how a run ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     connection = Connection(int(sys.argv[1]))
-    connection.send("ready")
+    _say(connection, 0, None)
     while True:
         try:
-            function, arguments, timeout = connection.recv()
+            number, function, arguments, timeout = connection.recv()
         except EOFError:
             return
         # Should the client have died, nobody else ends a call that hangs.
         faulthandler.dump_traceback_later(timeout / _IDLE, exit=True)
-        connection.send(_answer(function, arguments))
+        _say(connection, number, _answer(function, arguments))
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _say(connection: Connection, number: int, answer: Any) -> None:
+    try:
+        said = pickle.dumps(answer)
+    except Exception as error:  # whatever the result's own methods raise
+        said = pickle.dumps(CallError(*failure(error)))
+    with open(connection.fileno(), "wb", closefd=False) as pipe:
+        pipe.write(_HEAD.pack(_MARK, number, len(said)) + said)
 
 
 def _answer(function: Callable[..., Any], arguments: Any) -> Any:

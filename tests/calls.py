@@ -1,0 +1,43 @@
+"""Functions that do to their process, and to its pipe, what nobody should."""
+
+import os
+import sys
+import tempfile
+import time
+from multiprocessing.connection import Connection
+
+
+def closing() -> None:
+    """Close every file, the pipe too, and stay."""
+    os.closerange(3, 100)
+    time.sleep(1e6)
+
+
+def speaking(number: int) -> int:
+    """Send a message of its own before the answer."""
+    Connection(os.dup(int(sys.argv[1]))).send("not asked for")
+    return number
+
+
+def writing(data: bytes) -> None:
+    """Write bytes where the answer is expected."""
+    os.write(int(sys.argv[1]), data)
+
+
+def same(number: int) -> int:
+    return number
+
+
+def unpicklable() -> object:
+    return lambda: 0
+
+
+class Unreadable:
+    """Can be sent, and not be read."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return int, ("no number",)
+
+
+def unreadable() -> Unreadable:
+    return Unreadable()

@@ -1,0 +1,59 @@
+"""Calls in a child process: whatever they do to it, the caller gets its own answer or an error."""
+
+import time
+
+import pytest
+from tests import calls
+
+from gapsweep.execution import alone as module
+from gapsweep.execution.alone import Alone, CallError
+from gapsweep.status import Status
+
+
+def lost(alone, function, *arguments):
+    with pytest.raises(CallError) as raised:
+        alone(function, *arguments)
+    return raised.value.status, raised.value.message
+
+
+def test_a_process_that_closes_its_pipe_and_stays_is_ended():
+    with Alone(2.0) as alone:
+        began = time.monotonic()
+        assert lost(alone, calls.closing) == (Status.TIMED_OUT, "took longer than 2 s")
+        assert time.monotonic() - began < 20.0
+        assert alone(calls.same, 3) == 3
+
+
+OTHERWISE = Status.KILLED, "its process answered with something else"
+
+
+def test_only_the_answer_to_a_call_is_its_answer():
+    with Alone(10.0) as alone:
+        assert lost(alone, calls.speaking, 1) == OTHERWISE
+        assert alone(calls.same, 2) == 2
+        for data in (b"\xff" * 64, b"\x7f\xff\xff\xff", bytes(24)):
+            assert lost(alone, calls.writing, data) == OTHERWISE
+        assert lost(alone, calls.unreadable) == OTHERWISE
+        assert alone(calls.same, 3) == 3
+
+
+def test_a_result_that_cannot_be_sent_is_an_error_of_the_call():
+    with Alone(10.0) as alone:
+        status, message = lost(alone, calls.unpicklable)
+        assert status is Status.ERROR
+        assert "lambda" in message
+
+
+@pytest.mark.parametrize(
+    ("code", "expected"),
+    [
+        ("import time; time.sleep(60)", (Status.TIMED_OUT, "took longer than 1 s")),
+        ("raise SystemExit(5)", (Status.KILLED, "its process ended with exit code 5")),
+        ("import os, sys; os.write(int(sys.argv[1]), b'hello' * 9)", OTHERWISE),
+    ],
+)
+def test_a_process_that_does_not_start_is_an_error_of_the_call(monkeypatch, code, expected):
+    monkeypatch.setattr(module, "_CHILD", code)
+    monkeypatch.setattr(module, "_START_SECONDS", 1.0)
+    with Alone(10.0) as alone:
+        assert lost(alone, calls.same, 1) == expected
