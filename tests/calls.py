@@ -2,7 +2,6 @@
 
 import os
 import sys
-import tempfile
 import time
 from multiprocessing.connection import Connection
 
@@ -41,3 +40,14 @@ class Unreadable:
 
 def unreadable() -> Unreadable:
     return Unreadable()
+
+
+class MuteError(Exception):
+    """Says nothing, not even when it is asked to."""
+
+    def __str__(self) -> str:
+        raise SystemExit("no words")
+
+
+def mute(x: float = 0.0) -> float:
+    raise MuteError

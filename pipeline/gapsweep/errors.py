@@ -48,3 +48,13 @@ class DatasetError(GapsweepError, ValueError):
 
 class ClusterError(GapsweepError, RuntimeError):
     """A Dask cluster that cannot be reached or was lost."""
+
+
+def described(error: BaseException) -> str:
+    """Kind and first line of an error, whatever the user's code has raised."""
+    name = type(error).__name__
+    try:
+        first = str(error).splitlines()[:1]
+    except BaseException:  # its own __str__ may raise anything, SystemExit too
+        first = []
+    return f"{name}: {first[0]}" if first and first[0] else name

@@ -5,8 +5,10 @@ import time
 import pytest
 from tests import calls
 
+import gapsweep as gs
 from gapsweep.execution import alone as module
 from gapsweep.execution.alone import Alone, CallError
+from gapsweep.execution.task import failure
 from gapsweep.status import Status
 
 
@@ -57,3 +59,12 @@ def test_a_process_that_does_not_start_is_an_error_of_the_call(monkeypatch, code
     monkeypatch.setattr(module, "_START_SECONDS", 1.0)
     with Alone(10.0) as alone:
         assert lost(alone, calls.same, 1) == expected
+
+
+def test_an_error_that_cannot_be_told_is_named():
+    assert failure(calls.MuteError()) == (Status.ERROR, "MuteError")
+    assert failure(ValueError("one\ntwo")) == (Status.ERROR, "ValueError: one")
+    with pytest.raises(gs.ModelError, match=r"mute\(0\.0\) raised MuteError$"):
+        gs.law(calls.mute, 1.0, gs.Gap(1.0, 1.0))
+    with Alone(10.0) as alone:
+        assert lost(alone, calls.mute) == (Status.ERROR, "MuteError")

@@ -17,7 +17,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from gapsweep.errors import ModelError
+from gapsweep.errors import ModelError, described
 from gapsweep.integrate.problem import Solver
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import Response
@@ -212,4 +212,4 @@ def failure(error: BaseException) -> tuple[Status, str]:
     """Status and message of a point or motion that raised."""
     if isinstance(error, ModelError):
         return Status.MODEL_INVALID, str(error)
-    return Status.ERROR, f"{type(error).__name__}: {error}".splitlines()[0]
+    return Status.ERROR, described(error)

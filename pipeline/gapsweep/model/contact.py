@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.errors import ModelError
+from gapsweep.errors import ModelError, described
 from gapsweep.model.fit import N_FIT_POINTS, Fit, goodness, polynomial_fit, rational_fit, unit_force
 from gapsweep.model.oscillator import Gap, checked
 
@@ -308,7 +308,7 @@ class UserLaw(ContactLaw):
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # the user's code may raise anything, SystemExit too
-            raise ModelError(f"{self.name}(0.0) raised {type(error).__name__}: {error}") from error
+            raise ModelError(f"{self.name}(0.0) raised {described(error)}") from error
         if not math.isfinite(value):
             raise ModelError(f"{self.name}(0.0) = {value}: must be finite")
 
