@@ -221,6 +221,7 @@ def bench(
         raise StudyError([f"{study.source}: bench: missing; it names scenes and methods"])
     folder = run_folder(study, out)
     check_writable(folder)
+    try_out_own_laws(study)
     own_law.refresh()
     made = []
     with alone_in(folder):
@@ -234,6 +235,14 @@ def bench(
         if (folder / RESPONSES).exists() and (folder / TIMING).exists():
             _report(folder)
     return made
+
+
+def try_out_own_laws(study: Study) -> None:
+    """Refuse laws of the user's own that would end this process, or hang, where keys are made."""
+    if study.own_laws:
+        from gapsweep.execution.try_out import try_out
+
+        try_out(study)
 
 
 def failed_motions(path: Path) -> dict[str, int]:

@@ -27,7 +27,15 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.recorder import Recorder
-from gapsweep.make import check_owner, check_writable, failed_motions, run_folder, stages_of, update
+from gapsweep.make import (
+    check_owner,
+    check_writable,
+    failed_motions,
+    run_folder,
+    stages_of,
+    try_out_own_laws,
+    update,
+)
 from gapsweep.stages import ATTRACTORS, RESPONSES, made_from, reason_to_run, sources
 from gapsweep.status import Status
 from gapsweep.store import netcdf
@@ -81,7 +89,14 @@ def plan(
     selection: Selection | None = None,
     retry_failed: bool = False,
 ) -> Plan:
-    """Compare a study with a cache, without creating the cache or computing anything."""
+    """Compare a study with a cache, without creating the cache or computing anything.
+
+    Raises
+    ------
+    StudyError
+        If a law of the user's own ends its process or hangs where keys are made.
+    """
+    try_out_own_laws(study)
     path = cache_path(cache)
     if not path.exists():
         return make_plan(study, selection=selection)

@@ -10,6 +10,8 @@ import pytest
 from tests.laws import working
 
 import gapsweep as gs
+from gapsweep import workflow
+from gapsweep.execution import try_out
 from gapsweep.execution.alone import Alone, CallError
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
@@ -74,7 +76,50 @@ def test_a_law_that_exits_when_imported_is_one_line(tmp_path):
     done = gapsweep(tmp_path, "run", "own.toml", "--out", "out")
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
-    assert "'gone:law': SystemExit: bye" in done.stderr
+    assert "'gone:law': importing it raised SystemExit: bye" in done.stderr
+
+
+AT_ZERO = """
+import os
+def law(x):
+    if x == 0.0:
+        {}
+    return 0.0
+"""
+FATAL = [
+    ("import os; os._exit(7)", "imported: its process ended with exit code 7"),
+    (AT_ZERO.format("os._exit(0)"), "called at x = 0: its process ended with exit code 0"),
+    (AT_ZERO.format("raise KeyboardInterrupt"), "called at x = 0: KeyboardInterrupt"),
+]
+
+
+@pytest.mark.parametrize(("code", "reason"), FATAL)
+def test_a_law_that_would_end_the_client_is_one_line(tmp_path, code, reason):
+    (tmp_path / "fatal.py").write_text(code)
+    study(tmp_path, SWEEP, "fatal:law")
+    for command in (["plan"], ["run", "--out", "out"]):
+        done = gapsweep(tmp_path, command[0], "own.toml", *command[1:])
+        assert done.returncode == 1
+        assert done.stderr.splitlines()[0].endswith(f"own.toml: the law 'fatal:law', when {reason}")
+        assert done.stderr.count("\n") == 1
+
+
+def test_benchmarks_too_try_laws_out_elsewhere(tmp_path):
+    (tmp_path / "fatal.py").write_text(AT_ZERO.format("os._exit(7)"))
+    method = '[[bench.method]]\nlabel = "fatal:law"\nrtol = [1e-4]\n'
+    study(tmp_path, SWEEP.replace("{laws}", '["piecewise"]') + BENCH + method)
+    done = gapsweep(tmp_path, "bench", "own.toml", "--out", "out")
+    assert done.returncode == 1
+    assert "the law 'fatal:law', when called at x = 0: its process ended" in done.stderr
+
+
+def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "endless.py").write_text(AT_ZERO.format("while True: pass"))
+    study(tmp_path, SWEEP, "endless:law")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(try_out, "_SECONDS", 2.0)
+    with pytest.raises(gs.StudyError, match="when called at x = 0: took longer than 2 s"):
+        workflow.plan(gs.Study.load(tmp_path / "own.toml"), tmp_path / "c.sqlite")
 
 
 POISONS = {

@@ -3,13 +3,12 @@
 from dataclasses import fields
 from typing import Any
 
-from gapsweep.errors import ModelError
-from gapsweep.execution.alone import Alone, response_of
+from gapsweep.execution.alone import Alone, CallError, response_of
 from gapsweep.execution.task import REST
 from gapsweep.response.result import Response
 from gapsweep.response.walk import State
 from gapsweep.store.cache import Cache
-from gapsweep.study.points import Point, law_code, point_of
+from gapsweep.study.points import OURS, Point, law_code, point_of
 
 
 def differences(cache: Cache, key: bytes, alone: Alone) -> list[str]:
@@ -19,18 +18,20 @@ def differences(cache: Cache, key: bytes, alone: Alone) -> list[str]:
         point, previous = point_of(row.identity)
     except (ValueError, TypeError, KeyError, AttributeError):
         return ["identity"]  # whoever wrote this, it was not a run
-    if not _is_current(point):
+    if not _is_current(point, alone):
         return []
     again = response_of(alone, point, _start(cache, previous))
     names = [field.name for field in fields(Response) if field.name not in ("cpu_time", "message")]
     return [n for n in names if not _same(getattr(again, n), getattr(row.response, n))]
 
 
-def _is_current(point: Point) -> bool:
+def _is_current(point: Point, alone: Alone) -> bool:
     """Whether the user's own law of a point, if it has one, is still the one that computed it."""
+    if point.law_code == OURS:
+        return True
     try:
-        return point.law_code == law_code(point.representation)
-    except ModelError:  # it has gone
+        return point.law_code == alone(law_code, point.representation)
+    except CallError:  # it has gone, or does to its process what it did not when it was stored
         return False
 
 
