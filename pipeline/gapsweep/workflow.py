@@ -249,6 +249,10 @@ def carry_out(
         # Before anything is computed: the datasets that it names come last.
         check_variables(read_claims(study.claims_file), str(study.claims_file))
     with Recorder(folder, study, cache_path(cache), planned, on_progress) as recorder:
+        # Whoever comes next sees at once whose folder it is, not when this one has computed.
+        with alone_in(folder):
+            check_owner(study, folder)
+            recorder.write()
         how |= {"timeout": timeout, "retry_failed": retry_failed}
         progress = _computed(study, client, planned, cache, recorder, **how)
         with Cache(cache_path(cache), read_only=True) as store:

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -173,3 +174,29 @@ def test_two_runs_in_one_folder_tell_of_one_that_goes_on(tmp_path):
         os.killpg(long.pid, 9)
     with gs.open(tmp_path / "out" / "responses.nc") as ds:
         assert ds.sizes["omega"] == 1
+
+
+def test_of_two_studies_started_at_once_one_is_refused_before_it_computes(tmp_path):
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    runs = {}
+    for name in ("one", "two"):
+        text = SLOW.replace("num = 20", "num = 999").replace('"tiny"', f'"{name}"')
+        (tmp_path / f"{name}.toml").write_text(text)
+        command = [COMMAND, "run", f"{name}.toml", "--out", "out", "--cache", f"{name}.sqlite"]
+        runs[name] = subprocess.Popen(
+            command, cwd=tmp_path, text=True, start_new_session=True, **quiet
+        )
+    try:
+        deadline = time.monotonic() + 60
+        while all(run.poll() is None for run in runs.values()):
+            assert time.monotonic() < deadline, "both compute"
+            time.sleep(0.1)
+        (refused,) = (name for name, run in runs.items() if run.poll() is not None)
+        assert runs[refused].returncode == 1
+        assert "out: holds the files of study" in runs[refused].stderr.read()
+        assert not (tmp_path / f"{refused}.sqlite").exists()
+    finally:
+        for run in runs.values():
+            with suppress(ProcessLookupError):  # its workers are in its group
+                os.killpg(run.pid, 9)
+            run.communicate()
