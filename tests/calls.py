@@ -1,7 +1,9 @@
 """Functions that do to their process, and to its pipe, what nobody should."""
 
+import atexit
 import os
 import sys
+import tempfile
 import time
 from multiprocessing.connection import Connection
 
@@ -51,3 +53,18 @@ class MuteError(Exception):
 
 def mute(x: float = 0.0) -> float:
     raise MuteError
+
+
+def keeping() -> str:
+    """A folder that is removed when the process ends by itself."""
+    _kept.append(tempfile.TemporaryDirectory())
+    return _kept[-1].name
+
+
+_kept: list[tempfile.TemporaryDirectory[str]] = []
+
+
+def staying() -> str:
+    """Keep the process from ending."""
+    atexit.register(time.sleep, 1e6)
+    return "here"

@@ -1,6 +1,7 @@
 """Calls in a child process: whatever they do to it, the caller gets its own answer or an error."""
 
 import time
+from pathlib import Path
 
 import pytest
 from tests import calls
@@ -68,3 +69,17 @@ def test_an_error_that_cannot_be_told_is_named():
         gs.law(calls.mute, 1.0, gs.Gap(1.0, 1.0))
     with Alone(10.0) as alone:
         assert lost(alone, calls.mute) == (Status.ERROR, "MuteError")
+
+
+def test_a_process_cleans_up_when_it_is_no_longer_needed():
+    with Alone(10.0) as alone:
+        kept = Path(alone(calls.keeping))
+        assert kept.is_dir()
+    assert not kept.exists()
+
+
+def test_a_process_that_does_not_go_is_ended():
+    with Alone(10.0) as alone:
+        assert alone(calls.staying) == "here"
+        began = time.monotonic()
+    assert time.monotonic() - began < 20.0

@@ -8,7 +8,6 @@ law of the user's own, which may end its process, hang or raise anything.
 import faulthandler
 import multiprocessing
 import os
-import pickle
 import platform
 import signal
 import struct
@@ -16,7 +15,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler  # what a Connection sends with
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -41,6 +42,7 @@ Result = TypeVar("Result")
 
 _START_SECONDS = 120.0
 _LOOK_SECONDS = 0.1
+_LEAVE_SECONDS = 2.0
 # Share of the processor below which a call that takes too long waits for something that will not
 # come. Whoever gets more is held up by a busy machine, up to 50 time limits.
 _IDLE = 0.02
@@ -159,7 +161,7 @@ class _Child:
             stderr=subprocess.DEVNULL,
         )
         theirs.close()
-        self.n_calls = 0
+        self.n_calls, self.is_busy = 0, True
         began = time.monotonic()
 
         def is_late() -> bool:
@@ -179,7 +181,7 @@ class _Child:
 
     def ask(self, function: Callable[..., Any], arguments: Any, timeout: float) -> Any:
         """What a call returns, or as a `CallError` what it raised; without either it is raised."""
-        self.n_calls += 1
+        self.n_calls, self.is_busy = self.n_calls + 1, True
         try:
             self.connection.send((self.n_calls, function, arguments, timeout))
         except (BrokenPipeError, ConnectionResetError):
@@ -206,8 +208,9 @@ class _Child:
                 said += piece
             elif is_late():
                 raise _too_long(timeout)
+        self.is_busy = False
         try:
-            return pickle.loads(said[_HEAD.size :])
+            return ForkingPickler.loads(said[_HEAD.size :])
         except Exception:  # bytes that are no pickle may make it raise anything
             raise CallError(Status.KILLED, _OTHERWISE) from None
 
@@ -235,7 +238,10 @@ class _Child:
         return f"its process was ended by {signal.Signals(-code).name}"
 
     def end(self) -> None:
+        """End the process: it goes by itself, and cleans up, unless it is held up by a call."""
         self.connection.close()
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(0.0 if self.is_busy else _LEAVE_SECONDS)
         self.process.kill()
         self.process.wait()
 
@@ -278,9 +284,9 @@ def child() -> None:
 
 def _say(connection: Connection, number: int, answer: Any) -> None:
     try:
-        said = pickle.dumps(answer)
+        said = bytes(ForkingPickler.dumps(answer))
     except Exception as error:  # whatever the result's own methods raise
-        said = pickle.dumps(CallError(*failure(error)))
+        said = bytes(ForkingPickler.dumps(CallError(*failure(error))))
     with open(connection.fileno(), "wb", closefd=False) as pipe:
         pipe.write(_HEAD.pack(_MARK, number, len(said)) + said)
 
