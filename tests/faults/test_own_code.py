@@ -11,10 +11,14 @@ from tests.laws import working
 
 import gapsweep as gs
 from gapsweep import workflow
+from gapsweep.analysis.histories import histories
+from gapsweep.analysis.stability import stability
+from gapsweep.analysis.work_precision import work_precision
 from gapsweep.execution import try_out
 from gapsweep.execution.alone import Alone, CallError
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
+from gapsweep.study.points import law_code
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
 ROOT = Path(__file__).parents[2]
@@ -209,3 +213,20 @@ def test_processor_time_is_what_counts_and_idling_is_a_hang():
         with pytest.raises(CallError, match="ValueError") as raised:
             alone(int, "no number")
         assert raised.value.status is Status.ERROR
+
+
+@pytest.mark.parametrize("what", ["history", "measured", "stated"])
+def test_motions_run_the_code_that_the_client_has(tmp_path, monkeypatch, what):
+    """An edit made after the client has read the law is caught, though it be undone later."""
+    module = f"edited_{what}"
+    law = tmp_path / f"{module}.py"
+    law.write_text("def law(x):\n    return 0.0\n")
+    method = f'[[bench.method]]\nlabel = "{module}:law"\nrtol = [1e-4]\n'
+    study(tmp_path, SWEEP + HISTORY + BENCH + method, f"{module}:law")
+    monkeypatch.syspath_prepend(tmp_path)
+    loaded = gs.Study.load(tmp_path / "own.toml")
+    law_code(f"{module}:law")
+    law.write_text("def law(x):\n    return 1.0\n")
+    stages = {"history": histories, "measured": work_precision, "stated": stability}
+    with pytest.raises(gs.ClusterError, match=f"{module} differ.* edited during the run"):
+        stages[what](loaded)

@@ -220,7 +220,7 @@ def _history(asked: _Asked, alone: Alone) -> Mapping[str, Any]:
     if ":" not in asked.representation:
         return _motion(asked)
     try:
-        return alone(_motion, asked)
+        return alone.with_law(asked.representation, _motion, asked)
     except CallError as lost:
         return {"status": lost.status}
 

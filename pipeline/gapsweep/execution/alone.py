@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 
 import psutil
 
-from gapsweep.errors import ClusterError
+from gapsweep.errors import ClusterError, ModelError
 from gapsweep.execution.task import (
     Task,
     TaskResult,
@@ -32,10 +32,11 @@ from gapsweep.execution.task import (
     responses,
     state_after,
 )
+from gapsweep.model import own_law
 from gapsweep.response.result import Response
 from gapsweep.response.walk import State
 from gapsweep.status import Status
-from gapsweep.study.points import Point
+from gapsweep.study.points import Point, law_code
 from gapsweep.study.software import software
 
 Result = TypeVar("Result")
@@ -118,10 +119,34 @@ class Alone:
         result: Result = found
         return result
 
+    def with_law(
+        self, representation: str, function: Callable[..., Result], *arguments: Any
+    ) -> Result:
+        """A call that runs a law of the user's own, of the very code that the caller has.
+
+        Raises
+        ------
+        ClusterError
+            If its files hold another one, as they do while they are edited.
+        """
+        try:
+            code = law_code(representation)
+        except ModelError:  # the call finds that out for itself
+            return self(function, *arguments)
+        result: Result = self(_with_code, representation, code, function, arguments)
+        return result
+
     def _end(self) -> None:
         if self._child is not None:
             self._child.end()
             self._child = None
+
+
+def _with_code(
+    representation: str, code: str, function: Callable[..., Result], arguments: tuple[Any, ...]
+) -> Result:
+    own_law.require(representation, code)
+    return function(*arguments)
 
 
 def compute_alone(task: Task) -> TaskResult:
