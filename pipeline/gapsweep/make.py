@@ -34,6 +34,7 @@ from gapsweep.stages import (
     STATIC,
     TIMING,
     WORK_PRECISION,
+    MadeFrom,
     Stage,
     as_text,
     claims_source,
@@ -125,8 +126,26 @@ def update(
         elif stage.file == REPORT:
             _report(folder)
         else:
-            result = _unedited(stage, study, folder, timeout)
-            netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
+            _analyse(stage, study, folder, now, timeout)
+
+
+def _analyse(
+    stage: Stage,
+    study: Study,
+    folder: Path,
+    now: MadeFrom,
+    timeout: float,
+    say: Callable[[str], None] | None = None,
+) -> None:
+    """Make the file of an analysis stage.
+
+    Parameters
+    ----------
+    now : MadeFrom
+        What it is made from, taken before: an edit meanwhile makes the file stale, not current.
+    """
+    result = _unedited(stage, study, folder, timeout, say)
+    netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
 
 
 def _unedited(
@@ -228,9 +247,8 @@ def bench(
         check_owner(study, folder)
         for stage in stages_of(study):
             if stage.file in (WORK_PRECISION, STABILITY):
-                measured = _unedited(stage, study, folder, timeout, say)
                 now = made_from(stage, folder, study_source(study))
-                netcdf.write(measured, folder / stage.file, {"made_from": as_text(now)})
+                _analyse(stage, study, folder, now, timeout, say)
                 made.append(folder / stage.file)
         if (folder / RESPONSES).exists() and (folder / TIMING).exists():
             _report(folder)
