@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import gapsweep as gs
-from gapsweep import workflow
+from gapsweep import make, workflow
 from gapsweep.store.artefact import alone_in
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
@@ -200,3 +200,16 @@ def test_of_two_studies_started_at_once_one_is_refused_before_it_computes(tmp_pa
             with suppress(ProcessLookupError):  # its workers are in its group
                 os.killpg(run.pid, 9)
             run.communicate()
+
+
+def test_benchmarks_name_what_they_were_made_from_before_they_began(tables, tmp_path, monkeypatch):
+    tables["bench"] = {
+        "scene": [{"name": "one", "K_c": 1.4e4, "gap": [0.4e-3, 0.4e-3], "omega": 12.0}],
+        "method": [{"label": "piecewise", "rtol": [1e-4]}],
+    }
+    order = []
+    monkeypatch.setattr(make, "made_from", lambda *given: order.append("made from") or {})
+    monkeypatch.setattr(make, "_unedited", lambda *given: order.append("analysis"))
+    monkeypatch.setattr(make.netcdf, "write", lambda *given: order.append("written"))
+    make.bench(gs.Study.from_dict(tables), tmp_path)
+    assert order == ["made from", "analysis", "written"]
