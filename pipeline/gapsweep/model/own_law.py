@@ -27,7 +27,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from gapsweep.errors import ClusterError, ModelError
+from gapsweep.errors import ClusterError, ModelError, described
 from gapsweep.model.encoding import Encoder, UnkeyableError
 from gapsweep.source import read, short_digest, with_parents
 
@@ -189,7 +189,7 @@ def _imported(label: str) -> _Sources:
     except ImportError as error:
         raise _unusable(label, error) from None
     except BaseException as error:  # the user's code may raise anything, SystemExit too
-        raise _unusable(label, f"importing it raised {type(error).__name__}: {error}") from None
+        raise _unusable(label, f"importing it raised {described(error)}") from None
     if _sources(module) != sources:
         raise ModelError(f"{label!r}: edited while it was imported; run again")
     return sources
