@@ -249,11 +249,14 @@ def carry_out(
         # Before anything is computed: the datasets that it names come last.
         check_variables(read_claims(study.claims_file), str(study.claims_file))
     with Recorder(folder, study, cache_path(cache), planned, on_progress) as recorder:
-        # Whoever comes next sees at once whose folder it is, not when this one has computed.
-        with alone_in(folder):
-            check_owner(study, folder)
-            recorder.write()
-        how |= {"timeout": timeout, "retry_failed": retry_failed}
+
+        def begin() -> None:
+            # Whoever comes next sees at once whose folder it is, not when this one has computed.
+            with alone_in(folder):
+                check_owner(study, folder)
+                recorder.write()
+
+        how |= {"timeout": timeout, "retry_failed": retry_failed, "begin": begin}
         progress = _computed(study, client, planned, cache, recorder, **how)
         with Cache(cache_path(cache), read_only=True) as store:
             if planned.n_missing:
@@ -347,27 +350,36 @@ def _computed(
     *,
     workers: int = 2,
     scheduler: str | None = None,
+    begin: Callable[[], None] | None = None,
     **how: Any,
 ) -> Progress:
-    """Compute what a plan misses; a cluster is started only if that is something."""
+    """Compute what a plan misses; a cluster is started only if that is something.
+
+    `begin` is called once it is there, before anything is computed.
+    """
     if planned.n_damaged:
         warnings.warn(
             f"{cache_path(cache)}: {planned.n_damaged} damaged rows, computed again", stacklevel=3
         )
     if not planned.n_missing:
+        if begin is not None:
+            begin()
         return Progress(planned.n_points, planned.n_hits)
     from gapsweep.execution.cluster import cluster
     from gapsweep.execution.execute import execute
 
     joined = nullcontext(client) if client is not None else cluster(workers, scheduler)
-    with joined as connected, Cache(cache_path(cache)) as store:
-        if store.on_network:
-            warnings.warn(
-                f"{store.path}: on a network file system, so without SQLite's write-ahead log: "
-                "slower; a local disk (--cache) is better",
-                stacklevel=3,
-            )
-        return execute(study, planned, store, connected, on_progress=on_progress, **how)
+    with joined as connected:
+        if begin is not None:
+            begin()
+        with Cache(cache_path(cache)) as store:
+            if store.on_network:
+                warnings.warn(
+                    f"{store.path}: on a network file system, so without SQLite's write-ahead log: "
+                    "slower; a local disk (--cache) is better",
+                    stacklevel=3,
+                )
+            return execute(study, planned, store, connected, on_progress=on_progress, **how)
 
 
 def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -> list[Explanation]:
