@@ -1,7 +1,6 @@
 """Whole runs on real worker processes."""
 
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -20,20 +19,6 @@ from gapsweep.execution.task import responses as responses_of
 from gapsweep.store.cache import Cache
 from gapsweep.study.schema import COORDINATES, POINT_DIMS, VARIABLES
 from gapsweep.study.software import versions
-
-
-def poison(x: float) -> float:
-    """A law that kills its process as soon as the motion reaches 0.1 mm."""
-    if abs(x) > 1e-4:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 0.0
-
-
-def faulty(x: float) -> float:
-    """A law that raises once the motion reaches 0.1 mm."""
-    if abs(x) > 1e-4:
-        raise ArithmeticError("no force here")
-    return 0.0
 
 
 def run(tables, client, folder, name="out", **options):
@@ -155,8 +140,8 @@ def test_long_sweep_in_parts_equals_one_in_a_piece(tables, client, tmp_path):
 
 
 def test_law_that_raises_is_a_result_with_its_message(tables, client, tmp_path):
-    tables["sweep"][0]["representation"] = ["piecewise", f"{__name__}:faulty"]
-    status = run(tables, client, tmp_path)["status"].sel(representation=f"{__name__}:faulty")
+    tables["sweep"][0]["representation"] = ["piecewise", "tests.laws:raising"]
+    status = run(tables, client, tmp_path)["status"].sel(representation="tests.laws:raising")
     assert set(status.values.ravel().tolist()) == {gs.Status.ERROR}
     study = gs.Study.from_dict(tables)
     (key,) = study.keys(((1, 0, 0, 0, 0),))
@@ -165,7 +150,7 @@ def test_law_that_raises_is_a_result_with_its_message(tables, client, tmp_path):
 
 
 def test_law_that_kills_its_worker_spares_all_other_points(tables, tmp_path):
-    label = f"{__name__}:poison"
+    label = "tests.laws:killing"
     tables["sweep"][0] |= {"representation": ["piecewise", label], "omega": [7.0, 12.0]}
     tables["solver"] = {"engine": "scipy"}  # only plain Python can kill its process
     with cluster(workers=2) as fragile:
@@ -175,7 +160,7 @@ def test_law_that_kills_its_worker_spares_all_other_points(tables, tmp_path):
 
 
 def test_failed_points_are_computed_again_only_on_request(tables, client, tmp_path):
-    tables["sweep"][0] |= {"representation": [f"{__name__}:faulty"], "omega": [7.0]}
+    tables["sweep"][0] |= {"representation": ["tests.laws:raising"], "omega": [7.0]}
     tables["solver"] = {"engine": "scipy"}  # nothing to compile
     run(tables, client, tmp_path)
     study = gs.Study.from_dict(tables)
