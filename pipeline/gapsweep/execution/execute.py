@@ -275,7 +275,7 @@ class _Execution:
             result = future.result()
         except ClusterError:  # of the worker itself, so of none of its points
             raise
-        except Exception as error:
+        except Exception as error:  # whatever a task raised, or Dask about its worker
             # Also a worker's that died with a result which nobody had fetched yet.
             if future.status != "error":
                 raise ClusterError(_CLUSTER_LOST) from None
