@@ -68,3 +68,14 @@ def staying() -> str:
     """Keep the process from ending."""
     atexit.register(time.sleep, 1e6)
     return "here"
+
+
+def working(seconds: float) -> float:
+    """Half at work and half held up, as on a busy machine, for so long [s]."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        pause = time.monotonic() + 0.02
+        while time.monotonic() < pause:
+            pass
+        time.sleep(0.02)
+    return seconds

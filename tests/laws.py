@@ -70,14 +70,3 @@ def spinning(x: float) -> float:
     while abs(x) > REACH:
         pass
     return 0.0
-
-
-def working(seconds: float) -> float:
-    """Half at work and half held up, as on a busy machine, for so long [s]."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        pause = time.monotonic() + 0.02
-        while time.monotonic() < pause:
-            pass
-        time.sleep(0.02)
-    return seconds

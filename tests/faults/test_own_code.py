@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.laws import working
+from tests import calls
 
 import gapsweep as gs
 from gapsweep import workflow
@@ -202,14 +202,14 @@ def test_benchmarks_survive_any_law_and_say_what_failed(tmp_path):
 
 def test_processor_time_is_what_counts_and_idling_is_a_hang():
     with Alone(2.0) as alone:
-        assert alone(working, 3.0) == 3.0, "longer than the limit by the clock alone"
+        assert alone(calls.working, 3.0) == 3.0, "longer than the limit by the clock alone"
         began = time.monotonic()
         with pytest.raises(CallError, match="took longer than 2 s") as idle:
             alone(time.sleep, 60.0)
         assert idle.value.status is Status.TIMED_OUT
         assert time.monotonic() - began < 30.0
         with pytest.raises(CallError, match="took longer than 2 s"):
-            alone(working, 60.0)
+            alone(calls.working, 60.0)
         with pytest.raises(CallError, match="ValueError") as raised:
             alone(int, "no number")
         assert raised.value.status is Status.ERROR
