@@ -50,6 +50,20 @@ def force(x=1.0):
 SPRING = "def spring(x):\n    return K * x\n"
 
 
+def test_a_helper_imported_within_a_function_is_read_from_its_file(own, monkeypatch):
+    """Its byte code looks current: of the same size, and of the same second."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    folder = own(
+        laws="def spring(x):\n    from .helper import K\n    return K * x\n", helper="K = 1.0\n"
+    )
+    helper = folder / "helper.py"
+    assert force() == 1.0
+    second = helper.stat().st_mtime
+    helper.write_text("K = 3.0\n")
+    os.utime(helper, (second, second))
+    assert force() == 3.0
+
+
 @pytest.mark.parametrize(
     ("laws", "helper"),
     [

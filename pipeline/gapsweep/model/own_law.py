@@ -12,6 +12,7 @@ anew, with all of these modules, and what Python then has loaded must be what wa
 import functools
 import importlib
 import importlib.metadata
+import importlib.util
 import json
 import os
 import pkgutil
@@ -20,7 +21,7 @@ import sysconfig
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -190,6 +191,9 @@ def _imported(label: str) -> _Sources:
         raise _unusable(label, error) from None
     except BaseException as error:  # the user's code may raise anything, SystemExit too
         raise _unusable(label, f"importing it raised {described(error)}") from None
+    for name, path in sources.files.items():
+        if name not in sys.modules:
+            _forget_byte_code(path)
     if _sources(module) != sources:
         raise ModelError(f"{label!r}: edited while it was imported; run again")
     return sources
@@ -303,6 +307,12 @@ def _imported_anew(sources: _Sources) -> Iterator[None]:
         sys.pycache_prefix, sys.dont_write_bytecode = settings
         for name, module in old.items():
             _keep_submodules(module, sys.modules.get(name, module))
+
+
+def _forget_byte_code(path: Path) -> None:
+    """Have a module read from its file that is imported when a function of the law is called."""
+    with suppress(OSError, NotImplementedError):  # who may not delete it could not write it either
+        Path(importlib.util.cache_from_source(str(path))).unlink()
 
 
 def _keep_submodules(old: ModuleType, new: ModuleType) -> None:
