@@ -1,0 +1,314 @@
+"""Claims about the results of a run, and how their tests become verdicts.
+
+A claim is a function of a `Run`: it returns its tests and one sentence that says what was found. A
+test compares one number with a threshold and is decided by nothing else; the number carries its own
+floor, what rounding or sampling alone can do to it. A number within its floor of the threshold
+leaves the test open.
+"""
+
+import math
+import operator
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from gapsweep.status import Status
+
+CONFIRMED, REFUTED, PARTLY, UNDECIDABLE = "confirmed", "refuted", "partly", "undecidable"
+VERDICTS = (CONFIRMED, REFUTED, PARTLY, UNDECIDABLE)
+
+_HOLDS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+_RESPONSES, _AGREEMENT = "responses", "agreement"
+
+
+class NotInRunError(Exception):
+    """What a claim needs and the run has not: it leaves the claim undecidable."""
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number and what may be in doubt about it.
+
+    Attributes
+    ----------
+    value : float
+        NaN: there is none, and no test of it is decided.
+    floor : float
+        What rounding or sampling alone can do to it.
+    low, high : float
+        Its possible range: no test may ask for less or more.
+    n : int
+        How many values it condenses.
+    """
+
+    value: float
+    floor: float = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+    n: int = 1
+
+    def __sub__(self, other: "Number") -> "Number":
+        return Number(
+            self.value - other.value,
+            math.hypot(self.floor, other.floor),
+            self.low - other.high,
+            self.high - other.low,
+            self.n + other.n,
+        )
+
+    def __truediv__(self, other: "Number") -> "Number":
+        """The ratio of two numbers that are not negative; NaN if the other is 0."""
+        value = self.value / other.value if other.value else math.nan
+        floor = math.hypot(self.floor, value * other.floor) / other.value if other.value else 0.0
+        return Number(value, floor, 0.0, math.inf, self.n + other.n)
+
+    def __str__(self) -> str:
+        return f"{self.value:.3g}"
+
+
+def share(hits: ArrayLike) -> Number:
+    """Share of what was looked at that fulfils a condition.
+
+    Its floor is one standard error of a share among so many (by Agresti and Coull's rule, so that
+    none or all of a few are not taken for certain): more than a regular grid of frequencies has.
+    """
+    found = np.ravel(np.asarray(hits, dtype=bool))
+    if not found.size:
+        raise NotInRunError("nothing was asked for there")
+    likely = (found.sum() + 1.0) / (found.size + 2.0)
+    spread = math.sqrt(likely * (1.0 - likely) / (found.size + 2.0))
+    return Number(float(found.mean()), spread, 0.0, 1.0, found.size)
+
+
+def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:
+    """Ratio of two costs over the same points; its floor is the standard error by the jackknife."""
+    above, below = (np.ravel(np.asarray(v, dtype=float)) for v in (numerators, denominators))
+    both = np.isfinite(above) & np.isfinite(below)
+    above, below = above[both], below[both]
+    if not below.sum() > 0.0:
+        raise NotInRunError("no costs there")
+    value, n = float(above.sum() / below.sum()), below.size
+    spread = 0.0
+    if n > 1:
+        without = (above.sum() - above) / (below.sum() - below)
+        spread = math.sqrt((n - 1) / n * float(np.sum((without - without.mean()) ** 2)))
+    return Number(value, spread, 0.0, math.inf, n)
+
+
+@dataclass(frozen=True, slots=True)
+class Test:
+    """One decision: the number stands in relation `op` to the threshold.
+
+    Attributes
+    ----------
+    says : str
+        What is compared, in a few words.
+    """
+
+    __test__ = False  # no test of pytest's
+
+    says: str
+    number: Number
+    op: str
+    threshold: float
+
+    @property
+    def holds(self) -> bool | None:
+        """None: open, since there is no number, or the threshold lies within its floor."""
+        number, margin = self.number, abs(self.number.value - self.threshold)
+        if math.isnan(number.value) or (number.floor and not number.floor < margin):
+            return None
+        return bool(_HOLDS[self.op](number.value, self.threshold))
+
+
+Found = tuple[list[Test], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A statement, and the function that finds the tests which decide it.
+
+    Attributes
+    ----------
+    id : int
+    place : str
+        Figure, table or section of what is restated.
+    text : str
+        The claim in our own words.
+    why : str
+        The sentence or figure it rests on, and why these tests and thresholds decide it.
+    find : callable
+        From a `Run` to its tests and a sentence. No tests: the sentence says what is not stated.
+    """
+
+    id: int
+    place: str
+    text: str
+    why: str
+    find: Callable[["Run"], Found]
+
+    def decided(self, run: "Run") -> dict[str, Any]:
+        """The claim with its verdict, as it stands in ``claims.json``."""
+        try:
+            tests, sentence = self.find(run)
+        except NotInRunError as missing:
+            tests, sentence = [], f"Not decided: {missing}."
+        return {
+            "id": self.id,
+            "place": self.place,
+            "claim": self.text,
+            "verdict": verdict(test.holds for test in tests),
+            "sentence": sentence,
+            "why": self.why,
+            "tests": [_as_json(test) for test in tests],
+        }
+
+
+def claim(id: int, place: str, text: str, why: str) -> Callable[[Callable[["Run"], Found]], Claim]:
+    """Make a claim of the function below it."""
+    return lambda find: Claim(id, place, text, why, find)
+
+
+def verdict(holds: Iterable[bool | None]) -> str:
+    """Of the decided tests all hold: confirmed; none: refuted; some: partly."""
+    decided = {outcome for outcome in holds if outcome is not None}
+    if not decided:
+        return UNDECIDABLE
+    if len(decided) == 2:
+        return PARTLY
+    return CONFIRMED if True in decided else REFUTED
+
+
+def verdicts(claims: Iterable[Claim], run: "Run") -> dict[str, Any]:
+    """Decide claims.
+
+    Returns
+    -------
+    dict
+        ``claims``, in the order of their ids, and ``counts`` by verdict; fit for JSON.
+    """
+    decided = [claim.decided(run) for claim in sorted(claims, key=lambda claim: claim.id)]
+    counts = Counter(entry["verdict"] for entry in decided)
+    return {"counts": {name: counts[name] for name in VERDICTS}, "claims": decided}
+
+
+def _as_json(test: Test) -> dict[str, Any]:
+    number = test.number
+    return {
+        "says": test.says,
+        "value": number.value if math.isfinite(number.value) else None,
+        "floor": number.floor if math.isfinite(number.floor) else None,
+        "op": test.op,
+        "threshold": test.threshold,
+        "holds": test.holds,
+        "n": number.n,
+    }
+
+
+@dataclass(frozen=True)
+class Run:
+    """The datasets of a run, read where they are needed and only once.
+
+    Attributes
+    ----------
+    datasets : mapping of str to Dataset
+        By file name without its suffix.
+    """
+
+    datasets: Mapping[str, xr.Dataset]
+    _read: dict[Any, xr.Dataset] = field(default_factory=dict, repr=False)
+
+    def __getitem__(self, name: str) -> xr.Dataset:
+        if name not in self.datasets:
+            raise NotInRunError(f"the run has no {name}.nc")
+        return self.datasets[name]
+
+    def select(self, name: str, **at: Any) -> xr.Dataset:
+        """Part of a dataset by labels along dimensions, in memory.
+
+        Raises
+        ------
+        NotInRunError
+            If the run has no such dataset or labels.
+        """
+        key = (name, *sorted(at.items()))
+        if key not in self._read:
+            dataset = self[name]
+            try:
+                self._read[key] = dataset.sel(at).load()
+            except KeyError:
+                raise NotInRunError(f"{name}.nc has nothing at {at}") from None
+        return self._read[key]
+
+    def scene(
+        self, name: str, representation: str, K_c: float, gap: str, *names: str
+    ) -> xr.Dataset:
+        """Some variables of one representation in one scene.
+
+        Parameters
+        ----------
+        name : str
+            The dataset: responses, attractors or agreement.
+        names : str
+            Its variables.
+        """
+        at = {"representation": representation, "K_c": K_c, "gap": gap}
+        key = (name, *at.values(), *names)
+        if key not in self._read:
+            dataset = self[name]
+            try:
+                self._read[key] = dataset[list(names)].sel(at).load()
+            except KeyError:
+                raise NotInRunError(f"{name}.nc has nothing at {representation}, {gap}") from None
+        return self._read[key]
+
+    @cached_property
+    def starts(self) -> dict[str, Any]:
+        """Which starts are ``rest``, ``scattered`` (fixed, not from rest), or a sweep."""
+        responses = self[_RESPONSES]
+        kind = responses["start"].values.astype(str)
+        fixed = kind == "fixed"
+        rest = fixed & (responses["x_0"].values == 0.0) & (responses["v_0"].values == 0.0)
+        sweeps = {name: kind == name for name in ("sweep_up", "sweep_down")}
+        return {"rest": rest, "scattered": fixed & ~rest, "any": np.ones_like(fixed), **sweeps}
+
+    def points(
+        self,
+        representation: str,
+        K_c: float,
+        gap: str,
+        *names: str,
+        band: tuple[float, float] = (0.0, math.inf),
+        start: str = "rest",
+        data: str = _RESPONSES,
+    ) -> xr.Dataset:
+        """Sweep points that were asked for, one after another (dimension ``point``).
+
+        Parameters
+        ----------
+        names : str
+            Variables over frequency and start.
+        band : tuple of float
+            Closed interval of frequencies [Hz].
+        start : str
+            A key of `starts`.
+
+        Raises
+        ------
+        NotInRunError
+            If none was asked for.
+        """
+        status = self.scene(_RESPONSES, representation, K_c, gap, "status")["status"]
+        found = self.scene(data, representation, K_c, gap, *names).assign(asked=status)
+        found = found.sel(omega=slice(*band)).isel(initial_condition=self.starts[start])
+        found = found.stack(point=("omega", "initial_condition"), create_index=False)
+        found = found.isel(point=found["asked"].values != Status.NOT_REQUESTED)
+        if not found.sizes["point"]:
+            raise NotInRunError(f"no points of {representation} at {K_c:g} N/m, {gap} mm")
+        return found
