@@ -38,9 +38,24 @@ def code_fingerprint(name: str, package: Path = _PACKAGE) -> str:
     return _digest(package, needed | templates)
 
 
-def modules(path: Path, package: Path) -> set[Path]:
-    """A module of the package, and all of the package that it imports, at any depth."""
-    needed = {path}
+def imports_fingerprint(names: Iterable[str], package: Path = _PACKAGE) -> str:
+    """SHA-256 (16 hex digits) of all of ours that others import, at any depth.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Dotted names, as in import statements. The package itself stands for all there is.
+    """
+    named = set(names)
+    if package.name in named:
+        return _digest(package, package.rglob("*.py"))
+    found = {path for name in named for path in _files(name, package)}
+    return _digest(package, modules(found, package))
+
+
+def modules(paths: Path | Iterable[Path], package: Path) -> set[Path]:
+    """Modules of the package, and all of the package that they import, at any depth."""
+    needed = {paths} if isinstance(paths, Path) else set(paths)
     waiting = list(needed)
     while waiting:
         new = set(_imported(waiting.pop(), package)) - needed
@@ -71,9 +86,14 @@ def _name(path: Path, package: Path) -> str:
 def _imported(path: Path, package: Path) -> Iterator[Path]:
     """Modules of the package that a module imports, and the packages that all of them stand in."""
     for name in (_name(path, package), *_read(path, package).imports):
-        for each in with_parents(name):
-            top, *parts = each.split(".")
-            # The top package only hands out names: it imports everything, when it is asked to.
-            if top == package.name and parts:
-                place = package.joinpath(*parts)
-                yield from filter(Path.is_file, (place.with_suffix(".py"), place / "__init__.py"))
+        yield from _files(name, package)
+
+
+def _files(name: str, package: Path) -> Iterator[Path]:
+    """The module of a dotted name and the packages that it stands in; none if it is not ours."""
+    for each in with_parents(name):
+        top, *parts = each.split(".")
+        # The top package only hands out names: it imports everything, when it is asked to.
+        if top == package.name and parts:
+            place = package.joinpath(*parts)
+            yield from filter(Path.is_file, (place.with_suffix(".py"), place / "__init__.py"))
