@@ -10,10 +10,12 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gapsweep import beside
 from gapsweep.errors import StoreError, StudyError
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import Plan
@@ -25,10 +27,13 @@ from gapsweep.stages import (
     AGREEMENT,
     ATTRACTORS,
     CLAIMS,
+    CLAIMS_MODULE,
     DAMAGED,
     HISTORIES,
     REPORT,
+    REPORT_MODULE,
     RESPONSES,
+    SECTIONS,
     STABILITY,
     STAGES,
     STATIC,
@@ -37,8 +42,10 @@ from gapsweep.stages import (
     MadeFrom,
     Stage,
     as_text,
-    claims_source,
     made_from,
+    module_sources,
+    own_dataset,
+    own_datasets,
     reason_to_run,
     sources,
     study_source,
@@ -48,15 +55,15 @@ from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in, digests, is_intact, is_recorded, recording
 from gapsweep.store.cache import Cache
 from gapsweep.store.state import RunState
-from gapsweep.study.claims import read_claims
 from gapsweep.study.study import Study
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from gapsweep.analysis.verdicts import Claim, Run
+
 RUNS = Path("data/runs")
 EXACT = "piecewise"
-CLAIMS_COPY = "claims.toml"
 # The files by which one sees whose folder it is.
 _OWNED = (RESPONSES, WORK_PRECISION, STABILITY)
 
@@ -71,7 +78,8 @@ def stages_of(study: Study) -> list[Stage]:
 
     Without the exact law there is nothing to agree with, without claims nothing to decide,
     motions are kept only where some are asked for, and advice where ``auto`` took it. Scenes of a
-    benchmark whose right answer is stated make one file, the others another.
+    benchmark whose right answer is stated make one file, the others another. Datasets of the
+    study's own come before what reads them.
     """
     labels, bench = study.grid.representations, study.spec.bench
     stated = [scene.expected is not None for scene in bench.scene] if bench else []
@@ -82,9 +90,21 @@ def stages_of(study: Study) -> list[Stage]:
         HISTORIES: not study.spec.history,
         WORK_PRECISION: all(stated),
         STABILITY: not any(stated),
-        CLAIMS: study.claims_file is None,
+        CLAIMS: study.claims_module is None,
+        SECTIONS: study.report_module is None,
     }
-    return [stage for stage in STAGES if not left_out.get(stage.file)]
+    own = tuple(own_datasets(study))
+    stages: list[Stage] = []
+    for stage in STAGES:
+        if stage.file in (CLAIMS, SECTIONS):
+            # What another study has left in the folder is not read.
+            there = tuple(name for name in stage.inputs if not left_out.get(name))
+            stage = replace(stage, inputs=there + own)
+        if stage.file == CLAIMS:
+            stages += map(own_dataset, own)
+        if not left_out.get(stage.file):
+            stages.append(stage)
+    return stages
 
 
 def update(
@@ -121,8 +141,9 @@ def update(
             files = folder / RESPONSES, folder / ATTRACTORS
             export(study, planned, store, *files, made_from=as_text(now))
         elif stage.file == CLAIMS:
-            assert study.claims_file is not None, "the stage is left out without claims"
-            _claims(folder, study.claims_file)
+            _decide(stage, study, folder, now)
+        elif stage.file == SECTIONS:
+            _draw(stage, study, folder, now)
         elif stage.file == REPORT:
             _report(folder)
         else:
@@ -181,9 +202,8 @@ def _analysed(
     from gapsweep.analysis.work_precision import work_precision
 
     if stage.file == STATIC:
-        # Only claims ask for the ladders. What a user's law may do, it does on workers.
-        decides = study.claims_file is not None
-        return static(study, with_ladders=decides, with_own_laws=False)
+        # What a user's law may do, it does on workers.
+        return static(study, with_own_laws=False)
     asked: dict[str, Callable[[Study], xr.Dataset | None]] = {
         ADVICE: advice,
         HISTORIES: partial(histories, timeout=timeout),
@@ -194,6 +214,8 @@ def _analysed(
         made = asked[stage.file](study)
         assert made is not None, "the stage is left out where none is asked for"
         return made
+    if stage.file in (own := own_datasets(study)):
+        return _own_dataset(stage.file, own[stage.file], study)
     with (
         netcdf.read(folder / RESPONSES) as responses,
         netcdf.read(folder / ATTRACTORS) as attractors,
@@ -276,15 +298,61 @@ def failed_motions(path: Path) -> dict[str, int]:
     return {label: n for label, n in counts.items() if n}
 
 
-def claims(folder: str | Path, file: str | Path | None = None) -> dict[str, Any]:
-    """Decide claims from the NetCDF files of a run and write ``claims.json``.
+def _own_dataset(file: str, make: Callable[[Study], Any], study: Study) -> "xr.Dataset":
+    """A dataset that the study's claims module makes."""
+    import xarray as xr
+
+    assert study.claims_module is not None, "datasets come from there"
+    with beside.blaming(study.claims_module, file):
+        made = make(study)
+        if not isinstance(made, xr.Dataset):
+            raise TypeError(f"its function must return an xarray.Dataset, not a {type(made)}")
+    return made.assign_attrs(title=study.title, study=study.name, study_json=study.json)
+
+
+def check_modules(study: Study) -> None:
+    """Import the code beside a study, so that what is wrong with it is said before anything else.
+
+    Raises
+    ------
+    StudyError
+        If it cannot be imported, or does not hold what it must.
+    """
+    own_datasets(study)
+    if study.claims_module is not None:
+        _stated(study.claims_module)
+    if study.report_module is not None:
+        _sections(study.report_module)
+
+
+def _stated(path: Path) -> "list[Claim]":
+    """The claims that a module states."""
+    from gapsweep.analysis.verdicts import stated
+
+    try:
+        return stated(vars(beside.load(path)))
+    except ValueError as error:
+        raise StudyError([f"{path}: {error}"]) from None
+
+
+def _sections(path: Path) -> "Callable[[Run], Any]":
+    """The function of a module that makes sections of the report."""
+    found: Callable[[Run], Any] | None = getattr(beside.load(path), "sections", None)
+    if not callable(found):
+        raise StudyError([f"{path}: no function sections(run), which gives parts of the report"])
+    return found
+
+
+def claims(folder: str | Path, study: Study | None = None) -> dict[str, Any]:
+    """The verdicts of a run: those that are stored, or decided anew by a study's claims module.
 
     Parameters
     ----------
     folder : path
-        Of the run; datasets that are not there leave the claims that need them undecidable.
-    file : path, optional
-        The claims; the copy that the run left in its folder if None.
+        Of the run; no file in it is ever executed. Datasets that are not there leave the claims
+        that need them undecidable.
+    study : Study, optional
+        Whose claims are decided and written to ``claims.json``; None reads what is there.
 
     Returns
     -------
@@ -298,7 +366,27 @@ def claims(folder: str | Path, file: str | Path | None = None) -> dict[str, Any]
     """
     folder = Path(folder)
     with _run_in(folder):
-        return _claims(folder, Path(file) if file is not None else folder / CLAIMS_COPY)
+        if study is not None:
+            return _decide(*_own_stage(CLAIMS, study, folder))
+        decided = _stored(folder / CLAIMS)
+    if decided is None:
+        raise StoreError(
+            f"{folder / CLAIMS}: no verdicts on the responses of this run: "
+            f"'gapsweep claims {folder} --study FILE' decides the claims of a study"
+        )
+    return decided
+
+
+def _own_stage(file: str, study: Study, folder: Path) -> tuple[Stage, Study, Path, MadeFrom]:
+    """What a stage of code beside a study is made with, for a run that may be another study's."""
+    check_owner(study, folder)
+    stage = next((stage for stage in stages_of(study) if stage.file == file), None)
+    if stage is None:
+        table, name = ("claims", "claims.py") if file == CLAIMS else ("report", "figures.py")
+        raise StudyError(
+            [f'{study.source}: {table}: missing; [{table}] module = "{name}" is asked']
+        )
+    return stage, study, folder, made_from(stage, folder, module_sources(study))
 
 
 @contextmanager
@@ -316,44 +404,80 @@ def _run_in(folder: Path) -> Iterator[None]:
         yield
 
 
-def _claims(folder: Path, path: Path) -> dict[str, Any]:
-    from gapsweep.analysis.claims import check_variables, verdicts
+@contextmanager
+def _read(stage: Stage, folder: Path) -> "Iterator[Run]":
+    """The datasets that a stage reads, those that are there."""
+    from gapsweep.analysis.verdicts import Run
 
-    stated = read_claims(path)
-    check_variables(stated, str(path))
-    stage = next(stage for stage in STAGES if stage.file == CLAIMS)
     with ExitStack() as opened:
-        datasets = {
-            name.removesuffix(".nc"): opened.enter_context(netcdf.read(folder / name))
-            for name in stage.inputs
-            if name.endswith(".nc") and (folder / name).exists()
-        }
-        decided = {
-            "study": datasets["responses"].attrs["study"],
-            "claims_file": path.name,
-            "made_from": dict(made_from(stage, folder, claims_source(path))),
-            **netcdf.provenance(),
-            **verdicts(stated, datasets),
-        }
-    if path.absolute() != (folder / CLAIMS_COPY).absolute():
-        with recording(folder / CLAIMS_COPY, is_recorded) as temporary:
-            temporary.write_bytes(path.read_bytes())
-    with recording(folder / CLAIMS, is_recorded) as temporary:
-        text = json.dumps(decided, indent=1, ensure_ascii=False, allow_nan=False)
+        yield Run(
+            {
+                name.removesuffix(".nc"): opened.enter_context(netcdf.read(folder / name))
+                for name in stage.inputs
+                if name.endswith(".nc") and (folder / name).exists()
+            }
+        )
+
+
+def _decide(stage: Stage, study: Study, folder: Path, now: MadeFrom) -> dict[str, Any]:
+    """Decide the claims of a study and write ``claims.json``."""
+    from gapsweep.analysis.verdicts import FaultyClaimError, verdicts
+
+    path = study.claims_module
+    assert path is not None, "the stage is left out without claims"
+    claims = _stated(path)
+    with _read(stage, folder) as run:
+        try:
+            found = verdicts(claims, run)
+        except FaultyClaimError as error:
+            cause = error.__cause__ or error
+            raise StudyError([beside.blame(path, cause, str(error))]) from None
+    return _write(folder / CLAIMS, study, {"claims_module": path.name}, now, found)
+
+
+def _draw(stage: Stage, study: Study, folder: Path, now: MadeFrom) -> dict[str, Any]:
+    """Make a study's own sections of the report and write ``sections.json``."""
+    from gapsweep.report.parts import rendered
+
+    path = study.report_module
+    assert path is not None, "the stage is left out without sections"
+    sections = _sections(path)
+    with _read(stage, folder) as run, beside.blaming(path, "sections"):
+        found = {"sections": rendered(sections(run))}
+    return _write(folder / SECTIONS, study, {"report_module": path.name}, now, found)
+
+
+def _write(
+    path: Path, study: Study, module: dict[str, str], now: MadeFrom, found: dict[str, Any]
+) -> dict[str, Any]:
+    """Write what code beside a study has found as JSON, with where it came from."""
+    whole = {"study": study.name, **module, "made_from": dict(now), **netcdf.provenance(), **found}
+    with recording(path, is_recorded) as temporary:
+        text = json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False)
         temporary.write_text(text + "\n", encoding="utf-8")
-    return decided
+    return whole
 
 
-def report(folder: str | Path) -> Path:
-    """Write ``report/index.html`` from the NetCDF files of a run.
+def report(folder: str | Path, study: Study | None = None) -> Path:
+    """Write ``report/index.html`` from the files of a run.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run; no file in it is ever executed.
+    study : Study, optional
+        Whose own sections are made anew; None shows those that are stored.
 
     Raises
     ------
-    StoreError
-        If the folder holds no run, or one of its files is damaged.
+    GapsweepError
+        If the folder holds no run, one of its files is damaged, or the study has no sections.
     """
-    with _run_in(Path(folder)):
-        return _report(Path(folder))
+    folder = Path(folder)
+    with _run_in(folder):
+        if study is not None:
+            _draw(*_own_stage(SECTIONS, study, folder))
+        return _report(folder)
 
 
 def _report(folder: Path) -> Path:
@@ -371,36 +495,34 @@ def _report(folder: Path) -> Path:
             return files.enter_context(netcdf.read(folder / name)) if there else None
 
         responses = files.enter_context(netcdf.read(folder / RESPONSES))
-        motions = stored(HISTORIES)
-        # A study that has since dropped its time histories leaves their file behind.
-        if motions is not None and motions.attrs["study_json"] != responses.attrs["study_json"]:
-            motions = None
         return write_report(
             folder / REPORT,
             responses,
             stored(AGREEMENT),
             files.enter_context(netcdf.read(folder / TIMING)),
             attractors=stored(ATTRACTORS),
-            histories=motions,
-            static=stored(STATIC),
             advice=stored(ADVICE),
-            claims=_decided(folder),
+            claims=_stored(folder / CLAIMS),
+            own_parts=(_stored(folder / SECTIONS) or {}).get("sections", ()),
             work_precision=stored(WORK_PRECISION),
             stability=stored(STABILITY),
             made_from=as_text(made_from(stage, folder, {})),
         )
 
 
-def _decided(folder: Path) -> dict[str, Any] | None:
-    """The verdicts of a run; None if there are none, or if they rest on other responses."""
-    path = folder / CLAIMS
+def _stored(path: Path) -> dict[str, Any] | None:
+    """Verdicts or sections of a run; None if there are none, or if they rest on other responses."""
     if not path.exists():
         return None
     if not is_intact(path):
-        raise StoreError(f"{path}: damaged; 'gapsweep claims {folder}' decides again")
-    decided: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    same = decided["made_from"].get(RESPONSES) == " ".join(digests(folder / RESPONSES))
-    return decided if same else None
+        command = "claims" if path.name == CLAIMS else "report"
+        raise StoreError(
+            f"{path}: damaged; 'gapsweep {command} {path.parent} --study FILE' makes it again"
+        )
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    same = found["made_from"].get(RESPONSES) == " ".join(digests(path.parent / RESPONSES))
+    is_of_now = CLAIMS_MODULE in found["made_from"] or REPORT_MODULE in found["made_from"]
+    return found if same and is_of_now else None
 
 
 def check_owner(study: Study, folder: Path) -> None:

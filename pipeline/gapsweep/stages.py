@@ -8,17 +8,19 @@ import hashlib
 import html
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from gapsweep.errors import ModelError, StoreError
+from gapsweep import beside
+from gapsweep.errors import ModelError, StudyError
 from gapsweep.execution.plan import Plan
-from gapsweep.store.artefact import digests, is_intact, sha256
+from gapsweep.store.artefact import digests, is_intact
 from gapsweep.store.cache import Cache
 from gapsweep.store.netcdf import attributes
-from gapsweep.study.fingerprint import code_fingerprint
+from gapsweep.study.fingerprint import code_fingerprint, imports_fingerprint
 from gapsweep.study.points import OURS, law_code
 from gapsweep.study.study import Study
 
@@ -26,6 +28,7 @@ RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
 HISTORIES, ADVICE, CLAIMS = "histories.nc", "advice.nc", "claims.json"
 WORK_PRECISION, STABILITY = "work_precision.nc", "stability.nc"
+SECTIONS = "sections.json"
 REPORT = "report/index.html"
 
 MadeFrom = Mapping[str, str]
@@ -46,7 +49,7 @@ class Stage:
     code : str
         The module that makes it; all that it imports counts too.
     inputs : tuple of str
-        What it is made from: files of the run, `STUDY`, `POINTS` or `CLAIMS_FILE`.
+        What it is made from: files of the run, `STUDY`, `POINTS`, or code beside the study.
     """
 
     file: str
@@ -54,8 +57,11 @@ class Stage:
     inputs: tuple[str, ...]
 
 
-# What is made from no file: the settings of the study, and its results in the cache.
-STUDY, POINTS, CLAIMS_FILE = "study", "sweep points", "claims file"
+# What is no file of the run: the settings of the study, its results in the cache, code beside it.
+STUDY, POINTS = "study", "sweep points"
+CLAIMS_MODULE, REPORT_MODULE = "claims module", "report module"
+# What claims and sections read, apart from the datasets that the study makes itself.
+_READ = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES)
 
 STAGES = (
     Stage(RESPONSES, "execution/assemble.py", (STUDY, POINTS)),
@@ -65,13 +71,10 @@ STAGES = (
     Stage(TIMING, "analysis/timing.py", (RESPONSES,)),
     Stage(HISTORIES, "analysis/histories.py", (STUDY,)),
     Stage(ADVICE, "analysis/advice.py", (STUDY,)),
-    Stage(
-        CLAIMS,
-        "analysis/claims.py",
-        (CLAIMS_FILE, RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING),
-    ),
+    Stage(CLAIMS, "analysis/verdicts.py", (CLAIMS_MODULE, *_READ)),
     Stage(WORK_PRECISION, "analysis/work_precision.py", (STUDY,)),
     Stage(STABILITY, "analysis/stability.py", (STUDY,)),
+    Stage(SECTIONS, "report/parts.py", (REPORT_MODULE, *_READ)),
     Stage(
         REPORT,
         "report/html.py",
@@ -84,6 +87,7 @@ STAGES = (
             HISTORIES,
             ADVICE,
             CLAIMS,
+            SECTIONS,
             WORK_PRECISION,
             STABILITY,
         ),
@@ -91,16 +95,50 @@ STAGES = (
 )
 
 
+def own_dataset(file: str) -> Stage:
+    """The stage of a dataset that a claims module makes."""
+    return Stage(file, "beside.py", (STUDY, _code_of(file)))
+
+
+def _code_of(file: str) -> str:
+    return f"code of {file}"
+
+
+def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
+    """What a study's claims module makes beside its claims: functions by the file they make.
+
+    Raises
+    ------
+    StudyError
+        If the module cannot be imported, or its ``DATASETS`` are not what they must be.
+    """
+    path = study.claims_module
+    if path is None:
+        return {}
+    given = getattr(beside.load(path), "DATASETS", {})
+    if not isinstance(given, Mapping):
+        raise StudyError([f"{path}: DATASETS: must be a dict from names to functions of the study"])
+    taken = {stage.file for stage in STAGES}
+    for name, function in given.items():
+        where = f"{path}: DATASETS: {name!r}"
+        if not isinstance(name, str) or not re.fullmatch("[a-z_]+", name):
+            raise StudyError([f"{where}: a name must be of the letters a to z and _"])
+        if f"{name}.nc" in taken:
+            raise StudyError([f"{where}: a file of gapsweep's own; choose another name"])
+        if not callable(function):
+            raise StudyError([f"{where}: must be a function of the study, not {function!r:.40}"])
+    return {f"{name}.nc": function for name, function in given.items()}
+
+
 def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
-    """Digests of what is no file of the run: settings of a study, its rows in the cache, claims."""
+    """Digests of what is no file of the run: settings of a study, rows in the cache, own code."""
     digest = hashlib.sha256()
     for start in range(0, len(plan.keys), _ROWS):
         some = plan.keys[start : start + _ROWS]
         stored = cache.checksums(some)
         for key in some:
             digest.update(key + stored.get(key, b"missing"))
-    found = {**study_source(study), POINTS: digest.hexdigest()}
-    return {**found, **(claims_source(study.claims_file) if study.claims_file else {})}
+    return {**study_source(study), POINTS: digest.hexdigest(), **module_sources(study)}
 
 
 def study_source(study: Study) -> MadeFrom:
@@ -108,18 +146,26 @@ def study_source(study: Study) -> MadeFrom:
     return {STUDY: hashlib.sha256((study.json + _own_laws(study)).encode()).hexdigest()}
 
 
-def claims_source(path: Path) -> MadeFrom:
-    """Digest of a claims file: a threshold changed there makes every verdict stale.
+def module_sources(study: Study) -> MadeFrom:
+    """Digests of the code beside a study: an edit there makes what it decides or draws stale.
 
     Raises
     ------
-    StoreError
-        If the file cannot be read.
+    StudyError
+        If it cannot be read or imported.
     """
-    try:
-        return {CLAIMS_FILE: sha256(path)}
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror}") from None
+    modules = {CLAIMS_MODULE: study.claims_module, REPORT_MODULE: study.report_module}
+    found = {name: _code(path) for name, path in modules.items() if path is not None}
+    for file, function in own_datasets(study).items():
+        assert study.claims_module is not None, "datasets come from there"
+        found[_code_of(file)] = _code(beside.file_of(function, study.claims_module))
+    return found
+
+
+def _code(path: Path) -> str:
+    """Digest of code beside a study, and of all of ours that it imports."""
+    found = beside.sources(path)
+    return f"{found.digest} {imports_fingerprint(found.imports)}"
 
 
 def _own_laws(study: Study) -> str:

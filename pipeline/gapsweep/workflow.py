@@ -28,6 +28,7 @@ from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.recorder import Recorder
 from gapsweep.make import (
+    check_modules,
     check_owner,
     check_writable,
     failed_motions,
@@ -43,7 +44,6 @@ from gapsweep.store.artefact import alone_in
 from gapsweep.store.cache import Cache, DamagedCacheError, is_sound
 from gapsweep.store.maintenance import numerics_of, representation_of
 from gapsweep.store.salvage import salvage
-from gapsweep.study.claims import read_claims
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.study import Selection, Study
 
@@ -243,11 +243,8 @@ def carry_out(
     check_writable(folder)
     check_owner(study, folder)
     planned = plan(study, cache, retry_failed=retry_failed)
-    if study.claims_file is not None and planned.n_missing:
-        from gapsweep.analysis.claims import check_variables
-
-        # Before anything is computed: the datasets that it names come last.
-        check_variables(read_claims(study.claims_file), str(study.claims_file))
+    if planned.n_missing:
+        check_modules(study)  # now, though what they make comes last
     with Recorder(folder, study, cache_path(cache), planned, on_progress) as recorder:
 
         def begin() -> None:

@@ -1,94 +1,190 @@
-"""Claims in a whole run: made once, made again when a threshold changes, shown by the command."""
+"""A study with Python beside it: verdicts, datasets and sections of its own, in a whole run."""
 
 import json
+import os
 
 import pytest
 
 import gapsweep as gs
 from gapsweep import workflow
-from gapsweep.analysis import static
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
-from gapsweep.stages import CLAIMS, REPORT
+from gapsweep.stages import CLAIMS, REPORT, SECTIONS
 
-TEXT = """
-[[claim]]
-id = 1
-place = "Fig. 1"
-text = "Tanh has a larger force error than the polynomial."
-why = "The larger of two errors."
+STUDY = """
+[study]
+name = "small"
+[[sweep]]
+representation = ["piecewise", "tanh-1e4", "poly-13"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = [7.0, 12.0, 20.0]
+[steady]
+settle_tol = 1e-2
+n_periods = 16
+max_period_multiple = 8
+[claims]
+module = "claims.py"
+[report]
+module = "figures.py"
+"""
+WIDTHS = """
+import xarray as xr
 
-[[claim.test]]
-says = "error of tanh over that of the polynomial"
-kind = "compare"
-number = { data = "static", variable = "rmse", at = { representation = "tanh-1e4" } }
-against = { at = { representation = "poly-13" } }
-op = ">"
-threshold = 1.0
+def widths(study):
+    return xr.Dataset({"width": ("gap", [gap.width for gap in study.grid.gaps])})
+"""
+CLAIMS_PY = """
+from gapsweep.analysis.verdicts import Number, Test, claim
+from .widths import widths
 
-[[claim]]
-id = 2
-place = "Fig. 2"
-text = "Tanh is nearly exact."
-why = "There is no second exact law, so there is no floor."
+DATASETS = {"widths": widths}
 
-[[claim.test]]
-says = "amplitude error"
-kind = "compare"
-number.data = "agreement"
-number.variable = "amplitude_error"
-number.at = { representation = "tanh-1e4" }
-number.statistic = "median"
-op = "<"
-threshold = 0.05
+@claim(1, "Fig. 1", "Tanh has a larger force error than the polynomial.", "The larger of two.")
+def larger(run):
+    rmse = run["static"]["rmse"]
+    tanh, poly = (rmse.sel(representation=r).item() for r in ("tanh-1e4", "poly-13"))
+    ratio = tanh / poly
+    return [Test("error over that of poly-13", Number(ratio), ">", 1.0)], f"{ratio:.2g} times."
+
+@claim(2, "Fig. 2", "The gap is wide.", "It is the width.")
+def wide(run):
+    width = Number(run["widths"]["width"].item())
+    return [Test("width [m]", width, ">=", 0.5e-3)], f"{width} m."
+"""
+FIGURES_PY = """
+from matplotlib.figure import Figure
+from gapsweep.report.parts import Figured, Part, Table
+
+def sections(run):
+    figure = Figure()
+    figure.subplots().plot(run["responses"]["omega"], label="<b>")
+    figured = Figured(figure, "Frequencies <i>.", "A rising line")
+    yield Part("own", "Own section", ["Said."], [Table("Widths", ["a"], [["1 < 2"]])], [figured])
 """
 
 
 @pytest.fixture
-def study(tables, tmp_path, monkeypatch):
-    # The ladders of fits take a minute, and no claim here asks for them.
-    monkeypatch.setattr(static, "static", lambda study, **how: static.law_statics(study))
-    (tmp_path / "claims.toml").write_text(TEXT)
-    return gs.Study.from_dict(tables | {"claims": {"file": str(tmp_path / "claims.toml")}})
+def folder(tmp_path):
+    texts = {"study.toml": STUDY, "claims.py": CLAIMS_PY, "figures.py": FIGURES_PY}
+    for name, text in {**texts, "widths.py": WIDTHS}.items():
+        (tmp_path / name).write_text(text)
+    return tmp_path
 
 
-def test_claims_are_decided_once_and_again_when_a_threshold_changes(
-    study, client, tmp_path, capsys
-):
-    out, cache = tmp_path / "out", tmp_path / "cache.sqlite"
-    gs.run(study, client, out=out, cache=cache).close()
-    decided = json.loads((out / CLAIMS).read_text())
-    assert [claim["verdict"] for claim in decided["claims"]] == ["refuted", "undecidable"]
-    assert "no floor" in decided["claims"][1]["sentence"]
-    planned = workflow.plan(study, cache)
-    assert not any(workflow.stage_reasons(study, planned, out, cache).values())
-
-    (tmp_path / "claims.toml").write_text(TEXT.replace("threshold = 1.0", "threshold = 0.01"))
-    reasons = workflow.stage_reasons(study, planned, out, cache)
-    assert {file for file, reason in reasons.items() if reason} == {CLAIMS, REPORT}
-    assert reasons[CLAIMS] == "claims file changed"
-    gs.run(study, client, out=out, cache=cache).close()
-    assert json.loads((out / CLAIMS).read_text())["claims"][0]["verdict"] == "confirmed"
-
-    # The run keeps its claims, so that the command needs nothing but the folder.
-    (tmp_path / "claims.toml").unlink()
-    assert exit_code(["claims", str(out), "--json"]) == FINISHED
-    assert json.loads(capsys.readouterr().out)["counts"]["confirmed"] == 1
-    assert exit_code(["claims", str(out)]) == FINISHED
-    assert "2 claims: 1 confirmed" in capsys.readouterr().out
-
-    (out / "static.nc").unlink()
-    assert exit_code(["claims", str(out)]) == FINISHED
-    assert "no static.nc in this run" in capsys.readouterr().out
+def changed(folder, name, old, new):
+    path = folder / name
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
 
 
-def test_a_claims_file_is_refused_before_anything_is_computed(study, client, tmp_path):
-    (tmp_path / "claims.toml").write_text(TEXT.replace('"rmse"', '"nonsense"'))
-    with pytest.raises(gs.GapsweepError, match="nonsense"):
-        gs.run(study, client, out=tmp_path / "out", cache=tmp_path / "cache.sqlite")
-    assert not (tmp_path / "out").exists()
-    assert not (tmp_path / "cache.sqlite").exists()
+def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
+    out, cache = folder / "out", folder / "cache.sqlite"
+    study = gs.Study.load(folder / "study.toml")
+
+    def again():
+        gs.run(study, client, out=out, cache=cache).close()
+        return json.loads((out / CLAIMS).read_text())
+
+    def reasons():
+        found = workflow.stage_reasons(study, workflow.plan(study, cache), out, cache)
+        return {file: reason for file, reason in found.items() if reason}
+
+    decided = again()
+    assert [claim["verdict"] for claim in decided["claims"]] == ["refuted", "confirmed"]
+    assert decided["claims_module"] == "claims.py"
+    assert reasons() == {}
+    page = (out / REPORT).read_text()
+    assert page.index("Own section") < page.index("K_c = ")
+    for words in ("1 &lt; 2", "Frequencies &lt;i&gt;.", 'aria-label="A rising line"', "not &gt; 1"):
+        assert words in page, words
+
+    # A threshold re-decides, and computes no dataset anew.
+    changed(folder, "claims.py", '">", 1.0', '">", 0.01')
+    assert reasons() == {CLAIMS: "claims module changed", REPORT: "claims.json made anew"}
+    before = (out / "widths.nc").stat().st_mtime_ns
+    assert [claim["verdict"] for claim in again()["claims"]] == ["confirmed", "confirmed"]
+    assert (out / "widths.nc").stat().st_mtime_ns == before
+
+    # The code of a dataset is that of the neighbour that holds it.
+    changed(folder, "widths.py", "gap.width for", "gap.width / 2 for")
+    assert set(reasons()) == {"widths.nc", CLAIMS, SECTIONS, REPORT}
+    assert reasons()["widths.nc"] == "code of widths.nc changed"
+    assert [claim["verdict"] for claim in again()["claims"]] == ["confirmed", "refuted"]
+    changed(folder, "figures.py", "Own section", "Section of mine")
+    assert set(reasons()) == {SECTIONS, REPORT}
+    again()
+
+    # The commands run no file of the run's folder.
+    capsys.readouterr()
+    for name in ("claims.py", "figures.py", "widths.py", "gapsweep.py", "sitecustomize.py"):
+        (out / name).write_text("raise SystemExit('executed')")
+    monkeypatch.chdir(out)
+    for arguments in (["claims", "."], ["report", "."]):
+        assert exit_code(arguments) == FINISHED
+    told = capsys.readouterr().out
+    assert "2 claims: 1 confirmed, 1 refuted" in told
+    assert "written" not in told
+    assert "Section of mine" in (out / REPORT).read_text()
+
+    # With the study, both are made anew.
+    changed(folder, "claims.py", '">", 0.01', '">", 1.0')
+    changed(folder, "figures.py", "Section of mine", "Another")
+    given = ["--study", os.fspath(folder / "study.toml")]
+    assert exit_code(["claims", ".", "--json", *given]) == FINISHED
+    assert json.loads(capsys.readouterr().out)["counts"]["refuted"] == 2
+    assert exit_code(["report", ".", *given]) == FINISHED
+    assert "Another" in (out / REPORT).read_text()
+    assert reasons() == {}
+
+    (out / "widths.nc").unlink()
+    assert exit_code(["claims", ".", *given]) == FINISHED
+    assert "the run has no widths.nc" in capsys.readouterr().out
+
+    # What is wrong with a claim is one line.
+    changed(folder, "claims.py", 'rmse = run["static"]', 'rmse = 1 / 0\n    rmse = run["static"]')
+    assert exit_code(["claims", ".", *given]) == FAULT
+    line = CLAIMS_PY[: CLAIMS_PY.index("rmse =")].count("\n") + 1
+    expected = f"error: {folder / 'claims.py'}:{line}: claim 1: ZeroDivisionError: division by zero"
+    assert capsys.readouterr().err == expected + "\n"
+    changed(folder, "figures.py", "figure = Figure()", "figure = None.figure")
+    assert exit_code(["report", ".", *given]) == FAULT
+    assert "figures.py:6: sections: AttributeError: 'Non" in capsys.readouterr().err
 
 
-def test_command_names_what_is_missing(tmp_path, capsys):
-    assert exit_code(["claims", str(tmp_path)]) == FAULT
+@pytest.mark.parametrize(
+    ("name", "old", "new", "said"),
+    [
+        ("claims.py", "def larger(run):", "def larger(run:", "claims.py:8: SyntaxError"),
+        ("widths.py", "import xarray", "import nonsense", "widths.py:2: ModuleNotFoundError"),
+        ("claims.py", "@claim(2", "@claim(1", "claims.py: claim 1: stated more than once"),
+        ("claims.py", "@claim", "# claim", "claims.py: no claims"),
+        ("claims.py", '"widths":', '"static":', "'static': a file of gapsweep's own"),
+        ("claims.py", '"widths":', '"Widths":', "'Widths': a name must be of the letters"),
+        ("claims.py", ": widths}", ": 1}", "'widths': must be a function of the study, not 1"),
+        ("figures.py", "def sections", "def others", "figures.py: no function sections(run)"),
+    ],
+)
+def test_faulty_code_is_refused_before_anything_is_computed(folder, name, old, new, said, capsys):
+    changed(folder, name, old, new)
+    command = ["run", str(folder / "study.toml"), "--out", str(folder / "out")]
+    assert exit_code([*command, "--cache", str(folder / "cache.sqlite")]) == FAULT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert not (folder / "out").exists()
+    assert not (folder / "cache.sqlite").exists()
+
+
+def test_commands_name_what_is_missing(folder, tables, client, capsys):
+    assert exit_code(["claims", str(folder)]) == FAULT
     assert "gapsweep run" in capsys.readouterr().err
+    out = folder / "plain"
+    gs.run(gs.Study.from_dict(tables), client, out=out, cache=folder / "cache.sqlite").close()
+    assert exit_code(["claims", str(out)]) == FAULT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"'gapsweep claims {out} --study FILE' decides" in line
+    plain = folder / "plain.toml"
+    plain.write_text(STUDY[: STUDY.index("[claims]")])
+    for command in ("claims", "report"):
+        assert exit_code([command, str(out), "--study", str(plain)]) == FAULT
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"plain.toml: {command}: missing" in line

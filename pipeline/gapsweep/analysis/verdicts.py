@@ -31,6 +31,19 @@ class NotInRunError(Exception):
     """What a claim needs and the run has not: it leaves the claim undecidable."""
 
 
+class FaultyClaimError(Exception):
+    """What the function of a claim has raised is its cause.
+
+    Parameters
+    ----------
+    id : int
+        Of the claim.
+    """
+
+    def __init__(self, id: int) -> None:
+        super().__init__(f"claim {id}")
+
+
 @dataclass(frozen=True, slots=True)
 class Number:
     """A number and what may be in doubt about it.
@@ -170,6 +183,25 @@ class Claim:
         }
 
 
+def stated(names: Mapping[str, Any]) -> list[Claim]:
+    """The claims among the names of a module.
+
+    Raises
+    ------
+    ValueError
+        If there are none, or two have one id.
+    """
+    found = list(
+        {id(value): value for value in names.values() if isinstance(value, Claim)}.values()
+    )
+    twice = [str(n) for n, count in Counter(one.id for one in found).items() if count > 1]
+    if not found:
+        raise ValueError("no claims: a claim is a function under @claim, see docs/claims.md")
+    if twice:
+        raise ValueError(f"claim {', '.join(twice)}: stated more than once; number them apart")
+    return found
+
+
 def claim(id: int, place: str, text: str, why: str) -> Callable[[Callable[["Run"], Found]], Claim]:
     """Make a claim of the function below it."""
     return lambda find: Claim(id, place, text, why, find)
@@ -192,8 +224,18 @@ def verdicts(claims: Iterable[Claim], run: "Run") -> dict[str, Any]:
     -------
     dict
         ``claims``, in the order of their ids, and ``counts`` by verdict; fit for JSON.
+
+    Raises
+    ------
+    FaultyClaimError
+        If a claim's function raises anything but `NotInRunError`.
     """
-    decided = [claim.decided(run) for claim in sorted(claims, key=lambda claim: claim.id)]
+    decided = []
+    for claim in sorted(claims, key=lambda claim: claim.id):
+        try:
+            decided.append(claim.decided(run))
+        except Exception as error:
+            raise FaultyClaimError(claim.id) from error
     counts = Counter(entry["verdict"] for entry in decided)
     return {"counts": {name: counts[name] for name in VERDICTS}, "claims": decided}
 
@@ -202,12 +244,12 @@ def _as_json(test: Test) -> dict[str, Any]:
     number = test.number
     return {
         "says": test.says,
-        "value": number.value if math.isfinite(number.value) else None,
-        "floor": number.floor if math.isfinite(number.floor) else None,
+        "value": float(number.value) if math.isfinite(number.value) else None,
+        "floor": float(number.floor) if math.isfinite(number.floor) else None,
         "op": test.op,
-        "threshold": test.threshold,
+        "threshold": float(test.threshold),
         "holds": test.holds,
-        "n": number.n,
+        "n": int(number.n),
     }
 
 

@@ -318,35 +318,39 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
 
 @commands.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-def report(folder: Path) -> int:
-    """Rebuild the report of a run from its NetCDF files alone.
+@options.beside
+def report(folder: Path, study: Path | None) -> int:
+    """Rebuild the report of a run from its files alone.
+
+    Sections that a study makes itself ([report] module) are shown as they are stored, or made
+    anew with --study. No file in DIR is executed.
 
     \b
-    Example:
+    Examples:
       gapsweep report data/runs/quick
+      gapsweep report data/runs/paper --study workflows/paper/study.toml
     """
-    click.echo(f"report: {make.report(folder)}")
+    shown = make.report(folder, Study.load(study) if study else None)
+    click.echo(f"report: {shown}")
     return FINISHED
 
 
 @commands.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option(
-    "--file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Claims to decide.  [default: those of the run, claims.toml in DIR]",
-)
+@options.beside
 @options.as_json
-def claims(folder: Path, file: Path | None, as_json: bool) -> int:
-    """Decide claims from the NetCDF files of a run.
+def claims(folder: Path, study: Path | None, as_json: bool) -> int:
+    """Show the verdicts of a run, or decide its claims anew.
 
-    The verdicts are printed and written to claims.json in DIR.
+    With --study, the claims of that study ([claims] module) are decided from the datasets in DIR
+    and written to claims.json there. No file in DIR is executed.
 
     \b
-    Example:
+    Examples:
       gapsweep claims data/runs/paper
+      gapsweep claims data/runs/paper --study workflows/paper/study.toml
     """
-    decided = make.claims(folder, file)
+    decided = make.claims(folder, Study.load(study) if study else None)
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED
@@ -355,7 +359,8 @@ def claims(folder: Path, file: Path | None, as_json: bool) -> int:
         click.echo(f"     {claim['sentence']}")
     counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
     click.echo(f"{len(decided['claims'])} claims: {counts}")
-    click.echo(f"written: {folder / CLAIMS}")
+    if study:
+        click.echo(f"written: {folder / CLAIMS}")
     return FINISHED
 
 

@@ -37,6 +37,12 @@ workers = click.option(
     "--workers", type=click.IntRange(min=1), default=2, show_default=True, help="Local processes."
 )
 scheduler = click.option("--scheduler", metavar="ADDRESS", help="Use a running Dask scheduler.")
+beside = click.option(
+    "--study",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Study whose Python modules are run for this.  [default: show what is stored]",
+)
 as_json = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 selection = click.option(
     "--sel",

@@ -2,12 +2,11 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 
 from gapsweep.analysis.pareto import TARGETS, corners
 from gapsweep.analysis.stability import Outcome
@@ -18,6 +17,7 @@ from gapsweep.report.bench_figures import (
     work_precision_figure,
     worst,
 )
+from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.status import Status
 
 # Errors from here on are those that a chart is looked at for.
@@ -30,35 +30,6 @@ class Conclusions:
 
     sentences: list[str]
     numbers: dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table of texts."""
-
-    title: str
-    header: list[str]
-    rows: list[list[str]]
-
-
-@dataclass(frozen=True, slots=True)
-class BenchFigure:
-    """A figure with its caption and what a screen reader says."""
-
-    figure: Figure
-    caption: str
-    description: str
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """One section of the report."""
-
-    anchor: str
-    title: str
-    sentences: list[str]
-    tables: list[Table] = field(default_factory=list)
-    figures: list[BenchFigure] = field(default_factory=list)
 
 
 def bench_parts(work_precision: xr.Dataset | None, stability: xr.Dataset | None) -> Iterator[Part]:
@@ -181,7 +152,7 @@ def _cheapest_table(bench: xr.Dataset) -> Table:
 
 def _work_precision_part(bench: xr.Dataset) -> Part:
     figures = [
-        BenchFigure(
+        Figured(
             work_precision_figure(bench.isel(scene=bench["K_c"].values == K_c)),
             f"K_c = {K_c:g} N/m. Error against the exact law and processor time per simulated "
             "second, every point a tolerance. Filled and ringed: on the front, nothing is both "
@@ -193,7 +164,7 @@ def _work_precision_part(bench: xr.Dataset) -> Part:
         for K_c in np.unique(bench["K_c"].values).tolist()
     ]
     figures.append(
-        BenchFigure(
+        Figured(
             tolerance_figure(bench),
             "Tolerance asked for and error got against the same law's own solution, medians over "
             "the scenes: displacement and velocity at period ends, contact times, steady "
@@ -264,7 +235,7 @@ def _stability_part(stability: xr.Dataset) -> Part:
         f"Ended with a status: {letters}. A cell shows the worst outcome of its tolerances."
     )
     figures = [
-        BenchFigure(
+        Figured(
             atlas(stability, tight=tight),
             ("Tolerances of 1e-6 and tighter. " if tight else "Looser tolerances. ") + legend,
             f"Failure atlas, {'tight' if tight else 'loose'} tolerances",

@@ -12,7 +12,7 @@ from gapsweep.report.tables import VERDICTS, number, percent
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
-# The thickness of a plotted line: what the claims call agreement, too (data/paper/claims.toml).
+# The thickness of a plotted line: what the paper's claims call agreement, too.
 FAITHFUL = 0.05
 _SCENE = ("K_c", "gap")
 

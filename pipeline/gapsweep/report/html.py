@@ -2,9 +2,8 @@
 
 import base64
 import hashlib
-import io
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,12 @@ import jinja2
 import matplotlib
 import xarray as xr
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
-from gapsweep.report.bench import Part, bench_parts
+from gapsweep.report.bench import bench_parts
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.findings import findings, outcomes, overview
-from gapsweep.report.paper import Drawn, cost_tables, paper_figures
+from gapsweep.report.parts import for_page, rendered, svg
 from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.style import MATPLOTLIB
 from gapsweep.report.tables import VERDICTS, Row, agreement_rows, claim_rows, number, timing_rows
@@ -50,10 +48,9 @@ def write_report(
     timing: xr.Dataset,
     *,
     attractors: xr.Dataset | None = None,
-    histories: xr.Dataset | None = None,
-    static: xr.Dataset | None = None,
     advice: xr.Dataset | None = None,
     claims: Mapping[str, Any] | None = None,
+    own_parts: Sequence[Mapping[str, Any]] = (),
     work_precision: xr.Dataset | None = None,
     stability: xr.Dataset | None = None,
     made_from: str = "",
@@ -68,12 +65,12 @@ def write_report(
         As stored in the run's folder; `agreement` is None if the exact law was not swept.
     attractors : Dataset, optional
         As stored in the run's folder; drawn where there are several starts.
-    histories, static : Dataset, optional
-        As stored in the run's folder, for the paper's figures.
     advice : Dataset, optional
         As stored in the run's folder, where ``auto`` is a representation.
     claims : mapping, optional
         What stands in ``claims.json``.
+    own_parts : sequence of mapping
+        The sections that stand in ``sections.json``.
     work_precision, stability : Dataset, optional
         As stored in the run's folder, for the sections of the benchmark.
     made_from : str
@@ -90,8 +87,7 @@ def write_report(
     with matplotlib.rc_context(MATPLOTLIB):
         scenes = Scenes(responses)
         sections = list(_sections(responses, scenes, agreement, timing, attractors))
-        paper = list(_paper(paper_figures(responses, histories, static, scenes)))
-        bench = list(_bench(bench_parts(work_precision, stability)))
+    parts = [*own_parts, *rendered(bench_parts(work_precision, stability))]
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
@@ -103,9 +99,7 @@ def write_report(
         script=Markup(script),  # our own file, without anything of the user's
         script_digest=_digest(script),
         sections=sections,
-        paper=paper,
-        costs=list(cost_tables(timing)),
-        bench=bench,
+        parts=[for_page(part) for part in parts],
         statuses=_status_counts(responses),
         measured_on=timing.attrs["measured_on"],
         provenance=_provenance(responses),
@@ -157,8 +151,8 @@ def _sections(
                 # Curves of many starts would cross between attractors: these have their own panels.
                 frequency_response=None
                 if several
-                else _svg(frequency_response(shown), f"Frequency response, {title}"),
-                bifurcation=_svg(bifurcation(shown), f"Bifurcation diagram, {title}"),
+                else svg(frequency_response(shown), f"Frequency response, {title}"),
+                bifurcation=svg(bifurcation(shown), f"Bifurcation diagram, {title}"),
                 attractors=several,
                 agreement=rows,
                 timing=list(timing_rows(timing.isel(at).load(), labels)),
@@ -179,38 +173,13 @@ def _attractors(
         representation=scene["representation"].values[here.values],
         omega=scene["omega"].values[several.any("representation").values],
     )
-    return _svg(attractor_panels(found), f"Attractors and their basins, {title}")
+    return svg(attractor_panels(found), f"Attractors and their basins, {title}")
 
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
     """The representations as they are; those of other solver settings if there is nothing else."""
     plain = [i for i, label in enumerate(scene["representation"].values) if "@" not in str(label)]
     return swept(scene.isel(representation=plain)) if plain else scene
-
-
-def _paper(figures: Iterable[Drawn]) -> Iterator[dict[str, Any]]:
-    for drawn in figures:
-        yield {
-            "number": drawn.number,
-            "title": drawn.title,
-            "caption": drawn.caption,
-            "svg": _svg(drawn.figure, drawn.description),
-        }
-
-
-def _bench(parts: Iterable[Part]) -> Iterator[dict[str, Any]]:
-    for part in parts:
-        figures = [
-            {"svg": _svg(each.figure, each.description), "caption": each.caption}
-            for each in part.figures
-        ]
-        yield {
-            "anchor": part.anchor,
-            "title": part.title,
-            "sentences": part.sentences,
-            "tables": part.tables,
-            "figures": figures,
-        }
 
 
 def _status_counts(responses: xr.Dataset) -> list[tuple[str, int]]:
@@ -229,15 +198,3 @@ def _provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
         ("Machine", f"{attributes['host']} ({attributes['machine']})"),
         ("Versions", ", ".join(f"{name} {number}" for name, number in versions.items())),
     ]
-
-
-def _svg(figure: Figure, description: str) -> Markup:
-    """The figure as inline SVG with an accessible description."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", dpi=150, metadata={"Date": None})
-    figure.clear()  # its cycles would keep every figure's data until the collector comes by
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :]
-    label = Markup('<svg role="img" aria-label="{}"').format(description)
-    # matplotlib made this text from numbers and escaped labels.
-    return Markup(svg.replace("<svg", str(label), 1))

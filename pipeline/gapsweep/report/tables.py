@@ -97,23 +97,32 @@ def timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[Row]:
 
 
 def claim_rows(decided: Mapping[str, Any]) -> Iterator[Row]:
-    """The claims of ``claims.json``, their numbers as texts."""
+    """The claims of ``claims.json``, their tests as texts."""
     for claim in decided["claims"]:
         tests = [
             {
                 "says": test["says"],
-                "outcome": _OUTCOMES[test["holds"]],
-                "found": test["found"] or test["reason"],
-                "floor": "–" if test["floor"] is None else number(test["floor"]),
+                "outcome": outcome(test),
+                "floor": number(test["floor"]) if test["floor"] else "–",
                 "n": test["n"],
-                "n_missing": test["n_missing"],
             }
             for test in claim["tests"]
         ]
         yield {**claim, "sign": _SIGNS[claim["verdict"]], "tests": tests}
 
 
-_OUTCOMES = {True: "holds", False: "does not hold", None: "open"}
+def outcome(test: Mapping[str, Any]) -> str:
+    """What came of a test of ``claims.json``, in a few words."""
+    wanted = f"{_SHOWN_AS.get(test['op'], test['op'])} {number(test['threshold'])}"
+    if test["value"] is None:
+        return f"open: no number, asked for {wanted}"
+    value = number(test["value"])
+    if test["holds"] is None:
+        return f"open: {value} is within its floor of {wanted}"
+    return f"{value} {wanted} holds" if test["holds"] else f"{value}, not {wanted}"
+
+
+_SHOWN_AS = {"<=": "≤", ">=": "≥"}
 _SIGNS = {"confirmed": "✓", "refuted": "✗", "partly": "◐", "undecidable": "?"}
 
 

@@ -6,6 +6,7 @@ the plain immutable values that the rest of the package works with.
 """
 
 import tomllib
+from pathlib import PurePath
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -321,10 +322,34 @@ class BenchTable(_Table):
         return self
 
 
-class ClaimsTable(_Table):
-    """Presence asks for verdicts; the path is relative to the study file."""
+def _python_file(path: str) -> str:
+    if not (path.endswith(".py") and PurePath(path).stem.isidentifier()):
+        raise ValueError("must be the path of a Python file, as 'claims.py'")
+    return path
 
-    file: Annotated[str, Field(min_length=1)]
+
+class ModuleTable(_Table):
+    """Python beside the study: `module` is a path relative to the study file."""
+
+    module: Annotated[str, AfterValidator(_python_file)]
+
+
+class ClaimsTable(ModuleTable):
+    """Presence asks for verdicts."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _not_of_old(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "file" in given:
+            raise ValueError(
+                f"file = {given['file']!r}: claims are functions now: write them in Python and put "
+                'module = "claims.py" here instead, see docs/claims.md'
+            )
+        return given
+
+
+class ReportTable(ModuleTable):
+    """Presence asks for sections of the study's own in the report."""
 
 
 class StudySpec(_Table):
@@ -339,6 +364,7 @@ class StudySpec(_Table):
     history: list[HistoryTable] = []
     bench: BenchTable | None = None
     claims: ClaimsTable | None = None
+    report: ReportTable | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "StudySpec":

@@ -16,11 +16,11 @@ from gapsweep.model.labels import AUTO, canonical_label
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advise
-from gapsweep.study.claims import read_claims
 from gapsweep.study.points import FIXED, Point, Start, canonical, content_key, law_code
 from gapsweep.study.spec import (
     MAX_POINTS,
     HistoryTable,
+    ModuleTable,
     SobolStarts,
     SolverTable,
     StudySpec,
@@ -136,8 +136,7 @@ class Study:
             _ = self._protocols
         except ModelError as error:
             raise StudyError([f"{self.source}: solver: {error}"]) from None
-        if self.claims_file is not None:
-            read_claims(self.claims_file)
+        self._check_modules()
         cells = int(np.prod([len(axis) for axis in self._axes], dtype=np.int64))
         if cells > MAX_POINTS:
             raise StudyError(
@@ -147,6 +146,20 @@ class Study:
                 ]
             )
         return self
+
+    def _check_modules(self) -> None:
+        """Refuse code beside the study that cannot be read; none of it is run."""
+        problems = []
+        for table, path in (("claims", self.claims_module), ("report", self.report_module)):
+            try:
+                if path is not None:
+                    path.read_bytes()
+            except OSError as error:
+                problems.append(
+                    f"{self.source}: {table}.module: {path} cannot be read: {error.strerror}"
+                )
+        if problems:
+            raise StudyError(problems)
 
     @property
     def name(self) -> str:
@@ -162,10 +175,17 @@ class Study:
         return json.dumps(self.spec.model_dump(exclude_none=True), sort_keys=True)
 
     @property
-    def claims_file(self) -> Path | None:
-        """The claims to decide, beside the study file unless its path says otherwise."""
-        table = self.spec.claims
-        return None if table is None else Path(self.source).parent / table.file
+    def claims_module(self) -> Path | None:
+        """The Python file that states the claims, beside the study file."""
+        return self._beside(self.spec.claims)
+
+    @property
+    def report_module(self) -> Path | None:
+        """The Python file that makes sections of the report, beside the study file."""
+        return self._beside(self.spec.report)
+
+    def _beside(self, table: ModuleTable | None) -> Path | None:
+        return None if table is None else Path(self.source).parent / table.module
 
     @cached_property
     def oscillator(self) -> Oscillator:

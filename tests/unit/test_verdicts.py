@@ -1,0 +1,221 @@
+"""Claims: numbers with their floors, tests, and the rule that makes a verdict of them."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from gapsweep.analysis.verdicts import (
+    CONFIRMED,
+    PARTLY,
+    REFUTED,
+    UNDECIDABLE,
+    Claim,
+    FaultyClaimError,
+    NotInRunError,
+    Number,
+    Run,
+    Test,
+    claim,
+    ratio_of_sums,
+    share,
+    stated,
+    verdict,
+    verdicts,
+)
+from gapsweep.status import Status
+
+NUMBERS = st.floats(-1e6, 1e6)
+DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
+
+
+# --- numbers ---------------------------------------------------------------------------------
+
+
+def test_the_floor_of_a_share_is_the_spread_of_shares_among_so_many():
+    rng = np.random.default_rng(1)
+    for n, likely in ((30, 0.5), (100, 0.2), (300, 0.9)):
+        shares = [share(hits) for hits in rng.random((2000, n)) < likely]
+        floors = np.mean([one.floor for one in shares])
+        assert_allclose(floors, np.std([one.value for one in shares]), rtol=0.1)
+
+
+@pytest.mark.parametrize(("hits", "value"), [([True] * 4, 1.0), ([False] * 4, 0.0)])
+def test_all_or_none_of_a_few_is_not_certain(hits, value):
+    found = share(hits)
+    assert (found.value, found.n, found.low, found.high) == (value, 4, 0.0, 1.0)
+    assert 0.1 < found.floor < 0.3
+
+
+def test_a_ratio_of_sums_has_the_spread_of_other_samples_of_points():
+    rng = np.random.default_rng(2)
+    below = rng.lognormal(size=(400, 200))
+    above = 3.0 * below * rng.lognormal(sigma=0.3, size=below.shape)
+    found = [ratio_of_sums(a, b) for a, b in zip(above, below, strict=True)]
+    assert_allclose(found[0].value, above[0].sum() / below[0].sum())
+    spread = np.std([one.value for one in found])
+    assert_allclose(np.mean([one.floor for one in found]), spread, rtol=0.15)
+
+
+def test_a_ratio_of_sums_takes_the_points_that_have_both():
+    found = ratio_of_sums([2.0, np.nan, 4.0, 1.0], [1.0, 1.0, 2.0, np.nan])
+    assert (found.value, found.n) == (2.0, 2)
+    assert found.floor == 0.0  # each point has the same ratio
+    assert ratio_of_sums([2.0], [1.0]).floor == 0.0
+
+
+def test_of_nothing_there_is_no_number():
+    for made in (lambda: share([]), lambda: ratio_of_sums([np.nan], [1.0])):
+        with pytest.raises(NotInRunError):
+            made()
+
+
+def test_differences_and_ratios_carry_their_floors():
+    one, other = Number(3.0, 0.3, 0.0, 4.0, 5), Number(2.0, 0.4, 0.0, 4.0, 6)
+    difference = one - other
+    assert (difference.value, difference.low, difference.high) == (1.0, -4.0, 4.0)
+    assert_allclose(difference.floor, 0.5)
+    ratio = one / other
+    assert (ratio.value, ratio.low, ratio.n) == (1.5, 0.0, 11)
+    assert_allclose(ratio.floor, math.hypot(0.3, 1.5 * 0.4) / 2.0)
+    assert math.isnan((one / Number(0.0)).value)
+
+
+# --- tests and verdicts ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "op", "threshold", "holds"),
+    [
+        (1.0, "<", 2.0, True), (2.0, "<", 2.0, False), (2.0, "<=", 2.0, True),
+        (3.0, "<=", 2.0, False), (3.0, ">", 2.0, True), (2.0, ">", 2.0, False),
+        (2.0, ">=", 2.0, True), (1.0, ">=", 2.0, False), (math.nan, "<", 2.0, None),
+    ],
+)  # fmt: skip
+def test_a_number_without_a_floor_decides_by_itself(value, op, threshold, holds):
+    assert Test("", Number(value), op, threshold).holds is holds
+
+
+@given(NUMBERS, st.floats(1e-6, 1e6), NUMBERS, st.sampled_from(["<", "<=", ">", ">="]))
+def test_a_test_is_open_exactly_within_the_floor(value, floor, threshold, op):
+    holds = Test("", Number(value, floor), op, threshold).holds
+    assert (holds is None) == (abs(value - threshold) <= floor)
+    assert holds in (None, Test("", Number(value), op, threshold).holds)
+
+
+@given(st.lists(st.sampled_from([True, False, None])))
+def test_a_verdict_comes_from_the_decided_tests(holds):
+    decided = [one for one in holds if one is not None]
+    found = verdict(holds)
+    assert (found == UNDECIDABLE) == (not decided)
+    assert (found == CONFIRMED) == (bool(decided) and all(decided))
+    assert (found == REFUTED) == (bool(decided) and not any(decided))
+    assert (found == PARTLY) == (any(decided) and not all(decided))
+
+
+def made(id, *values, floor=0.0):
+    """A claim that its numbers are above 1."""
+
+    @claim(id, f"Fig. {id}", "It is large.", "It is above 1.")
+    def large(run):
+        return [Test("size", Number(value, floor), ">", 1.0) for value in values], "Measured."
+
+    return large
+
+
+def test_verdicts_are_fit_for_json_and_in_order():
+    claims = [made(4, math.nan), made(3, 0.5, 2.0), made(1, np.float32(2)), made(2, 0.5)]
+    found = json.loads(json.dumps(verdicts(claims, Run({})), allow_nan=False))
+    assert [one["verdict"] for one in found["claims"]] == [CONFIRMED, REFUTED, PARTLY, UNDECIDABLE]
+    assert found["counts"] == {CONFIRMED: 1, REFUTED: 1, PARTLY: 1, UNDECIDABLE: 1}
+    (test,) = found["claims"][3]["tests"]
+    expected = {"says": "size", "value": None, "floor": 0.0, "op": ">", "threshold": 1.0}
+    assert test == {**expected, "holds": None, "n": 1}
+
+
+def test_what_the_run_has_not_leaves_a_claim_undecidable():
+    asking = Claim(1, "", "", "", lambda run: run["ladders"])
+    (found,) = verdicts([asking], Run({}))["claims"]
+    assert found["verdict"] == UNDECIDABLE
+    assert found["sentence"] == "Not decided: the run has no ladders.nc."
+
+
+def test_anything_else_that_a_claim_raises_names_it():
+    faulty = Claim(7, "", "", "", lambda run: 1 / 0)
+    with pytest.raises(FaultyClaimError, match="claim 7") as raised:
+        verdicts([made(1, 2.0), faulty], Run({}))
+    assert isinstance(raised.value.__cause__, ZeroDivisionError)
+
+
+def test_claims_of_a_module_are_found_once_and_numbered_apart():
+    one, other = made(1), made(2)
+    names = {"a": one, "b": other, "also": one, "Claim": Claim, "n": 1}
+    assert stated(names) == [one, other]
+    with pytest.raises(ValueError, match="claim 1: stated more than once"):
+        stated({"a": one, "b": made(1)})
+    with pytest.raises(ValueError, match="no claims"):
+        stated({"Claim": Claim})
+
+
+# --- the run ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def run():
+    """Two laws from rest, from elsewhere and swept up; one point was not asked for."""
+    status = np.full((2, 1, 1, 4, 3), Status.OK)
+    status[0, 0, 0, 3, 0] = Status.NOT_REQUESTED
+    return Run(
+        {
+            "responses": xr.Dataset(
+                {"status": (DIMS, status), "x": (DIMS, np.arange(24.0).reshape(status.shape))},
+                {
+                    "representation": ["piecewise", "tanh-1e4"],
+                    "K_c": [1.4e4],
+                    "gap": ["0.4/0.4"],
+                    "omega": [1.0, 2.0, 3.0, 4.0],
+                    "start": ("initial_condition", ["fixed", "fixed", "sweep_up"]),
+                    "x_0": ("initial_condition", [0.0, 1e-3, np.nan]),
+                    "v_0": ("initial_condition", [0.0, 0.0, np.nan]),
+                },
+            )
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("how", "values"),
+    [
+        ({}, [0, 3, 6]),
+        ({"band": (2.0, 3.0)}, [3, 6]),
+        ({"start": "scattered"}, [1, 4, 7, 10]),
+        ({"start": "sweep_up", "band": (4.0, 9.0)}, [11]),
+    ],
+)
+def test_points_are_those_that_were_asked_for(run, how, values):
+    assert run.points("piecewise", 1.4e4, "0.4/0.4", "x", **how)["x"].values.tolist() == values
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        lambda run: run.points("piecewise", 1.4e4, "0.4/0.4", "x", band=(4.0, 5.0)),
+        lambda run: run.points("poly-3", 1.4e4, "0.4/0.4", "x"),
+        lambda run: run.points("piecewise", 1.4e4, "0.4/0.4", "x", data="agreement"),
+        lambda run: run.select("responses", gap="0/0"),
+        lambda run: run.select("static", gap="0/0"),
+    ],
+)
+def test_what_is_not_there_is_said_to_be_absent(run, asked):
+    with pytest.raises(NotInRunError):
+        asked(run)
+
+
+def test_selections_are_read_once(run):
+    first = run.select("responses", gap="0.4/0.4", K_c=1.4e4)
+    assert run.select("responses", K_c=1.4e4, gap="0.4/0.4") is first
