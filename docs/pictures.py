@@ -1,6 +1,6 @@
 """The README's pictures, from finished runs.
 
-python docs/pictures.py data/runs/paper data/runs/work-precision
+python -m docs.pictures data/runs/paper data/runs/work-precision
 """
 
 import sys
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import matplotlib
 from matplotlib.figure import Figure
+from workflows.paper.paper_figures import peak_curves
 
 import gapsweep as gs
-from gapsweep.report.paper_figures import peak_curves
 from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.style import MATPLOTLIB
 

@@ -8,10 +8,10 @@ from numpy.polynomial import chebyshev
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.special import lambertw
+from workflows.paper import ladders as ladder
+from workflows.paper import thresholds
 
 import gapsweep as gs
-from gapsweep.analysis import ladders as ladder
-from gapsweep.analysis import thresholds
 from gapsweep.analysis.force_error import largest_in_gap, resolved_rmse
 from gapsweep.model.equilibria import equilibria
 from gapsweep.model.fit import polynomial_fit
@@ -190,3 +190,39 @@ def test_softer_contacts_have_no_false_well_at_any_sharpness(K_c, gap):
 def test_without_a_distance_to_a_wall_there_is_no_threshold():
     nowhere = gs.Gap(0.0, 0.0)
     assert np.isnan(thresholds.tanh_threshold(OSCILLATOR, HARD, nowhere, RANGE))
+
+
+@pytest.mark.parametrize("label", ["poly-13", "ratpoly-5/3", "tanh-1e4", "logarctan-1e4"])
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC])
+def test_ladders_hold_the_errors_of_the_laws(rungs, label, gap):
+    family, _, value = label.partition("-")
+    select = {
+        "poly": {"constraint": "none", "degree": 13},
+        "ratpoly": {"ratio": value},
+        "smooth": {"family": family, "parameter": 1e4},
+    }
+    kind = family if family in select else "smooth"
+    rung = rungs.sel(gap=gap.label, **select[kind])
+    law = gs.contact_law(label, HARD, gap)
+    rmse, r_squared = gs.static_error(law)
+    assert_allclose(HARD * rung[f"{kind}_rmse"], rmse, rtol=1e-9)
+    assert_allclose(rung[f"{kind}_r_squared"], r_squared, rtol=1e-9)
+    in_gap = largest_in_gap(law, RANGE)
+    assert_allclose(HARD * rung[f"{kind}_in_gap_force"], in_gap, rtol=1e-5)
+
+
+def test_every_variable_has_a_unit_and_a_name(rungs):
+    for name, variable in rungs.variables.items():
+        assert variable.attrs["units"], name
+        assert variable.attrs["long_name"], name
+
+
+def test_a_fit_that_cannot_be_made_is_left_out(monkeypatch):
+    def no_fit(*args):
+        raise gs.ModelError("pole at x = 1 mm")
+
+    monkeypatch.setattr("gapsweep.model.contact.rational_fit", no_fit)
+    monkeypatch.setattr(ladder, "RATIOS", ((3, 2),))
+    rung = ladder.rational_ladder(SYMMETRIC, RANGE)
+    assert np.isnan(rung["ratpoly_rmse"]).all()
+    assert rung["ratpoly_best_share"].tolist() == [0.0]

@@ -1,5 +1,7 @@
 """The paper's figures: which are drawn, from what, and that nothing is lost or overprinted."""
 
+import re
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -7,15 +9,16 @@ import xarray as xr
 from matplotlib.colors import to_hex
 from numpy.testing import assert_allclose
 from tests.figure_texts import overlaps
-
-import gapsweep as gs
-from gapsweep.analysis.histories import histories
-from gapsweep.report.paper import LIMITS, STRONG, WEAK, paper_figures
-from gapsweep.report.paper_figures import (
+from workflows.paper.figures import LIMITS, STRONG, WEAK, figures
+from workflows.paper.paper_figures import (
     histories_and_spectra,
     peak_curves,
     stacked_bifurcations,
 )
+
+import gapsweep as gs
+from gapsweep.analysis.histories import histories
+from gapsweep.analysis.verdicts import Run
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -86,8 +89,12 @@ def points(axes, label):
     return np.sort(np.concatenate([line.get_ydata() for line in lines]))
 
 
-def numbers(*args):
-    return [drawn.number for drawn in paper_figures(*args)]
+def drawn_of(responses, **more):
+    return list(figures(Run({"responses": responses, **more})))
+
+
+def numbers(responses, **more):
+    return [re.match(r"Figure (\w+)\.", d.caption)[1] for d in drawn_of(responses, **more)]
 
 
 def test_no_text_lies_on_another(scene, kept):
@@ -171,12 +178,12 @@ def test_failed_history_is_named(kept):
 
 def test_figures_are_those_the_run_has_points_for(kept):
     assert numbers(responses_of(WEAK)) == ["6b", "8b"]
-    assert numbers(responses_of(WEAK, gaps=[(1.0, 1.0), (0.0, 0.8)])) == ["6a", "6c"]
+    assert numbers(responses_of(WEAK, gaps=[(1.5, 1.5), (0.0, 0.8)])) == ["6a", "6c"]
     assert numbers(responses_of(WEAK, K_c=(1.4e3, 1.4e6))) == ["8a", "8c"]
     assert numbers(responses_of(STRONG, gaps=[(0.0, 0.8)])) == ["7"]
     assert numbers(responses_of(STRONG, K_c=(1.4e6,))) == ["9"]
     hard = responses_of(LIMITS, K_c=(1.4e6,), gaps=[(0.0, 0.8)])
-    assert numbers(hard, kept) == ["10", "11"]
+    assert numbers(hard, histories=kept) == ["10", "11"]
     assert numbers(responses_of(WEAK, K_c=(2e4,))) == []
 
 
@@ -192,16 +199,16 @@ def test_a_figure_from_rest_needs_a_start_at_rest():
 
 def test_every_protocol_gets_its_figure():
     labels = [*WEAK, *(f"{label}@paper" for label in WEAK), "piecewise@half"]
-    drawn = list(paper_figures(responses_of(labels)))
-    assert [one.number for one in drawn] == ["6b", "6b", "8b", "8b"]
-    assert ["@paper" in one.title for one in drawn] == [False, True, False, True]
+    assert numbers(responses_of(labels)) == ["6b", "6b", "8b", "8b"]
+    drawn = drawn_of(responses_of(labels))
+    assert ["@paper" in one.caption for one in drawn] == [False, True, False, True]
 
 
 def test_points_not_asked_for_are_left_out():
     responses = responses_of(WEAK)
     responses["status"][5] = Status.NOT_REQUESTED
     responses["status"][:, :, :, 20:] = Status.NOT_REQUESTED
-    first = next(paper_figures(responses))
+    first = drawn_of(responses)[0]
     assert len(first.figure.axes) == 6
     assert not first.figure.axes[5].get_visible()
     assert first.figure.axes[0].get_xlim()[1] < 21.0
@@ -213,7 +220,7 @@ def test_words_carry_what_is_seen_and_what_is_missing():
     responses["status"][1, :, :, :5] = Status.UNRESOLVED
     responses["status"][2] = Status.ERROR
     responses["x_max"][2] = np.nan
-    first = next(paper_figures(responses))
+    first = drawn_of(responses)[0]
     assert "20 unresolved, 120 failed" in first.caption
     assert "piecewise: largest peak 1 mm at 1 Hz, 100 %" in first.description
     assert "ratpoly-5/3: no result." in first.description

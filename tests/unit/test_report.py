@@ -7,14 +7,16 @@ import subprocess
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 from tests.made import datasets, failed, periodic, tables
+from workflows.paper.figures import cost_tables
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.timing import timing
 from gapsweep.report.findings import findings, overview
 from gapsweep.report.html import write_report
-from gapsweep.report.paper import cost_tables
-from gapsweep.report.tables import VERDICTS, number, percent
+from gapsweep.report.parts import Part, Table, for_page, is_drawing, rendered, svg
+from gapsweep.report.tables import VERDICTS, number, outcome, percent
 
 LABELS = ("piecewise", "piecewise@half", "tanh-1e4", "poly-13")
 OMEGA = (1.0, 2.0, 3.0, 4.0)
@@ -68,12 +70,12 @@ def decided(sentence="Holds."):
     tests = [
         {
             "says": HOSTILE,
-            "holds": holds,
-            "found": "1 <= 2",
-            "reason": "",
+            "value": 1.0,
             "floor": None,
+            "op": "<=",
+            "threshold": 2.0,
+            "holds": holds,
             "n": 3,
-            "n_missing": 1,
         }
         for holds in (True, False, None)
     ]
@@ -92,6 +94,15 @@ def decided(sentence="Holds."):
     return {"counts": dict.fromkeys(VERDICTS, 1), "claims": claims}
 
 
+PART = {
+    "anchor": '"><script>',
+    "title": HOSTILE,
+    "sentences": [HOSTILE],
+    "tables": [{"title": HOSTILE, "header": [HOSTILE], "rows": [[HOSTILE]]}],
+    "figures": [{"svg": f"<svg><script>alert(3)</script>{HOSTILE}</svg>", "caption": HOSTILE}],
+}
+
+
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
@@ -104,6 +115,7 @@ def page(tmp_path_factory):
         agreement(responses, attractors),
         timing(responses),
         claims=decided(),
+        own_parts=[PART],
         made_from=HOSTILE,
     )
 
@@ -119,7 +131,7 @@ def test_claims_stand_in_the_page_with_their_numbers(page):
     text = page.read_text()
     assert [v for v in VERDICTS if f'data-verdict="{v}"' not in text] == []
     assert "1 refuted, 1 partly, 1 confirmed, 1 undecidable" in text
-    assert text.count("does not hold") == len(VERDICTS)
+    assert text.count("1, not ≤ 2") == len(VERDICTS)
 
 
 def test_the_page_asks_for_nothing_and_allows_only_its_own_script(page):
@@ -136,6 +148,46 @@ def test_the_page_asks_for_nothing_and_allows_only_its_own_script(page):
         .stdout.decode()
         .strip()
     )
+
+
+def test_drawings_are_shown_and_nothing_else_is():
+    figure = Figure()
+    axes = figure.subplots()
+    axes.plot(range(9), "o", label="<b> & c", rasterized=True)
+    axes.set_title("$x^2$")
+    axes.legend()
+    axes.axvspan(0, 1)
+    drawn = str(svg(figure, 'says "<b>"'))
+    assert is_drawing(drawn)
+    stored = json.loads(json.dumps(PART | {"figures": [{"svg": drawn, "caption": ""}]}))
+    assert for_page(stored)["figures"][0]["svg"] == drawn
+    for old, new in (
+        ("</svg>", "<script>alert(1)</script></svg>"),
+        ("</svg>", "</svg><svg></svg>"),
+        ("</svg>", '<a href="https://a.b">c</a></svg>'),
+        ("<g ", '<g onload="alert(1)" '),
+        ("</svg>", '<use href="https://a.b/c#d"/></svg>'),
+    ):
+        assert old in drawn
+        assert not is_drawing(drawn.replace(old, new)), new
+
+
+def test_parts_that_hold_nothing_are_left_out():
+    full = Part("a", "A", [], [Table("t", ["h"], [["1"]])])
+    assert [part["anchor"] for part in rendered([Part("b", "B", []), full])] == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("value", "op", "holds", "text"),
+    [
+        (0.93, ">=", True, "0.93 ≥ 0.8 holds"),
+        (0.4, ">=", False, "0.4, not ≥ 0.8"),
+        (0.79, "<", None, "open: 0.79 is within its floor of < 0.8"),
+        (None, ">", None, "open: no number, asked for > 0.8"),
+    ],
+)
+def test_outcomes_of_tests_in_words(value, op, holds, text):
+    assert outcome({"value": value, "op": op, "threshold": 0.8, "holds": holds}) == text
 
 
 @pytest.mark.parametrize(
@@ -163,10 +215,9 @@ def test_table_2_stands_beside_the_papers_seconds():
         {"representation": labels, "K_c": [1.4e4], "gap": ["0.4/0.4"]},
     )
     (table,) = cost_tables(costs)
-    assert table["title"] == "Fig. 8b, 30 frequencies"
-    rows = {row["representation"]: row for row in table["rows"]}
+    assert table.title == "Fig. 8b, 30 frequencies"
+    rows = {row[0]: row[1:] for row in table.rows}
     assert list(rows) == labels[:3]  # the last one has other points
-    assert (rows["poly-13@paper"]["ours"], rows["poly-13@paper"]["our_ratio"]) == ("30", "0.5")
-    assert rows["poly-13@paper"]["their_ratio"] == number(18.57 / 48.69)
-    assert rows["piecewise@native"]["theirs"] == "–"
+    assert rows["poly-13@paper"] == ["30", "0.5", "18.6", number(18.57 / 48.69)]
+    assert rows["piecewise@native"][2:] == ["–", "–"]
     assert not list(cost_tables(costs.isel(representation=[1, 2])))

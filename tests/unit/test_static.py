@@ -15,8 +15,7 @@ from numpy.testing import assert_allclose
 from tests import strategies as own
 
 import gapsweep as gs
-from gapsweep.analysis import ladders as ladder
-from gapsweep.analysis.static import displacements, law_statics, static
+from gapsweep.analysis.static import displacements, static
 from gapsweep.model.equilibria import linear_stiffness
 from gapsweep.store import netcdf
 
@@ -52,9 +51,7 @@ def study(labels=LABELS, K_c=(VERY_SOFT, SOFT, HARD), gaps=(SYMMETRIC, ASYMMETRI
 
 @pytest.fixture(scope="module")
 def dataset():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ladder, "RATIOS", ((3, 2), (5, 3)))  # the others take most of a minute
-        yield static(study())
+    return static(study())
 
 
 def at(dataset, label, K_c=SOFT, gap="0.4/0.4"):
@@ -109,7 +106,7 @@ def test_errors_are_those_of_static_error(dataset):
 
 
 def test_fit_range_of_the_study_is_used():
-    wide = law_statics(study(["poly-13"], [SOFT], [SYMMETRIC], fit={"range": 8e-3}))
+    wide = static(study(["poly-13"], [SOFT], [SYMMETRIC], fit={"range": 8e-3}))
     assert float(wide["x"].max()) == 8e-3
     law = gs.contact_law("poly-13", SOFT, SYMMETRIC, 8e-3)
     assert_allclose(wide["fit_rmse"].item(), law.rmse)
@@ -207,23 +204,6 @@ def test_r_squared_of_a_study_does_not_depend_on_stiffness(dataset):
     assert float((dataset["rmse"] / dataset["K_c"]).std("K_c").max()) < 1e-12
 
 
-@pytest.mark.parametrize("label", ["poly-13", "ratpoly-5/3", "tanh-1e4", "logarctan-1e4"])
-def test_ladders_hold_the_errors_of_the_laws(dataset, label):
-    family, _, value = label.partition("-")
-    select = {
-        "poly": {"constraint": "none", "degree": 13},
-        "ratpoly": {"ratio": value},
-        "smooth": {"family": family, "parameter": 1e4},
-    }
-    kind = family if family in select else "smooth"
-    for gap in ("0.4/0.4", "0/0.8"):
-        rung = dataset.sel(gap=gap, **select[kind])
-        scene = at(dataset, label, HARD, gap)
-        assert_allclose(HARD * rung[f"{kind}_rmse"], scene["rmse"], rtol=1e-9)
-        assert_allclose(rung[f"{kind}_r_squared"], scene["r_squared"], rtol=1e-9)
-        assert_allclose(HARD * rung[f"{kind}_in_gap_force"], scene["in_gap_force"], rtol=1e-5)
-
-
 # --- closed forms ----------------------------------------------------------------------------
 
 
@@ -288,7 +268,7 @@ def module(tmp_path, monkeypatch):
 
 def test_users_law_is_measured_and_a_failing_one_is_refused_alone(module):
     labels = [f"{module}:spring", f"{module}:broken"]
-    found = law_statics(study(labels, [SOFT], [SYMMETRIC])).squeeze()
+    found = static(study(labels, [SOFT], [SYMMETRIC])).squeeze()
     spring, broken = (found.sel(representation=label) for label in labels)
     assert_allclose(spring["force"], 1e3 * found["x"])
     assert_allclose(spring["in_gap_force"], 0.4, rtol=1e-9)
@@ -306,9 +286,5 @@ def test_a_fit_that_cannot_be_made_is_refused_alone(monkeypatch):
         raise gs.ModelError("pole at x = 1 mm")
 
     monkeypatch.setattr("gapsweep.model.contact.rational_fit", no_fit)
-    found = law_statics(study(["piecewise", "ratpoly-3/2"], [SOFT], [SYMMETRIC])).squeeze()
+    found = static(study(["piecewise", "ratpoly-3/2"], [SOFT], [SYMMETRIC])).squeeze()
     assert found["refusal"].values.tolist() == ["", "pole at x = 1 mm"]
-    monkeypatch.setattr(ladder, "RATIOS", ((3, 2),))
-    rung = ladder.rational_ladder(SYMMETRIC, RANGE)
-    assert np.isnan(rung["ratpoly_rmse"]).all()
-    assert rung["ratpoly_best_share"].tolist() == [0.0]

@@ -5,19 +5,24 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from tests.figure_texts import overlaps
-
-import gapsweep as gs
-from gapsweep.analysis import ladders as ladder
-from gapsweep.analysis.static import static
-from gapsweep.report.static_figures import (
+from workflows.paper import ladders as ladder
+from workflows.paper.static_figures import (
     polynomial_forces,
     rational_forces,
     smooth_forces,
     static_convergence,
 )
+
+import gapsweep as gs
+from gapsweep.analysis.static import static
 from gapsweep.report.style import MATPLOTLIB, colour
 
-FIGURES = (polynomial_forces, rational_forces, smooth_forces, static_convergence)
+
+def convergence(scene):
+    return static_convergence(scene, float(scene["forcing"]))
+
+
+FIGURES = (polynomial_forces, rational_forces, smooth_forces, convergence)
 LABELS = ["piecewise", "poly-5", "poly-13", "ratpoly-3/2", "tanh-1e4", "arctan-1e4"]
 
 
@@ -25,8 +30,8 @@ def static_of(labels, K_c, gap):
     sweep = {"representation": labels, "K_c": K_c, "gap": [gap], "omega": [7.0]}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ladder, "RATIOS", ((3, 2), (5, 2)))
-        whole = static(gs.Study.from_dict({"study": {"name": "drawn"}, "sweep": [sweep]}))
-    return whole.isel(gap=0)
+        study = gs.Study.from_dict({"study": {"name": "drawn"}, "sweep": [sweep]})
+        return static(study).assign(ladder.ladders(study)).isel(gap=0)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +86,7 @@ def test_forcing_is_marked_where_it_fits(scene):
 
 
 def test_convergence_shows_ladders_and_the_leak_of_each_stiffness(scene):
-    figure = static_convergence(scene)
+    figure = convergence(scene)
     polynomial = figure.axes[0].lines[0]
     expected = scene["poly_rmse"].sel(constraint="none")
     assert_allclose(polynomial.get_ydata(), expected)
@@ -104,4 +109,4 @@ def test_odd_studies_draw_too(labels, gap, tmp_path):
 @pytest.mark.parametrize("draw", FIGURES, ids=lambda f: f.__name__)
 def test_one_stiffness_may_be_selected(scene, draw):
     one = draw(scene.sel(K_c=1.4e6))
-    assert len(one.axes) == (9 if draw is static_convergence else 3)
+    assert len(one.axes) == (9 if draw is convergence else 3)

@@ -1,8 +1,7 @@
 """The static part of a study: what its contact laws are worth before anything is integrated.
 
 For every representation, stiffness and gap: force curve and force error (A1 of the metrics),
-frequency of small motions in the gap (A2), static equilibria and their barriers (A3). With
-the ladders of `gapsweep.analysis.ladders` this is all that ``static.nc`` holds.
+frequency of small motions in the gap (A2), static equilibria and their barriers (A3).
 """
 
 from typing import Any
@@ -12,7 +11,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
-from gapsweep.analysis.ladders import ladders
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw, Piecewise, static_error
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
@@ -64,15 +62,15 @@ LIST_VARIABLES = {
 }
 
 
-def static(study: Study, *, with_ladders: bool = True, with_own_laws: bool = True) -> xr.Dataset:
-    """Static quality of every representation, and the ladders of fits and parameters.
+def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
+    """Force, errors, frequencies and equilibria over representation, K_c and gap.
+
+    A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
 
     Parameters
     ----------
     study : Study
         Labels lose their protocol here, and each is there once.
-    with_ladders : bool
-        Whether to compute the ladders, which take a minute.
     with_own_laws : bool
         Whether to evaluate laws of the user's own here, in this process, which they could hang
         or end; they are refused otherwise.
@@ -80,25 +78,7 @@ def static(study: Study, *, with_ladders: bool = True, with_own_laws: bool = Tru
     Returns
     -------
     Dataset
-        `law_statics` and `ladders` in one, with title, study, study_json as attributes.
-    """
-    of_laws = law_statics(study, with_own_laws=with_own_laws)
-    of_ladders = ladders(study) if with_ladders else xr.Dataset()
-    attributes = {
-        "title": study.title,
-        "study": study.name,
-        "study_json": study.json,
-        "numerics_fingerprint": numerics_fingerprint(),
-        "fit_range": study.spec.fit.range,
-    }
-    variables = {**of_laws.data_vars, **of_ladders.data_vars}
-    return xr.Dataset(variables, {**of_laws.coords, **of_ladders.coords}, attributes)
-
-
-def law_statics(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
-    """Force, errors, frequencies and equilibria over representation, K_c and gap.
-
-    A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
+        With title, study, study_json as attributes.
     """
     grid, x_max = study.grid, study.spec.fit.range
     labels = tuple(dict.fromkeys(r.partition("@")[0] for r in grid.representations if r != AUTO))
@@ -135,7 +115,14 @@ def law_statics(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     }
     variables["forcing"] = ((), study.oscillator.forcing, {"units": "N", "long_name": "forcing"})
     coords["x"] = ("x", x, {"units": "m", "long_name": "displacement"})
-    return xr.Dataset(variables, coords)
+    attributes = {
+        "title": study.title,
+        "study": study.name,
+        "study_json": study.json,
+        "numerics_fingerprint": numerics_fingerprint(),
+        "fit_range": x_max,
+    }
+    return xr.Dataset(variables, coords, attributes)
 
 
 def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:

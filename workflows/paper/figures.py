@@ -1,65 +1,43 @@
-"""Which of the paper's figures a run has the points for, with their words.
+"""Sections of the report: those of the paper's figures that a run has the points for, and Table 2.
 
 `PAPER` says what each of figures 6 to 10 shows: its scene, its representations and its function.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from gapsweep.analysis.verdicts import Run
 from gapsweep.report.drawing import labels_of
-from gapsweep.report.paper_figures import (
+from gapsweep.report.parts import Figured, Part, Table
+from gapsweep.report.scenes import Scenes, swept
+from gapsweep.report.tables import number
+from gapsweep.response.result import ResponseClass
+from gapsweep.status import Status
+
+from . import scenes
+from .paper_figures import (
     SHOWN_PERIODS,
     histories_and_spectra,
     kind,
     peak_curves,
     stacked_bifurcations,
 )
-from gapsweep.report.scenes import Scenes, swept
-from gapsweep.report.static_figures import (
+from .scenes import ASYMMETRIC, EXACT, HARD, LARGE, NO_EVENTS, SOFT, SYMMETRIC, VERY_SOFT
+from .static_figures import (
     polynomial_forces,
     rational_forces,
     smooth_forces,
     static_convergence,
 )
-from gapsweep.report.style import colour
-from gapsweep.report.tables import number
-from gapsweep.response.result import ResponseClass
-from gapsweep.status import Status
 
 _MM = 1e3
-_EXACT = "piecewise"
-_FAMILIES = ("tanh", "arctan", "logarctan")
-WEAK = (_EXACT, "poly-13", "ratpoly-5/3", *(f"{family}-1e4" for family in _FAMILIES))
-STRONG = (_EXACT, "poly-21", "ratpoly-5/5", *(f"{family}-1e6" for family in _FAMILIES))
-LIMITS = (_EXACT, "piecewise-noevents", "tanh-1e6", "tanh-1e9")
-SOFTEST, SOFT, HARD = 1.4e3, 1.4e4, 1.4e6
-SYMMETRIC, ASYMMETRIC, LARGE = "0.4/0.4", "0/0.8", "large"
+WEAK, STRONG = (EXACT, *scenes.WEAK), (EXACT, *scenes.STRONG)
+LIMITS = (EXACT, NO_EVENTS, "tanh-1e6", "tanh-1e9")
 HISTORIES_AT = (11.0, 21.75)
-
-
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    """A figure with its words.
-
-    Attributes
-    ----------
-    number : str
-        The paper's.
-    title, caption : str
-    description : str
-        What is to be seen, for those who cannot see it.
-    """
-
-    number: str
-    title: str
-    caption: str
-    description: str
-    figure: Figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +49,7 @@ class PaperFigure:
     K_c : float
         Contact stiffness [N/m].
     gap : str
-        As in datasets; `LARGE` is the widest symmetric one beyond the paper's small gaps.
+        As in datasets.
     draw : callable
         From the responses of the scene and labels to the figure.
     from_rest : bool
@@ -88,38 +66,31 @@ class PaperFigure:
     from_rest: bool = False
 
 
-def paper_figures(
-    responses: xr.Dataset,
-    histories: xr.Dataset | None = None,
-    static: xr.Dataset | None = None,
-    scenes: Scenes | None = None,
-) -> Iterator[Drawn]:
-    """Those of the paper's figures that the datasets have enough for, in the paper's order.
+def sections(run: Run) -> Iterator[Part]:
+    """The paper's figures and its Table 2, as far as the run has what they show."""
+    yield Part("paper", "The paper's figures", [], figures=figures(run))
+    tables = list(cost_tables(run["timing"]))
+    if tables:
+        yield Part("table-2", "The paper's Table 2", [_TABLE_2_WORDS], tables)
+
+
+def figures(run: Run) -> Iterator[Figured]:
+    """Those of the paper's figures that the run has enough for, in the paper's order.
 
     Figures 6 to 10 are drawn once for every protocol (``@NAME``) that the labels have. They
     need the exact law and at least half of the paper's representations.
-
-    Parameters
-    ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
-    histories : Dataset, optional
-        As stored in ``histories.nc``.
-    static : Dataset, optional
-        As stored in ``static.nc``.
-    scenes : Scenes, optional
-        Those of the responses that may have been read already.
     """
-    scenes = scenes or Scenes(responses)
-    if static is not None:
-        yield from _static_figures(static)
+    responses, stored = run["responses"], run.datasets
+    swept_scenes = Scenes(responses)
+    if "static" in stored:
+        yield from _static_figures(stored["static"], stored.get("ladders"))
     for wanted in PAPER:
         for protocol in _protocols(responses):
-            scene = _scene(responses, scenes, wanted, protocol)
+            scene = _scene(swept_scenes, wanted, protocol)
             if scene is not None:
                 yield _drawn(wanted, scene)
-    if histories is not None:
-        yield from _history_figures(histories)
+    if "histories" in stored:
+        yield from _history_figures(stored["histories"])
 
 
 _PEAKS_CAPTION = (
@@ -148,7 +119,7 @@ PAPER = (
         peak_curves,
         _PEAKS_CAPTION,
     ),
-    # The paper does not state the scene of Fig. 7: workflows/paper.toml says why this one.
+    # The paper does not state the scene of Fig. 7: study.toml says why this one.
     PaperFigure(
         "7",
         "Peak displacement, soft, asymmetric, strong grade",
@@ -163,7 +134,7 @@ PAPER = (
             number, title, labels, K_c, gap, stacked_bifurcations, _EXTREMA_CAPTION, from_rest=True
         )
         for number, title, labels, K_c, gap in (
-            ("8a", "Bifurcation diagrams, very soft", WEAK, SOFTEST, SYMMETRIC),
+            ("8a", "Bifurcation diagrams, very soft", WEAK, VERY_SOFT, SYMMETRIC),
             ("8b", "Bifurcation diagrams, soft", WEAK, SOFT, SYMMETRIC),
             ("8c", "Bifurcation diagrams, hard", WEAK, HARD, SYMMETRIC),
             ("9", "Bifurcation diagrams, hard", STRONG, HARD, SYMMETRIC),
@@ -180,7 +151,16 @@ TABLE_2 = (
 )
 
 
-def cost_tables(timing: xr.Dataset) -> Iterator[dict[str, Any]]:
+_TABLE_2_WORDS = (
+    "Processor time of a whole diagram from rest with the paper's solver settings (its tolerances, "
+    "step control and restarts), beside the paper's seconds. Only ratios to the exact law compare: "
+    "machines, engines and run lengths differ. Fewer frequencies than the paper's make shorter "
+    "times, not other ratios."
+)
+_TABLE_2_HEAD = ["Representation", "Ours [s]", "Ratio to exact", "Paper [s]", "Paper's ratio"]
+
+
+def cost_tables(timing: xr.Dataset) -> Iterator[Table]:
     """Table 2 of the paper beside our own times, where the study has its protocol ``@paper``.
 
     Parameters
@@ -189,43 +169,41 @@ def cost_tables(timing: xr.Dataset) -> Iterator[dict[str, Any]]:
         As stored in ``timing.nc``.
     """
     stored = labels_of(timing)
+    exact = f"{EXACT}@paper"
     for place, labels, K_c, gap, seconds in TABLE_2:
-        exact = f"{_EXACT}@paper"
         if K_c not in timing["K_c"].values or gap not in timing["gap"].values:
             continue
         scene = timing[["cpu_time_mean", "n_points"]].sel(K_c=K_c, gap=gap).load()
         total = scene["cpu_time_mean"] * scene["n_points"]
         theirs = {f"{label}@paper": t for label, t in zip(labels, seconds, strict=True)}
-        others = [label for label in stored if label.startswith(f"{_EXACT}") and "@" in label]
+        others = [label for label in stored if label.startswith(f"{EXACT}") and "@" in label]
         shown = [r for r in dict.fromkeys([*theirs, *others]) if r in stored]
         n_points = {r: int(scene["n_points"].sel(representation=r)) for r in shown}
         shown = [r for r in shown if n_points[r] == n_points.get(exact, 0) > 0]
-        if exact in shown and len(shown) > 1:
-            reference = float(total.sel(representation=exact))
-            yield {
-                "title": f"{place}, {n_points[exact]} frequencies",
-                "rows": [
-                    {
-                        "representation": label,
-                        "colour": colour(label),
-                        "ours": number(float(total.sel(representation=label))),
-                        "our_ratio": number(float(total.sel(representation=label)) / reference),
-                        "theirs": number(theirs[label]) if label in theirs else "–",
-                        "their_ratio": number(theirs[label] / seconds[0])
-                        if label in theirs
-                        else "–",
-                    }
-                    for label in shown
-                ],
-            }
+        if exact not in shown or len(shown) < 2:
+            continue
+        ours = {r: float(total.sel(representation=r)) for r in shown}
+        yield Table(
+            f"{place}, {n_points[exact]} frequencies",
+            _TABLE_2_HEAD,
+            [
+                [
+                    label,
+                    *_with_ratio(ours[label], ours[exact]),
+                    *_with_ratio(theirs.get(label, np.nan), seconds[0]),
+                ]
+                for label in shown
+            ],
+        )
 
 
-def _scene(
-    responses: xr.Dataset, scenes: Scenes, wanted: PaperFigure, protocol: str
-) -> xr.Dataset | None:
+def _with_ratio(seconds: float, exact: float) -> tuple[str, str]:
+    return number(seconds), number(seconds / exact)
+
+
+def _scene(swept_scenes: Scenes, wanted: PaperFigure, protocol: str) -> xr.Dataset | None:
     """What a figure shows; None if too little of it was swept."""
-    gap = _large_gap(responses) if wanted.gap == LARGE else wanted.gap
-    scene = scenes.labelled(wanted.K_c, gap)
+    scene = swept_scenes.labelled(wanted.K_c, wanted.gap)
     if scene is None:
         return None
     stored = set(labels_of(scene))
@@ -237,26 +215,11 @@ def _scene(
         scene = scene.isel(initial_condition=int(np.argmax(at_rest.values)))
     scene = swept(scene.sel(representation=labels))
     here = labels_of(scene)
-    enough = 2 * len(here) >= len(wanted.labels) and _EXACT + protocol in here
+    enough = 2 * len(here) >= len(wanted.labels) and EXACT + protocol in here
     return scene if enough and scene.sizes["omega"] > 1 else None
 
 
-def _large_gap(responses: xr.Dataset) -> str:
-    """Label of the widest symmetric gap that is wider than the paper's small one."""
-    widths = {
-        str(gap): j_1
-        for gap, j_1, j_2 in zip(
-            responses["gap"].values,
-            responses["j_1"].values.tolist(),
-            responses["j_2"].values.tolist(),
-            strict=True,
-        )
-        if j_1 == j_2 > 0.4e-3
-    }
-    return max(widths, key=widths.__getitem__, default="")
-
-
-def _drawn(wanted: PaperFigure, scene: xr.Dataset) -> Drawn:
+def _drawn(wanted: PaperFigure, scene: xr.Dataset) -> Figured:
     labels = labels_of(scene)
     _, at, protocol = labels[0].partition("@")
     where = (
@@ -268,12 +231,10 @@ def _drawn(wanted: PaperFigure, scene: xr.Dataset) -> Drawn:
         f"{int((status == Status.UNRESOLVED).sum())} unresolved, "
         f"{int((status > Status.OUT_OF_FIT_RANGE).sum())} failed."
     )
-    return Drawn(
-        number=wanted.number,
-        title=f"{wanted.title} ({where})",
-        caption=f"{wanted.caption} {counts}",
-        description=f"{wanted.title}, {where}. {_in_words(scene)}",
-        figure=wanted.draw(scene),
+    return Figured(
+        wanted.draw(scene),
+        f"Figure {wanted.number}. {wanted.title} ({where}). {wanted.caption} {counts}",
+        f"{wanted.title}, {where}. {_in_words(scene)}",
     )
 
 
@@ -305,30 +266,32 @@ def _in_words(scene: xr.Dataset) -> str:
     return " ".join(sentences)
 
 
-def _static_figures(static: xr.Dataset) -> Iterator[Drawn]:
-    # The ladders are there where a study decides claims: then it is about the paper.
-    if SYMMETRIC not in static["gap"].values or "poly_rmse" not in static:
+def _static_figures(static: xr.Dataset, ladders: xr.Dataset | None) -> Iterator[Figured]:
+    if SYMMETRIC not in static["gap"].values:
         return
     scene = static.sel(gap=SYMMETRIC).load()
     curves = (
         "Contact force near the gap, its error there, and its error in the fit range; one column "
         "per stiffness. Shade: the gap; dotted: the forcing p."
     )
-    ladders = (
-        "Errors per unit stiffness against degree and convergence parameter; dotted: in-gap "
-        "force of a tenth of the forcing."
-    )
-    for which, name, draw, caption in (
-        ("2", "Polynomials", polynomial_forces, curves),
-        ("3", "Rational polynomials", rational_forces, curves),
-        ("4", "Smooth laws", smooth_forces, curves),
-        ("5", "Static convergence", static_convergence, ladders),
+    for which, name, draw in (
+        ("2", "Polynomials", polynomial_forces),
+        ("3", "Rational polynomials", rational_forces),
+        ("4", "Smooth laws", smooth_forces),
     ):
-        title = f"{name}, gap {SYMMETRIC} mm"
-        yield Drawn(which, title, caption, f"{title}. {caption}", draw(scene))
+        title = f"{name}, gap {SYMMETRIC} mm."
+        yield Figured(draw(scene), f"Figure {which}. {title} {curves}", f"{title} {curves}")
+    if ladders is not None:
+        title = f"Static convergence, gap {SYMMETRIC} mm."
+        words = (
+            "Errors per unit stiffness against degree and convergence parameter; dotted: in-gap "
+            "force of a tenth of the forcing."
+        )
+        figure = static_convergence(ladders.sel(gap=SYMMETRIC).load(), float(scene["forcing"]))
+        yield Figured(figure, f"Figure 5. {title} {words}", f"{title} {words}")
 
 
-def _history_figures(histories: xr.Dataset) -> Iterator[Drawn]:
+def _history_figures(histories: xr.Dataset) -> Iterator[Figured]:
     """Figure 11, once for every protocol."""
     chosen = [
         h
@@ -358,7 +321,7 @@ def _history_figures(histories: xr.Dataset) -> Iterator[Drawn]:
             for label in labels_of(scene)
         )
         description = f"{title}. {'; '.join(words)}."
-        yield Drawn("11", title, caption, description, histories_and_spectra(scene))
+        yield Figured(histories_and_spectra(scene), f"Figure 11. {title}. {caption}", description)
 
 
 def _protocols(dataset: xr.Dataset) -> list[str]:

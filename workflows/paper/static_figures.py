@@ -1,6 +1,6 @@
-"""Figures of the static part, each from `static.nc` to a matplotlib figure.
+"""Figures 2 to 5 of the paper, each from `static.nc` or `ladders.nc` to a matplotlib figure.
 
-They follow figures 2 to 5 of the paper. All take a dataset of one gap, ``static.sel(gap=…)``.
+All take a dataset of one gap, ``static.sel(gap=…)``.
 """
 
 import math
@@ -44,27 +44,34 @@ def smooth_forces(static: xr.Dataset) -> Figure:
     return _forces(static, ("tanh", "arctan", "logarctan"))
 
 
-def static_convergence(static: xr.Dataset) -> Figure:
+def static_convergence(ladders: xr.Dataset, forcing: float) -> Figure:
     """Errors against degree and convergence parameter (figure 5).
 
     Everything is per unit contact stiffness, so one curve serves all stiffnesses; dotted
     lines mark where the in-gap force is a tenth of the forcing at those of the study. Errors
     of smooth laws are integrals; crosses are what 8001 uniform points make of them.
+
+    Parameters
+    ----------
+    ladders : Dataset
+        One gap.
+    forcing : float
+        Its amplitude [N].
     """
     figure = Figure(figsize=(_WIDTH, 7.8), layout="constrained")
     panels = figure.subplots(3, 3, sharex="col")
     for row, (name, label) in zip(panels, _LADDER_ROWS.items(), strict=True):
         row[0].sharey(row[1])
-        _polynomials(row[0], static, name)
-        _rationals(row[1], static, name)
-        _smooth_laws(row[2], static, name)
+        _polynomials(row[0], ladders, name)
+        _rationals(row[1], ladders, name)
+        _smooth_laws(row[2], ladders, name)
         row[0].set_ylabel(label)
         for axes in row:
             # A gap wider than the fit range leaves polynomials no error at all.
             if any(np.isfinite(line.get_ydata()).any() for line in axes.lines):
                 axes.set_yscale("log")
             axes.minorticks_off()
-    _mark_leaks(panels[2], static)
+    _mark_leaks(panels[2], ladders, abs(forcing))
     titles = ("polynomial", "rational polynomial", "smooth law")
     below = ("degree", "degrees of N/D", "convergence parameter [1/m]")
     for column, title, label in zip(panels.T, titles, below, strict=True):
@@ -138,33 +145,33 @@ def _mark_forcing(axes: Axes, scene: xr.Dataset) -> None:
         axes.text(right, forcing, "± p ", ha="right", va="bottom", fontsize=8, color="#555555")
 
 
-def _polynomials(axes: Axes, static: xr.Dataset, name: str) -> None:
+def _polynomials(axes: Axes, ladders: xr.Dataset, name: str) -> None:
     for constraint, (mark, shade) in _CONSTRAINTS.items():
-        rung = static[f"poly_{name}"].sel(constraint=constraint)
+        rung = ladders[f"poly_{name}"].sel(constraint=constraint)
         loss = _loss(rung, name)
         axes.plot(rung["degree"], loss, mark, color=shade, markersize=3.5, label=constraint)
 
 
-def _rationals(axes: Axes, static: xr.Dataset, name: str) -> None:
-    rung = static[f"ratpoly_{name}"]
+def _rationals(axes: Axes, ladders: xr.Dataset, name: str) -> None:
+    rung = ladders[f"ratpoly_{name}"]
     axes.plot(rung["ratio"].values, _loss(rung, name), "o", color=colour("ratpoly"), markersize=5)
     axes.tick_params(axis="x", labelsize=8)
 
 
-def _smooth_laws(axes: Axes, static: xr.Dataset, name: str) -> None:
+def _smooth_laws(axes: Axes, ladders: xr.Dataset, name: str) -> None:
     axes.set_xscale("log")
     source = "rmse_resolved" if name == "rmse" else name
-    for family in static["family"].values.tolist():
-        rung = static[f"smooth_{source}"].sel(family=family)
+    for family in ladders["family"].values.tolist():
+        rung = ladders[f"smooth_{source}"].sel(family=family)
         shade = colour(family)
         loss = _loss(rung, name)
         axes.plot(rung["parameter"], loss, "o-", color=shade, markersize=3, label=family)
     if name != "rmse":
         return
     # Samples that miss every layer find errors of nothing but rounding: not shown.
-    lowest = 0.1 * static["smooth_rmse_resolved"].min()
-    for family in static["family"].values.tolist():
-        sampled = static["smooth_rmse"].sel(family=family)
+    lowest = 0.1 * ladders["smooth_rmse_resolved"].min()
+    for family in ladders["family"].values.tolist():
+        sampled = ladders["smooth_rmse"].sel(family=family)
         sampled = sampled.where(sampled > lowest)
         shade = colour(family)
         axes.plot(sampled["parameter"], sampled, "x", color=shade, markersize=4.5, alpha=0.6)
@@ -177,11 +184,10 @@ def _loss(rung: xr.DataArray, name: str) -> xr.DataArray:
     return values.where(values > _ROUNDING)
 
 
-def _mark_leaks(row: np.ndarray, static: xr.Dataset) -> None:
-    forcing = abs(float(static["forcing"]))
+def _mark_leaks(row: np.ndarray, ladders: xr.Dataset, forcing: float) -> None:
     for axes in row:
         low, high = axes.get_ylim()
-        for K_c in np.atleast_1d(static["K_c"].values).tolist():
+        for K_c in np.atleast_1d(ladders["K_c"].values).tolist():
             level = 0.1 * forcing / K_c if K_c else 0.0
             if not low < level < high:
                 continue

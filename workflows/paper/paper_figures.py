@@ -1,6 +1,6 @@
 """Figures 6 to 11 of the paper, each from a scene's dataset to a matplotlib figure.
 
-`gapsweep.report.paper` says which scene each of them shows.
+`figures` says which scene each of them shows.
 """
 
 import numpy as np
