@@ -135,13 +135,15 @@ def test_temporary_files_of_the_dead_are_removed_and_no_others(finished):
 
 
 def test_claims_wait_for_whoever_writes_into_the_folder(finished):
-    (finished / "claims.toml").write_text(
-        '[[claim]]\nid = 1\nplace = "here"\ntext = "Something."\nwhy = "It is."\n'
-        '[[claim.test]]\nsays = "a number"\nkind = "compare"\n'
-        'number = { data = "responses", variable = "x_max", statistic = "mean" }\n'
-        'op = ">"\nthreshold = 0.0\n'
+    (finished / "claims.py").write_text(
+        "from gapsweep.analysis.verdicts import Number, Test, claim\n"
+        "@claim(1, 'here', 'Something.', 'It is.')\n"
+        "def something(run):\n"
+        "    mean = Number(float(run['responses']['x_max'].mean()))\n"
+        "    return [Test('a number', mean, '>', 0.0)], 'It is.'\n"
     )
-    command = [COMMAND, "claims", "out", "--file", "claims.toml"]
+    (finished / "claiming.toml").write_text(STUDY + '[claims]\nmodule = "claims.py"\n')
+    command = [COMMAND, "claims", "out", "--study", "claiming.toml"]
     with alone_in(finished / "out"):
         waiting = subprocess.Popen(command, cwd=finished, stderr=subprocess.PIPE, text=True)
         with pytest.raises(subprocess.TimeoutExpired):
