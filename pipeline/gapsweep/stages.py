@@ -81,10 +81,8 @@ STAGES = (
         (
             RESPONSES,
             ATTRACTORS,
-            STATIC,
             AGREEMENT,
             TIMING,
-            HISTORIES,
             ADVICE,
             CLAIMS,
             SECTIONS,

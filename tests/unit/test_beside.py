@@ -1,11 +1,13 @@
 """Python beside a study: what it imports, what its digest holds, what is said when it is broken."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
 import gapsweep as gs
-from gapsweep import beside
+from gapsweep import beside, make
+from gapsweep.stages import CLAIMS, HISTORIES, RESPONSES, SECTIONS
 from gapsweep.study.fingerprint import imports_fingerprint
 
 MAIN = (
@@ -151,6 +153,25 @@ def test_a_study_names_its_modules_and_runs_none(tables, main):
     study = study_of(tables, main.parent, **own)
     assert study.claims_module == main.parent / "alone.py"
     assert study.report_module.samefile(main.parent / "a.py")
+
+
+def test_what_a_study_does_not_make_is_not_read(tables, main):
+    own = {"claims": {"module": "main.py"}, "report": {"module": "main.py"}}
+    edited(main, "main.py", "def value", "DATASETS = {'mine': len}\n\ndef value")
+    motion = {"representation": "piecewise", "K_c": 1.0, "gap": [0.0, 0.0], "omega": 9.0}
+    for more, is_read in (({}, False), ({"history": [motion | {"t_end": 1.0}]}, True)):
+        stages = {
+            s.file: s.inputs for s in make.stages_of(study_of(tables, main.parent, **own, **more))
+        }
+        assert list(stages).index("mine.nc") < list(stages).index(CLAIMS)
+        for file in (CLAIMS, SECTIONS):
+            assert {RESPONSES, "mine.nc"} <= set(stages[file])
+            assert (HISTORIES in stages[file]) == is_read
+
+
+@pytest.mark.parametrize("name", ["paper/study.toml", "table2.toml"])
+def test_the_papers_own_code_is_sound(name):
+    make.check_modules(gs.Study.load(Path(__file__).parents[2] / "workflows" / name))
 
 
 @pytest.mark.parametrize(
