@@ -306,7 +306,9 @@ def _own_dataset(file: str, make: Callable[[Study], Any], study: Study) -> "xr.D
     with beside.blaming(study.claims_module, file):
         made = make(study)
         if not isinstance(made, xr.Dataset):
-            raise TypeError(f"its function must return an xarray.Dataset, not a {type(made)}")
+            raise TypeError(
+                f"its function must return an xarray.Dataset, not a {type(made).__name__}"
+            )
     return made.assign_attrs(title=study.title, study=study.name, study_json=study.json)
 
 
@@ -329,8 +331,9 @@ def _stated(path: Path) -> "list[Claim]":
     """The claims that a module states."""
     from gapsweep.analysis.verdicts import stated
 
+    module = beside.load(path)
     try:
-        return stated(vars(beside.load(path)))
+        return stated(vars(module))
     except ValueError as error:
         raise StudyError([f"{path}: {error}"]) from None
 
@@ -383,9 +386,8 @@ def _own_stage(file: str, study: Study, folder: Path) -> tuple[Stage, Study, Pat
     stage = next((stage for stage in stages_of(study) if stage.file == file), None)
     if stage is None:
         table, name = ("claims", "claims.py") if file == CLAIMS else ("report", "figures.py")
-        raise StudyError(
-            [f'{study.source}: {table}: missing; [{table}] module = "{name}" is asked']
-        )
+        example = f'[{table}] module = "{name}" names the Python file'
+        raise StudyError([f"{study.source}: {table}: missing; {example}"])
     return stage, study, folder, made_from(stage, folder, module_sources(study))
 
 

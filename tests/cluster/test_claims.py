@@ -151,6 +151,20 @@ def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
     assert "figures.py:6: sections: AttributeError: 'Non" in capsys.readouterr().err
 
 
+def test_what_a_dataset_raises_is_one_line(folder, client):
+    study = gs.Study.load(folder / "study.toml")
+    where = {"out": folder / "out", "cache": folder / "cache.sqlite"}
+    for new, said in (
+        ("len(1)", "widths.py:5: widths.nc: TypeError: object of"),
+        ("1", "not a int"),
+    ):
+        (folder / "widths.py").write_text(WIDTHS)
+        old = WIDTHS[WIDTHS.index("xr.Dataset(") :].strip()
+        changed(folder, "widths.py", old, new)
+        with pytest.raises(gs.StudyError, match=said):
+            gs.run(study, client, **where)
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new", "said"),
     [
@@ -170,6 +184,7 @@ def test_faulty_code_is_refused_before_anything_is_computed(folder, name, old, n
     assert exit_code([*command, "--cache", str(folder / "cache.sqlite")]) == FAULT
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
+    assert line.count(str(folder)) == 1
     assert not (folder / "out").exists()
     assert not (folder / "cache.sqlite").exists()
 
@@ -182,6 +197,10 @@ def test_commands_name_what_is_missing(folder, tables, client, capsys):
     assert exit_code(["claims", str(out)]) == FAULT
     (line,) = capsys.readouterr().err.splitlines()
     assert f"'gapsweep claims {out} --study FILE' decides" in line
+    other = STUDY.replace('"small"', '"other"')
+    (folder / "other.toml").write_text(other)
+    assert exit_code(["claims", str(out), "--study", str(folder / "other.toml")]) == FAULT
+    assert "holds the files of study 'small', this one is 'other'" in capsys.readouterr().err
     plain = folder / "plain.toml"
     plain.write_text(STUDY[: STUDY.index("[claims]")])
     for command in ("claims", "report"):
