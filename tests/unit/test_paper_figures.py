@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.colors import to_hex
 from numpy.testing import assert_allclose
 from tests.figure_texts import overlaps
-from workflows.paper.figures import LIMITS, STRONG, WEAK, figures
+from workflows.paper.figures import LIMITS, STRONG, WEAK, figures, sections
 from workflows.paper.paper_figures import (
     histories_and_spectra,
     peak_curves,
@@ -19,6 +19,7 @@ from workflows.paper.paper_figures import (
 import gapsweep as gs
 from gapsweep.analysis.histories import histories
 from gapsweep.analysis.verdicts import Run
+from gapsweep.report.parts import is_drawing, rendered
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -185,6 +186,15 @@ def test_figures_are_those_the_run_has_points_for(kept):
     hard = responses_of(LIMITS, K_c=(1.4e6,), gaps=[(0.0, 0.8)])
     assert numbers(hard, histories=kept) == ["10", "11"]
     assert numbers(responses_of(WEAK, K_c=(2e4,))) == []
+
+
+def test_sections_are_drawn_and_empty_ones_left_out():
+    timing = xr.Dataset(coords={"representation": ["tanh-1e4"], "K_c": [1.0], "gap": ["0/0"]})
+    (part,) = rendered(sections(Run({"responses": responses_of(WEAK), "timing": timing})))
+    assert part["anchor"] == "paper"
+    assert [is_drawing(each["svg"]) for each in part["figures"]] == [True, True]
+    few = Run({"responses": responses_of(WEAK[:1]), "timing": timing})
+    assert rendered(sections(few)) == []
 
 
 def test_a_figure_needs_the_exact_law_and_half_of_the_representations():
