@@ -95,6 +95,8 @@ def _static() -> Iterator[tuple[str, ...]]:
         yield _row(name, ["scene", "x"], variable)
     for name, variable in static.SCENE_VARIABLES.items():
         yield _row(name, ["scene"], variable)
+    for name, variable in static.CONTACT_VARIABLES.items():
+        yield _row(name, ["K_c", "gap"], variable)
     for name, variable in static.LIST_VARIABLES.items():
         yield _row(name, ["scene", static.EQUILIBRIUM], variable)
 

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.special import lambertw
 from workflows.paper import ladders as ladder
-from workflows.paper import thresholds
 
 import gapsweep as gs
+from gapsweep.analysis import thresholds
 from gapsweep.analysis.force_error import largest_in_gap, resolved_rmse
 from gapsweep.model.equilibria import equilibria
 from gapsweep.model.fit import polynomial_fit

@@ -288,3 +288,12 @@ def test_a_fit_that_cannot_be_made_is_refused_alone(monkeypatch):
     monkeypatch.setattr("gapsweep.model.contact.rational_fit", no_fit)
     found = static(study(["piecewise", "ratpoly-3/2"], [SOFT], [SYMMETRIC])).squeeze()
     assert found["refusal"].values.tolist() == ["", "pole at x = 1 mm"]
+
+
+def test_thresholds_of_tanh_part_one_well_from_several(dataset):
+    found = dataset["tanh_threshold"].sel(gap="0.4/0.4")
+    assert np.isnan(found.sel(K_c=[VERY_SOFT, SOFT])).all()
+    assert f"{float(found.sel(K_c=HARD)):.1e}" == "1.6e+05"
+    wells = dataset["n_wells"].sel(K_c=HARD, gap="0.4/0.4", representation=["tanh-1e4", "tanh-1e6"])
+    assert wells[0] > 1
+    assert wells[1] == 1

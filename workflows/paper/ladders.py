@@ -12,6 +12,12 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
+from gapsweep.analysis.thresholds import (
+    LEAK,
+    predicted_threshold,
+    smallest_degree,
+    tanh_threshold,
+)
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import (
     Arctan,
@@ -24,8 +30,6 @@ from gapsweep.model.fit import N_FIT_POINTS, goodness, poles, rational_candidate
 from gapsweep.model.oscillator import Gap
 from gapsweep.study.schema import COORDINATES, Variable
 from gapsweep.study.study import Study
-
-from .thresholds import LEAK, predicted_threshold, smallest_degree, tanh_threshold
 
 Array = NDArray[np.float64]
 Values = dict[str, NDArray[Any]]

@@ -1,7 +1,8 @@
 """The static part of a study: what its contact laws are worth before anything is integrated.
 
 For every representation, stiffness and gap: force curve and force error (A1 of the metrics),
-frequency of small motions in the gap (A2), static equilibria and their barriers (A3).
+frequency of small motions in the gap (A2), static equilibria and their barriers (A3); and for every
+stiffness and gap the sharpness from which tanh has no false equilibrium.
 """
 
 from typing import Any
@@ -11,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
+from gapsweep.analysis.thresholds import tanh_threshold
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw, Piecewise, static_error
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
@@ -53,6 +55,11 @@ SCENE_VARIABLES = {
     "refusal": Variable("str", "1", "why the law cannot be used, empty if it can"),
 }
 _STABILITY = (("none", -1), ("unstable", 0), ("stable", 1))
+CONTACT_VARIABLES = {
+    "tanh_threshold": Variable(
+        "f8", "m-1", "sharpness above which tanh has no false well, NaN if it has none at any"
+    ),
+}
 LIST_VARIABLES = {
     "equilibrium_x": Variable("f8", "m", "positions of the static equilibria"),
     "equilibrium_stable": Variable("i1", "1", "stability of the equilibria", -1, _STABILITY),
@@ -113,6 +120,11 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
         name: (COORDINATES[name][0], axis, COORDINATES[name][1].attributes)
         for name, axis in axes.items()
     }
+    thresholds = [
+        [tanh_threshold(study.oscillator, K_c, gap, x_max) for gap in grid.gaps] for K_c in grid.K_c
+    ]
+    described = CONTACT_VARIABLES["tanh_threshold"].attributes
+    variables["tanh_threshold"] = (SCENE_DIMS[1:], thresholds, described)
     variables["forcing"] = ((), study.oscillator.forcing, {"units": "N", "long_name": "forcing"})
     coords["x"] = ("x", x, {"units": "m", "long_name": "displacement"})
     attributes = {
