@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import wasserstein_distance
 from tests.made import chaotic, datasets, failed, motion, periodic, tables, unresolved
 
+from gapsweep.analysis.bootstrap import ratio
 from gapsweep.analysis.slab import slab
 from gapsweep.analysis.starts import PARTIAL, cost_sums, start_metrics
 
@@ -109,3 +110,11 @@ def test_costs_are_summed_where_both_have_a_response(slabs):
     assert sums["rejected_share"] == [[5.0, 15.0], nothing]
     assert_allclose(sums["nfev_per_period"], [[100.0, 10.0 * W], nothing])
     assert sums["cpu_time_ratio"] == [[0.5, 0.5], nothing]
+
+
+def test_longer_runs_do_not_make_a_law_dearer(slabs):
+    exact = [periodic([[1e-3, 0.0]], W, cpu_time=1.0, t_simulated=10.0)]
+    ours = [periodic([[1e-3, 0.0]], W, cpu_time=6.0, t_simulated=30.0)]
+    sums = cost_sums(*slabs(ours, exact))
+    assert ratio(sums["cpu_time_ratio"].sum((0, 1))) == 6.0
+    assert_allclose(ratio(sums["cpu_time_per_period_ratio"].sum((0, 1))), 2.0)

@@ -109,9 +109,15 @@ def pooled(sums: Array, block: Ints, statistic: Callable[[Array], Array]) -> tup
 
 
 def ratio(sums: Array) -> Array:
-    """The first of two sums over the second, NaN for nothing over nothing."""
+    """The first of two sums over the second, NaN for nothing over nothing.
+
+    Of four, the ratio of the first two over that of the last two.
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(sums[..., 0] / sums[..., 1])
+        ratios = sums[..., ::2] / sums[..., 1::2]
+        return np.asarray(
+            ratios[..., 0] if ratios.shape[-1] == 1 else ratios[..., 0] / ratios[..., 1]
+        )
 
 
 @lru_cache(maxsize=64)

@@ -241,6 +241,10 @@ METRICS: dict[str, Metric] = {
         "A14", "s", "processor time per forcing period",
         "sum of cpu_time / sum of omega t_simulated",
     ),
+    "cpu_time_per_period_ratio": _pooled(
+        "A14", "1", "processor time per forcing period, relative to the exact law",
+        "cpu_time_per_period / that of the exact law, over the same points",
+    ),
     "nfev_per_period": _pooled(
         "A14", "1", "right-hand sides per forcing period", "sum of nfev / sum of omega t_simulated"
     ),

@@ -98,25 +98,32 @@ def _exponent_metrics(ours: Slab, theirs: Slab, both: Bools) -> dict[str, Array]
 
 
 def cost_sums(ours: Slab, theirs: Slab) -> dict[str, Array]:
-    """Numerators and denominators of cost ratios, shape (n_omega, n_starts, 2).
+    """Numerators and denominators of cost ratios, shape (n_omega, n_starts, 2 or 4).
 
-    Zero where a response is missing, and for times where they come from different machines.
+    Four for a ratio of ratios: ours and the exact law's. Zero where a response is missing, and
+    for times where they come from different machines.
     """
     both = ours.exists & theirs.exists
     timed = both & (ours.host == theirs.host) & (ours.host != NONE)
     own, exact = ours.costs, theirs.costs
-    periods = own["t_simulated"] * ours.omega[:, None]
+    periods, their_periods = (
+        slab.costs["t_simulated"] * slab.omega[:, None] for slab in (ours, theirs)
+    )
     tried = own["n_steps"] + own["n_rejected"]
     ratios = {
         "cpu_time_ratio": (own["cpu_time"], exact["cpu_time"], timed),
         "nfev_ratio": (own["nfev"], exact["nfev"], both),
         "n_steps_ratio": (own["n_steps"], exact["n_steps"], both),
         "cpu_time_per_period": (own["cpu_time"], periods, timed),
+        "cpu_time_per_period_ratio": (
+            *(own["cpu_time"], periods, exact["cpu_time"], their_periods),
+            timed,
+        ),
         "nfev_per_period": (own["nfev"], periods, both),
         "n_contacts_per_period": (own["n_contacts"], periods, both),
         "rejected_share": (own["n_rejected"], tried, both),
     }
     return {
-        name: np.where(where[..., None], np.stack([top, bottom], axis=-1), 0.0)
-        for name, (top, bottom, where) in ratios.items()
+        name: np.where(where[..., None], np.stack(sums, axis=-1), 0.0)
+        for name, (*sums, where) in ratios.items()
     }
