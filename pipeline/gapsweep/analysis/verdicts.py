@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.status import Status
 
@@ -58,6 +58,8 @@ class Number:
         Its possible range: no test may ask for less or more.
     n : int
         How many values it condenses.
+    each : ndarray, optional
+        These values, where it is a mean of values in [0, 1]: differences are taken in pairs.
     """
 
     value: float
@@ -65,8 +67,11 @@ class Number:
     low: float = -math.inf
     high: float = math.inf
     n: int = 1
+    each: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
 
     def __sub__(self, other: "Number") -> "Number":
+        if self.each is not None and other.each is not None and self.n == other.n:
+            return mean(self.each - other.each, low=-1.0)
         return Number(
             self.value - other.value,
             math.hypot(self.floor, other.floor),
@@ -85,18 +90,24 @@ class Number:
         return f"{self.value:.3g}"
 
 
-def share(hits: ArrayLike) -> Number:
-    """Share of what was looked at that fulfils a condition.
+def mean(values: ArrayLike, low: float = 0.0) -> Number:
+    """Mean of values between `low` and 1, such as shares, or of differences of such values.
 
-    Its floor is one standard error of a share among so many (by Agresti and Coull's rule, so that
-    none or all of a few are not taken for certain): more than a regular grid of frequencies has.
+    Its floor is one standard error, one more squared deviation of 1 being assumed, so that none
+    or all of a few are not taken for certain: more than a regular grid of frequencies has.
     """
-    found = np.ravel(np.asarray(hits, dtype=bool))
-    if not found.size:
+    each = np.ravel(np.asarray(values, dtype=float))
+    each = each[np.isfinite(each)]
+    if not each.size:
         raise NotInRunError("nothing was asked for there")
-    likely = (found.sum() + 1.0) / (found.size + 2.0)
-    spread = math.sqrt(likely * (1.0 - likely) / (found.size + 2.0))
-    return Number(float(found.mean()), spread, 0.0, 1.0, found.size)
+    value = float(each.mean())
+    spread = math.sqrt(float(np.sum((each - value) ** 2)) + 1.0) / each.size
+    return Number(value, spread, low, 1.0, each.size, each)
+
+
+def share(hits: ArrayLike) -> Number:
+    """Share of what was looked at that fulfils a condition, as a `mean`."""
+    return mean(np.asarray(hits, dtype=bool))
 
 
 def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:
