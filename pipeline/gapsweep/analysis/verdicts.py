@@ -357,11 +357,13 @@ class Run:
         NotInRunError
             If none was asked for.
         """
-        status = self.scene(_RESPONSES, representation, K_c, gap, "status")["status"]
-        found = self.scene(data, representation, K_c, gap, *names).assign(asked=status)
-        found = found.sel(omega=slice(*band)).isel(initial_condition=self.starts[start])
-        found = found.stack(point=("omega", "initial_condition"), create_index=False)
-        found = found.isel(point=found["asked"].values != Status.NOT_REQUESTED)
-        if not found.sizes["point"]:
+        key = (data, representation, K_c, gap, *names, band, start)
+        if key not in self._read:
+            status = self.scene(_RESPONSES, representation, K_c, gap, "status")["status"]
+            found = self.scene(data, representation, K_c, gap, *names).assign(asked=status)
+            found = found.sel(omega=slice(*band)).isel(initial_condition=self.starts[start])
+            found = found.stack(point=("omega", "initial_condition"), create_index=False)
+            self._read[key] = found.isel(point=found["asked"].values != Status.NOT_REQUESTED)
+        if not self._read[key].sizes["point"]:
             raise NotInRunError(f"no points of {representation} at {K_c:g} N/m, {gap} mm")
-        return found
+        return self._read[key]
