@@ -183,11 +183,14 @@ class Claim:
             tests, sentence = self.find(run)
         except NotInRunError as missing:
             tests, sentence = [], f"Not decided: {missing}."
+        found = verdict(test.holds for test in tests)
+        if tests and found == UNDECIDABLE:
+            sentence += " Open: every number lies within its floor of the threshold."
         return {
             "id": self.id,
             "place": self.place,
             "claim": self.text,
-            "verdict": verdict(test.holds for test in tests),
+            "verdict": found,
             "sentence": sentence,
             "why": self.why,
             "tests": [_as_json(test) for test in tests],
