@@ -23,6 +23,12 @@ def test_study_example_is_valid(tmp_path):
     assert gs.Study.load(tmp_path / "study.toml").grid.shape == (3, 2, 2, 37, 2)
 
 
+def test_the_answer_is_that_of_the_documentation():
+    (answer,) = re.findall("<!-- answer -->\n(.*?)<!-- /answer -->", README, re.DOTALL)
+    assert answer.count("\n|") > 3
+    assert answer in (Path(__file__).parents[1] / "docs" / "answer.md").read_text()
+
+
 def test_quick_study_is_valid():
     study = gs.Study.load(Path(__file__).parents[1] / "workflows" / "quick.toml")
     assert study.grid.requested.sum() == 180

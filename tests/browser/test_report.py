@@ -149,3 +149,16 @@ def test_the_filter_shows_what_fits(debugger, page):
 def test_nothing_is_wider_than_a_phone(debugger, page):
     (width,), _ = ask(debugger, page, "document.documentElement.scrollWidth", size=(380, 800))
     assert width <= 380
+
+
+def test_the_answer_is_on_the_first_screen(debugger, page):
+    for size in ((1280, 800), (390, 800)):
+        (top, width), _ = ask(
+            debugger,
+            page,
+            "document.querySelector('#answer tbody tr').getBoundingClientRect().bottom",
+            "document.querySelector('#answer .scroll').getBoundingClientRect().right",
+            size=size,
+        )
+        assert top < size[1]
+        assert width <= size[0]

@@ -13,10 +13,12 @@ from workflows.paper.figures import cost_tables
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.timing import timing
-from gapsweep.report.findings import findings, overview
+from gapsweep.report.answer import contacts
+from gapsweep.report.findings import findings
 from gapsweep.report.html import write_report
 from gapsweep.report.parts import Part, Table, for_page, is_drawing, rendered, svg
 from gapsweep.report.tables import VERDICTS, number, outcome, percent
+from gapsweep.status import Status
 
 LABELS = ("piecewise", "piecewise@half", "tanh-1e4", "poly-13")
 OMEGA = (1.0, 2.0, 3.0, 4.0)
@@ -44,26 +46,30 @@ def made(folder, sizes, **more):
 EQUAL = {"piecewise": 1.0, "piecewise@half": 1.001, "tanh-1e4": 1.02, "poly-13": 1.3}
 
 
-def test_findings_name_the_closest_and_the_farthest(tmp_path):
-    sentences = " ".join(findings(*made(tmp_path, EQUAL), None))
-    assert "closest" not in sentences
-    assert "is tanh-1e4 (median amplitude error 2 %), farthest poly-13 (30 %)" in sentences
-    assert "Exact against exact, the same number is 0.1 % at most" in sentences
-    swapped = EQUAL | {"tanh-1e4": 0.5, "poly-13": 0.99}
-    sentences = " ".join(findings(*made(tmp_path, swapped), None))
-    assert "is poly-13 (median amplitude error 1 %), farthest tanh-1e4 (50 %)" in sentences
-
-
-def test_failures_are_counted_and_never_ranked(tmp_path):
+def test_failures_are_counted_once_and_never_ranked(tmp_path):
     responses, compared = made(tmp_path, EQUAL | {"poly-13": None})
-    sentences = findings(responses, compared, None)
+    found = contacts(compared)
+    sentences = findings(responses, found, None)
     assert sentences[0] == (
-        "Of 16 sweep points 12 are periodic, 0 chaotic, 0 unresolved and 4 failed."
+        "Of 16 sweep points 12 are periodic, 0 chaotic, 0 unresolved and 4 without a steady "
+        "response (4 diverged)."
     )
-    assert "farthest" not in " ".join(sentences)
-    cells = {row["representation"]: row["cells"] for row in overview(compared)["rows"]}
-    assert [cell["text"] for cell in cells["poly-13"]] == ["–"]
-    assert [cell["faithful"] for cell in cells["tanh-1e4"]] == [True]
+    assert "Closest" not in " ".join(sentences)
+    assert {one.law: one.verdict for one in found[0].laws} == {"tanh-1e4": "use", "poly-13": "no"}
+
+
+def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):
+    def answer(label, omega, start):
+        outside = Status.OUT_OF_FIT_RANGE
+        if omega < 2.0:
+            return failed(status=outside)
+        return periodic([(1e-3, 0.0)], omega, status=outside if omega > 3.0 else Status.OK)
+
+    responses, _ = datasets(tmp_path, tables(["poly-13"], OMEGA), answer)
+    assert findings(responses, [], None)[0].endswith(
+        "and 1 without a steady response (1 out of fit range); "
+        "1 of the others left the range of their fit."
+    )
 
 
 def decided(sentence="Holds."):
@@ -125,6 +131,29 @@ def test_hostile_texts_stay_texts(page):
     assert "<img" not in text
     assert text.count("<script>") == 1
     assert "&lt;script&gt;alert(2)" in text
+
+
+def test_the_answer_comes_first_in_words_and_signs(tmp_path):
+    responses, compared = made(tmp_path, EQUAL)
+    static = xr.Dataset(
+        {"tanh_threshold": (("K_c", "gap"), [[72488.0]])}, {"K_c": [1.4e4], "gap": ["0.4/0.4"]}
+    )
+    path = write_report(
+        tmp_path / "page" / "index.html", responses, compared, timing(responses), static=static
+    )
+    text = path.read_text()
+    assert text.index("<main") < text.index('id="answer"') < text.index("<nav")
+    first = text[text.index('id="answer"') : text.index("<details>")]
+    assert "Take the exact law" in first
+    rows = re.findall(r'<ul class="laws (\w+)">(.*?)</ul>', first, re.DOTALL)
+    words = {name: " ".join(re.sub("<[^>]+>", " ", row).split()) for name, row in rows}
+    assert words["good"].startswith("✓ tanh-1e4 ±")
+    assert words["fair"] == "none"
+    assert words["bad"].startswith("✗ poly-13 ±")
+    assert "one well: ε &gt; 72000" in first
+    assert first.count('scope="col"') == 5
+    assert first.count('scope="row"') == 1
+    assert "exact against exact" in text[text.index("<details>") :]
 
 
 def test_claims_stand_in_the_page_with_their_numbers(page):

@@ -13,14 +13,23 @@ import matplotlib
 import xarray as xr
 from markupsafe import Markup
 
+from gapsweep.report.answer import SIGNS, contacts, in_words, times
 from gapsweep.report.bench import bench_parts
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import bifurcation, frequency_response
-from gapsweep.report.findings import findings, outcomes, overview
+from gapsweep.report.findings import findings, outcomes
 from gapsweep.report.parts import for_page, rendered, svg
 from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.style import MATPLOTLIB
-from gapsweep.report.tables import VERDICTS, Row, agreement_rows, claim_rows, number, timing_rows
+from gapsweep.report.tables import (
+    VERDICTS,
+    Row,
+    agreement_rows,
+    claim_rows,
+    number,
+    percent,
+    timing_rows,
+)
 from gapsweep.status import Status
 from gapsweep.store.artefact import is_recorded, recording
 
@@ -49,6 +58,7 @@ def write_report(
     *,
     attractors: xr.Dataset | None = None,
     advice: xr.Dataset | None = None,
+    static: xr.Dataset | None = None,
     claims: Mapping[str, Any] | None = None,
     own_parts: Sequence[Mapping[str, Any]] = (),
     work_precision: xr.Dataset | None = None,
@@ -67,6 +77,8 @@ def write_report(
         As stored in the run's folder; drawn where there are several starts.
     advice : Dataset, optional
         As stored in the run's folder, where ``auto`` is a representation.
+    static : Dataset, optional
+        As stored in the run's folder; says from where tanh has no false well.
     claims : mapping, optional
         What stands in ``claims.json``.
     own_parts : sequence of mapping
@@ -88,19 +100,22 @@ def write_report(
         scenes = Scenes(responses)
         sections = list(_sections(responses, scenes, agreement, timing, attractors))
     parts = [*own_parts, *rendered(bench_parts(work_precision, stability))]
+    environment.filters.update(number=number, percent=percent, times=times)
+    found = [] if agreement is None else contacts(agreement, static)
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
         study=responses.attrs["study"],
-        findings=findings(responses, agreement, claims, advice),
-        overview=None if agreement is None else overview(agreement),
+        findings=findings(responses, found, claims, advice),
+        contacts=found,
+        answer=in_words(found),
+        signs=SIGNS,
         claims=claims and {"counts": claims["counts"], "rows": list(claim_rows(claims))},
         verdicts=VERDICTS,
         script=Markup(script),  # our own file, without anything of the user's
         script_digest=_digest(script),
         sections=sections,
         parts=[for_page(part) for part in parts],
-        statuses=_status_counts(responses),
         measured_on=timing.attrs["measured_on"],
         provenance=_provenance(responses),
         version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
@@ -180,12 +195,6 @@ def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
     """The representations as they are; those of other solver settings if there is nothing else."""
     plain = [i for i, label in enumerate(scene["representation"].values) if "@" not in str(label)]
     return swept(scene.isel(representation=plain)) if plain else scene
-
-
-def _status_counts(responses: xr.Dataset) -> list[tuple[str, int]]:
-    status = responses["status"].values
-    counts = [(s.label.replace("_", " "), int((status == s).sum())) for s in Status]
-    return [(label, n) for label, n in counts if n and label != "not requested"]
 
 
 def _provenance(responses: xr.Dataset) -> list[tuple[str, str]]:

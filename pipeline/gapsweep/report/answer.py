@@ -1,0 +1,252 @@
+"""Which stand-in may be taken for which contact, and at what price: what a report opens with.
+
+Judged contact by contact (stiffness and gap), from ``agreement.nc``:
+
+exact here
+    Neither number worse than the exact law against itself: no study can tell them apart.
+use
+    95 % of the amplitudes within 5 %, the thickness of a plotted line, and 95 % of the exact
+    attractors found: a diagram drawn with it reads the same.
+with care
+    Half of both: what is common is right, what is rare may be missing or invented.
+no
+    Less than that.
+
+Nothing is asked that the exact law against itself does not reach. Amplitudes are those of paired
+attractors, because start by start a moved basin boundary would count as a wrong amplitude. The
+price is processor time per forcing period, because totals also count how long each motion took to
+settle; it is other than 1 only beyond its 95 % interval and beyond what the exact law's own times
+differ by. ±: the ends of the intervals lie on both sides of a line between "use", "with care" and
+"no", or the frequencies are too few for intervals.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.report.tables import number
+
+LINE, MOST, HALF = 0.05, 0.95, 0.5
+SIGNS = {"exact here": "=", "use": "✓", "with care": "◐", "no": "✗"}
+_SHOWN = {
+    "median": "amplitude_error_paired_median",
+    "p95": "amplitude_error_paired_p95",
+    "found": "recall_pooled",
+}
+_PRICE = "cpu_time_per_period_ratio"
+# Of each number the estimate, and the best and the worst end of its interval.
+Values = dict[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A law in a contact: its numbers, and what follows from them."""
+
+    law: str
+    values: Values
+    n_exact: int
+    verdict: str
+    is_firm: bool
+    price: float
+    low: float
+    high: float
+
+    @property
+    def column(self) -> str:
+        """Where it stands in the table."""
+        return "use" if self.verdict == "exact here" else self.verdict
+
+    @property
+    def name(self) -> str:
+        """Its label, marked if its verdict is not firm."""
+        return self.law if self.is_firm else f"{self.law} ±"
+
+    @property
+    def cost(self) -> str:
+        """The price in words; in doubt where it has no interval."""
+        if np.isnan(self.low):
+            return f"{times(self.price)} ?"
+        if self.low <= 1.0 <= self.high:
+            return "≈ 1\u00a0×"
+        return (
+            times(self.price)
+            if self.low > 1.0
+            else f"saves {100.0 - 100.0 * self.price:.0f}\u00a0%"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in."""
+
+    K_c: float
+    gap: str
+    floors: Values
+    laws: list[Judged]
+    threshold: str
+
+    @property
+    def columns(self) -> dict[str, list[Judged]]:
+        """All laws by what may be done with them, the cheapest first."""
+        laws = sorted(self.laws, key=lambda one: one.price)
+        return {v: [one for one in laws if one.column == v] for v in ("use", "with care", "no")}
+
+    @property
+    def picks(self) -> list[Judged]:
+        """The cheapest stand-in to use, and those whose price cannot be told from its."""
+        # Unlocated contacts are the exact force and no stand-in for it.
+        usable = [one for one in self.columns["use"] if not one.law.startswith("piecewise")]
+        best = next((one for one in usable if one.is_firm), usable[0] if usable else None)
+        return [one for one in usable if best and not one.low > best.high]
+
+    @property
+    def least_tanh(self) -> str:
+        """The smallest parameter [1/m] of tanh that was measured and may be used."""
+        names = [one.name[5:] for one in self.columns["use"] if one.law.startswith("tanh-")]
+        return min(names, key=lambda name: float(name.split()[0]), default="none")
+
+
+def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Contact]:
+    """Every contact of a study with what stands in there, the softest and narrowest first.
+
+    Parameters
+    ----------
+    agreement, static : Dataset
+        As stored in the run's folder; without `static`, thresholds of tanh are not known.
+    """
+    names = [*_SHOWN.values(), _PRICE]
+    pooled = agreement[[*names, *(f"{n}_ci" for n in names), "n_points"]].sel(regime="all").load()
+    pooled["n_exact"] = agreement["n_attractors_exact"].sum("omega")
+    walls = np.lexsort((pooled["j_1"], np.round(pooled["j_1"] + pooled["j_2"], 12)))
+    pooled = pooled.isel(K_c=np.argsort(pooled["K_c"].values), gap=walls)
+    exact = str(agreement.attrs["floor_representations"]).split()
+    labels = [str(label) for label in pooled["representation"].values]
+    laws = [n for n in labels if n != agreement.attrs["reference"] and "@" not in n]
+    found = []
+    for k, g in np.ndindex(pooled.sizes["K_c"], pooled.sizes["gap"]):
+        here = pooled.isel(K_c=k, gap=g)
+        floors = _worst([_values(here.sel(representation=label)) for label in exact])
+        spread = np.abs(np.log(here[_PRICE].sel(representation=exact).values))
+        noise = float(np.exp(np.nanmax(spread, initial=0.0)))
+        rows = [here.sel(representation=law) for law in laws]
+        judged = [_judged(row, floors, noise) for row in rows if row["n_points"] > 0]
+        if judged:
+            gap = str(here["gap"].item())
+            threshold = _threshold(static, float(here["K_c"]), gap)
+            found.append(Contact(float(here["K_c"]), gap, floors, judged, threshold))
+    return found
+
+
+def verdict(values: Values, floors: Values) -> list[str]:
+    """The first verdict whose demands are met, at each end of the intervals; NaN meets none."""
+    known, floor = (
+        {name: np.where(np.isfinite(v), v, v[0]) for name, v in some.items()}
+        for some in (values, floors)
+    )
+    median, p95, found = (known[name] for name in _SHOWN)
+    demands = {
+        "exact here": (p95 <= floor["p95"]) & (found >= floor["found"]),
+        "use": (p95 <= np.fmax(LINE, floor["p95"])) & (found >= np.fmin(MOST, floor["found"])),
+        "with care": (median <= np.fmax(LINE, floor["median"]))
+        & (found >= np.fmin(HALF, floor["found"])),
+    }
+    said: list[str] = np.select(list(demands.values()), list(demands), "no").tolist()
+    return said
+
+
+def _values(row: xr.Dataset) -> Values:
+    values = {}
+    for name, long in _SHOWN.items():
+        low, high = row[f"{long}_ci"].values
+        values[name] = np.array([row[long], *((high, low) if name == "found" else (low, high))])
+    return values
+
+
+def _worst(exact: Sequence[Values]) -> Values:
+    """What the exact law reaches against itself; NaN if nothing says that."""
+    worst = {name: np.fmin if name == "found" else np.fmax for name in _SHOWN}
+    nothing = np.full(3, np.nan)
+    return {n: reduce(w, (values[n] for values in exact), nothing) for n, w in worst.items()}
+
+
+def _judged(row: xr.Dataset, floors: Values, noise: float) -> Judged:
+    values = _values(row)
+    said, *ends = verdict(values, floors)
+    is_firm = len({end.replace("exact here", "use") for end in ends}) == 1
+    unknown = any(np.isnan(v[1:]).any() and np.isfinite(v[0]) for v in values.values())
+    price, (low, high) = float(row[_PRICE]), row[f"{_PRICE}_ci"].values
+    low, high = min(float(low), price / noise), max(float(high), price * noise)
+    label, n_exact = str(row["representation"].item()), int(row["n_exact"])
+    return Judged(label, values, n_exact, said, is_firm and not unknown, price, low, high)
+
+
+def _threshold(static: xr.Dataset | None, K_c: float, gap: str) -> str:
+    if static is None or "tanh_threshold" not in static or gap == "0/0":
+        return "?"
+    value = float(static["tanh_threshold"].sel(K_c=K_c, gap=gap))
+    return f"ε > {number(float(f'{value:.2g}'))}" if np.isfinite(value) else "any ε"
+
+
+def in_words(found: Sequence[Contact]) -> list[str]:
+    """What to take, and what a stand-in costs where it must be one."""
+    paying = [c for c in found if any(one.is_firm and one.high < 1.0 for one in c.picks)]
+    others = [c for c in found if c not in paying]
+    picks = [one for contact in others for one in contact.picks]
+    some = f"{sum(bool(c.picks) for c in found)} of {len(found)} contacts"
+    if paying:
+        said = f"A stand-in saves time in {len(paying)} of {len(found)} contacts: {_picked(paying)}"
+    elif not picks:
+        said = "Take the exact law: no stand-in can be used"
+    elif any(not one.low > 1.0 for one in picks):
+        said = f"Take the exact law: a stand-in can be used in {some}, none saves time beyond doubt"
+    else:
+        said = f"Take the exact law: a stand-in can be used in {some}, at {_range(picks)} its cost"
+    if not others or not (picks or paying):
+        return [f"{said}."]
+    where = "Elsewhere take the exact law; if" if paying else "If"
+    return [f"{said}.", f"{where} it must be a stand-in, the cheapest: {_picked(others)}."]
+
+
+def _picked(found: Sequence[Contact]) -> str:
+    """Which stand-ins for which contacts, contacts with the same ones together."""
+    groups: dict[tuple[str, ...], list[Contact]] = {}
+    for contact in found:
+        groups.setdefault(tuple(sorted(one.name for one in contact.picks)), []).append(contact)
+    return "; ".join(_pick(laws, some) for laws, some in groups.items())
+
+
+def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
+    gaps: dict[str, list[str]] = {}
+    for contact in some:
+        gaps.setdefault(number(contact.K_c), []).append(contact.gap)
+    places = " and ".join(f"{K_c} N/m with {', '.join(mm)} mm" for K_c, mm in gaps.items())
+    if not laws:
+        return f"none for {places}"
+    names = " or ".join([", ".join(laws[:-1]), laws[-1]] if laws[1:] else laws)
+    return f"{names} for {places} ({_range([one for contact in some for one in contact.picks])})"
+
+
+def _range(laws: Sequence[Judged]) -> str:
+    prices = [one.price for one in laws]
+    return " to ".join(dict.fromkeys(times(price) for price in (min(prices), max(prices))))
+
+
+def times(price: float) -> str:
+    """A ratio of processor times, two digits."""
+    if not np.isfinite(price):
+        return "–"
+    return f"{price:.0f}\u00a0×" if price >= 9.95 else f"{price:.1f}\u00a0×"
+
+
+def lines(found: Sequence[Contact]) -> Iterator[list[str]]:
+    """The table as texts: a contact, the laws by what may be done with them, tanh."""
+    for one in found:
+        columns = [
+            ", ".join(f"{law.name} {law.cost}" for law in laws) or "none"
+            for laws in one.columns.values()
+        ]
+        yield [f"{number(one.K_c)} N/m, {one.gap} mm", *columns, one.threshold, one.least_tanh]

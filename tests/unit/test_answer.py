@@ -1,0 +1,180 @@
+"""The answer: verdicts follow the rule, and no sentence says more than its numbers."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from tests.made import datasets, failed, periodic, tables
+
+from gapsweep.analysis.agreement import agreement
+from gapsweep.report.answer import Contact, Judged, contacts, in_words, lines, times, verdict
+from gapsweep.report.findings import findings
+
+NOTHING = {name: np.full(1, np.nan) for name in ("median", "p95", "found")}
+OMEGA = tuple(np.arange(1.0, 13.0, 0.5))  # 24 blocks: enough for every interval
+HALF = {"protocol": {"half": {"rtol": 5e-10}}}
+
+
+@pytest.mark.parametrize(
+    ("median", "p95", "found", "said"),
+    [
+        (0.0, 0.05, 0.95, "use"),
+        (0.0, 0.051, 0.95, "with care"),
+        (0.0, 0.05, 0.949, "with care"),
+        (0.05, 9.0, 0.5, "with care"),
+        (0.051, 9.0, 1.0, "no"),
+        (0.0, 9.0, 0.499, "no"),
+        (np.nan, np.nan, 0.0, "no"),
+    ],
+)
+def test_lines_between_verdicts(median, p95, found, said):
+    values = {"median": [median], "p95": [p95], "found": [found]}
+    assert verdict({n: np.array(v) for n, v in values.items()}, NOTHING) == [said]
+
+
+@pytest.mark.parametrize(
+    ("p95", "found", "said"),
+    [(0.2, 0.8, "exact here"), (0.2, 0.79, "with care"), (0.21, 0.8, "with care")],
+)
+def test_nothing_is_asked_that_the_exact_law_does_not_reach(p95, found, said):
+    values = {"median": np.zeros(1), "p95": np.array([p95]), "found": np.array([found])}
+    floors = {"median": np.zeros(1), "p95": np.array([0.2]), "found": np.array([0.8])}
+    assert verdict(values, floors) == [said]
+
+
+def made(folder, answers, omega=OMEGA):
+    """A study of one contact; of each law its amplitude [mm] and its processor time [s]."""
+
+    def answer(label, omega, start):
+        size, cpu_time = answers[label]
+        if size is None:
+            return failed()
+        return periodic([(size * 1e-3, 0.0)], omega, cpu_time=cpu_time)
+
+    files = datasets(folder, tables(answers, omega, **HALF), answer)
+    return files[0], contacts(agreement(*files))
+
+
+LAWS = {
+    "piecewise": (1.0, 1.0),
+    "piecewise@half": (1.0, 1.1),
+    "tanh-1e4": (1.004, 4.0),
+    "tanh-1e6": (1.002, 9.0),
+    "arctan-1e4": (1.03, 1.05),
+    "poly-13": (1.3, 0.25),
+    "poly-21": (None, 0.0),
+    "piecewise-noevents": (1.0, 2.0),
+}
+
+
+def test_every_law_has_its_verdict_and_its_price(tmp_path):
+    _, (contact,) = made(tmp_path, LAWS)
+    found = {one.law: (one.verdict, one.is_firm, one.cost) for one in contact.laws}
+    assert found == {
+        "tanh-1e4": ("use", True, "4.0\u00a0×"),
+        "tanh-1e6": ("use", True, "9.0\u00a0×"),
+        "arctan-1e4": ("use", True, "≈ 1\u00a0×"),  # within what the exact law's times differ by
+        "poly-13": ("no", True, "saves 75\u00a0%"),
+        "poly-21": ("no", True, "– ?"),
+        "piecewise-noevents": ("exact here", True, "2.0\u00a0×"),
+    }
+    assert contact.least_tanh == "1e4"
+    assert_allclose(contact.laws[0].values["median"], 0.004, rtol=1e-9)
+    (line,) = lines([contact])
+    assert line[0] == "14000 N/m, 0.4/0.4 mm"
+    assert line[2] == "none"
+
+
+def test_too_few_frequencies_for_an_interval_settle_nothing(tmp_path):
+    _, (contact,) = made(tmp_path, LAWS, OMEGA[:4])
+    tanh = next(one for one in contact.laws if one.law == "tanh-1e4")
+    assert (tanh.verdict, tanh.is_firm, tanh.cost) == ("use", False, "4.0\u00a0× ?")
+    assert "beyond doubt" in in_words([contact])[0]
+
+
+def test_without_floors_the_rule_is_the_same(tmp_path):
+    _, (contact,) = made(tmp_path, {n: v for n, v in LAWS.items() if "@" not in n})
+    said = {one.law: one.verdict for one in contact.laws}
+    assert said["piecewise-noevents"] == said["tanh-1e4"] == "use"
+    assert said["poly-13"] == "no"
+
+
+def judged(law, verdict="use", price=4.0, width=1.1, firm=True, median=0.01):
+    values = {"median": np.array([median, median / width, median * width])}
+    return Judged(law, values, 9, verdict, firm, price, price / width, price * width)
+
+
+def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0):
+    return Contact(K_c, gap, {"median": np.full(3, floor)}, list(laws), "any ε")
+
+
+def test_the_answer_names_what_saves_time():
+    cheap, dear = judged("poly-13", price=0.5), judged("tanh-1e4", price=3.0)
+    said = in_words([contact(cheap, dear), contact(dear, K_c=1e6)])
+    assert said[0] == (
+        "A stand-in saves time in 1 of 2 contacts: "
+        "poly-13 for 10000 N/m with 0.4/0.4 mm (0.5\u00a0×)."
+    )
+    assert said[1].startswith("Elsewhere take the exact law; ")
+    assert "tanh-1e4 for 1e6 N/m" in said[1]
+
+
+def test_prices_that_intervals_do_not_part_stand_together():
+    near = [judged("tanh-1e4", price=4.0), judged("arctan-1e4", price=4.5)]
+    far = judged("poly-13", price=9.0)
+    (_, said) = in_words([contact(*near, far)])
+    assert "arctan-1e4 or tanh-1e4 for" in said
+    assert "(4.0\u00a0× to 4.5\u00a0×)" in said
+    assert "poly-13" not in said
+
+
+def test_a_cheap_law_in_doubt_does_not_hide_a_sure_one():
+    doubtful, sure = judged("poly-13", price=0.5, firm=False), judged("tanh-1e4")
+    said = in_words([contact(doubtful, sure)])
+    assert said[0].endswith("none saves time beyond doubt.")
+    assert "poly-13 ± or tanh-1e4" in said[1]
+
+
+def test_nothing_to_use_is_said():
+    bad = judged("poly-13", "with care")
+    assert in_words([contact(bad)]) == ["Take the exact law: no stand-in can be used."]
+    said = in_words([contact(bad), contact(judged("tanh-1e4"), gap="0/1")])
+    assert "none for 10000 N/m with 0.4/0.4 mm" in said[1]
+    unlocated = judged("piecewise-noevents", "exact here", price=0.5)
+    assert in_words([contact(unlocated)]) == ["Take the exact law: no stand-in can be used."]
+
+
+def test_prices_have_two_digits():
+    assert [times(v) for v in (0.52, 4.0, 9.96, 17.4, float("nan"))] == [
+        "0.5\u00a0×", "4.0\u00a0×", "10\u00a0×", "17\u00a0×", "–",
+    ]  # fmt: skip
+
+
+def found_in(folder, *several):
+    responses, _ = made(folder, {"piecewise": (1.0, 1.0)}, OMEGA[:1])
+    return " ".join(findings(responses, several, None))
+
+
+def test_closest_is_who_is_closest_in_the_same_contact(tmp_path):
+    near, far = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.3)
+    alone = judged("arctan-1e4", median=1e-6)
+    exact = judged("piecewise-noevents", median=1e-9)
+    said = found_in(tmp_path, contact(near, far, exact), contact(alone))
+    assert "tanh-1e4 in 1 of 1 contacts with several" in said
+    assert "arctan" not in said
+    assert "noevents" not in said
+
+
+def test_overlapping_intervals_and_floors_name_none(tmp_path):
+    near, level = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.011)
+    assert "beyond the 95 % intervals: no single one in 1 of 1" in found_in(
+        tmp_path, contact(near, level)
+    )
+    far = judged("poly-13", median=0.3)
+    assert "no single one in 1 of 1" in found_in(tmp_path, contact(near, far, floor=0.5))
+    unknown = judged("poly-13", median=0.3, width=np.nan)
+    assert "no single one in 1 of 1" in found_in(tmp_path, contact(near, unknown))
+
+
+def test_prices_are_counted_by_what_is_beyond_doubt(tmp_path):
+    laws = [judged("poly-13", "no", 0.5), judged("tanh-1e4"), judged("arctan-1e4", price=1.05)]
+    assert "Of 3 pairs of contact and stand-in, 1 cost more" in found_in(tmp_path, contact(*laws))
