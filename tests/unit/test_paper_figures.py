@@ -9,9 +9,11 @@ import xarray as xr
 from matplotlib.colors import to_hex
 from numpy.testing import assert_allclose
 from tests.figure_texts import overlaps
-from workflows.paper.figures import LIMITS, STRONG, WEAK, figures, sections
+from workflows.paper import scenes
+from workflows.paper.figures import LIMITS, band_rows, costs, figures, sections
 from workflows.paper.paper_figures import (
     histories_and_spectra,
+    overlaid_bifurcations,
     peak_curves,
     stacked_bifurcations,
 )
@@ -24,6 +26,7 @@ from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
+WEAK, STRONG = (("piecewise", *grade) for grade in (scenes.WEAK, scenes.STRONG))
 OMEGA = np.arange(1.0, 31.0)
 STARTS = ["fixed", "fixed", "sweep_up", "sweep_down"]
 METRES = {"units": "m"}
@@ -42,6 +45,12 @@ def responses_of(labels, K_c=(1.4e4,), gaps=((0.4, 0.4),)):
         {
             "x_max": (dims, peak, METRES),
             "x_min": (dims, -0.5 * peak, METRES),
+            "amplitude": (dims, 0.75 * peak, METRES),
+            "period_multiple": (dims, np.ones(sizes, "i4")),
+            "noise": (dims, np.full(sizes, 2e-6), METRES),
+            "nfev": (dims, np.full(sizes, 500.0)),
+            "cpu_time": (dims, np.full(sizes, 1e-3)),
+            "t_simulated": (dims, np.broadcast_to(10.0 / OMEGA[:, None], sizes).copy()),
             "extrema": ((*dims, "extremum"), extrema, METRES),
             "response_class": (dims, np.full(sizes, PERIODIC, "i1")),
             "status": (dims, np.zeros(sizes, "i1")),
@@ -95,7 +104,7 @@ def drawn_of(responses, **more):
 
 
 def numbers(responses, **more):
-    return [re.match(r"Figure (\w+)\.", d.caption)[1] for d in drawn_of(responses, **more)]
+    return [re.match(r"Figure ([^.]+)\.", d.caption)[1] for d in drawn_of(responses, **more)]
 
 
 def test_no_text_lies_on_another(scene, kept):
@@ -144,57 +153,133 @@ def test_every_extremum_is_drawn(scene):
 def test_shades_say_the_class(scene):
     one = scene.isel(initial_condition=0)
     one["response_class"][2, 4:6] = CHAOTIC
-    one["status"][2, 10] = Status.ERROR
-    shades = [
-        (bars.get_facecolor()[0][:3].tolist(), path.get_extents().intervalx.tolist())
-        for bars in stacked_bifurcations(one).axes[2].collections
-        for path in bars.get_paths()
-    ]
-    assert [spans for _, spans in shades] == [[4.5, 6.5], [10.5, 11.5]]
-    assert shades[0][0] != shades[1][0]
+    one["response_class"][2, 10] = ResponseClass.UNRESOLVED
+    bars = stacked_bifurcations(one).axes[2].patches
+    spans = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in bars]
+    assert spans == [(4.5, 5.5), (5.5, 6.5), (10.5, 11.5)]
+    shades = [bar.get_facecolor() for bar in bars]
+    assert shades[0] == shades[1] != shades[2]
+
+
+@pytest.fixture
+def limits():
+    return responses_of(LIMITS, K_c=(1.4e6,), gaps=[(0.0, 0.8)])
+
+
+def test_an_overlay_has_the_law_behind_larger_and_ticks_where_they_differ(limits):
+    one = limits.isel(K_c=0, gap=0, initial_condition=0)
+    front, rear = LIMITS[2], LIMITS[0]
+    (axes,) = overlaid_bifurcations(one, [(front, rear, OMEGA[[3, 7]])]).axes
+    behind, before = axes.lines[-2:]
+    shades = [to_hex(line.get_color()) for line in (behind, before)]
+    assert shades == [colour(rear), colour(front).lower()]
+    assert behind.get_markersize() > 1.5 * before.get_markersize()
+    extrema = one["extrema"].sel(representation=front).values.ravel() * 1e3
+    assert_allclose(points(axes, front), np.sort(extrema[np.isfinite(extrema)]))
+    assert [path[0, 0] for path in axes.collections[0].get_segments()] == OMEGA[[3, 7]].tolist()
+
+
+def test_figure_10_says_what_is_the_same_and_what_only_the_solver_makes_irregular():
+    both = [*LIMITS, *(f"{law}@paper" for law in LIMITS)]
+    responses = responses_of(both, K_c=(1.4e6,), gaps=[(0.0, 0.8)])
+    responses["x_max"][:] = responses["x_max"][0]
+    # Without events and with the paper's solver: apart at three frequencies, chaotic at two.
+    responses["x_max"][5, ..., 4:7, :] += 1e-4
+    responses["response_class"][5, ..., 4:6, :] = CHAOTIC
+    responses["response_class"][1, ..., 5:6, :] = CHAOTIC
+    tight, loose = (one for one in drawn_of(responses) if one.caption.startswith("Figure 10"))
+    assert "90 % (piecewise-noevents over piecewise)" in loose.caption
+    assert "100 % (piecewise-noevents over piecewise)" in tight.caption
+    assert "piecewise-noevents: 2 chaotic (1 periodic with the tight solver)" in loose.caption
+    assert "by 2 µm" in loose.caption
+    assert "tight solver" not in tight.caption
+    assert not overlaps(loose.figure)
+
+
+def test_figure_10_needs_all_its_laws_but_not_the_tight_solver(limits):
+    assert numbers(limits) == ["10"]
+    assert numbers(limits.isel(representation=[0, 1, 2])) == []
+    labels = [f"{law}@paper" for law in LIMITS]
+    assert numbers(limits.assign_coords(representation=labels)) == ["10"]
 
 
 def test_histories_show_six_periods_and_the_lines_of_the_spectrum(kept):
     axes = histories_and_spectra(kept).axes
-    assert len(axes) == 4 * len(LIMITS)
-    t, x = axes[0].lines[-1].get_data()
-    assert_allclose((t[0], t[-1]), (0.0, 6.0), atol=0.01)
-    steady = kept["x"].sel(representation="piecewise", part="steady").values[0]
-    assert_allclose(x, steady[-t.size :] * 1e3)
-    multiple, amplitude = axes[1].lines[-1].get_data()
-    forced = np.argmin(np.abs(multiple - 1.0))
-    assert multiple[forced] == 1.0
-    assert_allclose(amplitude[forced], kept["spectrum"].values[0, 0, forced] * 1e3)
+    assert len(axes) == 2 * kept.sizes["history"]
+    for h, (motion, spectrum) in enumerate(zip(axes[::2], axes[1::2], strict=True)):
+        own = motion.lines[-len(LIMITS) :]
+        shades = [to_hex(line.get_color()) for line in own]
+        assert shades == [colour(law).lower() for law in LIMITS]
+        assert own[0].get_linewidth() > own[1].get_linewidth() > own[2].get_linewidth()
+        t, x = own[0].get_data()
+        assert_allclose((t[0], t[-1]), (0.0, 6.0), atol=0.01)
+        steady = kept["x"].sel(representation="piecewise", part="steady").values[h]
+        assert_allclose(x, steady[-t.size :] * 1e3)
+        multiple, amplitude = spectrum.lines[0].get_data()
+        forced = np.argmin(np.abs(multiple - 1.0))
+        assert_allclose(amplitude[forced], kept["spectrum"].values[h, 0, forced] * 1e3)
 
 
-def test_failed_history_is_named(kept):
+def test_a_failed_history_leaves_the_others(kept):
     failed = kept.copy(deep=True)
     failed["x"][0, 1] = np.nan
     failed["spectrum"][0, 1] = np.nan
-    failed["status"][0, 1] = Status.DIVERGED
-    figure = histories_and_spectra(failed)
-    assert "diverged" in [text.get_text() for text in figure.axes[4].texts]
-    assert not overlaps(figure)
+    assert not overlaps(histories_and_spectra(failed))
 
 
 def test_figures_are_those_the_run_has_points_for(kept):
     assert numbers(responses_of(WEAK)) == ["6b", "8b"]
-    assert numbers(responses_of(WEAK, gaps=[(1.5, 1.5), (0.0, 0.8)])) == ["6a", "6c"]
+    gaps = [(1.1, 1.1), (1.5, 1.5), (0.0, 0.8)]
+    assert numbers(responses_of(WEAK, gaps=gaps)) == ["6a", "6a, smallest gap", "6c"]
     assert numbers(responses_of(WEAK, K_c=(1.4e3, 1.4e6))) == ["8a", "8c"]
     assert numbers(responses_of(STRONG, gaps=[(0.0, 0.8)])) == ["7"]
     assert numbers(responses_of(STRONG, K_c=(1.4e6,))) == ["9"]
     hard = responses_of(LIMITS, K_c=(1.4e6,), gaps=[(0.0, 0.8)])
-    assert numbers(hard, histories=kept) == ["10", "11"]
+    paper = kept.assign_coords(representation=[f"{law}@paper" for law in LIMITS])
+    assert numbers(hard, histories=paper) == ["10", "11"]
     assert numbers(responses_of(WEAK, K_c=(2e4,))) == []
 
 
 def test_sections_are_drawn_and_empty_ones_left_out():
-    timing = xr.Dataset(coords={"representation": ["tanh-1e4"], "K_c": [1.0], "gap": ["0/0"]})
-    (part,) = rendered(sections(Run({"responses": responses_of(WEAK), "timing": timing})))
-    assert part["anchor"] == "paper"
-    assert [is_drawing(each["svg"]) for each in part["figures"]] == [True, True]
-    few = Run({"responses": responses_of(WEAK[:1]), "timing": timing})
+    drawn, bands = rendered(sections(Run({"responses": responses_of(WEAK)})))
+    assert (drawn["anchor"], bands["anchor"]) == ("paper", "bands")
+    assert [is_drawing(each["svg"]) for each in drawn["figures"]] == [True, True]
+    few = Run({"responses": responses_of(["poly-5"], K_c=(2e4,))})
     assert rendered(sections(few)) == []
+
+
+def test_bands_are_the_frequencies_found():
+    responses = responses_of(WEAK)
+    responses["period_multiple"][0, ..., 16:20, 1] = 3
+    lows = {"period_3_low": 15.0, "period_3_high": 25.0, "peak_frequency": 10.0}
+    ends = {
+        name: ("representation", np.linspace(f, f + 1.0, len(WEAK))) for name, f in lows.items()
+    }
+    bands = xr.Dataset(ends, {"representation": list(WEAK)})
+    bands["period_3_low"][1] = np.nan
+    found = band_rows(Run({"responses": responses, "bands": bands}))
+    rows = {tuple(row[:3]): row[3:] for row in found}
+    scattered = rows["6b", "subharmonic 17-21", "period 3, start: scattered"]
+    assert scattered == ["17-20", *5 * ["–"]]
+    assert rows["8b", "subharmonic 17-21", "period 3, bisected"][:2] == ["15.00-25.00", "–"]
+    assert rows["8b", "primary peak", "jump, bisected"][0] == "10.00"
+    assert not any(row[0] == "9" for row in found)  # the hard contact was not swept
+
+
+def test_costs_are_those_of_a_forcing_period_however_long_the_run():
+    responses = responses_of([f"{law}@paper" for law in WEAK])
+    responses["nfev"][3] *= 2.0
+    responses["t_simulated"][3] *= 4.0
+    (sentence,), (table,) = costs(Run({"responses": responses}))
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert rows["piecewise"] == ["50", "1", "100", "1", "48.7", "1"]
+    assert rows["tanh-1e4"] == ["25", "0.5", "25", "0.25", "7.66", "0.157"]
+    assert "6.4 times the seconds" in sentence
+    assert "2.00 times its right-hand sides" in sentence
+    assert sentence.endswith("is not in the right-hand sides.")
+    responses["nfev"][3] /= 4.0
+    (sentence,), _ = costs(Run({"responses": responses}))
+    assert sentence.endswith("factor is in the right-hand sides.")
 
 
 def test_a_figure_needs_the_exact_law_and_half_of_the_representations():
@@ -207,11 +292,11 @@ def test_a_figure_from_rest_needs_a_start_at_rest():
     assert numbers(responses_of(WEAK).isel(initial_condition=[1, 2])) == ["6b"]
 
 
-def test_every_protocol_gets_its_figure():
+def test_diagrams_are_drawn_for_the_tight_solver_and_for_the_papers():
     labels = [*WEAK, *(f"{label}@paper" for label in WEAK), "piecewise@half"]
-    assert numbers(responses_of(labels)) == ["6b", "6b", "8b", "8b"]
+    assert numbers(responses_of(labels)) == ["6b", "8b", "8b"]
     drawn = drawn_of(responses_of(labels))
-    assert ["@paper" in one.caption for one in drawn] == [False, True, False, True]
+    assert ["@paper" in one.caption for one in drawn] == [False, False, True]
 
 
 def test_points_not_asked_for_are_left_out():
@@ -219,10 +304,9 @@ def test_points_not_asked_for_are_left_out():
     responses["status"][5] = Status.NOT_REQUESTED
     responses["status"][:, :, :, 20:] = Status.NOT_REQUESTED
     first = drawn_of(responses)[0]
-    assert len(first.figure.axes) == 6
-    assert not first.figure.axes[5].get_visible()
+    assert len(first.figure.axes) == 5
     assert first.figure.axes[0].get_xlim()[1] < 21.0
-    assert "400 sweep points from 2 fixed starts, sweep up, sweep down" in first.caption
+    assert "400 points, 0 unresolved" in first.caption
 
 
 def test_words_carry_what_is_seen_and_what_is_missing():
@@ -232,8 +316,8 @@ def test_words_carry_what_is_seen_and_what_is_missing():
     responses["x_max"][2] = np.nan
     first = drawn_of(responses)[0]
     assert "20 unresolved, 120 failed" in first.caption
-    assert "piecewise: largest peak 1 mm at 1 Hz, 100 %" in first.description
-    assert "ratpoly-5/3: no result." in first.description
+    assert "piecewise 1," in first.description
+    assert "ratpoly-5/3 –" in first.description
 
 
 def test_a_scene_without_any_result_draws(scene, tmp_path):

@@ -1,333 +1,313 @@
-"""Sections of the report: those of the paper's figures that a run has the points for, and Table 2.
-
-`PAPER` says what each of figures 6 to 10 shows: its scene, its representations and its function.
-"""
+"""Sections of the report: the paper's figures that a run has the points for, its bands, Table 2."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from contextlib import suppress
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from gapsweep.analysis.verdicts import Run
+from gapsweep.analysis.verdicts import NotInRunError, Run
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.scenes import Scenes, swept
-from gapsweep.report.tables import number
+from gapsweep.report.tables import number, percent
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
+from . import paper_figures as draw
 from . import scenes
-from .paper_figures import (
-    SHOWN_PERIODS,
-    histories_and_spectra,
-    kind,
-    peak_curves,
-    stacked_bifurcations,
-)
-from .scenes import ASYMMETRIC, EXACT, HARD, LARGE, NO_EVENTS, SOFT, SYMMETRIC, VERY_SOFT
-from .static_figures import (
-    polynomial_forces,
-    rational_forces,
-    smooth_forces,
-    static_convergence,
-)
+from .claims import TABLE_2, TABLE_SCENES
+from .measures import frequencies, listed, ranges, same_picture
+from .scenes import EXACT, HARD_ASYMMETRIC, NO_EVENTS, SOFT_SYMMETRIC, STRONG, SYMMETRIC, WEAK
+from .static_figures import constrained_forces, force_curves, forces_of, static_convergence
 
-_MM = 1e3
-WEAK, STRONG = (EXACT, *scenes.WEAK), (EXACT, *scenes.STRONG)
 LIMITS = (EXACT, NO_EVENTS, "tanh-1e6", "tanh-1e9")
-HISTORIES_AT = (11.0, 21.75)
-
-
-@dataclass(frozen=True, slots=True)
-class PaperFigure:
-    """What a figure of the paper shows.
-
-    Attributes
-    ----------
-    K_c : float
-        Contact stiffness [N/m].
-    gap : str
-        As in datasets.
-    draw : callable
-        From the responses of the scene and labels to the figure.
-    from_rest : bool
-        Whether only the start at rest is shown.
-    """
-
-    number: str
-    title: str
-    labels: tuple[str, ...]
-    K_c: float
-    gap: str
-    draw: Callable[[xr.Dataset], Figure]
-    caption: str
-    from_rest: bool = False
+TIGHT, PAPER = "", "@paper"  # protocols, as labels end
+SHOWN = {
+    "6a": ((scenes.SOFT, scenes.LARGE), WEAK),
+    "6a, smallest gap": ((scenes.SOFT, scenes.LARGE_ENDS[0]), WEAK),
+    "6a, largest gap": ((scenes.SOFT, scenes.LARGE_ENDS[1]), WEAK),
+    "6b": (SOFT_SYMMETRIC, WEAK),
+    "6c": (scenes.SOFT_ASYMMETRIC, WEAK),
+    "7": (scenes.SOFT_ASYMMETRIC, STRONG),
+    "8a": ((scenes.VERY_SOFT, SYMMETRIC), WEAK),
+    "8b": (SOFT_SYMMETRIC, WEAK),
+    "8c": (scenes.HARD_SYMMETRIC, WEAK),
+    "9": (scenes.HARD_SYMMETRIC, STRONG),
+}
+_PEAKS_SAY = (
+    "Peaks from all starts. Black: the exact law, alone and behind the others: black that shows is "
+    "missed, colour without it invented. Pale: not periodic; triangles: above; dashed: walls."
+)
+_EXTREMA_SAY = "All steady zero-velocity displacements from rest; dashed: walls."
 
 
 def sections(run: Run) -> Iterator[Part]:
-    """The paper's figures and its Table 2, as far as the run has what they show."""
+    """The paper's figures, its bands of frequencies and its Table 2, as far as the run has them."""
     yield Part("paper", "The paper's figures", [], figures=figures(run))
-    tables = list(cost_tables(run["timing"]))
+    if rows := band_rows(run):
+        yield Part("bands", "The paper's bands", [_BANDS_SAY], [Table("", _BANDS_HEAD, rows)])
+    sentences, tables = costs(run)
     if tables:
-        yield Part("table-2", "The paper's Table 2", [_TABLE_2_WORDS], tables)
+        yield Part("table-2", "The paper's Table 2", [_TABLE_2_SAYS, *sentences], tables)
 
 
 def figures(run: Run) -> Iterator[Figured]:
-    """Those of the paper's figures that the run has enough for, in the paper's order.
+    """The figures that the run has enough for, in the paper's order.
 
-    Figures 6 to 10 are drawn once for every protocol (``@NAME``) that the labels have. They
-    need the exact law and at least half of the paper's representations.
+    Figures 6 to 10 need the exact law and half of the paper's representations; those from rest
+    are drawn for the tight solver and for the paper's.
     """
-    responses, stored = run["responses"], run.datasets
-    swept_scenes = Scenes(responses)
-    if "static" in stored:
-        yield from _static_figures(stored["static"], stored.get("ladders"))
-    for wanted in PAPER:
-        for protocol in _protocols(responses):
-            scene = _scene(swept_scenes, wanted, protocol)
-            if scene is not None:
-                yield _drawn(wanted, scene)
-    if "histories" in stored:
-        yield from _history_figures(stored["histories"])
-
-
-_PEAKS_CAPTION = (
-    "Peak displacement of the steady response from all starts. Black: the exact law, alone and "
-    "behind the others. Black that shows is missed, colour without black is invented; pale "
-    "points are not periodic; triangles lie above the frame; dashed: walls. The axis is "
-    "logarithmic where peaks reach far beyond the walls."
-)
-_EXTREMA_CAPTION = (
-    "All steady zero-velocity displacements from rest. Shades: frequencies at which the response "
-    "is chaotic, unresolved or failed; dashed: walls; triangles: outside the frame."
-)
-PAPER = (
-    PaperFigure(
-        "6a", "Peak displacement, large gap", WEAK, SOFT, LARGE, peak_curves, _PEAKS_CAPTION
-    ),
-    PaperFigure(
-        "6b", "Peak displacement, soft", WEAK, SOFT, SYMMETRIC, peak_curves, _PEAKS_CAPTION
-    ),
-    PaperFigure(
-        "6c",
-        "Peak displacement, soft, asymmetric",
-        WEAK,
-        SOFT,
-        ASYMMETRIC,
-        peak_curves,
-        _PEAKS_CAPTION,
-    ),
-    # The paper does not state the scene of Fig. 7: study.toml says why this one.
-    PaperFigure(
-        "7",
-        "Peak displacement, soft, asymmetric, strong grade",
-        STRONG,
-        SOFT,
-        ASYMMETRIC,
-        peak_curves,
-        _PEAKS_CAPTION,
-    ),
-    *(
-        PaperFigure(
-            number, title, labels, K_c, gap, stacked_bifurcations, _EXTREMA_CAPTION, from_rest=True
-        )
-        for number, title, labels, K_c, gap in (
-            ("8a", "Bifurcation diagrams, very soft", WEAK, VERY_SOFT, SYMMETRIC),
-            ("8b", "Bifurcation diagrams, soft", WEAK, SOFT, SYMMETRIC),
-            ("8c", "Bifurcation diagrams, hard", WEAK, HARD, SYMMETRIC),
-            ("9", "Bifurcation diagrams, hard", STRONG, HARD, SYMMETRIC),
-            ("10", "Bifurcation diagrams, limit of tanh", LIMITS, HARD, ASYMMETRIC),
-        )
-    ),
-)
-
-
-# Table 2: total seconds of the diagrams of Figs 8b and 9, in the order of WEAK and STRONG.
-TABLE_2 = (
-    ("Fig. 8b", WEAK, SOFT, SYMMETRIC, (48.69, 18.57, 26.49, 7.66, 7.41, 7.29)),
-    ("Fig. 9", STRONG, HARD, SYMMETRIC, (117.7, 65.69, 132.9, 18.57, 18.08, 18.49)),
-)
-
-
-_TABLE_2_WORDS = (
-    "Processor time of a whole diagram from rest with the paper's solver settings (its tolerances, "
-    "step control and restarts), beside the paper's seconds. Only ratios to the exact law compare: "
-    "machines, engines and run lengths differ. Fewer frequencies than the paper's make shorter "
-    "times, not other ratios."
-)
-_TABLE_2_HEAD = ["Representation", "Ours [s]", "Ratio to exact", "Paper [s]", "Paper's ratio"]
-
-
-def cost_tables(timing: xr.Dataset) -> Iterator[Table]:
-    """Table 2 of the paper beside our own times, where the study has its protocol ``@paper``.
-
-    Parameters
-    ----------
-    timing : Dataset
-        As stored in ``timing.nc``.
-    """
-    stored = labels_of(timing)
-    exact = f"{EXACT}@paper"
-    for place, labels, K_c, gap, seconds in TABLE_2:
-        if K_c not in timing["K_c"].values or gap not in timing["gap"].values:
+    if "static" in run.datasets and SYMMETRIC in run["static"]["gap"].values:
+        yield from _static_figures(run)
+    found = Scenes(run["responses"])
+    for name, (at, laws) in SHOWN.items():
+        if name[0] in "67":
+            if (scene := _scene(found, at, laws)) is not None:
+                yield _figured(draw.peak_curves(scene), name, at, TIGHT, _PEAKS_SAY, _counts(scene))
             continue
-        scene = timing[["cpu_time_mean", "n_points"]].sel(K_c=K_c, gap=gap).load()
-        total = scene["cpu_time_mean"] * scene["n_points"]
-        theirs = {f"{label}@paper": t for label, t in zip(labels, seconds, strict=True)}
-        others = [label for label in stored if label.startswith(f"{EXACT}") and "@" in label]
-        shown = [r for r in dict.fromkeys([*theirs, *others]) if r in stored]
-        n_points = {r: int(scene["n_points"].sel(representation=r)) for r in shown}
-        shown = [r for r in shown if n_points[r] == n_points.get(exact, 0) > 0]
-        if exact not in shown or len(shown) < 2:
-            continue
-        ours = {r: float(total.sel(representation=r)) for r in shown}
-        yield Table(
-            f"{place}, {n_points[exact]} frequencies",
-            _TABLE_2_HEAD,
-            [
-                [
-                    label,
-                    *_with_ratio(ours[label], ours[exact]),
-                    *_with_ratio(theirs.get(label, np.nan), seconds[0]),
-                ]
-                for label in shown
-            ],
+        for protocol in (TIGHT, PAPER):
+            if (scene := _scene(found, at, laws, protocol)) is not None:
+                words = (_EXTREMA_SAY, "Triangles: outside the frame.", _counts(scene))
+                yield _figured(draw.stacked_bifurcations(scene), name, at, protocol, *words)
+    for protocol in (TIGHT, PAPER):
+        scene = _scene(found, HARD_ASYMMETRIC, LIMITS[1:], protocol)
+        if scene is not None and scene.sizes["representation"] == len(LIMITS):
+            yield _overlay(run, scene, protocol)
+    if "histories" in run.datasets:
+        yield from _histories(run["histories"])
+
+
+def _figured(
+    figure: Figure, name: str, at: tuple[float, str], protocol: str, *sentences: str
+) -> Figured:
+    """A figure whose caption says its scene, and everything that is seen in it."""
+    where = ", ".join(filter(None, (f"K_c = {at[0]:g} N/m", f"gap {at[1]} mm", protocol)))
+    words = f"Figure {name}. {where}. {' '.join(sentences)}"
+    return Figured(figure, words, words)
+
+
+def _static_figures(run: Run) -> Iterator[Figured]:
+    static = run.select("static", gap=SYMMETRIC)
+    within = ((static["x"] >= -static["j_1"]) & (static["x"] <= static["j_2"])).values
+    free = forces_of(static, ("poly-13", "poly-21"))
+    smooth = [f"{family}-1e{n}" for n in (3, 4) for family in scenes.TANGENTS]
+    for name, forces in {
+        "2a": forces_of(static, ("poly-3", "poly-7")) | free,
+        "2b": free | constrained_forces(static, free),
+        "3a": forces_of(static, ("ratpoly-3/2", "ratpoly-5/3")),
+        "3b": forces_of(static, ("ratpoly-3/5", "ratpoly-5/3", "ratpoly-5/5")),
+        "4": forces_of(static, smooth),
+    }.items():
+        leaks = listed(f"{law} {np.max(np.abs(f[within])):.2g}" for law, f in forces.items())
+        words = (
+            "Shade: the gap. Fits are least-squares optima, constrained ones without constant and "
+            f"linear terms. Largest force in the gap [N]: {leaks}; the forcing is "
+            f"{abs(static['forcing'].item()):g} N. Forces are proportional to K_c."
         )
+        yield _figured(force_curves(static, forces), name, SOFT_SYMMETRIC, TIGHT, words)
+    if "ladders" in run.datasets:
+        figure = static_convergence(run.select("ladders", gap=SYMMETRIC))
+        words = "Errors of smooth laws are integrals. Dotted: the paper's bound for its weak grade."
+        yield _figured(figure, "5", SOFT_SYMMETRIC, TIGHT, words)
 
 
-def _with_ratio(seconds: float, exact: float) -> tuple[str, str]:
-    return number(seconds), number(seconds / exact)
-
-
-def _scene(swept_scenes: Scenes, wanted: PaperFigure, protocol: str) -> xr.Dataset | None:
-    """What a figure shows; None if too little of it was swept."""
-    scene = swept_scenes.labelled(wanted.K_c, wanted.gap)
+def _scene(
+    found: Scenes, at: tuple[float, str], laws: tuple[str, ...], protocol: str | None = None
+) -> xr.Dataset | None:
+    """What a figure shows, with a protocol from rest only; None if too little was swept."""
+    scene = found.labelled(*at)
     if scene is None:
         return None
-    stored = set(labels_of(scene))
-    labels = [label + protocol for label in wanted.labels if label + protocol in stored]
-    if wanted.from_rest:
-        at_rest = (scene["start"] == "fixed") & (scene["x_0"] == 0.0) & (scene["v_0"] == 0.0)
-        if not at_rest.any():
+    wanted = [law + (protocol or TIGHT) for law in (EXACT, *laws)]
+    scene = scene.sel(representation=[label for label in wanted if label in labels_of(scene)])
+    if protocol is not None:
+        rest = (scene["start"] == "fixed") & (scene["x_0"] == 0.0) & (scene["v_0"] == 0.0)
+        if not rest.any():
             return None
-        scene = scene.isel(initial_condition=int(np.argmax(at_rest.values)))
-    scene = swept(scene.sel(representation=labels))
+        scene = scene.isel(initial_condition=int(np.argmax(rest.values)))
+    scene = swept(scene)
     here = labels_of(scene)
-    enough = 2 * len(here) >= len(wanted.labels) and EXACT + protocol in here
+    enough = 2 * len(here) >= len(wanted) and wanted[0] in here
     return scene if enough and scene.sizes["omega"] > 1 else None
 
 
-def _drawn(wanted: PaperFigure, scene: xr.Dataset) -> Figured:
-    labels = labels_of(scene)
-    _, at, protocol = labels[0].partition("@")
-    where = (
-        f"K_c = {_plain(wanted.K_c)} N/m, gap {scene['gap'].item()} mm{at and f', {at}{protocol}'}"
-    )
-    status = scene["status"].values
-    counts = (
-        f"{status.size} sweep points from {_starts(scene)}: "
-        f"{int((status == Status.UNRESOLVED).sum())} unresolved, "
-        f"{int((status > Status.OUT_OF_FIT_RANGE).sum())} failed."
-    )
-    return Figured(
-        wanted.draw(scene),
-        f"Figure {wanted.number}. {wanted.title} ({where}). {wanted.caption} {counts}",
-        f"{wanted.title}, {where}. {_in_words(scene)}",
+def _counts(scene: xr.Dataset) -> str:
+    """How many points there are, and how high each law peaks."""
+    status, height = scene["status"].values, scene["x_max"]
+    highest = 1e3 * height.max([dim for dim in height.dims if dim != "representation"]).values
+    peaks = (f"{label} {number(x)}" for label, x in zip(labels_of(scene), highest, strict=True))
+    return (
+        f"{status.size} points, {np.sum(status == Status.UNRESOLVED)} unresolved, "
+        f"{np.sum(status > Status.OUT_OF_FIT_RANGE)} failed. Largest peaks [mm]: {listed(peaks)}."
     )
 
 
-def _starts(scene: xr.Dataset) -> str:
-    kinds = np.atleast_1d(scene["start"].values).astype(str).tolist()
-    if "initial_condition" not in scene.dims:
-        return "rest"
-    n_fixed = kinds.count("fixed")
-    sweeps = [kind.replace("_", " ") for kind in kinds if kind != "fixed"]
-    fixed = [f"{n_fixed} fixed start{'s' if n_fixed > 1 else ''}"] if n_fixed else []
-    return ", ".join(fixed + sweeps)
-
-
-def _in_words(scene: xr.Dataset) -> str:
-    """Per representation, the largest peak, where it is, and how much is periodic."""
-    sentences = []
-    for label in labels_of(scene):
-        one = scene.sel(representation=label)
-        peaks = one["x_max"].max([d for d in one["x_max"].dims if d != "omega"])
-        if not np.isfinite(peaks).any():
-            sentences.append(f"{label}: no result.")
-            continue
-        at = int(np.nanargmax(peaks.values))
-        share = float((one["response_class"] == ResponseClass.PERIODIC).mean())
-        sentences.append(
-            f"{label}: largest peak {float(peaks[at]) * _MM:.3g} mm at "
-            f"{float(peaks['omega'][at]):g} Hz, {100 * share:.0f} % of the responses periodic."
-        )
-    return " ".join(sentences)
-
-
-def _static_figures(static: xr.Dataset, ladders: xr.Dataset | None) -> Iterator[Figured]:
-    if SYMMETRIC not in static["gap"].values:
-        return
-    scene = static.sel(gap=SYMMETRIC).load()
-    curves = (
-        "Contact force near the gap, its error there, and its error in the fit range; one column "
-        "per stiffness. Shade: the gap; dotted: the forcing p."
-    )
-    for which, name, draw in (
-        ("2", "Polynomials", polynomial_forces),
-        ("3", "Rational polynomials", rational_forces),
-        ("4", "Smooth laws", smooth_forces),
-    ):
-        title = f"{name}, gap {SYMMETRIC} mm."
-        yield Figured(draw(scene), f"Figure {which}. {title} {curves}", f"{title} {curves}")
-    if ladders is not None:
-        title = f"Static convergence, gap {SYMMETRIC} mm."
-        words = (
-            "Errors per unit stiffness against degree and convergence parameter; dotted: in-gap "
-            "force of a tenth of the forcing."
-        )
-        figure = static_convergence(ladders.sel(gap=SYMMETRIC).load(), float(scene["forcing"]))
-        yield Figured(figure, f"Figure 5. {title} {words}", f"{title} {words}")
-
-
-def _history_figures(histories: xr.Dataset) -> Iterator[Figured]:
-    """Figure 11, once for every protocol."""
-    chosen = [
-        h
-        for h in range(histories.sizes["history"])
-        if float(histories["omega"][h]) in HISTORIES_AT
-        and float(histories["K_c"][h]) == HARD
-        and histories["gap"].values[h] == ASYMMETRIC
+def _overlay(run: Run, scene: xr.Dataset, protocol: str) -> Figured:
+    """Figure 10 for one protocol."""
+    overlays, same = [], []
+    for front, rear in (*((law, NO_EVENTS) for law in LIMITS[2:]), (NO_EVENTS, EXACT)):
+        hits = same_picture(run, front + protocol, rear + protocol, HARD_ASYMMETRIC)
+        omega = run.points(front + protocol, *HARD_ASYMMETRIC, "x_max")["omega"].values
+        overlays.append((front + protocol, rear + protocol, omega[hits.each == 0.0]))
+        same.append(f"{percent(hits.value)} ({front} over {rear})")
+    seen = [
+        f"{_EXTREMA_SAY} Larger: the law behind. Red: peak or trough differ by more than 2 % of "
+        f"the gap; they are the same at {listed(same)} of the frequencies."
     ]
-    stored = labels_of(histories)
-    for protocol in _protocols(histories):
-        labels = [label + protocol for label in LIMITS if label + protocol in stored]
-        scene = histories.isel(history=chosen).sel(representation=labels)
-        scene = swept(scene.load())
-        if 2 * scene.sizes["representation"] < len(LIMITS) or not scene.sizes["history"]:
+    with suppress(NotInRunError):  # the tight solver may not have been asked
+        seen += _not_periodic(run, protocol)
+    figure = draw.overlaid_bifurcations(scene, overlays)
+    return _figured(figure, "10", HARD_ASYMMETRIC, protocol, *seen)
+
+
+def _not_periodic(run: Run, protocol: str) -> Iterator[str]:
+    """How much is not periodic, and how much of it only because of the solver's tolerances."""
+    noise = []
+    for law in LIMITS:
+        at = (*HARD_ASYMMETRIC, "response_class", "noise")
+        here, tight = (run.points(law + end, *at) for end in (protocol, TIGHT))
+        noise.append([1e6 * one["noise"].median().item() for one in (here, tight)])
+        regular = tight["omega"][tight["response_class"].values == ResponseClass.PERIODIC]
+        of_solver, counts = here["omega"].isin(regular), []
+        for kind in (ResponseClass.CHAOTIC, ResponseClass.UNRESOLVED):
+            hits = here["response_class"] == kind
+            so = f" ({np.sum(hits & of_solver).item()} periodic with the tight solver)"
+            counts.append(f"{hits.sum().item()} {kind.name.lower()}{so if protocol else ''}")
+        yield f"{law}: {listed(counts)}."
+    yield "Unresolved: neither a period nor an exponent positive beyond three standard errors."
+    if protocol:
+        loose, fine = (number(n) for n in np.max(noise, axis=0))
+        so = f"by {loose} µm from tolerances alone (tight: {fine}), more where kinks pass unlocated"
+        yield f"What the tight solver finds periodic, the paper's scatters: {so}."
+
+
+def _histories(histories: xr.Dataset) -> Iterator[Figured]:
+    """Figure 11."""
+    K_c, gap = HARD_ASYMMETRIC
+    here = (histories["K_c"] == K_c) & (histories["gap"] == gap)
+    laws = [law + PAPER for law in LIMITS if law + PAPER in labels_of(histories)]
+    scene = swept(histories.isel(history=here.values).sel(representation=laws).load())
+    if EXACT + PAPER not in labels_of(scene):
+        return
+    found = scene["period_multiple"].transpose("representation", "history").values.tolist()
+    kinds = (
+        f"{label} {', '.join(f'P{n}' if n else 'none' for n in periods)}"
+        for label, periods in zip(labels_of(scene), found, strict=True)
+    )
+    words = (
+        f"Last {draw.SHOWN_PERIODS} forcing periods from rest, and spectrum (Hann window): between "
+        f"the exact law's lines is what the others add. Exact periods, by row: {'; '.join(kinds)}."
+    )
+    yield _figured(draw.histories_and_spectra(scene), "11", HARD_ASYMMETRIC, PAPER, words)
+
+
+_COUNTED: dict[str, Callable[[xr.Dataset], xr.DataArray]] = {
+    "chaos": lambda points: points["response_class"] == ResponseClass.CHAOTIC,
+    "period above 1": lambda points: points["period_multiple"] > 1,
+    "period not 1": lambda points: points["period_multiple"] != 1,
+    "period 3": lambda points: points["period_multiple"] == 3,
+    "largest amplitude": lambda points: points["amplitude"] == points["amplitude"].max(),
+    "peak below 0": lambda points: points["x_max"] < 0.0,
+    "crosses 0": lambda points: points["x_max"] * points["x_min"] < 0.0,
+}
+_READ = ("response_class", "period_multiple", "amplitude", "x_max", "x_min")
+# Figure, the paper's words, what is counted for them, within what [Hz], from which starts.
+BANDS = (
+    ("6a", "superharmonic near 2", "largest amplitude", (1.2, 3.0), "rest"),
+    ("6a", "RatPoly: subharmonic 11-12", "period above 1", (4.0, 30.0), "any"),
+    ("6a", "RatPoly: peak below 0 from 22", "peak below 0", (15.0, 30.0), "any"),
+    ("6b", "subharmonic 17-21", "period 3", (10.0, 30.0), "scattered"),
+    ("6b", "subharmonic 17-21", "period 3", (10.0, 30.0), "sweep_up"),
+    ("6c", "jump near 12", "largest amplitude", (0.0, 30.0), "rest"),
+    ("6c", "chaos 13-15", "chaos", (10.0, 30.0), "scattered"),
+    ("6c", "RatPoly: 15-18, subharmonic 21-22", "period above 1", (13.0, 30.0), "scattered"),
+    ("8b", "chaos 4-5", "chaos", (3.0, 6.0), "rest"),
+    ("8b", "transitions near 6 and 7", "period above 1", (5.2, 8.5), "rest"),
+    ("8b", "RatPoly, arctan: after the jump", "period not 1", (10.0, 17.0), "rest"),
+    ("8c", "RatPoly: larger above 20", "crosses 0", (0.0, 30.0), "rest"),
+    ("9", "more behaviour 10-12", "period not 1", (9.0, 13.0), "rest"),
+    ("9", "higher periods 12-20", "period above 1", (12.0, 20.0), "rest"),
+    ("9", "log-arctan: beyond 20", "period not 1", (20.0, 30.0), "rest"),
+)
+_LAWS = ("exact", "Poly", "RatPoly", "tanh", "arctan", "log-arctan")
+_BANDS_HEAD = ["Fig.", "Paper [Hz]", "Here [Hz]", *_LAWS]
+_BANDS_SAY = (
+    "Frequencies that the paper names, and where the same is found here with the tight solver, in "
+    "a range wider than the paper's; on the grid of the study, or by bisection. A dash: nowhere."
+)
+
+
+def band_rows(run: Run) -> list[list[str]]:
+    """The paper's and our frequencies of every band that the paper names."""
+    rows = [
+        [
+            place,
+            paper,
+            f"{counted}, start: {start}",
+            *_found(run, place, counted, within, start),
+        ]
+        for place, paper, counted, within, start in BANDS
+    ]
+    if "bands" in run.datasets:
+        ends = run["bands"].sel(representation=[EXACT, *WEAK])
+        pairs = zip(ends["period_3_low"].values, ends["period_3_high"].values, strict=True)
+        three = (f"{low:.2f}-{high:.2f}" if low < high else "–" for low, high in pairs)
+        jumps = (f"{omega:.2f}" for omega in ends["peak_frequency"].values)
+        rows.append(["8b", "subharmonic 17-21", "period 3, bisected", *three])
+        rows.append(["8b", "primary peak", "jump, bisected", *jumps])
+    return sorted((row for row in rows if any(row[3:])), key=lambda row: row[0])
+
+
+def _found(
+    run: Run, place: str, counted: str, within: tuple[float, float], start: str
+) -> Iterator[str]:
+    scene, laws = SHOWN[place]
+    for law in (EXACT, *laws):
+        found = ""
+        with suppress(NotInRunError):
+            how = (run, law, scene, _COUNTED[counted], *_READ)
+            found = ranges(*frequencies(*how, band=within, start=start))
+        yield found.replace(" Hz", "").replace("no frequency", "–")
+
+
+_TABLE_2_SAYS = (
+    "Right-hand sides and processor time (this machine's) per forcing period from rest, with the "
+    "paper's tolerances, step control and restarts, beside the paper's seconds for a whole diagram."
+)
+_COSTS = ("Right-hand sides", "Time [µs]", "Paper [s]")
+_TABLE_2_HEAD = ["Law", *(word for cost in _COSTS for word in (cost, "over exact"))]
+
+
+def costs(run: Run) -> tuple[list[str], list[Table]]:
+    """Table 2 beside the costs of a forcing period here, and what of its factors is in the work."""
+    sentences, tables = [], []
+    for (grade, paper), figure in zip(TABLE_2.items(), ("Fig. 8b", "Fig. 9"), strict=True):
+        nfev, seconds = (_per_period(run, grade, name) for name in ("nfev", "cpu_time"))
+        if EXACT not in nfev or len(nfev) < 2:
             continue
-        frequencies = " and ".join(f"{omega:g} Hz" for omega in scene["omega"].values)
-        title = f"Time histories and spectra at {frequencies} (K_c = {_plain(HARD)} N/m, "
-        title += f"gap {ASYMMETRIC} mm{protocol and f', {protocol}'})"
-        caption = (
-            f"Last {SHOWN_PERIODS} forcing periods of the motion from the start, and amplitude "
-            f"spectrum of its last {int(scene['n_periods'].max())} (Hann window). "
-            "P3: repeats after three periods."
+        of_all = (nfev, seconds, paper)
+        rows = [
+            [law, *(number(n) for c in of_all for n in (c[law], c[law] / c[EXACT]))] for law in nfev
+        ]
+        tables.append(Table(figure, _TABLE_2_HEAD, rows))
+        tanh = next(law for law in paper if law.startswith("tanh"))
+        theirs, ours = (column[EXACT] / column.get(tanh, np.nan) for column in (paper, nfev))
+        so = "is" if ours > 0.5 * theirs else "is not"
+        sentences.append(
+            f"{figure}: the exact law takes {theirs:.1f} times the seconds of {tanh} in the paper, "
+            f"{ours:.2f} times its right-hand sides here: the factor {so} in the right-hand sides."
         )
-        words = (
-            f"{label} at {float(one['omega']):g} Hz: {kind(one.sel(representation=label))}"
-            for one in (scene.isel(history=h) for h in range(scene.sizes["history"]))
-            for label in labels_of(scene)
-        )
-        description = f"{title}. {'; '.join(words)}."
-        yield Figured(histories_and_spectra(scene), f"Figure 11. {title}. {caption}", description)
+    return sentences, tables
 
 
-def _protocols(dataset: xr.Dataset) -> list[str]:
-    """Suffixes of the labels; the empty one, where there is no protocol, first."""
-    return sorted({label.removeprefix(label.partition("@")[0]) for label in labels_of(dataset)})
-
-
-def _plain(K_c: float) -> str:
-    return f"{K_c:g}".replace("e+0", "e")
+def _per_period(run: Run, grade: str, name: str) -> dict[str, float]:
+    """Mean cost of a forcing period with the paper's solver, by law, as far as the run has it."""
+    found, factor = {}, {"cpu_time": 1e6}.get(name, 1.0)
+    for law in TABLE_2[grade]:
+        with suppress(NotInRunError):
+            points = run.points(law + PAPER, *TABLE_SCENES[grade], name, "t_simulated")
+            cost = points[name] / (points["t_simulated"] * points["omega"])
+            found[law] = factor * cost.mean().item()
+    return found

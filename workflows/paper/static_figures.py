@@ -1,198 +1,113 @@
-"""Figures 2 to 5 of the paper, each from `static.nc` or `ladders.nc` to a matplotlib figure.
+"""Figures 2 to 5 of the paper: contact laws before anything is integrated.
 
-All take a dataset of one gap, ``static.sel(gap=…)``.
+Every law is proportional to the contact stiffness: the paper's soft one shows them all.
 """
 
-import math
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
 
+from gapsweep.model.fit import N_FIT_POINTS, unit_force
+from gapsweep.model.labels import contact_law
+from gapsweep.model.oscillator import Gap
+from gapsweep.report.drawing import axis_label, drawn
 from gapsweep.report.style import colour, lines
 
-_MM = 1e3
-_WIDTH = 9.5  # inches, the report's column
-_GAP_SHADE = "#eeeeee"
-_FAINT: dict[str, Any] = {"color": "#777777", "linewidth": 0.8, "linestyle": ":"}
-# What is shown on either side of the gap, in widths of the gap.
-_MARGIN = 0.75
-# Errors below this are those of the arithmetic, be they of R² [-] or of lengths [m].
-_ROUNDING = 1e-16
-_CONSTRAINTS = {"none": ("o-", "#E69F00"), "no constant or linear term": ("s--", "#8a5a00")}
-_LADDER_ROWS = {
-    "rmse": "RMS error / K_c [m]",
-    "r_squared": "1 − R²",
-    "in_gap_force": "in-gap force / K_c [m]",
-}
+from .scenes import EXACT, SOFT
+
+Forces = dict[str, NDArray[np.float64]]
+
+WIDTH = 9.5  # inches, the report's column
+_CONSTRAINED, _DARK = ", constrained", "#7a4b00"  # a darker shade of polynomials
+_MARGIN = 0.75  # what is shown on either side of the gap, in widths of the gap
+_ROUNDING = 1e-15  # errors below this are those of the arithmetic
+# "Each model has RMSE < 0.5 and R² > 0.998" (Sect. 4.1).
+_QUALITY = {"rmse": 0.5, "r_squared": 1.0 - 0.998}
 
 
-def polynomial_forces(static: xr.Dataset) -> Figure:
-    """Polynomials (figure 2): force and force error, around the gap and over the fit range."""
-    return _forces(static, ("poly",))
+def forces_of(static: xr.Dataset, labels: Iterable[str]) -> Forces:
+    """Contact force [N] of laws with the soft stiffness, at the displacements of one gap."""
+    gap, x = Gap(static["j_1"].item(), static["j_2"].item()), static["x"].values
+    return {label: contact_law(label, SOFT, gap, x[-1]).force(x) for label in labels}
 
 
-def rational_forces(static: xr.Dataset) -> Figure:
-    """Rational polynomials (figure 3), as `polynomial_forces`."""
-    return _forces(static, ("ratpoly",))
+def constrained_forces(static: xr.Dataset, labels: Iterable[str]) -> Forces:
+    """The same of polynomials that are fitted without their constant and linear terms."""
+    gap, x = Gap(static["j_1"].item(), static["j_2"].item()), static["x"].values
+    u, at = np.linspace(-1.0, 1.0, N_FIT_POINTS), x / x[-1]
+    found = {}
+    for label in labels:
+        columns = u[:, None] ** 2 * chebyshev.chebvander(u, int(label.partition("-")[2]) - 2)
+        fit = np.linalg.lstsq(columns, SOFT * unit_force(u * x[-1], gap), rcond=None)[0]
+        found[label + _CONSTRAINED] = at**2 * chebyshev.chebval(at, fit)
+    return found
 
 
-def smooth_forces(static: xr.Dataset) -> Figure:
-    """Tanh, arctan and log-arctan (figure 4), as `polynomial_forces`."""
-    return _forces(static, ("tanh", "arctan", "logarctan"))
+def force_curves(static: xr.Dataset, forces: Forces) -> Figure:
+    """Force and its error near the gap, and over the fit range; `static` is at one gap."""
+    figure = Figure(figsize=(WIDTH, 3.5), layout="constrained")
+    panels = figure.subplots(1, 3)
+    (exact,) = forces_of(static, [EXACT]).values()
+    x, walls = drawn(static["x"]), (-float(drawn(static["j_1"])), float(drawn(static["j_2"])))
+    near = np.abs(x - np.mean(walls)) <= (0.5 + _MARGIN) * (walls[1] - walls[0])
+    # A constrained fit has the line of the free one, in another shade.
+    styles = lines(list(dict.fromkeys(name.removesuffix(_CONSTRAINED) for name in forces)))
+    for axes, shown, minus, title in (
+        (panels[0], near, 0.0 * exact, "force near the gap [N]"),
+        (panels[1], near, exact, "error near the gap [N]"),
+        (panels[2], x == x, exact, "error in the fit range [N]"),
+    ):
+        axes.axvspan(*walls, color="#eeeeee", zorder=0)
+        axes.plot(x[shown], (exact - minus)[shown], color=colour(EXACT), linewidth=2.2)
+        for name, force in forces.items():
+            law = name.removesuffix(_CONSTRAINED)
+            shade = colour(law) if law == name else _DARK
+            axes.plot(x[shown], (force - minus)[shown], styles[law], color=shade, linewidth=1.3)
+        axes.set_title(title, fontsize=9, loc="left")
+        axes.set_xlabel(axis_label(static["x"]))
+        axes.margins(x=0.0)
+    figure.legend(panels[0].lines, ["exact", *forces], loc="outside upper center", ncols=5)
+    return figure
 
 
-def static_convergence(ladders: xr.Dataset, forcing: float) -> Figure:
-    """Errors against degree and convergence parameter (figure 5).
-
-    Everything is per unit contact stiffness, so one curve serves all stiffnesses; dotted
-    lines mark where the in-gap force is a tenth of the forcing at those of the study. Errors
-    of smooth laws are integrals; crosses are what 8001 uniform points make of them.
-
-    Parameters
-    ----------
-    ladders : Dataset
-        One gap.
-    forcing : float
-        Its amplitude [N].
-    """
-    figure = Figure(figsize=(_WIDTH, 7.8), layout="constrained")
-    panels = figure.subplots(3, 3, sharex="col")
-    for row, (name, label) in zip(panels, _LADDER_ROWS.items(), strict=True):
+def static_convergence(ladders: xr.Dataset) -> Figure:
+    """Errors against degrees and convergence parameter (figure 5); `ladders` is at one gap."""
+    figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
+    panels = figure.subplots(2, 3, sharex="col")
+    free, constrained = ladders["constraint"].values
+    for row, (name, bound) in zip(panels, _QUALITY.items(), strict=True):
+        for left_out, shade in ((free, colour("poly")), (constrained, _DARK)):
+            rungs = ladders[f"poly_{name}"].sel(constraint=left_out)
+            _rungs(row[0], rungs, "degree", shade, "free" if left_out == free else left_out)
+        _rungs(row[1], ladders[f"ratpoly_{name}"], "ratio", colour("ratpoly"), "")
+        resolved = {"rmse": "rmse_resolved"}.get(name, name)
+        for family in ladders["family"].values.tolist():
+            rungs = ladders[f"smooth_{resolved}"].sel(family=family)
+            _rungs(row[2], rungs, "parameter", colour(family), family)
         row[0].sharey(row[1])
-        _polynomials(row[0], ladders, name)
-        _rationals(row[1], ladders, name)
-        _smooth_laws(row[2], ladders, name)
-        row[0].set_ylabel(label)
+        row[2].set_xscale("log")
         for axes in row:
-            # A gap wider than the fit range leaves polynomials no error at all.
-            if any(np.isfinite(line.get_ydata()).any() for line in axes.lines):
-                axes.set_yscale("log")
-            axes.minorticks_off()
-    _mark_leaks(panels[2], ladders, abs(forcing))
-    titles = ("polynomial", "rational polynomial", "smooth law")
-    below = ("degree", "degrees of N/D", "convergence parameter [1/m]")
-    for column, title, label in zip(panels.T, titles, below, strict=True):
-        column[0].set_title(title, fontsize=9, loc="left")
-        column[2].set_xlabel(label)
-    panels[0, 0].legend(title="terms left out", fontsize=8, title_fontsize=8)
-    panels[0, 2].legend(fontsize=8)
+            axes.set_yscale("log")
+            axes.axhline(bound, color="#777777", linewidth=0.8, linestyle=":")
+    panels[0, 0].set_ylabel("RMS error [N]")
+    panels[1, 0].set_ylabel("1 − R²")
+    panels[1, 0].set_xlabel("degree")
+    panels[1, 1].set_xlabel("degrees of N/D")
+    panels[1, 2].set_xlabel("convergence parameter [1/m]")
+    panels[1, 1].tick_params(axis="x", labelsize=7)
+    panels[0, 0].legend(fontsize=7, loc="upper right")
+    panels[0, 2].legend(fontsize=7)
     return figure
 
 
-def _forces(static: xr.Dataset, families: tuple[str, ...]) -> Figure:
-    labels = [r for r in static["representation"].values.tolist() if r.split("-")[0] in families]
-    stiffnesses = np.atleast_1d(static["K_c"].values)
-    figure = Figure(figsize=(_WIDTH, 7.8), layout="constrained")
-    panels = figure.subplots(3, stiffnesses.size, squeeze=False)
-    near = _near_gap(static)
-    for column, K_c in zip(panels.T, stiffnesses, strict=True):
-        scene = static.sel(K_c=K_c) if "K_c" in static.dims else static
-        _curves(column[0], scene.sel(x=near), labels, "force")
-        _curves(column[1], scene.sel(x=near), labels, "force_error")
-        _curves(column[2], scene, labels, "force_error")
-        _mark_forcing(column[1], scene)
-        column[0].set_title(f"K_c = {K_c:g} N/m", fontsize=9, loc="left")
-        column[2].set_xlabel("displacement [mm]")
-    names = ("force near the gap [N]", "error near the gap [N]", "error in the fit range [N]")
-    for axes, label in zip(panels[:, 0], names, strict=True):
-        axes.set_ylabel(label)
-    n_rows = math.ceil((len(labels) + 1) / 5)
-    figure.legend(
-        panels[0, 0].lines,
-        ["exact", *labels],
-        loc="outside upper center",
-        ncols=math.ceil((len(labels) + 1) / n_rows),
-    )
-    return figure
-
-
-def _near_gap(static: xr.Dataset) -> slice:
-    """Displacements [m] of the gap and its surroundings, inside the fit range."""
-    low, high = -float(static["j_1"]), float(static["j_2"])
-    end = float(static["x"].max())
-    margin = _MARGIN * (high - low) or 0.25 * end
-    return slice(max(low - margin, -end), min(high + margin, end))
-
-
-def _curves(axes: Axes, scene: xr.Dataset, labels: list[str], name: str) -> None:
-    """One quantity of the exact law and of `labels` over x, the gap as a shade."""
-    x = scene["x"] * _MM
-    some = scene.isel(representation=0)
-    exact = some[name] - some["force_error"]
-    if name == "force_error":
-        exact = xr.zeros_like(x)
-    axes.plot(x, exact, color=colour("piecewise"), linewidth=2.2)
-    for label, style in lines(labels).items():
-        curve = scene[name].sel(representation=label)
-        axes.plot(x, curve, style, color=colour(label), linewidth=1.3)
-    axes.set_xlim(float(x.min()), float(x.max()))
-    walls = -float(scene["j_1"]) * _MM, float(scene["j_2"]) * _MM
-    axes.axvspan(*walls, color=_GAP_SHADE, zorder=0)
-
-
-def _mark_forcing(axes: Axes, scene: xr.Dataset) -> None:
-    """Lines at ± the forcing where the panel reaches that far."""
-    forcing = abs(float(scene["forcing"]))
-    low, high = axes.get_ylim()
-    for level in (-forcing, forcing):
-        if forcing and low < level < high:
-            axes.axhline(level, **_FAINT)
-    if forcing and low < forcing < high:
-        right = axes.get_xlim()[1]
-        axes.text(right, forcing, "± p ", ha="right", va="bottom", fontsize=8, color="#555555")
-
-
-def _polynomials(axes: Axes, ladders: xr.Dataset, name: str) -> None:
-    for constraint, (mark, shade) in _CONSTRAINTS.items():
-        rung = ladders[f"poly_{name}"].sel(constraint=constraint)
-        loss = _loss(rung, name)
-        axes.plot(rung["degree"], loss, mark, color=shade, markersize=3.5, label=constraint)
-
-
-def _rationals(axes: Axes, ladders: xr.Dataset, name: str) -> None:
-    rung = ladders[f"ratpoly_{name}"]
-    axes.plot(rung["ratio"].values, _loss(rung, name), "o", color=colour("ratpoly"), markersize=5)
-    axes.tick_params(axis="x", labelsize=8)
-
-
-def _smooth_laws(axes: Axes, ladders: xr.Dataset, name: str) -> None:
-    axes.set_xscale("log")
-    source = "rmse_resolved" if name == "rmse" else name
-    for family in ladders["family"].values.tolist():
-        rung = ladders[f"smooth_{source}"].sel(family=family)
-        shade = colour(family)
-        loss = _loss(rung, name)
-        axes.plot(rung["parameter"], loss, "o-", color=shade, markersize=3, label=family)
-    if name != "rmse":
-        return
-    # Samples that miss every layer find errors of nothing but rounding: not shown.
-    lowest = 0.1 * ladders["smooth_rmse_resolved"].min()
-    for family in ladders["family"].values.tolist():
-        sampled = ladders["smooth_rmse"].sel(family=family)
-        sampled = sampled.where(sampled > lowest)
-        shade = colour(family)
-        axes.plot(sampled["parameter"], sampled, "x", color=shade, markersize=4.5, alpha=0.6)
-    axes.plot([], [], "x", color="#777777", markersize=4.5, label="on 8001 points")
-
-
-def _loss(rung: xr.DataArray, name: str) -> xr.DataArray:
-    """What a logarithmic axis can show: R² as its distance from 1, no rounding errors."""
-    values = 1.0 - rung if name == "r_squared" else rung
-    return values.where(values > _ROUNDING)
-
-
-def _mark_leaks(row: np.ndarray, ladders: xr.Dataset, forcing: float) -> None:
-    for axes in row:
-        low, high = axes.get_ylim()
-        for K_c in np.atleast_1d(ladders["K_c"].values).tolist():
-            level = 0.1 * forcing / K_c if K_c else 0.0
-            if not low < level < high:
-                continue
-            axes.axhline(level, **_FAINT)
-            if axes is row[-1]:
-                text = f" 0.1 p /\n {K_c:g} N/m"
-                where = axes.get_yaxis_transform()
-                axes.text(1.0, level, text, transform=where, va="center", fontsize=7)
+def _rungs(axes: Axes, rungs: xr.DataArray, along: str, shade: str, label: str) -> None:
+    """One curve, as far as a logarithmic axis can show it; lengths per stiffness as newtons."""
+    loss = 1.0 - rungs if str(rungs.name).endswith("r_squared") else SOFT * rungs
+    mark = "o" if along == "ratio" else "o-"  # no line leads from one ratio to the next
+    shown = loss.where(loss > _ROUNDING)
+    axes.plot(rungs[along].values, shown, mark, color=shade, markersize=3.5, label=label)
