@@ -33,12 +33,23 @@ def test_lines_between_verdicts(median, p95, found, said):
 
 @pytest.mark.parametrize(
     ("p95", "found", "said"),
-    [(0.2, 0.8, "exact here"), (0.2, 0.79, "with care"), (0.21, 0.8, "with care")],
+    [
+        (0.2, 0.99, "exact here"),
+        (0.2, 0.98, "use"),
+        (0.2, 0.94, "with care"),
+        (0.21, 0.99, "with care"),
+    ],
 )
 def test_nothing_is_asked_that_the_exact_law_does_not_reach(p95, found, said):
     values = {"median": np.zeros(1), "p95": np.array([p95]), "found": np.array([found])}
-    floors = {"median": np.zeros(1), "p95": np.array([0.2]), "found": np.array([0.8])}
+    floors = {"median": np.zeros(1), "p95": np.array([0.2]), "found": np.array([0.99])}
     assert verdict(values, floors) == [said]
+
+
+def test_rarely_found_attractors_are_asked_for_as_rarely():
+    values = {"median": np.zeros(1), "p95": np.full(1, 0.03), "found": np.full(1, 0.8)}
+    floors = {"median": np.zeros(1), "p95": np.full(1, 0.02), "found": np.full(1, 0.8)}
+    assert verdict(values, floors) == ["use"]
 
 
 def made(folder, answers, omega=OMEGA):
@@ -165,7 +176,7 @@ def test_closest_is_who_is_closest_in_the_same_contact(tmp_path):
 
 
 def test_overlapping_intervals_and_floors_name_none(tmp_path):
-    near, level = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.011)
+    near, level = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.0112)
     assert "beyond the 95 % intervals: no single one in 1 of 1" in found_in(
         tmp_path, contact(near, level)
     )
