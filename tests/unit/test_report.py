@@ -4,12 +4,10 @@ import json
 import re
 import subprocess
 
-import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 from tests.made import datasets, failed, periodic, tables
-from workflows.paper.figures import cost_tables
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.timing import timing
@@ -230,23 +228,3 @@ def test_numbers_keep_three_digits(value, text):
 def test_percent():
     assert [percent(v) for v in (0.0123456, 1.5, float("inf"))] == ["1.23 %", "150 %", "–"]
     assert json.dumps(percent(0.0)) == '"0 %"'
-
-
-def test_table_2_stands_beside_the_papers_seconds():
-    labels = ["piecewise@paper", "poly-13@paper", "piecewise@native", "piecewise@half"]
-    n_points = np.array([30, 30, 30, 99])
-    dims = ("representation", "K_c", "gap")
-    costs = xr.Dataset(
-        {
-            "cpu_time_mean": (dims, np.reshape([2.0, 1.0, 0.5, 0.5], (4, 1, 1))),
-            "n_points": (dims, n_points.reshape(4, 1, 1)),
-        },
-        {"representation": labels, "K_c": [1.4e4], "gap": ["0.4/0.4"]},
-    )
-    (table,) = cost_tables(costs)
-    assert table.title == "Fig. 8b, 30 frequencies"
-    rows = {row[0]: row[1:] for row in table.rows}
-    assert list(rows) == labels[:3]  # the last one has other points
-    assert rows["poly-13@paper"] == ["30", "0.5", "18.6", number(18.57 / 48.69)]
-    assert rows["piecewise@native"][2:] == ["–", "–"]
-    assert not list(cost_tables(costs.isel(representation=[1, 2])))

@@ -104,8 +104,7 @@ def _where(scene: Scene) -> str:
 # --- Sections 1 to 3: the laws themselves ---------------------------------------------------------
 
 
-@claim(1, "Eqs 4-6",
-    "The three tangent laws tend to the exact force as their parameter grows.",
+@claim(1, "Eqs 4-6", "The three tangent laws tend to the exact force as their parameter grows.",
     "'Eqs. (4-6) approach one another as their convergence parameters are increased' (Sect. 2). A "
     "limit: over five decades the RMS error falls at least a thousandfold, and never "
     "rises.")  # fmt: skip
@@ -125,8 +124,7 @@ def limit(run: Run) -> Found:
     return tests, f"From 1e4 to 1e9 /m the errors fall {min(falls):.2g} to {max(falls):.2g} fold."
 
 
-@claim(2, "Sect. 2",
-    "A period-n response shows 2n points in the diagram of extrema.",
+@claim(2, "Sect. 2", "A period-n response shows 2n points in the diagram of extrema.",
     "'A period-n response ... will generally manifest as 2n discrete points': generally is in "
     "most cases, counted for exact P1 motions from rest and P3 motions from scattered "
     "starts.")  # fmt: skip
@@ -146,8 +144,7 @@ def points_of_a_period(run: Run) -> Found:
     )
 
 
-@claim(3, "Sect. 1",
-    "Missing contacts costs accuracy, as roundoff accumulates.",
+@claim(3, "Sect. 1", "Missing contacts costs accuracy, as roundoff accumulates.",
     "'Time integration methods suffer from accumulating roundoff error if the precise times and "
     "locations of contacts are not captured'. One method (5(4) pairs, ode45's controller) with "
     "and without events says what is lost; roundoff would not fall when the tolerance does "
@@ -173,8 +170,7 @@ def roundoff(run: Run) -> Found:
     )
 
 
-@claim(4, "Sect. 2",
-    "A diagram of extrema tells periodic from aperiodic motion.",
+@claim(4, "Sect. 2", "A diagram of extrema tells periodic from aperiodic motion.",
     "'A bifurcation diagram constructed as described above can distinguish aperiodic from "
     "periodic.' Distinct values at a plot's resolution (a 200th of the diagram's height) from the "
     "same window: a periodic motion has no others in a longer one. Told apart: 95 % of the "
@@ -198,8 +194,7 @@ def diagram_tells(run: Run) -> Found:
     return tests, f"Of the chaotic responses these stand out: {shown(tests)}."
 
 
-@claim(5, "Fig. 2a",
-    "The error of a polynomial inside the gap falls with its degree.",
+@claim(5, "Fig. 2a", "The error of a polynomial inside the gap falls with its degree.",
     "'This error decreases with higher degree': from 13 to 21, and over all degrees on a log-log "
     "line.")  # fmt: skip
 def polynomial_in_gap(run: Run) -> Found:
@@ -213,8 +208,7 @@ def polynomial_in_gap(run: Run) -> Found:
     return tests, f"Degree 21 exerts {ratio:.2g} of what degree 13 does; it falls as n^{slope:.2f}."
 
 
-@claim(6, "Fig. 2a",
-    "Polynomials match the force better away from the gap than near it.",
+@claim(6, "Fig. 2a", "Polynomials match the force better away from the gap than near it.",
     "'The polynomials match the piecewise behavior away from the freeplay gap better': RMS error "
     "inside the gap over that outside, both degrees of the paper.")  # fmt: skip
 def away_from_the_gap(run: Run) -> Found:
@@ -259,8 +253,7 @@ def constrained(run: Run) -> Found:
     return tests, f"Constrained: {listed(parts)}."
 
 
-@claim(8, "Fig. 2c",
-    "With degree 21 very soft contact is matched, hard contact poorly.",
+@claim(8, "Fig. 2c", "With degree 21 very soft contact is matched, hard contact poorly.",
     "'The polynomial representation matches the very soft contact ... For hard contact, the match "
     "is poor even with 21 coefficients.' In newtons, since the relative error is the same at "
     "every stiffness: a tenth of the forcing inside the gap is where motion there is "
@@ -279,8 +272,7 @@ def soft_and_hard_match(run: Run) -> Found:
     )
 
 
-@claim(9, "Fig. 2",
-    "Polynomials converge slowly, and are badly conditioned at higher degrees.",
+@claim(9, "Fig. 2", "Polynomials converge slowly, and are badly conditioned at higher degrees.",
     "'The polynomial representation converges slowly yet also suffers from being \"badly "
     "conditioned\"' in polyfit, whose basis is monomials of x as given. Slowly: no faster than "
     "the inverse square of the degree; badly: a condition above 1e8 costs half of all "
@@ -302,8 +294,7 @@ def polynomials_converge(run: Run) -> Found:
     )
 
 
-@claim(10, "Fig. 2",
-    "Harder contact needs more coefficients.",
+@claim(10, "Fig. 2", "Harder contact needs more coefficients.",
     "'More coefficients are required for harder contact stiffness beyond what was investigated': "
     "the smallest degree whose in-gap force is below a tenth of the forcing, infinite if none up "
     "to 45 is.")  # fmt: skip
@@ -323,8 +314,7 @@ def coefficients(run: Run) -> Found:
     return tests, f"Very soft, soft and hard contact need degrees {listed(words)}."
 
 
-@claim(11, "Fig. 2",
-    "The fit range of 4 mm covers the largest displacements.",
+@claim(11, "Fig. 2", "The fit range of 4 mm covers the largest displacements.",
     "'This encompassed the largest displacements present for the parameters in Table 1', which "
     "start at rest: the largest displacement of the exact law from rest.")  # fmt: skip
 def fit_range(run: Run) -> Found:
@@ -337,8 +327,7 @@ def fit_range(run: Run) -> Found:
     )
 
 
-@claim(12, "Fig. 3a",
-    "The rational fit 3/2 is not odd and negative in the gap, 5/3 is odd.",
+@claim(12, "Fig. 3a", "The rational fit 3/2 is not odd and negative in the gap, 5/3 is odd.",
     "'The 3/2 curve is not rotationally symmetric about the origin and shows a negative force "
     "within most of the freeplay gap, unlike the 5/3 curve': the force at 0 of the least-squares "
     "optimum and of the best of cftool's random starts, per unit stiffness; 1e-7 m, 1.4 mN, "
@@ -361,8 +350,7 @@ def odd_fits(run: Run) -> Found:
     )
 
 
-@claim(13, "Fig. 3a",
-    "5/3 is closer to the exact force in the gap than 3/2.",
+@claim(13, "Fig. 3a", "5/3 is closer to the exact force in the gap than 3/2.",
     "'The 5/3 curve also fits more closely within the freeplay gap': largest in-gap force of the "
     "least-squares optima.")  # fmt: skip
 def closer_in_gap(run: Run) -> Found:
@@ -371,8 +359,7 @@ def closer_in_gap(run: Run) -> Found:
     return [Test("in-gap force, 5/3 over 3/2", ratio, "<", 1.0)], f"5/3 exerts {ratio} of it."
 
 
-@claim(14, "Fig. 3b",
-    "For very soft contact the fits from 3/5 to 5/5 are nearly the same.",
+@claim(14, "Fig. 3b", "For very soft contact the fits from 3/5 to 5/5 are nearly the same.",
     "'There is little advantage if any ... they are all very similar': RMS errors within a tenth. "
     "Their ratio does not depend on the stiffness.")  # fmt: skip
 def similar_fits(run: Run) -> Found:
@@ -382,8 +369,7 @@ def similar_fits(run: Run) -> Found:
     return [Test(says, ratio, "<=", ALIKE)], f"The errors differ by a factor of {ratio}."
 
 
-@claim(15, "Fig. 3c",
-    "Harder contact is captured better with higher degrees.",
+@claim(15, "Fig. 3c", "Harder contact is captured better with higher degrees.",
     "'Generally, up to a limit, harder contact stiffnesses are captured better with higher-degree "
     "numerator and denominator': an error a tenth lower at least, from 3/2 to the highest of the "
     "paper and beyond.")  # fmt: skip
@@ -401,8 +387,7 @@ def higher_degrees(run: Run) -> Found:
     )
 
 
-@claim(16, "Fig. 3",
-    "Rational fits change with the random start, and poles are a danger.",
+@claim(16, "Fig. 3", "Rational fits change with the random start, and poles are a danger.",
     "'The calculated curve fit can change every time ... \"random start points\"', and roots of "
     "the denominator are 'a danger to consider'. Starts as cftool makes them: a tenth must miss "
     "the best fit, and a tenth end with a pole in the range, in one unit of x or the "
@@ -467,8 +452,7 @@ def quality_tests(rmse: Sequence[float], r_squared: Sequence[float]) -> list[Tes
     ]
 
 
-@claim(19, "Fig. 5c",
-    "Of the tangent laws tanh converges fastest, log-arctan slowest.",
+@claim(19, "Fig. 5c", "Of the tangent laws tanh converges fastest, log-arctan slowest.",
     "'All converge quickly with hyperbolic tangent being the fastest and logarithm-arctangent the "
     "slowest': order of the RMS errors at equal parameter, as integrals over the "
     "range.")  # fmt: skip
@@ -488,8 +472,7 @@ def tangent_order(run: Run) -> Found:
     )
 
 
-@claim(20, "Fig. 5b",
-    "The convergence of rational fits with their degrees is not straightforward.",
+@claim(20, "Fig. 5b", "The convergence of rational fits with their degrees is not straightforward.",
     "'The convergence for rational polynomial is not straightforward': along rising numbers of "
     "coefficients the error rises somewhere, or stays, by more than the fit's own 0.1 "
     "%.")  # fmt: skip
@@ -594,8 +577,7 @@ def rational_large_gap(run: Run) -> Found:
     )
 
 
-@claim(24, "Fig. 6a",
-    "Above 22 Hz the whole response of RatPoly 5/3 is below 0.",
+@claim(24, "Fig. 6a", "Above 22 Hz the whole response of RatPoly 5/3 is below 0.",
     "'For > 22 Hz the peak amplitude is predicted to be negative': the peak is negative at most "
     f"frequencies. Decided {OPTIMUM}.")  # fmt: skip
 def rational_below_zero(run: Run) -> Found:
@@ -608,8 +590,7 @@ def rational_below_zero(run: Run) -> Found:
     )
 
 
-@claim(25, "Fig. 6b",
-    "All five laws capture the superharmonic range to a degree.",
+@claim(25, "Fig. 6b", "All five laws capture the superharmonic range to a degree.",
     "'All the representations are able to capture the region of superharmonic resonance to "
     "varying degrees': below the natural frequency of 5 Hz, half as many responses with more than "
     "two extrema as the exact law has.")  # fmt: skip
@@ -703,8 +684,7 @@ def more_branches(run: Run) -> Found:
     return [test], f"Where there is any, the optimum has {ours} branches, the exact law {exact}."
 
 
-@claim(28, "Fig. 6b",
-    "RatPoly 5/3, tanh and arctan are best at the primary peak and its jump.",
+@claim(28, "Fig. 6b", "RatPoly 5/3, tanh and arctan are best at the primary peak and its jump.",
     "'The RatPoly 5/3, Tanh, and Arctan also have the best agreement to the primary resonance "
     "peak and to the jump to lower amplitude': from rest, the frequency of the jump by bisection "
     "and the median amplitude error at 8-14 Hz, the worst of the three against the better of the "
@@ -793,8 +773,7 @@ def _f1s(run: Run, labels: Iterable[str], scene: Scene) -> str:
     return listed(f"{named(label)} {f1(run, label, scene).value:.2f}" for label in labels)
 
 
-@claim(31, "Fig. 6c",
-    "Tanh and arctan are best, and get worse with frequency.",
+@claim(31, "Fig. 6c", "Tanh and arctan are best, and get worse with frequency.",
     "'The Tanh and Arctan models have the best agreement to the piecewise results but still lose "
     "accuracy as forcing frequency increases': F1 of their attractor sets above that of the other "
     "three; lower above 15 Hz than below.")  # fmt: skip
@@ -845,8 +824,7 @@ def logarctan_asymmetric(run: Run) -> Found:
     )
 
 
-@claim(33, "Fig. 6c",
-    "The exact law is chaotic at 13-15 Hz.",
+@claim(33, "Fig. 6c", "The exact law is chaotic at 13-15 Hz.",
     "'The chaotic region within 13-15 Hz': chaotic from rest at half of the frequencies or "
     "more.")  # fmt: skip
 def chaotic_region(run: Run) -> Found:
@@ -887,8 +865,7 @@ def strong_asymmetric(run: Run) -> Found:
     )
 
 
-@claim(35, "Fig. 7",
-    "At 1e6 tanh and arctan are alike, and better than log-arctan.",
+@claim(35, "Fig. 7", "At 1e6 tanh and arctan are alike, and better than log-arctan.",
     "'The tangent-based models are the most accurate, with Tanh and Arctan having similar "
     "accuracy and Log-Arctan having slightly less': F1 of the attractor sets within a tenth; "
     "above that of log-arctan.")  # fmt: skip
@@ -903,8 +880,7 @@ def strong_tangents(run: Run) -> Found:
 # --- Fig. 8: bifurcation diagrams, weak grade -----------------------------------------------------
 
 
-@claim(36, "Fig. 8a",
-    "At very soft contact all are excellent and show ringing and superharmonics.",
+@claim(36, "Fig. 8a", "At very soft contact all are excellent and show ringing and superharmonics.",
     "'All models are in excellent agreement for the very soft contact case', 'all five "
     "representations capture both behaviors well': three quarters of the amplitude errors from "
     "rest within a line; three quarters as many responses with more than two extrema below 5 "
@@ -917,8 +893,7 @@ def very_soft(run: Run) -> Found:
     return tests + ringing, f"3 in 4 of the amplitudes are within: {shown(tests, '.1%')}. {words}"
 
 
-@claim(37, "Fig. 8b",
-    "Poly-13 misses a range of ringing, chaos and superharmonics.",
+@claim(37, "Fig. 8b", "Poly-13 misses a range of ringing, chaos and superharmonics.",
     "'Unable to capture the full frequency range of \"ringing\", chaotic, or superharmonic "
     "resonance behaviors': from rest below 7 Hz on the exact attractor at less than half of the "
     "frequencies.")  # fmt: skip
@@ -934,8 +909,7 @@ def polynomial_misses(run: Run) -> Found:
     )
 
 
-@claim(38, "Fig. 8b",
-    "Arctan and log-arctan miss a narrow chaotic band at 4-5 Hz.",
+@claim(38, "Fig. 8b", "Arctan and log-arctan miss a narrow chaotic band at 4-5 Hz.",
     "'The Arctan and Log-Arctan models also fail to capture the narrow chaotic band near 4-5 Hz': "
     "the exact law from rest is chaotic at one frequency of the grid or more, they at "
     "none.")  # fmt: skip
@@ -949,8 +923,7 @@ def narrow_chaos(run: Run) -> Found:
     return tests, f"Chaos from rest at 4-5 Hz: {listed(words)}."
 
 
-@claim(39, "Fig. 8b",
-    "Only tanh has both narrow features near 6 and 7 Hz.",
+@claim(39, "Fig. 8b", "Only tanh has both narrow features near 6 and 7 Hz.",
     "'Only the Tanh model captures both the narrow transitions to superharmonic resonance near "
     "6Hz and 7Hz': a response from rest that is not period 1 within half a hertz of either; the "
     "others lack one at least.")  # fmt: skip
@@ -972,8 +945,7 @@ def narrow_features(run: Run) -> Found:
     return tests, f"Not period 1: {'; '.join(words)}."
 
 
-@claim(40, "Fig. 8b",
-    "Poly-13, arctan and log-arctan put the primary peak slightly too high.",
+@claim(40, "Fig. 8b", "Poly-13, arctan and log-arctan put the primary peak slightly too high.",
     "'Slightly overestimate the frequency value of the primary resonance peak': from rest, by "
     "bisection to a millihertz, since the words are about less than a step of the "
     "grid.")  # fmt: skip
@@ -986,8 +958,7 @@ def peak_too_high(run: Run) -> Found:
     return tests, _peaks(run)
 
 
-@claim(41, "Fig. 8b",
-    "RatPoly 5/3 and arctan show an extra nonlinear region after the jump.",
+@claim(41, "Fig. 8b", "RatPoly 5/3 and arctan show an extra nonlinear region after the jump.",
     "'The RatPoly 5/3 and Arctan models predict a region of nonlinear behavior shortly after the "
     "jump phenomenon and before the region of subharmonic resonance': from rest at 11.5-17 Hz, "
     "responses that are not period 1 with two extrema, a twentieth more than with the exact law. "
@@ -1044,8 +1015,7 @@ def subharmonic_band(run: Run) -> Found:
     return tests, f"From rest {n} of {rest.sizes['point']} exact responses have it; {_bands(run)}"
 
 
-@claim(43, "Fig. 8b",
-    "Poly-13 and log-arctan have no subharmonic band.",
+@claim(43, "Fig. 8b", "Poly-13 and log-arctan have no subharmonic band.",
     "'Poly-13 and Log-Arctan do not capture any subharmonic resonance behavior': period 3 from "
     "any start at fewer than one frequency in twenty, where the paper sees the band (17-21 Hz) "
     "and anywhere above 12 Hz.")  # fmt: skip
@@ -1059,8 +1029,7 @@ def no_subharmonic_band(run: Run) -> Found:
     return tests, f"Frequencies with period 3: {shown(tests)}; {_bands(run)}"
 
 
-@claim(44, "Fig. 8c",
-    "At hard contact all laws of the weak grade fail.",
+@claim(44, "Fig. 8c", "At hard contact all laws of the weak grade fail.",
     "'All the representations seem to have failed altogether': class and amplitude from rest "
     "right at less than half of the frequencies.")  # fmt: skip
 def weak_at_hard(run: Run) -> Found:
@@ -1077,8 +1046,7 @@ def _rights(run: Run, labels: Iterable[str], scene: Scene, op: str, limit: float
     )
 
 
-@claim(45, "Fig. 8c",
-    "Poly-13 and log-arctan show a tiny periodic motion everywhere.",
+@claim(45, "Fig. 8c", "Poly-13 and log-arctan show a tiny periodic motion everywhere.",
     "'Very low-amplitude periodic solutions for the entire frequency range': 98 % periodic from "
     "rest; 95 % of the amplitudes below a tenth of the wall's distance.")  # fmt: skip
 def tiny_motion(run: Run) -> Found:
@@ -1095,8 +1063,7 @@ def tiny_motion(run: Run) -> Found:
     return tests, f"{'; '.join(words)}."
 
 
-@claim(46, "Fig. 8c",
-    "RatPoly 5/3 is low, with a negative mean, and larger above 20 Hz.",
+@claim(46, "Fig. 8c", "RatPoly 5/3 is low, with a negative mean, and larger above 20 Hz.",
     "'A low-amplitude periodic solution, with negative mean, for most of the frequency range "
     "before predicting higher amplitude periodic solutions above 20Hz'. Low: half of the exact "
     "amplitude in the median below 20 Hz; negative: at most frequencies, beyond a tenth of the "
@@ -1129,8 +1096,7 @@ def _small_and_away(run: Run, label: str) -> Number:
     return share((points["amplitude"] < 0.1e-3) & (mean > points["amplitude"]))
 
 
-@claim(47, "Fig. 8c",
-    "Tanh is trapped away from the centre.",
+@claim(47, "Fig. 8c", "Tanh is trapped away from the centre.",
     "'Tanh predicts a very low-amplitude periodic response with a high mean value, almost as if "
     "the system becomes trapped in a potential well away from the origin': more than one static "
     "well, and most responses from rest are below 0.1 mm with a mean beyond their "
@@ -1155,8 +1121,7 @@ def _trapped(run: Run, label: str) -> Found:
     )
 
 
-@claim(48, "Fig. 8c",
-    "Arctan captures nothing.",
+@claim(48, "Fig. 8c", "Arctan captures nothing.",
     "'Arctan also captures none of the correct system physics': class and amplitude from rest "
     "right at a tenth of the frequencies at most.")  # fmt: skip
 def arctan_at_hard(run: Run) -> Found:
@@ -1182,8 +1147,7 @@ def strong_classes(run: Run) -> Found:
     return tests, f"The class is right at: {shown(tests)}."
 
 
-@claim(50, "Fig. 9",
-    "Arctan captures more of the narrow windows at 12-20 Hz than tanh.",
+@claim(50, "Fig. 9", "Arctan captures more of the narrow windows at 12-20 Hz than tanh.",
     "'Arctan captures more of the very narrow higher-period regions between 12-20 Hz than Tanh "
     "does': of the frequencies at which the exact law has an attractor of a period above 1, the "
     "share at which a law has one of the same period.")  # fmt: skip
@@ -1210,8 +1174,7 @@ def narrow_windows(run: Run) -> Found:
     )
 
 
-@claim(51, "Fig. 9",
-    "Log-arctan captures less, and has a false region above 20 Hz.",
+@claim(51, "Fig. 9", "Log-arctan captures less, and has a false region above 20 Hz.",
     "'Log-Arctan is less accurate ... and it also predicts a narrow region of behavior beyond "
     "20Hz that does not occur in the other models': class and amplitude right below 20 Hz less "
     "often than with either, and above it too.")  # fmt: skip
@@ -1229,8 +1192,7 @@ def logarctan_strong(run: Run) -> Found:
     return tests, f"Class and amplitude are right, {'; '.join(words)} of the frequencies."
 
 
-@claim(52, "Fig. 9",
-    "Poly-21 and RatPoly 5/5 capture nothing at hard contact.",
+@claim(52, "Fig. 9", "Poly-21 and RatPoly 5/5 capture nothing at hard contact.",
     "'The Poly-21 and RatPoly 5/5 models are still unable to capture any of the system's rich "
     "behavior': class and amplitude from rest right at a tenth of the frequencies at "
     "most.")  # fmt: skip
@@ -1306,8 +1268,7 @@ def exact_is_slow_tests(costs: Costs) -> list[Test]:
     ]
 
 
-@claim(53, "Table 2",
-    "The exact law is slowest or second in both cases.",
+@claim(53, "Table 2", "The exact law is slowest or second in both cases.",
     "'The exact piecewise representation took either the first or second longest': at most one "
     "law costs more." + _TABLE_WHY)  # fmt: skip
 def exact_is_slow(run: Run) -> Found:
@@ -1352,8 +1313,7 @@ def polynomial_is_third_tests(costs: Costs) -> list[Test]:
     ]  # fmt: skip
 
 
-@claim(55, "Table 2",
-    "The polynomial is third, about one and a half times faster than the second.",
+@claim(55, "Table 2", "The polynomial is third, about one and a half times faster than the second.",
     "'Third slowest for both cases, but it was faster than the second slowest by a factor of "
     "about 1.5': on average of both cases, within a tenth." + _TABLE_WHY)  # fmt: skip
 def polynomial_is_third(run: Run) -> Found:
@@ -1374,8 +1334,7 @@ def _tangent_costs(costs: Costs) -> dict[str, list[float]]:
     return {grade: [number.value for number in list(c.values())[3:]] for grade, c in costs.items()}
 
 
-@claim(56, "Table 2",
-    "The three tangent laws differ by no more than half a second.",
+@claim(56, "Table 2", "The three tangent laws differ by no more than half a second.",
     "'Differed by no more than half a second', which is 7 % of the weak case's time; 7 % is asked "
     "for in both." + _TABLE_WHY)  # fmt: skip
 def tangents_alike(run: Run) -> Found:
@@ -1400,8 +1359,7 @@ def tangents_fast_tests(costs: Costs) -> list[Test]:
     return [Test(says, _plain(off), "<=", 0.1)]
 
 
-@claim(57, "Table 2",
-    "The tangent laws are about 6.5 times faster than the slowest law.",
+@claim(57, "Table 2", "The tangent laws are about 6.5 times faster than the slowest law.",
     "'These averaged about 6.5 times faster than the slowest model in both cases': the mean of "
     "both, within a tenth." + _TABLE_WHY)  # fmt: skip
 def tangents_fast(run: Run) -> Found:
@@ -1440,8 +1398,7 @@ def restarts_cost(run: Run) -> Found:
 # --- Section 4.2: limits --------------------------------------------------------------------------
 
 
-@claim(59, "Sect. 4.2",
-    "At hard contact 20 to 45 coefficients are still poor.",
+@claim(59, "Sect. 4.2", "At hard contact 20 to 45 coefficients are still poor.",
     "'A high contact stiffness may be represented by upwards of 20-45 coefficients and still have "
     "a poor accuracy': a force in the gap above a tenth of the forcing.")  # fmt: skip
 def still_poor(run: Run) -> Found:
@@ -1454,8 +1411,7 @@ def still_poor(run: Run) -> Found:
     return tests, f"Degree 45 still exerts {tests[-1].number} times the forcing inside the gap."
 
 
-@claim(60, "Sect. 4.2",
-    "With a small gap a polynomial of low degree acts like a linear spring.",
+@claim(60, "Sect. 4.2", "With a small gap a polynomial of low degree acts like a linear spring.",
     "'A small freeplay gap tends to produce a polynomial that behaves linearly over the entire "
     "displacement range without enough coefficients': the frequency of small motions in the gap "
     "is off 5 Hz by a tenth or more, and by more than at the large gap.")  # fmt: skip
@@ -1473,8 +1429,7 @@ def acts_linear(run: Run) -> Found:
     )
 
 
-@claim(61, "Sect. 4.2",
-    "Several roots inside the gap trap the response.",
+@claim(61, "Sect. 4.2", "Several roots inside the gap trap the response.",
     "'If the freeplay representation has multiple roots within the freeplay gap ... the system "
     "response can become trapped at a higher amplitude' (Figs 2c and 9): Poly-21 at hard contact "
     "has more than one static well, and most responses from rest are small motions away from the "
@@ -1533,8 +1488,7 @@ def tangents_in_dynamics(run: Run) -> Found:
     return tests, f"F1, {'; '.join(words)}."
 
 
-@claim(64, "Sect. 4.2",
-    "The rational polynomial is the hardest to set up.",
+@claim(64, "Sect. 4.2", "The rational polynomial is the hardest to set up.",
     "'The most difficult to formulate and implement'; the other fits have one solution each. "
     "Hard: from starts as cftool makes them, a quarter end with a pole and a quarter miss the "
     "best fit, in one unit of x or the other.")  # fmt: skip
@@ -1604,8 +1558,7 @@ def does_not_resolve(run: Run) -> Found:
     return tests, _picture_words(pictures)
 
 
-@claim(67, "Fig. 10",
-    "Narrow periodic bands agree between events and none, chaos less so.",
+@claim(67, "Fig. 10", "Narrow periodic bands agree between events and none, chaos less so.",
     "'The narrow bands of periodic responses agree well in all cases, but the regions of chaos "
     "and other nonlinear behavior show less agreement': what is plotted, the same peak and trough "
     "from rest in the paper's tolerances, at three quarters of the frequencies at which the law "
@@ -1655,8 +1608,7 @@ def false_period_3(run: Run) -> Found:
     )
 
 
-@claim(69, "Fig. 11cd",
-    "At 21.75 Hz all show period 2, with small differences.",
+@claim(69, "Fig. 11cd", "At 21.75 Hz all show period 2, with small differences.",
     "'The overall behavior of the response is captured well, indicating a period-2 response ... "
     "However, the results still differ on a small scale': from rest period 2 with the exact law; "
     "tanh and the law without events on the same attractor, extrema within a twentieth of the "
@@ -1705,8 +1657,7 @@ def finer_or_events(run: Run) -> Found:
     )
 
 
-@claim(71, "Sect. 4.2",
-    "The limit of tanh is the exact law without events.",
+@claim(71, "Sect. 4.2", "The limit of tanh is the exact law without events.",
     "'The limit of applicability of the hyperbolic tangent model approaches that of the exact "
     "piecewise model without any event detection procedure': in the paper's tolerances from rest "
     "tanh at 1e9 draws the picture without events more often than at 1e6, and more often than the "
@@ -1751,8 +1702,7 @@ def worst_and_dearest(run: Run) -> Found:
     )
 
 
-@claim(73, "Sect. 5",
-    "Among the continuous laws tanh is the one to take.",
+@claim(73, "Sect. 5", "Among the continuous laws tanh is the one to take.",
     "'If this is not a concern, the hyperbolic tangent representation is recommended': in "
     "accuracy, the highest F1 of the attractor sets in every soft scene and grade. What a restart "
     "costs is claim 58.")  # fmt: skip
@@ -1767,8 +1717,7 @@ def recommended(run: Run) -> Found:
     return tests, f"F1, {'; '.join(words)}."
 
 
-@claim(74, "Sect. 5",
-    "Events without restarts would save significant time.",
+@claim(74, "Sect. 5", "Events without restarts would save significant time.",
     "'If ode45 with event location could be modified to run without restarting, significant time "
     "savings could be obtained', from its 'significant overhead costs': a fifth, in the work of "
     "one method with and without restarts, and in what the paper's seconds hold beyond the "
@@ -1780,8 +1729,7 @@ def without_restarts(run: Run) -> Found:
 # --- What the first list left out -----------------------------------------------------------------
 
 
-@claim(75, "Fig. 5",
-    "The tangent laws converge significantly faster than the fits.",
+@claim(75, "Fig. 5", "The tangent laws converge significantly faster than the fits.",
     "'They also converge significantly faster' (Sect. 3): from the weak to the strong grade the "
     "RMS error of every tangent law falls by twice the factor of either fit or more.")  # fmt: skip
 def faster_convergence(run: Run) -> Found:
@@ -1845,8 +1793,7 @@ def degrees_do_little(run: Run) -> Found:
     )
 
 
-@claim(78, "Sect. 3",
-    "A large convergence parameter costs the law its smoothness.",
+@claim(78, "Sect. 3", "A large convergence parameter costs the law its smoothness.",
     "'The convergence parameter should not be too large because then the smoothness of the "
     "representation will be lost': the solver sees it, with more right-hand sides per forcing "
     "period at 1e6 than at 1e4 (soft, 0/0.8 mm, the same solver), by a tenth.")  # fmt: skip
@@ -1859,8 +1806,7 @@ def smoothness(run: Run) -> Found:
     return tests, f"At 1e6 they need this many times the right-hand sides: {shown(tests, '.2g')}."
 
 
-@claim(79, "Fig. 8b",
-    "All laws but Poly-13 capture ringing, chaos and superharmonics.",
+@claim(79, "Fig. 8b", "All laws but Poly-13 capture ringing, chaos and superharmonics.",
     "The other half of claim 37: behaviours 'that all the other models are generally able to "
     "capture': from rest below 7 Hz on the exact attractor at half of the "
     "frequencies.")  # fmt: skip
@@ -1873,8 +1819,7 @@ def others_capture(run: Run) -> Found:
     return tests, f"On the exact attractor: {shown(tests)}."
 
 
-@claim(80, "Fig. 9",
-    "Tanh and arctan agree best among all laws at hard contact.",
+@claim(80, "Fig. 9", "Tanh and arctan agree best among all laws at hard contact.",
     "'The Tanh and Arctan models show the best agreement among all the models': class and "
     "amplitude from rest right more often than with each of the others.")  # fmt: skip
 def best_at_hard(run: Run) -> Found:
@@ -1889,8 +1834,7 @@ def best_at_hard(run: Run) -> Found:
     return tests, f"Class and amplitude are right at: {listed(words)} of the frequencies."
 
 
-@claim(81, "Sect. 5",
-    "The accuracy of all laws is limited when contact is strong.",
+@claim(81, "Sect. 5", "The accuracy of all laws is limited when contact is strong.",
     "'The accuracy of all representations is still limited when strong contact behavior is "
     "present': in the strong grade every law is right less often at hard contact than at soft, "
     "and none at 95 % of the frequencies.")  # fmt: skip

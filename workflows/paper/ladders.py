@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
 from gapsweep.analysis.thresholds import (
     LEAK,
-    predicted_threshold,
     smallest_degree,
     tanh_threshold,
 )
@@ -26,7 +25,7 @@ from gapsweep.model.contact import (
     Tanh,
     static_error,
 )
-from gapsweep.model.fit import N_FIT_POINTS, goodness, poles, rational_candidates, unit_force
+from gapsweep.model.fit import N_FIT_POINTS, goodness, unit_force
 from gapsweep.model.oscillator import Gap
 from gapsweep.study.schema import COORDINATES, Variable
 from gapsweep.study.study import Study
@@ -43,11 +42,9 @@ FAMILIES: dict[str, type[Tanh] | type[Arctan] | type[LogArctan]] = {
     "logarctan": LogArctan,
 }
 PARAMETERS = tuple(float(f"{10 ** (e / 2):.3g}") for e in range(4, 19))
-BASES = ("monomial in m", "monomial, scaled", "Chebyshev", "Chebyshev, odd")
+BASES = ("monomial in m", "Chebyshev")
 CONSTRAINTS = ("none", "no constant or linear term")
 
-# A start reached an optimum if its error is within this factor.
-_SAME_OPTIMUM = 1.0 + 1e-3
 _N_IN_GAP = 2001
 
 LADDER: dict[str, tuple[tuple[str, ...], Variable]] = {
@@ -67,30 +64,20 @@ LADDER: dict[str, tuple[tuple[str, ...], Variable]] = {
          f"smallest degree with an in-gap force below {LEAK:g} of the forcing, 0: none"),
         ("ratpoly_rmse", ("gap", "ratio"), "f8", "m",
          "RMS force error of a rational polynomial per unit contact stiffness"),
-        ("ratpoly_fit_rmse", ("gap", "ratio"), "f8", "m",
-         "RMS error per unit contact stiffness on the points of the rational fit itself"),
         ("ratpoly_r_squared", ("gap", "ratio"), "f8", "1",
          "coefficient of determination of a rational polynomial"),
         ("ratpoly_in_gap_force", ("gap", "ratio"), "f8", "m",
          "largest in-gap force of a rational polynomial per unit contact stiffness"),
         ("ratpoly_force_at_zero", ("gap", "ratio"), "f8", "m",
          "force of a rational polynomial at x = 0 per unit contact stiffness"),
-        ("ratpoly_pole_share", ("gap", "ratio"), "f8", "1",
-         "share of the starts that end with a pole in the range"),
-        ("ratpoly_best_share", ("gap", "ratio"), "f8", "1",
-         "share of the starts that end on the best fit without a pole"),
         ("smooth_rmse", ("family", "gap", "parameter"), "f8", "m",
          "RMS force error of a smooth law per unit contact stiffness"),
         ("smooth_rmse_resolved", ("family", "gap", "parameter"), "f8", "m",
          "RMS force error per unit contact stiffness as an integral over the range"),
         ("smooth_r_squared", ("family", "gap", "parameter"), "f8", "1",
          "coefficient of determination of a smooth law"),
-        ("smooth_in_gap_force", ("family", "gap", "parameter"), "f8", "m",
-         "largest in-gap force of a smooth law per unit contact stiffness"),
         ("tanh_threshold", ("K_c", "gap"), "f8", "m-1",
          "convergence parameter above which tanh has no false well, by search"),
-        ("tanh_threshold_predicted", ("K_c", "gap"), "f8", "m-1",
-         "convergence parameter 0.139 K_c / (k j + alpha j^3)"),
     )
 }  # fmt: skip
 
@@ -117,9 +104,7 @@ def ladders(study: Study) -> xr.Dataset:
     values["poly_smallest_degree"] = smallest_degree(leak, DEGREES, oscillator.forcing)
     scenes = [(K_c, gap) for K_c in grid.K_c for gap in grid.gaps]
     found = [tanh_threshold(oscillator, *scene, x_max) for scene in scenes]
-    predicted = [predicted_threshold(oscillator, *scene) for scene in scenes]
     values["tanh_threshold"] = np.reshape(found, leak.shape[:2])
-    values["tanh_threshold_predicted"] = np.reshape(predicted, leak.shape[:2])
     variables = {
         name: (dims, values[name].astype(v.dtype), _attributes(v))
         for name, (dims, v) in LADDER.items()
@@ -179,58 +164,44 @@ def _nested_fits(u: Array, exact: Array, at: Array, lowest: int) -> tuple[Array,
 def condition_numbers(x_max: float) -> Array:
     """Condition of the least-squares matrix by basis and degree, without saturation.
 
-    The triangular factor of the Chebyshev basis and the exact change of basis give that of
-    the monomials; norms of a factor and of its inverse then hold far beyond 1/eps.
+    The triangular factor of the Chebyshev basis and the exact change of basis give that of the
+    monomials; norms of a factor and of its inverse then hold far beyond 1/eps.
     """
     n = DEGREES[-1] + 1
     basis = chebyshev.chebvander(np.linspace(-1.0, 1.0, N_FIT_POINTS), n - 1)
     triangle = np.linalg.qr(basis, mode="r")
-    odd = np.linalg.qr(basis[:, 1::2], mode="r")
     to_cheb, to_mono = np.zeros((n, n)), np.zeros((n, n))
     for k, unit in enumerate(np.eye(n)):
         to_cheb[: k + 1, k] = chebyshev.poly2cheb(unit[: k + 1])
         to_mono[: k + 1, k] = chebyshev.cheb2poly(unit[: k + 1])
-    inverse = np.linalg.inv(triangle)
-    scaled, scaled_inverse = triangle @ to_cheb, to_mono @ inverse
-    powers = x_max ** np.arange(n)
-    factors = [
-        (scaled * powers, scaled_inverse / powers[:, None]),
-        (scaled, scaled_inverse),
+    inverse, powers = np.linalg.inv(triangle), x_max ** np.arange(n)
+    factors: list[tuple[Array, Array]] = [
+        (triangle @ to_cheb * powers, to_mono @ inverse / powers[:, None]),
         (triangle, inverse),
-        (odd, np.linalg.inv(odd)),
     ]
-    sizes = [[d + 1 for d in DEGREES]] * 3 + [[(d + 1) // 2 for d in DEGREES]]
+    sizes = [degree + 1 for degree in DEGREES]
     # The inverse of a leading block of a triangle is the leading block of its inverse.
     return np.array(
         [
-            [np.linalg.norm(r[:k, :k], 2) * np.linalg.norm(s[:k, :k], 2) for k in rows]
-            for (r, s), rows in zip(factors, sizes, strict=True)
+            [np.linalg.norm(r[:k, :k], 2) * np.linalg.norm(s[:k, :k], 2) for k in sizes]
+            for r, s in factors
         ]
     )
 
 
 def rational_ladder(gap: Gap, x_max: float) -> Values:
-    """Rational fits of all `RATIOS` and what became of their random starts; (ratio,)."""
+    """Rational fits of all `RATIOS`; (ratio,)."""
     return _stacked([_rational_rung(gap, n, m, x_max) for n, m in RATIOS])
 
 
 def _rational_rung(gap: Gap, n: int, m: int, x_max: float) -> Values:
-    starts = rational_candidates(gap, n, m, x_max)
-    errors = np.array([start.rmse for start in starts])
-    with_pole = np.array([bool(poles(start.denominator, x_max)) for start in starts])
     try:
         law = RationalPolynomial(1.0, gap, n, m, x_max)
-        rmse, r_squared = static_error(law, x_max)
-        of_law = (rmse, law.rmse, r_squared, largest_in_gap(law, x_max), float(law.force(0.0)))
+        found = (*static_error(law, x_max), largest_in_gap(law, x_max), float(law.force(0.0)))
     except ModelError:
-        of_law = (np.nan,) * 5
-    best = np.mean(~with_pole & (errors <= of_law[1] * _SAME_OPTIMUM))
-    names = ("rmse", "fit_rmse", "r_squared", "in_gap_force", "force_at_zero")
-    values = dict(zip(names, of_law, strict=True)) | {
-        "pole_share": np.mean(with_pole),
-        "best_share": best,
-    }
-    return {f"ratpoly_{name}": np.array(value) for name, value in values.items()}
+        found = (np.nan,) * 4
+    names = ("rmse", "r_squared", "in_gap_force", "force_at_zero")
+    return {f"ratpoly_{name}": np.array(v) for name, v in zip(names, found, strict=True)}
 
 
 def smooth_ladder(gap: Gap, x_max: float) -> Values:
@@ -248,7 +219,6 @@ def _smooth_rung(law: SmoothLaw, x_max: float) -> Values:
         "smooth_rmse": np.array(rmse),
         "smooth_rmse_resolved": np.array(resolved_rmse(law, x_max)[0]),
         "smooth_r_squared": np.array(r_squared),
-        "smooth_in_gap_force": np.array(largest_in_gap(law, x_max)),
     }
 
 
