@@ -175,7 +175,7 @@ def condition_numbers(x_max: float) -> Array:
         to_cheb[: k + 1, k] = chebyshev.poly2cheb(unit[: k + 1])
         to_mono[: k + 1, k] = chebyshev.cheb2poly(unit[: k + 1])
     inverse, powers = np.linalg.inv(triangle), x_max ** np.arange(n)
-    factors: list[tuple[Array, Array]] = [
+    factors: list[tuple[Any, Any]] = [
         (triangle @ to_cheb * powers, to_mono @ inverse / powers[:, None]),
         (triangle, inverse),
     ]

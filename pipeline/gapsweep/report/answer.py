@@ -113,12 +113,16 @@ class Contact:
 def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Contact]:
     """Every contact of a study with what stands in there, the softest and narrowest first.
 
+    None where prices per period are not stored, as in files of earlier versions.
+
     Parameters
     ----------
     agreement, static : Dataset
         As stored in the run's folder; without `static`, thresholds of tanh are not known.
     """
     names = [*_SHOWN.values(), _PRICE]
+    if _PRICE not in agreement:
+        return []
     pooled = agreement[[*names, *(f"{n}_ci" for n in names), "n_points"]].sel(regime="all").load()
     pooled["n_exact"] = agreement["n_attractors_exact"].sum("omega")
     walls = np.lexsort((pooled["j_1"], np.round(pooled["j_1"] + pooled["j_2"], 12)))
