@@ -504,6 +504,7 @@ def _report(folder: Path) -> Path:
             files.enter_context(netcdf.read(folder / TIMING)),
             attractors=stored(ATTRACTORS),
             advice=stored(ADVICE),
+            static=stored(STATIC),
             claims=_stored(folder / CLAIMS),
             own_parts=(_stored(folder / SECTIONS) or {}).get("sections", ()),
             work_precision=stored(WORK_PRECISION),

@@ -81,6 +81,7 @@ STAGES = (
         (
             RESPONSES,
             ATTRACTORS,
+            STATIC,
             AGREEMENT,
             TIMING,
             ADVICE,
