@@ -1,6 +1,6 @@
 """Which large symmetric gaps leave a single nonlinear feature, near 2 Hz?
 
-The paper shows frequency responses at a large gap whose width it does not state, and says that
+The paper shows frequency responses at a large gap whose width is not in the text we have, and says that
 nothing but superharmonics near 2 Hz is nonlinear there. This scans j = 0.5 to 3 mm at soft contact
 with the exact law, from rest, and prints where a response has more than two extrema or a period
 above 1, and at which frequencies below the primary resonance it touches a wall. A gap fits if
