@@ -1,13 +1,14 @@
 """Which large symmetric gaps leave a single nonlinear feature, near 2 Hz?
 
-The paper shows frequency responses at a large gap whose width is not in the text we have, and says that
-nothing but superharmonics near 2 Hz is nonlinear there. This scans j = 0.5 to 3 mm at soft contact
-with the exact law, from rest, and prints where a response has more than two extrema or a period
-above 1, and at which frequencies below the primary resonance it touches a wall. A gap fits if
+The paper shows frequency responses at a large gap whose width is not in the text we have, and says
+that nothing but superharmonics near 2 Hz is nonlinear there. This scans j = 0.5 to 3 mm at soft
+contact with the exact law, from rest, and prints where a response has more than two extrema or a
+period above 1, and at which frequencies below the primary resonance it touches a wall. A gap fits
+if
 
 * above 1 Hz there is one such range, and it reaches 2 Hz (below 1 Hz the superharmonics of higher
-  order are too small to be seen in a figure);
-* walls are touched in it: otherwise all laws are the plain Duffing oscillator there.
+order are too small to be seen in a figure); * walls are touched in it: otherwise all laws are the
+plain Duffing oscillator there.
 
 ``python benchmarks/large_gap.py``: a minute on one core. Result: docs/decisions/0008-claims.md.
 """
