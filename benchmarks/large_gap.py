@@ -7,8 +7,8 @@ period above 1, and at which frequencies below the primary resonance it touches 
 if
 
 * above 1 Hz there is one such range, and it reaches 2 Hz (below 1 Hz the superharmonics of higher
-order are too small to be seen in a figure); * walls are touched in it: otherwise all laws are the
-plain Duffing oscillator there.
+  order are too small to be seen in a figure);
+* walls are touched in it: otherwise all laws are the plain Duffing oscillator there.
 
 ``python benchmarks/large_gap.py``: a minute on one core. Result: docs/decisions/0008-claims.md.
 """
