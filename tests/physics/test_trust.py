@@ -12,7 +12,9 @@ from tests import random_scenes as rs
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.runge_kutta import representations
+from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import ResponseClass
+from gapsweep.response.walk import Scene
 from gapsweep.status import Status
 
 LINEAR = gs.Oscillator(alpha=0.0, forcing=1.0)
@@ -228,3 +230,25 @@ def test_a_users_slope_is_right_at_any_length():
 
 def _nanometres(x):
     return 1e18 * x**3
+
+
+@pytest.mark.parametrize(("omega", "n"), [(10.6, 3), (11.3, 3), (12.2, 3), (12.8, 2)])
+@pytest.mark.parametrize("label", ["piecewise", "tanh-1e6", "arctan-1e6"])
+def test_noise_is_no_period(label, omega, n):
+    """Newton closes no orbit better than the solver's noise: a multiple of n was found instead."""
+    law = gs.contact_law(label, 1.4e6, gs.Gap(0.4e-3, 0.4e-3))
+    found = gs.respond(gs.Oscillator(), law, omega)
+    assert found.period_multiple == n
+    assert found.t_settled < 30.0, "once it is near, it is found"
+
+
+def test_a_rattled_orbit_has_the_period_about_which_it_rattles():
+    """Contacts that are not located scatter its section more than the tolerances say."""
+    scene = Scene(
+        oscillator=gs.Oscillator(),
+        law=gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3), located=False),
+        omega=11.0,
+        solver=Solver.of(rtol=1e-4, atol=1e-7, controller="ode45"),
+    )
+    (found,) = respond_all([Question(scene=scene, start=(0.0, 0.0), steady=gs.Steady())])
+    assert found.period_multiple == 3

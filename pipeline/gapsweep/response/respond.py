@@ -255,6 +255,10 @@ def _repeated(walk: Walk, steady: Steady) -> Generator[Shot, Orbit | None, Orbit
         return None
     # So coarse that it also repeats sooner?
     n = prime_multiple(walk.section[-n:], walk.same * math.sqrt(n))
+    if not walk.scene.has_own_tangent:
+        # A kink that is passed unlocated scatters more than that.
+        sooner = likely_multiple(walk.section, _CLOSE * walk.reach, n)
+        n = sooner if sooner and n % sooner == 0 else n
     return (yield from _as_it_is(walk, n))
 
 

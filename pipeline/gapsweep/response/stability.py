@@ -128,7 +128,8 @@ def shoot(walk: Walk, n: int) -> Generator[Shot, Any, Orbit | None]:
         circle: then the motion has to go on by itself.
     """
     reach, same = walk.reach, walk.same
-    goal = max(1e-10 * reach, 0.1 * same if walk.scene.solver.rtol > 1e-8 else 0.0)
+    # Below the solver's own noise Newton makes no orbit close better.
+    goal = max(1e-10 * reach, 0.1 * same)
     orbit: Orbit | None = yield Shot(walk.y, n, goal, _SMALL_STEP * reach)
     if orbit is None or not abs(orbit.multipliers[0]) < _INSIDE:
         return None
