@@ -135,18 +135,25 @@ def mean_of(run: Run, name: str, label: str, scene: Scene, band: Band = ALL) -> 
 
 
 def same_picture(
-    run: Run, label: str, other: str, scene: Scene, where: Bools | None = None
+    run: Run,
+    label: str,
+    other: str,
+    scene: Scene,
+    where: Bools | None = None,
+    resolution: float = 0.02,
 ) -> Number:
     """Share of the frequencies at which two laws from rest have the same peak and trough.
 
-    The same: within a fiftieth of the gap's width, which is what a plot shows.
+    The same: within a fiftieth of the gap's width, which is what a plot shows, or another share.
     """
-    ours, theirs = (run.points(one, *scene, "x_max", "x_min") for one in (label, other))
+    both = [run.points(one, *scene, "x_max", "x_min") for one in (label, other)]
+    common = np.intersect1d(both[0]["omega"].values, both[1]["omega"].values)
+    ours, theirs = (points.isel(point=np.isin(points["omega"], common)) for points in both)
     width = 1e-3 * sum(float(j) for j in scene[1].split("/"))
     apart = (
         abs(ours[["x_max", "x_min"]] - theirs[["x_max", "x_min"]]).to_dataarray().max("variable")
     )
-    hits = (apart <= 0.02 * width).values
+    hits = (apart <= resolution * width).values
     return share(hits if where is None else hits[where])
 
 
@@ -179,11 +186,12 @@ def frequencies(
 def period_3(run: Run, label: str, scene: Scene, band: Band) -> tuple[NDArray[np.float64], Bools]:
     """Frequencies with scattered starts, and at which of them some start has period 3."""
     return frequencies(
-        run, label, scene, _is_period_3, "period_multiple", band=band, start="scattered"
+        run, label, scene, is_period_3, "period_multiple", band=band, start="scattered"
     )
 
 
-def _is_period_3(points: xr.Dataset) -> xr.DataArray:
+def is_period_3(points: xr.Dataset) -> xr.DataArray:
+    """Whether points have period 3."""
     return points["period_multiple"] == 3
 
 

@@ -83,6 +83,9 @@ class Number:
     def __truediv__(self, other: "Number") -> "Number":
         """The ratio of two numbers that are not negative; NaN if the other is 0."""
         value = self.value / other.value if other.value else math.nan
+        if self.each is not None and other.each is not None and self.n == other.n and other.value:
+            floor = _spread(self.each - value * other.each) / other.value
+            return Number(value, floor, 0.0, math.inf, self.n)
         floor = math.hypot(self.floor, value * other.floor) / other.value if other.value else 0.0
         return Number(value, floor, 0.0, math.inf, self.n + other.n)
 
@@ -93,7 +96,7 @@ class Number:
 def mean(values: ArrayLike, low: float = 0.0) -> Number:
     """Mean of values between `low` and 1, such as shares, or of differences of such values.
 
-    Its floor is one standard error, one more squared deviation of 1 being assumed, so that none
+    Its floor is two standard errors, one more squared deviation of 1 being assumed, so that none
     or all of a few are not taken for certain: more than a regular grid of frequencies has.
     """
     each = np.ravel(np.asarray(values, dtype=float))
@@ -101,8 +104,12 @@ def mean(values: ArrayLike, low: float = 0.0) -> Number:
     if not each.size:
         raise NotInRunError("nothing was asked for there")
     value = float(each.mean())
-    spread = math.sqrt(float(np.sum((each - value) ** 2)) + 1.0) / each.size
-    return Number(value, spread, low, 1.0, each.size, each)
+    return Number(value, _spread(each - value), low, 1.0, each.size, each)
+
+
+def _spread(deviations: NDArray[np.float64]) -> float:
+    """Two standard errors of a mean, given what its values deviate by."""
+    return 2.0 * math.sqrt(float(np.sum(deviations**2)) + 1.0) / deviations.size
 
 
 def share(hits: ArrayLike) -> Number:
@@ -111,7 +118,7 @@ def share(hits: ArrayLike) -> Number:
 
 
 def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:
-    """Ratio of two costs over the same points; its floor is the standard error by the jackknife."""
+    """Ratio of two costs over the same points; its floor: two standard errors by the jackknife."""
     above, below = (np.ravel(np.asarray(v, dtype=float)) for v in (numerators, denominators))
     both = np.isfinite(above) & np.isfinite(below)
     above, below = above[both], below[both]
@@ -121,7 +128,7 @@ def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:
     spread = 0.0
     if n > 1:
         without = (above.sum() - above) / (below.sum() - below)
-        spread = math.sqrt((n - 1) / n * float(np.sum((without - without.mean()) ** 2)))
+        spread = 2.0 * math.sqrt((n - 1) / n * float(np.sum((without - without.mean()) ** 2)))
     return Number(value, spread, 0.0, math.inf, n)
 
 
@@ -184,8 +191,9 @@ class Claim:
         except NotInRunError as missing:
             tests, sentence = [], f"Not decided: {missing}."
         found = verdict(test.holds for test in tests)
-        if tests and found == UNDECIDABLE:
-            sentence += " Open: every number lies within its floor of the threshold."
+        if unsettled := [test.says for test in tests if test.holds is None]:
+            more = f" and {len(unsettled) - 3} more" if len(unsettled) > 3 else ""
+            sentence += f" Open, within the floor: {'; '.join(unsettled[:3])}{more}."
         return {
             "id": self.id,
             "place": self.place,
@@ -222,12 +230,16 @@ def claim(id: int, place: str, text: str, why: str) -> Callable[[Callable[["Run"
 
 
 def verdict(holds: Iterable[bool | None]) -> str:
-    """Of the decided tests all hold: confirmed; none: refuted; some: partly."""
-    decided = {outcome for outcome in holds if outcome is not None}
-    if not decided:
-        return UNDECIDABLE
+    """Of the decided tests all hold: confirmed; none: refuted; some: partly.
+
+    Undecidable if fewer than half of the tests are decided, unless these disagree.
+    """
+    outcomes = list(holds)
+    decided = {outcome for outcome in outcomes if outcome is not None}
     if len(decided) == 2:
         return PARTLY
+    if not decided or 2 * outcomes.count(None) > len(outcomes):
+        return UNDECIDABLE
     return CONFIRMED if True in decided else REFUTED
 
 
