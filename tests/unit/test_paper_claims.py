@@ -20,11 +20,11 @@ from gapsweep.study.study import Study
 
 FOLDER = Path(paper.__file__).parent
 CLAIMS = sorted(stated(vars(paper)), key=lambda claim: claim.id)
-N_DRAWS = 45
+N_DRAWS = 60
 N_STARTS = 3
 LEVELS = (0.0, 0.02, 0.3, 0.6, 0.8, 0.97, 1.0)
 COUNTS = {"period_multiple": 4, "n_extrema": 8, "response_class": 3, "n_wells": 4}
-USUAL = {"period_multiple": 1, "n_extrema": 2}  # of a quiet motion
+USUAL = {"period_multiple": (1, 3), "n_extrema": (2, 6), "response_class": (0, 1)}
 SHARES = {"recall", "f1", "same_attractor", "class_agreement", "best_share", "pole_share"}
 
 
@@ -52,9 +52,14 @@ class Drawn(Run):
         """Mostly what all laws share, or mostly not."""
         common, own = self.rng(name, scene), self.rng(name, scene, label)
         everywhere = self.rng("alike").random() < 0.2
-        agree = own.random(shape) < (1.0 if everywhere else own.choice(LEVELS))
+        level = 1.0 if everywhere else self.levels(own, name, scene, shape)
+        agree = own.random(shape) < level
         if name == "status":
             return np.zeros(shape, int)
+        if name in ("nfev", "t_simulated") and self.rng("table").random() < 0.2:
+            return np.full(shape, 6.5 if name == "nfev" and "tan" not in label else 1.0)
+        if name == "section_distance_median" and ("half" in label or "jitter" in label):
+            return np.full(shape, 1e-15)
         if name in COUNTS:
             both = (
                 rng.choice(COUNTS[name], p=self.odds(rng, name), size=shape)
@@ -77,10 +82,22 @@ class Drawn(Run):
         shared, other = both
         return np.where(agree, shared, other)
 
+    def levels(self, own, name, scene, shape):
+        """How often a law agrees: below and above 15 Hz, in periodic motion and in chaos."""
+        low, high, chaotic = own.choice(LEVELS, 3)
+        omega = np.array(self.study.grid.omega)
+        if np.ravel(shape)[0] != omega.size:
+            return low
+        level = np.where(omega < 15.0, low, high).reshape(-1, *[1] * (np.size(shape) - 1))
+        if name in ("x_max", "x_min"):
+            kind = self.values("response_class", "piecewise@paper", scene, shape)
+            level = np.where(kind == 1, chaotic, level)
+        return level
+
     def odds(self, rng, name):
         weights = rng.random(COUNTS.get(name, name)) ** 12 + 1e-4
-        if name in USUAL and rng.random() < 0.4:
-            weights[USUAL[name]] = 1e6
+        if name in USUAL and rng.random() < 0.5:
+            weights[rng.choice(USUAL[name])] = 1e6
         return weights / weights.sum()
 
     def scene(self, name, representation, K_c, gap, *names):
