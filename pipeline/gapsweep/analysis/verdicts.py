@@ -260,7 +260,7 @@ def verdicts(claims: Iterable[Claim], run: "Run") -> dict[str, Any]:
     for claim in sorted(claims, key=lambda claim: claim.id):
         try:
             decided.append(claim.decided(run))
-        except Exception as error:
+        except Exception as error:  # a claim is the user's code, which may raise anything
             raise FaultyClaimError(claim.id) from error
     counts = Counter(entry["verdict"] for entry in decided)
     return {"counts": {name: counts[name] for name in VERDICTS}, "claims": decided}

@@ -2,7 +2,9 @@
 
 import json
 import os
+import shutil
 import sys
+import textwrap
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -354,9 +356,13 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED
+    columns, margin = shutil.get_terminal_size().columns, " " * 5
     for claim in decided["claims"]:
-        click.echo(f"{claim['id']:>3}  {claim['verdict']:<11}  {claim['place']}: {claim['claim']}")
-        click.echo(f"     {claim['sentence']}")
+        stated = f"{claim['id']:>3}  {claim['verdict']:<11}  {claim['place']}: {claim['claim']}"
+        for text, indent in ((stated, ""), (claim["sentence"], " " * 5)):
+            click.echo(
+                textwrap.fill(text, columns, initial_indent=indent, subsequent_indent=" " * 5)
+            )
     counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
     click.echo(f"{len(decided['claims'])} claims: {counts}")
     if study:
