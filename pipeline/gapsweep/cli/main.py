@@ -356,11 +356,11 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED
-    columns, margin = shutil.get_terminal_size().columns, " " * 5
+    width, margin = shutil.get_terminal_size().columns, " " * 5
     for claim in decided["claims"]:
         stated = f"{claim['id']:>3}  {claim['verdict']:<11}  {claim['place']}: {claim['claim']}"
         for text, indent in ((stated, ""), (claim["sentence"], margin)):
-            click.echo(textwrap.fill(text, columns, initial_indent=indent, subsequent_indent=margin))
+            click.echo(textwrap.fill(text, width, initial_indent=indent, subsequent_indent=margin))
     counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
     click.echo(f"{len(decided['claims'])} claims: {counts}")
     if study:
