@@ -10,13 +10,14 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from gapsweep import beside
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.execution.plan import Plan
+from gapsweep.model.labels import AUTO
 from gapsweep.store.artefact import digests, is_intact
 from gapsweep.store.cache import Cache
 from gapsweep.store.netcdf import attributes
@@ -34,6 +35,7 @@ REPORT = "report/index.html"
 MadeFrom = Mapping[str, str]
 
 DAMAGED = "damaged"  # why a stage runs whose file is not as it was written
+_EXACT = "piecewise"
 _ROWS = 10_000  # looked up at a time
 _META = r'<meta name="gapsweep-made-from" content="([^"]*)">'
 
@@ -94,7 +96,7 @@ STAGES = (
 )
 
 
-def own_dataset(file: str) -> Stage:
+def _own_dataset(file: str) -> Stage:
     """The stage of a dataset that a claims module makes."""
     return Stage(file, "beside.py", (STUDY, _code_of(file)))
 
@@ -122,11 +124,45 @@ def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
         where = f"{path}: DATASETS: {name!r}"
         if not isinstance(name, str) or not re.fullmatch("[a-z_]+", name):
             raise StudyError([f"{where}: a name must be of the letters a to z and _"])
-        if f"{name}.nc" in taken:
+        if {f"{name}.nc", f"{name}.json"} & taken:
             raise StudyError([f"{where}: a file of gapsweep's own; choose another name"])
         if not callable(function):
             raise StudyError([f"{where}: must be a function of the study, not {function!r:.40}"])
     return {f"{name}.nc": function for name, function in given.items()}
+
+
+def stages_of(study: Study) -> list[Stage]:
+    """The stages of a study.
+
+    Without the exact law there is nothing to agree with, without claims nothing to decide,
+    motions are kept only where some are asked for, and advice where ``auto`` took it. Scenes of a
+    benchmark whose right answer is stated make one file, the others another. Datasets of the
+    study's own come before what reads them.
+    """
+    labels, bench = study.grid.representations, study.spec.bench
+    stated = [scene.expected is not None for scene in bench.scene] if bench else []
+    left_out = {
+        STATIC: labels == (AUTO,),
+        AGREEMENT: _EXACT not in labels,
+        ADVICE: AUTO not in labels,
+        HISTORIES: not study.spec.history,
+        WORK_PRECISION: all(stated),
+        STABILITY: not any(stated),
+        CLAIMS: study.claims_module is None,
+        SECTIONS: study.report_module is None,
+    }
+    own = tuple(own_datasets(study))
+    stages: list[Stage] = []
+    for stage in STAGES:
+        if stage.file in (CLAIMS, SECTIONS):
+            # What another study has left in the folder is not read.
+            there = tuple(name for name in stage.inputs if not left_out.get(name))
+            stage = replace(stage, inputs=there + own)
+        if stage.file == CLAIMS:
+            stages += map(_own_dataset, own)
+        if not left_out.get(stage.file):
+            stages.append(stage)
+    return stages
 
 
 def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
@@ -157,7 +193,8 @@ def module_sources(study: Study) -> MadeFrom:
     found = {name: _code(path) for name, path in modules.items() if path is not None}
     for file, function in own_datasets(study).items():
         assert study.claims_module is not None, "datasets come from there"
-        found[_code_of(file)] = _code(beside.file_of(function, study.claims_module))
+        digest, imports = beside.digest_of(function, study.claims_module)
+        found[_code_of(file)] = f"{digest} {imports_fingerprint(imports)}"
     return found
 
 

@@ -27,17 +27,14 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.recorder import Recorder
+from gapsweep.folder import check_owner, check_writable, run_folder
 from gapsweep.make import (
-    check_modules,
-    check_owner,
-    check_writable,
     failed_motions,
-    run_folder,
-    stages_of,
     try_out_own_laws,
     update,
 )
-from gapsweep.stages import ATTRACTORS, RESPONSES, made_from, reason_to_run, sources
+from gapsweep.own_code import check_modules
+from gapsweep.stages import ATTRACTORS, RESPONSES, made_from, reason_to_run, sources, stages_of
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in

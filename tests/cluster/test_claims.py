@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 
 import pytest
 
@@ -163,6 +164,47 @@ def test_what_a_dataset_raises_is_one_line(folder, client):
         changed(folder, "widths.py", old, new)
         with pytest.raises(gs.StudyError, match=said):
             gs.run(study, client, **where)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("    tanh, poly", "    raise SystemExit(0)\n    tanh, poly", "claim 1: SystemExit: 0"),
+        ("    tanh, poly", "    raise BaseException\n    tanh, poly", "claim 1: BaseException"),
+        ('f"{ratio:.2g} times."', "5", "claim 1: TypeError: what it returns: sentence: must be"),
+        (
+            "    return [Test(",
+            "    return None\n    return [Test(",
+            "claim 1: TypeError: must return",
+        ),
+        ('">", 1.0', '">", float("nan")', "claim 1: ValueError: a test: threshold: must be"),
+        ("{ratio:.2g} times", "\\ud800", "claim 1: ValueError: what it returns: sentence: must"),
+        ('"The larger of two."', "None", "TypeError: claim 1: why: must be text, not None"),
+        ("@claim(2", "@claim('2'", "ValueError: claim '2': id: must be a whole number from 1"),
+        ('"widths": widths', '"claims": widths', "'claims': a file of gapsweep's own"),
+    ],
+)
+def test_what_a_claim_does_wrong_is_one_line(folder, client, old, new, said, capsys):
+    study = folder / "study.toml"
+    out, given = folder / "out", ["--study", os.fspath(study)]
+    gs.run(gs.Study.load(study), client, out=out, cache=folder / "cache.sqlite").close()
+    stored = (out / CLAIMS).read_bytes()
+    changed(folder, "claims.py", old, new)
+    assert exit_code(["claims", os.fspath(out), *given]) == FAULT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.search(r"claims\.py:(\d+: )?", line)
+    assert said in line
+    # What was stored before is still there, and can be read.
+    assert (out / CLAIMS).read_bytes() == stored
+    assert exit_code(["claims", os.fspath(out)]) == FINISHED
+
+
+def test_a_half_character_in_a_section_is_one_line(folder, client, capsys):
+    changed(folder, "figures.py", '["Said."]', '["\\ud800"]')
+    command = ["run", str(folder / "study.toml"), "--out", str(folder / "out")]
+    assert exit_code([*command, "--cache", str(folder / "cache.sqlite")]) == FAULT
+    assert "figures.py: sections: UnicodeEncodeError" in capsys.readouterr().err.splitlines()[-1]
+    assert not (folder / "out" / SECTIONS).exists()
 
 
 @pytest.mark.parametrize(

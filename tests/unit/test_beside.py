@@ -1,13 +1,14 @@
 """Python beside a study: what it imports, what its digest holds, what is said when it is broken."""
 
+import os
 import sys
 from pathlib import Path
 
 import pytest
 
 import gapsweep as gs
-from gapsweep import beside, make
-from gapsweep.stages import CLAIMS, HISTORIES, RESPONSES, SECTIONS
+from gapsweep import beside, own_code
+from gapsweep.stages import CLAIMS, HISTORIES, RESPONSES, SECTIONS, stages_of
 from gapsweep.study.fingerprint import imports_fingerprint
 
 MAIN = (
@@ -87,14 +88,72 @@ def test_what_it_imports_of_gapsweep_counts(main):
     assert imports_fingerprint({"gapsweep"}) == imports_fingerprint({"gapsweep", *imports}) != some
 
 
-def test_functions_know_their_file(main):
-    edited(main, "near.py", "VALUE\n", "VALUE\n\ndef near():\n    pass\n")
-    edited(main, "main.py", "import VALUE", "import VALUE, near")
-    module = beside.load(main)
-    assert beside.file_of(module.near, main) == main.with_name("near.py")
-    assert beside.file_of(module.value, main) == main
-    assert beside.file_of(gs.respond, main) == main
-    assert beside.file_of(len, main) == main
+NEAR = """from .deep.far import VALUE
+def one():
+    return 1
+def two():
+    return 2
+def made(n):
+    def inner():
+        return n
+    return inner
+class Holding:
+    def __init__(self, n):
+        self.n = n
+    def __call__(self):
+        return self.n
+five = made(5)
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("one", "two"),  # another function of the same file
+        ("made(5)", "made(7)"),
+        ("Holding(5)", "Holding(7)"),
+        ("partial(made, 5)", "partial(made, 7)"),
+        ("five", "one"),
+        ("value", "one"),
+        ("lambda: 5", "lambda: 7"),
+        ("len", "sum"),
+    ],
+)
+def test_the_digest_of_a_callable_tells_one_from_another(main, old, new):
+    (main.parent / "near.py").write_text(NEAR)
+    start = "from functools import partial\nfrom .near import Holding, five, made, one, two\n"
+    found = []
+    for callable in (old, new):
+        main.write_text(f"{start}\ndef value():\n    return 3\n\nmine = {callable}\n")
+        found.append(beside.digest_of(beside.load(main).mine, main))
+    assert found[0] != found[1]
+
+
+def test_a_function_of_a_neighbour_does_not_depend_on_the_rest(main):
+    (main.parent / "near.py").write_text(NEAR)
+    start = "from .near import one, made\nmine = one\n"
+    digests = []
+    for rest in ("a = 1\n", "a = 2\n"):
+        main.write_text(start + rest)
+        digests.append(beside.digest_of(beside.load(main).mine, main))
+    edited(main, "deep/far.py", "1", "2")
+    digests.append(beside.digest_of(beside.load(main).mine, main))
+    assert digests[0] == digests[1] != digests[2]
+
+
+@pytest.mark.parametrize("name", ["deep/far.py", "near.py"])
+def test_what_a_function_imports_when_it_is_called_is_seen_too(main, monkeypatch, name):
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    main.write_text("def value():\n    from .near import VALUE, HERE\n    return VALUE + HERE\n")
+    edited(main, "near.py", "VALUE\n", "VALUE\nHERE = 1\n")
+    (main.parent / "deep" / "__init__.py").write_text("")
+    stamps = [(main.parent / file).stat() for file in ("deep/far.py", "near.py")]
+    assert beside.load(main).value() == 2
+    edited(main, name, "= 1", "= 5")
+    for file, stamp in zip(("deep/far.py", "near.py"), stamps, strict=True):
+        os.utime(main.parent / file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    assert beside.load(main).value() == 6
+    assert not list(main.parent.rglob("__pycache__"))
 
 
 @pytest.mark.parametrize(
@@ -160,9 +219,7 @@ def test_what_a_study_does_not_make_is_not_read(tables, main):
     edited(main, "main.py", "def value", "DATASETS = {'mine': len}\n\ndef value")
     motion = {"representation": "piecewise", "K_c": 1.0, "gap": [0.0, 0.0], "omega": 9.0}
     for more, is_read in (({}, False), ({"history": [motion | {"t_end": 1.0}]}, True)):
-        stages = {
-            s.file: s.inputs for s in make.stages_of(study_of(tables, main.parent, **own, **more))
-        }
+        stages = {s.file: s.inputs for s in stages_of(study_of(tables, main.parent, **own, **more))}
         assert list(stages).index("mine.nc") < list(stages).index(CLAIMS)
         for file in (CLAIMS, SECTIONS):
             assert {RESPONSES, "mine.nc"} <= set(stages[file])
@@ -171,7 +228,7 @@ def test_what_a_study_does_not_make_is_not_read(tables, main):
 
 @pytest.mark.parametrize("name", ["paper/study.toml", "table2.toml"])
 def test_the_papers_own_code_is_sound(name):
-    make.check_modules(gs.Study.load(Path(__file__).parents[2] / "workflows" / name))
+    own_code.check_modules(gs.Study.load(Path(__file__).parents[2] / "workflows" / name))
 
 
 @pytest.mark.parametrize(

@@ -18,17 +18,16 @@ from gapsweep.analysis.verdicts import (
     REFUTED,
     UNDECIDABLE,
     Claim,
-    FaultyClaimError,
     NotInRunError,
     Number,
     Run,
     Test,
     claim,
+    counted,
     ratio_of_sums,
     share,
     stated,
     verdict,
-    verdicts,
 )
 from gapsweep.status import Status
 
@@ -147,8 +146,16 @@ def made(id, *values, floor=0.0):
 
 
 def test_verdicts_are_fit_for_json_and_in_order():
-    claims = [made(4, math.nan), made(3, 0.5, 2.0), made(1, np.float32(2)), made(2, 0.5)]
-    found = json.loads(json.dumps(verdicts(claims, Run({})), allow_nan=False))
+    claims = {
+        1: made(1, np.float32(2)),
+        2: made(2, 0.5),
+        3: made(3, 0.5, 2.0),
+        4: made(4, math.nan),
+    }
+    ordered = stated({str(id): claims[id] for id in (4, 3, 1, 2)})
+    assert ordered == list(claims.values())
+    decided = counted([claim.decided(Run({})) for claim in ordered])
+    found = json.loads(json.dumps(decided, allow_nan=False))
     assert [one["verdict"] for one in found["claims"]] == [CONFIRMED, REFUTED, PARTLY, UNDECIDABLE]
     assert found["counts"] == {CONFIRMED: 1, REFUTED: 1, PARTLY: 1, UNDECIDABLE: 1}
     (test,) = found["claims"][3]["tests"]
@@ -158,16 +165,56 @@ def test_verdicts_are_fit_for_json_and_in_order():
 
 def test_what_the_run_has_not_leaves_a_claim_undecidable():
     asking = Claim(1, "", "", "", lambda run: run["ladders"])
-    (found,) = verdicts([asking], Run({}))["claims"]
+    found = asking.decided(Run({}))
     assert found["verdict"] == UNDECIDABLE
     assert found["sentence"] == "Not decided: the run has no ladders.nc."
 
 
-def test_anything_else_that_a_claim_raises_names_it():
-    faulty = Claim(7, "", "", "", lambda run: 1 / 0)
-    with pytest.raises(FaultyClaimError, match="claim 7") as raised:
-        verdicts([made(1, 2.0), faulty], Run({}))
-    assert isinstance(raised.value.__cause__, ZeroDivisionError)
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (None, "must return a list of tests and a sentence, not None"),
+        (([], "said", 3), "must return a list of tests"),
+        (([Number(1.0)], "said"), "must return a list of tests"),
+        (([], 5), "sentence: must be text, not 5"),
+        (([], "half \ud800"), "sentence: must be one printable line, without '.ud800'"),
+        (([], "two\nlines"), "sentence: must be one printable line"),
+    ],
+)
+def test_what_a_claim_must_return(found, said):
+    with pytest.raises((TypeError, ValueError), match=said):
+        Claim(7, "", "", "", lambda run: found).decided(Run({}))
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"threshold": math.nan}, "threshold: must be a finite number, not nan"),
+        ({"threshold": math.inf}, "threshold: must be a finite number, not inf"),
+        ({"op": "=="}, "op: must be one of <, <=, >, >=, not '=='"),
+        ({"number": 1.0}, "number: must be a Number, not 1.0"),
+        ({"says": None}, "says: must be text, not None"),
+    ],
+)
+def test_what_a_test_must_hold(changed, said):
+    with pytest.raises((TypeError, ValueError), match=said):
+        Test(**{"says": "", "number": Number(1.0), "op": "<", "threshold": 2.0, **changed})
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"id": "a"}, "claim 'a': id: must be a whole number from 1"),
+        ({"id": True}, "id: must be a whole number"),
+        ({"id": 0}, "id: must be a whole number"),
+        ({"text": 5}, "claim 3: text: must be text, not 5"),
+        ({"why": None}, "claim 3: why: must be text, not None"),
+        ({"place": "\x1b[2J"}, "claim 3: place: must be one printable line"),
+    ],
+)
+def test_what_a_claim_must_state(changed, said):
+    with pytest.raises((TypeError, ValueError), match=said):
+        claim(**{"id": 3, "place": "", "text": "", "why": "", **changed})(len)
 
 
 def test_claims_of_a_module_are_found_once_and_numbered_apart():

@@ -8,6 +8,7 @@ leaves the test open.
 
 import math
 import operator
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -24,24 +25,12 @@ CONFIRMED, REFUTED, PARTLY, UNDECIDABLE = "confirmed", "refuted", "partly", "und
 VERDICTS = (CONFIRMED, REFUTED, PARTLY, UNDECIDABLE)
 
 _HOLDS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
 _RESPONSES, _AGREEMENT = "responses", "agreement"
 
 
 class NotInRunError(Exception):
     """What a claim needs and the run has not: it leaves the claim undecidable."""
-
-
-class FaultyClaimError(Exception):
-    """What the function of a claim has raised is its cause.
-
-    Parameters
-    ----------
-    id : int
-        Of the claim.
-    """
-
-    def __init__(self, id: int) -> None:
-        super().__init__(f"claim {id}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +138,15 @@ class Test:
     op: str
     threshold: float
 
+    def __post_init__(self) -> None:
+        _check_texts("a test", says=self.says)
+        if not isinstance(self.number, Number):
+            raise TypeError(f"a test: number: must be a Number, not {self.number!r:.40}")
+        if self.op not in _HOLDS:
+            raise ValueError(f"a test: op: must be one of {', '.join(_HOLDS)}, not {self.op!r:.40}")
+        if not math.isfinite(self.threshold):
+            raise ValueError(f"a test: threshold: must be a finite number, not {self.threshold}")
+
     @property
     def holds(self) -> bool | None:
         """None: open, since there is no number, or the threshold lies within its floor."""
@@ -184,10 +182,15 @@ class Claim:
     why: str
     find: Callable[["Run"], Found]
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.id, int) or isinstance(self.id, bool) or self.id < 1:
+            raise ValueError(f"claim {self.id!r:.40}: id: must be a whole number from 1")
+        _check_texts(f"claim {self.id}", place=self.place, text=self.text, why=self.why)
+
     def decided(self, run: "Run") -> dict[str, Any]:
         """The claim with its verdict, as it stands in ``claims.json``."""
         try:
-            tests, sentence = self.find(run)
+            tests, sentence = _checked(self.find(run))
         except NotInRunError as missing:
             tests, sentence = [], f"Not decided: {missing}."
         found = verdict(test.holds for test in tests)
@@ -205,8 +208,35 @@ class Claim:
         }
 
 
+def _checked(found: Any) -> Found:
+    """What a claim's function has returned.
+
+    Raises
+    ------
+    TypeError
+        If that is not what it must be.
+    """
+    if not (
+        isinstance(found, tuple)
+        and len(found) == 2
+        and isinstance(found[0], list)
+        and all(isinstance(test, Test) for test in found[0])
+    ):
+        raise TypeError(f"must return a list of tests and a sentence, not {found!r:.40}")
+    _check_texts("what it returns", sentence=found[1])
+    return found
+
+
+def _check_texts(whose: str, **texts: Any) -> None:
+    for name, text in texts.items():
+        if not isinstance(text, str):
+            raise TypeError(f"{whose}: {name}: must be text, not {text!r:.40}")
+        if found := _UNPRINTABLE.search(text):
+            raise ValueError(f"{whose}: {name}: must be one printable line, without {found[0]!r}")
+
+
 def stated(names: Mapping[str, Any]) -> list[Claim]:
-    """The claims among the names of a module.
+    """The claims among the names of a module, in the order of their ids.
 
     Raises
     ------
@@ -221,7 +251,7 @@ def stated(names: Mapping[str, Any]) -> list[Claim]:
         raise ValueError("no claims: a claim is a function under @claim, see docs/claims.md")
     if twice:
         raise ValueError(f"claim {', '.join(twice)}: stated more than once; number them apart")
-    return found
+    return sorted(found, key=lambda one: one.id)
 
 
 def claim(id: int, place: str, text: str, why: str) -> Callable[[Callable[["Run"], Found]], Claim]:
@@ -243,25 +273,8 @@ def verdict(holds: Iterable[bool | None]) -> str:
     return CONFIRMED if True in decided else REFUTED
 
 
-def verdicts(claims: Iterable[Claim], run: "Run") -> dict[str, Any]:
-    """Decide claims.
-
-    Returns
-    -------
-    dict
-        ``claims``, in the order of their ids, and ``counts`` by verdict; fit for JSON.
-
-    Raises
-    ------
-    FaultyClaimError
-        If a claim's function raises anything but `NotInRunError`.
-    """
-    decided = []
-    for claim in sorted(claims, key=lambda claim: claim.id):
-        try:
-            decided.append(claim.decided(run))
-        except Exception as error:  # a claim is the user's code, which may raise anything
-            raise FaultyClaimError(claim.id) from error
+def counted(decided: list[dict[str, Any]]) -> dict[str, Any]:
+    """Decided claims and how many have each verdict, fit for JSON."""
     counts = Counter(entry["verdict"] for entry in decided)
     return {"counts": {name: counts[name] for name in VERDICTS}, "claims": decided}
 

@@ -12,7 +12,7 @@ from typing import Any, TextIO
 
 import click
 
-from gapsweep import __version__, make, workflow
+from gapsweep import __version__, make, own_code, workflow
 from gapsweep.cli import options
 from gapsweep.cli.cache import cache_commands
 from gapsweep.console import duration, progress_bar
@@ -352,7 +352,7 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
       gapsweep claims data/runs/paper
       gapsweep claims data/runs/paper --study workflows/paper/study.toml
     """
-    decided = make.claims(folder, Study.load(study) if study else None)
+    decided = own_code.claims(folder, Study.load(study) if study else None)
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED

@@ -1,0 +1,65 @@
+"""The folder of a run: whose it is, who may write there."""
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from gapsweep.errors import StoreError
+from gapsweep.stages import RESPONSES, STABILITY, WORK_PRECISION
+from gapsweep.store import netcdf
+from gapsweep.store.artefact import alone_in
+from gapsweep.store.state import RunState
+from gapsweep.study.study import Study
+
+RUNS = Path("data/runs")
+# The files by which one sees whose folder it is.
+_OWNED = (RESPONSES, WORK_PRECISION, STABILITY)
+
+
+def run_folder(study: Study, out: str | Path | None = None) -> Path:
+    """Where a run leaves its files: the argument, else ``data/runs/<study name>``."""
+    return Path(out) if out is not None else RUNS / study.name
+
+
+@contextmanager
+def alone_in_run(folder: Path) -> Iterator[None]:
+    """Keep others from writing into the folder of a run.
+
+    Raises
+    ------
+    StoreError
+        If it holds none.
+    """
+    if not (folder / RESPONSES).exists():
+        raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
+    with alone_in(folder):
+        yield
+
+
+def check_owner(study: Study, folder: Path) -> None:
+    """Refuse a folder in which another study has left its files.
+
+    Raises
+    ------
+    StoreError
+        If its run or one of its datasets is that of a study with another name.
+    """
+    owners = {netcdf.attributes(folder / name).get("study") for name in _OWNED}
+    with suppress(StoreError):  # no run yet, or its state is damaged
+        owners.add(RunState.read(folder).study)
+    for owner in owners - {None, study.name}:
+        raise StoreError(
+            f"{folder}: holds the files of study {owner!r}, this one is {study.name!r}: choose "
+            "another folder with --out, or delete this one"
+        )
+
+
+def check_writable(folder: Path) -> None:
+    """Fail before anything is computed if the results could not be stored."""
+    existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        raise StoreError(f"{folder}: cannot be written: {existing}: {error.strerror}") from None

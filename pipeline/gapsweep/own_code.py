@@ -1,0 +1,199 @@
+"""What a study's own code makes of a run: datasets, verdicts, sections of the report.
+
+xarray and matplotlib are imported by what needs them: a run that finds everything up to date ends
+before they would be loaded.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gapsweep import beside
+from gapsweep.errors import StoreError, StudyError
+from gapsweep.folder import alone_in_run, check_owner
+from gapsweep.stages import (
+    CLAIMS,
+    CLAIMS_MODULE,
+    REPORT_MODULE,
+    RESPONSES,
+    SECTIONS,
+    MadeFrom,
+    Stage,
+    made_from,
+    module_sources,
+    own_datasets,
+    stages_of,
+)
+from gapsweep.store import netcdf
+from gapsweep.store.artefact import digests, is_intact, is_recorded, recording
+from gapsweep.study.study import Study
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from gapsweep.analysis.verdicts import Claim, Run
+
+
+def own_dataset(file: str, make: Callable[[Study], Any], study: Study) -> "xr.Dataset":
+    """A dataset that the study's claims module makes."""
+    import xarray as xr
+
+    assert study.claims_module is not None, "datasets come from there"
+    with beside.blaming(study.claims_module, file, make):
+        made = make(study)
+        if not isinstance(made, xr.Dataset):
+            raise TypeError(
+                f"its function must return an xarray.Dataset, not a {type(made).__name__}"
+            )
+    return made.assign_attrs(title=study.title, study=study.name, study_json=study.json)
+
+
+def check_modules(study: Study) -> None:
+    """Import the code beside a study, so that what is wrong with it is said before anything else.
+
+    Raises
+    ------
+    StudyError
+        If it cannot be imported, or does not hold what it must.
+    """
+    own_datasets(study)
+    if study.claims_module is not None:
+        _stated(study.claims_module)
+    if study.report_module is not None:
+        _sections(study.report_module)
+
+
+def _stated(path: Path) -> "list[Claim]":
+    """The claims that a module states."""
+    from gapsweep.analysis.verdicts import stated
+
+    module = beside.load(path)
+    try:
+        return stated(vars(module))
+    except ValueError as error:
+        raise StudyError([f"{path}: {error}"]) from None
+
+
+def _sections(path: Path) -> "Callable[[Run], Any]":
+    """The function of a module that makes sections of the report."""
+    found: Callable[[Run], Any] | None = getattr(beside.load(path), "sections", None)
+    if not callable(found):
+        raise StudyError([f"{path}: no function sections(run), which gives parts of the report"])
+    return found
+
+
+def claims(folder: str | Path, study: Study | None = None) -> dict[str, Any]:
+    """The verdicts of a run: those that are stored, or decided anew by a study's claims module.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run; no file in it is ever executed. Datasets that are not there leave the claims
+        that need them undecidable.
+    study : Study, optional
+        Whose claims are decided and written to ``claims.json``; None reads what is there.
+
+    Returns
+    -------
+    dict
+        What stands in ``claims.json``.
+
+    Raises
+    ------
+    GapsweepError
+        If there are no responses or no claims, or a file is damaged.
+    """
+    folder = Path(folder)
+    with alone_in_run(folder):
+        if study is not None:
+            return decide(*own_stage(CLAIMS, study, folder))
+        decided = stored(folder / CLAIMS)
+    if decided is None:
+        raise StoreError(
+            f"{folder / CLAIMS}: no verdicts on the responses of this run: "
+            f"'gapsweep claims {folder} --study FILE' decides the claims of a study"
+        )
+    return decided
+
+
+def own_stage(file: str, study: Study, folder: Path) -> tuple[Stage, Study, Path, MadeFrom]:
+    """What a stage of code beside a study is made with, for a run that may be another study's."""
+    check_owner(study, folder)
+    stage = next((stage for stage in stages_of(study) if stage.file == file), None)
+    if stage is None:
+        table, name = ("claims", "claims.py") if file == CLAIMS else ("report", "figures.py")
+        example = f'[{table}] module = "{name}" names the Python file'
+        raise StudyError([f"{study.source}: {table}: missing; {example}"])
+    return stage, study, folder, made_from(stage, folder, module_sources(study))
+
+
+@contextmanager
+def _read(stage: Stage, folder: Path) -> "Iterator[Run]":
+    """The datasets that a stage reads, those that are there."""
+    from gapsweep.analysis.verdicts import Run
+
+    with ExitStack() as opened:
+        yield Run(
+            {
+                name.removesuffix(".nc"): opened.enter_context(netcdf.read(folder / name))
+                for name in stage.inputs
+                if name.endswith(".nc") and (folder / name).exists()
+            }
+        )
+
+
+def decide(stage: Stage, study: Study, folder: Path, now: MadeFrom) -> dict[str, Any]:
+    """Decide the claims of a study and write ``claims.json``."""
+    from gapsweep.analysis.verdicts import counted
+
+    path = study.claims_module
+    assert path is not None, "the stage is left out without claims"
+    claims, decided = _stated(path), []
+    with _read(stage, folder) as run:
+        for claim in claims:
+            with beside.blaming(path, f"claim {claim.id}", claim.find):
+                decided.append(claim.decided(run))
+    return _write(folder / CLAIMS, study, path, now, counted(decided))
+
+
+def draw(stage: Stage, study: Study, folder: Path, now: MadeFrom) -> dict[str, Any]:
+    """Make a study's own sections of the report and write ``sections.json``."""
+    from gapsweep.report.parts import rendered
+
+    path = study.report_module
+    assert path is not None, "the stage is left out without sections"
+    sections = _sections(path)
+    with _read(stage, folder) as run, beside.blaming(path, "sections", sections):
+        found = {"sections": rendered(sections(run))}
+    return _write(folder / SECTIONS, study, path, now, found)
+
+
+def _write(
+    path: Path, study: Study, module: Path, now: MadeFrom, found: dict[str, Any]
+) -> dict[str, Any]:
+    """Write what code beside a study has found as JSON, with where it came from."""
+    named = "claims_module" if path.name == CLAIMS else "report_module"
+    origin = {"study": study.name, named: module.name, "made_from": dict(now)}
+    whole = {**origin, **netcdf.provenance(), **found}
+    with beside.blaming(module, path.stem):  # texts that are none, half characters
+        text = json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False).encode()
+    with recording(path, is_recorded) as temporary:
+        temporary.write_bytes(text + b"\n")
+    return whole
+
+
+def stored(path: Path) -> dict[str, Any] | None:
+    """Verdicts or sections of a run; None if there are none, or if they rest on other responses."""
+    if not path.exists():
+        return None
+    if not is_intact(path):
+        command = "claims" if path.name == CLAIMS else "report"
+        raise StoreError(
+            f"{path}: damaged; 'gapsweep {command} {path.parent} --study FILE' makes it again"
+        )
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    same = found["made_from"].get(RESPONSES) == " ".join(digests(path.parent / RESPONSES))
+    is_of_now = CLAIMS_MODULE in found["made_from"] or REPORT_MODULE in found["made_from"]
+    return found if same and is_of_now else None
