@@ -177,7 +177,7 @@ def test_what_a_dataset_raises_is_one_line(folder, client):
             "    return None\n    return [Test(",
             "claim 1: TypeError: must return",
         ),
-        ('">", 1.0', '">", float("nan")', "claim 1: ValueError: a test: threshold: must be"),
+        ('">", 1.0', '">", "1"', "claim 1: TypeError: a test: threshold: must be"),
         ("{ratio:.2g} times", "\\ud800", "claim 1: ValueError: what it returns: sentence: must"),
         ('"The larger of two."', "None", "TypeError: claim 1: why: must be text, not None"),
         ("@claim(2", "@claim('2'", "ValueError: claim '2': id: must be a whole number from 1"),

@@ -205,16 +205,19 @@ def test_parts_that_hold_nothing_are_left_out():
 
 
 @pytest.mark.parametrize(
-    ("value", "op", "holds", "text"),
+    ("value", "op", "threshold", "holds", "text"),
     [
-        (0.93, ">=", True, "0.93 ≥ 0.8 holds"),
-        (0.4, ">=", False, "0.4, not ≥ 0.8"),
-        (0.79, "<", None, "open: 0.79 is within its floor of < 0.8"),
-        (None, ">", None, "open: no number, asked for > 0.8"),
+        (0.93, ">=", 0.8, True, "0.93 ≥ 0.8 holds"),
+        (0.4, ">=", 0.8, False, "0.4, not ≥ 0.8"),
+        (0.79, "<", 0.8, None, "open: 0.79 is within its floor of < 0.8"),
+        (None, ">", 0.8, None, "open: no number, asked for > 0.8"),
+        (None, ">", None, None, "open: no number, asked for > no finite number"),
+        (None, ">", 0.8, True, "no finite number > 0.8 holds"),
+        (2.0, ">", None, False, "2, not > no finite number"),
     ],
 )
-def test_outcomes_of_tests_in_words(value, op, holds, text):
-    assert outcome({"value": value, "op": op, "threshold": 0.8, "holds": holds}) == text
+def test_outcomes_of_tests_in_words(value, op, threshold, holds, text):
+    assert outcome({"value": value, "op": op, "threshold": threshold, "holds": holds}) == text
 
 
 @pytest.mark.parametrize(

@@ -189,8 +189,7 @@ def test_what_a_claim_must_return(found, said):
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"threshold": math.nan}, "threshold: must be a finite number, not nan"),
-        ({"threshold": math.inf}, "threshold: must be a finite number, not inf"),
+        ({"threshold": "2"}, "threshold: must be a number, not '2'"),
         ({"op": "=="}, "op: must be one of <, <=, >, >=, not '=='"),
         ({"number": 1.0}, "number: must be a Number, not 1.0"),
         ({"says": None}, "says: must be text, not None"),
@@ -199,6 +198,14 @@ def test_what_a_claim_must_return(found, said):
 def test_what_a_test_must_hold(changed, said):
     with pytest.raises((TypeError, ValueError), match=said):
         Test(**{"says": "", "number": Number(1.0), "op": "<", "threshold": 2.0, **changed})
+
+
+@pytest.mark.parametrize("threshold", [math.nan, math.inf, -math.inf])
+def test_a_threshold_that_is_no_number_is_stored_as_none(threshold):
+    endless = Test("", Number(math.inf), ">", threshold)
+    assert endless.holds is (True if threshold == -math.inf else None)
+    found = Claim(7, "", "", "", lambda run: ([endless], "")).decided(Run({}))
+    assert json.loads(json.dumps(found, allow_nan=False))["tests"][0]["threshold"] is None
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -144,14 +145,14 @@ class Test:
             raise TypeError(f"a test: number: must be a Number, not {self.number!r:.40}")
         if self.op not in _HOLDS:
             raise ValueError(f"a test: op: must be one of {', '.join(_HOLDS)}, not {self.op!r:.40}")
-        if not math.isfinite(self.threshold):
-            raise ValueError(f"a test: threshold: must be a finite number, not {self.threshold}")
+        if not isinstance(self.threshold, Real):
+            raise TypeError(f"a test: threshold: must be a number, not {self.threshold!r:.40}")
 
     @property
     def holds(self) -> bool | None:
         """None: open, since there is no number, or the threshold lies within its floor."""
         number, margin = self.number, abs(self.number.value - self.threshold)
-        if math.isnan(number.value) or (number.floor and not number.floor < margin):
+        if math.isnan(margin) or (number.floor and not number.floor < margin):
             return None
         return bool(_HOLDS[self.op](number.value, self.threshold))
 
@@ -283,13 +284,17 @@ def _as_json(test: Test) -> dict[str, Any]:
     number = test.number
     return {
         "says": test.says,
-        "value": float(number.value) if math.isfinite(number.value) else None,
-        "floor": float(number.floor) if math.isfinite(number.floor) else None,
+        "value": _finite(number.value),
+        "floor": _finite(number.floor),
         "op": test.op,
-        "threshold": float(test.threshold),
+        "threshold": _finite(test.threshold),
         "holds": test.holds,
         "n": int(number.n),
     }
+
+
+def _finite(number: float) -> float | None:
+    return float(number) if math.isfinite(number) else None
 
 
 @dataclass(frozen=True)

@@ -113,13 +113,16 @@ def claim_rows(decided: Mapping[str, Any]) -> Iterator[Row]:
 
 def outcome(test: Mapping[str, Any]) -> str:
     """What came of a test of ``claims.json``, in a few words."""
-    wanted = f"{_SHOWN_AS.get(test['op'], test['op'])} {number(test['threshold'])}"
+    value, threshold = (
+        "no finite number" if test[name] is None else number(test[name])
+        for name in ("value", "threshold")
+    )
+    wanted = f"{_SHOWN_AS.get(test['op'], test['op'])} {threshold}"
+    if test["holds"] is not None:
+        return f"{value} {wanted} holds" if test["holds"] else f"{value}, not {wanted}"
     if test["value"] is None:
         return f"open: no number, asked for {wanted}"
-    value = number(test["value"])
-    if test["holds"] is None:
-        return f"open: {value} is within its floor of {wanted}"
-    return f"{value} {wanted} holds" if test["holds"] else f"{value}, not {wanted}"
+    return f"open: {value} is within its floor of {wanted}"
 
 
 _SHOWN_AS = {"<=": "≤", ">=": "≥"}
