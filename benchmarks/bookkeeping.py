@@ -15,8 +15,8 @@ import numpy as np
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import contact_law
+from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import Question, respond_all
-from gapsweep.response.walk import Scene
 
 REPRESENTATIONS = (
     "piecewise",

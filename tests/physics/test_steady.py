@@ -14,8 +14,10 @@ from gapsweep.report import figures
 from gapsweep.response.attractors import attractors, numbers
 from gapsweep.response.section import (
     cloud_distance,
-    converging_multiple,
+    converging_multiples,
     orbit_distance,
+    period_multiple,
+    period_multiples,
     prime_multiple,
 )
 
@@ -220,14 +222,36 @@ def test_prime_multiple_undoes_repetition(orbit, times):
 
 
 def test_contraction_is_told_from_drift_and_growth():
+    def multiple(section, closeness, largest):
+        # Beside a longer section, and with room behind it that holds nothing.
+        sections = np.full((2, len(section) + 9), 1e9 + 0j)
+        sections[0, : len(section)] = section
+        lengths, both = np.array([len(section), len(section) + 9]), np.full(2, closeness)
+        return converging_multiples(sections, lengths, both, largest).tolist()[0]
+
     k = np.arange(12.0)
     towards = 0.8**k + 0j
-    assert converging_multiple(towards, 1.0, 4) == 1
-    assert converging_multiple(towards, 1e-3, 4) == 0, "still too far apart"
+    assert multiple(towards, 1.0, 4) == 1
+    assert multiple(towards, 1e-3, 4) == 0, "still too far apart"
+    assert multiple(towards[:4], 1.0, 4) == 0, "n + 4 points are needed"
     away = 1e-3 * 1.2**k + 0j
-    assert converging_multiple(away, 1.0, 1) == 0
+    assert multiple(away, 1.0, 1) == 0
     alternating = 1j * (-1.0) ** k * (1 + 0.1 * 0.8**k)
-    assert converging_multiple(alternating, 0.5, 4) == 2
+    assert multiple(alternating, 0.5, 4) == 2
+    assert multiple(alternating, 0.5, 1) == 0, "larger than asked for"
+
+
+@given(st.lists(orbits, min_size=1, max_size=4), st.floats(1e-9, 1.0), st.integers(1, 5))
+def test_many_sections_repeat_as_each_does(given, tolerance, times):
+    sections = [np.array(orbit * times) for orbit in given]
+    lengths = np.array([len(section) for section in sections])
+    table = np.full((len(sections), lengths.max()), complex(math.nan, math.nan))
+    for row, section in zip(table, sections, strict=True):
+        row[: len(section)] = section
+    some = np.arange(len(sections))[::-1]
+    found = period_multiples(table, lengths, some, np.full(len(some), tolerance), 8)
+    alone = [period_multiple(sections[i].tolist(), tolerance, 8) for i in some]
+    assert found.tolist() == alone
 
 
 def test_one_outlier_does_not_separate_two_clouds():

@@ -9,10 +9,10 @@ from numpy.testing import assert_allclose
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
+from gapsweep.response.ensemble import Scene
 from gapsweep.response.maps import floquet_multipliers, newton_steps
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.section import period_multiple
-from gapsweep.response.walk import Scene
 
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
 TIGHT = {"engine": "scipy", "rtol": 1e-8, "atol": 1e-12}

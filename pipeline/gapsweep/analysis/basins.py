@@ -9,9 +9,9 @@ from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.response.attractors import attractors, numbers
+from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import Steady
-from gapsweep.response.walk import Scene
 
 _MAX_STARTS = 10**6
 _ATTRIBUTES = {

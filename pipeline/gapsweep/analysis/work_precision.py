@@ -47,9 +47,9 @@ from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import Piecewise
 from gapsweep.response.attractors import attractors
+from gapsweep.response.ensemble import Scene as Asked
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import Response, Steady
-from gapsweep.response.walk import Scene as Asked
 from gapsweep.status import Status
 from gapsweep.study.schema import STATUS_FLAGS, Variable
 from gapsweep.study.study import Study

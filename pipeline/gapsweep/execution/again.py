@@ -5,8 +5,8 @@ from typing import Any
 
 from gapsweep.execution.alone import Alone, CallError, response_of
 from gapsweep.execution.task import REST
+from gapsweep.response.ensemble import State
 from gapsweep.response.result import Response
-from gapsweep.response.walk import State
 from gapsweep.store.cache import Cache
 from gapsweep.study.points import OURS, Point, law_code, point_of
 

@@ -33,8 +33,8 @@ from gapsweep.execution.task import (
     state_after,
 )
 from gapsweep.model import own_law
+from gapsweep.response.ensemble import State
 from gapsweep.response.result import Response
-from gapsweep.response.walk import State
 from gapsweep.status import Status
 from gapsweep.study.points import Point, law_code
 from gapsweep.study.software import software

@@ -27,8 +27,8 @@ from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.task import REST, Task, TaskResult, Work, compute, process
 from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.model.labels import AUTO
+from gapsweep.response.ensemble import State
 from gapsweep.response.result import Response
-from gapsweep.response.walk import State
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Row
 from gapsweep.store.claims import Claims

@@ -19,9 +19,9 @@ import numpy as np
 
 from gapsweep.errors import ModelError, described
 from gapsweep.integrate.problem import Solver
+from gapsweep.response.ensemble import Ensemble, Scene, State
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import Response
-from gapsweep.response.walk import Ensemble, Scene, State
 from gapsweep.status import Status
 from gapsweep.study.points import FIXED, Point
 from gapsweep.study.software import software

@@ -8,7 +8,7 @@ import numpy as np
 
 from gapsweep.response.result import Response, ResponseClass
 from gapsweep.response.section import Section, cloud_distance, orbit_distance, scaled
-from gapsweep.response.walk import DEVIATIONS
+from gapsweep.response.walks import DEVIATIONS
 
 NONE = -1
 # Two periodic orbits closer than this share of their reach are one, polished or not.

@@ -6,10 +6,15 @@ distance of two states.
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Numbers = NDArray[np.intp]
 Section = NDArray[np.complex128]
 
 _AS_WELL = 5.0  # as the best, or as means do that differ by chance
@@ -86,28 +91,81 @@ def likely_multiple(section: Sequence[complex], closeness: float, largest: int) 
     return 0
 
 
-def converging_multiple(section: Sequence[complex], closeness: float, largest: int) -> int:
-    """Smallest n towards whose repeat the section is contracting; 0 if it does not.
+def period_multiples(
+    sections: Section, lengths: Counts, points: Numbers, tolerance: Array, largest: int
+) -> Counts:
+    """`period_multiple` of some rows of `sections`, with only so many points in each.
+
+    Parameters
+    ----------
+    sections : ndarray, shape (n, longest)
+    lengths : ndarray of int, shape (n,)
+    points : ndarray of int, shape (m,)
+        Numbers of the rows.
+    tolerance : ndarray, shape (m,)
+    largest : int
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
+    """
+    latest = _latest(sections[points], lengths[points], largest)
+    allowed = tolerance[:, None] * np.sqrt(np.arange(1, largest + 1))
+    with np.errstate(invalid="ignore"):
+        may = _is_near(latest[:, 1:], latest[:, :1], allowed)  # mostly this alone decides
+    found = np.zeros(len(points), np.int64)
+    for k in np.flatnonzero(may.any(axis=1)).tolist():
+        section = sections[points[k], : lengths[points[k]]].tolist()
+        found[k] = period_multiple(section, float(tolerance[k]), largest)
+    return found
+
+
+def converging_multiples(
+    sections: Section, lengths: Counts, closeness: Array, largest: int
+) -> Counts:
+    """Smallest n towards whose repeat each section is contracting; 0 if it does not.
 
     Each of the last four points must be within `closeness` of the one n periods before, and the
     later two of them not farther than the earlier two.
 
     Parameters
     ----------
-    section : sequence of complex, length n_periods
+    sections : ndarray, shape (m, longest)
         Section points [m].
-    closeness : float
+    lengths : ndarray of int, shape (m,)
+        How many there are in each row.
+    closeness : ndarray, shape (m,)
         Distance [m] from which shooting is worth a try.
     largest : int
         Largest n tried; n + 4 points are needed for n.
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
     """
-    for n in range(1, min(largest, len(section) - 4) + 1):
-        # Mostly the last point alone decides.
-        if abs(section[-1] - section[-1 - n]) < closeness:
-            steps = [abs(section[k] - section[k - n]) for k in (-4, -3, -2, -1)]
-            if max(steps) < closeness and max(steps[2:]) <= max(steps[:2]):
-                return n
-    return 0
+    latest = _latest(sections, lengths, largest + 3)
+    # From the last one backwards; where there are too few points, NaN.
+    earlier = sliding_window_view(latest, 4, axis=1)[:, 1:]
+    with np.errstate(invalid="ignore"):
+        may = _is_near(latest[:, :1], earlier[:, :, 0], closeness[:, None])
+    # Mostly the last point alone decides. In the order of the sections, then of n.
+    section, before = np.nonzero(may)
+    apart = latest[section, :4] - earlier[section, before]
+    steps = np.hypot(apart.real, apart.imag)
+    contracts = steps[:, :2].max(axis=1) <= steps[:, 2:].max(axis=1)
+    converging = (steps.max(axis=1) < closeness[section]) & contracts
+    found = np.zeros(len(sections), np.int64)
+    hits, first = np.unique(section[converging], return_index=True)
+    found[hits] = before[converging][first] + 1
+    return found
+
+
+def _latest(sections: Section, lengths: Counts, n: int) -> Section:
+    """The last n + 1 points of each row, the last one first; NaN where there are fewer."""
+    column = lengths[:, None] - 1 - np.arange(n + 1)
+    inside = column >= 0
+    rows = np.arange(len(sections))[:, None]
+    return np.where(inside, sections[rows, np.where(inside, column, 0)], complex(np.nan, np.nan))
 
 
 def prime_multiple(orbit: Sequence[complex], tolerance: float) -> int:
@@ -127,8 +185,10 @@ def prime_multiple(orbit: Sequence[complex], tolerance: float) -> int:
     return n
 
 
-def _is_near(p: complex, q: complex, tolerance: float) -> bool:
-    return abs(p.real - q.real) < tolerance and abs(p.imag - q.imag) < tolerance
+def _is_near(p: Any, q: Any, tolerance: Any) -> Any:
+    """Whether section points are the same in either component; numbers or arrays."""
+    apart = p - q
+    return (abs(apart.real) < tolerance) & (abs(apart.imag) < tolerance)
 
 
 def orbit_distance(a: Section, b: Section) -> float:

@@ -1,18 +1,14 @@
-"""A motion that a sweep point advances by whole forcing periods.
+"""Many motions in the engine together: scenes, and calls that advance them by whole periods.
 
-A point does not integrate: it is a generator that asks, for example for a `Stretch` of motion,
-and is sent the answer, a `Part`. So many points can advance together in the engine's lanes, and
-none of them sees the others. Arithmetic on arrays is done for all of them at once; a point decides
-on plain numbers, because on so few of them numpy would cost more than the motion.
+No result depends on the others that share a call.
 """
 
 import math
 import time
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import repeat
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +30,6 @@ _TANGENT_RTOL = 1e-8
 # How far a tangent's determinant may be off, and from which share of its size squared on its own
 # rounding shows.
 _UNSOUND, _ROUNDING = 1e-2, 1e-3
-DEVIATIONS = 4.0  # of the predicted scatter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,80 +64,6 @@ class Scene:
     def has_own_tangent(self) -> bool:
         """Whether motion and tangent are integrated together."""
         return self.tangent_law == self.law and self.tangent_solver == self.solver
-
-
-class Stretch(NamedTuple):
-    """What a point asks for: whole forcing periods, from phase zero, so that time never grows.
-
-    Attributes
-    ----------
-    y : (float, float)
-        State to start from [m], [m/s].
-    n_periods : int
-    recorded : bool
-        Whether its events are wanted.
-    """
-
-    y: State
-    n_periods: int
-    recorded: bool
-
-
-class Part(NamedTuple):
-    """The stretch of motion that answers a `Stretch`: one of those in a call of the engine.
-
-    Attributes
-    ----------
-    y : (float, float)
-        Its end [m], [m/s].
-    status : Status
-    call : Call
-        Where it is from, with the events of all.
-    number : int
-        Its number in the call.
-    """
-
-    y: State
-    status: Status
-    call: "Call"
-    number: int
-
-    @property
-    def extrema(self) -> list[float]:
-        """Displacements [m] of its zero-velocity points."""
-        extrema: list[float] = self.call.events.extrema[self._turns].tolist()
-        return extrema
-
-    @property
-    def n_steps(self) -> int:
-        """Steps that the solver took for it."""
-        return int(self.call.n_steps[self.number])
-
-    @property
-    def reach(self) -> float:
-        """Largest modulus of `extrema` [m], 0 if there are none."""
-        return self.call.reach[self.number]
-
-    @property
-    def states(self) -> list[float]:
-        """``x, v, x, v, ...`` at the end of every forcing period [m], [m/s]."""
-        return self.call.events.section[self._periods].ravel().tolist()
-
-    @property
-    def section(self) -> list[complex]:
-        """The same as section points [m]."""
-        section: list[complex] = self.call.section[self._periods].tolist()
-        return section
-
-    @property
-    def _turns(self) -> slice:
-        ends = self.call.turn_ends
-        return slice(ends[self.number - 1], ends[self.number])
-
-    @property
-    def _periods(self) -> slice:
-        ends = self.call.period_ends
-        return slice(ends[self.number - 1], ends[self.number])
 
 
 class Call:
@@ -223,63 +144,67 @@ class Call:
         return scaled(self.events.section, np.repeat(self._omega, self.events.n_section))
 
     @cached_property
-    def reach(self) -> list[float]:
+    def reach(self) -> Array:
         """Largest modulus of each motion's extrema [m], 0 if there are none."""
         reach = np.zeros(len(self.status))
         owners = np.repeat(np.arange(len(reach)), self.events.n_extrema)
         np.maximum.at(reach, owners, np.abs(self.events.extrema))
-        largest: list[float] = reach.tolist()
-        return largest
+        return reach
 
     @cached_property
-    def turn_ends(self) -> list[int]:
-        """Where each motion's extrema end; the last entry is where those of the first begin."""
-        return [*np.cumsum(self.events.n_extrema).tolist(), 0]
+    def turn_ends(self) -> NDArray[np.int64]:
+        """Where each motion's extrema end, after a zero; shape (n + 1,)."""
+        return np.concatenate(([0], np.cumsum(self.events.n_extrema)))
 
     @cached_property
-    def period_ends(self) -> list[int]:
-        """Where each motion's section points end; the last is where those of the first begin."""
-        return [*np.cumsum(self.events.n_section).tolist(), 0]
+    def period_ends(self) -> NDArray[np.int64]:
+        """Where each motion's section points end, after a zero; shape (n + 1,)."""
+        return np.concatenate(([0], np.cumsum(self.events.n_section)))
 
-    def part(self, number: int) -> Part:
-        """One of the motions."""
-        x, v = self.y[:, number].tolist()
-        return Part((x, v), Status(self.status[number]), self, number)
+    def extrema(self, number: int) -> Array:
+        """Displacements [m] of the zero-velocity points of one motion."""
+        first, last = self.turn_ends[number : number + 2]
+        return self.events.extrema[first:last]
 
-    def parts(self) -> list[Part]:
-        """All motions, in their order."""
-        ends = zip(*self.y.tolist(), strict=True)
-        statuses: Iterable[Status] = repeat(Status.OK)
-        if self.status.any():
-            statuses = map(Status, self.status.tolist())
-        return list(map(Part, ends, statuses, repeat(self), range(len(self.status))))
+    def states(self, number: int) -> Array:
+        """States of one motion at the end of every forcing period [m], [m/s]; shape (n, 2)."""
+        first, last = self.period_ends[number : number + 2]
+        return self.events.section[first:last]
 
 
 class Ensemble:
-    """Scenes of one solver and one kind of law: one call of the engine can take them all."""
+    """Scenes of one solver and one kind of law: one call of the engine can take them all.
+
+    Attributes
+    ----------
+    scenes : sequence of Scene, length n
+    solver : Solver
+    omega : ndarray, shape (n,)
+        Forcing frequencies [Hz].
+    decay_rate, settling_rate : ndarray, shape (n,)
+        As of an `Oscillator` [1/s].
+    has_own_tangent : bool
+        As of a `Scene`.
+    """
 
     def __init__(self, scenes: Sequence[Scene]) -> None:
-        self._omega = np.array([scene.omega for scene in scenes])
-        self._shrink_rate = np.array([2.0 * scene.oscillator.decay_rate for scene in scenes])
+        self.scenes, self.solver = scenes, scenes[0].solver
+        self.omega = np.array([scene.omega for scene in scenes])
+        self.decay_rate = np.array([scene.oscillator.decay_rate for scene in scenes])
+        self.settling_rate = np.array([scene.oscillator.settling_rate for scene in scenes])
+        self.has_own_tangent = scenes[0].has_own_tangent
         models = Models(
             oscillators=[scene.oscillator for scene in scenes],
             laws=[scene.law for scene in scenes],
-            omega=self._omega,
+            omega=self.omega,
         )
-        first = scenes[0]
-        self._integrate = prepared(models, first.solver)
+        self._integrate = prepared(models, self.solver)
         self._integrate_tangent: Integrate | None = None
-        if not first.has_own_tangent:
+        if not self.has_own_tangent:
             models = replace(models, laws=[scene.tangent_law for scene in scenes])
-            self._integrate_tangent = prepared(models, first.tangent_solver)
+            self._integrate_tangent = prepared(models, scenes[0].tangent_solver)
         # Of every call, by motion: number of the scene, then what it has cost.
         self._costs: list[tuple[NDArray[Any], ...]] = []
-
-    def parts(self, asked: Mapping[int, Stretch]) -> list[Part]:
-        """Answers to stretches, by number of their scene."""
-        scenes = np.fromiter(asked, np.intp, len(asked))
-        y, n_periods, recorded = map(np.array, zip(*asked.values(), strict=True))
-        return self.call(scenes, y.T, n_periods, np.where(recorded, 0.0, math.inf)).parts()
 
     def call(
         self,
@@ -304,7 +229,7 @@ class Ensemble:
         tangent : bool
             Whether the tangent equations are integrated along.
         """
-        omega = self._omega[scenes]
+        omega = self.omega[scenes]
         t_end = n_periods / omega
         x_0, v_0 = np.ascontiguousarray(y)
         problems = Problems(
@@ -322,7 +247,7 @@ class Ensemble:
             never = np.full(len(scenes), math.inf)
             problems = replace(problems, record_from=never, tangent=True)
             monodromy = self._solved(self._integrate_tangent, problems, n_periods).monodromy
-        shrinkage = np.exp(-self._shrink_rate[scenes] * t_end)
+        shrinkage = np.exp(-2.0 * self.decay_rate[scenes] * t_end)
         return Call(found, omega, t_end, shrinkage, monodromy)
 
     def _solved(
@@ -336,94 +261,10 @@ class Ensemble:
         self._costs.append((problems.which, *counts, n_periods, seconds))
         return found
 
-    def costs(self) -> list[dict[str, Any]]:
-        """What the stretches of each scene have cost so far, as attributes of a `Response`."""
+    def costs(self) -> dict[str, NDArray[Any]]:
+        """What the motions of each scene have cost so far, as columns of `Responses`."""
         scenes, *columns = map(np.concatenate, zip(*self._costs, strict=True))
-        n = len(self._omega)
+        n = len(self.omega)
         *counts, n_periods, seconds = (np.bincount(scenes, column, n) for column in columns)
-        totals = [
-            *(count.astype(np.int64).tolist() for count in counts),
-            (n_periods / self._omega).tolist(),
-            seconds.tolist(),
-        ]
-        names = (*_COUNTS, "t_simulated", "cpu_time")
-        return [dict(zip(names, row, strict=True)) for row in zip(*totals, strict=True)]
-
-
-class Walk:
-    """Where a motion is, and the window recorded last.
-
-    Attributes
-    ----------
-    y : (float, float)
-        State [m], [m/s], at forcing phase zero.
-    n_periods : int
-        Forcing periods since the start.
-    section : list of complex
-        Section points of the window [m].
-    reach : float
-        Largest displacement of the window [m].
-    omega, omega_rad : float
-        Forcing frequency [Hz], [rad/s].
-    """
-
-    def __init__(self, scene: Scene, y: State) -> None:
-        self.scene = scene
-        self.omega = scene.omega
-        self.omega_rad = 2.0 * math.pi * scene.omega
-        self.y = y
-        self.status = Status.OK
-        self.n_periods = 0
-        self._steps_per_period = 1.0
-        self.forget()
-
-    @property
-    def t(self) -> float:
-        """Time since the start [s]."""
-        return self.n_periods / self.omega
-
-    def noise(self, n_periods: int = 1) -> float:
-        """Predicted scatter [m] of section points so many forcing periods apart.
-
-        It is what the solver's tolerances admit in each step, in as many random steps as it
-        takes. What scatters more than `same` is not the solver's doing.
-        """
-        return self.step_error * math.sqrt(self._steps_per_period * n_periods)
-
-    @property
-    def step_error(self) -> float:
-        """What the solver's tolerances admit in a step [m]."""
-        return self.scene.solver.atol + self.scene.solver.rtol * self.reach
-
-    @property
-    def same(self) -> float:
-        """Distance [m] below which two states are the same to this solver."""
-        return DEVIATIONS * self.noise()
-
-    @property
-    def extrema(self) -> list[float]:
-        """Displacements [m] of the window's zero-velocity points."""
-        return [x for _, part in self._window for x in part.extrema]
-
-    def forget(self) -> None:
-        """Start an empty window here."""
-        self._window: list[tuple[int, Part]] = []
-        self._extent = 0.0
-        self.section: list[complex] = []
-        self.reach = abs(self.y[0])
-
-    def advance(self, n_periods: int, *, record: bool) -> Generator[Stretch, Part, None]:
-        """Go on for whole periods; recorded ones are added to the window."""
-        part = yield Stretch(self.y, n_periods, record)
-        self._steps_per_period = max(part.n_steps / n_periods, 1.0)
-        if record:
-            self._window.append((self.n_periods, part))
-            self._extent = max(self._extent, part.reach)
-            self.section += part.section
-        self.arrive(part.y, part.status, n_periods)
-
-    def arrive(self, y: State, status: Status, n_periods: int) -> None:
-        """Be at a state that whole periods of motion led to."""
-        self.y, self.status = y, status
-        self.n_periods += n_periods
-        self.reach = max(self._extent, abs(y[0]))
+        found = {name: count.astype(np.int64) for name, count in zip(_COUNTS, counts, strict=True)}
+        return found | {"t_simulated": n_periods / self.omega, "cpu_time": seconds}

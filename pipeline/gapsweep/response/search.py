@@ -1,0 +1,521 @@
+"""The search for steady responses of many points at once; see `gapsweep.response.respond`.
+
+Every point is in a `Phase`, which says what it waits for. All that wait for a stretch of motion
+share a call of the engine, and when none does, all that wait for a motion with its tangent.
+Arithmetic and decisions are on columns: none of them sees another point's row.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import wraps
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.response.ensemble import Ensemble
+from gapsweep.response.result import ExtremumKind, Response, ResponseClass, Steady
+from gapsweep.response.section import (
+    converging_multiples,
+    likely_multiple,
+    period_multiples,
+    prime_multiple,
+)
+from gapsweep.response.shooting import UNKNOWN, Exponents, Growths, Shots, block
+from gapsweep.response.walks import Walks
+from gapsweep.status import Status
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
+Answer = Callable[..., None]
+
+
+def _for_some(method: Answer) -> Answer:
+    """A branch that no point takes costs nothing: at most turns a few of them have any."""
+
+    @wraps(method)
+    def guarded(self: "Search", points: Numbers, *columns: Any) -> None:
+        if points.size:
+            method(self, points, *columns)
+
+    return guarded
+
+
+_FIRST_WINDOW = 6
+# The next look comes when disturbances have shrunk to this share.
+_LOOK = 0.25
+# Shooting is worth a try when section points repeat within this share of the reach.
+_CLOSE = 0.1
+# Newton may move this share of the response's reach; from farther away it leads anywhere.
+_SMALL_STEP = 0.2
+# Before an orbit counts as its own, the motion must come within this share of the reach of it,
+# and this much closer than it was.
+_NEAR = 1e-2
+_CLOSER = 0.5
+# A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
+_INSIDE = 1.0 - 1e-6
+_ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
+_NOTHING = 1e-290  # below it doubles lose digits
+_ENDLESS = 1e7  # forcing periods that no motion is watched for
+
+
+class Phase(IntEnum):
+    """What a point waits for: a stretch of motion up to `APPROACH`, then motion with tangent."""
+
+    PAUSE = 0  # the time until the next look
+    WINDOW = 1  # the next part of a recorded window
+    APPROACH = 2  # time to come near to an orbit that shooting found
+    SHOOT = 3  # an orbit that the window contracts to
+    REPEAT = 4  # the orbit of a settled motion that repeats itself, as it is
+    RATTLE = 5  # the orbit that a motion is rattled about, as it is
+    GROW = 6  # the growth of a disturbance
+    ENDED = 7
+
+
+class Search:
+    """Steady responses of an ensemble.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    start : ndarray, shape (2, n)
+        States to start from [m], [m/s].
+    steady : Steady
+    """
+
+    def __init__(self, ensemble: Ensemble, start: Array, steady: Steady) -> None:
+        n = len(ensemble.omega)
+        self._ensemble, self._steady = ensemble, steady
+        self._omega, self._omega_rad = ensemble.omega, 2.0 * math.pi * ensemble.omega
+        self._walks, self._shots, self._growths = Walks(ensemble, start), Shots(n), Growths(n)
+        self._limits = _Limits.of(ensemble, steady)
+        self._phase = np.full(n, int(Phase.PAUSE))
+        self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
+        self._settled = np.zeros(n, bool)
+        self._look = np.full(n, _FIRST_WINDOW)  # size of an early look's window
+        self._size, self._largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        self._before, self._goal = np.zeros(n), np.zeros(n)  # distances from an orbit found
+        self._exponents: dict[int, Exponents] = {}
+        self._found: list[dict[str, Any]] = [{}] * n
+
+    def responses(self) -> list[Response]:
+        """Advance all points until each has its answer."""
+        while (self._phase < Phase.ENDED).any():
+            moves, grows = self._phase <= Phase.APPROACH, self._phase == Phase.GROW
+            shoots = (self._phase > Phase.APPROACH) & (self._phase < Phase.GROW)
+            # What most points wait for; growth last, for its many calls are best shared by all.
+            if shoots.sum() > moves.sum():
+                self._advance_tangent(np.flatnonzero(shoots))
+            elif moves.any():
+                self._advance(np.flatnonzero(moves))
+            else:
+                self._advance_tangent(np.flatnonzero(grows))
+        costs = self._ensemble.costs()
+        rows = zip(*(column.tolist() for column in costs.values()), strict=True)
+        return [
+            Response(**found, **dict(zip(costs, row, strict=True)))
+            for found, row in zip(self._found, rows, strict=True)
+        ]
+
+    # --- motion ----------------------------------------------------------------------------------
+
+    def _advance(self, points: Numbers) -> None:
+        phase = self._phase[points]
+        self._walks.advance(points, self._asked[points], phase == Phase.WINDOW)
+        is_ok = self._walks.status[points] == Status.OK
+        self._fail(points[~is_ok])
+        self._open(points[is_ok & (phase == Phase.PAUSE)])
+        window = points[is_ok & (phase == Phase.WINDOW)]
+        self._size[window] *= 2
+        self._look_at(window)
+        self._arrive(points[is_ok & (phase == Phase.APPROACH)])
+
+    @_for_some
+    def _open(self, points: Numbers) -> None:
+        """After a pause: a window, as long as it takes once the motion must have settled."""
+        n_periods = self._steady.n_periods
+        self._settled[points] = self._walks.n_periods[points] >= self._limits.settled[points]
+        early = np.minimum(self._look[points], n_periods)
+        self._largest[points] = np.where(self._settled[points], n_periods, early)
+        self._size[points] = _FIRST_WINDOW
+        self._walks.forget(points)
+        self._record(points)
+
+    @_for_some
+    def _record(self, points: Numbers) -> None:
+        wanted = np.minimum(self._size[points], self._largest[points])
+        self._asked[points] = wanted - self._walks.length[points]
+        self._phase[points] = Phase.WINDOW
+
+    @_for_some
+    def _look_at(self, points: Numbers) -> None:
+        """Shoot where the window contracts to a repeat."""
+        reach, same = self._walks.reach[points], self._walks.same[points]
+        n = converging_multiples(
+            self._walks.section[points],
+            self._walks.length[points],
+            np.maximum(_CLOSE * reach, same),
+            self._steady.max_period_multiple,
+        )
+        shot = points[n > 0]
+        # Below the solver's own noise Newton makes no orbit close better.
+        goal = np.maximum(1e-10 * reach, 0.1 * same)[n > 0]
+        furthest = _SMALL_STEP * reach[n > 0]
+        self._shots.aim(shot, self._walks.y[:, shot], n[n > 0], goal, furthest)
+        self._phase[shot] = Phase.SHOOT
+        self._go_on(points[n == 0])
+
+    @_for_some
+    def _go_on(self, points: Numbers) -> None:
+        """No orbit so far: the next part of the window, or the end of this look."""
+        is_full = self._walks.length[points] >= self._largest[points]
+        self._record(points[~is_full])
+        full = points[is_full]
+        is_settled = self._settled[full]
+        self._repeat(full[is_settled])
+        self._end_look(full[~is_settled])
+
+    # --- motion with its tangent -----------------------------------------------------------------
+
+    def _advance_tangent(self, points: Numbers) -> None:
+        phase, motions = self._phase[points], np.arange(len(points))
+        grows = phase == Phase.GROW
+        y = np.where(grows, self._growths.y[:, points], self._shots.y[:, points])
+        n = np.where(grows, self._growths.n_periods[points], self._shots.n[points])
+        record_from = np.where(grows, math.inf, 0.0)
+        call = self._ensemble.call(points, y, n, record_from, tangent=True)
+        if grows.any():
+            is_over, status = self._growths.step(points[grows], motions[grows], call)
+            self._grown(points[grows][is_over], status[is_over])
+        if not grows.all():
+            shot, phase = points[~grows], phase[~grows]
+            is_found, is_lost = self._shots.step(shot, motions[~grows], call)
+            self._hit(shot[is_found], phase[is_found])
+            self._miss(shot[is_lost], phase[is_lost])
+
+    @_for_some
+    def _hit(self, points: Numbers, phase: Counts) -> None:
+        """Shots that found an orbit."""
+        modulus = np.hypot(*_parts(self._shots.multipliers[points, 0]))
+        shooting = phase == Phase.SHOOT
+        inside = points[shooting & (modulus < _INSIDE)]
+        is_prime = self._is_prime(inside)
+        self._compare(inside[is_prime])
+        is_undamped = self._ensemble.settling_rate[points] == 0.0
+        stays = modulus < np.where(is_undamped, 1.0 + _ON_CIRCLE, 1.0)
+        self._close(points[~shooting & stays])
+        refused = ~np.where(shooting, modulus < _INSIDE, stays)
+        self._miss(points[refused], phase[refused])
+        self._go_on(inside[~is_prime])
+
+    @_for_some
+    def _miss(self, points: Numbers, phase: Counts) -> None:
+        """Shots without an orbit that may be the motion's own."""
+        self._go_on(points[phase == Phase.SHOOT])
+        self._end_look(points[phase == Phase.REPEAT])
+        self._no_orbit(points[phase == Phase.RATTLE])
+
+    def _is_prime(self, points: Numbers) -> Mask:
+        """Whose orbit does not repeat itself sooner."""
+        walks, n = self._walks, self._shots.n
+        tolerance = np.maximum(10.0 * walks.same, 1e-6 * walks.reach)
+        return np.array(
+            [
+                n[p] == 1 or prime_multiple(self._orbit_section(p), tolerance[p]) == n[p]
+                for p in points.tolist()
+            ],
+            bool,
+        )
+
+    def _orbit_section(self, point: int) -> list[complex]:
+        x, v = self._shots.states[point].T
+        return [complex(*z) for z in zip(x, v / self._omega_rad[point], strict=True)]
+
+    @_for_some
+    def _compare(self, points: Numbers) -> None:
+        """Whether the motion itself approaches an orbit: the guard against a swapped attractor.
+
+        It does, if it is near and came closer over its recorded window. Else it goes on,
+        unrecorded, for as long as its slowest multiplier needs to come near, and must be near
+        then. What would take longer than the motion is watched is not waited for: near the orbit
+        it must have shrunk at least half as much over its window as the multiplier says.
+        """
+        walks, n = self._walks, self._shots.n[points]
+        same, near = walks.same[points], _NEAR * walks.reach[points]
+        before = self._distance(points)
+        last = walks.length[points] - 1
+        x, v = self._shots.y[:, points]
+        first = walks.section[points, last % n]
+        first = np.hypot(first.real - x, first.imag - v / self._omega_rad[points])
+        is_own = before <= np.maximum(same, np.minimum(near, _CLOSER * first))
+        goal = np.maximum(np.minimum(_CLOSER * before, near), same)
+        modulus = np.hypot(*_parts(self._shots.multipliers[points, 0]))
+        n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], 0)
+        self._goal[points] = goal
+        waits = np.zeros(len(points), bool)
+        for k in np.flatnonzero(~is_own).tolist():
+            shrinks = max(float(modulus[k]), 1e-12)
+            # One factor of two more: the state's two directions do not shrink as one.
+            repeats = math.ceil(math.log(0.5 * goal[k] / before[k]) / math.log(shrinks))
+            stretch = max(1, repeats) * int(n[k])
+            if stretch > n_left[k]:
+                expected = shrinks ** int(last[k] // n[k])
+                has_shrunk = before[k] <= 0.5 * (1.0 + expected) * first[k]
+                is_own[k] = has_shrunk and before[k] <= near[k]
+            else:
+                waits[k], self._asked[points[k]] = True, stretch
+        self._phase[points[waits]] = Phase.APPROACH
+        self._close(points[is_own])
+        self._go_on(points[~is_own & ~waits])
+
+    @_for_some
+    def _arrive(self, points: Numbers) -> None:
+        is_near = self._distance(points) <= self._goal[points]
+        self._close(points[is_near])
+        self._go_on(points[~is_near])
+
+    def _distance(self, points: Numbers) -> Array:
+        """Distances of motions, at whole periods of their orbits, from these' starts [m]."""
+        x, v = self._walks.y[:, points] - self._shots.y[:, points]
+        return np.asarray(np.hypot(x, v / self._omega_rad[points]))
+
+    # --- the end of a look -----------------------------------------------------------------------
+
+    @_for_some
+    def _repeat(self, points: Numbers) -> None:
+        """A settled motion that repeats itself, though shooting could not improve on it.
+
+        At loose tolerances the solver's noise is larger than any Newton residual allowed. What
+        repeats less well than that may creep past where there is no orbit at all.
+        """
+        walks, largest = self._walks, self._steady.max_period_multiple
+        same = walks.same
+        found = period_multiples(walks.section, walks.length, points, same[points], largest)
+        self._end_look(points[found == 0])
+        for point, n in zip(points[found > 0].tolist(), found[found > 0].tolist(), strict=True):
+            # So coarse that it also repeats sooner?
+            section = walks.window(point).tolist()
+            n = prime_multiple(section[-n:], same[point] * math.sqrt(n))
+            if not self._ensemble.has_own_tangent:
+                # A kink that is passed unlocated scatters more than that.
+                sooner = likely_multiple(section, _CLOSE * walks.reach[point], n)
+                n = sooner if sooner and n % sooner == 0 else n
+            self._as_it_is(point, n, Phase.REPEAT)
+
+    def _as_it_is(self, point: int, n: int, phase: Phase) -> None:
+        """The next n forcing periods as a periodic orbit, closed or not, if they contract."""
+        one = np.array([point])
+        endless, nothing = np.array([math.inf]), np.zeros(1)
+        self._shots.aim(one, self._walks.y[:, one], np.array([n]), endless, nothing)
+        self._phase[point] = phase
+
+    @_for_some
+    def _end_look(self, points: Numbers) -> None:
+        """Nothing found: another look later, or the growth of a disturbance."""
+        is_last = self._walks.n_periods[points] >= self._limits.last[points]
+        again, last = points[~is_last], points[is_last]
+        self._look[again] *= 2
+        self._asked[again], self._phase[again] = self._limits.pause[again], Phase.PAUSE
+        # A motion that was given no time to settle is nobody's example; without damping nothing
+        # is long enough.
+        rate = self._ensemble.settling_rate[last]
+        grows = self._settled[last] & (rate > 0.0)
+        late = last[grows]
+        wanted = block(rate[grows], self._omega[late], self._limits.last[late])
+        self._growths.begin(late, self._walks.y[:, late], wanted)
+        self._phase[late] = Phase.GROW
+        for point in last[~grows].tolist():
+            self._aperiodic(point, UNKNOWN)
+
+    @_for_some
+    def _grown(self, points: Numbers, status: Counts) -> None:
+        n_periods = self._growths.n_periods[points] * self._growths.n_blocks[points]
+        self._walks.arrive(points, self._growths.y[:, points], status, n_periods)
+        is_ok = status == Status.OK
+        self._fail(points[~is_ok])
+        for point in points[is_ok].tolist():
+            exponents = self._growths.exponents(point, float(self._omega[point]))
+            self._exponents[point] = exponents
+            self._rattle(point, exponents)
+
+    def _rattle(self, point: int, exponents: Exponents) -> None:
+        """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.
+
+        A kink that is passed unlocated throws a step off by more than its error estimate. The
+        tangent is another solver's, so that the exponent tells this from chaos.
+        """
+        n = 0
+        if not self._ensemble.has_own_tangent and exponents.largest <= 3.0 * exponents.error:
+            window, largest = self._walks.window(point).tolist(), self._steady.max_period_multiple
+            n = likely_multiple(window, _CLOSE * self._walks.reach[point], largest)
+        if n:
+            self._as_it_is(point, n, Phase.RATTLE)
+        else:
+            self._aperiodic(point, exponents)
+
+    @_for_some
+    def _no_orbit(self, points: Numbers) -> None:
+        for point in points.tolist():
+            self._aperiodic(point, self._exponents[point])
+
+    # --- answers ---------------------------------------------------------------------------------
+
+    @_for_some
+    def _close(self, points: Numbers) -> None:
+        """The response is the orbit that shooting found."""
+        self._phase[points] = Phase.ENDED
+        shots, noise = self._shots, self._walks.noise(self._shots.n)
+        for point in points.tolist():
+            n = int(shots.n[point])
+            multipliers = [complex(z) for z in shots.multipliers[point]]
+            modulus = abs(multipliers[0])
+            measured = self._exponents.get(point)
+            if measured is None:
+                # What has shrunk to nothing shrank on average as areas do.
+                exponent = -float(self._ensemble.decay_rate[point])
+                if modulus > _NOTHING:
+                    exponent = math.log(modulus) * float(self._omega[point]) / n
+                measured = Exponents(exponent, 0.0)
+            stability = {
+                "response_class": ResponseClass.PERIODIC,
+                "period_multiple": n,
+                "multipliers": tuple(part for z in multipliers for part in (z.real, z.imag)),
+                "multiplier_abs": modulus,
+                "lyapunov": measured.largest,
+                "lyapunov_error": measured.error,
+                "section": tuple(shots.states[point].ravel().tolist()),
+                "noise": float(noise[point]),
+                "x_end": float(shots.y[0, point]),
+                "v_end": float(shots.y[1, point]),
+            }
+            self._answer(point, Status.OK, self._orbit_extrema(point), stability)
+
+    def _orbit_extrema(self, point: int) -> list[float]:
+        """Displacements [m] of the extrema of one whole period.
+
+        Its end does not meet its start to the last bit. A turn just there would be missed, or
+        counted at both: then the velocities have opposite signs, and the acceleration says which
+        it is.
+        """
+        v_start, (x_end, v_end) = self._shots.y[1, point], self._shots.end[:, point].tolist()
+        extrema: list[float] = self._shots.extrema[point].tolist()
+        if v_start * v_end >= 0.0:
+            return extrema
+        scene = self._ensemble.scenes[point]
+        o, force = scene.oscillator, float(scene.law.force(x_end))
+        springs = o.mass * o.omega_n_rad**2 * x_end + o.alpha * x_end**3 + force
+        is_missed = (v_start - v_end) * (o.forcing - springs) > 0.0
+        return [*extrema, x_end] if is_missed else extrema[1:]
+
+    def _aperiodic(self, point: int, exponents: Exponents) -> None:
+        self._phase[point] = Phase.ENDED
+        walks, largest = self._walks, self._steady.max_period_multiple
+        # On an unstable orbit a disturbance grows too; but there the motion repeats itself.
+        one = np.array([point])
+        error = walks.step_error[one]
+        repeats = period_multiples(walks.section, walks.length, one, error, largest)[0]
+        chaotic = exponents.is_positive and not repeats
+        section, omega_rad = walks.window(point)[-largest:], self._omega_rad[point]
+        stability = {
+            "response_class": ResponseClass.CHAOTIC if chaotic else ResponseClass.UNRESOLVED,
+            "lyapunov": exponents.largest,
+            "lyapunov_error": exponents.error,
+            "section": tuple(
+                part for z in section.tolist() for part in (z.real, z.imag * float(omega_rad))
+            ),
+            "noise": float(walks.noise()[point]),
+            "x_end": float(walks.y[0, point]),
+            "v_end": float(walks.y[1, point]),
+        }
+        status = Status.OK if chaotic else Status.UNRESOLVED
+        self._answer(point, status, walks.extrema(point).tolist(), stability)
+
+    def _answer(
+        self, point: int, status: Status, extrema: list[float], stability: dict[str, Any]
+    ) -> None:
+        """Attributes of a `Response` but for what it has cost."""
+        # A response without a turning point in its window still has a position.
+        seen = extrema or [stability["x_end"]]
+        x_max, x_min = max(seen), min(seen)
+        valid_range = self._ensemble.scenes[point].law.valid_range
+        left_range = max(abs(x_max), abs(x_min)) > valid_range
+        n, closed = (
+            self._steady.max_extrema,
+            stability["response_class"] is ResponseClass.PERIODIC,
+        )
+        values = {
+            "status": Status.OUT_OF_FIT_RANGE if left_range else status,
+            "extrema": tuple(extrema[:n]),
+            "extremum_kind": _kinds(extrema, closed=closed)[:n],
+            "n_extrema": len(extrema),
+            "x_max": x_max,
+            "x_min": x_min,
+            "amplitude": 0.5 * (x_max - x_min),
+            "t_settled": float(self._walks.t[point]),
+        }
+        self._found[point] = values | stability
+
+    @_for_some
+    def _fail(self, points: Numbers) -> None:
+        self._phase[points] = Phase.ENDED
+        for point in points.tolist():
+            x = float(self._walks.y[0, point])
+            left_range = not abs(x) <= self._ensemble.scenes[point].law.valid_range
+            reached = Status(self._walks.status[point])
+            status = Status.OUT_OF_FIT_RANGE if left_range else reached
+            t = float(self._walks.t[point])
+            where = f"{reached.label} before t = {t:.6g} s at x = {x:.3g} m"
+            self._found[point] = {"status": status, "message": where}
+
+
+def _parts(z: NDArray[np.complex128]) -> tuple[Array, Array]:
+    return z.real, z.imag
+
+
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    """How many forcing periods motions are given: between looks, to settle, and at most."""
+
+    pause: Counts
+    settled: Counts
+    last: Counts
+
+    @classmethod
+    def of(cls, ensemble: Ensemble, steady: Steady) -> "_Limits":
+        rate, omega = ensemble.settling_rate, ensemble.omega
+        # Without damping nothing settles: what does not repeat at once never will.
+        decay_periods = np.divide(omega, rate, out=np.zeros(len(rate)), where=rate > 0.0)
+        pause, settled, longest = (
+            np.ceil(np.minimum(times * decay_periods, _ENDLESS)).astype(np.int64)
+            for times in (
+                math.log(1.0 / _LOOK),
+                math.log(1.0 / steady.settle_tol),
+                steady.max_decay_times,
+            )
+        )
+        # A full window more: slow forcing leaves no period between settling and the end.
+        last = np.maximum(settled, np.minimum(longest, steady.max_periods)) + steady.n_periods
+        if steady.t_max is not None:
+            bound = np.floor(np.minimum(last, np.maximum(1.0, steady.t_max * omega)))
+            last = bound.astype(np.int64)
+        return cls(np.maximum(1, np.minimum(pause, last)), settled, last)
+
+
+def _kinds(x: list[float], *, closed: bool) -> tuple[int, ...]:
+    """`ExtremumKind` of zero-velocity displacements in the order of time.
+
+    What is passed on the way from one neighbour to the other is an inflection. `closed`: the first
+    follows the last.
+    """
+    if len(x) < 2:
+        return (int(ExtremumKind.INFLECTION),) * len(x)
+    here = np.array(x)
+    before, after = np.concatenate((here[-1:], here[:-1])), np.concatenate((here[1:], here[:1]))
+    if not closed:
+        before[0], after[-1] = x[1], x[-2]
+    is_maximum, is_minimum = (here > before) & (here > after), (here < before) & (here < after)
+    return tuple((is_maximum.astype(int) - is_minimum).tolist())

@@ -1,0 +1,212 @@
+"""Periodic orbits by shooting, their Floquet multipliers, and Lyapunov exponents.
+
+The tangent equations carry the monodromy matrix along with the motion. The contact force is
+continuous, so nothing jumps at a contact. Two facts hold for every force that depends on x
+alone and check all of it: the product of the multipliers over n periods T is
+``exp(-2 ζ ω_n n T)``, and the two Lyapunov exponents add up to ``-2 ζ ω_n``.
+
+`Shots` and `Growths` are columns, a row per point. Both take what a call with the tangent found,
+so that points which look for an orbit and points which ask for an exponent share it.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.response.ensemble import Call
+from gapsweep.response.maps import floquet_multipliers, newton_steps
+from gapsweep.status import Status
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
+
+_MAX_NEWTON = 6
+
+# Lyapunov exponent: as many blocks, each at least this part of the decay time, after one to align
+# the vector.
+_N_BLOCKS = 60
+_BLOCK = 0.47
+_BATCH = 6  # blocks per batch mean: neighbouring blocks are correlated
+
+
+class Shots:
+    """Newton on the map over n forcing periods, from a state near the orbit.
+
+    Attributes
+    ----------
+    y : ndarray, shape (2, n_points)
+        The states [m], [m/s]: of an orbit where one is found.
+    n : ndarray of int, shape (n_points,)
+        Forcing periods of the orbits.
+    end : ndarray, shape (2, n_points)
+        Where an orbit that was found ends [m], [m/s].
+    multipliers : ndarray of complex, shape (n_points, 2)
+        Floquet multipliers over n periods of an orbit that was found, largest modulus first.
+    states, extrema : list of ndarray, length n_points
+        Of an orbit that was found: states at the end of every forcing period, shape (n, 2), and
+        displacements [m] of its zero-velocity points.
+    """
+
+    def __init__(self, n_points: int) -> None:
+        self.y, self.end = np.empty((2, n_points)), np.empty((2, n_points))
+        self.n = np.zeros(n_points, np.int64)
+        self.multipliers = np.empty((n_points, 2), complex)
+        self.states: list[Array] = [np.empty((0, 2))] * n_points
+        self.extrema: list[Array] = [np.empty(0)] * n_points
+        self._moved, self._tries = np.zeros((2, n_points)), np.zeros(n_points, np.int64)
+        self._goal, self._furthest = np.zeros(n_points), np.zeros(n_points)
+
+    def aim(self, points: Numbers, y: Array, n: Counts, goal: Array, furthest: Array) -> None:
+        """Begin near states.
+
+        Parameters
+        ----------
+        points : ndarray of int, shape (m,)
+        y : ndarray, shape (2, m)
+        n : ndarray of int, shape (m,)
+        goal : ndarray, shape (m,)
+            Distance [m] of an orbit's ends below which it is closed.
+        furthest : ndarray, shape (m,)
+            Distance [m] from `y` beyond which it is given up.
+        """
+        self.y[:, points], self.n[points] = y, n
+        self._goal[points], self._furthest[points] = goal, furthest
+        self._moved[:, points], self._tries[points] = 0.0, 0
+
+    def step(self, points: Numbers, motions: Numbers, call: Call) -> tuple[Mask, Mask]:
+        """One step of Newton's method from what a call found.
+
+        Parameters
+        ----------
+        points, motions : ndarray of int, shape (m,)
+            The points and their motions in the call.
+
+        Returns
+        -------
+        is_found, is_lost : ndarray of bool, shape (m,)
+            Whose orbit is closed; who went too far, did not converge, or failed.
+        """
+        y, unit, is_ok = self.y[:, points], call.unit[:, motions], call.is_ok[motions]
+        with np.errstate(over="ignore", invalid="ignore"):  # of motions that failed
+            missed = (call.y[:, motions] - y) / unit
+            is_near = np.hypot(*missed) <= self._goal[points]
+        is_found = is_ok & call.is_sound[motions] & is_near
+        self._keep(points[is_found], motions[is_found], call)
+        self._tries[points] += 1
+        left = np.flatnonzero(is_ok & ~is_found & (self._tries[points] < _MAX_NEWTON))
+        with np.errstate(over="ignore", invalid="ignore"):
+            step = newton_steps(call.monodromy[motions[left]], missed[:, left].T).T
+            moved = self._moved[:, points[left]] + step
+            is_lost = ~is_found
+            is_lost[left] = ~(np.hypot(*moved) <= self._furthest[points[left]])
+            self._moved[:, points[left]] = moved
+            self.y[:, points[left]] = y[:, left] + step * unit[:, left]
+        return is_found, is_lost
+
+    def _keep(self, points: Numbers, motions: Numbers, call: Call) -> None:
+        if not points.size:
+            return
+        self.end[:, points] = call.y[:, motions]
+        self.multipliers[points] = floquet_multipliers(call.monodromy[motions])
+        for point, motion in zip(points.tolist(), motions.tolist(), strict=True):
+            self.states[point], self.extrema[point] = call.states(motion), call.extrema(motion)
+
+
+@dataclass(frozen=True, slots=True)
+class Exponents:
+    """Largest Lyapunov exponent [1/s] and its standard error."""
+
+    largest: float
+    error: float
+
+    @property
+    def is_positive(self) -> bool:
+        """Beyond three standard errors."""
+        return self.largest > 3.0 * self.error
+
+
+UNKNOWN = Exponents(math.nan, math.nan)
+
+
+class Growths:
+    """How one tangent vector grows along each motion, block by block.
+
+    Attributes
+    ----------
+    y : ndarray, shape (2, n_points)
+        Where the motions are [m], [m/s].
+    n_periods : ndarray of int, shape (n_points,)
+        Forcing periods in each of a motion's blocks.
+    n_blocks : ndarray of int, shape (n_points,)
+        Blocks behind it.
+    """
+
+    def __init__(self, n_points: int) -> None:
+        self.y = np.empty((2, n_points))
+        self.n_periods, self.n_blocks = np.zeros(n_points, np.int64), np.zeros(n_points, np.int64)
+        self._direction = np.empty((n_points, 2))
+        self._factors: dict[int, list[float]] = {}
+
+    def begin(self, points: Numbers, y: Array, wanted: Array) -> None:
+        """Begin at states, with blocks of at least so many forcing periods."""
+        self.y[:, points], self._direction[points], self.n_blocks[points] = y, (1.0, 0.0), 0
+        self.n_periods[points] = np.maximum(1, np.ceil(wanted))
+        self._factors |= {point: [] for point in points.tolist()}
+
+    def step(self, points: Numbers, motions: Numbers, call: Call) -> tuple[Mask, Counts]:
+        """One block from what a call found.
+
+        Returns
+        -------
+        is_over : ndarray of bool, shape (m,)
+            Who has all blocks, or failed.
+        status : ndarray of int, shape (m,)
+            `Status` values; a block that failed does not count.
+        """
+        status = call.status[motions]
+        is_ok = status == Status.OK
+        with np.errstate(all="ignore"):  # of motions that failed
+            direction = np.matmul(call.monodromy[motions], self._direction[points][:, :, None])
+            length = np.hypot(direction[:, 0, 0], direction[:, 1, 0])
+            self._direction[points] = direction[:, :, 0] / length[:, None]
+        length[~call.is_sound[motions]] = np.nan
+        self.y[:, points] = call.y[:, motions]
+        self.n_blocks[points] += is_ok
+        for point, factor, ok in zip(points.tolist(), length.tolist(), is_ok.tolist(), strict=True):
+            if ok:
+                self._factors[point].append(factor)
+        return ~is_ok | (self.n_blocks[points] > _N_BLOCKS), status
+
+    def exponents(self, point: int, omega: float) -> Exponents:
+        """Of a motion that has all its blocks.
+
+        The second exponent is ``-2 ζ ω_n`` minus the first. The error is that of batch means.
+        NaN where the tangent was unsound.
+        """
+        # The first block turns the vector into the direction of growth.
+        rates = [
+            math.log(factor) * omega / int(self.n_periods[point])
+            for factor in self._factors.pop(point)[1:]
+        ]
+        batches = np.reshape(rates, (-1, _BATCH)).mean(axis=1)
+        error = float(batches.std(ddof=1) / math.sqrt(len(batches)))
+        return Exponents(float(batches.mean()), error)
+
+
+def block(rate: Array, omega: Array, longest: Counts) -> Array:
+    """Forcing periods [-] that a block of growth should have.
+
+    Parameters
+    ----------
+    rate : ndarray
+        Settling rate [1/s], > 0.
+    omega : ndarray
+        Forcing frequency [Hz].
+    longest : ndarray of int
+        Forcing periods that all blocks together may have, about.
+    """
+    return np.asarray(np.minimum(_BLOCK / rate * omega, longest / (_N_BLOCKS + 1)))
