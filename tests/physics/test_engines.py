@@ -2,15 +2,18 @@
 
 import math
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from tests.oracles import exact_end_state
 
 import gapsweep as gs
+from gapsweep.integrate.problem import Models, Problems, Solver
+from gapsweep.integrate.simulate import prepared
 
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
@@ -180,3 +183,36 @@ def test_both_engines_find_the_same_monodromy(label):
     # Where contacts are not located, the tangent sees the jump of the slope up to a step late.
     allowed = 1e-3 if label == "piecewise-noevents" else 1e-6
     assert_allclose(fast, plain, rtol=allowed, atol=allowed * np.abs(plain).max())
+
+
+@pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4", "poly-13"])
+def test_a_section_alone_is_the_section_of_a_full_record(label):
+    """Nor does what is recorded change the motion; reach is that of its extrema, nearly."""
+    gap = gs.Gap(0.0, 0.8e-3)
+    law = gs.Piecewise(1.4e4, gap) if "piecewise" in label else gs.contact_law(label, 1.4e4, gap)
+    law = replace(law, located=False) if label == "piecewise-noevents" else law
+    omega = np.linspace(3.0, 29.0, 40)
+    models = Models(oscillators=[gs.Oscillator()] * 40, laws=[law] * 40, omega=omega)
+    integrate = prepared(models, Solver.of(rtol=1e-6, atol=1e-9))
+    problems = Problems(
+        which=np.arange(40),
+        x_0=np.linspace(-1e-3, 1e-3, 40),
+        v_0=np.zeros(40),
+        t_0=np.zeros(40),
+        t_end=30.0 / omega,
+        record_from=np.where(np.arange(40) % 3 == 0, np.inf, 10.0 / omega),
+    )
+    full = integrate(problems)
+    alone = integrate(replace(problems, section_only=True, effort=np.arange(40.0)))
+    for name in ("x", "v", "n_steps", "reach"):
+        assert getattr(full, name).tolist() == getattr(alone, name).tolist()
+    assert_array_equal(full.events().section, alone.events().section)
+    assert full.events().n_section.tolist() == alone.events().n_section.tolist()
+    assert set(alone.events().n_section.tolist()) == {0, 21}
+    assert not alone.events().extrema.size
+    whole = integrate(replace(problems, record_from=np.zeros(40))).events()
+    owner = np.repeat(np.arange(40), whole.n_extrema)
+    largest = np.abs(problems.x_0)
+    np.maximum.at(largest, owner, np.abs(whole.extrema))
+    assert np.all(full.reach <= largest * (1 + 1e-9))
+    assert np.all(full.reach > 0.5 * largest)

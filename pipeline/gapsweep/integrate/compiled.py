@@ -54,6 +54,7 @@ def _gap_arrays(laws: Sequence[Any]) -> dict[str, Any]:
 
 def _given(problems: Problems) -> dict[str, Any]:
     """Arguments that both kernels take."""
+    effort = problems.t_end - problems.t_0 if problems.effort is None else problems.effort
     return {
         "which": problems.which,
         "x_0": problems.x_0,
@@ -61,6 +62,8 @@ def _given(problems: Problems) -> dict[str, Any]:
         "t_0": problems.t_0,
         "t_end": problems.t_end,
         "record_from": problems.record_from,
+        "queue": np.argsort(-effort, kind="stable"),
+        "section_only": problems.section_only,
         "tangent": problems.tangent,
         "dense_output": problems.dense_output,
     }
@@ -167,6 +170,7 @@ def _motions(
         n_steps=run.n_steps,
         n_rejected=run.n_rejected,
         nfev=run.nfev,
+        reach=run.reach,
         events=events,
         sampler=sampler,
         monodromy=monodromy,

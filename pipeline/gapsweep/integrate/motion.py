@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Sampler = Callable[[Array], tuple[Array, Array]]
 
-SCALARS = ("t", "x", "v", "status", "n_contacts", "n_steps", "n_rejected", "nfev")
+SCALARS = ("t", "x", "v", "status", "n_contacts", "n_steps", "n_rejected", "nfev", "reach")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +51,8 @@ class Motions:
     n_contacts, n_steps, n_rejected, nfev : ndarray of int, shape (n,)
         Wall crossings in and out, accepted and rejected steps, right-hand sides (for a Taylor
         method, expansions).
+    reach : ndarray, shape (n,)
+        Largest modulus of the displacement at the start and at the ends of steps [m].
     events : callable
         Events of all motions; none of one that was not recorded.
     sampler : callable
@@ -67,6 +69,7 @@ class Motions:
     n_steps: Counts
     n_rejected: Counts
     nfev: Counts
+    reach: Array
     events: Callable[[], Events]
     sampler: Callable[[int], Sampler]
     monodromy: Array | None = None

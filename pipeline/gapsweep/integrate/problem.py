@@ -82,6 +82,11 @@ class Problems:
         before it cost no accuracy.
     record_from : ndarray, shape (m,)
         Time [s] from which extrema, contact times and section are wanted; infinity: never.
+    effort : ndarray, shape (m,), optional
+        How long each is expected to take, in any unit; default its time span. The longest are
+        begun first, so that few lanes are left alone with one.
+    section_only : bool
+        Whether of these only the section is needed: a compiled engine then records no other.
     dense_output : bool
         Whether the motions are kept for sampling, from `record_from` on.
     tangent : bool
@@ -97,6 +102,8 @@ class Problems:
     t_0: Array
     t_end: Array
     record_from: Array
+    effort: Array | None = None
+    section_only: bool = False
     dense_output: bool = False
     tangent: bool = False
     contacts: bool = False

@@ -201,6 +201,7 @@ class _Run:
     n_steps: int
     n_rejected: int
     nfev: int
+    reach: float
     tangent: State
     t_extrema: Array
     extrema: Array
@@ -252,6 +253,7 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
         n_steps=run.n_steps,
         n_rejected=run.n_rejected,
         nfev=run.nfev,
+        reach=float(np.abs([y[0], *motion.c[-1, :, 0]]).max()),  # at the ends of its pieces
         tangent=y[2:],
         t_extrema=t_0 + t_extrema,
         extrema=extrema,

@@ -76,6 +76,8 @@ class Call:
     status : ndarray of int, shape (n,)
         `Status` values.
     n_steps : ndarray of int, shape (n,)
+    reach : ndarray, shape (n,)
+        Largest modulus of the displacement at the ends of steps [m].
     """
 
     def __init__(
@@ -85,7 +87,7 @@ class Call:
         self._shrinkage = shrinkage
         self.y = np.array((found.x, found.v))
         self.status = found.status
-        self.n_steps = found.n_steps
+        self.n_steps, self.reach = found.n_steps, found.reach
         if self.status.any():
             # A fit that was left on the way but did not run away goes on; where its steady
             # response lies decides in the end.
@@ -144,32 +146,9 @@ class Call:
         return scaled(self.events.section, np.repeat(self._omega, self.events.n_section))
 
     @cached_property
-    def reach(self) -> Array:
-        """Largest modulus of each motion's extrema [m], 0 if there are none."""
-        reach = np.zeros(len(self.status))
-        owners = np.repeat(np.arange(len(reach)), self.events.n_extrema)
-        np.maximum.at(reach, owners, np.abs(self.events.extrema))
-        return reach
-
-    @cached_property
-    def turn_ends(self) -> NDArray[np.int64]:
-        """Where each motion's extrema end, after a zero; shape (n + 1,)."""
-        return np.concatenate(([0], np.cumsum(self.events.n_extrema)))
-
-    @cached_property
     def period_ends(self) -> NDArray[np.int64]:
         """Where each motion's section points end, after a zero; shape (n + 1,)."""
         return np.concatenate(([0], np.cumsum(self.events.n_section)))
-
-    def extrema(self, number: int) -> Array:
-        """Displacements [m] of the zero-velocity points of one motion."""
-        first, last = self.turn_ends[number : number + 2]
-        return self.events.extrema[first:last]
-
-    def states(self, number: int) -> Array:
-        """States of one motion at the end of every forcing period [m], [m/s]; shape (n, 2)."""
-        first, last = self.period_ends[number : number + 2]
-        return self.events.section[first:last]
 
 
 class Ensemble:
@@ -203,6 +182,8 @@ class Ensemble:
         if not self.has_own_tangent:
             models = replace(models, laws=[scene.tangent_law for scene in scenes])
             self._integrate_tangent = prepared(models, scenes[0].tangent_solver)
+        # Steps that a forcing period took last; about a first guess only their ratio matters.
+        self._pace = 1.0 / self.omega
         # Of every call, by motion: number of the scene, then what it has cost.
         self._costs: list[tuple[NDArray[Any], ...]] = []
 
@@ -213,6 +194,7 @@ class Ensemble:
         n_periods: NDArray[np.int64],
         record_from: Array,
         *,
+        section_only: bool = True,
         tangent: bool = False,
     ) -> Call:
         """Integrate scenes over whole forcing periods, from phase zero.
@@ -226,6 +208,8 @@ class Ensemble:
         n_periods : ndarray of int, shape (n,)
         record_from : ndarray, shape (n,)
             Time [s] from which events are wanted; infinity: never.
+        section_only : bool
+            Whether of these only the section is wanted.
         tangent : bool
             Whether the tangent equations are integrated along.
         """
@@ -239,9 +223,12 @@ class Ensemble:
             t_0=np.zeros(len(scenes)),
             t_end=t_end,
             record_from=record_from,
+            effort=self._pace[scenes] * n_periods,
+            section_only=section_only,
             tangent=tangent and self._integrate_tangent is None,
         )
         found = self._solved(self._integrate, problems, n_periods)
+        self._pace[scenes] = found.n_steps / n_periods
         monodromy = found.monodromy
         if tangent and self._integrate_tangent is not None:
             never = np.full(len(scenes), math.inf)

@@ -15,15 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.response.answers import Found, answers
 from gapsweep.response.ensemble import Ensemble
-from gapsweep.response.result import ExtremumKind, Response, ResponseClass, Steady
+from gapsweep.response.result import Response, Steady
 from gapsweep.response.section import (
     converging_multiples,
     likely_multiple,
     period_multiples,
     prime_multiple,
 )
-from gapsweep.response.shooting import UNKNOWN, Exponents, Growths, Shots, block
+from gapsweep.response.shooting import Growths, Shots, block
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
 
@@ -45,7 +46,7 @@ def _for_some(method: Answer) -> Answer:
     return guarded
 
 
-_FIRST_WINDOW = 6
+_FIRST_WINDOW = 5
 # The next look comes when disturbances have shrunk to this share.
 _LOOK = 0.25
 # Shooting is worth a try when section points repeat within this share of the reach.
@@ -59,21 +60,22 @@ _CLOSER = 0.5
 # A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
 _INSIDE = 1.0 - 1e-6
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
-_NOTHING = 1e-290  # below it doubles lose digits
+_SURE = 3.0  # standard errors, beyond which an exponent is positive
 _ENDLESS = 1e7  # forcing periods that no motion is watched for
 
 
 class Phase(IntEnum):
-    """What a point waits for: a stretch of motion up to `APPROACH`, then motion with tangent."""
+    """What a point waits for: motion up to `LAST`, then motion with its tangent."""
 
     PAUSE = 0  # the time until the next look
     WINDOW = 1  # the next part of a recorded window
     APPROACH = 2  # time to come near to an orbit that shooting found
-    SHOOT = 3  # an orbit that the window contracts to
-    REPEAT = 4  # the orbit of a settled motion that repeats itself, as it is
-    RATTLE = 5  # the orbit that a motion is rattled about, as it is
-    GROW = 6  # the growth of a disturbance
-    ENDED = 7
+    LAST = 3  # the last window, recorded with all events
+    SHOOT = 4  # an orbit that the window contracts to
+    REPEAT = 5  # the orbit of a settled motion that repeats itself, as it is
+    RATTLE = 6  # the orbit that a motion is rattled about, as it is
+    GROW = 7  # the growth of a disturbance
+    ENDED = 8
 
 
 class Search:
@@ -99,27 +101,23 @@ class Search:
         self._look = np.full(n, _FIRST_WINDOW)  # size of an early look's window
         self._size, self._largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._before, self._goal = np.zeros(n), np.zeros(n)  # distances from an orbit found
-        self._exponents: dict[int, Exponents] = {}
-        self._found: list[dict[str, Any]] = [{}] * n
+        self._found = Found(n)
 
     def responses(self) -> list[Response]:
         """Advance all points until each has its answer."""
         while (self._phase < Phase.ENDED).any():
-            moves, grows = self._phase <= Phase.APPROACH, self._phase == Phase.GROW
-            shoots = (self._phase > Phase.APPROACH) & (self._phase < Phase.GROW)
-            # What most points wait for; growth last, for its many calls are best shared by all.
+            moves, grows = self._phase < Phase.LAST, self._phase == Phase.GROW
+            shoots = (self._phase > Phase.LAST) & (self._phase < Phase.GROW)
+            # What most points wait for; last what is best shared by all.
             if shoots.sum() > moves.sum():
                 self._advance_tangent(np.flatnonzero(shoots))
             elif moves.any():
                 self._advance(np.flatnonzero(moves))
+            elif (last := np.flatnonzero(self._phase == Phase.LAST)).size:
+                self._advance_last(last)
             else:
                 self._advance_tangent(np.flatnonzero(grows))
-        costs = self._ensemble.costs()
-        rows = zip(*(column.tolist() for column in costs.values()), strict=True)
-        return [
-            Response(**found, **dict(zip(costs, row, strict=True)))
-            for found, row in zip(self._found, rows, strict=True)
-        ]
+        return answers(self._ensemble, self._walks, self._shots, self._found, self._steady)
 
     # --- motion ----------------------------------------------------------------------------------
 
@@ -134,6 +132,13 @@ class Search:
         self._look_at(window)
         self._arrive(points[is_ok & (phase == Phase.APPROACH)])
 
+    def _advance_last(self, points: Numbers) -> None:
+        everything = np.ones(len(points), bool)
+        self._walks.advance(points, self._asked[points], everything, section_only=False)
+        is_ok = self._walks.status[points] == Status.OK
+        self._fail(points[~is_ok])
+        self._look_at(points[is_ok])
+
     @_for_some
     def _open(self, points: Numbers) -> None:
         """After a pause: a window, as long as it takes once the motion must have settled."""
@@ -141,9 +146,20 @@ class Search:
         self._settled[points] = self._walks.n_periods[points] >= self._limits.settled[points]
         early = np.minimum(self._look[points], n_periods)
         self._largest[points] = np.where(self._settled[points], n_periods, early)
-        self._size[points] = _FIRST_WINDOW
+        after = self._walks.n_periods[points] + self._largest[points]
+        is_last = after >= self._limits.last[points]
+        self._record_last(points[is_last])
+        others = points[~is_last]
+        self._size[others] = _FIRST_WINDOW
+        self._walks.forget(others)
+        self._record(others)
+
+    @_for_some
+    def _record_last(self, points: Numbers) -> None:
+        """A whole window, for the motion may be what is left when no orbit is found."""
         self._walks.forget(points)
-        self._record(points)
+        self._asked[points] = self._largest[points] = self._steady.n_periods
+        self._phase[points] = Phase.LAST
 
     @_for_some
     def _record(self, points: Numbers) -> None:
@@ -217,7 +233,8 @@ class Search:
         """Shots without an orbit that may be the motion's own."""
         self._go_on(points[phase == Phase.SHOOT])
         self._end_look(points[phase == Phase.REPEAT])
-        self._no_orbit(points[phase == Phase.RATTLE])
+        for point in points[phase == Phase.RATTLE].tolist():
+            self._aperiodic(point)
 
     def _is_prime(self, points: Numbers) -> Mask:
         """Whose orbit does not repeat itself sooner."""
@@ -225,15 +242,11 @@ class Search:
         tolerance = np.maximum(10.0 * walks.same, 1e-6 * walks.reach)
         return np.array(
             [
-                n[p] == 1 or prime_multiple(self._orbit_section(p), tolerance[p]) == n[p]
+                n[p] == 1 or prime_multiple(self._shots.section[p], tolerance[p]) == n[p]
                 for p in points.tolist()
             ],
             bool,
         )
-
-    def _orbit_section(self, point: int) -> list[complex]:
-        x, v = self._shots.states[point].T
-        return [complex(*z) for z in zip(x, v / self._omega_rad[point], strict=True)]
 
     @_for_some
     def _compare(self, points: Numbers) -> None:
@@ -320,6 +333,9 @@ class Search:
         again, last = points[~is_last], points[is_last]
         self._look[again] *= 2
         self._asked[again], self._phase[again] = self._limits.pause[again], Phase.PAUSE
+        is_recorded = np.array([point in self._walks.extrema for point in last.tolist()], bool)
+        self._record_last(last[~is_recorded])
+        last = last[is_recorded]
         # A motion that was given no time to settle is nobody's example; without damping nothing
         # is long enough.
         rate = self._ensemble.settling_rate[last]
@@ -329,7 +345,7 @@ class Search:
         self._growths.begin(late, self._walks.y[:, late], wanted)
         self._phase[late] = Phase.GROW
         for point in last[~grows].tolist():
-            self._aperiodic(point, UNKNOWN)
+            self._aperiodic(point)
 
     @_for_some
     def _grown(self, points: Numbers, status: Counts) -> None:
@@ -338,138 +354,47 @@ class Search:
         is_ok = status == Status.OK
         self._fail(points[~is_ok])
         for point in points[is_ok].tolist():
-            exponents = self._growths.exponents(point, float(self._omega[point]))
-            self._exponents[point] = exponents
-            self._rattle(point, exponents)
+            exponent, error = self._growths.exponent(point, float(self._omega[point]))
+            self._found.lyapunov[point], self._found.lyapunov_error[point] = exponent, error
+            self._rattle(point)
 
-    def _rattle(self, point: int, exponents: Exponents) -> None:
+    def _rattle(self, point: int) -> None:
         """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.
 
         A kink that is passed unlocated throws a step off by more than its error estimate. The
         tangent is another solver's, so that the exponent tells this from chaos.
         """
         n = 0
-        if not self._ensemble.has_own_tangent and exponents.largest <= 3.0 * exponents.error:
+        grows = not self._found.lyapunov[point] <= _SURE * self._found.lyapunov_error[point]
+        if not (self._ensemble.has_own_tangent or grows):
             window, largest = self._walks.window(point).tolist(), self._steady.max_period_multiple
             n = likely_multiple(window, _CLOSE * self._walks.reach[point], largest)
         if n:
             self._as_it_is(point, n, Phase.RATTLE)
         else:
-            self._aperiodic(point, exponents)
+            self._aperiodic(point)
 
-    @_for_some
-    def _no_orbit(self, points: Numbers) -> None:
-        for point in points.tolist():
-            self._aperiodic(point, self._exponents[point])
-
-    # --- answers ---------------------------------------------------------------------------------
+    # --- what was found --------------------------------------------------------------------------
 
     @_for_some
     def _close(self, points: Numbers) -> None:
         """The response is the orbit that shooting found."""
         self._phase[points] = Phase.ENDED
-        shots, noise = self._shots, self._walks.noise(self._shots.n)
-        for point in points.tolist():
-            n = int(shots.n[point])
-            multipliers = [complex(z) for z in shots.multipliers[point]]
-            modulus = abs(multipliers[0])
-            measured = self._exponents.get(point)
-            if measured is None:
-                # What has shrunk to nothing shrank on average as areas do.
-                exponent = -float(self._ensemble.decay_rate[point])
-                if modulus > _NOTHING:
-                    exponent = math.log(modulus) * float(self._omega[point]) / n
-                measured = Exponents(exponent, 0.0)
-            stability = {
-                "response_class": ResponseClass.PERIODIC,
-                "period_multiple": n,
-                "multipliers": tuple(part for z in multipliers for part in (z.real, z.imag)),
-                "multiplier_abs": modulus,
-                "lyapunov": measured.largest,
-                "lyapunov_error": measured.error,
-                "section": tuple(shots.states[point].ravel().tolist()),
-                "noise": float(noise[point]),
-                "x_end": float(shots.y[0, point]),
-                "v_end": float(shots.y[1, point]),
-            }
-            self._answer(point, Status.OK, self._orbit_extrema(point), stability)
+        self._found.is_periodic[points] = True
 
-    def _orbit_extrema(self, point: int) -> list[float]:
-        """Displacements [m] of the extrema of one whole period.
-
-        Its end does not meet its start to the last bit. A turn just there would be missed, or
-        counted at both: then the velocities have opposite signs, and the acceleration says which
-        it is.
-        """
-        v_start, (x_end, v_end) = self._shots.y[1, point], self._shots.end[:, point].tolist()
-        extrema: list[float] = self._shots.extrema[point].tolist()
-        if v_start * v_end >= 0.0:
-            return extrema
-        scene = self._ensemble.scenes[point]
-        o, force = scene.oscillator, float(scene.law.force(x_end))
-        springs = o.mass * o.omega_n_rad**2 * x_end + o.alpha * x_end**3 + force
-        is_missed = (v_start - v_end) * (o.forcing - springs) > 0.0
-        return [*extrema, x_end] if is_missed else extrema[1:]
-
-    def _aperiodic(self, point: int, exponents: Exponents) -> None:
+    def _aperiodic(self, point: int) -> None:
         self._phase[point] = Phase.ENDED
         walks, largest = self._walks, self._steady.max_period_multiple
         # On an unstable orbit a disturbance grows too; but there the motion repeats itself.
         one = np.array([point])
         error = walks.step_error[one]
         repeats = period_multiples(walks.section, walks.length, one, error, largest)[0]
-        chaotic = exponents.is_positive and not repeats
-        section, omega_rad = walks.window(point)[-largest:], self._omega_rad[point]
-        stability = {
-            "response_class": ResponseClass.CHAOTIC if chaotic else ResponseClass.UNRESOLVED,
-            "lyapunov": exponents.largest,
-            "lyapunov_error": exponents.error,
-            "section": tuple(
-                part for z in section.tolist() for part in (z.real, z.imag * float(omega_rad))
-            ),
-            "noise": float(walks.noise()[point]),
-            "x_end": float(walks.y[0, point]),
-            "v_end": float(walks.y[1, point]),
-        }
-        status = Status.OK if chaotic else Status.UNRESOLVED
-        self._answer(point, status, walks.extrema(point).tolist(), stability)
-
-    def _answer(
-        self, point: int, status: Status, extrema: list[float], stability: dict[str, Any]
-    ) -> None:
-        """Attributes of a `Response` but for what it has cost."""
-        # A response without a turning point in its window still has a position.
-        seen = extrema or [stability["x_end"]]
-        x_max, x_min = max(seen), min(seen)
-        valid_range = self._ensemble.scenes[point].law.valid_range
-        left_range = max(abs(x_max), abs(x_min)) > valid_range
-        n, closed = (
-            self._steady.max_extrema,
-            stability["response_class"] is ResponseClass.PERIODIC,
-        )
-        values = {
-            "status": Status.OUT_OF_FIT_RANGE if left_range else status,
-            "extrema": tuple(extrema[:n]),
-            "extremum_kind": _kinds(extrema, closed=closed)[:n],
-            "n_extrema": len(extrema),
-            "x_max": x_max,
-            "x_min": x_min,
-            "amplitude": 0.5 * (x_max - x_min),
-            "t_settled": float(self._walks.t[point]),
-        }
-        self._found[point] = values | stability
+        grows = self._found.lyapunov[point] > _SURE * self._found.lyapunov_error[point]
+        self._found.is_chaotic[point] = grows and not repeats
 
     @_for_some
     def _fail(self, points: Numbers) -> None:
         self._phase[points] = Phase.ENDED
-        for point in points.tolist():
-            x = float(self._walks.y[0, point])
-            left_range = not abs(x) <= self._ensemble.scenes[point].law.valid_range
-            reached = Status(self._walks.status[point])
-            status = Status.OUT_OF_FIT_RANGE if left_range else reached
-            t = float(self._walks.t[point])
-            where = f"{reached.label} before t = {t:.6g} s at x = {x:.3g} m"
-            self._found[point] = {"status": status, "message": where}
 
 
 def _parts(z: NDArray[np.complex128]) -> tuple[Array, Array]:
@@ -488,7 +413,8 @@ class _Limits:
     def of(cls, ensemble: Ensemble, steady: Steady) -> "_Limits":
         rate, omega = ensemble.settling_rate, ensemble.omega
         # Without damping nothing settles: what does not repeat at once never will.
-        decay_periods = np.divide(omega, rate, out=np.zeros(len(rate)), where=rate > 0.0)
+        with np.errstate(over="ignore"):
+            decay_periods = np.divide(omega, rate, out=np.zeros(len(rate)), where=rate > 0.0)
         pause, settled, longest = (
             np.ceil(np.minimum(times * decay_periods, _ENDLESS)).astype(np.int64)
             for times in (
@@ -503,19 +429,3 @@ class _Limits:
             bound = np.floor(np.minimum(last, np.maximum(1.0, steady.t_max * omega)))
             last = bound.astype(np.int64)
         return cls(np.maximum(1, np.minimum(pause, last)), settled, last)
-
-
-def _kinds(x: list[float], *, closed: bool) -> tuple[int, ...]:
-    """`ExtremumKind` of zero-velocity displacements in the order of time.
-
-    What is passed on the way from one neighbour to the other is an inflection. `closed`: the first
-    follows the last.
-    """
-    if len(x) < 2:
-        return (int(ExtremumKind.INFLECTION),) * len(x)
-    here = np.array(x)
-    before, after = np.concatenate((here[-1:], here[:-1])), np.concatenate((here[1:], here[:1]))
-    if not closed:
-        before[0], after[-1] = x[1], x[-2]
-    is_maximum, is_minimum = (here > before) & (here > after), (here < before) & (here < after)
-    return tuple((is_maximum.astype(int) - is_minimum).tolist())

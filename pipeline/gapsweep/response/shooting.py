@@ -10,7 +10,6 @@ so that points which look for an orbit and points which ask for an exponent shar
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,21 +41,17 @@ class Shots:
         The states [m], [m/s]: of an orbit where one is found.
     n : ndarray of int, shape (n_points,)
         Forcing periods of the orbits.
-    end : ndarray, shape (2, n_points)
-        Where an orbit that was found ends [m], [m/s].
     multipliers : ndarray of complex, shape (n_points, 2)
         Floquet multipliers over n periods of an orbit that was found, largest modulus first.
-    states, extrema : list of ndarray, length n_points
-        Of an orbit that was found: states at the end of every forcing period, shape (n, 2), and
-        displacements [m] of its zero-velocity points.
+    section : list of list of complex, length n_points
+        Section points [m] of an orbit that was found.
     """
 
     def __init__(self, n_points: int) -> None:
-        self.y, self.end = np.empty((2, n_points)), np.empty((2, n_points))
+        self.y = np.empty((2, n_points))
         self.n = np.zeros(n_points, np.int64)
         self.multipliers = np.empty((n_points, 2), complex)
-        self.states: list[Array] = [np.empty((0, 2))] * n_points
-        self.extrema: list[Array] = [np.empty(0)] * n_points
+        self.section: list[list[complex]] = [[]] * n_points
         self._moved, self._tries = np.zeros((2, n_points)), np.zeros(n_points, np.int64)
         self._goal, self._furthest = np.zeros(n_points), np.zeros(n_points)
 
@@ -110,26 +105,10 @@ class Shots:
     def _keep(self, points: Numbers, motions: Numbers, call: Call) -> None:
         if not points.size:
             return
-        self.end[:, points] = call.y[:, motions]
         self.multipliers[points] = floquet_multipliers(call.monodromy[motions])
-        for point, motion in zip(points.tolist(), motions.tolist(), strict=True):
-            self.states[point], self.extrema[point] = call.states(motion), call.extrema(motion)
-
-
-@dataclass(frozen=True, slots=True)
-class Exponents:
-    """Largest Lyapunov exponent [1/s] and its standard error."""
-
-    largest: float
-    error: float
-
-    @property
-    def is_positive(self) -> bool:
-        """Beyond three standard errors."""
-        return self.largest > 3.0 * self.error
-
-
-UNKNOWN = Exponents(math.nan, math.nan)
+        first, last = call.period_ends[motions], call.period_ends[motions + 1]
+        for point, i, j in zip(points.tolist(), first.tolist(), last.tolist(), strict=True):
+            self.section[point] = call.section[i:j].tolist()
 
 
 class Growths:
@@ -181,20 +160,20 @@ class Growths:
                 self._factors[point].append(factor)
         return ~is_ok | (self.n_blocks[points] > _N_BLOCKS), status
 
-    def exponents(self, point: int, omega: float) -> Exponents:
-        """Of a motion that has all its blocks.
+    def exponent(self, point: int, omega: float) -> tuple[float, float]:
+        """Largest Lyapunov exponent [1/s] of a motion that has all its blocks; its standard error.
 
         The second exponent is ``-2 ζ ω_n`` minus the first. The error is that of batch means.
         NaN where the tangent was unsound.
         """
         # The first block turns the vector into the direction of growth.
         rates = [
-            math.log(factor) * omega / int(self.n_periods[point])
+            (math.log(factor) if factor else -math.inf) * omega / int(self.n_periods[point])
             for factor in self._factors.pop(point)[1:]
         ]
         batches = np.reshape(rates, (-1, _BATCH)).mean(axis=1)
         error = float(batches.std(ddof=1) / math.sqrt(len(batches)))
-        return Exponents(float(batches.mean()), error)
+        return float(batches.mean()), error
 
 
 def block(rate: Array, omega: Array, longest: Counts) -> Array:

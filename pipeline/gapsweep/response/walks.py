@@ -31,6 +31,8 @@ class Walks:
     length : ndarray of int, shape (n,)
     reach : ndarray, shape (n,)
         Largest displacements of the windows [m].
+    extrema : dict of int to ndarray
+        Displacements [m] of the zero-velocity points of a window recorded with all events.
     """
 
     def __init__(self, ensemble: Ensemble, y: Array) -> None:
@@ -41,7 +43,7 @@ class Walks:
         self._steps_per_period, self._extent = np.ones(n), np.zeros(n)
         self.section = np.empty((n, 0), complex)
         self.reach = np.abs(y[0])
-        self._turns: list[list[Array]] = [[] for _ in range(n)]
+        self.extrema: dict[int, Array] = {}
 
     @property
     def t(self) -> Array:
@@ -71,21 +73,26 @@ class Walks:
         """Section points [m] of one window."""
         return self.section[point, : self.length[point]]
 
-    def extrema(self, point: int) -> Array:
-        """Displacements [m] of the zero-velocity points of one window."""
-        return np.concatenate([np.empty(0), *self._turns[point]])
-
     def forget(self, points: Numbers) -> None:
         """Start empty windows here."""
         self.length[points], self._extent[points] = 0, 0.0
         self.reach[points] = np.abs(self.y[0, points])
-        for point in points.tolist():
-            self._turns[point] = []
 
-    def advance(self, points: Numbers, n_periods: Counts, recorded: NDArray[np.bool_]) -> None:
+    def advance(
+        self,
+        points: Numbers,
+        n_periods: Counts,
+        recorded: NDArray[np.bool_],
+        *,
+        section_only: bool = True,
+    ) -> None:
         """Go on for whole periods; what is recorded is added to the windows."""
         record_from = np.where(recorded, 0.0, math.inf)
-        call = self.ensemble.call(points, self.y[:, points], n_periods, record_from)
+        y = self.y[:, points]
+        call = self.ensemble.call(points, y, n_periods, record_from, section_only=section_only)
+        if not section_only:
+            ends = np.cumsum(call.events.n_extrema)[:-1]
+            self.extrema |= zip(points.tolist(), np.split(call.events.extrema, ends), strict=True)
         self._steps_per_period[points] = np.maximum(call.n_steps / n_periods, 1.0)
         if recorded.any():
             self._add(points[recorded], np.flatnonzero(recorded), call)
@@ -104,8 +111,6 @@ class Walks:
             call.section
         )
         self.length[points] += new
-        for point, motion in zip(points.tolist(), motions.tolist(), strict=True):
-            self._turns[point].append(call.extrema(motion))
 
     def arrive(self, points: Numbers, y: Array, status: Counts, n_periods: Counts) -> None:
         """Be at states that whole periods of motion led to."""

@@ -174,6 +174,8 @@ def _commit(lane, commit, ended, h, x1, v1, a1):
     store(lane, ln.V1, v1)
     store(lane, ln.A1, a1)
     store(lane, ln.X, select(commit, x1, load(lane, ln.X)))
+    reach = load(lane, ln.REACH)
+    store(lane, ln.REACH, select(commit, maximum(reach, simd.absolute(x1)), reach))
     store(lane, ln.V, select(commit, v1, load(lane, ln.V)))
     store(lane, ln.A, select(commit, a1, load(lane, ln.A)))
     tau, turns = load(lane, ln.TAU), load(lane, ln.TURNS)
@@ -335,7 +337,7 @@ def attempt(law, q, lane, tableau, k, k_tangent, settings):
     _count(lane, commit, ~accepted & ~probing, passings)
 
     recording = commit & (load(lane, ln.TURNS) + load(lane, ln.TAU) >= load(lane, ln.RECORD_TURNS))
-    eventful = turns_back | passed_turn
+    eventful = passed_turn if settings[ln.S_SECTION_ONLY] > 0.0 else turns_back | passed_turn
     if settings[ln.S_CONTACTS] > 0.0:
         eventful = eventful | (passings > 0.0)
     if settings[ln.S_DENSE] > 0.0:

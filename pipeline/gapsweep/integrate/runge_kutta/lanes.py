@@ -33,7 +33,8 @@ STEP_H = 48  # length of the step whose events are being polished
 H_MIN = 49  # shortest step that makes progress
 NEXT_WHOLE = 50  # the whole turn whose section point is recorded next
 PASSED_AT = 51  # time within that step of the last wall passing
-N_ROWS = 52
+REACH = 52  # largest |x| at the start and at the ends of steps
+N_ROWS = 53
 
 # --- rows of the integer block `lane_int`, shape (N_INT_ROWS, WIDTH) ---
 # LANDING: 1 while a step is being cut; LANDED: 1 when it has arrived and the contact mode must
@@ -58,7 +59,8 @@ N_COLUMNS = P_LAW + laws.N_PARAMETERS
 # --- columns of the result table ---
 (R_STATUS, R_X, R_V, R_LEFT, R_CONTACTS, R_STEPS, R_REJECTED, R_NFEV) = range(8)
 R_TANGENT = 8
-N_RESULTS = 12
+R_REACH = 12
+N_RESULTS = 13
 
 # --- settings vector ---
 (
@@ -73,8 +75,9 @@ N_RESULTS = 12
     S_EXPONENT,
     S_FIRST_STEP,
     S_CONTACTS,
-) = range(11)
-N_SETTINGS = 11
+    S_SECTION_ONLY,
+) = range(12)
+N_SETTINGS = 12
 
 # --- columns of the event buffer, and kinds of records ---
 (E_KIND, E_POINT, E_T, E_X, E_V, E_H, E_TAU) = range(7)
@@ -136,6 +139,7 @@ def load_point(lane, lane_int, q, table, point, i):
     lane[:, i] = 0.0
     row = table[point]
     lane[X, i], lane[V, i] = row[P_X], row[P_V]
+    lane[REACH, i] = abs(row[P_X])
     lane[TAU, i] = lane[PHASE_0, i] = row[P_PHASE]
     lane[FREQUENCY, i], lane[PERIOD, i] = row[P_FREQUENCY], 1.0 / row[P_FREQUENCY]
     lane[END_TURNS, i], lane[END_TAU, i] = row[P_END_TURNS], row[P_END_TAU]
@@ -154,11 +158,11 @@ def load_point(lane, lane_int, q, table, point, i):
 
 
 @entry
-def load_first_points(lane, lane_int, q, table):
-    """Put the first points into the lanes, as many as there are of both; their number."""
-    n = min(lane.shape[1], len(table))
+def load_first_points(lane, lane_int, q, table, queue):
+    """Put the first of a queue of points into the lanes, as many as there are of both."""
+    n = min(lane.shape[1], len(queue))
     for i in range(n):
-        load_point(lane, lane_int, q, table, i, i)
+        load_point(lane, lane_int, q, table, queue[i], i)
     return n
 
 
@@ -172,6 +176,7 @@ def unload_point(lane, lane_int, results, status, n_new_stages, i):
     # Below zero: the start lies on a wall and has not left it.
     row[R_CONTACTS], row[R_STEPS] = max(lane[N_CONTACTS, i], 0.0), lane[N_STEPS, i]
     row[R_REJECTED], row[R_NFEV] = lane[N_REJECTED, i], lane[N_ATTEMPTS, i] * n_new_stages
+    row[R_REACH] = lane[REACH, i]
     for k in range(4):
         row[R_TANGENT + k] = lane[TANGENT + k, i]
     lane_int[MODE, i] = IDLE

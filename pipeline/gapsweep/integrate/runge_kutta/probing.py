@@ -153,13 +153,15 @@ def _plan_contacts(lane, lane_int, q, probes, scratch, n_turns, n_skipped, i):
 
 
 @allocating
-def plan_probes(lane, lane_int, q, probes, scratch, n_passed, has_dipped, i):
+def plan_probes(lane, lane_int, q, probes, scratch, section_only, n_passed, has_dipped, i):
     """List the extrema inside the accepted step, and its wall passings if there are any to list."""
     lane_int[ln.N_PROBES, i] = lane_int[ln.PROBE, i] = lane_int[ln.TRIES, i] = 0
     lane[ln.PASSED_AT, i] = 0.0
     lane[ln.NEXT_WHOLE, i] = max(
         lane[ln.OLD_TURNS, i] + 1.0, np.ceil(lane[ln.RECORD_TURNS, i] - 1e-9)
     )
+    if section_only:
+        return
     b, found = scratch.b, scratch.found
     coefficients(lane, b, i)
     n_turns = roots(b[6:], found, scratch.stack)

@@ -243,7 +243,8 @@ def attend(lane, lane_int, q, probes, scratch, events, counters, settings, outco
             t, x, v = start * lane[ln.PERIOD, i], lane[ln.OLD_X, i], lane[ln.OLD_V, i]
             record(lane, lane_int, events, counters, ln.STEP, t, x, v, i)
         n_listed = n_passed if settings[ln.S_CONTACTS] > 0.0 else 0
-        plan_probes(lane, lane_int, q, probes, scratch, n_listed, has_dipped, i)
+        section_only = settings[ln.S_SECTION_ONLY] > 0.0
+        plan_probes(lane, lane_int, q, probes, scratch, section_only, n_listed, has_dipped, i)
         if begin_probing(lane, lane_int, probes, i):
             return -1
     return ln.OK if after_events(lane, lane_int, q, i) else -1

@@ -45,6 +45,7 @@ def _advance(
     events,
     counters,
     table,
+    queue,
     results,
     settings,
 ):
@@ -89,7 +90,7 @@ def _advance(
                 if status >= 0:
                     unload_point(lane, lane_int, results, status, tableau.c.size - 1, i)
                     if counters[ln.NEXT_POINT] < table.shape[0]:
-                        load_point(lane, lane_int, q, table, counters[ln.NEXT_POINT], i)
+                        load_point(lane, lane_int, q, table, queue[counters[ln.NEXT_POINT]], i)
                         counters[ln.NEXT_POINT] += 1
             n_idle += lane_int[ln.MODE, i] == ln.IDLE
             # An idle lane repeats attempts of length zero; nobody looks at it any more.
@@ -148,6 +149,7 @@ class Run:
     n_steps: NDArray[np.int64]
     n_rejected: NDArray[np.int64]
     nfev: NDArray[np.int64]
+    reach: NDArray[np.float64]
     tangent: NDArray[np.float64]
     records: NDArray[np.float64]
     _replay: dict[str, Any] = field(repr=False)
@@ -209,12 +211,12 @@ def _replay_steps(replay, point, steps, t):
     off = [ln.S_ODE45, ln.S_STOP_AT_LAYER, ln.S_TANGENT, ln.S_DENSE, ln.S_CONTACTS]
     settings[off] = 0.0
     settings[ln.S_FIRST_STEP] = 1e100
-    results, _ = _drained(replay["law"], replay["tableau"], table, settings)
+    results, _ = _drained(replay["law"], replay["tableau"], table, np.arange(n), settings)
     return results[:, ln.R_X], results[:, ln.R_V]
 
 
-def _drained(law, tableau, table, settings):
-    """Result table and records of a point table."""
+def _drained(law, tableau, table, queue, settings):
+    """Result table and records of a point table; the queue says in which order they are loaded."""
     width, n_stages = simd.WIDTH, tableau.c.size
     lane, q = ln.aligned(ln.N_ROWS, width), ln.aligned(laws.N_PARAMETERS, width)
     lane_int = np.zeros((ln.N_INT_ROWS, width), np.int64)
@@ -229,7 +231,7 @@ def _drained(law, tableau, table, settings):
     results = np.zeros((len(table), ln.N_RESULTS))
     lane[ln.EXACT] = 1.0
     lane[ln.PERIOD] = 1.0
-    counters[ln.NEXT_POINT] = load_first_points(lane, lane_int, q, table)
+    counters[ln.NEXT_POINT] = load_first_points(lane, lane_int, q, table, queue)
     # An idle lane computes along with length zero; harmless numbers keep it off the slow paths.
     q[:, len(table) :] = q[:, :1]
     advance = _advance_user if isinstance(law, laws.User) else _advance_cached
@@ -248,6 +250,7 @@ def _drained(law, tableau, table, settings):
             events,
             counters,
             table,
+            queue,
             results,
             settings,
         )
@@ -436,6 +439,8 @@ def run(
     t_end: NDArray[np.float64],
     record_from: NDArray[np.float64],
     *,
+    queue: NDArray[np.intp] | None = None,
+    section_only: bool = False,
     tangent: bool = False,
     dense_output: bool = False,
     contacts: bool = False,
@@ -451,6 +456,10 @@ def run(
         State at t_0 [m, m/s].
     t_0, t_end, record_from : ndarray, shape (n,)
         Start, end, and start of recording [s]; ``record_from=inf`` records nothing.
+    queue : ndarray of int, shape (n,), optional
+        The points in the order in which lanes take them; default as they stand.
+    section_only : bool
+        Record section points alone: an extremum takes a probe or two.
     tangent : bool
         Carry the 2 x 2 variational equations.
     dense_output : bool
@@ -466,8 +475,9 @@ def run(
     _set_starts(table, x_0, v_0, t_0, t_end, record_from)
     settings = prepared.settings.copy()
     settings[ln.S_TANGENT], settings[ln.S_DENSE] = tangent, dense_output
-    settings[ln.S_CONTACTS] = contacts
-    results, records = _drained(prepared.kind, prepared.method, table, settings)
+    settings[ln.S_CONTACTS], settings[ln.S_SECTION_ONLY] = contacts, section_only
+    queue = np.arange(len(which)) if queue is None else queue
+    results, records = _drained(prepared.kind, prepared.method, table, queue, settings)
     return _result(prepared.kind, prepared.method, table, settings, results, records, t_0, t_end)
 
 
@@ -490,7 +500,8 @@ def _result(kind, method, table, settings, results, records, t_0, t_end):
         x=results[:, ln.R_X].copy(),
         v=results[:, ln.R_V].copy(),
         t=t_end - results[:, ln.R_LEFT],
-        tangent=results[:, ln.R_TANGENT :].reshape(-1, 2, 2).transpose(0, 2, 1).copy(),
+        reach=results[:, ln.R_REACH].copy(),
+        tangent=results[:, ln.R_TANGENT : ln.R_REACH].reshape(-1, 2, 2).transpose(0, 2, 1).copy(),
         records=records,
         _replay={"law": kind, "tableau": method, "table": table, "settings": settings},
         **counts,

@@ -48,6 +48,8 @@ class Exact:
     n_contacts, n_steps, n_rejected, nfev : ndarray of int
         Wall crossings, in and out, each counted once; steps; steps refused (always zero: the step
         size comes from the series itself); Taylor expansions.
+    reach : ndarray
+        Largest modulus of x at the start and at the ends of steps [m].
     monodromy : ndarray, shape (n, 2, 2), or None
         Derivative of (x, v) at the end by (x, v) at the start.
     log : ndarray, shape (n_events, 5)
@@ -66,6 +68,7 @@ class Exact:
     n_steps: NDArray[np.int64]
     n_rejected: NDArray[np.int64]
     nfev: NDArray[np.int64]
+    reach: FloatArray
     monodromy: FloatArray | None
     log: FloatArray = field(repr=False)
     dense: FloatArray | None = field(repr=False)
@@ -241,6 +244,8 @@ def run(
     t_end: FloatArray,
     record_from: FloatArray,
     *,
+    queue: NDArray[np.intp] | None = None,
+    section_only: bool = False,
     tangent: bool = False,
     dense_output: bool = False,
     order: int | None = None,
@@ -259,6 +264,10 @@ def run(
     record_from : ndarray, shape (n,)
         Time from which extrema, contacts and section points are recorded [s]. A start is not an
         event: only what happens after `t_0` is recorded.
+    queue : ndarray of int, shape (n,), optional
+        The points in the order in which lanes take them; default as they stand.
+    section_only : bool
+        Record section points alone: a search for extrema in every step costs as much as the step.
     tangent : bool
         Also integrate the variational equation. Its jump at a contact is the identity, because
         the contact force is continuous.
@@ -276,7 +285,7 @@ def run(
     if not 6 <= degree <= MAX_DEGREE:
         raise ValueError(f"order = {degree}: must lie in [6, {MAX_DEGREE}]")
     points = np.empty((len(which) + 1, row.N_ROWS))
-    starts = x_0, v_0, t_0, t_end, record_from
+    starts = x_0, v_0, t_0, t_end, record_from, section_only
     outcome = set_starts(points, prepared.table, which, *starts, prepared.rtol, prepared.atol)
     if outcome == NOT_FINITE:
         _check(x_0=x_0, v_0=v_0, t_0=t_0, t_end=t_end, record_from=record_from)
@@ -286,7 +295,8 @@ def run(
         _set_mode_on_walls(points[:-1].T)
     statuses = np.full(len(which), RUNNING)
     limits = prepared.rtol, x_bound, float(max_chatter)
-    log, dense = _drained(points, statuses, degree, tangent, limits, dense_output)
+    queue = np.arange(len(which)) if queue is None else queue
+    log, dense = _drained(points, queue, statuses, degree, tangent, limits, dense_output)
     return _outcome(points[:-1], statuses, t_end, tangent, log, dense)
 
 
@@ -353,10 +363,10 @@ def _set_idle(point):
     """Rest without forcing, walls or end: what a lane does when no point waits for it."""
     point[[row.OMEGA, row.PERIOD, row.UPPER, row.FLOOR]] = 1.0
     point[row.LOWER] = -1.0
-    point[[row.END_CYCLE, row.RECORD_CLOCK]] = np.inf
+    point[[row.END_CYCLE, row.RECORD_CLOCK, row.EVENT_CLOCK]] = np.inf
 
 
-def _drained(points, statuses, degree, tangent, limits, dense_output):
+def _drained(points, queue, statuses, degree, tangent, limits, dense_output):
     """Call the kernel until all points have ended; returns what it recorded."""
     lanes = np.empty((row.N_ROWS, row.WIDTH))
     lane_point = np.full(row.WIDTH, -2)
@@ -373,6 +383,7 @@ def _drained(points, statuses, degree, tangent, limits, dense_output):
             lanes,
             lane_point,
             points,
+            queue,
             statuses,
             progress,
             coefficients,
@@ -426,6 +437,7 @@ def _outcome(points, statuses, t_end, tangent, log, dense):
         n_steps=n_steps,
         n_rejected=np.zeros_like(statuses),
         nfev=n_steps,
+        reach=table[row.REACH].copy(),
         monodromy=monodromy,
         log=log,
         dense=dense,

@@ -87,6 +87,7 @@ def _resolve(lanes, k, has_tangent, coefficients, work):
         # negative: the step size has underflowed
         lanes[row.N_SHORT, k] = -1.0 if h < lanes[row.MIN_STEP, k] and not is_done else 0.0
     lanes[row.V, k] = v_1
+    lanes[row.REACH, k] = max(lanes[row.REACH, k], abs(lanes[row.X, k]))
     lanes[row.STEP, k], lanes[row.SIDE, k] = step, side
     lanes[row.N_STEPS, k] += 1.0
     if has_tangent:
@@ -110,28 +111,26 @@ def _failure(lanes, k, x_bound, max_short):
 
 
 @internal
-def _load_next(lanes, k, lane_point, points, progress):
+def _load_next(lanes, k, lane_point, points, queue, progress):
     """Put the next waiting point into lane k, or idle motion if none waits."""
-    p = progress[0]
-    if p < len(points) - 1:
-        lane_point[k] = p
+    p = len(queue)  # the table's last row is a point at rest without an end
+    lane_point[k] = IDLE
+    if progress[0] < len(queue):
+        lane_point[k] = p = queue[progress[0]]
         progress[0] += 1
-    else:
-        lane_point[k] = IDLE
-        p = len(points) - 1  # the table's last row is a point at rest without an end
     for r in range(row.N_ROWS):
         lanes[r, k] = points[p, r]
 
 
 @internal
-def _finish(lanes, k, lane_point, points, statuses, outcome, progress):
+def _finish(lanes, k, lane_point, points, queue, statuses, outcome, progress):
     """Hand lane k's state back to the table of points and load the next one."""
     p = lane_point[k]
     for r in range(row.N_ROWS):
         points[p, r] = lanes[r, k]
     statuses[p] = outcome
     progress[1] += 1
-    _load_next(lanes, k, lane_point, points, progress)
+    _load_next(lanes, k, lane_point, points, queue, progress)
 
 
 @internal
@@ -165,6 +164,7 @@ def _attend(
     lanes,
     lane_point,
     points,
+    queue,
     statuses,
     progress,
     coefficients,
@@ -194,7 +194,7 @@ def _attend(
         outcome = _failure(lanes, k, x_bound, max_short)
         if outcome == RUNNING:
             outcome = OK if (done >> k) & 1 != 0 else STEP_UNDERFLOW
-        _finish(lanes, k, lane_point, points, statuses, outcome, progress)
+        _finish(lanes, k, lane_point, points, queue, statuses, outcome, progress)
 
 
 @entry
@@ -202,6 +202,7 @@ def advance(
     lanes,
     lane_point,
     points,
+    queue,
     statuses,
     progress,
     coefficients,
@@ -224,10 +225,12 @@ def advance(
         Row in `points` of each lane; -2 before the first call, `IDLE` when none is left.
     points : array, shape (n_points + 1, N_ROWS)
         One row per point: start on entry, end on return. The last row is the idle point.
+    queue : int array, shape (n_points,)
+        The points in the order in which they are loaded.
     statuses : int array, shape (n_points,)
         Outcome of each point, `RUNNING` while it is under way.
     progress : int array, shape (2,)
-        Next point to load; number of points ended.
+        How many points of the queue are loaded; how many have ended.
     coefficients, order, has_tangent
         As `taylor_step`.
     limits : tuple of float
@@ -249,7 +252,7 @@ def advance(
     rtol, x_bound, max_short = limits
     for k in range(row.WIDTH):
         if lane_point[k] < IDLE:
-            _load_next(lanes, k, lane_point, points, progress)
+            _load_next(lanes, k, lane_point, points, queue, progress)
     # a step of all lanes writes at most this many rows
     log_room = len(log) - row.WIDTH * (len(work.series) + 3)
     dense_room = len(dense) - row.WIDTH if len(dense) > 0 else 0
@@ -265,6 +268,7 @@ def advance(
                 lanes,
                 lane_point,
                 points,
+                queue,
                 statuses,
                 progress,
                 coefficients,

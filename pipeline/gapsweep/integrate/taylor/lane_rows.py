@@ -25,7 +25,8 @@ OMEGA, OMEGA_RAD, PERIOD = 16, 17, 18
 FLOOR = 19  # absolute part of the step's tolerance [m/s]
 RATE = 20  # fastest angular frequency of the linear parts [rad/s]
 END_CYCLE, END_TAU = 21, 22
-RECORD_CLOCK = 23  # recording is on from this clock (whole periods + fraction) on
+# section points are recorded from this clock (whole periods + fraction) on, all events from another
+RECORD_CLOCK = 23
 # counters
 N_STEPS, N_CONTACTS, N_SHORT = 24, 25, 26
 # the last step: its length, wall it ended on (+1 upper, -1 lower, 0 none), and where it began
@@ -35,4 +36,6 @@ MIN_STEP = 34  # [s]: a shorter step, unless it ends on a wall or at the end, is
 # what the recording of the last step found: when the step began [s], zero of the velocity, and
 # state at the whole period within it
 START_TIME, TURN_TIME, TURN_X, SECTION_TIME, SECTION_X, SECTION_V = range(35, 41)
-N_ROWS = 41
+EVENT_CLOCK = 41
+REACH = 42  # largest |x| at the ends of steps [m]
+N_ROWS = 43

@@ -123,7 +123,7 @@ def _record_extrema(lanes, k, point, log, fill, work):
     if n_roots == 0:
         return
     start = lanes[row.START_TIME, k]
-    begun = lanes[row.CYCLE_0, k] + lanes[row.TAU_0, k] - lanes[row.RECORD_CLOCK, k]
+    begun = lanes[row.CYCLE_0, k] + lanes[row.TAU_0, k] - lanes[row.EVENT_CLOCK, k]
     first = -begun * lanes[row.PERIOD, k]  # within the step; negative once recording is fully on
     series, degree = work.series, len(work.series) - 1
     roots, multiplicity = work.roots, work.multiplicity
@@ -284,25 +284,33 @@ def _emit_events(builder, lanes, coefficients, order, among):
         store_row(lanes, r, vec)
 
     series = [load_row(builder, coefficients, n, row.WIDTH) for n in range(order + 1)]
-    step, period, record_clock = load(row.STEP), load(row.PERIOD), load(row.RECORD_CLOCK)
+    step, period, event_clock = load(row.STEP), load(row.PERIOD), load(row.EVENT_CLOCK)
     cycle_0, tau_0, cycle = load(row.CYCLE_0), load(row.TAU_0), load(row.CYCLE)
     start = load(row.T_START) + (cycle_0 + (tau_0 - load(row.TAU_START))) * period
     store(row.START_TIME, start)
 
-    is_single, is_none, t, x = _emit_turns(builder, series, step, load(row.V), among)
-    # recording may begin within the step
-    is_turn = is_single & (t >= (record_clock - (cycle_0 + tau_0)) * period)
-    store(row.TURN_TIME, start + t)
-    store(row.TURN_X, x)
-
-    is_section = (cycle > cycle_0) & (cycle - record_clock >= -CLOCK_SLACK)
+    is_section = (cycle > cycle_0) & (cycle - load(row.RECORD_CLOCK) >= -CLOCK_SLACK)
     _emit_section(builder, series, step, load, store, is_section, among)
-    side = load(row.SIDE)
-    has_passed = (absolute(side) > 0.0) & (cycle + load(row.TAU) - record_clock >= 0.0)
 
+    side, since = load(row.SIDE), cycle + load(row.TAU) - event_clock
+    has_passed = (absolute(side) > 0.0) & (since >= 0.0)
+    before, all_of = builder.block, builder.and_((since >= -CLOCK_SLACK).bits(), among)
+    with builder.if_then(is_nonzero(builder, all_of)):
+        is_single, is_none, t, x = _emit_turns(builder, series, step, load(row.V), all_of)
+        # recording may begin within the step
+        is_turn = is_single & (t >= (event_clock - (cycle_0 + tau_0)) * period)
+        store(row.TURN_TIME, start + t)
+        store(row.TURN_X, x)
+        turns = [builder.and_(mask.bits(), all_of) for mask in (is_turn, ~(is_single | is_none))]
+        inside = builder.block
     packed = ir.Constant(I64, 0)
-    for k, mask in enumerate((is_turn, ~(is_single | is_none), is_section, has_passed)):
-        bits = builder.and_(mask.bits(), among)
+    for k, found in enumerate(turns):
+        bits = builder.phi(I64)
+        bits.add_incoming(ir.Constant(I64, 0), before)
+        bits.add_incoming(found, inside)
+        turns[k] = bits
+    passed = [builder.and_(mask.bits(), among) for mask in (is_section, has_passed)]
+    for k, bits in enumerate(turns + passed):
         packed = builder.or_(packed, builder.shl(bits, ir.Constant(I64, k * row.WIDTH)))
     return packed
 
@@ -340,7 +348,7 @@ def find_events(typingctx, lanes, coefficients, order, among):
 
 @internal
 def record_steps(lanes, among, coefficients, order, lane_point, log, dense, fill, work):
-    """Record the last step of the lanes in the bits `among`, from their `RECORD_CLOCK` on."""
+    """Record the last step of the lanes in the bits `among`, from their clocks on."""
     events = find_events(lanes, coefficients, order, among)
     turns = events & row.ALL_LANES
     unclear = (events >> row.WIDTH) & row.ALL_LANES
@@ -370,6 +378,6 @@ def record_steps(lanes, among, coefficients, order, lane_point, log, dense, fill
         while among != 0:
             k = lowest_bit(among)
             among &= among - 1
-            clock = lanes[row.CYCLE, k] + lanes[row.TAU, k] - lanes[row.RECORD_CLOCK, k]
+            clock = lanes[row.CYCLE, k] + lanes[row.TAU, k] - lanes[row.EVENT_CLOCK, k]
             if clock >= -CLOCK_SLACK:
                 _record_dense(lanes, k, coefficients, lane_point[k], dense, fill)

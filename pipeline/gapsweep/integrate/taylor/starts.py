@@ -22,7 +22,7 @@ _CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
 
 
 @entry
-def set_starts(points, table, which, x_0, v_0, t_0, t_end, record_from, rtol, atol):
+def set_starts(points, table, which, x_0, v_0, t_0, t_end, record_from, section_only, rtol, atol):
     """Copy rows of a table of scenes and put starts and ends into the copies.
 
     Parameters
@@ -34,6 +34,7 @@ def set_starts(points, table, which, x_0, v_0, t_0, t_end, record_from, rtol, at
     which : int array, shape (n,)
         Number of the scene of each point.
     x_0, v_0, t_0, t_end, record_from : arrays, shape (n,)
+    section_only : bool
         As in `exact.run`.
 
     Returns
@@ -60,6 +61,8 @@ def set_starts(points, table, which, x_0, v_0, t_0, t_end, record_from, rtol, at
         floor = min(floor, atol) if atol > 0.0 else floor
         point[row.FLOOR] = floor * math.sqrt(point[row.STIFFNESS])
         _set_clocks(point, t_0[i], t_end[i], record_from[i])
+        point[row.EVENT_CLOCK] = np.inf if section_only else point[row.RECORD_CLOCK]
+        point[row.REACH] = abs(x)
         if x == point[row.UPPER] or x == point[row.LOWER]:
             outcome = ON_WALL
         point[row.MODE] = 1.0 if x > point[row.UPPER] else -1.0 if x < point[row.LOWER] else 0.0

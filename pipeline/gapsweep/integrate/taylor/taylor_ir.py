@@ -422,7 +422,8 @@ def _emit_step(builder, lanes, coefficients, order, has_tangent, scalars):
         | (n_short > max_short)
     )
     # an unclear lane ends here or earlier
-    is_recording = cycle_1 + tau_1 - load(row.RECORD_CLOCK) >= -CLOCK_SLACK
+    is_section = (cycle_1 > cycle) & (cycle_1 - load(row.RECORD_CLOCK) >= -CLOCK_SLACK)
+    is_recording = is_section | (cycle_1 + tau_1 - load(row.EVENT_CLOCK) >= -CLOCK_SLACK)
 
     if has_tangent:
         for k in (0, 2):
@@ -438,6 +439,8 @@ def _emit_step(builder, lanes, coefficients, order, has_tangent, scalars):
     one = x.constant(1.0)
     store(row.X, where(is_unclear, x, x_1))
     store(row.V, where(is_unclear, v, v_1))
+    reach = load(row.REACH)
+    store(row.REACH, where(is_unclear, reach, maximum(reach, absolute(x_1))))
     store(row.TAU, where(is_unclear, tau, tau_1))
     store(row.CYCLE, where(is_unclear, cycle, cycle_1))
     store(row.MODE, where(crosses, next_mode, mode))
