@@ -35,17 +35,22 @@ from gapsweep.store.claims import Claims
 from gapsweep.study.software import software, versions
 from gapsweep.study.study import Study
 
-# Long against the price of a task (some milliseconds), short against a user's patience.
-_TASK_SECONDS = 0.5
-_MAX_BATCH = 250
+# Short against a user's patience and against what a kill may cost; until then, the more points
+# share the lanes, the less each costs: half in 4,096 of what it costs in 250.
+_TASK_SECONDS = 4.0
+_MAX_BATCH = 4096
+# A task takes at most this part of a thread's share of what is left, so that all end together.
+_PART_OF_SHARE = 0.5
+_MIN_BATCH = 64
 # What a point costs beside its integration [s].
 _POINT_SECONDS = 3e-4
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
 # A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.
 _CHAIN_PART = 16
-# Neighbours stay together, because they cost alike and share their lanes.
-_BLOCK = 64
+# Neighbours stay together, because they cost alike and share their lanes: a block of them is not
+# mixed with others.
+_BLOCK = 4096
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
 _COMMIT_ROWS = 200
@@ -130,7 +135,9 @@ class _Execution:
         }
         self.repeated = _repeated(study, plan)
         self.progress = Progress(plan.n_points, plan.n_hits)
-        self.new = _shuffled(plan)
+        self.blocks = _shuffled(plan)
+        self.block: deque[Piece] = deque()
+        self.n_new = plan.n_missing
         # What comes before new pieces: the rest of long sweeps.
         self.begun: deque[Piece] = deque()
         # What another run has claimed: looked at again when nothing else is left.
@@ -184,16 +191,32 @@ class _Execution:
     def _drawn(self) -> list[Piece]:
         """The next pieces that would fill a task."""
         drawn: list[Piece] = []
-        room = 1.0
-        while room > 0.0:
-            piece = self.begun.popleft() if self.begun else next(self.new, None)
+        room, n_left = 1.0, self._share_of_rest()
+        while room > 0.0 and n_left > 0:
+            piece = self.begun.popleft() if self.begun else self._drawn_new(is_first=not drawn)
             if piece is None:
                 if not drawn and self._returned():
                     continue
                 break
             drawn.append(piece)
-            room -= min(len(piece), _CHAIN_PART) * self._share_of_task(piece.first)
+            n = min(len(piece), _CHAIN_PART)
+            room, n_left = room - n * self._share_of_task(piece.first), n_left - n
         return drawn
+
+    def _drawn_new(self, *, is_first: bool) -> Piece | None:
+        """The next piece that nobody has looked at; of the next block only if it is the first."""
+        if not self.block and is_first:
+            self.block.extend(next(self.blocks, ()))
+        if not self.block:
+            return None
+        piece = self.block.popleft()
+        self.n_new -= len(piece)
+        return piece
+
+    def _share_of_rest(self) -> int:
+        """Points that a task may take, so that all threads have work to the end."""
+        n_threads = max(sum(self.client.nthreads().values()), 1)
+        return max(int(_PART_OF_SHARE * self.n_new / n_threads), _MIN_BATCH)
 
     def _returned(self) -> bool:
         """Whether other runs gave up some of their claims; those pieces are drawn again."""
@@ -367,9 +390,9 @@ class _Costs:
         return max(seconds / _TASK_SECONDS, 1.0 / _MAX_BATCH)
 
 
-def _shuffled(plan: Plan) -> Iterator[Piece]:
+def _shuffled(plan: Plan) -> Iterator[list[Piece]]:
     """What is missing, in blocks of neighbours in random order."""
     missing = plan.unfinished()
     blocks = list(range(0, len(missing), _BLOCK))
     random.shuffle(blocks)
-    return (plan.piece(int(chain)) for i in blocks for chain in missing[i : i + _BLOCK])
+    return ([plan.piece(int(chain)) for chain in missing[i : i + _BLOCK]] for i in blocks)
