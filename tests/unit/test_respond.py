@@ -1,11 +1,11 @@
 """Steady responses: closed forms, energy balance, period multiples, outcomes."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
@@ -119,6 +119,36 @@ def test_a_response_is_the_same_alone_and_in_any_company():
     ]
     assert {response.response_class for response in alone} == set(gs.ResponseClass)
     assert all(response.cpu_time > 0.0 for response in together)
+
+
+def test_arrays_of_points_give_arrays_of_what_each_gives_alone():
+    law, steady = gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3)), gs.Steady(settle_tol=1e-2)
+    omega, x_0 = np.array([[7.0], [21.75], [14.0]]), [0.0, 1e-4]
+    together = gs.respond(gs.Oscillator(), law, omega, x_0, steady=steady)
+    for i, j in np.ndindex(3, 2):
+        alone = gs.respond(gs.Oscillator(), law, omega[i, 0], x_0[j], steady=steady)
+        for field in fields(gs.Response):
+            value = getattr(together, field.name)
+            assert value.shape == (3, 2), field.name
+            if field.name != "cpu_time":
+                assert_array_equal(value[i, j], getattr(alone, field.name), field.name)
+    assert together.status.dtype.kind == together.period_multiple.dtype.kind == "i"
+    assert together.ended.all()
+    assert gs.respond(gs.Oscillator(), law, [9.0], steady=steady).x_max.shape == (1,)
+
+
+@pytest.mark.parametrize(
+    ("omega", "x_0", "said"),
+    [
+        ([7.0, -1.0], 0.0, "omega = -1: must be > 0"),
+        ([], 0.0, "at least one"),
+        ([7.0, math.nan], 0.0, "omega = nan: must be finite"),
+        ([7.0, 8.0], [0.0, 0.0, 0.0], "omega, x_0, v_0: shape mismatch"),
+    ],
+)
+def test_arrays_out_of_range_are_refused(omega, x_0, said):
+    with pytest.raises(gs.ModelError, match=said):
+        gs.respond(gs.Oscillator(), gs.Piecewise(1.4e6, SYMMETRIC), omega, x_0)
 
 
 def test_a_singular_or_overflowing_map_spoils_no_other():

@@ -74,7 +74,7 @@ def simulate(
     t_0, t_end = checked("t_0", t_0), checked("t_end", t_end)
     if t_end <= t_0:
         raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
-    omega, x_0, v_0 = _broadcast(omega=omega, x_0=x_0, v_0=v_0)
+    omega, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
     models = Models(
         oscillators=[oscillator] * omega.size, laws=[law] * omega.size, omega=omega.ravel()
     )
@@ -117,8 +117,14 @@ def _check_clock(oscillator: Oscillator, omega: NDArray[np.float64], t_0: float)
         )
 
 
-def _broadcast(**values: ArrayLike) -> list[NDArray[np.float64]]:
-    """Finite float arrays of one shape; `omega` positive."""
+def broadcast(**values: ArrayLike) -> list[NDArray[np.float64]]:
+    """Finite float arrays of one shape; `omega` positive.
+
+    Raises
+    ------
+    ModelError
+        If a value is out of range, or the shapes do not fit.
+    """
     arrays = []
     for name, value in values.items():
         try:

@@ -1,8 +1,12 @@
 """What is asked of a sweep point, and what is answered: plain values, no computation."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from enum import IntEnum
+from typing import Any
+
+import numpy as np
 
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import checked, whole
@@ -84,7 +88,9 @@ class Steady:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """Steady response of one sweep point; an attribute for every dataset variable.
+    """Steady response of one sweep point, or of an array of them.
+
+    It has an attribute for every dataset variable: a plain value, or an array of values.
 
     Attributes
     ----------
@@ -156,7 +162,21 @@ class Response:
     cpu_time: float = math.nan
     message: str = ""
 
+    @classmethod
+    def of_many(cls, responses: "Sequence[Response]", shape: tuple[int, ...]) -> "Response":
+        """Responses as one, whose attributes are arrays."""
+        columns: dict[str, Any] = {}
+        for field in fields(cls):
+            values = [getattr(response, field.name) for response in responses]
+            if isinstance(values[0], tuple | str):
+                column = np.empty(len(values), dtype=object)
+                column[:] = [v if isinstance(v, str) else np.array(v) for v in values]
+            else:
+                column = np.array(values)
+            columns[field.name] = column.reshape(shape)
+        return cls(**columns)
+
     @property
-    def ended(self) -> bool:
+    def ended(self) -> Any:
         """Whether the motion has an end that another can start from."""
-        return math.isfinite(self.x_end) and math.isfinite(self.v_end)
+        return np.isfinite(self.x_end) & np.isfinite(self.v_end)
