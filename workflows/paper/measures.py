@@ -114,7 +114,7 @@ def amplitude_error(
         return float(np.quantile(errors, q, method="higher"))
 
     floor = max((quantile(exact) for exact in _floor_labels(run)), default=math.nan)
-    return Number(quantile(label), floor, 0.0)
+    return Number(quantile(label), floor)
 
 
 def right(run: Run, label: str, scene: Scene, band: Band = ALL) -> Number:
@@ -126,7 +126,7 @@ def right(run: Run, label: str, scene: Scene, band: Band = ALL) -> Number:
     )
     exact = exact.sel(point=ours["point"])
     hits = abs(ours - exact) <= LINE * exact
-    return share(hits.values & (same["class_agreement"].values == 1.0))
+    return share(hits.values & (same["class_agreement"].values == 1.0), same["omega"])
 
 
 def mean_of(run: Run, name: str, label: str, scene: Scene, band: Band = ALL) -> Number:
@@ -153,7 +153,7 @@ def same_picture(
     apart = (
         abs(ours[["x_max", "x_min"]] - theirs[["x_max", "x_min"]]).to_dataarray().max("variable")
     )
-    hits = (apart <= resolution * width).values
+    hits = apart <= resolution * width
     return share(hits if where is None else hits[where])
 
 
@@ -183,11 +183,12 @@ def frequencies(
     return omega, found
 
 
-def period_3(run: Run, label: str, scene: Scene, band: Band) -> tuple[NDArray[np.float64], Bools]:
-    """Frequencies with scattered starts, and at which of them some start has period 3."""
-    return frequencies(
+def period_3(run: Run, label: str, scene: Scene, band: Band) -> Number:
+    """Share of the frequencies with scattered starts at which some start has period 3."""
+    found = frequencies(
         run, label, scene, is_period_3, "period_multiple", band=band, start="scattered"
     )
+    return share(found[1], found[0])
 
 
 def is_period_3(points: xr.Dataset) -> xr.DataArray:
