@@ -312,6 +312,13 @@ def test_what_is_not_there_is_said_to_be_absent(run, asked):
         asked(run)
 
 
+def test_a_missing_variable_is_named(run):
+    with pytest.raises(NotInRunError, match=r"responses\.nc has no nfev"):
+        run.scene("responses", "piecewise", 1.4e4, "0.4/0.4", "x", "nfev")
+    with pytest.raises(NotInRunError, match=r"nothing at representation poly-3, K_c 14000"):
+        run.scene("responses", "poly-3", 1.4e4, "0.4/0.4", "x")
+
+
 def test_selections_are_read_once(run):
     first = run.select("responses", gap="0.4/0.4", K_c=1.4e4)
     assert run.select("responses", K_c=1.4e4, gap="0.4/0.4") is first

@@ -334,44 +334,32 @@ class Run:
             raise NotInRunError(f"the run has no {name}.nc")
         return self.datasets[name]
 
-    def select(self, name: str, **at: Any) -> xr.Dataset:
-        """Part of a dataset by labels along dimensions, in memory.
+    def select(self, name: str, *names: str, **at: Any) -> xr.Dataset:
+        """Part of a dataset by labels along dimensions, in memory; some variables, or all.
 
         Raises
         ------
         NotInRunError
-            If the run has no such dataset or labels.
+            If the run has no such dataset, variables or labels.
         """
-        key = (name, *sorted(at.items()))
+        key = (name, *names, *sorted(at.items()))
         if key not in self._read:
             dataset = self[name]
+            if missing := [one for one in names if one not in dataset.variables]:
+                raise NotInRunError(f"{name}.nc has no {', '.join(missing)}")
             try:
-                self._read[key] = dataset.sel(at).load()
+                found = dataset[list(names)] if names else dataset
+                self._read[key] = found.sel(at).load()
             except KeyError:
-                raise NotInRunError(f"{name}.nc has nothing at {at}") from None
+                where = ", ".join(f"{dim} {label}" for dim, label in at.items())
+                raise NotInRunError(f"{name}.nc has nothing at {where}") from None
         return self._read[key]
 
     def scene(
         self, name: str, representation: str, K_c: float, gap: str, *names: str
     ) -> xr.Dataset:
-        """Some variables of one representation in one scene.
-
-        Parameters
-        ----------
-        name : str
-            The dataset: responses, attractors or agreement.
-        names : str
-            Its variables.
-        """
-        at = {"representation": representation, "K_c": K_c, "gap": gap}
-        key = (name, *at.values(), *names)
-        if key not in self._read:
-            dataset = self[name]
-            try:
-                self._read[key] = dataset[list(names)].sel(at).load()
-            except KeyError:
-                raise NotInRunError(f"{name}.nc has nothing at {representation}, {gap}") from None
-        return self._read[key]
+        """Some variables (`names`) of one representation in one scene of a dataset (`name`)."""
+        return self.select(name, *names, representation=representation, K_c=K_c, gap=gap)
 
     @cached_property
     def starts(self) -> dict[str, Any]:
