@@ -283,21 +283,13 @@ def test_claims_are_numbered_without_gaps():
     assert [claim.id for claim in CLAIMS] == list(range(1, 83))
 
 
-@pytest.mark.parametrize(
-    "tests",
-    [
-        paper.exact_is_slow_tests,
-        paper.rational_is_slow_tests,
-        paper.polynomial_is_third_tests,
-        paper.tangents_alike_tests,
-        paper.tangents_fast_tests,
-        paper.dear_tests,
-    ],
-)
-def test_the_papers_own_table_confirms_what_it_restates(tests):
-    found = tests(paper.printed())
-    assert found
-    assert all(test.holds for test in found)
+@pytest.mark.parametrize("id", [53, 54, 55, 56, 57, 72])
+@pytest.mark.filterwarnings("ignore")
+def test_the_papers_own_table_confirms_what_it_restates(study, id):
+    tests = CLAIMS[id - 1].find(Drawn(study, 0))[0]
+    printed = [test for test in tests if test.says.startswith("the paper's seconds")]
+    assert printed
+    assert all(test.holds for test in printed)
 
 
 def test_the_papers_rule_of_quality_confirms_its_numbers():

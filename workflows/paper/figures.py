@@ -18,7 +18,7 @@ from gapsweep.status import Status
 from . import paper_figures as draw
 from . import scenes
 from .claims import TABLE_2, TABLE_SCENES
-from .measures import frequencies, listed, per_period, ranges, same_picture
+from .measures import Band, Scene, frequencies, listed, per_period, ranges, same_picture
 from .scenes import EXACT, HARD_ASYMMETRIC, NO_EVENTS, SOFT_SYMMETRIC, STRONG, SYMMETRIC, WEAK
 from .static_figures import constrained_forces, force_curves, forces_of, static_convergence
 
@@ -79,9 +79,7 @@ def figures(run: Run) -> Iterator[Figured]:
         yield from _histories(run["histories"])
 
 
-def _figured(
-    figure: Figure, name: str, at: tuple[float, str], protocol: str, *sentences: str
-) -> Figured:
+def _figured(figure: Figure, name: str, at: Scene, protocol: str, *sentences: str) -> Figured:
     """A figure whose caption says its scene, and everything that is seen in it."""
     where = ", ".join(filter(None, (f"K_c = {at[0]:g} N/m", f"gap {at[1]} mm", protocol)))
     words = f"Figure {name}. {where}. {' '.join(sentences)}"
@@ -114,7 +112,7 @@ def _static_figures(run: Run) -> Iterator[Figured]:
 
 
 def _scene(
-    found: Scenes, at: tuple[float, str], laws: tuple[str, ...], protocol: str | None = None
+    found: Scenes, at: Scene, laws: tuple[str, ...], protocol: str | None = None
 ) -> xr.Dataset | None:
     """What a figure shows, with a protocol from rest only; None if too little was swept."""
     scene = found.labelled(*at)
@@ -246,9 +244,7 @@ def band_rows(run: Run) -> list[list[str]]:
     return sorted((row for row in rows if any(row[3:])), key=lambda row: row[0])
 
 
-def _found(
-    run: Run, place: str, counted: str, within: tuple[float, float], start: str
-) -> Iterator[str]:
+def _found(run: Run, place: str, counted: str, within: Band, start: str) -> Iterator[str]:
     scene, laws = SHOWN[place]
     for law in (EXACT, *laws):
         found = ""
@@ -272,10 +268,8 @@ def costs(run: Run) -> tuple[list[str], list[Table]]:
         nfev, seconds = (_per_period(run, grade, name) for name in ("nfev", "cpu_time"))
         if EXACT not in nfev or len(nfev) < 2:
             continue
-        of_all = (nfev, seconds, paper)
-        rows = [
-            [law, *(number(n) for c in of_all for n in (c[law], c[law] / c[EXACT]))] for law in nfev
-        ]
+        of = (nfev, seconds, paper)
+        rows = [[a, *(number(n) for c in of for n in (c[a], c[a] / c[EXACT]))] for a in nfev]
         tables.append(Table(figure, _TABLE_2_HEAD, rows))
         tanh = next(law for law in paper if law.startswith("tanh"))
         if tanh not in nfev:

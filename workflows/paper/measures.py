@@ -21,6 +21,7 @@ from .scenes import EXACT
 Scene = tuple[float, str]
 Band = tuple[float, float]
 Bools = NDArray[np.bool_]
+OfLaw = Callable[[str], Number]
 
 ALL = (0.0, 30.0)  # Hz
 LINE = 0.05  # relative amplitude error: the thickness of a plotted line
@@ -50,9 +51,7 @@ def listed(names: Iterable[str]) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def each(
-    labels: Iterable[str], says: str, number: Callable[[str], Number], op: str, limit: float
-) -> list[Test]:
+def each(labels: Iterable[str], says: str, number: OfLaw, op: str, limit: float) -> list[Test]:
     """One test for each law: ``tanh: SAYS``."""
     return [Test(f"{named(label)}: {says}", number(label), op, limit) for label in labels]
 
@@ -117,10 +116,9 @@ def amplitude_error(
     """Amplitude error that a share `q` of the points stays below; without a response infinite."""
 
     def quantile(label: str) -> float:
-        points = run.points(
-            label, *scene, "amplitude_error", band=band, start=start, data="agreement"
-        )
-        errors = points["amplitude_error"].fillna(np.inf).values
+        name = "amplitude_error"
+        points = run.points(label, *scene, name, band=band, start=start, data="agreement")
+        errors = points[name].fillna(np.inf).values
         return float(np.quantile(errors, q, method="higher"))
 
     floor = max((quantile(exact) for exact in _floor_labels(run)), default=math.nan)
@@ -164,9 +162,8 @@ def same_picture(
     both = [run.points(one, *scene, "x_max", "x_min") for one in (label, other)]
     common = np.intersect1d(both[0]["omega"].values, both[1]["omega"].values)
     ours, theirs = (points.isel(point=np.isin(points["omega"], common)) for points in both)
-    apart = (
-        abs(ours[["x_max", "x_min"]] - theirs[["x_max", "x_min"]]).to_dataarray().max("variable")
-    )
+    ends = ["x_max", "x_min"]
+    apart = abs(ours[ends] - theirs[ends]).to_dataarray().max("variable")
     hits = apart <= resolution * width(scene)
     return share(hits if where is None else hits[where])
 
@@ -235,7 +232,7 @@ def largest(run: Run, name: str, label: str, scene: Scene, start: str = "rest") 
     )
 
 
-def of_law(run: Run, label: str, number: Callable[[str], Number]) -> Number:
+def of_law(run: Run, label: str, number: OfLaw) -> Number:
     """A number of a law; its floor is the spread of the same number among the exact laws."""
     itself, *others = (number(one).value for one in (EXACT, *_floor_labels(run)))
     floor = float(np.max(np.abs(np.array(others) - itself), initial=0.0))

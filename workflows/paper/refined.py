@@ -78,9 +78,7 @@ def basins(study: Study) -> xr.Dataset:
         for label in labels
         for omega in frequencies
     ]
-    found = [
-        _responses(study, label, (K_c, gap), omega, *starts.T) for label, K_c, gap, omega in cases
-    ]
+    found = [_responses(study, law, (K_c, gap), f, *starts.T) for law, K_c, gap, f in cases]
     names = ("representation", "K_c", "gap", "omega")
     return xr.Dataset(
         {
