@@ -37,6 +37,7 @@ from gapsweep.stages import (
     MadeFrom,
     Stage,
     as_text,
+    is_of_run,
     made_from,
     own_datasets,
     reason_to_run,
@@ -278,8 +279,10 @@ def _report(folder: Path) -> Path:
     with ExitStack() as files:
 
         def stored(name: str) -> "xr.Dataset | None":
-            there = (folder / name).exists()
-            return files.enter_context(netcdf.read(folder / name)) if there else None
+            if not (folder / name).exists():
+                return None
+            found = files.enter_context(netcdf.read(folder / name))
+            return found if is_of_run(folder / name) else None
 
         responses = files.enter_context(netcdf.read(folder / RESPONSES))
         return write_report(

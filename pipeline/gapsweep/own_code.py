@@ -17,17 +17,17 @@ from gapsweep.stages import (
     CLAIMS,
     CLAIMS_MODULE,
     REPORT_MODULE,
-    RESPONSES,
     SECTIONS,
     MadeFrom,
     Stage,
+    is_of_run,
     made_from,
     module_sources,
     own_datasets,
     stages_of,
 )
 from gapsweep.store import netcdf
-from gapsweep.store.artefact import digests, is_intact, is_recorded, recording
+from gapsweep.store.artefact import is_intact, is_recorded, recording
 from gapsweep.study.study import Study
 
 if TYPE_CHECKING:
@@ -185,15 +185,17 @@ def _write(
 
 
 def stored(path: Path) -> dict[str, Any] | None:
-    """Verdicts or sections of a run; None if there are none, or if they rest on other responses."""
+    """Verdicts or sections of a run; None if there are none, or none of these responses.
+
+    Those of earlier versions, made without code beside a study, are none either.
+    """
     if not path.exists():
         return None
-    if not is_intact(path):
+    if is_intact(path) is False:
         command = "claims" if path.name == CLAIMS else "report"
         raise StoreError(
             f"{path}: damaged; 'gapsweep {command} {path.parent} --study FILE' makes it again"
         )
     found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    same = found["made_from"].get(RESPONSES) == " ".join(digests(path.parent / RESPONSES))
     is_of_now = CLAIMS_MODULE in found["made_from"] or REPORT_MODULE in found["made_from"]
-    return found if same and is_of_now else None
+    return found if is_of_now and is_of_run(path) else None

@@ -18,7 +18,7 @@ from gapsweep import beside
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.execution.plan import Plan
 from gapsweep.model.labels import AUTO
-from gapsweep.store.artefact import digests, is_intact
+from gapsweep.store.artefact import digests, is_intact, sha256
 from gapsweep.store.cache import Cache
 from gapsweep.store.netcdf import attributes
 from gapsweep.study.fingerprint import code_fingerprint, imports_fingerprint
@@ -49,7 +49,7 @@ class Stage:
     file : str
         Its path in the run's folder.
     code : str
-        The module that makes it; all that it imports counts too.
+        The module that its content depends on; all that it imports counts too.
     inputs : tuple of str
         What it is made from: files of the run, `STUDY`, `POINTS`, or code beside the study.
     """
@@ -247,6 +247,20 @@ def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:
         return "not known what it was made from"
     changed = [name for name in {**now, **before} if now.get(name) != before.get(name)]
     return f"{', '.join(changed)} changed" if changed else None
+
+
+def is_of_run(path: Path) -> bool:
+    """Whether a file rests on the responses beside it, or on the settings of their study.
+
+    Another study of the same name may have left it there. What is measured after the responses
+    counts too: scenes of a benchmark are changed without a new sweep.
+    """
+    responses, before = path.with_name(RESPONSES), _recorded(path)
+    if RESPONSES in before:
+        present = digests(responses) or [sha256(responses)]  # SHA256SUMS may not have come along
+        return before[RESPONSES] == " ".join(present)
+    ours, theirs = (attributes(file).get("created", "") for file in (path, responses))
+    return ours >= theirs or before.get(STUDY) == _recorded(responses).get(STUDY)
 
 
 def as_text(made_from: MadeFrom) -> str:

@@ -9,7 +9,7 @@ import pytest
 import gapsweep as gs
 from gapsweep import workflow
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
-from gapsweep.stages import CLAIMS, REPORT, SECTIONS
+from gapsweep.stages import AGREEMENT, CLAIMS, REPORT, SECTIONS
 
 STUDY = """
 [study]
@@ -150,6 +150,18 @@ def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
     changed(folder, "figures.py", "figure = Figure()", "figure = None.figure")
     assert exit_code(["report", ".", *given]) == FAULT
     assert "figures.py:6: sections: AttributeError: 'Non" in capsys.readouterr().err
+
+
+def test_the_report_shows_nothing_that_rests_on_other_responses(tables, client, tmp_path):
+    """Another study of the same name leaves files in the folder that this one does not make."""
+    out, where = tmp_path / "out", {"out": tmp_path / "out", "cache": tmp_path / "cache.sqlite"}
+    for laws, is_compared in ((["piecewise", "tanh-1e4"], True), (["tanh-1e4"], False)):
+        tables["sweep"][0]["representation"] = laws
+        gs.run(gs.Study.from_dict(tables), client, **where).close()
+        assert ("Take the exact law" in (out / REPORT).read_text()) == is_compared
+        assert exit_code(["report", str(out)]) == FINISHED
+        assert ("Take the exact law" in (out / REPORT).read_text()) == is_compared
+    assert (out / AGREEMENT).exists()
 
 
 def test_what_a_dataset_raises_is_one_line(folder, client):

@@ -180,6 +180,12 @@ def test_closest_is_who_is_closest_in_the_same_contact(tmp_path):
     assert "noevents" not in said
 
 
+def test_prices_are_those_of_stand_ins(tmp_path):
+    """The exact force with unlocated contacts is none."""
+    said = found_in(tmp_path, contact(judged("tanh-1e4"), judged("piecewise-noevents")))
+    assert "Of 1 pairs of contact and stand-in" in said
+
+
 def test_overlapping_intervals_and_floors_name_none(tmp_path):
     near, level = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.0112)
     assert "beyond the 95 % intervals: no single one in 1 of 1" in found_in(

@@ -74,7 +74,8 @@ def test_resolved_error_of_a_thin_tanh_layer(epsilon):
 
 def test_uniform_points_miss_a_thin_layer_and_the_integral_does_not(rungs):
     rung = rungs.sel(gap="0.4/0.4", family="tanh", parameter=1e9)
-    assert float(rung["smooth_rmse"]) < 1e-6 * float(rung["smooth_rmse_resolved"])
+    uniform = gs.static_error(gs.Tanh(1.0, SYMMETRIC, 1e9), RANGE)[0]
+    assert uniform < 1e-6 * float(rung["smooth_rmse_resolved"])
 
 
 def test_parts_that_do_not_exist_have_no_error():
@@ -198,9 +199,9 @@ def test_ladders_hold_the_errors_of_the_laws(rungs, label, gap):
     rung = rungs.sel(gap=gap.label, **select[kind])
     law = gs.contact_law(label, HARD, gap)
     rmse, r_squared = gs.static_error(law)
-    assert_allclose(HARD * rung[f"{kind}_rmse"], rmse, rtol=1e-9)
     assert_allclose(rung[f"{kind}_r_squared"], r_squared, rtol=1e-9)
     if kind != "smooth":
+        assert_allclose(HARD * rung[f"{kind}_rmse"], rmse, rtol=1e-9)
         in_gap = largest_in_gap(law, RANGE)
         assert_allclose(HARD * rung[f"{kind}_in_gap_force"], in_gap, rtol=1e-5)
 

@@ -18,6 +18,7 @@ from workflows.paper.scenes import EXACT, WEAK
 from gapsweep.analysis.verdicts import NotInRunError, Run, stated
 from gapsweep.study.study import Study
 
+EXACT_LAWS = (EXACT, f"{EXACT}@half", f"{EXACT}@jitter")
 FOLDER = Path(paper.__file__).parent
 CLAIMS = sorted(stated(vars(paper)), key=lambda claim: claim.id)
 N_DRAWS = 60
@@ -53,6 +54,8 @@ class Drawn(Run):
         common, own = self.rng(name, scene), self.rng(name, scene, label)
         everywhere = self.rng("alike").random() < 0.2
         level = 1.0 if everywhere else self.levels(own, name, scene, shape)
+        if label in EXACT_LAWS and self.rng("floors").random() < 0.5:
+            level = 1.0
         agree = own.random(shape) < level
         if name == "status":
             return np.zeros(shape, int)
@@ -101,6 +104,9 @@ class Drawn(Run):
         return weights / weights.sum()
 
     def scene(self, name, representation, K_c, gap, *names):
+        if name == "static":
+            at = {"representation": representation, "K_c": K_c, "gap": gap}
+            return self[name][list(names)].sel(at)
         key = (name, representation, K_c, gap, *names)
         if key not in self._read:
             self._read[key] = self.drawn_scene(*key)
@@ -143,7 +149,7 @@ class Drawn(Run):
         names = {"rest": first, "scattered": ~first, "any": first | True}
         return names | {"sweep_up": first, "sweep_down": first}
 
-    def select(self, name, **at):
+    def select(self, name, *names, **at):
         return self[name].sel(at)
 
     def __getitem__(self, name):
@@ -277,21 +283,13 @@ def test_claims_are_numbered_without_gaps():
     assert [claim.id for claim in CLAIMS] == list(range(1, 83))
 
 
-@pytest.mark.parametrize(
-    "tests",
-    [
-        paper.exact_is_slow_tests,
-        paper.rational_is_slow_tests,
-        paper.polynomial_is_third_tests,
-        paper.tangents_alike_tests,
-        paper.tangents_fast_tests,
-        paper.dear_tests,
-    ],
-)
-def test_the_papers_own_table_confirms_what_it_restates(tests):
-    found = tests(paper.printed())
-    assert found
-    assert all(test.holds for test in found)
+@pytest.mark.parametrize("id", [53, 54, 55, 56, 57, 72])
+@pytest.mark.filterwarnings("ignore")
+def test_the_papers_own_table_confirms_what_it_restates(study, id):
+    tests = CLAIMS[id - 1].find(Drawn(study, 0))[0]
+    printed = [test for test in tests if test.says.startswith("the paper's seconds")]
+    assert printed
+    assert all(test.holds for test in printed)
 
 
 def test_the_papers_rule_of_quality_confirms_its_numbers():

@@ -282,6 +282,13 @@ def test_costs_are_those_of_a_forcing_period_however_long_the_run():
     assert sentence.endswith("factor is in the right-hand sides.")
 
 
+def test_a_factor_that_was_not_measured_is_not_denied():
+    responses = responses_of([f"{law}@paper" for law in WEAK if law != "tanh-1e4"])
+    sentences, (table,) = costs(Run({"responses": responses}))
+    assert sentences == []
+    assert "piecewise" in {row[0] for row in table.rows}
+
+
 def test_a_figure_needs_the_exact_law_and_half_of_the_representations():
     assert numbers(responses_of(WEAK[1:])) == []
     assert numbers(responses_of(WEAK[:2])) == []

@@ -16,11 +16,14 @@ from gapsweep.report.findings import findings
 from gapsweep.report.html import write_report
 from gapsweep.report.parts import Part, Table, for_page, is_drawing, rendered, svg
 from gapsweep.report.tables import VERDICTS, number, outcome, percent
+from gapsweep.stages import is_of_run
 from gapsweep.status import Status
+from gapsweep.store.artefact import SUMS, sha256
 
 LABELS = ("piecewise", "piecewise@half", "tanh-1e4", "poly-13")
 OMEGA = (1.0, 2.0, 3.0, 4.0)
 HALF = {"protocol": {"half": {"rtol": 5e-10}}}
+RECORDED = "5e1f" * 16
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(2)</script>'
 
 
@@ -210,8 +213,9 @@ def test_parts_that_hold_nothing_are_left_out():
         (0.93, ">=", 0.8, True, "0.93 ≥ 0.8 holds"),
         (0.4, ">=", 0.8, False, "0.4, not ≥ 0.8"),
         (0.79, "<", 0.8, None, "open: 0.79 is within its floor of < 0.8"),
-        (None, ">", 0.8, None, "open: no number, asked for > 0.8"),
-        (None, ">", None, None, "open: no number, asked for > no finite number"),
+        (None, ">", 0.8, None, "open: no finite number, asked for > 0.8"),
+        (None, ">", None, None, "open: no finite number, asked for > no finite number"),
+        (3.0, ">", None, None, "open: 3, asked for > no finite number"),
         (None, ">", 0.8, True, "no finite number > 0.8 holds"),
         (2.0, ">", None, False, "2, not > no finite number"),
     ],
@@ -231,3 +235,32 @@ def test_numbers_keep_three_digits(value, text):
 def test_percent():
     assert [percent(v) for v in (0.0123456, 1.5, float("inf"))] == ["1.23 %", "150 %", "–"]
     assert json.dumps(percent(0.0)) == '"0 %"'
+
+
+@pytest.mark.parametrize(
+    ("made_from", "created", "is_shown"),
+    [
+        ({"study": "this"}, "2026-01-01T00:00:00+00:00", True),
+        ({"study": "other"}, "2026-01-01T00:00:00+00:00", False),
+        # Scenes of a benchmark are changed without a new sweep.
+        ({"study": "other"}, "2026-03-01T00:00:00+00:00", True),
+        ({"responses.nc": "other"}, "2026-03-01T00:00:00+00:00", False),
+        ({"responses.nc": RECORDED}, "2026-01-01T00:00:00+00:00", True),
+        ({}, "2026-01-01T00:00:00+00:00", False),
+    ],
+)
+def test_a_file_counts_with_its_responses_or_its_study(tmp_path, made_from, created, is_shown):
+    texts = {"responses.nc": ({"study": "this"}, "2026-02-01T00:00:00+00:00")}
+    for name, (inputs, when) in {**texts, "bench.nc": (made_from, created)}.items():
+        attributes = {"made_from": json.dumps(inputs), "created": when}
+        xr.Dataset(attrs=attributes).to_netcdf(tmp_path / name)
+    (tmp_path / SUMS).write_text(f"{RECORDED}  responses.nc\n")
+    assert is_of_run(tmp_path / "bench.nc") == is_shown
+
+
+def test_a_file_counts_where_no_digest_has_come_along(tmp_path):
+    responses, agreement = tmp_path / "responses.nc", tmp_path / "agreement.nc"
+    xr.Dataset().to_netcdf(responses)
+    made_from = json.dumps({"responses.nc": sha256(responses)})
+    xr.Dataset(attrs={"made_from": made_from}).to_netcdf(agreement)
+    assert is_of_run(agreement)

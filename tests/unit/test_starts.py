@@ -106,15 +106,13 @@ def test_costs_are_summed_where_both_have_a_response(slabs):
     ours = [periodic([[1e-3, 0.0]], W, n_rejected=5), failed(nfev=7)]
     sums = {name: values[0].tolist() for name, values in cost_sums(*slabs(ours, exact)).items()}
     nothing = [0.0, 0.0]
-    assert sums["nfev_ratio"] == [[100.0, 50.0], nothing]
     assert sums["rejected_share"] == [[5.0, 15.0], nothing]
     assert_allclose(sums["nfev_per_period"], [[100.0, 10.0 * W], nothing])
-    assert sums["cpu_time_ratio"] == [[0.5, 0.5], nothing]
+    assert sums["cpu_time_per_period_ratio"][1] == [0.0] * 4
 
 
 def test_longer_runs_do_not_make_a_law_dearer(slabs):
     exact = [periodic([[1e-3, 0.0]], W, cpu_time=1.0, t_simulated=10.0)]
     ours = [periodic([[1e-3, 0.0]], W, cpu_time=6.0, t_simulated=30.0)]
     sums = cost_sums(*slabs(ours, exact))
-    assert ratio(sums["cpu_time_ratio"].sum((0, 1))) == 6.0
     assert_allclose(ratio(sums["cpu_time_per_period_ratio"].sum((0, 1))), 2.0)

@@ -24,6 +24,7 @@ from gapsweep.analysis.verdicts import (
     Test,
     claim,
     counted,
+    mean,
     ratio_of_sums,
     share,
     stated,
@@ -49,7 +50,7 @@ def test_the_floor_of_a_share_is_twice_the_spread_of_shares_among_so_many():
 @pytest.mark.parametrize(("hits", "value"), [([True] * 4, 1.0), ([False] * 4, 0.0)])
 def test_all_or_none_of_a_few_is_not_certain(hits, value):
     found = share(hits)
-    assert (found.value, found.n, found.low, found.high) == (value, 4, 0.0, 1.0)
+    assert (found.value, found.n) == (value, 4)
     assert 0.2 < found.floor < 0.6
 
 
@@ -69,12 +70,30 @@ def test_two_shares_of_the_same_points_are_compared_in_pairs(op):
     rng = np.random.default_rng(3)
     hard = rng.random((1000, 200)) < 0.5
     lucky = rng.random(hard.shape) < 0.1
-    pairs = [(share(a), share(b)) for a, b in zip(hard | lucky, hard, strict=True)]
+    of = np.arange(200.0)
+    pairs = [(share(a, of), share(b, of)) for a, b in zip(hard | lucky, hard, strict=True)]
     found = [op(a, b) for a, b in pairs]
     spread = np.std([one.value for one in found])
     assert_allclose(np.mean([one.floor for one in found]), 2.0 * spread, rtol=0.2)
-    unlike = [op(replace(a, each=None), b) for a, b in pairs]
+    unlike = [op(replace(a, of=of + 0.5), b) for a, b in pairs]
     assert np.mean([one.floor for one in unlike]) > 1.5 * np.mean([one.floor for one in found])
+
+
+@pytest.mark.parametrize("op", [operator.sub, operator.truediv])
+def test_pairs_are_the_points_that_both_have(op):
+    """One point without a number loses that pair alone, and not the pairing."""
+    rng = np.random.default_rng(4)
+    omega = xr.DataArray(np.arange(100.0), dims="omega")
+    ours = (rng.random((2, 100)) < [[0.5], [0.8]]).astype(float)
+    one, other = (xr.DataArray(row, {"omega": omega}) for row in ours)
+    gone = one.where(omega != 7), other.where(omega != 20)
+    both = (omega != 7) & (omega != 20)
+    found, wanted = op(*map(mean, gone)), op(*(mean(row[both]) for row in (one, other)))
+    assert (found.value, found.floor, found.n) == (wanted.value, wanted.floor, 98)
+    aside = op(mean(one), mean(other.assign_coords(omega=omega + 0.5)))
+    assert (aside.n, op(mean(one), mean(other.values)).n) == (200, 200)
+    with pytest.raises(NotInRunError):
+        op(mean(one.where(omega < 50)), mean(other.where(omega >= 50)))
 
 
 def test_a_ratio_of_sums_takes_the_points_that_have_both():
@@ -91,12 +110,12 @@ def test_of_nothing_there_is_no_number():
 
 
 def test_differences_and_ratios_carry_their_floors():
-    one, other = Number(3.0, 0.3, 0.0, 4.0, 5), Number(2.0, 0.4, 0.0, 4.0, 6)
+    one, other = Number(3.0, 0.3, 5), Number(2.0, 0.4, 6)
     difference = one - other
-    assert (difference.value, difference.low, difference.high) == (1.0, -4.0, 4.0)
+    assert (difference.value, difference.n) == (1.0, 11)
     assert_allclose(difference.floor, 0.5)
     ratio = one / other
-    assert (ratio.value, ratio.low, ratio.n) == (1.5, 0.0, 11)
+    assert (ratio.value, ratio.n) == (1.5, 11)
     assert_allclose(ratio.floor, math.hypot(0.3, 1.5 * 0.4) / 2.0)
     assert math.isnan((one / Number(0.0)).value)
 
@@ -161,6 +180,11 @@ def test_verdicts_are_fit_for_json_and_in_order():
     (test,) = found["claims"][3]["tests"]
     expected = {"says": "size", "value": None, "floor": 0.0, "op": ">", "threshold": 1.0}
     assert test == {**expected, "holds": None, "n": 1}
+
+
+def test_open_tests_are_named():
+    sentence = made(5, math.nan, 0.9, floor=0.2).decided(Run({}))["sentence"]
+    assert sentence == "Measured. Open (no number, or within its floor): size; size."
 
 
 def test_what_the_run_has_not_leaves_a_claim_undecidable():
@@ -286,6 +310,13 @@ def test_points_are_those_that_were_asked_for(run, how, values):
 def test_what_is_not_there_is_said_to_be_absent(run, asked):
     with pytest.raises(NotInRunError):
         asked(run)
+
+
+def test_a_missing_variable_is_named(run):
+    with pytest.raises(NotInRunError, match=r"responses\.nc has no nfev"):
+        run.scene("responses", "piecewise", 1.4e4, "0.4/0.4", "x", "nfev")
+    with pytest.raises(NotInRunError, match=r"nothing at representation poly-3, K_c 14000"):
+        run.scene("responses", "poly-3", 1.4e4, "0.4/0.4", "x")
 
 
 def test_selections_are_read_once(run):

@@ -34,9 +34,7 @@ def cftool(study: Study) -> xr.Dataset:
         contact stiffness [m], NaN if there is none.
     """
     gaps, x_max = study.grid.gaps, study.spec.fit.range
-    found = np.array(
-        [[[_fits(gap, ratio, unit, x_max) for unit in UNITS] for ratio in RATIOS] for gap in gaps]
-    )
+    found = np.array([[[_fits(g, r, u, x_max) for u in UNITS] for r in RATIOS] for g in gaps])
     names = {
         "pole_share": ("1", "share of the starts that end with a pole in the range"),
         "best_share": ("1", "share of the starts that find the best fit without a pole"),

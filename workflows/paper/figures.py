@@ -1,6 +1,6 @@
 """Sections of the report: the paper's figures that a run has the points for, its bands, Table 2."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 
 import numpy as np
@@ -18,7 +18,7 @@ from gapsweep.status import Status
 from . import paper_figures as draw
 from . import scenes
 from .claims import TABLE_2, TABLE_SCENES
-from .measures import frequencies, listed, ranges, same_picture
+from .measures import Band, Scene, frequencies, listed, per_period, ranges, same_picture
 from .scenes import EXACT, HARD_ASYMMETRIC, NO_EVENTS, SOFT_SYMMETRIC, STRONG, SYMMETRIC, WEAK
 from .static_figures import constrained_forces, force_curves, forces_of, static_convergence
 
@@ -79,9 +79,7 @@ def figures(run: Run) -> Iterator[Figured]:
         yield from _histories(run["histories"])
 
 
-def _figured(
-    figure: Figure, name: str, at: tuple[float, str], protocol: str, *sentences: str
-) -> Figured:
+def _figured(figure: Figure, name: str, at: Scene, protocol: str, *sentences: str) -> Figured:
     """A figure whose caption says its scene, and everything that is seen in it."""
     where = ", ".join(filter(None, (f"K_c = {at[0]:g} N/m", f"gap {at[1]} mm", protocol)))
     words = f"Figure {name}. {where}. {' '.join(sentences)}"
@@ -114,7 +112,7 @@ def _static_figures(run: Run) -> Iterator[Figured]:
 
 
 def _scene(
-    found: Scenes, at: tuple[float, str], laws: tuple[str, ...], protocol: str | None = None
+    found: Scenes, at: Scene, laws: tuple[str, ...], protocol: str | None = None
 ) -> xr.Dataset | None:
     """What a figure shows, with a protocol from rest only; None if too little was swept."""
     scene = found.labelled(*at)
@@ -203,16 +201,6 @@ def _histories(histories: xr.Dataset) -> Iterator[Figured]:
     yield _figured(draw.histories_and_spectra(scene), "11", HARD_ASYMMETRIC, PAPER, words)
 
 
-_COUNTED: dict[str, Callable[[xr.Dataset], xr.DataArray]] = {
-    "chaos": lambda points: points["response_class"] == ResponseClass.CHAOTIC,
-    "period above 1": lambda points: points["period_multiple"] > 1,
-    "period not 1": lambda points: points["period_multiple"] != 1,
-    "period 3": lambda points: points["period_multiple"] == 3,
-    "largest amplitude": lambda points: points["amplitude"] == points["amplitude"].max(),
-    "peak below 0": lambda points: points["x_max"] < 0.0,
-    "crosses 0": lambda points: points["x_max"] * points["x_min"] < 0.0,
-}
-_READ = ("response_class", "period_multiple", "amplitude", "x_max", "x_min")
 # Figure, the paper's words, what is counted for them, within what [Hz], from which starts.
 BANDS = (
     ("6a", "superharmonic near 2", "largest amplitude", (1.2, 3.0), "rest"),
@@ -235,19 +223,15 @@ _LAWS = ("exact", "Poly", "RatPoly", "tanh", "arctan", "log-arctan")
 _BANDS_HEAD = ["Fig.", "Paper [Hz]", "Here [Hz]", *_LAWS]
 _BANDS_SAY = (
     "Frequencies that the paper names, and where the same is found here with the tight solver, in "
-    "a range wider than the paper's; on the grid of the study, or by bisection. A dash: nowhere."
+    "a range at least as wide as the paper's; on the grid of the study, or by bisection. A dash: "
+    "nowhere."
 )
 
 
 def band_rows(run: Run) -> list[list[str]]:
     """The paper's and our frequencies of every band that the paper names."""
     rows = [
-        [
-            place,
-            paper,
-            f"{counted}, start: {start}",
-            *_found(run, place, counted, within, start),
-        ]
+        [place, paper, f"{counted}, start: {start}", *_found(run, place, counted, within, start)]
         for place, paper, counted, within, start in BANDS
     ]
     if "bands" in run.datasets:
@@ -260,15 +244,12 @@ def band_rows(run: Run) -> list[list[str]]:
     return sorted((row for row in rows if any(row[3:])), key=lambda row: row[0])
 
 
-def _found(
-    run: Run, place: str, counted: str, within: tuple[float, float], start: str
-) -> Iterator[str]:
+def _found(run: Run, place: str, counted: str, within: Band, start: str) -> Iterator[str]:
     scene, laws = SHOWN[place]
     for law in (EXACT, *laws):
         found = ""
         with suppress(NotInRunError):
-            how = (run, law, scene, _COUNTED[counted], *_READ)
-            found = ranges(*frequencies(*how, band=within, start=start))
+            found = ranges(*frequencies(run, law, scene, counted, within, start))
         yield found.replace(" Hz", "").replace("no frequency", "–")
 
 
@@ -287,13 +268,13 @@ def costs(run: Run) -> tuple[list[str], list[Table]]:
         nfev, seconds = (_per_period(run, grade, name) for name in ("nfev", "cpu_time"))
         if EXACT not in nfev or len(nfev) < 2:
             continue
-        of_all = (nfev, seconds, paper)
-        rows = [
-            [law, *(number(n) for c in of_all for n in (c[law], c[law] / c[EXACT]))] for law in nfev
-        ]
+        of = (nfev, seconds, paper)
+        rows = [[a, *(number(n) for c in of for n in (c[a], c[a] / c[EXACT]))] for a in nfev]
         tables.append(Table(figure, _TABLE_2_HEAD, rows))
         tanh = next(law for law in paper if law.startswith("tanh"))
-        theirs, ours = (column[EXACT] / column.get(tanh, np.nan) for column in (paper, nfev))
+        if tanh not in nfev:
+            continue
+        theirs, ours = (column[EXACT] / column[tanh] for column in (paper, nfev))
         so = "is" if ours > 0.5 * theirs else "is not"
         sentences.append(
             f"{figure}: the exact law takes {theirs:.1f} times the seconds of {tanh} in the paper, "
@@ -307,7 +288,6 @@ def _per_period(run: Run, grade: str, name: str) -> dict[str, float]:
     found, factor = {}, {"cpu_time": 1e6}.get(name, 1.0)
     for law in TABLE_2[grade]:
         with suppress(NotInRunError):
-            points = run.points(law + PAPER, *TABLE_SCENES[grade], name, "t_simulated")
-            cost = points[name] / (points["t_simulated"] * points["omega"])
-            found[law] = factor * cost.mean().item()
+            cost = per_period(run, law + PAPER, TABLE_SCENES[grade], name)
+            found[law] = factor * float(np.nanmean(cost))
     return found

@@ -12,19 +12,9 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
-from gapsweep.analysis.thresholds import (
-    LEAK,
-    smallest_degree,
-    tanh_threshold,
-)
+from gapsweep.analysis.thresholds import LEAK, smallest_degree, tanh_threshold
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import (
-    Arctan,
-    LogArctan,
-    RationalPolynomial,
-    Tanh,
-    static_error,
-)
+from gapsweep.model.contact import Arctan, LogArctan, RationalPolynomial, Tanh, static_error
 from gapsweep.model.fit import N_FIT_POINTS, goodness, unit_force
 from gapsweep.model.oscillator import Gap
 from gapsweep.study.schema import COORDINATES, Variable
@@ -37,10 +27,8 @@ DEGREES = tuple(range(3, 46, 2))
 RATIOS = ((3, 2), (3, 3), (3, 5), (5, 2), (5, 3), (5, 5), (7, 2), (7, 3), (7, 5))
 SmoothLaw = Tanh | Arctan | LogArctan
 FAMILIES: dict[str, type[Tanh] | type[Arctan] | type[LogArctan]] = {
-    "tanh": Tanh,
-    "arctan": Arctan,
-    "logarctan": LogArctan,
-}
+    "tanh": Tanh, "arctan": Arctan, "logarctan": LogArctan
+}  # fmt: skip
 PARAMETERS = tuple(float(f"{10 ** (e / 2):.3g}") for e in range(4, 19))
 BASES = ("monomial in m", "Chebyshev")
 CONSTRAINTS = ("none", "no constant or linear term")
@@ -70,8 +58,6 @@ LADDER: dict[str, tuple[tuple[str, ...], Variable]] = {
          "largest in-gap force of a rational polynomial per unit contact stiffness"),
         ("ratpoly_force_at_zero", ("gap", "ratio"), "f8", "m",
          "force of a rational polynomial at x = 0 per unit contact stiffness"),
-        ("smooth_rmse", ("family", "gap", "parameter"), "f8", "m",
-         "RMS force error of a smooth law per unit contact stiffness"),
         ("smooth_rmse_resolved", ("family", "gap", "parameter"), "f8", "m",
          "RMS force error per unit contact stiffness as an integral over the range"),
         ("smooth_r_squared", ("family", "gap", "parameter"), "f8", "1",
@@ -214,11 +200,9 @@ def smooth_ladder(gap: Gap, x_max: float) -> Values:
 
 
 def _smooth_rung(law: SmoothLaw, x_max: float) -> Values:
-    rmse, r_squared = static_error(law, x_max)
     return {
-        "smooth_rmse": np.array(rmse),
         "smooth_rmse_resolved": np.array(resolved_rmse(law, x_max)[0]),
-        "smooth_r_squared": np.array(r_squared),
+        "smooth_r_squared": np.array(static_error(law, x_max)[1]),
     }
 
 

@@ -1,11 +1,11 @@
-"""The paper's words as numbers: every word has one measure and one threshold, for all claims.
+"""The paper's words as numbers: the words that recur have one measure and one threshold.
 
 Each function reads one selection of a run and gives a `Number` with its floor: of what is compared
 with the exact law, the same number of another exact law; of a share, its standard error.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 import xarray as xr
@@ -21,15 +21,16 @@ from .scenes import EXACT
 Scene = tuple[float, str]
 Band = tuple[float, float]
 Bools = NDArray[np.bool_]
+OfLaw = Callable[[str], Number]
 
 ALL = (0.0, 30.0)  # Hz
 LINE = 0.05  # relative amplitude error: the thickness of a plotted line
-MOST = 0.75  # "excellent", "agrees well": three points of four within a line
-HALF = 0.5  # "captures": more of it than not
-NONE = 0.1  # "captures none": a tenth at most
-FEW = 0.05  # "does not occur": one frequency of twenty
-_BANDS_SHOWN = 3
+THREE_QUARTERS = 0.75  # "excellent", "agrees well": of the points, within a line
+HALF = 0.5  # "captures", "most": more of it than not
+TENTH = 0.1  # "captures none": at most
+TWENTIETH = 0.05  # "does not occur": of the frequencies
 ALIKE = 1.1  # "nearly the same": within a tenth
+_BANDS_SHOWN = 3
 
 NAMES = {"poly": "Poly", "ratpoly": "RatPoly", "logarctan": "log-arctan", "piecewise": "exact law"}
 
@@ -50,9 +51,7 @@ def listed(names: Iterable[str]) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def each(
-    labels: Iterable[str], says: str, number: Callable[[str], Number], op: str, limit: float
-) -> list[Test]:
+def each(labels: Iterable[str], says: str, number: OfLaw, op: str, limit: float) -> list[Test]:
     """One test for each law: ``tanh: SAYS``."""
     return [Test(f"{named(label)}: {says}", number(label), op, limit) for label in labels]
 
@@ -60,6 +59,11 @@ def each(
 def shown(tests: Iterable[Test], form: str = ".0%") -> str:
     """What such tests found: ``tanh 12%, arctan 13% and log-arctan 40%``."""
     return listed(f"{test.says.split(':')[0]} {test.number.value:{form}}" for test in tests)
+
+
+def by_law(numbers: Mapping[str, Number], form: str = ".0%") -> str:
+    """The same of numbers by label."""
+    return listed(f"{named(label)} {number.value:{form}}" for label, number in numbers.items())
 
 
 def ranges(omega: NDArray[np.float64], hits: Bools) -> str:
@@ -102,19 +106,23 @@ def f1(run: Run, label: str, scene: Scene, band: Band = ALL) -> Number:
 
 
 def amplitude_error(
-    run: Run, label: str, scene: Scene, band: Band = ALL, start: str = "rest", q: float = MOST
+    run: Run,
+    label: str,
+    scene: Scene,
+    band: Band = ALL,
+    start: str = "rest",
+    q: float = THREE_QUARTERS,
 ) -> Number:
     """Amplitude error that a share `q` of the points stays below; without a response infinite."""
 
     def quantile(label: str) -> float:
-        points = run.points(
-            label, *scene, "amplitude_error", band=band, start=start, data="agreement"
-        )
-        errors = points["amplitude_error"].fillna(np.inf).values
+        name = "amplitude_error"
+        points = run.points(label, *scene, name, band=band, start=start, data="agreement")
+        errors = points[name].fillna(np.inf).values
         return float(np.quantile(errors, q, method="higher"))
 
     floor = max((quantile(exact) for exact in _floor_labels(run)), default=math.nan)
-    return Number(quantile(label), floor, 0.0)
+    return Number(quantile(label), floor)
 
 
 def right(run: Run, label: str, scene: Scene, band: Band = ALL) -> Number:
@@ -126,12 +134,17 @@ def right(run: Run, label: str, scene: Scene, band: Band = ALL) -> Number:
     )
     exact = exact.sel(point=ours["point"])
     hits = abs(ours - exact) <= LINE * exact
-    return share(hits.values & (same["class_agreement"].values == 1.0))
+    return share(hits.values & (same["class_agreement"].values == 1.0), same["omega"])
 
 
 def mean_of(run: Run, name: str, label: str, scene: Scene, band: Band = ALL) -> Number:
     """Mean of a metric that is 1 where a response from rest agrees with the exact law."""
     return mean(run.points(label, *scene, name, band=band, data="agreement")[name])
+
+
+def width(scene: Scene) -> float:
+    """Width of the gap [m]."""
+    return 1e-3 * sum(float(j) for j in scene[1].split("/"))
 
 
 def same_picture(
@@ -149,60 +162,86 @@ def same_picture(
     both = [run.points(one, *scene, "x_max", "x_min") for one in (label, other)]
     common = np.intersect1d(both[0]["omega"].values, both[1]["omega"].values)
     ours, theirs = (points.isel(point=np.isin(points["omega"], common)) for points in both)
-    width = 1e-3 * sum(float(j) for j in scene[1].split("/"))
-    apart = (
-        abs(ours[["x_max", "x_min"]] - theirs[["x_max", "x_min"]]).to_dataarray().max("variable")
-    )
-    hits = (apart <= resolution * width).values
+    ends = ["x_max", "x_min"]
+    apart = abs(ours[ends] - theirs[ends]).to_dataarray().max("variable")
+    hits = apart <= resolution * width(scene)
     return share(hits if where is None else hits[where])
 
 
 # --- of one law ---------------------------------------------------------------------------------
 
 
-def is_class(run: Run, label: str, scene: Scene, kind: ResponseClass, band: Band = ALL) -> Number:
-    """Share of the responses from rest that are of a class."""
-    points = run.points(label, *scene, "response_class", band=band)
-    return share(points["response_class"] == kind)
+# What is looked for in a response: the variables that tell, and the condition on them.
+KINDS: dict[str, tuple[tuple[str, ...], Callable[[xr.Dataset], xr.DataArray]]] = {
+    "periodic": (("response_class",), lambda p: p["response_class"] == ResponseClass.PERIODIC),
+    "chaos": (("response_class",), lambda p: p["response_class"] == ResponseClass.CHAOTIC),
+    "period 3": (("period_multiple",), lambda p: p["period_multiple"] == 3),
+    "period above 1": (("period_multiple",), lambda p: p["period_multiple"] > 1),
+    "period not 1": (("period_multiple",), lambda p: p["period_multiple"] != 1),
+    "ringing": (("n_extrema",), lambda p: p["n_extrema"] > 2),
+    "nonlinear": (
+        ("period_multiple", "n_extrema"),
+        lambda p: (p["period_multiple"] != 1) | (p["n_extrema"] != 2),
+    ),
+    "largest amplitude": (("amplitude",), lambda p: p["amplitude"] == p["amplitude"].max()),
+    "peak below 0": (("x_max",), lambda p: p["x_max"] < 0.0),
+    "crosses 0": (("x_max", "x_min"), lambda p: p["x_max"] * p["x_min"] < 0.0),
+}
+
+
+def _hits(
+    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = "rest"
+) -> xr.DataArray:
+    """Which responses of a law are of a kind."""
+    names, is_kind = KINDS[kind]
+    return is_kind(run.points(label, *scene, *names, band=band, start=start))
+
+
+def share_of(
+    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = "rest"
+) -> Number:
+    """Share of the responses of a law that are of a kind."""
+    return share(_hits(run, label, scene, kind, band, start))
 
 
 def frequencies(
-    run: Run,
-    label: str,
-    scene: Scene,
-    hits: Callable[[xr.Dataset], xr.DataArray],
-    *names: str,
-    band: Band = ALL,
-    start: str = "rest",
+    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = "rest"
 ) -> tuple[NDArray[np.float64], Bools]:
-    """Frequencies that were asked for, and at which of them some start fulfils a condition."""
-    points = run.points(label, *scene, *names, band=band, start=start)
-    omega, where = np.unique(points["omega"].values, return_inverse=True)
+    """Frequencies that were asked for, and at which of them some response is of a kind."""
+    responses = _hits(run, label, scene, kind, band, start)
+    omega, where = np.unique(responses["omega"].values, return_inverse=True)
     found = np.zeros(omega.size, dtype=bool)
-    np.logical_or.at(found, where, hits(points).values)
+    np.logical_or.at(found, where, responses.values)
     return omega, found
 
 
-def period_3(run: Run, label: str, scene: Scene, band: Band) -> tuple[NDArray[np.float64], Bools]:
-    """Frequencies with scattered starts, and at which of them some start has period 3."""
-    return frequencies(
-        run, label, scene, is_period_3, "period_multiple", band=band, start="scattered"
-    )
-
-
-def is_period_3(points: xr.Dataset) -> xr.DataArray:
-    """Whether points have period 3."""
-    return points["period_multiple"] == 3
+def share_of_frequencies(
+    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = "rest"
+) -> Number:
+    """Share of the frequencies at which some response is of a kind."""
+    omega, found = frequencies(run, label, scene, kind, band, start)
+    return share(found, omega)
 
 
 def largest(run: Run, name: str, label: str, scene: Scene, start: str = "rest") -> Number:
-    """Largest value of a variable; its floor is the spread among the exact laws."""
-    values = {
-        one: float(run.points(one, *scene, name, start=start)[name].max())
-        for one in {label, EXACT, *_floor_labels(run)}
-    }
-    floor = max(abs(values[one] - values[EXACT]) for one in values if one != label)
-    return Number(values[label], floor)
+    """Largest value of a variable."""
+    return of_law(
+        run,
+        label,
+        lambda one: Number(float(run.points(one, *scene, name, start=start)[name].max())),
+    )
+
+
+def of_law(run: Run, label: str, number: OfLaw) -> Number:
+    """A number of a law; its floor is the spread of the same number among the exact laws."""
+    itself, *others = (number(one).value for one in (EXACT, *_floor_labels(run)))
+    floor = float(np.max(np.abs(np.array(others) - itself), initial=0.0))
+    return Number(number(label).value, floor)
+
+
+def larger_over_smaller(one: Number, other: Number) -> Number:
+    """How far two numbers are apart, as a ratio."""
+    return one / other if one.value > other.value else other / one
 
 
 # --- costs --------------------------------------------------------------------------------------
@@ -213,15 +252,16 @@ def work(run: Run, label: str, other: str, scene: Scene) -> Number:
 
     The same on every machine; seconds are not. The floor is the jackknife over frequencies.
     """
-    costs = [_per_period(run, one, scene, "nfev") for one in (label, other)]
+    costs = [per_period(run, one, scene, "nfev") for one in (label, other)]
     return ratio_of_sums(*costs)
 
 
 def seconds(run: Run, label: str, other: str, scene: Scene) -> str:
     """Processor time per forcing period, of one law over that of another: a text, no test."""
-    return f"{ratio_of_sums(*(_per_period(run, one, scene, 'cpu_time') for one in (label, other)))}"
+    return f"{ratio_of_sums(*(per_period(run, one, scene, 'cpu_time') for one in (label, other)))}"
 
 
-def _per_period(run: Run, label: str, scene: Scene, name: str) -> NDArray[np.float64]:
+def per_period(run: Run, label: str, scene: Scene, name: str) -> NDArray[np.float64]:
+    """A cost of every response from rest, per forcing period."""
     points = run.points(label, *scene, name, "t_simulated")
     return np.asarray(points[name] / (points["t_simulated"] * points["omega"]))

@@ -47,7 +47,7 @@ def bands(study: Study) -> xr.Dataset:
         within `FINEST`; NaN where there is none.
     """
     labels = (EXACT, *WEAK)
-    found = np.array([_ends(study, label) for label in labels])
+    found = np.array([(_peak(study, label), *_period_3(study, label)) for label in labels])
     names = {
         "peak_frequency": "frequency up to which the response from rest is on the upper branch",
         "period_3_low": "lowest frequency of the period-3 attractor",
@@ -68,8 +68,8 @@ def basins(study: Study) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``period_multiple`` (0: not periodic) and ``x_max`` [m] over ``case`` and ``start``, with
-        ``representation``, ``K_c``, ``gap`` and ``omega`` of each case.
+        ``period_multiple`` (0: not periodic) over ``case`` and ``start``, with ``representation``,
+        ``K_c``, ``gap`` and ``omega`` of each case.
     """
     starts = qmc.scale(qmc.Sobol(2, rng=1).random(512)[:N_STARTS], *_BOX)
     cases = [
@@ -78,9 +78,7 @@ def basins(study: Study) -> xr.Dataset:
         for label in labels
         for omega in frequencies
     ]
-    found = [
-        _responses(study, label, (K_c, gap), omega, *starts.T) for label, K_c, gap, omega in cases
-    ]
+    found = [_responses(study, law, (K_c, gap), f, *starts.T) for law, K_c, gap, f in cases]
     names = ("representation", "K_c", "gap", "omega")
     return xr.Dataset(
         {
@@ -88,11 +86,6 @@ def basins(study: Study) -> xr.Dataset:
                 ("case", "start"),
                 np.array([[r.period_multiple for r in case] for case in found], dtype="i4"),
                 {"units": "1", "long_name": "n of a period-n response, 0: none"},
-            ),
-            "x_max": (
-                ("case", "start"),
-                np.array([[r.x_max for r in case] for case in found]),
-                {"units": "m", "long_name": "peak displacement"},
             ),
         },
         {
@@ -125,10 +118,6 @@ def _responses(
             for frequency, x, v in zip(*(values.tolist() for values in points), strict=True)
         ]
     )
-
-
-def _ends(study: Study, label: str) -> tuple[float, float, float]:
-    return (_peak(study, label), *_period_3(study, label))
 
 
 def _peak(study: Study, label: str) -> float:

@@ -94,7 +94,7 @@ def _compared(
     values |= band_metrics(ours, exact, width, symmetric=symmetric)
     yield from values.items()
     yield from curves.items()
-    yield from summaries(ours, exact, values, width)
+    yield from summaries(ours, exact, values)
 
 
 def _set_floors(tables: Tables, floors: list[int], scene: Position) -> None:
@@ -105,9 +105,6 @@ def _set_floors(tables: Tables, floors: list[int], scene: Position) -> None:
             lowest = metric.worst == "min"
             worst = np.fmin.reduce(values) if lowest else np.fmax.reduce(np.abs(values))
             tables[f"{name}_floor"][scene] = worst
-    k, g = scene
-    floor = tables["same_attractor_mean_floor"][k, g]
-    tables["same_attractor_above_floor"][:, k, g] = tables["same_attractor_mean"][:, k, g] - floor
 
 
 def _dataset(tables: Tables, responses: xr.Dataset, floors: list[str]) -> xr.Dataset:

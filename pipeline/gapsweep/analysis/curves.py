@@ -98,8 +98,7 @@ def curve_metrics(
     """
     shape = ours.requested.shape
     points = {name: np.full(shape, np.nan) for name in ("jump_shift", "change_shift")}
-    names = ("n_jumps", "n_changes")
-    counts = {n + s: np.zeros(shape[1]) for n in names for s in ("", "_exact", "_matched")}
+    counts = {name: np.zeros(shape[1]) for name in ("n_jumps", "n_changes")}
     largest = np.full((2, shape[1]), np.nan)
     common = ours.requested & theirs.requested
     for start in np.flatnonzero(common.any(axis=0)).tolist():
@@ -110,10 +109,7 @@ def curve_metrics(
             ("jump", both),
             ("change", [changes(slab, start, along) for slab in (ours, theirs)]),
         ):
-            shift = shifts(a, b)
-            points[f"{name}_shift"][b.at, start] = shift
+            points[f"{name}_shift"][b.at, start] = shifts(a, b)
             counts[f"n_{name}s"][start] = len(a.omega)
-            counts[f"n_{name}s_exact"][start] = len(b.omega)
-            counts[f"n_{name}s_matched"][start] = np.isfinite(shift).sum()
     curves = {"largest_jump": largest[0], "largest_jump_shift": largest[0] - largest[1], **counts}
     return points, curves

@@ -48,8 +48,6 @@ class Metric:
         empty where a floor has no meaning.
     interval : bool
         Whether a pooled number has a confidence interval.
-    stored : bool
-        Whether it is a variable itself, not only its summaries.
     dtype : str
     """
 
@@ -61,7 +59,6 @@ class Metric:
     statistics: tuple[str, ...] = ()
     worst: str = ""
     interval: bool = False
-    stored: bool = True
     dtype: str = "f8"
 
 
@@ -209,10 +206,6 @@ METRICS: dict[str, Metric] = {
         "1 if the two attractors match (see n_attractors_matched); 0 if not or if only one of the "
         "responses is on an attractor; NaN if none is",
     ),
-    "same_attractor_above_floor": Metric(
-        "A12", POOLED, "1", "starts that end on the matching attractor, beyond exact against exact",
-        "same_attractor_mean - same_attractor_mean_floor",
-    ),
     "lyapunov_difference": _error(
         "A13", POINT_DIMS, "s-1", "difference of the largest Lyapunov exponents",
         "lambda_1 - lambda_1_exact",
@@ -224,18 +217,6 @@ METRICS: dict[str, Metric] = {
     "lyapunov_sign_agreement": _share(
         "A13", POINT_DIMS, "same sign of the largest Lyapunov exponent",
         "1 if both are positive, both negative or both within three standard errors of 0; else 0",
-    ),
-    "cpu_time_ratio": _pooled(
-        "A14", "1", "processor time, relative to the exact law",
-        "sum of cpu_time / that of the exact law, over points timed on the same machine",
-    ),
-    "nfev_ratio": _pooled(
-        "A14", "1", "right-hand sides, relative to the exact law",
-        "sum of nfev / that of the exact law (a Taylor method counts expansions)",
-    ),
-    "n_steps_ratio": _pooled(
-        "A14", "1", "accepted steps, relative to the exact law",
-        "sum of n_steps / that of the exact law",
     ),
     "cpu_time_per_period": _pooled(
         "A14", "s", "processor time per forcing period",
@@ -263,37 +244,19 @@ METRICS: dict[str, Metric] = {
         "A5", CURVE, "Hz", "shift of the largest jump of a curve",
         "largest_jump - that of the exact law", worst="max",
     ),
-    **{
-        f"n_{name}{suffix}": _count("A5", CURVE, f"{what} along a curve{which}", f"see {see}")
-        for name, what, see in (
-            ("jumps", "jumps", "jump_shift"), ("changes", "changes of class", "change_shift")
-        )
-        for suffix, which in (
-            ("", ""), ("_exact", ", exact law"), ("_matched", ", matched with an exact one")
-        )
-    },
+    "n_jumps": _count("A5", CURVE, "jumps along a curve", "see jump_shift"),
+    "n_changes": _count("A5", CURVE, "changes of class along a curve", "see change_shift"),
     "n_points": _count("all", POOLED, "sweep points", "asked for"),
     "n_compared": _count("all", POOLED, "sweep points compared", "with both responses"),
     "n_unresolved": _count("all", POOLED, "sweep points unresolved", "of class unresolved"),
     "n_failed": _count("all", POOLED, "sweep points failed", "of class failed"),
 }  # fmt: skip
 
-# Summed up in widths of the gap too.
-for _name in ("section_w1", "extrema_w1"):
-    METRICS[f"{_name}_relative"] = replace(
-        METRICS[_name],
-        units="1",
-        long_name=f"{METRICS[_name].long_name} / G",
-        definition=f"{_name} / G; {_G}",
-        stored=False,
-    )
-
 
 def variables() -> Iterator[tuple[str, Metric]]:
     """All variables of the file: metrics, summaries, confidence intervals and floors."""
     for name, metric in METRICS.items():
-        if metric.stored:
-            yield from _with_companions(name, metric)
+        yield from _with_companions(name, metric)
         for statistic in metric.statistics:
             what = STATISTICS[statistic]
             summary = Metric(

@@ -111,9 +111,6 @@ def cost_sums(ours: Slab, theirs: Slab) -> dict[str, Array]:
     )
     tried = own["n_steps"] + own["n_rejected"]
     ratios = {
-        "cpu_time_ratio": (own["cpu_time"], exact["cpu_time"], timed),
-        "nfev_ratio": (own["nfev"], exact["nfev"], both),
-        "n_steps_ratio": (own["n_steps"], exact["n_steps"], both),
         "cpu_time_per_period": (own["cpu_time"], periods, timed),
         "cpu_time_per_period_ratio": (
             *(own["cpu_time"], periods, exact["cpu_time"], their_periods),

@@ -21,7 +21,7 @@ Summaries = Iterator[tuple[str, Any]]
 _QUANTILES = {"median": 0.5, "p95": 0.95}
 
 
-def summaries(ours: Slab, exact: Slab, values: dict[str, Array], width: float) -> Summaries:
+def summaries(ours: Slab, exact: Slab, values: dict[str, Array]) -> Summaries:
     """Pooled variables of one slab.
 
     Parameters
@@ -29,19 +29,14 @@ def summaries(ours: Slab, exact: Slab, values: dict[str, Array], width: float) -
     ours, exact : Slab
     values : dict of str to ndarray, shape (n_omega, n_starts) or (n_omega,)
         The point-wise and frequency-wise metrics.
-    width : float
-        Width of the gap [m], the unit of the relative ones.
     """
     block = blocks(ours.omega)
     regimes = {2: _regimes_of_points(exact), 1: _regimes_of_frequencies(ours, exact)}
     for name, metric in METRICS.items():
         if metric.statistics == ("mean",):
             yield from _means(name, values[name], regimes[values[name].ndim], block)
-        elif metric.stored and metric.statistics:
-            for variable, found in _spread(name, values[name], regimes[values[name].ndim], block):
-                yield variable, found
-                if f"{name}_relative" in METRICS:
-                    yield variable.replace(name, f"{name}_relative"), found / width
+        elif metric.statistics:
+            yield from _spread(name, values[name], regimes[values[name].ndim], block)
     yield from _set_ratios(values, regimes[1], block)
     for name, sums in cost_sums(ours, exact).items():
         yield from _pooled(name, sums, regimes[2], block, ratio)

@@ -27,7 +27,8 @@ VERDICTS = (CONFIRMED, REFUTED, PARTLY, UNDECIDABLE)
 
 _HOLDS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
-_RESPONSES, _AGREEMENT = "responses", "agreement"
+_RESPONSES = "responses"
+Floats = NDArray[np.float64]
 
 
 class NotInRunError(Exception):
@@ -44,67 +45,85 @@ class Number:
         NaN: there is none, and no test of it is decided.
     floor : float
         What rounding or sampling alone can do to it.
-    low, high : float
-        Its possible range: no test may ask for less or more.
     n : int
         How many values it condenses.
-    each : ndarray, optional
-        These values, where it is a mean of values in [0, 1]: differences are taken in pairs.
+    each, of : ndarray, optional
+        The values of a mean, NaN where there is none, and what each is of, such as its frequency.
+        Two means over the same points are compared in pairs, over those that both have.
     """
 
     value: float
     floor: float = 0.0
-    low: float = -math.inf
-    high: float = math.inf
     n: int = 1
-    each: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
+    each: Floats | None = field(default=None, compare=False, repr=False)
+    of: Floats | None = field(default=None, compare=False, repr=False)
 
     def __sub__(self, other: "Number") -> "Number":
-        if self.each is not None and other.each is not None and self.n == other.n:
-            return mean(self.each - other.each, low=-1.0)
-        return Number(
-            self.value - other.value,
-            math.hypot(self.floor, other.floor),
-            self.low - other.high,
-            self.high - other.low,
-            self.n + other.n,
-        )
+        if pairs := self._pairs(other):
+            return mean(pairs[0] - pairs[1])
+        floor = math.hypot(self.floor, other.floor)
+        return Number(self.value - other.value, floor, self.n + other.n)
 
     def __truediv__(self, other: "Number") -> "Number":
         """The ratio of two numbers that are not negative; NaN if the other is 0."""
-        value = self.value / other.value if other.value else math.nan
-        if self.each is not None and other.each is not None and self.n == other.n and other.value:
-            floor = _spread(self.each - value * other.each) / other.value
-            return Number(value, floor, 0.0, math.inf, self.n)
-        floor = math.hypot(self.floor, value * other.floor) / other.value if other.value else 0.0
-        return Number(value, floor, 0.0, math.inf, self.n + other.n)
+        pairs = self._pairs(other)
+        values = (self.value, other.value) if pairs is None else pairs
+        above, below = (float(np.mean(value)) for value in values)
+        n = self.n + other.n if pairs is None else pairs[0].size
+        if not below:
+            return Number(math.nan, 0.0, n)
+        value = above / below
+        if pairs is None:
+            return Number(value, math.hypot(self.floor, value * other.floor) / below, n)
+        return Number(value, _spread(pairs[0] - value * pairs[1]) / below, n)
+
+    def _pairs(self, other: "Number") -> tuple[Floats, Floats] | None:
+        """The values at the points that both have; None if they are not of the same points."""
+        if self.each is None or other.each is None or self.each.shape != other.each.shape:
+            return None
+        if self.of is None or other.of is None or not np.array_equal(self.of, other.of):
+            return None
+        both = np.isfinite(self.each) & np.isfinite(other.each)
+        if not both.any():
+            raise NotInRunError("two laws have no point in common there")
+        return self.each[both], other.each[both]
 
     def __str__(self) -> str:
         return f"{self.value:.3g}"
 
 
-def mean(values: ArrayLike, low: float = 0.0) -> Number:
-    """Mean of values between `low` and 1, such as shares, or of differences of such values.
+def mean(values: ArrayLike, of: ArrayLike | None = None) -> Number:
+    """Mean of values between -1 and 1, such as shares, or of differences of such values.
 
     Its floor is two standard errors, one more squared deviation of 1 being assumed, so that none
     or all of a few are not taken for certain: more than a regular grid of frequencies has.
+
+    Parameters
+    ----------
+    values : array_like
+        NaN: none there.
+    of : array_like, optional
+        What each value is of; None takes the coordinate ``omega`` of `values`, if it has one.
     """
+    of = getattr(values, "omega", None) if of is None else of
     each = np.ravel(np.asarray(values, dtype=float))
-    each = each[np.isfinite(each)]
-    if not each.size:
+    found = each[np.isfinite(each)]
+    if not found.size:
         raise NotInRunError("nothing was asked for there")
-    value = float(each.mean())
-    return Number(value, _spread(each - value), low, 1.0, each.size, each)
+    value = float(found.mean())
+    points = None if of is None else np.ravel(np.asarray(of))
+    return Number(value, _spread(found - value), found.size, each, points)
 
 
-def _spread(deviations: NDArray[np.float64]) -> float:
+def _spread(deviations: Floats) -> float:
     """Two standard errors of a mean, given what its values deviate by."""
     return 2.0 * math.sqrt(float(np.sum(deviations**2)) + 1.0) / deviations.size
 
 
-def share(hits: ArrayLike) -> Number:
+def share(hits: ArrayLike, of: ArrayLike | None = None) -> Number:
     """Share of what was looked at that fulfils a condition, as a `mean`."""
-    return mean(np.asarray(hits, dtype=bool))
+    of = getattr(hits, "omega", None) if of is None else of
+    return mean(np.asarray(hits, dtype=bool), of)
 
 
 def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:
@@ -119,7 +138,7 @@ def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:
     if n > 1:
         without = (above.sum() - above) / (below.sum() - below)
         spread = 2.0 * math.sqrt((n - 1) / n * float(np.sum((without - without.mean()) ** 2)))
-    return Number(value, spread, 0.0, math.inf, n)
+    return Number(value, spread, n)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +216,7 @@ class Claim:
         found = verdict(test.holds for test in tests)
         if unsettled := [test.says for test in tests if test.holds is None]:
             more = f" and {len(unsettled) - 3} more" if len(unsettled) > 3 else ""
-            sentence += f" Open, within the floor: {'; '.join(unsettled[:3])}{more}."
+            sentence += f" Open (no number, or within its floor): {'; '.join(unsettled[:3])}{more}."
         return {
             "id": self.id,
             "place": self.place,
@@ -315,44 +334,32 @@ class Run:
             raise NotInRunError(f"the run has no {name}.nc")
         return self.datasets[name]
 
-    def select(self, name: str, **at: Any) -> xr.Dataset:
-        """Part of a dataset by labels along dimensions, in memory.
+    def select(self, name: str, *names: str, **at: Any) -> xr.Dataset:
+        """Part of a dataset by labels along dimensions, in memory; some variables, or all.
 
         Raises
         ------
         NotInRunError
-            If the run has no such dataset or labels.
+            If the run has no such dataset, variables or labels.
         """
-        key = (name, *sorted(at.items()))
+        key = (name, *names, *sorted(at.items()))
         if key not in self._read:
             dataset = self[name]
+            if missing := [one for one in names if one not in dataset.variables]:
+                raise NotInRunError(f"{name}.nc has no {', '.join(missing)}")
             try:
-                self._read[key] = dataset.sel(at).load()
+                found = dataset[list(names)] if names else dataset
+                self._read[key] = found.sel(at).load()
             except KeyError:
-                raise NotInRunError(f"{name}.nc has nothing at {at}") from None
+                where = ", ".join(f"{dim} {label}" for dim, label in at.items())
+                raise NotInRunError(f"{name}.nc has nothing at {where}") from None
         return self._read[key]
 
     def scene(
         self, name: str, representation: str, K_c: float, gap: str, *names: str
     ) -> xr.Dataset:
-        """Some variables of one representation in one scene.
-
-        Parameters
-        ----------
-        name : str
-            The dataset: responses, attractors or agreement.
-        names : str
-            Its variables.
-        """
-        at = {"representation": representation, "K_c": K_c, "gap": gap}
-        key = (name, *at.values(), *names)
-        if key not in self._read:
-            dataset = self[name]
-            try:
-                self._read[key] = dataset[list(names)].sel(at).load()
-            except KeyError:
-                raise NotInRunError(f"{name}.nc has nothing at {representation}, {gap}") from None
-        return self._read[key]
+        """Some variables (`names`) of one representation in one scene of a dataset (`name`)."""
+        return self.select(name, *names, representation=representation, K_c=K_c, gap=gap)
 
     @cached_property
     def starts(self) -> dict[str, Any]:

@@ -56,6 +56,11 @@ class Judged:
     high: float
 
     @property
+    def is_stand_in(self) -> bool:
+        """Unlocated contacts are the exact force, and no stand-in for it."""
+        return not self.law.startswith("piecewise")
+
+    @property
     def column(self) -> str:
         """Where it stands in the table."""
         return "use" if self.verdict == "exact here" else self.verdict
@@ -98,8 +103,7 @@ class Contact:
     @property
     def picks(self) -> list[Judged]:
         """The cheapest stand-in to use, and those whose price cannot be told from its."""
-        # Unlocated contacts are the exact force and no stand-in for it.
-        usable = [one for one in self.columns["use"] if not one.law.startswith("piecewise")]
+        usable = [one for one in self.columns["use"] if one.is_stand_in]
         best = next((one for one in usable if one.is_firm), usable[0] if usable else None)
         return [one for one in usable if best and not one.low > best.high]
 
@@ -113,7 +117,7 @@ class Contact:
 def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Contact]:
     """Every contact of a study with what stands in there, the softest and narrowest first.
 
-    None where prices per period are not stored, as in files of earlier versions.
+    Empty where prices per period are not stored, as in files of earlier versions.
 
     Parameters
     ----------
@@ -183,6 +187,7 @@ def _judged(row: xr.Dataset, floors: Values, noise: float) -> Judged:
     is_firm = len({end.replace("exact here", "use") for end in ends}) == 1
     unknown = any(np.isnan(v[1:]).any() and np.isfinite(v[0]) for v in values.values())
     price, (low, high) = float(row[_PRICE]), row[f"{_PRICE}_ci"].values
+    # NaN, where there is no interval, comes first: it is kept.
     low, high = min(float(low), price / noise), max(float(high), price * noise)
     label, n_exact = str(row["representation"].item()), int(row["n_exact"])
     return Judged(label, values, n_exact, said, is_firm and not unknown, price, low, high)

@@ -86,13 +86,12 @@ def _closest_in(contact: Contact) -> str:
 
 
 def _models(contact: Contact) -> list[Judged]:
-    """The stand-ins with any amplitudes; unlocated contacts are the exact force, no model of it."""
-    laws = [one for one in contact.laws if not one.law.startswith("piecewise")]
-    return [one for one in laws if np.isfinite(one.values["median"][0])]
+    """The stand-ins with any amplitudes."""
+    return [o for o in contact.laws if o.is_stand_in and np.isfinite(o.values["median"][0])]
 
 
 def _prices(found: Sequence[Contact]) -> Iterator[str]:
-    laws = [one for contact in found for one in contact.laws if np.isfinite(one.price)]
+    laws = [o for c in found for o in c.laws if o.is_stand_in and np.isfinite(o.price)]
     dearer, cheaper = sum(one.low > 1.0 for one in laws), sum(one.high < 1.0 for one in laws)
     if laws:
         yield (

@@ -120,8 +120,8 @@ def outcome(test: Mapping[str, Any]) -> str:
     wanted = f"{_SHOWN_AS.get(test['op'], test['op'])} {threshold}"
     if test["holds"] is not None:
         return f"{value} {wanted} holds" if test["holds"] else f"{value}, not {wanted}"
-    if test["value"] is None:
-        return f"open: no number, asked for {wanted}"
+    if None in (test["value"], test["threshold"]):
+        return f"open: {value}, asked for {wanted}"
     return f"open: {value} is within its floor of {wanted}"
 
 

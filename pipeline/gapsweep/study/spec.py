@@ -136,13 +136,18 @@ class SobolStarts(_Table):
 def _start_form(value: Any) -> str:
     if isinstance(value, str):
         return "sweep"
+    if isinstance(value, list) and any(isinstance(v, str | dict | SobolStarts) for v in value):
+        return "several"
     return "sobol" if isinstance(value, SobolStarts | dict) else "list"
 
 
+Sobol = Annotated[SobolStarts, Tag("sobol")]
+Sweep = Annotated[Literal["sweep_up", "sweep_down"], Tag("sweep")]
 Starts = Annotated[
     Annotated[list[Range], Field(min_length=1), Tag("list")]
-    | Annotated[SobolStarts, Tag("sobol")]
-    | Annotated[Literal["sweep_up", "sweep_down"], Tag("sweep")],
+    | Annotated[list[Annotated[Sobol | Sweep, Discriminator(_start_form)]], Tag("several")]
+    | Sobol
+    | Sweep,
     Discriminator(_start_form),
 ]
 
@@ -157,10 +162,10 @@ class SweepTable(_Table):
     @property
     def count(self) -> int:
         """Sweep points, without expanding them."""
-        starts = self.initial_condition
-        n_starts = starts.sobol if isinstance(starts, SobolStarts) else len(starts)
+        given = self.initial_condition
+        starts = given if isinstance(given, list) else [given]
+        n_starts = sum(one.sobol if isinstance(one, SobolStarts) else 1 for one in starts)
         n_omega = len(self.omega) if isinstance(self.omega, list) else self.omega.count
-        n_starts = 1 if isinstance(starts, str) else n_starts
         return len(self.representation) * len(self.K_c) * len(self.gap) * n_omega * n_starts
 
 
@@ -434,6 +439,8 @@ def _problem(source: str, error: Any) -> str:
         message = f"must be {sign} {error['ctx'][name]:g}"
     elif error["type"] == "extra_forbidden":
         message = "unknown key"
+    elif error["type"] == "union_tag_invalid":
+        message = "must be { sobol = ... }, 'sweep_up' or 'sweep_down'"
     where = _path(error["loc"])
     value = error["input"]
     shown = "" if error["type"] == "missing" or isinstance(value, dict) else f" = {value!r:.80}"
@@ -445,7 +452,8 @@ def _path(loc: tuple[str | int, ...]) -> str:
     text = ""
     for i, part in enumerate(loc):
         # The tag of a union member is ours, not the user's.
-        if i and loc[i - 1] in ("omega", "initial_condition") and isinstance(part, str):
+        tagged = loc[i - 1] in ("omega", "initial_condition") or loc[max(i - 2, 0)] == "several"
+        if i and tagged and isinstance(part, str):
             continue
         text += f"[{part}]" if isinstance(part, int) else f".{part}"
     return text.lstrip(".")

@@ -402,9 +402,12 @@ def _expanded(block: SweepTable) -> tuple[list[Any], ...]:
     return tuple(list(dict.fromkeys(v)) for v in values)
 
 
-def _starts(spec: list[list[float]] | SobolStarts | str) -> list[Start]:
+def _starts(spec: Any) -> list[Start]:
+    """The starts of one form, or of a list of forms."""
     if isinstance(spec, str):
         return [Start(spec)]
+    if isinstance(spec, list) and isinstance(spec[0], str | SobolStarts):
+        return [start for form in spec for start in _starts(form)]
     if isinstance(spec, SobolStarts):
         from scipy.stats import qmc  # a second to import, and few studies need it
 
