@@ -234,7 +234,7 @@ def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
         gaps.setdefault(number(contact.K_c), []).append(contact.gap)
     places = " and ".join(f"{K_c} N/m with {', '.join(mm)} mm" for K_c, mm in gaps.items())
     if not laws:
-        return f"none for {places}"
+        return f"none of those swept for {places}"
     names = " or ".join([", ".join(laws[:-1]), laws[-1]] if laws[1:] else laws)
     return f"{names} for {places} ({_range([one for contact in some for one in contact.picks])})"
 
