@@ -166,7 +166,9 @@ def draw(stage: Stage, study: Study, folder: Path, now: MadeFrom) -> dict[str, A
     assert path is not None, "the stage is left out without sections"
     sections = _sections(path)
     with _read(stage, folder) as run, beside.blaming(path, "sections", sections):
-        found = {"sections": rendered(sections(run))}
+        # Apart from the report's own.
+        parts = [part | {"anchor": f"own-{part['anchor']}"} for part in rendered(sections(run))]
+        found = {"sections": parts}
     return _write(folder / SECTIONS, study, path, now, found)
 
 

@@ -154,7 +154,7 @@ def test_nothing_to_use_is_said():
     bad = judged("poly-13", "with care")
     assert in_words([contact(bad)]) == ["Take the exact law: no stand-in can be used."]
     said = in_words([contact(bad), contact(judged("tanh-1e4"), gap="0/1")])
-    assert "none for 10000 N/m with 0.4/0.4 mm" in said[1]
+    assert "none of those swept for 10000 N/m with 0.4/0.4 mm" in said[1]
     unlocated = judged("piecewise-noevents", "exact here", price=0.5)
     assert in_words([contact(unlocated)]) == ["Take the exact law: no stand-in can be used."]
 

@@ -14,7 +14,7 @@ from gapsweep.analysis.timing import timing
 from gapsweep.report.answer import contacts
 from gapsweep.report.findings import findings
 from gapsweep.report.html import write_report
-from gapsweep.report.parts import Part, Table, for_page, is_drawing, rendered, svg
+from gapsweep.report.parts import Figured, Part, Table, for_page, is_drawing, rendered, svg
 from gapsweep.report.tables import VERDICTS, number, outcome, percent
 from gapsweep.stages import is_of_run
 from gapsweep.status import Status
@@ -200,6 +200,32 @@ def test_drawings_are_shown_and_nothing_else_is():
     ):
         assert old in drawn
         assert not is_drawing(drawn.replace(old, new)), new
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Part("a", "A", "Said."), "sentences: must be a list of texts, not 'Said.'"),
+        (lambda: Part("a", "A", [1.5]), "one of sentences: must be text, not 1.5"),
+        (
+            lambda: Part("my part", "A", []),
+            "anchor: must be of a to z, 0 to 9 and -, not 'my part'",
+        ),
+        (lambda: Part("a", None, []), "title: must be text, not None"),
+        (lambda: Table("t", ["h"], [["1"], ["1", "2"]]), "row 2: 2 texts for 1 columns"),
+        (lambda: Table("t", ["h"], [[1.5]]), "one of row 1: must be text, not 1.5"),
+        (
+            lambda: Figured(Figure().subplots(), "", ""),
+            "must be a matplotlib.figure.Figure, not Axes",
+        ),
+        (lambda: rendered(None), "must give sections, as a list or by yield, not None"),
+        (lambda: rendered([1]), "a section must be a Part, not 1"),
+        (lambda: rendered([Part("a", "A", ["x"])] * 2), "anchor 'a': stands for more than one"),
+    ],
+)
+def test_what_sections_must_hold(make, said):
+    with pytest.raises((TypeError, ValueError), match=re.escape(said)):
+        make()
 
 
 def test_parts_that_hold_nothing_are_left_out():

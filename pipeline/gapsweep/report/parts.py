@@ -5,6 +5,7 @@ and SVG, fit for JSON: what is stored is shown later without running what made i
 """
 
 import io
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -25,11 +26,19 @@ _DRAWING = {
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of texts."""
+    """A table of texts; every row has as many as the header."""
 
     title: str
     header: list[str]
     rows: list[list[str]]
+
+    def __post_init__(self) -> None:
+        _check_text("title", self.title)
+        for i, row in enumerate([self.header, *self.rows]):
+            where = f"row {i}" if i else "header"
+            _check_texts(where, row)
+            if len(row) != len(self.header):
+                raise ValueError(f"{where}: {len(row)} texts for {len(self.header)} columns")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +49,13 @@ class Figured:
     caption: str
     description: str
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.figure, Figure):
+            kind = type(self.figure).__name__
+            raise TypeError(f"figure: must be a matplotlib.figure.Figure, not {kind}")
+        _check_text("caption", self.caption)
+        _check_text("description", self.description)
+
 
 @dataclass(frozen=True, slots=True)
 class Part:
@@ -48,7 +64,7 @@ class Part:
     Attributes
     ----------
     anchor : str
-        Its id in the page.
+        Its id in the page: letters a to z, digits and hyphens.
     title : str
     sentences : list of str
     tables : iterable of Table
@@ -62,19 +78,45 @@ class Part:
     tables: Iterable[Table] = ()
     figures: Iterable[Figured] = ()
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.anchor, str) or not re.fullmatch("[a-z][a-z0-9-]*", self.anchor):
+            raise ValueError(f"anchor: must be of a to z, 0 to 9 and -, not {self.anchor!r:.40}")
+        _check_text("title", self.title)
+        _check_texts("sentences", self.sentences)
+
+
+def _check_text(name: str, text: Any) -> None:
+    if not isinstance(text, str):
+        raise TypeError(f"{name}: must be text, not {text!r:.40}")
+
+
+def _check_texts(name: str, texts: Any) -> None:
+    if not isinstance(texts, list | tuple):
+        raise TypeError(f"{name}: must be a list of texts, not {texts!r:.40}")
+    for text in texts:
+        _check_text(f"one of {name}", text)
+
 
 def rendered(parts: Iterable[Part]) -> list[dict[str, Any]]:
     """Parts as texts and SVG, in the report's style, without those that hold nothing."""
+    if not isinstance(parts, Iterable):
+        raise TypeError(f"must give sections, as a list or by yield, not {parts!r:.40}")
     with matplotlib.rc_context(MATPLOTLIB):
         made = [_rendered(part) for part in parts]
+    anchors = [part["anchor"] for part in made]
+    for anchor in anchors:
+        if anchors.count(anchor) > 1:
+            raise ValueError(f"anchor {anchor!r}: stands for more than one section")
     return [part for part in made if part["sentences"] or part["tables"] or part["figures"]]
 
 
 def _rendered(part: Part) -> dict[str, Any]:
+    if not isinstance(part, Part):
+        raise TypeError(f"a section must be a Part, not {part!r:.40}")
     return {
         "anchor": part.anchor,
         "title": part.title,
-        "sentences": [str(sentence) for sentence in part.sentences],
+        "sentences": list(part.sentences),
         "tables": [
             {"title": t.title, "header": list(t.header), "rows": [list(row) for row in t.rows]}
             for t in part.tables
