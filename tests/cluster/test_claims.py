@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 
 import pytest
 
@@ -64,12 +65,31 @@ def sections(run):
 """
 
 
-@pytest.fixture
-def folder(tmp_path):
+def written(folder):
     texts = {"study.toml": STUDY, "claims.py": CLAIMS_PY, "figures.py": FIGURES_PY}
     for name, text in {**texts, "widths.py": WIDTHS}.items():
-        (tmp_path / name).write_text(text)
-    return tmp_path
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return written(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def run_once(client, tmp_path_factory):
+    """A finished run in `out`, beside its study."""
+    folder = written(tmp_path_factory.mktemp("run"))
+    study = gs.Study.load(folder / "study.toml")
+    gs.run(study, client, out=folder / "out", cache=folder / "cache.sqlite").close()
+    return folder
+
+
+@pytest.fixture
+def finished(run_once, tmp_path):
+    """A copy of it."""
+    return shutil.copytree(run_once, tmp_path / "copy")
 
 
 def changed(folder, name, old, new):
@@ -196,12 +216,10 @@ def test_what_a_dataset_raises_is_one_line(folder, client):
         ('"widths": widths', '"claims": widths', "'claims': a file of gapsweep's own"),
     ],
 )
-def test_what_a_claim_does_wrong_is_one_line(folder, client, old, new, said, capsys):
-    study = folder / "study.toml"
-    out, given = folder / "out", ["--study", os.fspath(study)]
-    gs.run(gs.Study.load(study), client, out=out, cache=folder / "cache.sqlite").close()
+def test_what_a_claim_does_wrong_is_one_line(finished, old, new, said, capsys):
+    out, given = finished / "out", ["--study", os.fspath(finished / "study.toml")]
     stored = (out / CLAIMS).read_bytes()
-    changed(folder, "claims.py", old, new)
+    changed(finished, "claims.py", old, new)
     assert exit_code(["claims", os.fspath(out), *given]) == FAULT
     (line,) = capsys.readouterr().err.splitlines()
     assert re.search(r"claims\.py:(\d+: )?", line)
@@ -211,12 +229,13 @@ def test_what_a_claim_does_wrong_is_one_line(folder, client, old, new, said, cap
     assert exit_code(["claims", os.fspath(out)]) == FINISHED
 
 
-def test_a_half_character_in_a_section_is_one_line(folder, client, capsys):
-    changed(folder, "figures.py", '["Said."]', '["\\ud800"]')
-    command = ["run", str(folder / "study.toml"), "--out", str(folder / "out")]
-    assert exit_code([*command, "--cache", str(folder / "cache.sqlite")]) == FAULT
+def test_a_half_character_in_a_section_is_one_line(finished, capsys):
+    changed(finished, "figures.py", '["Said."]', '["\\ud800"]')
+    out, given = finished / "out", ["--study", os.fspath(finished / "study.toml")]
+    stored = (out / SECTIONS).read_bytes()
+    assert exit_code(["report", os.fspath(out), *given]) == FAULT
     assert "figures.py: sections: UnicodeEncodeError" in capsys.readouterr().err.splitlines()[-1]
-    assert not (folder / "out" / SECTIONS).exists()
+    assert (out / SECTIONS).read_bytes() == stored
 
 
 @pytest.mark.parametrize(
