@@ -193,10 +193,11 @@ def stored(path: Path) -> dict[str, Any] | None:
     """
     if not path.exists():
         return None
-    if is_intact(path) is False:
+    if not (intact := is_intact(path)):
         command = "claims" if path.name == CLAIMS else "report"
+        why = "damaged" if intact is False else "no SHA-256 of it is recorded in SHA256SUMS"
         raise StoreError(
-            f"{path}: damaged; 'gapsweep {command} {path.parent} --study FILE' makes it again"
+            f"{path}: {why}; 'gapsweep {command} {path.parent} --study FILE' makes it again"
         )
     found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     is_of_now = CLAIMS_MODULE in found["made_from"] or REPORT_MODULE in found["made_from"]

@@ -229,6 +229,16 @@ def test_what_a_claim_does_wrong_is_one_line(finished, old, new, said, capsys):
     assert exit_code(["claims", os.fspath(out)]) == FINISHED
 
 
+@pytest.mark.parametrize("left", [b"", b"[]", b"\xff\xfe", b'{"claims": ['])
+def test_verdicts_that_nothing_vouches_for_are_refused(finished, capsys, left):
+    out = finished / "out"
+    (out / "SHA256SUMS").unlink()
+    (out / CLAIMS).write_bytes(left or (out / CLAIMS).read_bytes())
+    assert exit_code(["claims", os.fspath(out)]) == FAULT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "claims.json: no SHA-256 of it is recorded in SHA256SUMS" in line
+
+
 def test_a_half_character_in_a_section_is_one_line(finished, capsys):
     changed(finished, "figures.py", '["Said."]', '["\\ud800"]')
     out, given = finished / "out", ["--study", os.fspath(finished / "study.toml")]
