@@ -1,7 +1,7 @@
 """Answers: the recorded motion of every response, and what is read off it.
 
-All responses are recorded in one last call: a whole period of what is periodic, a window of
-the others.
+One last call records a whole period of every orbit. What is not periodic has its last window, which
+was recorded with all events.
 """
 
 import math
