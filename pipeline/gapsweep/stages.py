@@ -36,7 +36,6 @@ MadeFrom = Mapping[str, str]
 
 DAMAGED = "damaged"  # why a stage runs whose file is not as it was written
 _EXACT = "piecewise"
-_ROWS = 10_000  # looked up at a time
 _META = r'<meta name="gapsweep-made-from" content="([^"]*)">'
 
 
@@ -168,11 +167,9 @@ def stages_of(study: Study) -> list[Stage]:
 def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
     """Digests of what is no file of the run: settings of a study, rows in the cache, own code."""
     digest = hashlib.sha256()
-    for start in range(0, len(plan.keys), _ROWS):
-        some = plan.keys[start : start + _ROWS]
-        stored = cache.checksums(some)
-        for key in some:
-            digest.update(key + stored.get(key, b"missing"))
+    digest.update(plan.keys.tobytes())
+    for part in cache.checksums(plan.keys):
+        digest.update(part)
     return {**study_source(study), POINTS: digest.hexdigest(), **module_sources(study)}
 
 

@@ -38,11 +38,13 @@ from gapsweep.stages import ATTRACTORS, RESPONSES, made_from, reason_to_run, sou
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
-from gapsweep.store.cache import Cache, DamagedCacheError, is_sound
-from gapsweep.store.maintenance import numerics_of, representation_of
+from gapsweep.store.cache import Cache, DamagedCacheError
+from gapsweep.store.maintenance import contents_of, numerics_of, representation_of
 from gapsweep.store.salvage import salvage
 from gapsweep.study.fingerprint import numerics_fingerprint
-from gapsweep.study.study import Selection, Study
+from gapsweep.study.grid import Selection
+from gapsweep.study.points import KEY
+from gapsweep.study.study import Study
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -110,17 +112,16 @@ def expected_seconds(plan: Plan, cache: str | Path | None = None, workers: int =
     if not path.exists():
         return None
     with Cache(path, read_only=True) as store:
-        stored = store.cpu_times(plan.keys)
-    if not stored:
+        cost = store.seconds(plan.keys)
+    if np.isnan(cost).all():
         return None
-    cost = np.array([stored.get(key, np.nan) for key in plan.keys])
-    representation = plan.cells // int(np.prod(plan.shape[1:]))
-    missing = plan.is_missing
+    representation = plan.representation(np.arange(plan.n_points))
     total = 0.0
-    for r in np.unique(representation[missing]):
-        same = cost[(representation == r) & np.isfinite(cost)]
-        price = same.mean() if same.size else np.nanmean(cost)
-        total += price * np.sum(missing & (representation == r))
+    for r in np.unique(representation[plan.is_missing]).tolist():
+        here = representation == r
+        known = cost[here & np.isfinite(cost)]
+        price = known.mean() if known.size else np.nanmean(cost)
+        total += price * np.sum(plan.is_missing & here)
     return float(total) / workers
 
 
@@ -286,9 +287,9 @@ def query(
         As for `run`.
     on_progress : callable, optional
         Observer of the `Progress`; None shows a bar while points are computed.
-    representation, K_c, gap, omega, initial_condition : optional
-        What is wanted, among the study's own points: a value, a list or, for numbers, a slice
-        that includes both ends. All if left out.
+    **wanted
+        What is wanted of the study's own points, by dimension, as ``omega=slice(7.0, 12.0)``: a
+        value, a list or, for numbers, a slice that includes both ends. All if left out.
 
     Returns
     -------
@@ -353,7 +354,8 @@ def _computed(
     """
     if planned.n_damaged:
         warnings.warn(
-            f"{cache_path(cache)}: {planned.n_damaged} damaged rows, computed again", stacklevel=3
+            f"{cache_path(cache)}: {planned.n_damaged} damaged results, computed again",
+            stacklevel=3,
         )
     if not planned.n_missing:
         if begin is not None:
@@ -405,14 +407,19 @@ def recomputed_otherwise(
     from gapsweep.execution.alone import Alone
 
     now = numerics_fingerprint()
-    laws = {
-        r[0]: representation_of(r) for r in cache.records() if numerics_of(r) == now and is_sound(r)
-    }
-    ours = [key for key, law in laws.items() if ":" not in law or law in own_laws]
-    chosen = random.sample(ours, min(sample, len(ours)))
+    keys, n_skipped = [np.empty(0, KEY)], 0
+    for _, slab in cache.slabs():
+        if numerics_of(slab) == now and contents_of(slab) is not None:
+            law = representation_of(slab)
+            if ":" not in law or law in own_laws:
+                keys.append(np.frombuffer(slab.keys, KEY))
+            else:
+                n_skipped += slab.n_points
+    ours = np.unique(np.concatenate(keys))
+    chosen = random.sample(range(len(ours)), min(sample, len(ours)))
     with Alone(DEFAULT_TIMEOUT) as alone:
-        compared = [(key.hex(), differences(cache, key, alone)) for key in chosen]
-    return [pair for pair in compared if pair[1]], len(laws) - len(ours)
+        compared = [(ours[i].tobytes().hex(), differences(cache, ours[[i]], alone)) for i in chosen]
+    return [pair for pair in compared if pair[1]], n_skipped
 
 
 def _failures(planned: Plan) -> dict[str, int]:

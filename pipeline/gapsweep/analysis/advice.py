@@ -10,27 +10,27 @@ import xarray as xr
 
 from gapsweep.errors import ModelError
 from gapsweep.model.labels import AUTO
+from gapsweep.model.oscillator import Gap
 from gapsweep.study.advice import Model, StandIn, stand_in, stand_ins
-from gapsweep.study.schema import COORDINATES, POINT_DIMS, Variable
+from gapsweep.study.schema import COORDINATES, Variable, coordinates
 from gapsweep.study.study import Study
 
 MODEL_FLAGS = (("none", -1), *((model.name.lower(), int(model)) for model in Model))
-SWEPT = POINT_DIMS[1:]
 STAND_IN = "stand_in"
 
-VARIABLES: dict[str, tuple[tuple[str, ...], Variable]] = {
-    "model": (SWEPT, Variable("i1", "1", "least model that is adequate", -1, MODEL_FLAGS)),
-    "rtol": (SWEPT, Variable("f8", "1", "relative tolerance of the solver")),
-    "bound": (SWEPT, Variable("f8", "m", "what the displacement never exceeds, inf: not certain")),
-    "force_error": (
-        (*SWEPT[:2], STAND_IN),
-        Variable("f8", "1", "largest difference from the exact force / forcing"),
-    ),
-    "is_adequate": (
-        (*SWEPT[:2], STAND_IN),
-        Variable("i1", "1", "whether the smooth law meets the error", -1, (("no", 0), ("yes", 1))),
+# Over every dimension but the representation; over those of scenes, and the smooth law.
+VARIABLES = {
+    "model": Variable("i1", "1", "least model that is adequate", -1, MODEL_FLAGS),
+    "rtol": Variable("f8", "1", "relative tolerance of the solver"),
+    "bound": Variable("f8", "m", "what the displacement never exceeds, inf: not certain"),
+}
+SCREENED = {
+    "force_error": Variable("f8", "1", "largest difference from the exact force / forcing"),
+    "is_adequate": Variable(
+        "i1", "1", "whether the smooth law meets the error", -1, (("no", 0), ("yes", 1))
     ),
 }
+_PART = 65_536  # points whose numbers are in memory at a time
 
 
 def advice(study: Study, error: float | None = None) -> xr.Dataset:
@@ -45,91 +45,80 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
     Returns
     -------
     Dataset
-        `VARIABLES` over K_c, gap, omega and initial_condition, -1 where no representation is
-        asked for; over K_c, gap and `stand_in` the study's own smooth laws and, per family, the
-        one with the smallest adequate power of ten. Attribute `error`.
+        `VARIABLES` over every dimension but the representation, -1 where none is asked for;
+        `SCREENED` over the dimensions of scenes and `stand_in`: the study's own smooth laws and,
+        per family, the one with the smallest adequate power of ten. Attribute `error`.
     """
     grid = study.grid
     error = study.spec.auto.error if error is None else error
     asked = grid.requested.any(axis=0)
     model = np.full(asked.shape, -1, "i1")
     rtol, bound = np.full((2, *asked.shape), np.nan)
-    for place in zip(*np.nonzero(asked), strict=True):
-        k, g, w, i = map(int, place)
-        found = study.advice((0, k, g, w, i), error)
-        model[place], rtol[place], bound[place] = found.model, found.rtol, found.bound
-    screened = _screened(study, error)
-    labels = list(dict.fromkeys(one.label for scene in screened.values() for one in scene))
-    force_error = np.full((*asked.shape[:2], len(labels)), np.nan)
-    is_adequate = np.full(force_error.shape, -1, "i1")
-    for scene, some in screened.items():
-        for one in some:
-            at = (*scene, labels.index(one.label))
-            force_error[at], is_adequate[at] = one.force_error, one.is_adequate
-    tables = {
-        "model": model,
-        "rtol": rtol,
-        "bound": bound,
-        "force_error": force_error,
-        "is_adequate": is_adequate,
+    cells = np.flatnonzero(asked)
+    for first in range(0, len(cells), _PART):
+        part = cells[first : first + _PART]
+        found = study.advice(part, error)  # cells of the first representation, which says nothing
+        model.flat[part] = [one.model for one in found]
+        rtol.flat[part] = [one.rtol for one in found]
+        bound.flat[part] = [one.bound for one in found]
+    variables = {
+        name: (grid.dims[1:], values, VARIABLES[name].attributes)
+        for name, values in (("model", model), ("rtol", rtol), ("bound", bound))
     }
+    labels, screened = _screened(study, error)
+    for name, values in screened.items():
+        variables[name] = ((*grid.scene_dims, STAND_IN), values, SCREENED[name].attributes)
+    values = grid.coordinates()
     return xr.Dataset(
-        {name: (dims, tables[name], v.attributes) for name, (dims, v) in VARIABLES.items()},
-        _coordinates(study) | {STAND_IN: (STAND_IN, labels, {"long_name": "smooth law"})},
+        variables,
+        {
+            STAND_IN: (STAND_IN, labels, {"long_name": "smooth law"}),
+            **{
+                name: (dim, values[name], COORDINATES[name][1].attributes)
+                for name, dim in coordinates(grid.dims[1:]).items()
+            },
+        },
         {"study": study.name, "title": study.title, "error": error},
     )
 
 
-def _screened(study: Study, error: float) -> dict[tuple[int, int], list[StandIn]]:
-    """The study's smooth laws and the least adequate ones, by stiffness and gap."""
-    grid, forcing = study.grid, study.oscillator.forcing
+def _screened(study: Study, error: float) -> tuple[list[str], dict[str, Any]]:
+    """The study's smooth laws and the least adequate ones, and how they do in every scene."""
+    grid = study.grid
     own = dict.fromkeys(label.partition("@")[0] for label in grid.representations)
     smooth = [r for r in own if r != AUTO and ":" not in r and not r.startswith("piecewise")]
+    others = tuple(i for i, dim in enumerate(grid.dims) if dim not in grid.scene_dims)
+    asked = grid.requested.any(axis=others)
     screened = {}
-    for k, K_c in enumerate(grid.K_c):
-        for g, gap in enumerate(grid.gaps):
-            if grid.requested[:, k, g].any():
-                least = stand_ins(K_c, gap, forcing, error=error)
-                others = [label for label in smooth if label not in {one.label for one in least}]
-                screened[k, g] = [*least, *_each(others, K_c, gap, study, error)]
-    return screened
+    for at in zip(*np.nonzero(asked), strict=True):
+        here = dict(zip(grid.scene_dims, map(int, at), strict=True))
+        axes = {name: grid.axes[name][i] for name, i in here.items()}
+        gap = axes["gap"] if "gap" in axes else Gap(axes["j_1"], axes["j_2"])
+        forcing = axes.get("forcing", study.oscillator.forcing)
+        least = stand_ins(axes["K_c"], gap, forcing, error=error)
+        rest = [label for label in smooth if label not in {one.label for one in least}]
+        screened[at] = [*least, *_each(rest, axes["K_c"], gap, forcing, study, error)]
+    labels = list(dict.fromkeys(one.label for scene in screened.values() for one in scene))
+    force_error = np.full((*asked.shape, len(labels)), np.nan)
+    is_adequate = np.full(force_error.shape, -1, "i1")
+    for at, some in screened.items():
+        for one in some:
+            place = (*at, labels.index(one.label))
+            force_error[place], is_adequate[place] = one.force_error, one.is_adequate
+    return labels, {"force_error": force_error, "is_adequate": is_adequate}
 
 
-def _each(labels: list[str], K_c: float, gap: Any, study: Study, error: float) -> list[StandIn]:
+def _each(
+    labels: list[str], K_c: float, gap: Gap, forcing: float, study: Study, error: float
+) -> list[StandIn]:
     found = []
     for label in labels:
         try:
-            one = stand_in(
-                label,
-                K_c,
-                gap,
-                study.oscillator.forcing,
-                error=error,
-                fit_range=study.spec.fit.range,
-            )
+            one = stand_in(label, K_c, gap, forcing, error=error, fit_range=study.spec.fit.range)
         except ModelError:  # a fit with a pole in its range
             one = StandIn(label=label, force_error=np.inf, is_adequate=False)
         found.append(one)
     return found
-
-
-def _coordinates(study: Study) -> dict[str, Any]:
-    grid = study.grid
-    axes = {
-        "K_c": list(grid.K_c),
-        "gap": [gap.label for gap in grid.gaps],
-        "j_1": [gap.j_1 for gap in grid.gaps],
-        "j_2": [gap.j_2 for gap in grid.gaps],
-        "omega": list(grid.omega),
-        "initial_condition": list(range(len(grid.starts))),
-        "x_0": [s.x_0 if s.kind == "fixed" else np.nan for s in grid.starts],
-        "v_0": [s.v_0 if s.kind == "fixed" else np.nan for s in grid.starts],
-        "start": [start.kind for start in grid.starts],
-    }
-    return {
-        name: (COORDINATES[name][0], values, COORDINATES[name][1].attributes)
-        for name, values in axes.items()
-    }
 
 
 def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
@@ -138,18 +127,20 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        ``K_c``, ``gap``, ``starts`` and ``advice``, a list of ``from``, ``to`` [Hz], ``model``
-        and ``reason``; ``stand_ins``, a sentence.
+        ``K_c``, ``gap``, what else is swept by name, ``starts`` and ``advice``, a list of
+        ``from``, ``to`` [Hz], ``model`` and ``reason``; ``stand_ins``, a sentence.
     """
     scenes = []
-    for k, g in np.ndindex(found.sizes["K_c"], found.sizes["gap"]):
-        here = found.isel(K_c=k, gap=g)
+    dims = found["force_error"].dims[:-1]
+    for place in np.ndindex(*(found.sizes[dim] for dim in dims)):
+        here = found.isel(dict(zip(dims, place, strict=True)))
         if not (here["model"] >= 0).any():
             continue
+        j_1, j_2 = (float(here[name]) for name in ("j_1", "j_2"))
         scenes.append(
             {
-                "K_c": float(here["K_c"]),
-                "gap": str(here["gap"].values),
+                **{str(dim): float(here[dim]) for dim in dims if dim != "gap"},
+                "gap": Gap(j_1, j_2).label,
                 "starts": [
                     {"start": _start(one), "advice": _ranges(one)}
                     for one in (

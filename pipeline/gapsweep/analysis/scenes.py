@@ -11,9 +11,9 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.study.bench import SceneTable
 from gapsweep.study.points import canonical
 from gapsweep.study.schema import COORDINATES, Variable
-from gapsweep.study.spec import SceneTable
 from gapsweep.study.study import Study
 
 EXACT = "piecewise"

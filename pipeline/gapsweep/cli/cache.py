@@ -52,7 +52,7 @@ def info(cache: Path | None, as_json: bool) -> None:
         return
     click.echo(f"{found['file']}: format {found['format']}, {found['bytes'] / 1e6:.1f} MB")
     click.echo(
-        f"{found['rows']} rows, {found['current']} of the present code, "
+        f"{found['points']} points, {found['current']} of the present code, "
         f"{found['of_other_code']} of other code"
     )
     for label, count in found["status"].items():
@@ -65,7 +65,7 @@ def info(cache: Path | None, as_json: bool) -> None:
     "--sample",
     type=click.IntRange(min=0),
     default=0,
-    help="Compute so many random rows again and compare.  [default: 0]",
+    help="Compute so many random points again and compare.  [default: 0]",
 )
 @click.option(
     "--study",
@@ -73,7 +73,7 @@ def info(cache: Path | None, as_json: bool) -> None:
     help="Study that names the laws of your own that --sample may run.  [default: none]",
 )
 def verify(cache: Path | None, sample: int, study: Path | None) -> int:
-    """Check the file, every row, and on request the numbers.
+    """Check the file, every point, and on request the numbers.
 
     \b
     Examples:
@@ -90,19 +90,19 @@ def verify(cache: Path | None, sample: int, study: Path | None) -> int:
     for fault in verdict.faults:
         click.echo(f"file: {fault}", err=True)
     for key in verdict.damaged:
-        click.echo(f"damaged row: {key}", err=True)
+        click.echo(f"damaged point: {key}", err=True)
     for key, names in differing:
         click.echo(f"computed again, {', '.join(names)} came out otherwise: {key}", err=True)
     if n_skipped:
         click.echo(
-            f"{n_skipped} rows of laws of your own not computed again: --study FILE must name them",
+            f"{n_skipped} points of laws of your own not computed again: name them with --study",
             err=True,
         )
-    click.echo(f"{verdict.n_rows} rows, {len(verdict.damaged)} damaged")
+    click.echo(f"{verdict.n_points} points, {len(verdict.damaged)} damaged")
     if verdict.faults:
-        click.echo("the next run saves the sound rows and sets the file aside", err=True)
+        click.echo("the next run saves the sound ones and sets the file aside", err=True)
     elif verdict.damaged:
-        click.echo("the next run computes damaged rows again", err=True)
+        click.echo("the next run computes damaged points again", err=True)
     return 0 if verdict.is_sound and not differing else 1
 
 
@@ -110,7 +110,7 @@ def verify(cache: Path | None, sample: int, study: Path | None) -> int:
 @options.cache
 @click.option("--apply", is_flag=True, help="Really delete.  [default: only say what would go]")
 def gc(cache: Path | None, apply: bool) -> None:
-    """Delete the rows of other code, and damaged ones.
+    """Delete what other code has computed, and what is damaged.
 
     \b
     Examples:
@@ -118,22 +118,23 @@ def gc(cache: Path | None, apply: bool) -> None:
       gapsweep cache gc --apply
     """
     with _existing(cache, read_only=False) as store:
-        keys = maintenance.removable(store, numerics_fingerprint())
-        if apply and keys:
-            maintenance.remove(store, keys)
+        rows = maintenance.removable(store, numerics_fingerprint())
+        n_points = sum(slab.n_points for number, slab in store.slabs() if number in rows)
+        if apply and rows:
+            maintenance.remove(store, rows)
     verb = "deleted" if apply else "could be deleted; --apply does it"
-    click.echo(f"{len(keys)} rows {verb}")
+    click.echo(f"{n_points} points {verb}")
 
 
 @cache_commands.command()
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
 @options.cache
 def export(file: Path, cache: Path | None) -> None:
-    """Copy all sound rows to a new cache FILE.
+    """Copy all sound results to a new cache FILE.
 
     \b
     Example:
       gapsweep cache export copy.sqlite
     """
-    n_rows = maintenance.export(_path(cache), file)
-    click.echo(f"{n_rows} rows in {file}")
+    n_points = maintenance.export(_path(cache), file)
+    click.echo(f"{n_points} points in {file}")

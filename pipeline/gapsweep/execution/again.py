@@ -3,48 +3,54 @@
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gapsweep.execution.alone import Alone, CallError, response_of
-from gapsweep.execution.task import REST
-from gapsweep.response.ensemble import State
+from gapsweep.execution.task import States, Tile
 from gapsweep.response.result import Response
 from gapsweep.store.cache import Cache
-from gapsweep.study.points import OURS, Point, law_code, point_of
+from gapsweep.study.points import KEY, OURS, Kind, Points, law_code
 
 
-def differences(cache: Cache, key: bytes, alone: Alone) -> list[str]:
+def differences(cache: Cache, key: NDArray[np.void], alone: Alone) -> list[str]:
     """Names of the values of a stored result that come out otherwise now; `cpu_time` may."""
-    row = cache.rows([key])[key]
+    place = cache.place(key)
+    if place is None:
+        return []  # it has gone meanwhile
+    slab, contents, row = place
     try:
-        point, previous = point_of(row.identity)
+        kind = slab.kind
     except (ValueError, TypeError, KeyError, AttributeError):
         return ["identity"]  # whoever wrote this, it was not a run
-    if not _is_current(point, alone):
+    if not _is_current(kind, alone):
         return []
-    again = response_of(alone, point, _start(cache, previous))
+    points = Points(kind, contents.numbers[[row]])
+    again = response_of(alone, Tile.of_one(points, start_of(cache, contents.previous[[row]])))
+    now, stored = again.row(0), contents.responses.row(row)
     names = [field.name for field in fields(Response) if field.name not in ("cpu_time", "message")]
-    return [n for n in names if not _same(getattr(again, n), getattr(row.response, n))]
+    return [name for name in names if not _same(getattr(now, name), getattr(stored, name))]
 
 
-def _is_current(point: Point, alone: Alone) -> bool:
+def _is_current(kind: Kind, alone: Alone) -> bool:
     """Whether the user's own law of a point, if it has one, is still the one that computed it."""
-    if point.law_code == OURS:
+    if kind.law_code == OURS:
         return True
     try:
-        return point.law_code == alone(law_code, point.representation)
+        return kind.law_code == alone(law_code, kind.representation)
     except CallError:  # it has gone, or does to its process what it did not when it was stored
         return False
 
 
-def _start(cache: Cache, previous: str | None) -> State:
-    """Where the sweep that leads to a point had got to."""
-    while previous is not None:
-        row = cache.rows([bytes.fromhex(previous)]).get(bytes.fromhex(previous))
-        if row is None:
-            return REST
-        if row.response.ended:
-            return row.response.x_end, row.response.v_end
-        previous = point_of(row.identity)[1]
-    return REST
+def start_of(cache: Cache, previous: NDArray[np.void]) -> States:
+    """Where a sweep that has come to the point of a key goes on; at rest if it has not begun."""
+    while previous != np.zeros(1, KEY) and (place := cache.place(previous)) is not None:
+        _, contents, row = place
+        response = contents.responses.row(row)
+        if response.ended:
+            return np.array([response.x_end, response.v_end])
+        previous = contents.previous[[row]]
+    return np.zeros(2)
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -21,22 +21,25 @@ from multiprocessing.reduction import ForkingPickler  # what a Connection sends 
 from types import TracebackType
 from typing import Any, TypeVar
 
+import numpy as np
 import psutil
 
 from gapsweep.errors import ClusterError, ModelError
 from gapsweep.execution.task import (
     Task,
     TaskResult,
+    Tile,
+    TileResult,
     continued,
     failure,
-    responses,
-    state_after,
+    is_failure,
+    respond_to,
+    states_after,
 )
 from gapsweep.model import own_law
-from gapsweep.response.ensemble import State
-from gapsweep.response.result import Response
+from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
-from gapsweep.study.points import Point, law_code
+from gapsweep.study.points import law_code
 from gapsweep.study.software import software
 
 Result = TypeVar("Result")
@@ -152,25 +155,31 @@ def _with_code(
 def compute_alone(task: Task) -> TaskResult:
     """Body of a Dask task: like `compute`, but nothing that a point does can harm the worker."""
     ours = software()
-    found: list[Response] = []
     with Alone(task.timeout) as alone:
-        for points, state in task.work:
-            previous: Response | None = None
-            for point in points:
-                response = response_of(alone, point, state)
-                previous = continued(response, previous)
-                found.append(previous)
-                state = state_after(response, state)
-    return TaskResult(found, platform.node(), ours)
+        found = [_of_tile(alone, tile) for tile in task.tiles]
+    return TaskResult(found, 0.0, ours)
 
 
-def response_of(alone: Alone, point: Point, state: State) -> Response:
+def _of_tile(alone: Alone, tile: Tile) -> TileResult:
+    parts, states = [], tile.states.copy()
+    ends = np.cumsum(tile.lengths)
+    for sweep, rows in enumerate(map(range, ends - tile.lengths, ends)):
+        after_failure = np.zeros(1, bool)
+        for row in rows:
+            here = states[sweep : sweep + 1]
+            found = response_of(alone, Tile.of_one(tile.points.take([row]), here))
+            parts.append(continued(found, after_failure))
+            after_failure, states[sweep] = is_failure(found), states_after(found, here)[0]
+    return TileResult.of(tile, Responses.concatenated(parts), states, platform.node())
+
+
+def response_of(alone: Alone, tile: Tile) -> Responses:
     """The response of one point; what became of its process is its status."""
     try:
-        (response,) = alone(responses, [([point], state)])
+        found, _ = alone(respond_to, tile)
     except CallError as lost:
-        return Response(status=lost.status, message=lost.message)
-    return response
+        return Responses.of([Response(status=lost.status, message=lost.message)])
+    return found
 
 
 class _Child:

@@ -1,38 +1,38 @@
-"""Carry out a plan on a Dask cluster and commit every result as it arrives.
+"""Carry out a plan on a Dask cluster and store every result as it arrives.
 
 The client is the only writer. A bounded window of tasks is in flight, so that the size of
-the study does not show in the scheduler's memory. Points are taken in random order, looked
-up once more and claimed before they are sent out, so that two runs on one cache share the
-work. When a worker is lost, its points are computed again one by one where they can harm
-nobody; only what fails alone is marked as failed.
+the study does not show in the scheduler's memory. Tasks are taken in random order, claimed and
+looked up once more before they are sent out, so that two runs on one cache share the work. When a
+worker is lost, its points are computed again one by one where they can harm nobody; only what
+fails alone is marked as failed.
 """
 
-import math
 import random
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from distributed import Client, Future, as_completed
 from distributed.scheduler import KilledWorker
+from numpy.typing import NDArray
 
 from gapsweep.errors import ClusterError
+from gapsweep.execution.again import start_of
 from gapsweep.execution.alone import compute_alone
 from gapsweep.execution.cluster import check_software, check_workers
-from gapsweep.execution.plan import Piece, Plan
+from gapsweep.execution.plan import Plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
-from gapsweep.execution.task import REST, Task, TaskResult, Work, compute, process
+from gapsweep.execution.task import Task, TaskResult, Tile, TileResult, compute, process
 from gapsweep.integrate.problem import DEFAULT_ENGINE
-from gapsweep.model.labels import AUTO
-from gapsweep.response.ensemble import State
-from gapsweep.response.result import Response
+from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
-from gapsweep.store.cache import Cache, Row
+from gapsweep.store.cache import Cache
 from gapsweep.store.claims import Claims
-from gapsweep.study.software import software, versions
+from gapsweep.store.slab import Slab
+from gapsweep.study.software import software
 from gapsweep.study.study import Study
 
 # Short against a user's patience and against what a kill may cost; until then, the more points
@@ -42,34 +42,43 @@ _MAX_BATCH = 4096
 # A task takes at most this part of a thread's share of what is left, so that all end together.
 _PART_OF_SHARE = 0.5
 _MIN_BATCH = 64
-# What a point costs beside its integration [s].
-_POINT_SECONDS = 3e-4
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
 # A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.
-_CHAIN_PART = 16
-# Neighbours stay together, because they cost alike and share their lanes: a block of them is not
-# mixed with others.
-_BLOCK = 4096
+_SWEEP_PART = 16
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
-_COMMIT_ROWS = 200
+_COMMIT_POINTS = 4096
 # Workers that a suspect may lose, before it is taken for guilty although it was alone.
 _MAX_ATTEMPTS = 5
 _WAIT_SECONDS = 0.1
 _CLUSTER_LOST = "the cluster was lost; run again to resume"
 
+# Numbers of points in the plan, ascending.
+Rows = NDArray[np.intp]
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Job:
-    """What one task computes, and how often its worker was lost."""
+    """What one task computes, and how often its worker was lost.
 
-    pieces: tuple[Piece, ...]
+    Attributes
+    ----------
+    rows : ndarray of int, shape (n,)
+        All of one representation.
+    claimed : (int, int)
+        First and last number claimed.
+    tiles : list of (ndarray of int, Tile)
+        Positions in `rows`, and the points.
+    rest : ndarray of int
+        What follows in their sweeps.
+    """
+
+    rows: Rows
+    claimed: tuple[int, int]
+    tiles: list[tuple[Rows, Tile]]
+    rest: Rows
     attempts: int = 0
-
-    @property
-    def n_points(self) -> int:
-        return sum(map(len, self.pieces))
 
 
 def execute(
@@ -102,7 +111,7 @@ def execute(
         If the workers run other code, or the cluster is lost; what arrived is stored.
     """
     check_workers(client)
-    with Claims(cache.path) as claims:
+    with Claims(cache.path, plan.keys.tobytes()) as claims:
         run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)
         try:
             run.finish(on_progress)
@@ -113,7 +122,7 @@ def execute(
 
 
 class _Execution:
-    """One run: pieces waiting, tasks in flight, rows not yet committed."""
+    """One run: points waiting, tasks in flight, results not yet stored."""
 
     def __init__(
         self,
@@ -130,25 +139,21 @@ class _Execution:
         self.client, self.batch, self.timeout = client, batch, timeout
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
         # What must be computed although it is stored: failures, and what follows them in a sweep.
-        self.stale = {
-            plan.keys[point] for point in np.flatnonzero(plan.is_missing & (plan.status >= 0))
-        }
-        self.repeated = _repeated(study, plan)
+        self.is_stale = plan.is_missing & (plan.status >= 0)
+        self.is_repeated = _repeated(plan.keys)
         self.progress = Progress(plan.n_points, plan.n_hits)
         self.blocks = _shuffled(plan)
-        self.block: deque[Piece] = deque()
         self.n_new = plan.n_missing
-        # What comes before new pieces: the rest of long sweeps.
-        self.begun: deque[Piece] = deque()
+        # What comes before new points: the rest of a block, and of long sweeps.
+        self.begun: deque[Rows] = deque()
+        self.ends: dict[int, NDArray[np.float64]] = {}  # where sweeps begun go on, by number
         # What another run has claimed: looked at again when nothing else is left.
-        self.elsewhere: list[Piece] = []
+        self.elsewhere: list[Rows] = []
         self.suspects: deque[_Job] = deque()
         self.in_flight: dict[Future, _Job] = {}
-        self.rows: list[Row] = []
-        self.held: list[bytes] = []  # claims on the points of those rows
+        self.arrived: list[Slab] = []
+        self.held: list[tuple[int, int]] = []  # claims on the points of those slabs
         self.last_commit = time.monotonic()
-        # The workers' too, or they are refused.
-        self.versions = ", ".join(f"{name} {number}" for name, number in versions().items())
         self.costs = _Costs(study.spec.solver.engine or DEFAULT_ENGINE)
 
     def finish(self, on_progress: OnProgress | None) -> None:
@@ -167,129 +172,107 @@ class _Execution:
             else:
                 return
 
+    # --- sending ---------------------------------------------------------------------------------
+
     def _refill(self, completed: as_completed) -> None:
         n_threads = sum(self.client.nthreads().values())
         while len(self.in_flight) < _WINDOW * max(n_threads, 1):
             job = self.suspects.popleft() if self.suspects else self._next_job()
             if job is None:
                 return
-            future = self._submit(job)
+            task = Task([tile for _, tile in job.tiles], self.timeout, process())
+            body = compute_alone if job.attempts else compute
+            future = self.client.submit(body, task, pure=False)
             self.in_flight[future] = job
             completed.add(future)
 
-    def _submit(self, job: _Job) -> Future:
-        task = Task([self._work(piece) for piece in job.pieces], self.timeout, process())
-        return self.client.submit(compute_alone if job.attempts else compute, task, pure=False)
-
     def _next_job(self) -> _Job | None:
-        """Pieces for one task, as many as fill it; None if there is nothing to do now."""
-        while candidates := self._drawn():
-            if pieces := self._claimed(candidates):
-                return _Job(tuple(pieces))
+        """Points for one task, as many as fill it; None if there is nothing to do now."""
+        while (drawn := self._drawn()) is not None:
+            rows, rest = drawn
+            claimed = int(rows[0]), int(max(rows[-1], rest[-1] if rest.size else 0))
+            if not self.claims.take(*claimed):
+                self.elsewhere.append(np.union1d(rows, rest))
+                continue
+            # Only now: what was stored before we claimed it has been seen.
+            self.n_new -= len(rows)
+            wanted = self._not_stored(rows)
+            if wanted.size:
+                return _Job(wanted, claimed, self._tiles(wanted), rest)
+            self.claims.release(*claimed)
+            if rest.size:
+                self.begun.append(rest)
         return None
 
-    def _drawn(self) -> list[Piece]:
-        """The next pieces that would fill a task."""
-        drawn: list[Piece] = []
-        room, n_left = 1.0, self._share_of_rest()
-        while room > 0.0 and n_left > 0:
-            piece = self.begun.popleft() if self.begun else self._drawn_new(is_first=not drawn)
-            if piece is None:
-                if not drawn and self._returned():
-                    continue
-                break
-            drawn.append(piece)
-            n = min(len(piece), _CHAIN_PART)
-            room, n_left = room - n * self._share_of_task(piece.first), n_left - n
-        return drawn
-
-    def _drawn_new(self, *, is_first: bool) -> Piece | None:
-        """The next piece that nobody has looked at; of the next block only if it is the first."""
-        if not self.block and is_first:
-            self.block.extend(next(self.blocks, ()))
-        if not self.block:
+    def _drawn(self) -> tuple[Rows, Rows] | None:
+        """Points that would fill a task, and what follows in their sweeps; None: none is left."""
+        if not self.begun:
+            block = next(self.blocks, None)
+            if block is not None:
+                self.begun.append(block)
+        if not self.begun:
+            self._take_back()
+        if not self.begun:
             return None
-        piece = self.block.popleft()
-        self.n_new -= len(piece)
-        return piece
+        rows = self.begun.popleft()
+        drawn, rest, others = _cut(rows, self.plan.follows, self._room(rows[0]))
+        if others.size:
+            self.begun.appendleft(others)
+        return drawn, rest
 
-    def _share_of_rest(self) -> int:
-        """Points that a task may take, so that all threads have work to the end."""
+    def _room(self, point: np.intp) -> int:
+        """Points that a task takes, so that it is not long and all threads have work to the end."""
+        if self.batch:
+            return self.batch
         n_threads = max(sum(self.client.nthreads().values()), 1)
-        return max(int(_PART_OF_SHARE * self.n_new / n_threads), _MIN_BATCH)
+        share = max(int(_PART_OF_SHARE * self.n_new / n_threads), _MIN_BATCH)
+        return min(share, self.costs.room(self._representation(point)))
 
-    def _returned(self) -> bool:
-        """Whether other runs gave up some of their claims; those pieces are drawn again."""
+    def _representation(self, point: np.intp) -> int:
+        return int(self.plan.representation(np.array([point]))[0])
+
+    def _take_back(self) -> None:
+        """What other runs gave up of their claims is drawn again."""
         held = []
-        for piece in self.elsewhere:
-            key = self.plan.keys[piece.first]
-            if self.claims.take(key):
-                self.claims.release(key)
-                self.begun.append(piece)
+        for rows in self.elsewhere:
+            ends = int(rows[0]), int(rows[-1])
+            if self.claims.take(*ends):
+                self.claims.release(*ends)
+                self.begun.append(rows)
             else:
-                held.append(piece)
+                held.append(rows)
         self.elsewhere = held
-        return bool(self.begun)
 
-    def _claimed(self, candidates: list[Piece]) -> list[Piece]:
-        """Of some pieces, the parts to be computed now, and by us."""
-        mine, keys = [], []
-        for piece in candidates:
-            if self.claims.take(self.plan.keys[piece.first]):
-                mine.append(piece)
-                keys += self.plan.keys[piece.first : piece.last]
-            else:
-                self.elsewhere.append(piece)
-        # Only now: what was stored before we claimed it has been seen.
-        status = self.cache.status(keys)
-        hit = (status >= 0) & (status <= self.largest_hit)
-        done = {key for key, is_hit in zip(keys, hit, strict=True) if is_hit} - self.stale
-        return [part for piece in mine if (part := self._undone(piece, done))]
+    def _not_stored(self, rows: Rows) -> Rows:
+        """The points still to be computed; some are, by us under another label, or by others."""
+        status = self.cache.status(self.plan.keys[rows])
+        is_hit = (status >= 0) & (status <= self.largest_hit) & ~self.is_stale[rows]
+        hits = rows[is_hit & self.plan.is_missing[rows]]
+        n_ours = int(self.is_repeated[hits].sum()) if self.is_repeated is not None else 0
+        self.progress.n_computed += n_ours
+        self.progress.n_shared += len(hits) - n_ours
+        return rows[~is_hit]
 
-    def _undone(self, piece: Piece, done: set[bytes]) -> Piece | None:
-        """The next part of a piece that is not stored, up to what is."""
-        first = piece.first
-        while first < piece.last and self.plan.keys[first] in done:
-            self._count_done(first)
-            first += 1
-        if first > piece.first:
-            self.claims.release(self.plan.keys[piece.first])
-            if first < piece.last:
-                self.begun.append(Piece(piece.chain, first, piece.last))
-            return None
-        last = first + 1
-        while last < min(first + _CHAIN_PART, piece.last) and self.plan.keys[last] not in done:
-            last += 1
-        return Piece(piece.chain, first, last)
+    def _tiles(self, rows: Rows) -> list[tuple[Rows, Tile]]:
+        keys, previous = self.plan.keys[rows], self.plan.previous(rows)
+        is_first = _is_first(rows, self.plan.follows)
+        tiles = []
+        for at, points in self.study.points(self.plan.cells[rows]):
+            firsts = np.flatnonzero(is_first[at])
+            lengths = np.diff(firsts, append=len(at))
+            states = np.zeros((len(firsts), 2))
+            if points.kind.is_sweep:
+                states[:] = [self._start_of(int(row)) for row in rows[at[firsts]]]
+            tiles.append((at, Tile(points, keys[at], previous[at], lengths, states)))
+        return tiles
 
-    def _count_done(self, point: int) -> None:
-        """Count a point that turns out to be stored: by us under another label, or by others."""
-        if not self.plan.is_missing[point]:
-            return
-        if self.plan.keys[point] in self.repeated:
-            self.progress.n_computed += 1
-        else:
-            self.progress.n_shared += 1
+    def _start_of(self, row: int) -> NDArray[np.float64]:
+        """Where a sweep that has come to a point goes on."""
+        if (row - 1) in self.ends:
+            return self.ends.pop(row - 1)
+        return start_of(self.cache, self.plan.previous(np.array([row])))
 
-    def _share_of_task(self, point: int) -> float:
-        """Share of a task that a point fills."""
-        return 1.0 / self.batch if self.batch else self.costs.share(self._representation(point))
-
-    def _representation(self, point: int) -> int:
-        return int(self.plan.cells[point]) // math.prod(self.plan.shape[1:])
-
-    def _work(self, piece: Piece) -> Work:
-        points = [self.study.point(self.plan.index(p)) for p in range(piece.first, piece.last)]
-        return points, self._start_of(piece)
-
-    def _start_of(self, piece: Piece) -> State:
-        """Where the last finished point of a sweep ended."""
-        chain_start = int(self.plan.chain_starts[piece.chain])
-        for point in range(piece.first - 1, chain_start - 1, -1):
-            row = self.cache.rows([self.plan.keys[point]]).get(self.plan.keys[point])
-            if row is not None and row.response.ended:
-                return row.response.x_end, row.response.v_end
-        return REST
+    # --- receiving -------------------------------------------------------------------------------
 
     def _receive(self, future: Future, job: _Job) -> None:
         if future.status in ("cancelled", "lost"):
@@ -304,52 +287,49 @@ class _Execution:
                 raise ClusterError(_CLUSTER_LOST) from None
             self._take_up(job, error)
         else:
-            self._store(job, result)
+            self._keep(job, result)
 
     def _take_up(self, job: _Job, error: Exception) -> None:
         """Compute a job that failed as a whole once more, alone; or give it up."""
         if job.attempts < (_MAX_ATTEMPTS if isinstance(error, KilledWorker) else 1):
-            self.suspects.append(_Job(job.pieces, job.attempts + 1))
-        else:
-            killed = isinstance(error, KilledWorker)
-            status = Status.KILLED if killed else Status.ERROR
-            message = "its worker process died" if killed else f"{type(error).__name__}: {error}"
-            failed = [Response(status=status, message=message)] * job.n_points
-            self._store(job, TaskResult(failed, "", software()))
+            self.suspects.append(replace(job, attempts=job.attempts + 1))
+            return
+        killed = isinstance(error, KilledWorker)
+        status = Status.KILLED if killed else Status.ERROR
+        message = "its worker process died" if killed else f"{type(error).__name__}: {error}"
+        failed = Response(status=status, message=message)
+        found = [
+            TileResult.of(tile, Responses.of([failed] * len(tile)), tile.states, "")
+            for _, tile in job.tiles
+        ]
+        self._keep(job, TaskResult(found, 0.0, software()))
 
-    def _store(self, job: _Job, result: TaskResult) -> None:
+    def _keep(self, job: _Job, result: TaskResult) -> None:
         check_software("a worker", result.software)
-        responses = iter(result.responses)
-        for piece in job.pieces:
-            for point in range(piece.first, piece.last):
-                self._keep(piece, point, next(responses), result.host)
-            self.held.append(self.plan.keys[piece.first])
-        rest = [r for piece in job.pieces if len(r := self._rest(piece))]
+        for (at, tile), found in zip(job.tiles, result.tiles, strict=True):
+            self.arrived += found.slabs
+            self.progress.n_computed += len(tile)
+            self.progress.n_failed += int(np.sum(found.status > Status.OUT_OF_FIT_RANGE))
+            if tile.points.kind.is_sweep:
+                last = job.rows[at[np.cumsum(tile.lengths) - 1]]
+                self.ends |= zip(last.tolist(), found.states, strict=True)
+        if result.seconds:
+            self.costs.add(self._representation(job.rows[0]), len(job.rows), result.seconds)
+        self.held.append(job.claimed)
         due = time.monotonic() - self.last_commit > _COMMIT_SECONDS
-        if rest or due or len(self.rows) >= _COMMIT_ROWS:
+        n_arrived = sum(slab.n_points for slab in self.arrived)
+        if job.rest.size or due or n_arrived >= _COMMIT_POINTS:
             self.commit()
-        self.begun.extend(rest)  # starts where the rows just stored say
-
-    def _keep(self, piece: Piece, point: int, response: Response, host: str) -> None:
-        is_first = point == self.plan.chain_starts[piece.chain]
-        previous = None if is_first else self.plan.keys[point - 1].hex()
-        identity = self.study.point(self.plan.index(point)).identity(previous)
-        self.rows.append(Row(self.plan.keys[point], identity, response, host, self.versions))
-        self.progress.n_computed += 1
-        self.progress.n_failed += response.status.failed
-        self.costs.add(self._representation(point), response.cpu_time)
-
-    def _rest(self, piece: Piece) -> Piece:
-        """What of its chain follows a piece."""
-        return Piece(piece.chain, piece.last, int(self.plan.chain_starts[piece.chain + 1]))
+        if job.rest.size:
+            self.begun.append(job.rest)
 
     def commit(self) -> None:
         """Store what has arrived; only then may others look for it."""
-        if self.rows:
-            self.cache.commit(self.rows)
-        for key in self.held:
-            self.claims.release(key)
-        self.rows, self.held = [], []
+        if self.arrived:
+            self.cache.commit(self.arrived)
+        for claimed in self.held:
+            self.claims.release(*claimed)
+        self.arrived, self.held = [], []
         self.last_commit = time.monotonic()
 
     def cancel(self) -> None:
@@ -359,40 +339,63 @@ class _Execution:
         self.in_flight.clear()
 
 
-def _repeated(study: Study, plan: Plan) -> set[bytes]:
-    """Keys of the points that a study names under several labels."""
-    labels = study.grid.representations
-    if AUTO not in labels and len({x.partition("@")[0] for x in labels}) == len(labels):
-        return set()
-    return {key for key, n in Counter(plan.keys).items() if n > 1}
+def _repeated(keys: NDArray[np.void]) -> NDArray[np.bool_] | None:
+    """Which points a study names under several labels; None if it names none."""
+    _, number, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    return None if len(counts) == len(keys) else np.asarray(counts[number] > 1)
+
+
+def _is_first(rows: Rows, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which points begin a sweep, or go on with one of which the part before is not among them."""
+    is_next = np.diff(rows, prepend=-2) == 1
+    return np.asarray(~(is_next & follows[rows]))
+
+
+def _cut(rows: Rows, follows: NDArray[np.bool_], room: int) -> tuple[Rows, Rows, Rows]:
+    """As many points as there is room for, what follows in their sweeps, and all others."""
+    is_first = _is_first(rows, follows)
+    sweep = np.cumsum(is_first) - 1
+    firsts = np.flatnonzero(is_first)
+    is_late = np.arange(len(rows)) - firsts[sweep] >= _SWEEP_PART
+    size = np.cumsum(np.bincount(sweep[~is_late]))
+    n_sweeps = max(int(np.searchsorted(size, room, side="right")), 1)
+    is_drawn = sweep < n_sweeps
+    return rows[is_drawn & ~is_late], rows[is_drawn & is_late], rows[~is_drawn]
 
 
 class _Costs:
     """Mean cost of the points of each representation, as far as it is known."""
 
     def __init__(self, engine: str) -> None:
-        self.unknown = 1.0 / _FIRST_BATCH[engine]
+        self.unknown = _FIRST_BATCH[engine]
         self.seconds: dict[int, float] = {}
         self.n_points: dict[int, int] = {}
 
-    def add(self, representation: int, cpu_time: float) -> None:
-        """Learn from a point; NaN is a point that was not measured."""
-        if math.isfinite(cpu_time):
-            self.seconds[representation] = self.seconds.get(representation, 0.0) + cpu_time
-            self.n_points[representation] = self.n_points.get(representation, 0) + 1
+    def add(self, representation: int, n_points: int, seconds: float) -> None:
+        """Learn from a task."""
+        self.seconds[representation] = self.seconds.get(representation, 0.0) + seconds
+        self.n_points[representation] = self.n_points.get(representation, 0) + n_points
 
-    def share(self, representation: int) -> float:
-        """Share of a task that one point fills."""
-        n_points = self.n_points.get(representation, 0)
-        if not n_points:
+    def room(self, representation: int) -> int:
+        """Points that fill a task."""
+        if representation not in self.n_points:
             return self.unknown
-        seconds = _POINT_SECONDS + self.seconds[representation] / n_points
-        return max(seconds / _TASK_SECONDS, 1.0 / _MAX_BATCH)
+        price = self.seconds[representation] / self.n_points[representation]
+        return int(min(max(_TASK_SECONDS / max(price, 1e-9), 1.0), _MAX_BATCH))
 
 
-def _shuffled(plan: Plan) -> Iterator[list[Piece]]:
-    """What is missing, in blocks of neighbours in random order."""
-    missing = plan.unfinished()
-    blocks = list(range(0, len(missing), _BLOCK))
+def _shuffled(plan: Plan) -> Iterator[Rows]:
+    """What is missing, in random order of blocks of neighbours, which cost alike.
+
+    A block is as large as a task may be, of one representation, and made of whole sweeps.
+    """
+    missing = np.flatnonzero(plan.is_missing)
+    if not missing.size:
+        return
+    firsts = np.flatnonzero(_is_first(missing, plan.follows))
+    representation = plan.representation(missing[firsts])
+    block = np.cumsum(np.diff(firsts, append=len(missing))) // _MAX_BATCH
+    is_new = (np.diff(representation, prepend=-1) != 0) | (np.diff(block, prepend=-1) > 0)
+    blocks = np.split(missing, firsts[is_new][1:])
     random.shuffle(blocks)
-    return ([plan.piece(int(chain)) for chain in missing[i : i + _BLOCK]] for i in blocks)
+    yield from blocks

@@ -5,9 +5,23 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gapsweep.execution.plan import Plan
-from gapsweep.store.cache import DAMAGED, Cache
-from gapsweep.study.study import Index, Study
+from gapsweep.store.cache import Cache
+from gapsweep.store.index import DAMAGED
+from gapsweep.store.maintenance import readable
+from gapsweep.store.slab import Slab, stored
+from gapsweep.study.grid import Starts
+from gapsweep.study.points import KEY, NUMBERS
+from gapsweep.study.study import Study
+
+# As engineers write them.
+UNITS = {
+    **{"K_c": "N/m", "j_1": "m", "j_2": "m", "omega": "Hz", "omega_n": "Hz"},
+    **{"mass": "kg", "alpha": "N/m³", "forcing": "N"},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,45 +50,99 @@ class Explanation:
 
 def explain(study: Study, plan: Plan, cache: Cache, limit: int) -> Iterator[Explanation]:
     """Explain the first points of a plan, at most `limit` of them."""
-    fields: dict[bytes, dict[str, str]] = {}
-    for number in range(min(plan.n_points, limit)):
-        label = _label(study, plan.index(number))
-        row = cache.rows([plan.keys[number]]).get(plan.keys[number])
-        if row is not None:
-            response = row.response
-            yield Explanation(label, response.status.label, row.host, response.message)
-            continue
-        fields = fields or {key: _fields(text) for key, text, *_ in cache.records()}
-        asked = _fields(study.point(plan.index(number)).identity(_previous(plan, number)))
-        nearest = min(
-            (_differences(asked, stored) for stored in fields.values()), key=len, default=None
-        )
-        status = "damaged" if plan.status[number] == DAMAGED else "missing"
-        yield Explanation(label, status, differences=nearest)
+    asked = [_Asked.of(study, plan, number) for number in range(min(plan.n_points, limit))]
+    missing = [one for one in asked if plan.status[one.number] < 0]
+    if missing:
+        for slab in readable(cache):
+            for one in missing:
+                one.compare(slab)
+    for one in asked:
+        place = cache.place(plan.keys[[one.number]])
+        if place is not None:
+            slab, contents, row = place
+            response = contents.responses.row(row)
+            yield Explanation(one.label, response.status.label, slab.host, response.message)
+        else:
+            status = "damaged" if plan.status[one.number] == DAMAGED else "missing"
+            yield Explanation(one.label, status, differences=one.nearest)
 
 
-def _previous(plan: Plan, number: int) -> str | None:
-    return None if number in plan.chain_starts else plan.keys[number - 1].hex()
+@dataclass(slots=True, eq=False)
+class _Asked:
+    """A point that is asked for, and in what the nearest stored one differs from it.
+
+    Attributes
+    ----------
+    number : int
+        Of the point in the plan.
+    label : str
+    identity : dict of str to str
+        Fields that it shares with others of its kind, by dotted name.
+    numbers : ndarray, shape (11,)
+    previous : bytes
+    nearest : dict of str to (str, str), or None if nothing is stored
+    """
+
+    number: int
+    label: str
+    identity: dict[str, str]
+    numbers: NDArray[np.float64]
+    previous: bytes
+    nearest: dict[str, tuple[str, str]] | None = None
+
+    @classmethod
+    def of(cls, study: Study, plan: Plan, number: int) -> "_Asked":
+        ((_, points),) = study.points(plan.cells[[number]])
+        previous = plan.previous(np.array([number])).tobytes()
+        label = _label(study, int(plan.cells[number]))
+        return cls(number, label, _fields(points.kind.identity), points.numbers[0], previous)
+
+    def compare(self, slab: Slab) -> None:
+        """Take the point of a slab that differs in the fewest fields, if none so far is nearer."""
+        differing = _differences(self.identity, _fields(slab.identity))
+        try:
+            contents = stored(slab)
+        except ValueError:
+            return
+        unlike = contents.numbers != self.numbers
+        is_other = contents.previous != np.frombuffer(self.previous, KEY)
+        row = int(np.argmin(unlike.sum(axis=1) + is_other))
+        for column in np.flatnonzero(unlike[row]).tolist():
+            both = self.numbers[column].item(), contents.numbers[row, column].item()
+            differing[NUMBERS[column]] = repr(both[0]), repr(both[1])
+        if is_other[row]:
+            differing["previous"] = _hex(self.previous), _hex(contents.previous[row].tobytes())
+        if self.nearest is None or len(differing) < len(self.nearest):
+            self.nearest = differing
 
 
-def _label(study: Study, index: Index) -> str:
-    grid = study.grid
-    r, k, g, w, i = index
-    return (
-        f"{grid.representations[r]}, K_c = {grid.K_c[k]:g} N/m, gap {grid.gaps[g].label} mm, "
-        f"omega = {grid.omega[w]:g} Hz, initial_condition {i}"
-    )
+def _hex(key: bytes) -> str:
+    return key.hex() if any(key) else "-"
+
+
+def _label(study: Study, cell: int) -> str:
+    grid, words = study.grid, []
+    for (name, axis), at in zip(grid.axes.items(), np.unravel_index(cell, grid.shape), strict=True):
+        value = grid.labels(name)[int(at)]
+        if name == "representation":
+            words.append(str(value))
+        elif isinstance(axis, Starts):
+            words.append(f"{name} {value}")
+        elif name == "gap":
+            words.append(f"gap {value} mm")
+        else:
+            unit = UNITS.get(name, "")
+            words.append(f"{name} = {value:g} {unit}".rstrip())
+    return ", ".join(words)
 
 
 def _fields(identity: str) -> dict[str, str]:
     """An identity's fields by dotted name, as text; none if a run cannot have written it."""
     try:
         whole = json.loads(identity)
-        # Format 1 kept the point alone.
-        return dict(_flat("", whole.get("point", whole))) | {
-            name: str(whole[name]) for name in ("numerics", "previous", "schema") if name in whole
-        }
-    except (ValueError, TypeError, AttributeError, RecursionError):
+        others = {name: whole[name] for name in ("numerics", "schema", "versions")}
+        return dict(_flat("", {**whole["kind"], **others}))
+    except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
         return {}
 
 

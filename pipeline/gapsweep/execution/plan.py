@@ -1,6 +1,6 @@
 """What a run has to do: decided here, without doing any of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,41 +8,32 @@ from numpy.typing import NDArray
 
 from gapsweep.model import own_law
 from gapsweep.status import Status
-from gapsweep.store.cache import DAMAGED, MISSING
-from gapsweep.study.study import Index, Selection, Study
+from gapsweep.store.index import DAMAGED, MISSING
+from gapsweep.study.grid import Selection
+from gapsweep.study.points import KEY
+from gapsweep.study.study import Study
 
 # Stored status of each of the given keys, or `MISSING`, or `DAMAGED`.
-Look = Callable[[list[bytes]], NDArray[np.int8]]
+Look = Callable[[NDArray[np.void]], NDArray[np.int8]]
+
+# Points whose numbers are in memory at a time.
+_PART = 65_536
 
 
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """Consecutive points of one chain, by their numbers in the plan."""
-
-    chain: int
-    first: int
-    last: int  # one past the last point
-
-    def __len__(self) -> int:
-        return self.last - self.first
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Every sweep point of a study, in the order of its chains, and what the cache holds of it.
-
-    A chain is what must be computed in order: all frequencies of a sweep, else one point.
-    Arrays and not objects per point, because a study may have millions.
+    """Every sweep point of a study, in the order of computation, and what the cache holds of it.
 
     Attributes
     ----------
     cells : ndarray of int, shape (n_points,)
         Flat position of each point in the study's grid.
-    keys : list of bytes, length n_points
+    follows : ndarray of bool, shape (n_points,)
+        Which points of sweeps start where the one before them ends.
+    keys : ndarray of void, shape (n_points,)
+        Content keys.
     status : ndarray of int8, shape (n_points,)
         Stored status, `MISSING` or `DAMAGED`.
-    chain_starts : ndarray of int, shape (n_chains + 1,)
-        Number of each chain's first point, and the end.
     is_missing : ndarray of bool, shape (n_points,)
         Which points are to be computed.
     shape : tuple of int
@@ -50,9 +41,9 @@ class Plan:
     """
 
     cells: NDArray[np.int64]
-    keys: list[bytes]
+    follows: NDArray[np.bool_]
+    keys: NDArray[np.void]
     status: NDArray[np.int8]
-    chain_starts: NDArray[np.int64]
     is_missing: NDArray[np.bool_]
     shape: tuple[int, ...]
 
@@ -78,26 +69,18 @@ class Plan:
         """Stored points that fail their checksum; they count as missing."""
         return int(np.sum(self.status == DAMAGED))
 
-    def index(self, point: int) -> Index:
-        """Position of a point in the study's grid."""
-        rest, at = int(self.cells[point]), []
-        for size in reversed(self.shape):
-            rest, i = divmod(rest, size)
-            at.append(i)
-        i, w, g, k, r = at
-        return r, k, g, w, i
+    def representation(self, points: NDArray[np.intp]) -> NDArray[np.int64]:
+        """Number of the representation of some points."""
+        return self.cells[points] // int(np.prod(self.shape[1:]))
 
-    def unfinished(self) -> NDArray[np.int64]:
-        """Numbers of the chains that are not done."""
-        return np.unique(_chain_of(self.chain_starts)[self.is_missing])
-
-    def piece(self, chain: int) -> Piece:
-        """A chain from its first missing point on."""
-        first, last = (int(n) for n in self.chain_starts[chain : chain + 2])
-        return Piece(chain, first + int(np.argmax(self.is_missing[first:last])), last)
+    def previous(self, points: NDArray[np.intp]) -> NDArray[np.void]:
+        """Keys of the points that some points start from; zero where there is none."""
+        found = self.keys[points - 1]
+        found[~self.follows[points]] = np.zeros(1, KEY)
+        return found
 
 
-def nothing_stored(keys: list[bytes]) -> NDArray[np.int8]:
+def nothing_stored(keys: NDArray[np.void]) -> NDArray[np.int8]:
     """Stored status where there is no cache."""
     return np.full(len(keys), MISSING, np.int8)
 
@@ -123,29 +106,33 @@ def plan(
         Whether stored failures count as missing.
     """
     own_law.refresh()
-    cells: list[int] = []
-    keys: list[bytes] = []
-    chain_starts = [0]
-    for chain in study.chains(selection):
-        keys += study.keys(chain)
-        cells += (study.grid.flat(index) for index in chain)
-        chain_starts.append(len(keys))
+    grid = study.grid
+    wanted = grid.requested
+    if selection is not None:
+        wanted = wanted & selection.mask(grid.shape)
+    cells, follows = grid.order(wanted)
+    keys = np.empty(len(cells), KEY)
+    for part in _parts(follows):
+        for rows, points in study.points(cells[part]):
+            keys[part.start + rows] = points.keys(follows[part][rows])
     status = look(keys)
-    starts = np.array(chain_starts)
     # What lies beyond a lost row of a sweep was computed when it was there, and still holds.
     missing = status < 0
     if retry_failed:
-        missing |= _after(status > Status.OUT_OF_FIT_RANGE, starts)
-    return Plan(np.array(cells, np.int64), keys, status, starts, missing, study.grid.shape)
+        missing |= _after(status > Status.OUT_OF_FIT_RANGE, follows)
+    return Plan(cells, follows, keys, status, missing, grid.shape)
 
 
-def _after(failed: NDArray[np.bool_], starts: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """The failed points and all behind them in their chains, which may now start elsewhere."""
+def _parts(follows: NDArray[np.bool_]) -> Iterator[slice]:
+    """Parts of all points, each of some whole sweeps."""
+    starts = np.flatnonzero(~follows)
+    at = np.unique(np.searchsorted(starts, range(0, len(follows), _PART)))
+    firsts = [*starts[at[at < len(starts)]].tolist(), len(follows)]
+    yield from map(slice, firsts[:-1], firsts[1:])
+
+
+def _after(failed: NDArray[np.bool_], follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The failed points and all behind them in their sweeps, which may now start elsewhere."""
     so_far = np.append(0, np.cumsum(failed))
-    before = so_far[starts[:-1]][_chain_of(starts)]
-    return np.asarray(so_far[1:] > before)
-
-
-def _chain_of(starts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number of each point's chain."""
-    return np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    first = np.maximum.accumulate(np.where(follows, 0, np.arange(len(follows))))
+    return np.asarray(so_far[1:] > so_far[first])

@@ -5,46 +5,83 @@ them only because a task has a price of its own.
 """
 
 import faulthandler
-import math
 import os
 import platform
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, described
-from gapsweep.integrate.problem import Solver
-from gapsweep.response.ensemble import Ensemble, Scene, State
+from gapsweep.model import own_law
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.labels import contact_law
+from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.response.ensemble import Ensemble, Scene
 from gapsweep.response.respond import Question, respond_all
-from gapsweep.response.result import Response
+from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
-from gapsweep.study.points import FIXED, Point
-from gapsweep.study.software import software
+from gapsweep.store.slab import Slab, slabs
+from gapsweep.study.points import KEY, OSCILLATOR, OURS, Kind, Points
+from gapsweep.study.software import software, versions
 
-REST: State = (0.0, 0.0)
 _RESTARTED = "the point before it failed: starts from the last settled one"
 
-# What points share that are computed in one call: representation, code of a user's law, range of
-# fits, solver. One that was computed before has its machine code.
-_Kind = tuple[str, str, float, Solver]
-_warm: set[_Kind] = set()
+# What was computed before has its machine code.
+_warm: set[Kind] = set()
 
-# Points that follow each other, and the state that the first one starts from.
-Work = tuple[Sequence[Point], State]
+States = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
+class Tile:
+    """Sweep points of one kind that are computed together, sweep after sweep.
+
+    Attributes
+    ----------
+    points : Points
+    keys, previous : ndarray of void, shape (n,)
+        Content keys of the points, and of those that they start from.
+    lengths : ndarray of int, shape (m,)
+        Number of points of each sweep, that start where the one before them ends; a fixed start
+        is a sweep of one.
+    states : ndarray, shape (m, 2)
+        Displacement [m] and velocity [m/s] from which each sweep starts; of no meaning for fixed
+        starts, which are among the points' numbers.
+    """
+
+    points: Points
+    keys: NDArray[np.void]
+    previous: NDArray[np.void]
+    lengths: NDArray[np.int64]
+    states: States
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @classmethod
+    def of_one(cls, points: Points, state: States) -> "Tile":
+        """A single point, and where it starts if it is one of a sweep."""
+        return cls(points, np.zeros(1, KEY), np.zeros(1, KEY), np.ones(1, int), state.reshape(1, 2))
+
+    def slabs(self, responses: Responses, host: str) -> list[Slab]:
+        """Responses of all points in the form in which they are stored."""
+        said = ", ".join(f"{name} {number}" for name, number in versions().items())
+        return list(slabs(self.points, self.keys, self.previous, responses, host, said))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Task:
     """What a worker is sent; one object, because Dask would search lists for futures.
 
     Attributes
     ----------
-    work : list of (points, state)
+    tiles : list of Tile
     timeout : float
         Time [s] after which the worker process gives up, and with it all that it held; of
         points that are computed alone, the time for each.
@@ -52,25 +89,55 @@ class Task:
         The client's `process`, which must not end that way.
     """
 
-    work: list[Work]
+    tiles: list[Tile]
     timeout: float
     client: tuple[str, int]
 
 
-@dataclass(frozen=True, slots=True)
-class TaskResult:
-    """Responses in the order of the points, and where and by what `software` they were computed."""
+@dataclass(frozen=True, slots=True, eq=False)
+class TileResult:
+    """What became of a tile: its results as they are stored, and what the client needs to go on.
 
-    responses: list[Response]
-    host: str
+    Attributes
+    ----------
+    slabs : list of Slab
+    status : ndarray of int8, shape (n,)
+    states : ndarray, shape (m, 2)
+        Where the next point of each sweep starts [m], [m/s]; of fixed starts nothing.
+    """
+
+    slabs: list[Slab]
+    status: NDArray[np.int8]
+    states: States
+
+    @classmethod
+    def of(cls, tile: Tile, responses: Responses, states: States, host: str) -> "TileResult":
+        is_sweep = tile.points.kind.is_sweep
+        status = responses.columns["status"]
+        return cls(tile.slabs(responses, host), status, states if is_sweep else np.empty((0, 2)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TaskResult:
+    """Results of the tiles, the processor time [s] of the task, and what `software` it ran on."""
+
+    tiles: list[TileResult]
+    seconds: float
     software: Mapping[str, str]
 
 
 def compute(task: Task) -> TaskResult:
     """Body of a Dask task."""
-    ours = software()  # of what runs now: it may be edited meanwhile
-    with _ending_after(task.timeout if task.client != process() else math.inf):
-        return TaskResult(responses(task.work), platform.node(), ours)
+    ours, begin = software(), time.thread_time()  # of what runs now: it may be edited meanwhile
+    found, n_warm = [], len(_warm)
+    with _ending_after(task.timeout if task.client != process() else np.inf):
+        for tile in task.tiles:
+            responses, states = respond_to(tile)
+            found.append(TileResult.of(tile, responses, states, platform.node()))
+    seconds = time.thread_time() - begin
+    if len(_warm) > n_warm:  # that held compiling, which comes but once
+        seconds = sum(slab.seconds for tile in found for slab in tile.slabs)
+    return TaskResult(found, seconds, ours)
 
 
 def process() -> tuple[str, int]:
@@ -89,7 +156,7 @@ def _ending_after(timeout: float) -> Iterator[None]:
     A computation that hangs in compiled code holds the interpreter: no Python code could stop
     it. `faulthandler` watches from a thread that needs no interpreter, one deadline at a time.
     """
-    if timeout == math.inf:
+    if timeout == np.inf:
         yield
         return
     thread = threading.get_ident()
@@ -117,69 +184,108 @@ def _nowhere() -> int:
     return os.open(os.devnull, os.O_WRONLY)
 
 
-def responses(work: Sequence[Work]) -> list[Response]:
-    """Steady responses of chains of points; a failure is a response with its status.
+def respond_to(tile: Tile) -> tuple[Responses, States]:
+    """Steady responses of a tile, and where its sweeps end; a failure is one with its status.
 
-    The first points of all chains advance together, then the second ones, and so on.
-
-    Parameters
-    ----------
-    work : sequence of (points, state)
-        `state`, displacement [m] and velocity [m/s], is where the first point starts if its
-        start is a sweep. Later ones go on from where the point before ended, if it did.
-
-    Returns
-    -------
-    list of Response
-        Chain by chain.
+    The first points of all sweeps advance together, then the second ones, and so on.
     """
-    states = [state for _, state in work]
-    found: list[list[Response]] = [[] for _ in work]
-    for position in range(max((len(points) for points, _ in work), default=0)):
-        here = [i for i, (points, _) in enumerate(work) if position < len(points)]
-        together = [(work[i][0][position], states[i]) for i in here]
-        for i, response in zip(here, _together(together), strict=True):
-            found[i].append(continued(response, found[i][-1] if found[i] else None))
-            states[i] = state_after(response, states[i])
-    return [response for chain in found for response in chain]
+    states, lengths = tile.states.copy(), tile.lengths
+    first, failed = np.cumsum(lengths) - lengths, np.zeros(len(lengths), bool)
+    order, parts = [], []
+    for position in range(max(lengths, default=0)):
+        here = np.flatnonzero(lengths > position)
+        rows = first[here] + position
+        found = _together(tile.points.take(rows), states[here])
+        parts.append(continued(found, failed[here]))
+        order.append(rows)
+        failed[here] = is_failure(found)
+        states[here] = states_after(found, states[here])
+    responses = Responses.concatenated(parts)
+    return (
+        responses if len(parts) == 1 else responses.take(np.argsort(np.concatenate(order)))
+    ), states
 
 
-def continued(response: Response, previous: Response | None) -> Response:
-    """A response of a sweep, with a word on the one before it if that failed."""
-    if previous is None or not previous.status.failed:
-        return response
-    return replace(response, message=response.message or _RESTARTED)
+def is_failure(responses: Responses) -> NDArray[np.bool_]:
+    """Which responses are failures."""
+    return np.asarray(responses.columns["status"] > Status.OUT_OF_FIT_RANGE)
 
 
-def state_after(response: Response, state: State) -> State:
-    """Where the next point of a sweep starts: where this one ended, if it did, else as this."""
-    return (response.x_end, response.v_end) if response.ended else state
+def continued(responses: Responses, after_failure: NDArray[np.bool_]) -> Responses:
+    """Responses of sweeps, with a word on the ones before them that failed."""
+    for row in np.flatnonzero(after_failure).tolist():
+        responses.messages.setdefault(row, _RESTARTED)
+    return responses
 
 
-def _together(points: Sequence[tuple[Point, State]]) -> list[Response]:
-    """Responses of independent points, those with one solver and law family in one call."""
-    answers: dict[int, Response] = {}
-    groups: dict[_Kind, dict[int, Question]] = {}
-    for i, (point, state) in enumerate(points):
+def states_after(responses: Responses, states: States) -> States:
+    """Where the next points of sweeps start: where these ended, if they did, else as these."""
+    ends = np.stack([responses.columns[name] for name in ("x_end", "v_end")], axis=1)
+    return np.where(np.isfinite(ends).all(axis=1, keepdims=True), ends, states)
+
+
+def _together(points: Points, states: States) -> Responses:
+    """Responses of independent points, all in one call."""
+    questions, order, refused = [], [], []
+    ask = _Asking(points)
+    for row in range(len(points)):
         try:
-            question = _question(point, state)
+            questions.append(ask(row, states[row]))
+            order.append(row)
         except ModelError as error:
-            status, message = failure(error)
-            answers[i] = Response(status=status, message=message)
-        else:
-            kind = point.representation, point.law_code, point.fit_range, point.solver
-            groups.setdefault(kind, {})[i] = question
-    for kind, group in groups.items():
-        answers |= zip(group, _answered(kind, list(group.values())), strict=True)
-    return [answers[i] for i in range(len(points))]
+            refused.append((row, failed(error)))
+    found = _answered(points.kind, questions)
+    if not refused:
+        return found
+    order += [row for row, _ in refused]
+    whole = Responses.concatenated([found, Responses.of([response for _, response in refused])])
+    return whole.take(np.argsort(order))
 
 
-def _warm_up(kind: _Kind, question: Question) -> None:
+class _Asking:
+    """Makes questions of points; neighbours share their law and their oscillator."""
+
+    def __init__(self, points: Points) -> None:
+        self.points = points
+        self._law = lru_cache(maxsize=256)(self._made)
+        self._oscillator = lru_cache(maxsize=256)(self._oscillating)
+        names = ("K_c", "j_1", "j_2"), OSCILLATOR
+        self._laws, self._oscillators = (
+            np.stack([points.column(name) for name in some], axis=1).tolist() for some in names
+        )
+        self._omega, self._x_0, self._v_0 = (
+            points.column(name).tolist() for name in ("omega", "x_0", "v_0")
+        )
+
+    def _made(self, K_c: float, j_1: float, j_2: float) -> ContactLaw:
+        kind = self.points.kind
+        if kind.law_code != OURS:
+            own_law.require(kind.representation, kind.law_code)
+        return contact_law(kind.representation, K_c, Gap(j_1, j_2), kind.fit_range)
+
+    @staticmethod
+    def _oscillating(*values: float) -> Oscillator:
+        return Oscillator(**dict(zip(OSCILLATOR, values, strict=True)))
+
+    def __call__(self, row: int, state: States) -> Question:
+        kind = self.points.kind
+        x, v = self._x_0[row] + kind.start_jitter, self._v_0[row]
+        scene = Scene(
+            oscillator=self._oscillator(*self._oscillators[row]),
+            law=self._law(*self._laws[row]),
+            omega=self._omega[row],
+            solver=kind.solver,
+        )
+        start = tuple(state.tolist()) if kind.is_sweep else (x, v)
+        return Question(scene=scene, start=start, steady=kind.steady)
+
+
+def _warm_up(kind: Kind, question: Question) -> None:
     """Load or compile what a kind of point needs: no point's processor time may hold that.
 
     With a point of that kind, from where it starts: what this raises, the point raises as well.
     """
-    if kind in _warm or question.scene.solver.engine != "compiled":
+    if kind in _warm or kind.solver.engine != "compiled":
         return
     ensemble, start = Ensemble([question.scene]), np.reshape(question.start, (2, 1))
     for tangent in (False, True):
@@ -187,25 +293,23 @@ def _warm_up(kind: _Kind, question: Question) -> None:
     _warm.add(kind)
 
 
-def _question(point: Point, state: State) -> Question:
-    if point.start.kind == FIXED:
-        state = point.start.x_0 + point.start_jitter, point.start.v_0
-    scene = Scene(
-        oscillator=point.oscillator, law=point.law, omega=point.omega, solver=point.solver
-    )
-    return Question(scene=scene, start=state, steady=point.steady)
-
-
-def _answered(kind: _Kind, questions: Sequence[Question]) -> list[Response]:
+def _answered(kind: Kind, questions: list[Question]) -> Responses:
     """Responses; what a point raises is its own response, the others are asked again alone."""
+    if not questions:
+        return Responses.of(())
     try:
         _warm_up(kind, questions[0])
         return respond_all(questions)
     except BaseException as error:  # the task boundary: SystemExit, too, is a point's own result
         if len(questions) > 1:
-            return [response for question in questions for response in _answered(kind, [question])]
-        status, message = failure(error)
-        return [Response(status=status, message=message)]
+            return Responses.concatenated([_answered(kind, [question]) for question in questions])
+        return Responses.of([failed(error)])
+
+
+def failed(error: BaseException) -> Response:
+    """The response of a point that raised."""
+    status, message = failure(error)
+    return Response(status=status, message=message)
 
 
 def failure(error: BaseException) -> tuple[Status, str]:

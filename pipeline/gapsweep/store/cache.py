@@ -1,72 +1,69 @@
-"""The point cache: one SQLite file, one row per sweep point computed.
+"""The point cache: one SQLite file, a row for every slab of sweep points computed.
 
-The cache is the truth; every NetCDF file can be rebuilt from it. Rows hold plain text and
-numbers, never pickle. The key of a row is the SHA-256 of its `identity`, all that the result
-depends on, the fingerprint of the code among it: rows of older code stay beside new ones. A
-checksum covers the whole row; a row that fails it is never returned, only counted.
+The cache is the truth; every NetCDF file can be rebuilt from it. Rows hold numbers and text, never
+pickle. Every point has a key of its own, made of all that its result depends on, the fingerprint
+of the code among it: results of older code stay beside new ones. A checksum covers the whole row;
+a row that fails it is never returned, only counted. Rows are only added, so that two processes
+never disturb each other: what was computed again stands in a later one.
 """
 
-import hashlib
-import json
-import math
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields
-from datetime import UTC, datetime
-from enum import IntEnum
+from dataclasses import astuple, dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import StoreError
-from gapsweep.response.result import Response
-from gapsweep.status import Status
+from gapsweep.response.result import Responses
 from gapsweep.store.filesystem import is_on_network
+from gapsweep.store.index import DAMAGED, Index
+from gapsweep.store.slab import Slab, Stored, stored
 
-SCHEMA_VERSION = 2
-# In place of a status: nothing is stored, or what is stored fails its checksum.
-MISSING, DAMAGED = -1, -2
-
-_BATCH = 500  # keys per query; SQLite allows 999 parameters everywhere
-_FIELDS = tuple(field.name for field in fields(Response))
-_LISTS = {field.name for field in fields(Response) if field.default == ()}
-_KINDS: dict[str, Any] = {f.name: tuple if f.name in _LISTS else f.type for f in fields(Response)}
+SCHEMA_VERSION = 3
 
 _TABLE = """
-CREATE TABLE results (
-    key      BLOB PRIMARY KEY,  -- SHA-256 of identity
-    identity TEXT NOT NULL,     -- all that the result depends on, canonical JSON
-    response TEXT NOT NULL,     -- the result, JSON
-    status   INTEGER NOT NULL,  -- as in the response, for quick counting
-    cpu_time REAL,              -- as in the response; NULL if not measured
-    host     TEXT NOT NULL,     -- machine that computed it
-    created  TEXT NOT NULL,     -- UTC
-    checksum BLOB NOT NULL      -- SHA-256 of key and all columns before
+CREATE TABLE slabs (
+    identity TEXT NOT NULL,  -- of what the points have in common, canonical JSON
+    keys     BLOB NOT NULL,  -- content keys of the points, 32 bytes each
+    status   BLOB NOT NULL,  -- their status, one byte each
+    columns  BLOB NOT NULL,  -- their numbers and responses, compressed
+    messages TEXT NOT NULL,  -- JSON, by number of the point
+    seconds  REAL NOT NULL,  -- processor time of all
+    host     TEXT NOT NULL,  -- machine that computed them
+    versions TEXT NOT NULL,  -- of Python and the libraries
+    created  TEXT NOT NULL,  -- UTC
+    checksum BLOB NOT NULL   -- SHA-256 of all columns before
 )
 """
-_COLUMNS = "key, identity, response, status, cpu_time, host, created, checksum"
-Record = tuple[bytes, str, str, int, float | None, str, str, bytes]
+_COLUMNS = ", ".join(field.name for field in fields(Slab))
+_BATCH = 500  # rows per query; SQLite allows 999 parameters everywhere
+_KEPT = 64  # decoded slabs: neighbouring points are read together
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """A stored result, the identity its key was made of, and what computed it.
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Stored results of some of the keys that were asked for.
 
     Attributes
     ----------
-    versions : str
-        Of Python and the libraries, as text; empty in rows of older versions.
+    at : ndarray of int, shape (n,)
+        Numbers of these keys, ascending.
+    responses : Responses
+    host : ndarray of str, shape (n,)
+        Machine that computed each.
+    versions : frozenset of str
+        Of Python and the libraries, as text.
     """
 
-    key: bytes
-    identity: str
-    response: Response
-    host: str
-    versions: str = ""
+    at: NDArray[np.intp]
+    responses: Responses
+    host: NDArray[np.str_]
+    versions: frozenset[str]
 
 
 class DamagedCacheError(StoreError):
@@ -111,19 +108,18 @@ class Cache:
 
     def __init__(self, path: str | Path, *, read_only: bool = False) -> None:
         self.path = Path(path)
+        self._index = Index()
+        self._slab = lru_cache(maxsize=_KEPT)(self._read_slab)
         with self.errors():
             self.db = self._connected_to_read() if read_only else self._connected()
             try:
-                if read_only and self._version()[0] == 1:  # must be brought up to date first
-                    self.db.close()
-                    self.db, read_only = self._connected(), False
                 # Whatever bytes damage has left in a text: its checksum will tell.
                 self.db.text_factory = lambda data: data.decode(errors="replace")
                 if read_only:
                     self._check()
                 else:
                     self._prepare()
-                self.db.execute(f"SELECT {_COLUMNS} FROM results LIMIT 0")
+                self.db.execute(f"SELECT {_COLUMNS} FROM slabs LIMIT 0")
             except BaseException:
                 self.db.close()
                 raise
@@ -180,8 +176,8 @@ class Cache:
 
     def _other_format(self, version: int) -> StoreError:
         return StoreError(
-            f"{self.path}: a cache of format {version}, this gapsweep reads 1 to "
-            f"{SCHEMA_VERSION}: choose another file with --cache"
+            f"{self.path}: a cache of format {version}, this gapsweep reads format "
+            f"{SCHEMA_VERSION}: move it away, or choose another file with --cache"
         )
 
     def _prepare(self) -> None:
@@ -196,21 +192,9 @@ class Cache:
             version, n_tables = self._version()
             if version == 0 and n_tables == 0:
                 self.db.execute(_TABLE)
-            elif version == 1:
-                self._migrate()
             elif version != SCHEMA_VERSION:
                 raise self._other_format(version)
             self.db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-
-    def _migrate(self) -> None:
-        """Take over the rows of format 1, which did not keep all of their identity."""
-        self.db.execute("ALTER TABLE results RENAME TO old_results")
-        self.db.execute(_TABLE)
-        old = "SELECT key, point, response, checksum, status, cpu_time, host, created"
-        for key, point, response, checksum, *others in self.db.execute(f"{old} FROM old_results"):
-            if hashlib.sha256(f"{key}\n{response}".encode()).hexdigest() == checksum:
-                self.insert([_record(bytes.fromhex(key), point, response, *others)])
-        self.db.execute("DROP TABLE old_results")
 
     def __enter__(self) -> "Cache":
         return self
@@ -247,16 +231,16 @@ class Cache:
                 self.db.execute("ROLLBACK")
             raise
 
-    def status(self, keys: Sequence[bytes]) -> NDArray[np.int8]:
+    def status(self, keys: NDArray[np.void]) -> NDArray[np.int8]:
         """Stored status of each key; `MISSING` or `DAMAGED` where there is none to trust."""
-        found = np.full(len(keys), MISSING, np.int8)
-        for start in range(0, len(keys), _BATCH):
-            some = keys[start : start + _BATCH]
-            stored = {r[0]: _status(r) for r in self._records(some)}
-            found[start : start + _BATCH] = [stored.get(key, MISSING) for key in some]
-        return found
+        index = self._refreshed()
+        held = index.find(keys)
+        for number, asked in _grouped(held.slab):
+            if self._slab(index.ids[number]) is None:
+                held.status[asked] = DAMAGED
+        return held.status
 
-    def rows(self, keys: Sequence[bytes]) -> dict[bytes, Row]:
+    def find(self, keys: NDArray[np.void]) -> Found:
         """Stored results; damaged ones are left out, as if missing.
 
         Raises
@@ -264,59 +248,100 @@ class Cache:
         StoreError
             If a row is as it was written, but holds no result.
         """
-        sound = [record for record in self._records(keys) if is_sound(record)]
+        index = self._refreshed()
+        held = index.find(keys)
+        at, parts, hosts, versions = [], [], [], set()
+        for number, asked in _grouped(held.slab):
+            found = self._slab(index.ids[number])
+            if found is not None:
+                at.append(asked)
+                parts.append(found[1].responses.take(held.row[asked]))
+                hosts.append(np.full(len(asked), found[0].host))
+                versions.add(found[0].versions)
+        if not at:
+            return Found(np.empty(0, np.intp), Responses.of(()), np.empty(0, str), frozenset())
+        order = np.argsort(np.concatenate(at), kind="stable")
+        return Found(
+            np.concatenate(at)[order],
+            Responses.concatenated(parts).take(order),
+            np.concatenate(hosts)[order],
+            frozenset(versions),
+        )
+
+    def place(self, key: NDArray[np.void]) -> tuple[Slab, Stored, int] | None:
+        """The slab that holds one key, its contents, and the key's number in it."""
+        index = self._refreshed()
+        held = index.find(key)
+        found = self._slab(index.ids[held.slab[0]]) if held.slab[0] >= 0 else None
+        return None if found is None else (*found, int(held.row[0]))
+
+    def seconds(self, keys: NDArray[np.void]) -> NDArray[np.float64]:
+        """Processor time [s] of each key's result, as its slab's mean; NaN if it is not stored."""
+        index = self._refreshed()
+        seconds = np.array([*index.seconds, np.nan])  # the last one for what is not there
+        return np.asarray(seconds[index.find(keys).slab])
+
+    def checksums(self, keys: NDArray[np.void]) -> Iterator[bytes]:
+        """What an export of these keys is made of: checksums of rows, and which are whose."""
+        index = self._refreshed()
+        held = index.find(keys)
+        for number, asked in _grouped(held.slab):
+            yield index.checksums[number] + asked.tobytes() + held.row[asked].tobytes()
+
+    def commit(self, slabs: Sequence[Slab]) -> None:
+        """Store slabs in one transaction."""
+        with self.errors(), self.transaction():
+            self.insert(slabs)
+
+    def insert(self, slabs: Iterable[Slab]) -> None:
+        """Add slabs as they are, within the caller's transaction."""
+        marks = ", ".join("?" * len(fields(Slab)))
+        self.db.executemany(f"INSERT INTO slabs VALUES ({marks})", map(astuple, slabs))
+
+    def slabs(self, order: str = "ASC") -> Iterator[tuple[int, Slab]]:
+        """All rows as stored, sound or not, oldest first or last (``"DESC"``), by their number."""
+        with self.errors():
+            rows = self.db.execute(f"SELECT rowid, {_COLUMNS} FROM slabs ORDER BY rowid {order}")
+            for number, *values in rows:
+                yield number, Slab(*values)
+
+    def _refreshed(self) -> Index:
+        """The index, with what has been added meanwhile, also by others."""
+        with self.errors():
+            self._index.add(
+                self.db.execute(
+                    "SELECT rowid, keys, status, seconds, checksum FROM slabs WHERE rowid > ?",
+                    (self._index.last,),
+                )
+            )
+        return self._index
+
+    def _read_slab(self, number: int) -> tuple[Slab, Stored] | None:
+        """A slab and its contents; None if it is damaged or gone."""
+        with self.errors():
+            row = self.db.execute(
+                f"SELECT {_COLUMNS} FROM slabs WHERE rowid = ?", (number,)
+            ).fetchone()
+        slab = None if row is None else Slab(*row)
+        if slab is None or not slab.is_sound:
+            return None
         try:
-            return {record[0]: _row(record) for record in sound}
+            return slab, stored(slab)
         except ValueError as error:
             raise StoreError(
                 f"{self.path}: a row was written by something else than a run ({error}): "
                 "'gapsweep cache gc --apply' deletes it"
             ) from None
 
-    def cpu_times(self, keys: Sequence[bytes]) -> dict[bytes, float]:
-        """Processor time [s] of every key that is stored and has one."""
-        return {r[0]: r[4] for r in self._records(keys) if r[4] is not None and is_sound(r)}
 
-    def checksums(self, keys: Sequence[bytes]) -> dict[bytes, bytes]:
-        """Checksums of the stored rows, sound or not: what an export was made of."""
-        return {r[0]: r[7] for r in self._records(keys)}
-
-    def commit(self, rows: Sequence[Row]) -> None:
-        """Store results in one transaction; a failure never takes the place of a result."""
-        now = datetime.now(UTC).isoformat(timespec="seconds")
-        records = []
-        for row in rows:
-            response = row.response
-            cpu_time = None if math.isnan(response.cpu_time) else response.cpu_time
-            text = _encoded(response, row.versions)
-            values = text, int(response.status), cpu_time, row.host, now
-            records.append(_record(row.key, row.identity, *values))
-        failed = [row.key for row in rows if row.response.status.failed]
-        with self.errors(), self.transaction():
-            # Another run may have come to an end with what this one gave up.
-            stored = self._records(failed)
-            kept = {r[0] for r in stored if is_sound(r) and not Status(r[3]).failed}
-            self.insert(r for r in records if r[0] not in kept)
-
-    def insert(self, records: Iterable[Record]) -> None:
-        """Add or replace records as they are, within the caller's transaction."""
-        self.db.executemany(
-            "INSERT OR REPLACE INTO results VALUES (?, ?, ?, ?, ?, ?, ?, ?)", records
-        )
-
-    def records(self, order: str = "ASC") -> Iterator[Record]:
-        """All records as stored, sound or not, oldest first or last (``"DESC"``)."""
-        with self.errors():
-            yield from self.db.execute(f"SELECT {_COLUMNS} FROM results ORDER BY rowid {order}")
-
-    def _records(self, keys: Sequence[bytes]) -> Iterator[Record]:
-        with self.errors():
-            for start in range(0, len(keys), _BATCH):
-                some = keys[start : start + _BATCH]
-                marks = ",".join("?" * len(some))
-                yield from self.db.execute(
-                    f"SELECT {_COLUMNS} FROM results WHERE key IN ({marks})", some
-                )
+def _grouped(numbers: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Where each number that is not negative stands."""
+    order = np.argsort(numbers, kind="stable")
+    order = order[np.searchsorted(numbers[order], 0) :]
+    if order.size:
+        ends = np.flatnonzero(np.diff(numbers[order])) + 1
+        for rows in np.split(order, ends):
+            yield int(numbers[rows[0]]), rows
 
 
 _REMEDIES = {
@@ -337,97 +362,3 @@ _DAMAGED = {
 def _code(error: sqlite3.Error) -> int:
     """SQLite's primary code of an error; 0 if it is none of SQLite's own."""
     return getattr(error, "sqlite_errorcode", 0) & 0xFF
-
-
-def is_sound(record: Record) -> bool:
-    """Whether a record is as it was written."""
-    try:
-        return _record(*record[:7]) == record
-    except (TypeError, AttributeError, ValueError):  # a damaged file may hold any type anywhere
-        return False
-
-
-def holds_result(record: Record) -> bool:
-    """Whether a run can have written a record: is it sound, and what it holds a response?"""
-    try:
-        return is_sound(record) and _row(record).response.status == record[3]
-    except ValueError:
-        return False
-
-
-def _status(record: Record) -> int:
-    whole = is_sound(record) and 0 <= record[3] <= max(Status)
-    return record[3] if whole else DAMAGED
-
-
-def identity_matches(record: Record) -> bool:
-    """Whether a record's key is that of its identity; of format 1 too little is known."""
-    key, identity, *_ = record
-    return hashlib.sha256(identity.encode()).digest() == key or '"numerics"' not in identity
-
-
-def _record(
-    key: bytes,
-    identity: str,
-    response: str,
-    status: int,
-    cpu_time: float | None,
-    host: str,
-    created: str,
-) -> Record:
-    """A table row, its checksum added."""
-    digest = hashlib.sha256(key)
-    for column in (identity, response, str(status), repr(cpu_time), host, created):
-        digest.update(b"\0")
-        digest.update(column.encode())
-    return key, identity, response, status, cpu_time, host, created, digest.digest()
-
-
-def _row(record: Record) -> Row:
-    key, identity, response, _, _, host, *_ = record
-    found, versions = _decoded(response)
-    return Row(key, identity, found, host, versions)
-
-
-def _encoded(response: Response, versions: str = "") -> str:
-    """JSON of a response, which has no NaN (null) and no infinities (text), and of versions."""
-    values = {name: _plain(getattr(response, name)) for name in _FIELDS}
-    return json.dumps(values | {"versions": versions}, separators=(",", ":"), allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else repr(value)
-    return value
-
-
-def _decoded(text: str) -> tuple[Response, str]:
-    """The response in a row, and the versions that computed it.
-
-    Raises
-    ------
-    ValueError
-        If it is none, whatever else it may be.
-    """
-    try:
-        stored = json.loads(text)
-        versions = str(stored.pop("versions", ""))
-        values = {name: _valued(name, value) for name, value in stored.items()}
-        # What an older version did not know keeps its default.
-        return Response(**values), versions
-    except (TypeError, AttributeError, KeyError, RecursionError) as error:
-        raise ValueError(f"{type(error).__name__}: {error}") from None
-
-
-def _valued(name: str, value: Any) -> Any:
-    """A value of a response from its JSON."""
-    kind = _KINDS[name]
-    if kind is float:
-        value = math.nan if value is None else float(value)
-    elif name in _LISTS:
-        if not all(type(one) in (int, float) for one in value):
-            raise TypeError(f"{name}: must be numbers")
-        value = tuple(value)
-    elif type(value) is not (str if kind is str else int):
-        raise TypeError(f"{name} = {value!r:.40}")
-    return kind(value) if issubclass(kind, IntEnum) else value

@@ -1,12 +1,14 @@
-"""Who is computing what: so that two runs on one cache do not do the same work twice.
+"""Who is computing what: so that two runs of one study on one cache do not do the same work twice.
 
-A claim is a lock on one byte of a file beside the cache, at a place that the point's key
-gives. The operating system drops it when the process ends, however it ends: a killed run
-leaves no claim behind. Claims only save work; that no result is lost or mixed up is the
-cache's business. Where such locks do not exist, every point can be claimed.
+A claim is a lock on a range of a file beside the cache: from the number of a task's first point in
+its study to that of its last, at a place that the study gives. The operating system drops it when
+the process ends, however it ends: a killed run leaves no claim behind. Claims only save work; that
+no result is lost or mixed up is the cache's business. Where such locks do not exist, everything
+can be claimed.
 """
 
 import errno
+import hashlib
 from pathlib import Path
 from types import TracebackType
 
@@ -16,13 +18,23 @@ except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]  # a module that is not there is tested for below
 
 _HELD_BY_OTHERS = {errno.EAGAIN, errno.EACCES}
+_ROOM = 2**24  # numbers that a study has; places in a file have 63 bits
 
 
 class Claims:
-    """This process' claims on the points of one cache; a context manager."""
+    """This process' claims on points of one study and cache; a context manager.
 
-    def __init__(self, cache: Path) -> None:
+    Parameters
+    ----------
+    cache : Path
+    points : bytes
+        What tells one study's points from another's.
+    """
+
+    def __init__(self, cache: Path, points: bytes) -> None:
         self._file = cache.with_name(f"{cache.name}-claims").open("ab")
+        digest = hashlib.sha256(points).digest()
+        self._place = int.from_bytes(digest[:4], "big") * _ROOM
 
     def __enter__(self) -> "Claims":
         return self
@@ -35,22 +47,18 @@ class Claims:
     ) -> None:
         self._file.close()
 
-    def take(self, key: bytes) -> bool:
-        """Claim a point; False if another process holds it."""
-        if fcntl is None:
-            return True
+    def take(self, first: int, last: int) -> bool:
+        """Claim all from one number to another; False if another process holds some of them."""
+        return self._lock(fcntl.LOCK_EX | fcntl.LOCK_NB, first, last) if fcntl else True
+
+    def release(self, first: int, last: int) -> None:
+        """Give up all from one number to another."""
+        if fcntl is not None:
+            self._lock(fcntl.LOCK_UN, first, last)
+
+    def _lock(self, how: int, first: int, last: int) -> bool:
         try:
-            fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(key))
+            fcntl.lockf(self._file, how, last - first + 1, self._place + first)
         except OSError as error:
             return error.errno not in _HELD_BY_OTHERS
         return True
-
-    def release(self, key: bytes) -> None:
-        """Give a point up."""
-        if fcntl is not None:
-            fcntl.lockf(self._file, fcntl.LOCK_UN, 1, _place(key))
-
-
-def _place(key: bytes) -> int:
-    # Places have 63 bits; that two of a million points share one is unlikely and harmless.
-    return int.from_bytes(key[:7], "big")

@@ -2,23 +2,17 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from gapsweep.errors import StoreError
 from gapsweep.status import Status
-from gapsweep.store.cache import (
-    SCHEMA_VERSION,
-    Cache,
-    DamagedCacheError,
-    Record,
-    holds_result,
-    identity_matches,
-    is_sound,
-)
-from gapsweep.store.salvage import sound_records
+from gapsweep.store.cache import SCHEMA_VERSION, Cache, DamagedCacheError
+from gapsweep.store.salvage import sound_slabs
+from gapsweep.store.slab import Slab, Stored, stored
+from gapsweep.study.points import KEY, Points
 
 _BATCH = 500
 
@@ -29,15 +23,15 @@ class Verdict:
 
     Attributes
     ----------
-    n_rows : int
-        Rows that could be read.
+    n_points : int
+        Points in the rows that could be read.
     damaged : tuple of str
-        Keys, in hex, of rows that are not as they were written.
+        Keys, in hex, of points in rows that are not as they were written.
     faults : tuple of str
         What SQLite says about the file itself; empty if it is sound.
     """
 
-    n_rows: int
+    n_points: int
     damaged: tuple[str, ...]
     faults: tuple[str, ...]
 
@@ -50,15 +44,18 @@ def info(cache: Cache, numerics: str) -> dict[str, Any]:
     """Size and contents of a cache; `numerics` is the fingerprint that counts as current."""
     by_code: Counter[str] = Counter()
     by_status: Counter[str] = Counter()
-    for record in cache.records():
-        by_code[numerics_of(record)] += 1
-        by_status[_status_label(record)] += 1
+    n_slabs = 0
+    for _, slab in cache.slabs():
+        n_slabs += 1
+        by_code[numerics_of(slab)] += slab.n_points
+        by_status.update(map(_status_label, slab.status if slab.is_sound else [-1]))
     return {
         "file": str(cache.path.absolute()),
         "format": SCHEMA_VERSION,
         "bytes": cache.path.stat().st_size,
         "network": cache.on_network,
-        "rows": by_code.total(),
+        "rows": n_slabs,
+        "points": by_code.total(),
         "current": by_code[numerics],
         "of_other_code": by_code.total() - by_code[numerics],
         "status": dict(sorted(by_status.items())),
@@ -73,33 +70,56 @@ def verify(cache: Cache) -> Verdict:
             faults = [text for (text,) in cache.db.execute("PRAGMA integrity_check")]
     except StoreError as error:  # too damaged to be checked
         faults = [str(error)]
-    n_rows, damaged = 0, []
-    for record in readable(cache):
-        n_rows += 1
-        if not (holds_result(record) and identity_matches(record)):
-            damaged.append(_hex(record[0]))
-    return Verdict(n_rows, tuple(damaged), tuple(f for f in faults if f != "ok"))
+    n_points, damaged = 0, []
+    for slab in readable(cache):
+        n_points += slab.n_points
+        damaged += _damaged(slab)
+    return Verdict(n_points, tuple(damaged), tuple(f for f in faults if f != "ok"))
 
 
-def removable(cache: Cache, numerics: str) -> list[bytes]:
-    """Keys of the rows that no study can ask for any more: of other code, or damaged."""
-    return [
-        record[0]
-        for record in cache.records()
-        if numerics_of(record) != numerics or not holds_result(record)
-    ]
+def _damaged(slab: Slab) -> list[str]:
+    """Keys, in hex, of the points of a row that no run can have written as they are."""
+    keys = slab.keys if isinstance(slab.keys, bytes) else b""
+    size = KEY.itemsize
+    of_all = [keys[at : at + size].hex() for at in range(0, len(keys), size)] or ["?"]
+    contents = contents_of(slab)
+    if contents is None:
+        return of_all
+    try:
+        points = Points(slab.kind, contents.numbers)
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return of_all
+    is_right = points.keys_after(slab.identity, contents.previous) == contents.keys
+    return [key for key, is_one in zip(of_all, is_right.tolist(), strict=True) if not is_one]
 
 
-def remove(cache: Cache, keys: list[bytes]) -> None:
+def contents_of(slab: Slab) -> Stored | None:
+    """What a sound row holds; None if it is damaged, or no run has written it."""
+    try:
+        return stored(slab) if slab.is_sound else None
+    except ValueError:
+        return None
+
+
+def removable(cache: Cache, numerics: str) -> set[int]:
+    """Numbers of the rows that no study can ask for any more: of other code, or damaged."""
+    return {
+        number
+        for number, slab in cache.slabs()
+        if numerics_of(slab) != numerics or contents_of(slab) is None
+    }
+
+
+def remove(cache: Cache, numbers: Collection[int]) -> None:
     """Delete rows and give their room back."""
     with cache.errors():
         with cache.transaction():
-            cache.db.executemany("DELETE FROM results WHERE key = ?", [(key,) for key in keys])
+            cache.db.executemany("DELETE FROM slabs WHERE rowid = ?", [(n,) for n in numbers])
         cache.db.execute("VACUUM")
 
 
 def export(source: Path, target: Path) -> int:
-    """Copy all sound rows of a cache, however damaged, to a new one; how many there were.
+    """Copy all sound rows of a cache, however damaged, to a new one; how many points they hold.
 
     Raises
     ------
@@ -111,54 +131,49 @@ def export(source: Path, target: Path) -> int:
     with Cache(target) as copy, copy.errors():
         try:
             with Cache(source, read_only=True) as cache, copy.transaction():
-                copy.insert(record for record in cache.records() if is_sound(record))
+                copy.insert(slab for _, slab in cache.slabs() if slab.is_sound)
         except DamagedCacheError:
             with copy.transaction():
-                copy.insert(sound_records(source).values())
-        (n_rows,) = copy.db.execute("SELECT count(*) FROM results").fetchone()
-    return int(n_rows)
+                copy.insert(sound_slabs(source).values())
+        return sum(slab.n_points for _, slab in copy.slabs())
 
 
-def readable(cache: Cache) -> Iterator[Record]:
-    """Every record that can still be read, from both ends of the table if it is damaged."""
-    seen: set[Any] = set()
+def readable(cache: Cache) -> Iterator[Slab]:
+    """Every row that can still be read, from both ends of the table if it is damaged."""
+    seen: set[int] = set()
     for order in ("ASC", "DESC"):
         try:
-            for record in cache.records(order):
-                if record[0] not in seen:
-                    seen.add(record[0])
-                    yield record
+            for number, slab in cache.slabs(order):
+                if number not in seen:
+                    seen.add(number)
+                    yield slab
         except StoreError:
             continue
         return
 
 
-def numerics_of(record: Record) -> str:
+def numerics_of(slab: Slab) -> str:
     """Fingerprint of the code that computed a row; empty if the row does not say."""
-    return str(_identity(record).get("numerics", ""))
+    return str(_identity(slab).get("numerics", ""))
 
 
-def representation_of(record: Record) -> str:
+def representation_of(slab: Slab) -> str:
     """The law of a row; empty if the row does not say."""
-    point = _identity(record).get("point")
-    return str(point.get("representation", "")) if isinstance(point, dict) else ""
+    kind = _identity(slab).get("kind")
+    return str(kind.get("representation", "")) if isinstance(kind, dict) else ""
 
 
-def _identity(record: Record) -> dict[str, Any]:
-    """A row's identity; nothing if a run cannot have written it."""
+def _identity(slab: Slab) -> dict[str, Any]:
+    """What a row says of all its points; nothing if a run cannot have written it."""
     try:
-        whole = json.loads(record[1])
+        whole = json.loads(slab.identity)
     except (ValueError, TypeError, RecursionError):
         return {}
     return whole if isinstance(whole, dict) else {}
 
 
-def _status_label(record: Record) -> str:
+def _status_label(status: int) -> str:
     try:
-        return Status(record[3]).label
+        return Status(status).label
     except ValueError:
         return "damaged"
-
-
-def _hex(key: Any) -> str:
-    return key.hex() if isinstance(key, bytes) else repr(key)

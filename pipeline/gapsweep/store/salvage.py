@@ -14,23 +14,22 @@ from pathlib import Path
 from typing import Any
 
 from gapsweep.errors import StoreError
-from gapsweep.status import Status
 from gapsweep.store.artefact import alone_in
-from gapsweep.store.cache import Cache, DamagedCacheError, Record, is_sound
+from gapsweep.store.cache import Cache, DamagedCacheError
+from gapsweep.store.slab import Slab
 
 Buffer = mmap.mmap | bytes
 
 _PAGE = 4096  # SQLite's own choice, where the file does not say
 _WAL_HEAD, _FRAME_HEAD = 32, 24
-_TABLE = b"CREATE TABLE results"
-# Length of the head, then the type of each column: key and checksum are blobs of 32 bytes, status
-# and processor time numbers, all others texts.
+_TABLE = b"CREATE TABLE slabs"
+# Length of the head, then the type of each column; the checksum is a blob of 32 bytes.
 _NUMBER = rb"[\x00-\x09]"
-_TEXT = rb"[\x80-\xff]{0,3}[\x00-\x7f]"
-_HEAD = re.compile(rb"(?=[\x09-\x1f]\x4c" + 2 * _TEXT + 2 * _NUMBER + 2 * _TEXT + rb"\x4c)")
+_LONG = rb"[\x80-\xff]{0,3}[\x00-\x7f]"  # a text or blob, by its length
+_HEAD = re.compile(rb"(?=[\x0b-\x28]" + 5 * _LONG + _NUMBER + 3 * _LONG + rb"\x4c)", re.DOTALL)
 _INTEGER_BYTES = (0, 1, 2, 3, 4, 6, 8)
 _REAL, _ZERO, _ONE = 7, 8, 9
-_COLUMNS = 8
+_COLUMNS = 10
 
 
 def salvage(path: Path) -> str | None:
@@ -49,8 +48,8 @@ def salvage(path: Path) -> str | None:
     with alone_in(path.parent):
         if _is_whole(path):
             return None
-        records = sound_records(path)
-        if not records and _TABLE not in path.read_bytes():
+        slabs = sound_slabs(path)
+        if not slabs and _TABLE not in path.read_bytes():
             raise StoreError(
                 f"{path}: file is not a database, or no row of a cache is left in it: move it "
                 "away or choose another file with --cache"
@@ -58,7 +57,7 @@ def salvage(path: Path) -> str | None:
         fresh = path.with_name(f".{path.name}.salvaged")
         fresh.unlink(missing_ok=True)
         with Cache(fresh) as cache, cache.errors(), cache.transaction():
-            cache.insert(records.values())
+            cache.insert(slabs.values())
         aside = _unused(path)
         # Its log first: beside another file it would be taken for that one's.
         log = path.with_name(f"{path.name}-wal")
@@ -68,7 +67,8 @@ def salvage(path: Path) -> str | None:
             useless.unlink(missing_ok=True)
         path.rename(aside)
         fresh.rename(path)
-    return f"{path}: damaged; {len(records)} sound rows saved, the damaged file is now {aside}"
+    n_points = sum(slab.n_points for slab in slabs.values())
+    return f"{path}: damaged; {n_points} sound results saved, the damaged file is now {aside}"
 
 
 def _is_whole(path: Path) -> bool:
@@ -84,26 +84,15 @@ def _unused(path: Path) -> Path:
     return next(p for p in map(path.with_name, names) if not p.exists())
 
 
-def sound_records(path: Path) -> dict[bytes, Record]:
-    """All rows that can be found in a cache file and its write-ahead log, by key.
-
-    Of several rows with one key, the latest result is taken before any failure.
-    """
-    found: dict[bytes, Record] = {}
+def sound_slabs(path: Path) -> dict[bytes, Slab]:
+    """All rows that can be found in a cache file and its write-ahead log, by checksum."""
+    found: dict[bytes, Slab] = {}
     with ExitStack() as files:
         main = _mapped(path, files)
         log = _mapped(path.with_name(f"{path.name}-wal"), files)
         for size in {_page_size(main), _PAGE}:
-            pages = _Pages(main, log, size)
-            for record in pages.records():
-                known = found.get(record[0])
-                if known is None or _rank(known) < _rank(record):
-                    found[record[0]] = record
-    return found
-
-
-def _rank(record: Record) -> tuple[bool, str]:
-    return record[3] <= Status.OUT_OF_FIT_RANGE, record[6]
+            found |= {slab.checksum: slab for slab in _Pages(main, log, size).slabs()}
+    return dict(sorted(found.items(), key=lambda item: item[1].created))
 
 
 def _mapped(path: Path, files: ExitStack) -> Buffer:
@@ -131,31 +120,30 @@ class _Pages:
             for at in heads
         }
 
-    def records(self) -> Iterator[Record]:
-        """All sound records."""
+    def slabs(self) -> Iterator[Slab]:
+        """All sound rows."""
         for buffer in (self.main, self.log):
             for match in _HEAD.finditer(buffer):
                 # A page of the log may have been written anew; the older one is in the file still.
                 for logged in (self.logged, {}) if self.logged else ({},):
-                    record = self._record(buffer, match.start(), logged)
-                    if record is not None:
-                        yield record
+                    slab = self._slab(buffer, match.start(), logged)
+                    if slab is not None:
+                        yield slab
                         break
 
-    def _record(self, buffer: Buffer, at: int, logged: dict[int, bytes]) -> Record | None:
+    def _slab(self, buffer: Buffer, at: int, logged: dict[int, bytes]) -> Slab | None:
         types = _types(buffer[at : at + buffer[at]])
         sizes = [_size(kind) for kind in types]
         payload = self._payload(buffer, at, buffer[at] + sum(sizes), logged)
         if len(types) != _COLUMNS or payload is None:
             return None
-        values, start = [], buffer[at]
+        values: list[Any] = []
+        start = buffer[at]
         for kind, size in zip(types, sizes, strict=True):
             values.append(_value(kind, payload[start : start + size]))
             start += size
-        cpu_time = values[4]
-        values[4] = None if cpu_time is None else float(cpu_time)
-        record: Any = tuple(values)
-        return record if is_sound(record) else None
+        slab = Slab(*values)
+        return slab if slab.is_sound else None
 
     def _payload(
         self, buffer: Buffer, at: int, length: int, logged: dict[int, bytes]

@@ -1,27 +1,37 @@
-"""Sweep points: what one unit of work is, and what identifies its result."""
+"""Sweep points: rows of a table, and what identifies the result of each."""
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gapsweep.integrate.problem import Solver
 from gapsweep.model import own_law
-from gapsweep.model.contact import FIT_RANGE, ContactLaw
+from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.labels import contact_law
-from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.oscillator import Gap
 from gapsweep.response.result import Steady
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.software import deciding, versions
 
 # Raised whenever the stored result of a point changes its form or meaning.
-RESULT_SCHEMA = 5
+RESULT_SCHEMA = 6
 
 FIXED = "fixed"
 SWEEPS = ("sweep_up", "sweep_down")
 OURS = "null"  # in place of the code of a user's law
+
+OSCILLATOR = ("zeta", "omega_n", "mass", "alpha", "forcing")
+# The columns of every table of points: what differs from point to point.
+NUMBERS = ("K_c", "j_1", "j_2", "omega", *OSCILLATOR, "x_0", "v_0")
+KEY = np.dtype("V32")  # a content key, as an element of an array
+
+Numbers = NDArray[np.intp]
 
 
 def canonical(value: float) -> float:
@@ -34,146 +44,139 @@ def canonical(value: float) -> float:
     return float(f"{value:.11e}") + 0.0  # -0.0 becomes 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Initial condition: a fixed state, or the end of the neighbouring frequency's response.
-
-    Attributes
-    ----------
-    kind : str
-        ``"fixed"``, ``"sweep_up"`` or ``"sweep_down"``.
-    x_0, v_0 : float
-        Displacement [m] and velocity [m/s]; a sweep's first point starts at rest.
-    """
-
-    kind: str = FIXED
-    x_0: float = 0.0
-    v_0: float = 0.0
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Point:
-    """One sweep point, complete: all that its result depends on.
+class Kind:
+    """What the points of a table have in common: all that their results depend on but numbers.
 
     Attributes
     ----------
     representation : str
         Canonical label, without a protocol.
-    K_c, omega : float
-        Contact stiffness [N/m] and forcing frequency [Hz].
+    solver : Solver
+    steady : Steady
     fit_range : float
         Half-width [m] of the range of fitted laws.
+    start : str
+        ``"fixed"``, or ``"sweep_up"`` or ``"sweep_down"``: from where the point before it ended,
+        the first one from the state in the table.
     start_jitter : float
         Added to a fixed initial displacement [m], for exact-against-exact floors.
     law_code : str
         Of a user's own law, as JSON; whoever computes the point must have the same.
     """
 
-    oscillator: Oscillator
     representation: str
-    K_c: float
-    gap: Gap
-    omega: float
-    start: Start
     solver: Solver
     steady: Steady
-    fit_range: float
+    fit_range: float = FIT_RANGE
+    start: str = FIXED
     start_jitter: float = 0.0
     law_code: str = OURS
 
     @property
-    def law(self) -> ContactLaw:
-        """The contact law.
+    def is_sweep(self) -> bool:
+        """Whether a point starts where the one before it ended."""
+        return self.start != FIXED
+
+    @property
+    def identity(self) -> str:
+        """All that it says, with the numerics and libraries that compute it, as canonical JSON."""
+        return _identity(self)
+
+    @classmethod
+    def of(cls, identity: str) -> "Kind":
+        """The kind that an identity describes.
 
         Raises
         ------
-        ClusterError
-            If it is the user's own, and its code is another one here.
+        ValueError, TypeError, KeyError, AttributeError
+            If it is none.
         """
-        asked = self.representation, self.K_c, self.gap, self.fit_range
-        if self.law_code == OURS:
-            return _our_law(*asked)
-        own_law.require(self.representation, self.law_code)
-        return contact_law(*asked)
+        said = {"fit_range": FIT_RANGE, **json.loads(identity)["kind"]}
+        said["law_code"] = _json(said.pop("law"))
+        settings: dict[str, Callable[..., Any]] = {"solver": Solver, "steady": Steady}
+        return cls(**said | {name: make(**said[name]) for name, make in settings.items()})
 
-    def identity(self, previous: str | None = None) -> str:
-        """All that the result depends on, as canonical JSON; its SHA-256 is the content key.
+
+# The same few kinds stand in all tables of a study.
+@lru_cache(maxsize=256)
+def _identity(kind: Kind) -> str:
+    said = asdict(kind)
+    said["law"] = json.loads(said.pop("law_code"))
+    if not kind.representation.startswith(("poly-", "ratpoly-")):
+        del said["fit_range"]
+    whole = {
+        "kind": said,
+        "numbers": NUMBERS,
+        "numerics": numerics_fingerprint(),
+        "schema": RESULT_SCHEMA,
+        "versions": {
+            name: versions()[name] for name in deciding(kind.representation, kind.solver.engine)
+        },
+    }
+    return _json(whole)
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """Sweep points of one kind.
+
+    Attributes
+    ----------
+    kind : Kind
+    numbers : ndarray, shape (n, 11)
+        Columns as in `NUMBERS`: N/m, m, m, Hz, then the oscillator's, m, m/s.
+    """
+
+    kind: Kind
+    numbers: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        return self.numbers[:, NUMBERS.index(name)]
+
+    def take(self, rows: Any) -> "Points":
+        """Some of the points."""
+        return Points(self.kind, self.numbers[rows])
+
+    def gap(self, row: int) -> Gap:
+        return Gap(*self.numbers[row, 1:3].tolist())
+
+    def keys(self, follows: NDArray[np.bool_] | None = None) -> NDArray[np.void]:
+        """Content keys: SHA-256 of the kind's identity and a row's numbers.
 
         Parameters
         ----------
-        previous : str, optional
-            Key, in hex, of the point whose end this one starts from (sweeps only).
+        follows : ndarray of bool, shape (n,), optional
+            Which points start where the one before it ended; its key is part of theirs.
         """
-        fields = {
-            "K_c": repr(self.K_c),
-            "gap": _canonical_json(self.gap),
-            "law": self.law_code,
-            "omega": repr(self.omega),
-            "oscillator": _canonical_json(self.oscillator),
-            "representation": json.dumps(self.representation),
-            "solver": _canonical_json(self.solver),
-            "start": _canonical_json(self.start),
-            "start_jitter": repr(self.start_jitter),
-            "steady": _canonical_json(self.steady),
-        }
-        if self.representation.startswith(("poly-", "ratpoly-")):
-            fields["fit_range"] = repr(self.fit_range)
-        whole = {
-            "numerics": json.dumps(numerics_fingerprint()),
-            "point": _object(fields),
-            "previous": json.dumps(previous),
-            "schema": str(RESULT_SCHEMA),
-            "versions": _versions(self.representation, self.solver.engine),
-        }
-        return _object(whole)
+        kind, keys, previous = hashlib.sha256(self.kind.identity.encode()), [], b""
+        after = [False] * len(self) if follows is None else follows.tolist()
+        for row, is_after in zip(self._rows, after, strict=True):
+            previous = _key(kind, row, previous if is_after else b"")
+            keys.append(previous)
+        return np.frombuffer(b"".join(keys), KEY)
+
+    def keys_after(self, identity: str, previous: NDArray[np.void]) -> NDArray[np.void]:
+        """Content keys of points of an identity, from those that they start from; zero: none."""
+        kind, nothing = hashlib.sha256(identity.encode()), bytes(KEY.itemsize)
+        rows = zip(self._rows, previous.tolist(), strict=True)
+        keys = (_key(kind, row, b"" if before == nothing else before) for row, before in rows)
+        return np.frombuffer(b"".join(keys), KEY)
+
+    @property
+    def _rows(self) -> list[bytes]:
+        size = self.numbers.shape[1] * 8
+        data = np.ascontiguousarray(self.numbers, "<f8").tobytes()
+        return [data[at : at + size] for at in range(0, len(data), size)]
 
 
-def point_of(identity: str) -> tuple[Point, str | None]:
-    """The sweep point that an identity describes, and the key, in hex, of the one before it."""
-    stored = json.loads(identity)
-    fields: dict[str, Any] = {"fit_range": FIT_RANGE, **stored["point"]}
-    fields["law_code"] = _json(fields.pop("law"))
-    for name, kind in _SETTINGS.items():
-        fields[name] = kind(**fields[name])
-    return Point(**fields), stored["previous"]
-
-
-_SETTINGS: dict[str, Callable[..., Any]] = {
-    "oscillator": Oscillator,
-    "gap": Gap,
-    "start": Start,
-    "solver": Solver,
-    "steady": Steady,
-}
-
-
-def content_key(identity: str) -> bytes:
-    """SHA-256 (32 bytes) of an identity."""
-    return hashlib.sha256(identity.encode()).digest()
-
-
-def _object(members: Mapping[str, str]) -> str:
-    """A JSON object of members that are JSON already, without spaces, sorted by name."""
-    return "{" + ",".join(f'"{name}":{members[name]}' for name in sorted(members)) + "}"
-
-
-@lru_cache(maxsize=4096)
-def _canonical_json(settings: Any) -> str:
-    # The same few settings stand in all points of a study: they are written out once.
-    return _json(asdict(settings))
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-
-# Points of one curve share their law. Not so a user's law, which may be imported anew.
-_our_law = lru_cache(maxsize=256)(contact_law)
-
-
-@lru_cache(maxsize=256)
-def _versions(representation: str, engine: str) -> str:
-    return _json({name: versions()[name] for name in deciding(representation, engine)})
+def _key(kind: Any, row: bytes, previous: bytes) -> bytes:
+    digest = kind.copy()
+    digest.update(row + previous)
+    return bytes(digest.digest())
 
 
 def law_code(representation: str) -> str:
@@ -193,5 +196,9 @@ def law_code(representation: str) -> str:
 
 @lru_cache(maxsize=64)
 def _try_out(representation: str, code: str) -> None:
-    """Refuse what is no function of x; once, for every point of a study asks."""
+    """Refuse what is no function of x; once, for every table of a study asks."""
     contact_law(representation, 0.0, Gap(0.0, 0.0))
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)

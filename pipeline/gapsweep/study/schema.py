@@ -3,6 +3,7 @@
 Written down once, here; the writer, the analyses and the documentation read this table.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from gapsweep.response.result import ExtremumKind, ResponseClass
 from gapsweep.status import Status
 
+# Of a study that sweeps nothing else; each further number swept has a dimension after omega.
 POINT_DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
 EXTREMUM = "extremum"
 SECTION_POINT = "section_point"
@@ -56,6 +58,8 @@ STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
 KIND_FLAGS = (("none", -9), *((k.name.lower(), int(k)) for k in ExtremumKind))
 CLASS_FLAGS = (("none", -1), *((c.name.lower(), int(c)) for c in ResponseClass))
 
+# Of every coordinate the dimension it lies along, and what it is. Walls that are swept one by one
+# have dimensions of their own.
 COORDINATES: dict[str, tuple[str, Variable]] = {
     "representation": ("representation", Variable("str", "1", "representation of the contact")),
     "K_c": ("K_c", Variable("f8", "N m-1", "contact stiffness")),
@@ -63,11 +67,23 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "j_1": ("gap", Variable("f8", "m", "distance of the lower wall from the origin")),
     "j_2": ("gap", Variable("f8", "m", "distance of the upper wall from the origin")),
     "omega": ("omega", Variable("f8", "Hz", "forcing frequency")),
+    "zeta": ("zeta", Variable("f8", "1", "damping ratio")),
+    "omega_n": ("omega_n", Variable("f8", "Hz", "natural frequency of the linear spring alone")),
+    "mass": ("mass", Variable("f8", "kg", "mass")),
+    "alpha": ("alpha", Variable("f8", "N m-3", "cubic stiffness")),
+    "forcing": ("forcing", Variable("f8", "N", "forcing amplitude")),
     "initial_condition": ("initial_condition", Variable("i4", "1", "number of the start")),
     "x_0": ("initial_condition", Variable("f8", "m", "initial displacement")),
     "v_0": ("initial_condition", Variable("f8", "m s-1", "initial velocity")),
     "start": ("initial_condition", Variable("str", "1", "fixed, sweep_up or sweep_down")),
 }
+
+
+def coordinates(dims: Collection[str]) -> dict[str, str]:
+    """The coordinates that dimensions bring along, and the dimension of each."""
+    found = {n: n if n in dims else dim for n, (dim, _) in COORDINATES.items()}
+    return {name: dim for name, dim in found.items() if dim in dims}
+
 
 VARIABLES: dict[str, Variable] = {
     "x_max": Variable("f8", "m", "peak displacement of the steady response"),

@@ -1,7 +1,8 @@
 """A study: its settings and the labelled grid of its sweep points."""
 
 import json
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,84 +13,28 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.labels import AUTO, canonical_label
+from gapsweep.model.labels import AUTO
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advise
-from gapsweep.study.points import FIXED, Point, Start, canonical, content_key, law_code
-from gapsweep.study.spec import (
+from gapsweep.study.axes import (
     MAX_POINTS,
+    SWEEPABLE,
+    forms,
+    values,
+)
+from gapsweep.study.grid import START, Axes, Grid, Selection, Starts, starts_of
+from gapsweep.study.points import NUMBERS, OSCILLATOR, Kind, Points, canonical, law_code
+from gapsweep.study.selection import positions
+from gapsweep.study.spec import (
     HistoryTable,
     ModuleTable,
-    SobolStarts,
     SolverTable,
     StudySpec,
     SweepTable,
     check,
     parse,
 )
-
-Index = tuple[int, int, int, int, int]
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Coordinates of the dataset and which of its cells are sweep points.
-
-    Attributes
-    ----------
-    representations : tuple of str
-        Labels in order of first appearance, protocol included.
-    K_c, omega : tuple of float
-        Ascending [N/m], [Hz].
-    gaps : tuple of Gap
-    starts : tuple of Start
-        In order of first appearance over the blocks.
-    requested : ndarray of bool, shape (representation, K_c, gap, omega, initial_condition)
-    """
-
-    representations: tuple[str, ...]
-    K_c: tuple[float, ...]
-    gaps: tuple[Gap, ...]
-    omega: tuple[float, ...]
-    starts: tuple[Start, ...]
-    requested: NDArray[np.bool_]
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self.requested.shape
-
-    def flat(self, index: Index) -> int:
-        """Position of a cell when all are counted in order."""
-        position = 0
-        for size, i in zip(self.shape, index, strict=True):
-            position = position * size + i
-        return position
-
-    def cut(self, selection: "Selection") -> "Grid":
-        """The selected part, as a grid of its own."""
-        r, k, g, w, i = selection.positions
-        return Grid(
-            representations=tuple(self.representations[n] for n in r),
-            K_c=tuple(self.K_c[n] for n in k),
-            gaps=tuple(self.gaps[n] for n in g),
-            omega=tuple(self.omega[n] for n in w),
-            starts=tuple(self.starts[n] for n in i),
-            requested=self.requested[np.ix_(*selection.positions)],
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """Part of a study's grid: the positions wanted along each dimension, ascending."""
-
-    positions: tuple[tuple[int, ...], ...]
-
-    def mask(self, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Which cells of a grid are selected."""
-        wanted = np.zeros(shape, dtype=bool)
-        wanted[np.ix_(*self.positions)] = True
-        return wanted
 
 
 @dataclass(frozen=True)
@@ -137,7 +82,7 @@ class Study:
         except ModelError as error:
             raise StudyError([f"{self.source}: solver: {error}"]) from None
         self._check_modules()
-        cells = int(np.prod([len(axis) for axis in self._axes], dtype=np.int64))
+        cells = math.prod(map(len, self._axes.values()))
         if cells > MAX_POINTS:
             raise StudyError(
                 [
@@ -220,144 +165,166 @@ class Study:
         return Solver.of(**given), jitter
 
     @cached_property
-    def _blocks(self) -> list[tuple[list[Any], ...]]:
-        return [_expanded(block) for block in self.spec.sweep]
+    def _blocks(self) -> list[Axes]:
+        swept = {name for block in self.spec.sweep for name in block.swept}
+        default = self.spec.oscillator
+        return [
+            _expanded(block, {n: getattr(default, n) for n in SWEEPABLE if n in swept})
+            for block in self.spec.sweep
+        ]
 
     @cached_property
-    def _axes(self) -> tuple[tuple[Any, ...], ...]:
-        unions = [
-            tuple(dict.fromkeys(value for block in self._blocks for value in block[axis]))
-            for axis in range(5)
-        ]
-        for ascending in (1, 3):
-            unions[ascending] = tuple(sorted(unions[ascending]))
-        return tuple(unions)
+    def _axes(self) -> Axes:
+        """The union of all blocks' axes: numbers ascending, others in order of appearance."""
+        union: dict[str, Sequence[Any]] = {}
+        for name, first in self._blocks[0].items():
+            if isinstance(first, Starts):
+                union[name] = Starts.union(starts_of(block) for block in self._blocks)
+                continue
+            found = dict.fromkeys(value for block in self._blocks for value in block[name])
+            is_number = isinstance(first[0], float)
+            union[name] = tuple(sorted(found) if is_number else found)
+        return union
 
     @cached_property
     def grid(self) -> Grid:
         """The labelled grid: the union of all blocks."""
-        requested = np.zeros([len(axis) for axis in self._axes], dtype=bool)
-        places = [{value: i for i, value in enumerate(axis)} for axis in self._axes]
+        requested = np.zeros([len(axis) for axis in self._axes.values()], dtype=bool)
         for block in self._blocks:
-            at = [[place[v] for v in values] for place, values in zip(places, block, strict=True)]
+            at = [_places(axis, block[name]) for name, axis in self._axes.items()]
             requested[np.ix_(*at)] = True
-        representations, K_c, gaps, omega, starts = self._axes
-        return Grid(representations, K_c, gaps, omega, starts, requested)
+        return Grid(self._axes, requested)
 
     def select(self, **wanted: Any) -> Selection:
         """Select among the study's own coordinates.
 
         Parameters
         ----------
-        representation, gap : str or sequence of str, optional
-            Labels, as ``"tanh-1e4"`` and ``"0.4/0.4"``.
-        K_c, omega : float, slice or sequence of float, optional
-            Values [N/m], [Hz]; slices include both ends. Compared after rounding to 12
+        **wanted
+            Values of dimensions: a value, a list or, for numbers, a slice that includes both
+            ends. Labels, as ``"tanh-1e4"`` and ``"0.4/0.4"``, for `representation` and `gap`,
+            numbers of starts for `initial_condition`. Numbers are compared after rounding to 12
             significant digits.
-        initial_condition : int, slice or sequence of int, optional
-            Numbers of starts.
 
         Raises
         ------
         StudyError
             If a name is no dimension, or a value is not among the study's own.
         """
-        grid = self.grid
-        axes: dict[str, Sequence[Any]] = {
-            "representation": grid.representations,
-            "K_c": grid.K_c,
-            "gap": [gap.label for gap in grid.gaps],
-            "omega": grid.omega,
-            "initial_condition": range(len(grid.starts)),
-        }
+        axes = {name: self.grid.labels(name) for name in self.grid.axes}
         problems = [
             f"{self.source}: {name}: no dimension of the study; choose from {', '.join(axes)}"
             for name in wanted.keys() - axes.keys()
         ]
-        positions = []
+        found = []
         for name, axis in axes.items():
             try:
-                positions.append(_positions(name, axis, wanted.get(name, slice(None))))
+                found.append(positions(name, axis, wanted.get(name, slice(None)), "the study"))
             except ValueError as error:
                 problems.append(f"{self.source}: {error}")
         if problems:
             raise StudyError(problems)
-        return Selection(tuple(positions))
+        return Selection(tuple(found))
 
-    def point(self, index: Index) -> Point:
-        """The sweep point at a position of the grid; for ``auto``, the one that it chooses."""
-        grid = self.grid
-        r, k, g, w, i = index
-        full = grid.representations[r]
-        point = Point(
-            oscillator=self.oscillator,
-            representation=full.partition("@")[0],
-            K_c=grid.K_c[k],
-            gap=grid.gaps[g],
-            omega=grid.omega[w],
-            start=grid.starts[i],
-            solver=self.solver(full),
-            steady=self.steady,
-            fit_range=self.spec.fit.range,
-            start_jitter=self.start_jitter(full),
-            law_code=law_code(full.partition("@")[0]),
-        )
-        if full != AUTO:
-            return point
-        least = self.advice(index)
-        return replace(
-            point,
-            representation="piecewise",
-            oscillator=least.oscillator,
-            K_c=least.K_c,
-            solver=point.solver.with_rtol(least.rtol),
-        )
-
-    def advice(self, index: Index, error: float | None = None) -> Advice:
-        """The least model that is adequate at a position of the grid, whatever representation.
+    def points(self, cells: NDArray[np.int64]) -> list[tuple[NDArray[np.intp], Points]]:
+        """The sweep points in some cells of the grid, in tables of one kind each.
 
         Parameters
         ----------
-        index : Index
+        cells : ndarray of int, shape (n,)
+            Flat positions.
+
+        Returns
+        -------
+        list of (ndarray of int, Points)
+            Numbers of the cells, ascending, and the points in them; for ``auto``, those that it
+            chooses.
+        """
+        tables = []
+        for rows, table, label in self._asked(cells):
+            found = self._adequate(table) if label == AUTO else [(np.arange(len(rows)), table)]
+            tables += [(rows[some], points) for some, points in found]
+        return tables
+
+    def _asked(self, cells: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.intp], Points, str]]:
+        """The points in some cells as they are asked for, with their label."""
+        axes, starts = self.grid.axes, self.grid.starts
+        at = dict(zip(axes, np.unravel_index(cells, self.grid.shape), strict=True))
+        numbers = self._numbers(at, len(cells))
+        kind = at["representation"] * len(Starts.KINDS) + starts.kind[at[START]]
+        for one in np.unique(kind).tolist():
+            rows = np.flatnonzero(kind == one)
+            r, start = divmod(one, len(Starts.KINDS))
+            label = axes["representation"][r]
+            yield rows, Points(self._kind(label, Starts.KINDS[start]), numbers[rows]), label
+
+    def _numbers(self, at: Mapping[str, NDArray[np.intp]], n: int) -> NDArray[np.float64]:
+        """The columns of a table of points, from their places on the axes."""
+        axes = self.grid.axes
+        columns: dict[str, Any] = {name: getattr(self.oscillator, name) for name in OSCILLATOR}
+        for name, axis in axes.items():
+            if name == "gap":
+                walls = np.array([(gap.j_1, gap.j_2) for gap in axis])[at[name]]
+                columns["j_1"], columns["j_2"] = walls.T
+            elif isinstance(axis, Starts):
+                columns["x_0"], columns["v_0"] = axis.x_0[at[name]], axis.v_0[at[name]]
+            elif name != "representation":
+                columns[name] = np.array(axis)[at[name]]
+        return np.stack([np.broadcast_to(columns[name], n) for name in NUMBERS], axis=1)
+
+    def _kind(self, label: str, start: str) -> Kind:
+        representation = label.partition("@")[0]
+        return Kind(
+            representation=representation,
+            solver=self.solver(label),
+            steady=self.steady,
+            fit_range=self.spec.fit.range,
+            start=start,
+            start_jitter=self.start_jitter(label),
+            law_code=law_code(representation),
+        )
+
+    def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
+        """What ``auto`` chooses for each point, in tables of one tolerance each."""
+        numbers, rtol = table.numbers.copy(), np.empty(len(table))
+        for row, least in enumerate(self._advised(table)):
+            rtol[row] = least.rtol
+            numbers[row, NUMBERS.index("K_c")] = least.K_c
+            numbers[row, NUMBERS.index("alpha")] = least.oscillator.alpha
+        found = []
+        for one in np.unique(rtol).tolist():
+            rows = np.flatnonzero(rtol == one)
+            solver = table.kind.solver.with_rtol(one)
+            kind = replace(table.kind, representation="piecewise", solver=solver)
+            found.append((rows, Points(kind, numbers[rows])))
+        return found
+
+    def advice(self, cells: NDArray[np.int64], error: float | None = None) -> list[Advice]:
+        """The least model that is adequate in each of some cells, whatever representation.
+
+        Parameters
+        ----------
+        cells : ndarray of int, shape (n,)
+            Flat positions.
         error : float, optional
             What it has to meet; that of ``[auto]`` if None.
         """
-        grid = self.grid
-        _, k, g, w, i = index
-        start = grid.starts[i]
-        return advise(
-            self.oscillator,
-            grid.K_c[k],
-            grid.gaps[g],
-            grid.omega[w],
-            (start.x_0, start.v_0) if start.kind == FIXED else None,
-            error=self.spec.auto.error if error is None else error,
-        )
+        found = np.empty(len(cells), object)
+        for rows, table, _ in self._asked(cells):
+            found[rows] = list(self._advised(table, error))
+        return list(found)
 
-    def chains(self, selection: Selection | None = None) -> Iterator[tuple[Index, ...]]:
-        """Indices of all sweep points, grouped: what must be computed in order, together.
-
-        A fixed start makes a chain of one. A sweep makes a chain of all its frequencies; of a
-        selection, up to the last one selected.
-        """
-        grid = self.grid
-        wanted = grid.requested
-        if selection is not None:
-            wanted = wanted & selection.mask(grid.shape)
-        for r, k, g in np.ndindex(grid.shape[:3]):
-            for i, start in enumerate(grid.starts):
-                ends = np.flatnonzero(wanted[r, k, g, :, i]).tolist()
-                if start.kind == FIXED:
-                    yield from (((r, k, g, w, i),) for w in ends)
-                elif ends:
-                    along = np.flatnonzero(grid.requested[r, k, g, :, i]).tolist()
-                    up = start.kind == "sweep_up"
-                    order = (
-                        along[: along.index(ends[-1]) + 1]
-                        if up
-                        else along[along.index(ends[0]) :][::-1]
-                    )
-                    yield tuple((r, k, g, w, i) for w in order)
+    def _advised(self, table: Points, error: float | None = None) -> Iterator[Advice]:
+        for row, numbers in enumerate(table.numbers.tolist()):
+            said = dict(zip(NUMBERS, numbers, strict=True))
+            yield advise(
+                Oscillator(**{name: said[name] for name in OSCILLATOR}),
+                said["K_c"],
+                table.gap(row),
+                said["omega"],
+                None if table.kind.is_sweep else (said["x_0"], said["v_0"]),
+                error=self.spec.auto.error if error is None else error,
+            )
 
     def solver(self, label: str) -> Solver:
         """Solver settings of a representation, its protocol's where the label has one.
@@ -371,98 +338,41 @@ class Study:
         """What a representation's protocol adds to fixed initial displacements [m]."""
         return self._protocols[label.partition("@")[2]][1]
 
-    def identities(self, chain: tuple[Index, ...]) -> list[str]:
-        """Canonical JSON of a chain's points; each holds the key of the point before it."""
-        identities: list[str] = []
-        previous = None
-        for index in chain:
-            identities.append(self.point(index).identity(previous))
-            previous = content_key(identities[-1]).hex()
-        return identities
-
-    def keys(self, chain: tuple[Index, ...]) -> list[bytes]:
-        """Content keys of a chain's points."""
-        return [content_key(identity) for identity in self.identities(chain)]
-
 
 def _given(table: SolverTable) -> dict[str, Any]:
     return {k: v for k, v in table.model_dump(exclude_unset=True).items() if v is not None}
 
 
-def _expanded(block: SweepTable) -> tuple[list[Any], ...]:
-    """A block's values along the five dimensions, canonical and without repeats."""
-    omega = block.omega if isinstance(block.omega, list) else block.omega.values()
-    values = (
-        block.representation,
-        [canonical(K_c) for K_c in block.K_c],
-        [Gap(canonical(j_1), canonical(j_2)) for j_1, j_2 in block.gap],
-        [canonical(w) for w in omega],
-        _starts(block.initial_condition),
-    )
-    return tuple(list(dict.fromkeys(v)) for v in values)
+def _expanded(block: SweepTable, swept: Mapping[str, float]) -> Axes:
+    """A block's values along the dimensions, canonical and without repeats.
 
-
-def _starts(spec: Any) -> list[Start]:
-    """The starts of one form, or of a list of forms."""
-    if isinstance(spec, str):
-        return [Start(spec)]
-    if isinstance(spec, list) and isinstance(spec[0], str | SobolStarts):
-        return [start for form in spec for start in _starts(form)]
-    if isinstance(spec, SobolStarts):
-        from scipy.stats import qmc  # a second to import, and few studies need it
-
-        # Sobol points are balanced in powers of two; the first ones of the next power.
-        exponent = (spec.sobol - 1).bit_length()
-        unit = qmc.Sobol(d=2, scramble=True, rng=spec.seed).random_base2(exponent)[: spec.sobol]
-        low, high = zip(spec.x, spec.v, strict=True)
-        states = (np.array(low) + unit * (np.array(high) - np.array(low))).tolist()
+    `swept` are the oscillator's numbers that some block sweeps, as they are where none does.
+    """
+    axes: dict[str, Any] = {"representation": block.representation, "K_c": values(block.K_c)}
+    if block.gap is None:
+        axes |= {name: values(getattr(block, name)) for name in ("j_1", "j_2")}
     else:
-        states = spec
-    return [Start(FIXED, canonical(x), canonical(v)) for x, v in states]
+        axes["gap"] = [Gap(canonical(j_1), canonical(j_2)) for j_1, j_2 in block.gap]
+    axes["omega"] = values(block.omega)
+    for name, default in swept.items():
+        axis = getattr(block, name)
+        axes[name] = [default] if axis is None else values(axis)
+    for name, axis in axes.items():
+        is_number = name not in ("representation", "gap")
+        axes[name] = tuple(dict.fromkeys(map(canonical, axis) if is_number else axis))
+    axes[START] = Starts.union(map(_starts, forms(block.initial_condition)))
+    return axes
 
 
-def _positions(name: str, axis: Sequence[Any], wanted: Any) -> tuple[int, ...]:
-    """Where on an axis the wanted values lie; ValueError if one is not there."""
-    if isinstance(wanted, slice):
-        if wanted.step is not None:
-            raise ValueError(f"{name} = {wanted}: a slice has no step here")
-        if wanted == slice(None):
-            return tuple(range(len(axis)))
-        if name in ("representation", "gap"):
-            raise ValueError(f"{name} = {wanted}: give labels, not a slice")
-        low = canonical(axis[0] if wanted.start is None else wanted.start)
-        high = canonical(axis[-1] if wanted.stop is None else wanted.stop)
-        found = tuple(i for i, value in enumerate(axis) if low <= value <= high)
-        if not found:
-            raise ValueError(
-                f"{name} = {low:g} to {high:g}: nothing there; the study has {_listed(axis)}"
-            )
-        return found
-    several = isinstance(wanted, Sequence | np.ndarray) and not isinstance(wanted, str)
+def _starts(form: Any) -> Starts:
+    if isinstance(form, str):
+        return Starts.sweep(form)
+    return Starts.fixed(form if isinstance(form, list) else form.states())
+
+
+def _places(axis: Sequence[Any], some: Sequence[Any]) -> Sequence[int] | NDArray[np.intp]:
+    """Where values lie on an axis that has them."""
+    if isinstance(axis, Starts) and isinstance(some, Starts):
+        return axis.places(some)
     places = {value: i for i, value in enumerate(axis)}
-    found_all = []
-    for value in wanted if several else [wanted]:
-        at = places.get(_comparable(name, value))
-        if at is None:
-            raise ValueError(f"{name} = {value!r}: not in the study, which has {_listed(axis)}")
-        found_all.append(at)
-    if not found_all:
-        raise ValueError(f"{name} = []: nothing selected")
-    return tuple(sorted(set(found_all)))
-
-
-def _comparable(name: str, value: Any) -> Any:
-    """A wanted value in the form in which the axis holds it; None if it has none."""
-    try:
-        if name == "representation":
-            law, at, protocol = str(value).partition("@")
-            return canonical_label(law) + at + protocol
-        return str(value) if name == "gap" else canonical(value)
-    except (TypeError, ValueError):
-        return None
-
-
-def _listed(axis: Sequence[Any]) -> str:
-    """Some of an axis' values for a message."""
-    shown = [f"{value:g}" if isinstance(value, float) else str(value) for value in axis]
-    return ", ".join(shown if len(shown) <= 8 else [*shown[:3], "...", *shown[-3:]])
+    return [places[value] for value in some]

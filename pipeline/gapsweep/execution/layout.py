@@ -1,0 +1,205 @@
+"""Where in the files of a run the points of a grid belong, and what these files hold."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import netCDF4
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.response.result import Steady
+from gapsweep.study.grid import START, Grid
+from gapsweep.study.schema import (
+    ATTRACTOR,
+    ATTRACTOR_VARIABLES,
+    COORDINATES,
+    EXTREMUM,
+    LISTS,
+    MULTIPLIER,
+    MULTIPLIERS,
+    N_ATTRACTORS,
+    SECTION_POINT,
+    VARIABLES,
+    Variable,
+    coordinates,
+)
+
+Arrays = dict[str, NDArray[Any]]
+
+# Sweep points in memory, and in a chunk of the file, at a time.
+_PIECE = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Some neighbouring frequencies of one scene: one place on all other axes, but all starts.
+
+    Attributes
+    ----------
+    cells : tuple of int and slice
+        Where the piece lies in a variable over the grid.
+    first, last : int
+        Frequencies, one past the last.
+    """
+
+    cells: tuple[int | slice, ...]
+    first: int
+    last: int
+
+    def __len__(self) -> int:
+        return self.last - self.first
+
+    def flat(self, shape: tuple[int, ...]) -> NDArray[np.int64]:
+        """Flat positions of the cells in a grid, shape (n_omega, n_starts)."""
+        n_starts = shape[-1]
+        axes = [
+            range(n)[at] if isinstance(at, slice) else [at]
+            for n, at in zip(shape, self.cells, strict=True)
+        ]
+        return np.ravel_multi_index(np.ix_(*axes), shape).reshape(len(self), n_starts)
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How the points of a grid lie in the files.
+
+    Attributes
+    ----------
+    grid : Grid
+    sizes : dict of str to int
+        Lengths of the padded lists.
+    """
+
+    grid: Grid
+    sizes: dict[str, int]
+
+    @classmethod
+    def of(cls, grid: Grid, steady: Steady) -> "Layout":
+        sizes = {EXTREMUM: steady.max_extrema, SECTION_POINT: steady.max_period_multiple}
+        return cls(grid, sizes)
+
+    @property
+    def n_frequencies(self) -> int:
+        """Frequencies in a piece."""
+        n_omega, n_starts = len(self.grid.axes["omega"]), len(self.grid.starts)
+        return max(1, min(n_omega, _PIECE // n_starts))
+
+    @property
+    def chunk(self) -> tuple[int, ...]:
+        """Sizes of a chunk of a variable over the grid."""
+        sizes = {
+            "omega": self.n_frequencies,
+            "initial_condition": min(len(self.grid.starts), _PIECE),
+        }
+        return tuple(sizes.get(dim, 1) for dim in self.grid.dims)
+
+    def pieces(self) -> Iterator[Piece]:
+        n_omega, omega = len(self.grid.axes["omega"]), self.grid.dims.index("omega")
+        others = [1 if i == omega else n for i, n in enumerate(self.grid.shape[:-1])]
+        for place in np.ndindex(*others):
+            for first in range(0, n_omega, self.n_frequencies):
+                last = min(first + self.n_frequencies, n_omega)
+                cells = (*place[:omega], slice(first, last), *place[omega + 1 :], slice(None))
+                yield Piece(cells, first, last)
+
+    def is_symmetric(self, piece: Piece) -> bool:
+        """Whether both walls are equally far from the origin."""
+        places = zip(self.grid.axes.items(), piece.cells, strict=True)
+        here: dict[str, Any] = {name: axis[at] for (name, axis), at in places if name != START}
+        if "gap" in here:
+            return bool(here["gap"].is_symmetric)
+        return bool(here["j_1"] == here["j_2"])
+
+
+def define(dataset: netCDF4.Dataset, layout: Layout) -> None:
+    """Dimensions, coordinates and variables of `responses.nc`."""
+    dims, chunk = layout.grid.dims, layout.chunk
+    _define_coordinates(dataset, layout.grid, dims)
+    for name, size in layout.sizes.items():
+        dataset.createDimension(name, size)
+    for name, variable in VARIABLES.items():
+        _create(dataset, name, variable, dims, chunk)
+    for name, (dimension, variable) in LISTS.items():
+        _create(dataset, name, variable, (*dims, dimension), (*chunk, layout.sizes[dimension]))
+    _name_auxiliary(dataset, dims)
+
+
+def define_attractors(dataset: netCDF4.Dataset, layout: Layout, n_attractors: int) -> None:
+    """Dimensions, coordinates and variables of `attractors.nc`."""
+    scenes, chunk = layout.grid.dims[:-1], layout.chunk[:-1]
+    _define_coordinates(dataset, layout.grid, scenes)
+    sizes = {
+        ATTRACTOR: max(n_attractors, 1),
+        MULTIPLIER: 2,
+        SECTION_POINT: layout.sizes[SECTION_POINT],
+    }
+    for name, size in sizes.items():
+        dataset.createDimension(name, size)
+    _create(dataset, "n_attractors", N_ATTRACTORS, scenes, chunk)
+    dims, chunk = (*scenes, ATTRACTOR), (*chunk, sizes[ATTRACTOR])
+    for name, variable in ATTRACTOR_VARIABLES.items():
+        _create(dataset, name, variable, dims, chunk)
+    for name, variable in MULTIPLIERS.items():
+        _create(dataset, name, variable, (*dims, MULTIPLIER), (*chunk, 2))
+    for name in ("section_x", "section_v"):
+        last, variable = LISTS[name]
+        _create(dataset, name, variable, (*dims, last), (*chunk, sizes[last]))
+    _name_auxiliary(dataset, scenes)
+
+
+def _define_coordinates(dataset: netCDF4.Dataset, grid: Grid, dims: tuple[str, ...]) -> None:
+    for name, size in zip(grid.dims, grid.shape, strict=True):
+        if name in dims:
+            dataset.createDimension(name, size)
+    values = grid.coordinates()
+    for name, dimension in coordinates(dims).items():
+        variable = COORDINATES[name][1]
+        _create(dataset, name, variable, (dimension,), None)
+        is_text = variable.dtype == "str"
+        dataset[name][:] = values[name].astype(object) if is_text else values[name]
+
+
+def _name_auxiliary(dataset: netCDF4.Dataset, dims: tuple[str, ...]) -> None:
+    """CF: data variables name the coordinates that are no dimension."""
+    found = coordinates(dims)
+    auxiliary = " ".join(name for name, dimension in found.items() if name != dimension)
+    for name, variable in dataset.variables.items():
+        if name not in found:
+            variable.coordinates = auxiliary
+
+
+def _create(
+    dataset: netCDF4.Dataset,
+    name: str,
+    variable: Variable,
+    dimensions: tuple[str, ...],
+    chunk: tuple[int, ...] | None,
+) -> None:
+    if variable.dtype == "str":
+        created = dataset.createVariable(name, str, dimensions)
+    else:
+        created = dataset.createVariable(
+            name,
+            variable.dtype,
+            dimensions,
+            fill_value=variable.missing if chunk else False,
+            compression="zlib" if chunk else None,
+            complevel=1,
+            chunksizes=chunk,
+            fletcher32=chunk is not None,
+            chunk_cache=1,  # every chunk is written once: to keep it would only fill memory
+        )
+        if chunk:
+            # Chunks never written read as missing; without the attribute integers stay integers.
+            created.delncattr("_FillValue")
+    created.units, created.long_name = variable.units, variable.long_name
+    set_flags(created, variable.flags)
+
+
+def set_flags(variable: Any, flags: tuple[tuple[str, int], ...]) -> None:
+    """Meanings of the values of a flag variable."""
+    if flags:
+        variable.flag_values = np.array([value for _, value in flags], dtype=variable.dtype)
+        # CF separates meanings by blanks.
+        variable.flag_meanings = " ".join(meaning.replace(" ", "_") for meaning, _ in flags)

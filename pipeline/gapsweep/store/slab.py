@@ -1,0 +1,201 @@
+"""Results of some points of one kind, as they are stored: a row of the cache.
+
+Columns of numbers stand one after the other, compressed together, so that what is the same for
+all points, or missing, costs next to nothing. A checksum covers the whole row.
+"""
+
+import hashlib
+import json
+import zlib
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass, replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.response.result import COLUMNS, LISTS, Responses
+from gapsweep.status import Status
+from gapsweep.study.points import KEY, NUMBERS, Kind, Points
+
+# Few enough that damage costs little, and that picking out a point reads little.
+SLAB = 64
+_LEVEL = 1  # of compression: more takes longer and saves little
+
+
+@dataclass(frozen=True, slots=True)
+class Slab:
+    """One row of the cache; the order of the fields is that of its columns.
+
+    Attributes
+    ----------
+    identity : str
+        Of the points' `Kind`.
+    keys : bytes
+        Their content keys, 32 bytes each.
+    status : bytes
+        Their `Status`, a byte each.
+    columns : bytes
+        The points' numbers and their responses.
+    messages : str
+        JSON: messages by number of the point.
+    seconds : float
+        Processor time of all the points together; those not measured left out.
+    host : str
+        Machine that computed them.
+    versions : str
+        Of Python and the libraries there.
+    created : str
+        UTC.
+    checksum : bytes
+        SHA-256 of all the others.
+    """
+
+    identity: str
+    keys: bytes
+    status: bytes
+    columns: bytes
+    messages: str
+    seconds: float
+    host: str
+    versions: str
+    created: str
+    checksum: bytes = b""
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether it is as it was written."""
+        try:
+            return self.checksum == _checksum(self)
+        except (TypeError, AttributeError, ValueError):  # damage leaves any type anywhere
+            return False
+
+    @property
+    def kind(self) -> Kind:
+        """The kind of its points; see `Kind.of` for what damage makes it raise."""
+        return Kind.of(self.identity)
+
+    @property
+    def n_points(self) -> int:
+        return len(self.status) if isinstance(self.status, bytes) else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """The contents of a slab.
+
+    Attributes
+    ----------
+    keys, previous : ndarray of void, shape (n,)
+        Content keys of the points, and of those that they start from; zero where there is none.
+    numbers : ndarray, shape (n, 11)
+        As of `Points`.
+    responses : Responses
+    """
+
+    keys: NDArray[np.void]
+    previous: NDArray[np.void]
+    numbers: NDArray[np.float64]
+    responses: Responses
+
+
+def slabs(
+    points: Points,
+    keys: NDArray[np.void],
+    previous: NDArray[np.void],
+    responses: Responses,
+    host: str,
+    versions: str,
+) -> Iterator[Slab]:
+    """Responses in the form in which they are stored; keys as of `Stored`."""
+    identity, created = points.kind.identity, datetime.now(UTC).isoformat(timespec="seconds")
+    for first in range(0, len(points), SLAB):
+        rows = np.arange(first, min(first + SLAB, len(points)))
+        part = responses.take(rows)
+        slab = Slab(
+            identity,
+            keys[rows].tobytes(),
+            part.columns["status"].astype("i1").tobytes(),
+            _packed(previous[rows], points.numbers[rows], part),
+            json.dumps({str(row): text for row, text in part.messages.items()}),
+            float(np.nansum(part.columns["cpu_time"])),
+            host,
+            versions,
+            created,
+        )
+        yield sealed(slab)
+
+
+def sealed(slab: Slab) -> Slab:
+    """The slab with its checksum."""
+    return replace(slab, checksum=_checksum(slab))
+
+
+def stored(slab: Slab) -> Stored:
+    """What is in a slab.
+
+    Raises
+    ------
+    ValueError
+        If it is none that a run has written.
+    """
+    try:
+        data = memoryview(zlib.decompress(slab.columns))
+        keys = np.frombuffer(slab.keys, KEY)
+        n, at = len(keys), 0
+
+        def column(dtype: str, size: int) -> NDArray[Any]:
+            nonlocal at
+            found = np.frombuffer(data, _little(dtype), size, at)
+            at += found.nbytes
+            return found
+
+        previous = np.frombuffer(column("i1", KEY.itemsize * n), KEY)
+        numbers = np.stack([column("f8", n) for _ in NUMBERS], axis=1)
+        columns = {name: column(dtype, n) for name, dtype in COLUMNS.items()}
+        counts = {name: column("i4", n).astype(np.int64) for name in LISTS}
+        lists = {
+            name: (column(LISTS[name], int(counts[name].sum())), counts[name]) for name in LISTS
+        }
+        if at != len(data) or not _is_plausible(slab, columns, counts):
+            raise ValueError("its columns are of other lengths")
+        messages = {int(row): str(text) for row, text in json.loads(slab.messages).items()}
+        return Stored(keys, previous, numbers, Responses(columns, lists, messages))
+    except (zlib.error, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{type(error).__name__}: {error}") from None
+
+
+def _is_plausible(
+    slab: Slab, columns: dict[str, NDArray[Any]], counts: dict[str, NDArray[np.int64]]
+) -> bool:
+    status = columns["status"]
+    return (
+        status.tobytes() == slab.status
+        and bool(np.all((status >= 0) & (status <= max(Status))))
+        and all(bool(np.all(count >= 0)) for count in counts.values())
+    )
+
+
+def _packed(
+    previous: NDArray[np.void], numbers: NDArray[np.float64], responses: Responses
+) -> bytes:
+    parts: list[NDArray[Any]] = [previous, numbers.T.astype("<f8")]
+    parts += [responses.columns[name].astype(_little(dtype)) for name, dtype in COLUMNS.items()]
+    parts += [responses.lists[name][1].astype("<i4") for name in LISTS]
+    parts += [responses.lists[name][0].astype(_little(dtype)) for name, dtype in LISTS.items()]
+    return zlib.compress(b"".join(part.tobytes() for part in parts), _LEVEL)
+
+
+def _little(dtype: str) -> str:
+    """A type code with the byte order that files have on every machine."""
+    return f"<{dtype}"
+
+
+def _checksum(slab: Slab) -> bytes:
+    digest = hashlib.sha256()
+    for value in astuple(slab)[:-1]:
+        data = value if isinstance(value, bytes) else str(value).encode()
+        digest.update(len(data).to_bytes(8, "little"))
+        digest.update(data)
+    return digest.digest()

@@ -1,0 +1,234 @@
+"""What may stand for an axis of a sweep in a study file: one value, a list, or a grid."""
+
+from typing import Annotated, Any, Generic, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    model_validator,
+)
+
+from gapsweep.errors import ModelError
+from gapsweep.model.labels import canonical_label
+
+MAX_POINTS = 10**7
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=1, le=MAX_POINTS)]
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+Pair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
+
+Value = TypeVar("Value")
+
+
+class Table(BaseModel):
+    """A table of a study file: no unknown key, no conversion, nothing infinite."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class OscillatorTable(Table):
+    """The oscillator's numbers, each of which may be swept."""
+
+    zeta: NonNegative = 0.03
+    omega_n: Positive = 5.0
+    mass: Positive = 3.0
+    alpha: float = 7e8
+    forcing: float = 4.0
+
+
+SWEEPABLE = tuple(OscillatorTable.model_fields)
+
+
+def canonical_representation(label: str) -> str:
+    """Canonical label, its protocol suffix kept.
+
+    Raises
+    ------
+    ModelError
+        If it is unknown.
+    """
+    law, at, protocol = label.partition("@")
+    return canonical_label(law) + at + protocol
+
+
+def _canonical(label: str) -> str:
+    try:
+        return canonical_representation(label)
+    except ModelError as error:
+        raise ValueError(str(error)) from None
+
+
+Label = Annotated[str, AfterValidator(_canonical)]
+
+
+class _Grid(Table, Generic[Value]):
+    start: Value
+    stop: Value
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "_Grid[Value]":
+        if self.stop < self.start:  # type: ignore[operator]  # both are numbers
+            raise ValueError(f"stop {self.stop:g} must be >= start {self.start:g}")
+        return self
+
+
+class StepGrid(_Grid[Value], Generic[Value]):
+    step: Positive
+
+    @property
+    def count(self) -> int:
+        # A stop that is a whole number of steps away is meant to be reached.
+        return int((self.stop - self.start) / self.step + 1e-9) + 1  # type: ignore[operator]
+
+    def values(self) -> list[float]:
+        return [self.start + i * self.step for i in range(self.count)]  # type: ignore[operator]
+
+
+class NumGrid(_Grid[Value], Generic[Value]):
+    num: Count
+
+    @property
+    def count(self) -> int:
+        return self.num
+
+    def values(self) -> list[float]:
+        step = (self.stop - self.start) / max(self.num - 1, 1)  # type: ignore[operator]
+        return [self.start + i * step for i in range(self.num)]
+
+
+def _form(value: Any) -> str:
+    if isinstance(value, NumGrid) or (isinstance(value, dict) and "num" in value):
+        return "num"
+    return "step" if isinstance(value, StepGrid | dict) else "list"
+
+
+def several(value: Any) -> Any:
+    """A value as a list of one, where it is none."""
+    return value if isinstance(value, list | dict | BaseModel) else [value]
+
+
+def _axis(value: Any) -> Any:
+    """The type of a numeric axis whose values are of a type."""
+    return Annotated[
+        Annotated[list[value], Field(min_length=1), Tag("list")]
+        | Annotated[StepGrid[value], Tag("step")]
+        | Annotated[NumGrid[value], Tag("num")],
+        Discriminator(_form),
+        BeforeValidator(several),
+    ]
+
+
+AnyAxis, PositiveAxis, NonNegativeAxis = map(_axis, (float, Positive, NonNegative))
+
+
+def count(axis: Any) -> int:
+    """Values of a numeric axis, without making them."""
+    return len(axis) if isinstance(axis, list) else int(axis.count)
+
+
+def values(axis: Any) -> list[float]:
+    """Values of a numeric axis."""
+    return axis if isinstance(axis, list) else list(axis.values())
+
+
+def _one_pair(value: Any) -> Any:
+    """A pair of numbers as a list of one."""
+    is_pair = isinstance(value, list) and len(value) == 2
+    return (
+        [value] if is_pair and not any(isinstance(v, list | dict | str) for v in value) else value
+    )
+
+
+Pairs = Annotated[list[Pair], Field(min_length=1), BeforeValidator(_one_pair)]
+
+
+class _Box(Table):
+    x: Range
+    v: Range
+
+    @model_validator(mode="after")
+    def _ascending(self) -> "_Box":
+        for name, (low, high) in (("x", self.x), ("v", self.v)):
+            if not low < high:
+                raise ValueError(f"{name} = [{low:g}, {high:g}] must ascend")
+        return self
+
+
+class SobolStarts(_Box):
+    """Starts spread evenly over a box of displacements [m] and velocities [m/s]."""
+
+    sobol: Annotated[int, Field(ge=1, le=65536)]
+    seed: Annotated[int, Field(ge=0)] = 1
+
+    @property
+    def count(self) -> int:
+        return self.sobol
+
+    def states(self) -> NDArray[np.float64]:
+        from scipy.stats import qmc  # a second to import, and few studies need it
+
+        # Sobol points are balanced in powers of two; the first ones of the next power.
+        exponent = (self.sobol - 1).bit_length()
+        unit = qmc.Sobol(d=2, scramble=True, rng=self.seed).random_base2(exponent)[: self.sobol]
+        low, high = np.array((self.x, self.v)).T
+        return np.asarray(low + unit * (high - low))
+
+
+class GridStarts(_Box):
+    """Starts on a grid over a box, its edges included; the velocity changes last."""
+
+    grid: Annotated[list[Annotated[Count, Field(ge=2)]], Field(min_length=2, max_length=2)]
+
+    @property
+    def count(self) -> int:
+        return self.grid[0] * self.grid[1]
+
+    def states(self) -> NDArray[np.float64]:
+        (left, right), (slowest, fastest), (n_x, n_v) = self.x, self.v, self.grid
+        x, v = np.meshgrid(np.linspace(left, right, n_x), np.linspace(slowest, fastest, n_v))
+        return np.stack((x.ravel(), v.ravel()), axis=1)
+
+
+def _start_form(value: Any) -> str:
+    if isinstance(value, str):
+        return "sweep"
+    if isinstance(value, list):
+        is_several = any(isinstance(v, str | dict | BaseModel) for v in value)
+        return "several" if is_several else "list"
+    is_grid = isinstance(value, GridStarts) or (isinstance(value, dict) and "grid" in value)
+    return "grid" if is_grid else "sobol"
+
+
+_Box_ = Annotated[SobolStarts, Tag("sobol")] | Annotated[GridStarts, Tag("grid")]
+_Sweep = Annotated[Literal["sweep_up", "sweep_down"], Tag("sweep")]
+Starts = Annotated[
+    Annotated[list[Range], Field(min_length=1), Tag("list")]
+    | Annotated[list[Annotated[_Box_ | _Sweep, Discriminator(_start_form)]], Tag("several")]
+    | _Box_
+    | _Sweep,
+    Discriminator(_start_form),
+    BeforeValidator(_one_pair),
+]
+
+
+def forms(starts: Any) -> list[Any]:
+    """The forms of starts in a list of them; a list of states is one form."""
+    is_several = isinstance(starts, list) and not isinstance(starts[0], list)
+    return starts if is_several else [starts]
+
+
+def n_starts(starts: Any) -> int:
+    """Starts, without making them."""
+    return sum(
+        1 if isinstance(form, str) else len(form) if isinstance(form, list) else form.count
+        for form in forms(starts)
+    )

@@ -1,0 +1,115 @@
+"""The table ``[bench]`` of a study file: motions and methods to compare."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
+from gapsweep.study.axes import (
+    Label,
+    NonNegative,
+    OscillatorTable,
+    Pair,
+    Positive,
+    Range,
+    Table,
+)
+
+# Of a motion that is compared with its references.
+MAX_BENCH_PERIODS = 100_000
+# Share of rtol that is the absolute tolerance [m], [m/s] where a method states none: motions are
+# about a millimetre wide.
+ATOL_PER_RTOL = 1e-3
+
+
+class SceneOscillatorTable(Table):
+    """What a scene's oscillator has otherwise than the study's."""
+
+    zeta: NonNegative | None = None
+    omega_n: Positive | None = None
+    mass: Positive | None = None
+    alpha: float | None = None
+    forcing: float | None = None
+
+
+Expected = Literal["reference", "energy", "duffing", "linear", "phase", "mirror"]
+Periods = Annotated[int, Field(ge=1, le=MAX_BENCH_PERIODS)]
+Tolerance = Annotated[float, Field(ge=SMALLEST_RTOL, le=LARGEST_RTOL)]
+
+
+class SceneTable(Table):
+    """One motion of a benchmark.
+
+    `expected` says by what a right answer is known, `without` which methods it is too long for.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,63}$")]
+    oscillator: SceneOscillatorTable = SceneOscillatorTable()
+    K_c: NonNegative
+    gap: Pair
+    omega: Positive
+    start: Range = Field([0.0, 0.0])
+    expected: Expected | None = None
+    horizon: Periods | None = None
+    without: list[Label] = Field([])
+
+    def merged(self, oscillator: OscillatorTable) -> OscillatorTable:
+        """The scene's own oscillator."""
+        return oscillator.model_copy(update=self.oscillator.model_dump(exclude_none=True))
+
+    def contradictions(self, oscillator: OscillatorTable) -> list[str]:
+        """What keeps the expected answer from being one, for the study's oscillator."""
+        own, touching = self.merged(oscillator), self.gap == [0.0, 0.0]
+        needs = {
+            "energy": ("zeta = 0 and forcing = 0", own.zeta == 0.0 and own.forcing == 0.0),
+            "linear": (
+                "alpha = 0, and K_c = 0 or gap = [0, 0]",
+                own.alpha == 0.0 and (self.K_c == 0.0 or touching),
+            ),
+            "mirror": ("j_1 = j_2", self.gap[0] == self.gap[1]),
+        }
+        condition, is_met = needs.get(self.expected or "", ("", True))
+        return [] if is_met else [f"expected = {self.expected!r}: needs {condition}"]
+
+
+class MethodTable(Table):
+    """A representation with its solver, and the ladder of tolerances to climb."""
+
+    label: Label
+    rtol: Annotated[list[Tolerance], Field(min_length=1)]
+    atol: Annotated[list[Positive], Field(min_length=1)] | None = None
+
+    @model_validator(mode="after")
+    def _pairs(self) -> "MethodTable":
+        if self.atol is not None and len(self.atol) != len(self.rtol):
+            raise ValueError(f"atol has {len(self.atol)} values, rtol {len(self.rtol)}")
+        if sorted(set(self.rtol), reverse=True) != self.rtol:
+            raise ValueError("rtol must descend: the loosest tolerance first, each only once")
+        return self
+
+    @property
+    def rungs(self) -> list[tuple[float, float]]:
+        """Relative [-] and absolute [m, m/s] tolerances."""
+        atol = self.atol or [ATOL_PER_RTOL * rtol for rtol in self.rtol]
+        return list(zip(self.rtol, atol, strict=True))
+
+
+class BenchTable(Table):
+    """Presence asks for work-precision and stability: every method on every scene."""
+
+    scene: Annotated[list[SceneTable], Field(min_length=1)]
+    method: Annotated[list[MethodTable], Field(min_length=1)]
+    horizon: Periods = 10
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 5
+    lanes: Annotated[int, Field(ge=1, le=65536)] = 64
+
+    @model_validator(mode="after")
+    def _named_once(self) -> "BenchTable":
+        names = [scene.name for scene in self.scene], [method.label for method in self.method]
+        twice = [name for some in names for name in dict.fromkeys(some) if some.count(name) > 1]
+        if twice:
+            raise ValueError(f"{', '.join(twice)}: given more than once")
+        unknown = {label for scene in self.scene for label in scene.without} - set(names[1])
+        if unknown:
+            raise ValueError(f"without {', '.join(sorted(unknown))}: no such method")
+        return self

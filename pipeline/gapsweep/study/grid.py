@@ -1,0 +1,217 @@
+"""The labelled grid of a study: its axes, and which of its cells are sweep points."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gapsweep.model.oscillator import Gap
+from gapsweep.study.points import FIXED, SWEEPS, canonical
+
+START = "initial_condition"
+
+Axes = Mapping[str, Sequence[Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Starts(Sequence[tuple[str, float, float]]):
+    """Initial conditions, n of them: fixed states, and sweeps, which begin at rest.
+
+    Attributes
+    ----------
+    kind : ndarray of int8, shape (n,)
+        Position in `KINDS`.
+    x_0, v_0 : ndarray, shape (n,)
+        Displacement [m] and velocity [m/s]; zero of a sweep.
+    """
+
+    KINDS: ClassVar[tuple[str, ...]] = (FIXED, *SWEEPS)
+
+    kind: NDArray[np.int8]
+    x_0: NDArray[np.float64]
+    v_0: NDArray[np.float64]
+
+    @classmethod
+    def fixed(cls, states: ArrayLike) -> "Starts":
+        """Fixed states, shape (n, 2), made canonical."""
+        x_0, v_0 = np.array([[canonical(v) for v in row] for row in np.asarray(states).T.tolist()])
+        return cls(np.zeros(len(x_0), np.int8), x_0, v_0)
+
+    @classmethod
+    def sweep(cls, kind: str) -> "Starts":
+        """A sweep, by its name."""
+        return cls(np.array([cls.KINDS.index(kind)], np.int8), np.zeros(1), np.zeros(1))
+
+    @classmethod
+    def union(cls, several: Iterable["Starts"]) -> "Starts":
+        """All starts of several, each once, in order of first appearance."""
+        columns = zip(*((s.kind, s.x_0, s.v_0) for s in several), strict=True)
+        whole = cls(*map(np.concatenate, columns))
+        _, first = np.unique(whole._states, return_index=True)
+        return whole.take(np.sort(first))
+
+    @property
+    def _states(self) -> NDArray[np.complex128]:
+        """Each start as one number, no two the same; such numbers can be sorted."""
+        states = np.empty(len(self), complex)
+        states.real = np.where(self.is_fixed, self.x_0, np.inf)
+        states.imag = np.where(self.is_fixed, self.v_0, self.kind)
+        return states
+
+    @property
+    def is_fixed(self) -> NDArray[np.bool_]:
+        return np.asarray(self.kind == 0)
+
+    def places(self, some: "Starts") -> NDArray[np.intp]:
+        """Where some of these starts are."""
+        states = self._states
+        order = np.argsort(states)
+        return order[np.searchsorted(states[order], some._states)]
+
+    def take(self, numbers: Any) -> "Starts":
+        return Starts(self.kind[numbers], self.x_0[numbers], self.v_0[numbers])
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def __getitem__(self, number: Any) -> Any:
+        """Kind, displacement [m] and velocity [m/s] of a start."""
+        return self.KINDS[self.kind[number]], float(self.x_0[number]), float(self.v_0[number])
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Part of a study's grid: the positions wanted along each dimension, ascending."""
+
+    positions: tuple[NDArray[np.intp], ...]
+
+    def mask(self, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Which cells of a grid are selected."""
+        wanted = np.zeros(shape, dtype=bool)
+        wanted[np.ix_(*self.positions)] = True
+        return wanted
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Coordinates of the dataset and which of its cells are sweep points.
+
+    Attributes
+    ----------
+    axes : mapping of str to sequence
+        By dimension, in the dataset's order: labels of representations, protocol included;
+        stiffnesses [N/m]; gaps, or distances of both walls [m]; frequencies [Hz]; what else is
+        swept; `Starts`. Numbers ascend, others come in order of first appearance.
+    requested : ndarray of bool, of the axes' lengths
+    """
+
+    axes: Axes
+    requested: NDArray[np.bool_]
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        return tuple(self.axes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.requested.shape
+
+    @property
+    def representations(self) -> tuple[str, ...]:
+        return tuple(self.axes["representation"])
+
+    @property
+    def K_c(self) -> tuple[float, ...]:
+        return tuple(self.axes["K_c"])
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """All gaps, also where both walls have axes of their own."""
+        if "gap" in self.axes:
+            return tuple(self.axes["gap"])
+        return tuple(Gap(j_1, j_2) for j_1 in self.axes["j_1"] for j_2 in self.axes["j_2"])
+
+    @property
+    def omega(self) -> tuple[float, ...]:
+        return tuple(self.axes["omega"])
+
+    @property
+    def scene_dims(self) -> tuple[str, ...]:
+        """Dimensions of what a scene is, apart from its frequency."""
+        return tuple(d for d in self.dims if d not in ("representation", "omega", START))
+
+    @property
+    def starts(self) -> Starts:
+        return starts_of(self.axes)
+
+    def labels(self, name: str) -> Sequence[Any]:
+        """Values of an axis as its coordinate in the dataset holds them."""
+        axis = self.axes[name]
+        if name == "gap":
+            return [gap.label for gap in axis]
+        return range(len(axis)) if isinstance(axis, Starts) else axis
+
+    def coordinates(self) -> dict[str, NDArray[Any]]:
+        """Values of all coordinates of the dataset; states of sweeps are NaN."""
+        found = {name: np.array(self.labels(name)) for name in self.dims}
+        if "gap" in found:
+            walls = np.array([(gap.j_1, gap.j_2) for gap in self.axes["gap"]])
+            found["j_1"], found["j_2"] = walls.T
+        starts = self.starts
+        found["x_0"], found["v_0"] = (
+            np.where(starts.is_fixed, state, np.nan) for state in (starts.x_0, starts.v_0)
+        )
+        return found | {"start": np.array(Starts.KINDS)[starts.kind]}
+
+    def cut(self, selection: Selection) -> "Grid":
+        """The selected part, as a grid of its own."""
+        axes = {
+            name: axis.take(some) if isinstance(axis, Starts) else tuple(axis[i] for i in some)
+            for (name, axis), some in zip(self.axes.items(), selection.positions, strict=True)
+        }
+        return Grid(axes, self.requested[np.ix_(*selection.positions)])
+
+    def order(self, wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """The wanted points in the order in which they are computed.
+
+        Neighbouring frequencies follow each other, those of a sweep in its direction. Of a sweep
+        all points up to the last one wanted are among them.
+
+        Parameters
+        ----------
+        wanted : ndarray of bool, of the grid's shape
+
+        Returns
+        -------
+        cells : ndarray of int, shape (n,)
+            Flat positions in the grid.
+        follows : ndarray of bool, shape (n,)
+            Which points start where the one before them ends.
+        """
+        omega, n_omega = self.dims.index("omega"), len(self.axes["omega"])
+        cells = np.moveaxis(np.arange(self.requested.size).reshape(self.shape), omega, -1)
+        asked, requested = (np.moveaxis(some, omega, -1) for some in (wanted, self.requested))
+        kind = self.starts.kind
+        if kind.any():
+            cells, asked, requested = cells.copy(), asked.copy(), requested.copy()
+            down = kind == Starts.KINDS.index("sweep_down")
+            for some in (cells, asked, requested):
+                some[..., down, :] = some[..., down, ::-1]
+            leads = np.logical_or.accumulate(asked[..., ::-1], axis=-1)[..., ::-1] & requested
+            asked = np.where((kind > 0)[:, None], leads, asked)
+        asked = asked & requested
+        at = np.flatnonzero(asked)
+        chain = at // n_omega
+        is_sweep = (kind > 0)[chain % len(kind)]
+        follows = np.zeros(len(at), bool)
+        follows[1:] = is_sweep[1:] & (chain[1:] == chain[:-1])
+        return cells[asked], follows
+
+
+def starts_of(axes: Axes) -> Starts:
+    """The starts among the axes."""
+    found = axes[START]
+    assert isinstance(found, Starts)
+    return found
