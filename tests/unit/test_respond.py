@@ -112,8 +112,8 @@ def test_a_response_is_the_same_alone_and_in_any_company():
                  start=start, steady=steady)
         for oscillator, law, omega, start in points
     ]  # fmt: skip
-    together = respond_all(questions[::-1])[::-1]
-    alone = [response for question in questions for response in respond_all([question])]
+    together = respond_all(questions[::-1]).rows()[::-1]
+    alone = [respond_all([question]).row(0) for question in questions]
     assert [repr(replace(r, cpu_time=0.0)) for r in together] == [
         repr(replace(r, cpu_time=0.0)) for r in alone
     ]

@@ -200,7 +200,7 @@ def _answered(kind: _Kind, questions: Sequence[Question]) -> list[Response]:
     """Responses; what a point raises is its own response, the others are asked again alone."""
     try:
         _warm_up(kind, questions[0])
-        return respond_all(questions)
+        return respond_all(questions).rows()
     except BaseException as error:  # the task boundary: SystemExit, too, is a point's own result
         if len(questions) > 1:
             return [response for question in questions for response in _answered(kind, [question])]

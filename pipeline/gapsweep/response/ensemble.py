@@ -162,6 +162,8 @@ class Ensemble:
         Forcing frequencies [Hz].
     decay_rate, settling_rate : ndarray, shape (n,)
         As of an `Oscillator` [1/s].
+    valid_range : ndarray, shape (n,)
+        Of the laws [m].
     has_own_tangent : bool
         As of a `Scene`.
     """
@@ -171,6 +173,7 @@ class Ensemble:
         self.omega = np.array([scene.omega for scene in scenes])
         self.decay_rate = np.array([scene.oscillator.decay_rate for scene in scenes])
         self.settling_rate = np.array([scene.oscillator.settling_rate for scene in scenes])
+        self.valid_range = np.array([scene.law.valid_range for scene in scenes])
         self.has_own_tangent = scenes[0].has_own_tangent
         models = Models(
             oscillators=[scene.oscillator for scene in scenes],

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.ensemble import Call, Ensemble
+from gapsweep.response.lists import Lists
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ class Walks:
     length : ndarray of int, shape (n,)
     reach : ndarray, shape (n,)
         Largest displacements of the windows [m].
-    extrema : dict of int to ndarray
+    extrema : Lists
         Displacements [m] of the zero-velocity points of a window recorded with all events.
     """
 
@@ -43,7 +44,7 @@ class Walks:
         self._steps_per_period, self._extent = np.ones(n), np.zeros(n)
         self.section = np.empty((n, 0), complex)
         self.reach = np.abs(y[0])
-        self.extrema: dict[int, Array] = {}
+        self.extrema = Lists(n)
 
     @property
     def t(self) -> Array:
@@ -91,8 +92,7 @@ class Walks:
         y = self.y[:, points]
         call = self.ensemble.call(points, y, n_periods, record_from, section_only=section_only)
         if not section_only:
-            ends = np.cumsum(call.events.n_extrema)[:-1]
-            self.extrema |= zip(points.tolist(), np.split(call.events.extrema, ends), strict=True)
+            self.extrema.put(points, call.events.extrema, call.events.n_extrema)
         self._steps_per_period[points] = np.maximum(call.n_steps / n_periods, 1.0)
         if recorded.any():
             self._add(points[recorded], np.flatnonzero(recorded), call)
