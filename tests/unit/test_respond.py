@@ -137,6 +137,18 @@ def test_arrays_of_points_give_arrays_of_what_each_gives_alone():
     assert gs.respond(gs.Oscillator(), law, [9.0], steady=steady).x_max.shape == (1,)
 
 
+def test_scipy_records_only_what_is_asked_for():
+    law, steady = gs.Piecewise(1.4e4, SYMMETRIC), gs.Steady(settle_tol=1e-2, max_decay_times=6.0)
+    tolerances = {"engine": "scipy", "rtol": 1e-5, "atol": 1e-8, "steady": steady}
+    # One settles slowly and pauses while the other is recorded.
+    omega = np.array([3.0, 14.0, 25.0])
+    together = gs.respond(gs.Oscillator(zeta=0.1), law, omega, **tolerances)
+    for k, each in enumerate(omega.tolist()):
+        alone = gs.respond(gs.Oscillator(zeta=0.1), law, each, **tolerances)
+        assert_array_equal(together.section[k], alone.section)
+        assert together.n_steps[k] == alone.n_steps
+
+
 @pytest.mark.parametrize(
     ("omega", "x_0", "said"),
     [

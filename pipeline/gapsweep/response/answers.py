@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gapsweep.response.ensemble import Call, Ensemble
 from gapsweep.response.lists import Lists, spans
+from gapsweep.response.loads import contact_shares, largest_forces
 from gapsweep.response.result import (
     LISTS,
     ExtremumKind,
@@ -127,7 +128,7 @@ def _multipliers(points: Numbers, shots: Shots, found: Found) -> tuple[Array, Co
 def _record(orbits: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots) -> Lists:
     """States ``x, v, x, v, ...`` [m], [m/s] of orbits after each forcing period of a whole period.
 
-    Their extrema join those of the last windows of other motions.
+    Their extrema and contacts join those of the last windows of other motions.
     """
     states = Lists(len(ensemble.omega))
     if orbits.size:
@@ -135,6 +136,8 @@ def _record(orbits: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots) -> 
         call = ensemble.call(orbits, y, n, np.zeros(len(orbits)), section_only=False)
         walks.y[:, orbits], walks.status[orbits] = y, call.status
         walks.extrema.put(orbits, *_whole_period(ensemble, orbits, y, call))
+        walls = ensemble.walls[:, orbits]
+        walks.contact_share[orbits] = contact_shares(call, y[0], walls, closed=True)
         states.put(orbits, call.events.section.ravel(), 2 * call.events.n_section)
     return states
 
@@ -170,6 +173,7 @@ def _read_off(
     is_known = is_orbit | found.is_chaotic[points]
     status = np.where(is_known, Status.OK, Status.UNRESOLVED)
     status[has_left] = Status.OUT_OF_FIT_RANGE
+    laws = [ensemble.scenes[point].law for point in points.tolist()]
     n_shown = np.minimum(counts, steady.max_extrema)
     shown = spans(first, n_shown)
     columns = {
@@ -178,6 +182,8 @@ def _read_off(
         "x_max": x_max,
         "x_min": x_min,
         "amplitude": 0.5 * (x_max - x_min),
+        "force_max": largest_forces(laws, x_min, x_max),
+        "contact_share": walks.contact_share[points],
         "x_end": y[0],
         "v_end": y[1],
     }

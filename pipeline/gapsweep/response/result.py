@@ -24,6 +24,8 @@ COLUMNS = {
     "x_max": "f8",
     "x_min": "f8",
     "amplitude": "f8",
+    "force_max": "f8",
+    "contact_share": "f8",
     "multiplier_abs": "f8",
     "lyapunov": "f8",
     "lyapunov_error": "f8",
@@ -135,6 +137,11 @@ class Response:
         Their true count.
     x_max, x_min, amplitude : float
         Peak, trough and half their difference [m]; NaN if the point failed.
+    force_max : float
+        Largest magnitude of the contact force [N] between peak and trough.
+    contact_share : float
+        Share of the time [-] spent beyond the walls, ``x < -j_1`` or ``x > j_2``: of a whole
+        period if periodic, else of the last window.
     multipliers : tuple of float
         Real and imaginary parts of the two Floquet multipliers over n periods, largest modulus
         first; empty if not periodic.
@@ -173,6 +180,8 @@ class Response:
     x_max: float = math.nan
     x_min: float = math.nan
     amplitude: float = math.nan
+    force_max: float = math.nan
+    contact_share: float = math.nan
     multipliers: tuple[float, ...] = ()
     multiplier_abs: float = math.nan
     lyapunov: float = math.nan
