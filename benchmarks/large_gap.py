@@ -42,7 +42,7 @@ def scan(gap: float) -> tuple[list[tuple[float, float]], list[float]]:
             )
             for w in OMEGA
         ]
-    )
+    ).rows()
     nonlinear = np.array([r.period_multiple != 1 or r.n_extrema > 2 for r in found])
     touching = np.array([max(r.x_max, -r.x_min) > 1e-3 * gap for r in found])
     low = (OMEGA >= LOWEST) & (OMEGA < PRIMARY)

@@ -54,7 +54,7 @@ def child(folder: str) -> None:
 def do_nothing() -> None:
     """On a worker: answer every question with one and the same response."""
     from gapsweep.execution import task
-    from gapsweep.response.result import Response, ResponseClass
+    from gapsweep.response.result import Response, ResponseClass, Responses
     from gapsweep.status import Status
 
     same = Response(
@@ -74,7 +74,7 @@ def do_nothing() -> None:
         v_end=0.0,
         cpu_time=0.0,
     )
-    task.respond_all = lambda questions: [same] * len(questions)
+    task.respond_all = lambda questions: Responses.of([same] * len(questions))
     task._warm_up = lambda *kind: None
 
 

@@ -56,8 +56,8 @@ def measured(label, rtol, n_points, rounds):
     for _ in range(rounds):
         steady_time, responses = processor_time(lambda: respond_all(questions))
         motion_time, _ = processor_time(simulate)
-        simulated = sum(response.t_simulated for response in responses)
-        engine = sum(response.cpu_time for response in responses)
+        simulated = responses.columns["t_simulated"].sum()
+        engine = responses.columns["cpu_time"].sum()
         motion = motion_time / (SECONDS * len(questions))
         found.append((steady_time / simulated, engine / simulated, motion))
     respond, engine, motion = np.median(found, axis=0)

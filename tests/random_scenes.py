@@ -47,7 +47,7 @@ def solver_at(rtol: float) -> Solver:
 
 
 def responses(cases: list[Case], rtol: float, x_0: float = 0.0) -> list[Response]:
-    return respond_all([case.asked(solver_at(rtol), x_0) for case in cases])
+    return respond_all([case.asked(solver_at(rtol), x_0) for case in cases]).rows()
 
 
 def random_cases(n: int, seed: int) -> Iterator[Case]:
@@ -162,7 +162,7 @@ def rattled(
             )
             for omega in frequencies
         ]
-    )
+    ).rows()
 
 
 def is_taken_for_chaos(found: Response, exact: Response, omega: float, gap: gs.Gap) -> bool:

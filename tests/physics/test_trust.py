@@ -272,7 +272,7 @@ def test_a_rattled_orbit_has_the_period_about_which_it_rattles():
                 )
                 for x_0 in starts
             ]
-        )
+        ).rows()
         for one, solver, starts in (
             (replace(law, located=False), paper, [0.0]),
             (law, Solver.of(), np.linspace(-1e-3, 1e-3, 21)),

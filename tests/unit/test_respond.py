@@ -112,8 +112,8 @@ def test_a_response_is_the_same_alone_and_in_any_company():
                  start=start, steady=steady)
         for oscillator, law, omega, start in points
     ]  # fmt: skip
-    together = respond_all(questions[::-1])[::-1]
-    alone = [response for question in questions for response in respond_all([question])]
+    together = respond_all(questions[::-1]).rows()[::-1]
+    alone = [respond_all([question]).row(0) for question in questions]
     assert [repr(replace(r, cpu_time=0.0)) for r in together] == [
         repr(replace(r, cpu_time=0.0)) for r in alone
     ]
@@ -135,6 +135,18 @@ def test_arrays_of_points_give_arrays_of_what_each_gives_alone():
     assert together.status.dtype.kind == together.period_multiple.dtype.kind == "i"
     assert together.ended.all()
     assert gs.respond(gs.Oscillator(), law, [9.0], steady=steady).x_max.shape == (1,)
+
+
+def test_scipy_records_only_what_is_asked_for():
+    law, steady = gs.Piecewise(1.4e4, SYMMETRIC), gs.Steady(settle_tol=1e-2, max_decay_times=6.0)
+    tolerances = {"engine": "scipy", "rtol": 1e-5, "atol": 1e-8, "steady": steady}
+    # One settles slowly and pauses while the other is recorded.
+    omega = np.array([3.0, 14.0, 25.0])
+    together = gs.respond(gs.Oscillator(zeta=0.1), law, omega, **tolerances)
+    for k, each in enumerate(omega.tolist()):
+        alone = gs.respond(gs.Oscillator(zeta=0.1), law, each, **tolerances)
+        assert_array_equal(together.section[k], alone.section)
+        assert together.n_steps[k] == alone.n_steps
 
 
 @pytest.mark.parametrize(

@@ -117,7 +117,7 @@ def _responses(
             )
             for frequency, x, v in zip(*(values.tolist() for values in points), strict=True)
         ]
-    )
+    ).rows()
 
 
 def _peak(study: Study, label: str) -> float:

@@ -259,7 +259,7 @@ def responses(
         for s, (scene, law) in enumerate(zip(scenes, laws, strict=True))
         if law is not None
     }
-    answers = respond_all(list(questions.values())) if questions else []
+    answers = respond_all(list(questions.values())).rows()
     found = dict(zip(questions, answers, strict=True))
     return [found.get(s) for s in range(len(scenes))]
 

@@ -166,8 +166,7 @@ class _Record:
 def prepared(models: Models, solver: Solver) -> Integrate:
     """Integration of models with scipy, one after the other.
 
-    RK45 for ``rtol >= 1e-6``, DOP853 below; `solver.atol` holds for both m and m/s. Everything
-    is recorded, from the start.
+    RK45 for ``rtol >= 1e-6``, DOP853 below; `solver.atol` holds for both m and m/s.
     """
 
     def integrate(problems: Problems) -> Motions:
@@ -242,8 +241,9 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
     # An overflow on the way to divergence is an outcome, not a fault of this code.
     with np.errstate(all="ignore"):
         t, y = (_located if scene.located else _plain)(scene, run, start, t_end - t_0)
-    motion = _joined(run.pieces)
+    motion, since = _joined(run.pieces), float(problems.record_from[i]) - t_0
     t_extrema, extrema = _extrema(motion)
+    is_late, t_contacts = t_extrema >= since, np.array(run.t_contacts)
     return _Run(
         t=t_end if run.status is Status.OK else t_0 + t,
         x=y[0],
@@ -255,10 +255,10 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
         nfev=run.nfev,
         reach=float(np.abs([y[0], *motion.c[-1, :, 0]]).max()),  # at the ends of its pieces
         tangent=y[2:],
-        t_extrema=t_0 + t_extrema,
-        extrema=extrema,
-        t_contacts=t_0 + np.array(run.t_contacts),
-        section=_section(motion, scene, t),
+        t_extrema=t_0 + t_extrema[is_late],
+        extrema=extrema[is_late],
+        t_contacts=t_0 + t_contacts[t_contacts >= since],
+        section=_section(motion, scene, since, t),
         motion=motion,
     )
 
@@ -435,9 +435,9 @@ def _extrema(motion: PPoly) -> tuple[Array, Array]:
     return t, motion(t)[:, 0] if t.size else t
 
 
-def _section(motion: PPoly, scene: _Scene, t_end: float) -> Array:
-    """(x, v) at every whole forcing period after the start."""
+def _section(motion: PPoly, scene: _Scene, since: float, t_end: float) -> Array:
+    """(x, v) at every whole forcing period after the start, from the time `since` on."""
     phase = scene.theta_0 / (2.0 * math.pi)
     last = math.floor(scene.omega * t_end + phase + 1e-9)
     t = (np.arange(math.floor(phase + 1e-9) + 1, last + 1) - phase) / scene.omega
-    return np.asarray(motion(np.minimum(t, t_end)))[:, :2]
+    return np.asarray(motion(np.minimum(t[t >= since], t_end)))[:, :2]

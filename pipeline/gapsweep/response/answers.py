@@ -5,14 +5,21 @@ was recorded with all events.
 """
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.ensemble import Call, Ensemble
-from gapsweep.response.result import ExtremumKind, Response, ResponseClass, Steady
+from gapsweep.response.lists import Lists, spans
+from gapsweep.response.loads import contact_shares, largest_forces
+from gapsweep.response.result import (
+    LISTS,
+    ExtremumKind,
+    ResponseClass,
+    Responses,
+    Steady,
+    missing,
+)
 from gapsweep.response.shooting import Shots
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
@@ -42,133 +49,145 @@ class Found:
 
 def answers(
     ensemble: Ensemble, walks: Walks, shots: Shots, found: Found, steady: Steady
-) -> list[Response]:
+) -> Responses:
     """Responses of all scenes of an ensemble."""
-    t_settled = walks.t
-    orbits = np.flatnonzero(found.is_periodic)
-    states = _record(orbits, ensemble, walks, shots)
-    points = np.flatnonzero(walks.status == Status.OK)
-    columns = _read_off(points, ensemble, walks, found, states, steady)
-    columns |= _stability(points, ensemble, walks, shots, found)
-    columns["t_settled"] = t_settled[points].tolist()
-    rows = dict(zip(points.tolist(), _rows(columns), strict=True))
-    costs = {name: column.tolist() for name, column in ensemble.costs().items()}
-    return [
-        Response(**(rows[k] if k in rows else _failure(ensemble, walks, k)), **cost)
-        for k, cost in enumerate(_rows(costs))
-    ]
+    n, t_settled = len(ensemble.omega), walks.t
+    states = _record(np.flatnonzero(found.is_periodic), ensemble, walks, shots)
+    is_ok = walks.status == Status.OK
+    points, failures = np.flatnonzero(is_ok), np.flatnonzero(~is_ok)
+    read, lists = _read_off(points, ensemble, walks, found, steady)
+    read |= _stability(points, ensemble, walks, shots, found)
+    read["t_settled"] = t_settled[points]
+    lists["multipliers"] = _multipliers(points, shots, found)
+    lists["section"] = _section(points, walks, found, states, steady)
+    columns = missing(n)
+    for name, values in read.items():
+        columns[name][points] = values
+    columns["status"][failures], messages = _failures(failures, ensemble, walks)
+    columns |= ensemble.costs()
+    of_all = {}
+    for name, dtype in LISTS.items():
+        items, some = lists[name]
+        counts = np.zeros(n, np.int64)
+        counts[points] = some
+        of_all[name] = items.astype(dtype, copy=False), counts
+    return Responses(columns, of_all, messages)
 
 
-def _rows(columns: Mapping[str, list[Any]]) -> list[dict[str, Any]]:
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-
-
-def _failure(ensemble: Ensemble, walks: Walks, point: int) -> dict[str, Any]:
-    x, reached = float(walks.y[0, point]), Status(walks.status[point])
-    left_range = not abs(x) <= ensemble.scenes[point].law.valid_range
-    where = f"{reached.label} before t = {walks.t[point]:.6g} s at x = {x:.3g} m"
-    return {"status": Status.OUT_OF_FIT_RANGE if left_range else reached, "message": where}
+def _failures(
+    failures: Numbers, ensemble: Ensemble, walks: Walks
+) -> tuple[list[Status], dict[int, str]]:
+    """Status of the points that failed, and what to say of it by point."""
+    statuses, messages = [], {}
+    for point in failures.tolist():
+        x, reached = float(walks.y[0, point]), Status(walks.status[point])
+        left_range = not abs(x) <= ensemble.valid_range[point]
+        statuses.append(Status.OUT_OF_FIT_RANGE if left_range else reached)
+        messages[point] = f"{reached.label} before t = {walks.t[point]:.6g} s at x = {x:.3g} m"
+    return statuses, messages
 
 
 def _stability(
     points: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots, found: Found
-) -> dict[str, list[Any]]:
+) -> dict[str, Array | Counts]:
     """Columns that say what the responses of some points are, and how sure that is."""
     is_orbit, is_chaotic = found.is_periodic[points], found.is_chaotic[points]
     n, omega = shots.n[points], ensemble.omega[points]
     lyapunov, error = found.lyapunov[points], found.lyapunov_error[points]
-    multipliers: list[tuple[float, ...]] = [()] * len(points)
     modulus = np.full(len(points), np.nan)
-    for k in np.flatnonzero(is_orbit).tolist():
-        pair = shots.multipliers[points[k]].tolist()
-        multipliers[k] = tuple(part for z in pair for part in (z.real, z.imag))
-        modulus[k] = abs(pair[0])
-        if math.isnan(lyapunov[k]):
-            # What has shrunk to nothing shrank on average as areas do.
-            lyapunov[k], error[k] = -ensemble.decay_rate[points[k]], 0.0
-            if modulus[k] > _NOTHING:
-                lyapunov[k] = math.log(modulus[k]) * omega[k] / n[k]
+    largest = shots.multipliers[points[is_orbit], 0]
+    modulus[is_orbit] = np.hypot(largest.real, largest.imag)
+    follows = is_orbit & np.isnan(lyapunov)
+    # What has shrunk to nothing shrank on average as areas do.
+    lyapunov[follows], error[follows] = -ensemble.decay_rate[points[follows]], 0.0
+    shrinks = follows & (modulus > _NOTHING)
+    # numpy's own logarithm is another one on another processor.
+    logarithms = np.fromiter(map(math.log, modulus[shrinks].tolist()), float)
+    lyapunov[shrinks] = logarithms * omega[shrinks] / n[shrinks]
     kinds = np.where(
         is_orbit,
         ResponseClass.PERIODIC,
         np.where(is_chaotic, ResponseClass.CHAOTIC, ResponseClass.UNRESOLVED),
     )
     return {
-        "response_class": [ResponseClass(kind) for kind in kinds.tolist()],
-        "period_multiple": np.where(is_orbit, n, 0).tolist(),
-        "multipliers": multipliers,
-        "multiplier_abs": modulus.tolist(),
-        "lyapunov": lyapunov.tolist(),
-        "lyapunov_error": error.tolist(),
-        "noise": walks.noise(np.where(found.is_periodic, shots.n, 1))[points].tolist(),
+        "response_class": kinds,
+        "period_multiple": np.where(is_orbit, n, 0),
+        "multiplier_abs": modulus,
+        "lyapunov": lyapunov,
+        "lyapunov_error": error,
+        "noise": walks.noise(np.where(found.is_periodic, shots.n, 1))[points],
     }
 
 
-def _record(orbits: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots) -> dict[int, Array]:
+def _multipliers(points: Numbers, shots: Shots, found: Found) -> tuple[Array, Counts]:
+    """Floquet multipliers of the orbits among some points, real part and imaginary part in turn."""
+    is_orbit = found.is_periodic[points]
+    return shots.multipliers[points[is_orbit]].view(float).ravel(), np.where(is_orbit, 4, 0)
+
+
+def _record(orbits: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots) -> Lists:
     """States ``x, v, x, v, ...`` [m], [m/s] of orbits after each forcing period of a whole period.
 
-    Their extrema join those of the last windows of other motions.
+    Their extrema and contacts join those of the last windows of other motions.
     """
-    if not orbits.size:
-        return {}
-    y, n = shots.y[:, orbits], shots.n[orbits]
-    call = ensemble.call(orbits, y, n, np.zeros(len(orbits)), section_only=False)
-    walks.y[:, orbits], walks.status[orbits] = y, call.status
-    extrema, counts = _whole_period(ensemble, orbits, y, call)
-    walks.extrema |= zip(orbits.tolist(), np.split(extrema, np.cumsum(counts)[:-1]), strict=True)
-    sections = np.split(call.events.section, call.period_ends[1:-1])
-    return {k: each.ravel() for k, each in zip(orbits.tolist(), sections, strict=True)}
+    states = Lists(len(ensemble.omega))
+    if orbits.size:
+        y, n = shots.y[:, orbits], shots.n[orbits]
+        call = ensemble.call(orbits, y, n, np.zeros(len(orbits)), section_only=False)
+        walks.y[:, orbits], walks.status[orbits] = y, call.status
+        walks.extrema.put(orbits, *_whole_period(ensemble, orbits, y, call))
+        walls = ensemble.walls[:, orbits]
+        walks.contact_share[orbits] = contact_shares(call, y[0], walls, closed=True)
+        states.put(orbits, call.events.section.ravel(), 2 * call.events.n_section)
+    return states
+
+
+def _section(
+    points: Numbers, walks: Walks, found: Found, states: Lists, steady: Steady
+) -> tuple[Array, Counts]:
+    """States of some points: of orbits as recorded, of other motions the last of their windows."""
+    others = points[~found.is_periodic[points]]
+    length, width = walks.length[others], walks.section.shape[1]
+    counts = np.minimum(length, steady.max_period_multiple)
+    window = walks.section.ravel()[spans(others * width + length - counts, counts)]
+    omega_rad = np.repeat(2.0 * math.pi * walks.ensemble.omega[others], counts)
+    last = np.stack((window.real, window.imag * omega_rad), axis=1)
+    states.put(others, last.ravel(), 2 * counts)
+    return states.of(points)
 
 
 def _read_off(
-    points: Numbers,
-    ensemble: Ensemble,
-    walks: Walks,
-    found: Found,
-    states: dict[int, Array],
-    steady: Steady,
-) -> dict[str, list[Any]]:
-    """Columns that are read off the recorded motions of some points."""
+    points: Numbers, ensemble: Ensemble, walks: Walks, found: Found, steady: Steady
+) -> tuple[dict[str, Array | Counts], dict[str, tuple[Array | Counts, Counts]]]:
+    """Columns and lists that are read off the recorded extrema of some points."""
     is_orbit, y = found.is_periodic[points], walks.y[:, points]
-    extrema = [walks.extrema[point] for point in points.tolist()]
-    x, counts = np.concatenate([np.empty(0), *extrema]), np.array(list(map(len, extrema)), int)
-    kinds, ends = _kinds(x, counts, is_orbit), np.cumsum(counts)
+    x, counts = walks.extrema.of(points)
+    kinds, first = _kinds(x, counts, is_orbit), np.cumsum(counts) - counts
     # A response without a turning point in its window still has a position.
     x_max, x_min, seen = y[0].copy(), y[0].copy(), np.flatnonzero(counts)
     if seen.size:
-        x_max[seen] = np.maximum.reduceat(x, (ends - counts)[seen])
-        x_min[seen] = np.minimum.reduceat(x, (ends - counts)[seen])
+        x_max[seen] = np.maximum.reduceat(x, first[seen])
+        x_min[seen] = np.minimum.reduceat(x, first[seen])
     walks.reach[points] = np.maximum(np.abs(x_max), np.abs(x_min))
-    scenes = [ensemble.scenes[point] for point in points.tolist()]
-    has_left = walks.reach[points] > np.array([scene.law.valid_range for scene in scenes])
+    has_left = walks.reach[points] > ensemble.valid_range[points]
     is_known = is_orbit | found.is_chaotic[points]
     status = np.where(is_known, Status.OK, Status.UNRESOLVED)
     status[has_left] = Status.OUT_OF_FIT_RANGE
-    first = ends - counts
-    shown = list(map(slice, first, first + np.minimum(counts, steady.max_extrema)))
-    listed, kind_listed = x.tolist(), kinds.tolist()
-    return {
-        "status": [Status(each) for each in status.tolist()],
-        "extrema": [tuple(listed[each]) for each in shown],
-        "extremum_kind": [tuple(kind_listed[each]) for each in shown],
-        "n_extrema": counts.tolist(),
-        "x_max": x_max.tolist(),
-        "x_min": x_min.tolist(),
-        "amplitude": (0.5 * (x_max - x_min)).tolist(),
-        "section": [
-            tuple((states[k] if k in states else _last(walks, k, steady)).tolist())
-            for k in points.tolist()
-        ],
-        "x_end": y[0].tolist(),
-        "v_end": y[1].tolist(),
+    laws = [ensemble.scenes[point].law for point in points.tolist()]
+    n_shown = np.minimum(counts, steady.max_extrema)
+    shown = spans(first, n_shown)
+    columns = {
+        "status": status,
+        "n_extrema": counts,
+        "x_max": x_max,
+        "x_min": x_min,
+        "amplitude": 0.5 * (x_max - x_min),
+        "force_max": largest_forces(laws, x_min, x_max),
+        "contact_share": walks.contact_share[points],
+        "x_end": y[0],
+        "v_end": y[1],
     }
-
-
-def _last(walks: Walks, point: int, steady: Steady) -> Array:
-    """The last states of a window, ``x, v, x, v, ...`` [m], [m/s]."""
-    section = walks.window(point)[-steady.max_period_multiple :]
-    omega_rad = 2.0 * math.pi * walks.ensemble.omega[point]
-    return np.stack((section.real, section.imag * omega_rad), axis=1).ravel()
+    return columns, {"extrema": (x[shown], n_shown), "extremum_kind": (kinds[shown], n_shown)}
 
 
 def _whole_period(

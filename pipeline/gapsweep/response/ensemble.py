@@ -78,13 +78,15 @@ class Call:
     n_steps : ndarray of int, shape (n,)
     reach : ndarray, shape (n,)
         Largest modulus of the displacement at the ends of steps [m].
+    t_end : ndarray, shape (n,)
+        How long they are [s].
     """
 
     def __init__(
         self, found: Motions, omega: Array, t_end: Array, shrinkage: Array, monodromy: Array | None
     ) -> None:
         self._omega, self._monodromy, self._read = omega, monodromy, found.events
-        self._shrinkage = shrinkage
+        self._shrinkage, self.t_end = shrinkage, t_end
         self.y = np.array((found.x, found.v))
         self.status = found.status
         self.n_steps, self.reach = found.n_steps, found.reach
@@ -162,6 +164,10 @@ class Ensemble:
         Forcing frequencies [Hz].
     decay_rate, settling_rate : ndarray, shape (n,)
         As of an `Oscillator` [1/s].
+    valid_range : ndarray, shape (n,)
+        Of the laws [m].
+    walls : ndarray, shape (2, n)
+        Displacements of the lower and of the upper wall [m].
     has_own_tangent : bool
         As of a `Scene`.
     """
@@ -171,6 +177,9 @@ class Ensemble:
         self.omega = np.array([scene.omega for scene in scenes])
         self.decay_rate = np.array([scene.oscillator.decay_rate for scene in scenes])
         self.settling_rate = np.array([scene.oscillator.settling_rate for scene in scenes])
+        self.valid_range = np.array([scene.law.valid_range for scene in scenes])
+        gaps = [scene.law.gap for scene in scenes]
+        self.walls = np.array([[-gap.j_1 for gap in gaps], [gap.j_2 for gap in gaps]])
         self.has_own_tangent = scenes[0].has_own_tangent
         models = Models(
             oscillators=[scene.oscillator for scene in scenes],
@@ -225,6 +234,7 @@ class Ensemble:
             record_from=record_from,
             effort=self._pace[scenes] * n_periods,
             section_only=section_only,
+            contacts=not section_only,
             tangent=tangent and self._integrate_tangent is None,
         )
         found = self._solved(self._integrate, problems, n_periods)

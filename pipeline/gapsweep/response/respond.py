@@ -23,7 +23,7 @@ from gapsweep.integrate.simulate import broadcast
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.response.ensemble import Ensemble, Scene, State
-from gapsweep.response.result import Response, Steady
+from gapsweep.response.result import Response, Responses, Steady
 from gapsweep.response.search import Search
 
 
@@ -96,21 +96,24 @@ def respond(
             for at, x, v in points
         ]
     )
-    return Response.of_many(responses, omega.shape) if omega.shape else responses[0]
+    return responses.shaped(omega.shape) if omega.shape else responses.row(0)
 
 
-def respond_all(questions: Sequence[Question]) -> list[Response]:
-    """Steady responses of many points with one solver, advanced together.
+def respond_all(questions: Sequence[Question]) -> Responses:
+    """Steady responses of many points with one solver, advanced together; in their order.
 
     No point sees the others: each response is the same to the last bit in any company.
     """
     groups: dict[Hashable, list[int]] = {}
     for i, question in enumerate(questions):
         groups.setdefault((law_kind(question.scene.law), question.steady), []).append(i)
-    answers: dict[int, Response] = {}
+    found = []
     for numbers in groups.values():
         group = [questions[i] for i in numbers]
         start = np.array([question.start for question in group]).T
         search = Search(Ensemble([question.scene for question in group]), start, group[0].steady)
-        answers |= zip(numbers, search.responses(), strict=True)
-    return [answers[i] for i in range(len(questions))]
+        found.append(search.responses())
+    responses = Responses.concatenated(found)
+    if len(found) == 1:
+        return responses
+    return responses.take(np.argsort([i for numbers in groups.values() for i in numbers]))

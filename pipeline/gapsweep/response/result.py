@@ -2,15 +2,45 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import checked, whole
+from gapsweep.response.lists import spans
 from gapsweep.status import Status
+
+# What responses hold in columns, and in lists of any length: names, NumPy type codes, and the
+# order in which they are stored.
+COLUMNS = {
+    "status": "i1",
+    "response_class": "i1",
+    "period_multiple": "i4",
+    "n_extrema": "i4",
+    "x_max": "f8",
+    "x_min": "f8",
+    "amplitude": "f8",
+    "force_max": "f8",
+    "contact_share": "f8",
+    "multiplier_abs": "f8",
+    "lyapunov": "f8",
+    "lyapunov_error": "f8",
+    "n_contacts": "i8",
+    "n_steps": "i8",
+    "n_rejected": "i8",
+    "nfev": "i8",
+    "t_settled": "f8",
+    "t_simulated": "f8",
+    "noise": "f8",
+    "x_end": "f8",
+    "v_end": "f8",
+    "cpu_time": "f8",
+}
+LISTS = {"extrema": "f8", "extremum_kind": "i1", "multipliers": "f8", "section": "f8"}
 
 
 class ResponseClass(IntEnum):
@@ -107,6 +137,11 @@ class Response:
         Their true count.
     x_max, x_min, amplitude : float
         Peak, trough and half their difference [m]; NaN if the point failed.
+    force_max : float
+        Largest magnitude of the contact force [N] between peak and trough.
+    contact_share : float
+        Share of the time [-] spent beyond the walls, ``x < -j_1`` or ``x > j_2``: of a whole
+        period if periodic, else of the last window.
     multipliers : tuple of float
         Real and imaginary parts of the two Floquet multipliers over n periods, largest modulus
         first; empty if not periodic.
@@ -145,6 +180,8 @@ class Response:
     x_max: float = math.nan
     x_min: float = math.nan
     amplitude: float = math.nan
+    force_max: float = math.nan
+    contact_share: float = math.nan
     multipliers: tuple[float, ...] = ()
     multiplier_abs: float = math.nan
     lyapunov: float = math.nan
@@ -162,21 +199,129 @@ class Response:
     cpu_time: float = math.nan
     message: str = ""
 
-    @classmethod
-    def of_many(cls, responses: "Sequence[Response]", shape: tuple[int, ...]) -> "Response":
-        """Responses as one, whose attributes are arrays."""
-        columns: dict[str, Any] = {}
-        for field in fields(cls):
-            values = [getattr(response, field.name) for response in responses]
-            if isinstance(values[0], tuple | str):
-                column = np.empty(len(values), dtype=object)
-                column[:] = [v if isinstance(v, str) else np.array(v) for v in values]
-            else:
-                column = np.array(values)
-            columns[field.name] = column.reshape(shape)
-        return cls(**columns)
-
     @property
     def ended(self) -> Any:
         """Whether the motion has an end that another can start from."""
         return np.isfinite(self.x_end) & np.isfinite(self.v_end)
+
+
+def missing(n: int) -> dict[str, NDArray[Any]]:
+    """`COLUMNS` of n points without a response."""
+    columns: dict[str, NDArray[Any]] = {
+        name: np.full(n, np.nan if dtype == "f8" else 0, dtype) for name, dtype in COLUMNS.items()
+    }
+    columns["response_class"][:] = ResponseClass.FAILED
+    return columns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Responses:
+    """Steady responses of n points as columns; `row` gives one as a `Response`.
+
+    Attributes
+    ----------
+    columns : dict of str to ndarray, shape (n,)
+        Those of `COLUMNS`, named as in a `Response`; enumerations as their numbers.
+    lists : dict of str to (ndarray, ndarray of int, shape (n,))
+        Those of `LISTS`: the items of all rows, row after row, and how many are each row's.
+    messages : dict of int to str
+        Messages by row, where there is one.
+    """
+
+    columns: dict[str, NDArray[Any]]
+    lists: dict[str, tuple[NDArray[Any], NDArray[np.int64]]]
+    messages: dict[int, str]
+
+    def __len__(self) -> int:
+        return len(self.columns["status"])
+
+    @classmethod
+    def of(cls, responses: Sequence[Response]) -> "Responses":
+        """Columns of single responses."""
+        lists = {}
+        for name, dtype in LISTS.items():
+            rows = [getattr(response, name) for response in responses]
+            items = np.array([item for row in rows for item in row], dtype)
+            lists[name] = items, np.array(list(map(len, rows)), np.int64)
+        return cls(
+            {
+                name: np.array([getattr(response, name) for response in responses], dtype)
+                for name, dtype in COLUMNS.items()
+            },
+            lists,
+            {k: response.message for k, response in enumerate(responses) if response.message},
+        )
+
+    @classmethod
+    def concatenated(cls, parts: "Sequence[Responses]") -> "Responses":
+        """The rows of all parts, part after part."""
+        if len(parts) == 1:
+            return parts[0]
+        parts = [cls.of(()), *parts]  # of no part, too, all columns are there
+        firsts = np.cumsum([0, *map(len, parts)]).tolist()
+        return cls(
+            {name: np.concatenate([part.columns[name] for part in parts]) for name in COLUMNS},
+            {
+                name: (
+                    np.concatenate([part.lists[name][0] for part in parts]),
+                    np.concatenate([part.lists[name][1] for part in parts]),
+                )
+                for name in LISTS
+            },
+            {
+                first + k: message
+                for first, part in zip(firsts, parts, strict=False)
+                for k, message in part.messages.items()
+            },
+        )
+
+    def take(self, numbers: ArrayLike) -> "Responses":
+        """The rows of these numbers, in this order."""
+        rows = np.asarray(numbers, np.intp)
+        lists = {}
+        for name, (items, counts) in self.lists.items():
+            first = np.cumsum(counts) - counts
+            lists[name] = items[spans(first[rows], counts[rows])], counts[rows]
+        messages = {}
+        if self.messages:
+            found = enumerate(map(self.messages.get, rows.tolist()))
+            messages = {k: message for k, message in found if message is not None}
+        return Responses(
+            {name: column[rows] for name, column in self.columns.items()}, lists, messages
+        )
+
+    def row(self, k: int) -> Response:
+        """One response as plain values."""
+        return self.take([k]).rows()[0]
+
+    def rows(self) -> list[Response]:
+        """All responses as plain values."""
+        values: dict[str, list[Any]] = {n: column.tolist() for n, column in self.columns.items()}
+        values["status"] = [Status(each) for each in values["status"]]
+        values["response_class"] = [ResponseClass(each) for each in values["response_class"]]
+        values |= {name: list(map(tuple, self._split(name))) for name in LISTS}
+        values["message"] = [self.messages.get(k, "") for k in range(len(self))]
+        names = tuple(values)
+        rows = zip(*values.values(), strict=True)
+        return [Response(**dict(zip(names, row, strict=True))) for row in rows]
+
+    def shaped(self, shape: tuple[int, ...]) -> Response:
+        """All responses as one, whose attributes are arrays."""
+        # Whole numbers as numpy has them: the short ones of a column overflow in arithmetic.
+        values: dict[str, Any] = {
+            name: column.astype(np.int64) if column.dtype.kind == "i" else column
+            for name, column in self.columns.items()
+        }
+        for name, dtype in LISTS.items():
+            plain = np.int64 if dtype.startswith("i") else np.float64
+            values[name] = np.empty(len(self), dtype=object)
+            values[name][:] = [np.array(items, plain) for items in self._split(name)]
+        values["message"] = np.array([self.messages.get(k, "") for k in range(len(self))], object)
+        return Response(**{name: value.reshape(shape) for name, value in values.items()})
+
+    def _split(self, name: str) -> list[list[Any]]:
+        """The lists of one name, row by row."""
+        items, counts = self.lists[name]
+        ends = np.cumsum(counts)
+        firsts, all_items = (ends - counts).tolist(), items.tolist()
+        return [all_items[i:j] for i, j in zip(firsts, ends.tolist(), strict=True)]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gapsweep.response.answers import Found, answers
 from gapsweep.response.ensemble import Ensemble
-from gapsweep.response.result import Response, Steady
+from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
     converging_multiples,
     likely_multiple,
@@ -103,7 +103,7 @@ class Search:
         self._before, self._goal = np.zeros(n), np.zeros(n)  # distances from an orbit found
         self._found = Found(n)
 
-    def responses(self) -> list[Response]:
+    def responses(self) -> Responses:
         """Advance all points until each has its answer."""
         while (self._phase < Phase.ENDED).any():
             moves, grows = self._phase < Phase.LAST, self._phase == Phase.GROW
@@ -333,7 +333,7 @@ class Search:
         again, last = points[~is_last], points[is_last]
         self._look[again] *= 2
         self._asked[again], self._phase[again] = self._limits.pause[again], Phase.PAUSE
-        is_recorded = np.array([point in self._walks.extrema for point in last.tolist()], bool)
+        is_recorded = self._walks.extrema.counts[last] >= 0
         self._record_last(last[~is_recorded])
         last = last[is_recorded]
         # A motion that was given no time to settle is nobody's example; without damping nothing

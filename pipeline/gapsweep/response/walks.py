@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.ensemble import Call, Ensemble
+from gapsweep.response.lists import Lists
+from gapsweep.response.loads import contact_shares
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -31,8 +33,10 @@ class Walks:
     length : ndarray of int, shape (n,)
     reach : ndarray, shape (n,)
         Largest displacements of the windows [m].
-    extrema : dict of int to ndarray
+    extrema : Lists
         Displacements [m] of the zero-velocity points of a window recorded with all events.
+    contact_share : ndarray, shape (n,)
+        Share of that window's time spent beyond the walls [-].
     """
 
     def __init__(self, ensemble: Ensemble, y: Array) -> None:
@@ -43,7 +47,7 @@ class Walks:
         self._steps_per_period, self._extent = np.ones(n), np.zeros(n)
         self.section = np.empty((n, 0), complex)
         self.reach = np.abs(y[0])
-        self.extrema: dict[int, Array] = {}
+        self.extrema, self.contact_share = Lists(n), np.full(n, np.nan)
 
     @property
     def t(self) -> Array:
@@ -91,8 +95,9 @@ class Walks:
         y = self.y[:, points]
         call = self.ensemble.call(points, y, n_periods, record_from, section_only=section_only)
         if not section_only:
-            ends = np.cumsum(call.events.n_extrema)[:-1]
-            self.extrema |= zip(points.tolist(), np.split(call.events.extrema, ends), strict=True)
+            self.extrema.put(points, call.events.extrema, call.events.n_extrema)
+            walls = self.ensemble.walls[:, points]
+            self.contact_share[points] = contact_shares(call, y[0], walls, closed=False)
         self._steps_per_period[points] = np.maximum(call.n_steps / n_periods, 1.0)
         if recorded.any():
             self._add(points[recorded], np.flatnonzero(recorded), call)

@@ -89,6 +89,8 @@ VARIABLES: dict[str, Variable] = {
     "x_max": Variable("f8", "m", "peak displacement of the steady response"),
     "x_min": Variable("f8", "m", "trough displacement of the steady response"),
     "amplitude": Variable("f8", "m", "half the range of the steady response"),
+    "force_max": Variable("f8", "N", "largest magnitude of the contact force"),
+    "contact_share": Variable("f8", "1", "share of the time spent beyond the walls"),
     "period_multiple": Variable("i4", "1", "forcing periods in one response period, 0: none", 0),
     "response_class": Variable("i1", "1", "class of the steady response", -1, CLASS_FLAGS),
     "multiplier_abs": Variable("f8", "1", "largest modulus of the Floquet multipliers"),

@@ -1,0 +1,202 @@
+"""What a contact bears in a steady response: its largest force, and for how much of the time."""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import fields, is_dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from gapsweep.model.contact import (
+    Arctan,
+    ContactLaw,
+    LogArctan,
+    Piecewise,
+    Polynomial,
+    RationalPolynomial,
+    Tanh,
+)
+from gapsweep.model.equilibria import search_points, sign_changes
+from gapsweep.response.ensemble import Call
+
+Array = NDArray[np.float64]
+
+_HALVINGS = 60  # to the last digits of a double
+# A start this close to a wall, as a share of its displacement, is on it: not even the time of a
+# graze that deep would show.
+_ON_WALL = 1e-9
+
+
+# --- force ----------------------------------------------------------------------------------------
+
+
+def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Array:
+    """Largest magnitudes [N] that contact forces have between two displacements.
+
+    It is found at the ends, or where a force turns between them.
+
+    Parameters
+    ----------
+    laws : sequence of ContactLaw, length n
+        Of one `law_kind`.
+    x_min, x_max : ndarray, shape (n,)
+        Displacements [m].
+    """
+    if not laws:
+        return np.empty(0)
+    law = laws[0]
+    if isinstance(law, Piecewise | Arctan | LogArctan | Tanh):
+        together = _together(laws)
+        turns = _tanh_turns(together) if isinstance(together, Tanh) else ()
+        return _largest(together, x_min, x_max, turns)
+    if isinstance(law, Polynomial | RationalPolynomial):
+        return _largest(law, x_min, x_max, _fit_turns(law))
+    # Searched as far as the motion goes, in powers of two: no point's result may depend on others.
+    _, power = np.frexp(np.maximum(np.abs(x_min), np.abs(x_max)))
+    found = np.empty(len(laws))
+    for each in np.unique(power).tolist():
+        here = power == each
+        found[here] = _largest(law, x_min[here], x_max[here], _searched_turns(law, 2.0**each))
+    return found
+
+
+def _together(objects: Sequence[Any]) -> Any:
+    """Objects of one class as one, each of whose numbers is a column."""
+    if all(each is objects[0] for each in objects):
+        return objects[0]
+    one = copy(objects[0])
+    for field in fields(one):
+        values = [getattr(each, field.name) for each in objects]
+        if is_dataclass(values[0]):
+            object.__setattr__(one, field.name, _together(values))
+        elif isinstance(values[0], float):
+            object.__setattr__(one, field.name, np.array(values))
+    return one
+
+
+def _largest(law: ContactLaw, x_min: Array, x_max: Array, turns: Sequence[Any] | Array) -> Array:
+    """Largest magnitude of a force at the ends and at the turns between them."""
+    largest = np.fmax(np.abs(_force(law, x_min)), np.abs(_force(law, x_max)))
+    for turn in turns:
+        largest = np.fmax(largest, np.abs(_force(law, np.clip(turn, x_min, x_max))))
+    return np.asarray(largest)
+
+
+def _tanh_turns(law: Tanh) -> tuple[Array, Array]:
+    """Displacements [m] at which the force turns: it dips before each wall, if they are far apart.
+
+    In ``u = ε (x - middle)`` with walls ``w`` apart its slope is ``h'(u - w/2) + h'(-u - w/2)``,
+    ``h'`` that of ``z (1 + tanh z)``. It is negative in the middle, positive at the walls, and
+    changes sign once between; where it is positive in the middle, it is everywhere.
+    """
+    width, which = np.unique(law.epsilon * law.gap.width, return_inverse=True)
+
+    def slope(u: Array) -> Array:
+        return _blend_slope(u - 0.5 * width) + _blend_slope(-u - 0.5 * width)
+
+    low, high = np.zeros_like(width), 0.5 * width
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        falls = slope(middle) < 0.0
+        low, high = np.where(falls, middle, low), np.where(falls, high, middle)
+    turn = low[which].reshape(np.shape(law.epsilon)) / law.epsilon
+    centre = 0.5 * (law.gap.j_2 - law.gap.j_1)
+    return centre + turn, centre - turn
+
+
+def _blend_slope(z: Array) -> Array:
+    s = np.tanh(z)
+    return np.asarray(1.0 + s + z * (1.0 - s * s))
+
+
+@lru_cache(maxsize=256)
+def _fit_turns(law: Polynomial | RationalPolynomial) -> tuple[float, ...]:
+    """Displacements [m] at which the force of a fit turns, and some at which it does not."""
+    top, bottom = law.coefficients
+    slope = chebyshev.chebsub(
+        chebyshev.chebmul(chebyshev.chebder(top), bottom),
+        chebyshev.chebmul(top, chebyshev.chebder(bottom)),
+    )
+    if not slope.any():
+        return ()
+    # The real part of a complex root is a point like any other.
+    roots = chebyshev.chebroots(chebyshev.chebtrim(slope, 1e-14 * np.abs(slope).max()))
+    return tuple((law.valid_range * np.unique(roots.real)).tolist())
+
+
+@lru_cache(maxsize=256)
+def _searched_turns(law: ContactLaw, reach: float) -> tuple[float, ...]:
+    """Displacements [m] within ``±reach`` at which the force of any law turns."""
+    turns, _ = sign_changes(lambda x: _tolerant(law.derivative, x), search_points(law, reach))
+    return tuple(turns.tolist())
+
+
+def _force(law: ContactLaw, x: Array) -> Array:
+    return np.asarray(_tolerant(law.force, x))
+
+
+def _tolerant(function: Any, x: Any) -> Any:
+    """Values of a function; NaN where a user's code raises, for there no motion has led."""
+    try:
+        with np.errstate(all="ignore"):
+            return function(x)
+    except Exception:
+        if not np.ndim(x):
+            return np.nan
+        return np.array([_tolerant(function, each) for each in x])
+
+
+# --- time -----------------------------------------------------------------------------------------
+
+
+def contact_shares(call: Call, x_0: Array, walls: Array, *, closed: bool) -> Array:
+    """Shares [-] of their time that motions spend beyond the walls.
+
+    Contacts divide a motion into stretches. Each that lies beyond a wall turns back there: its
+    extremum tells it from the others.
+
+    Parameters
+    ----------
+    call : Call
+        Recorded from the start, with all events.
+    x_0 : ndarray, shape (n,)
+        Where they start [m].
+    walls : ndarray, shape (2, n)
+        Displacements of the lower and of the upper wall [m].
+    closed : bool
+        Whether each motion ends where it starts.
+    """
+    events, t_end = call.events, call.t_end
+    n_stretches = events.n_contacts + 1
+    last = np.cumsum(n_stretches) - 1
+    first = last - events.n_contacts
+    begin, end = np.zeros(n_stretches.sum()), np.empty(n_stretches.sum())
+    inner = np.ones(len(begin), bool)
+    inner[first] = False
+    begin[inner] = events.t_contacts
+    inner[first], inner[last] = True, False
+    end[inner], end[last] = events.t_contacts, t_end
+
+    def beyond(x: Array, motion: NDArray[np.intp], slack: Array | float = 0.0) -> Any:
+        low, high = walls[:, motion]
+        return (x > high + slack) | (x < low - slack)
+
+    motions = np.arange(len(t_end))
+    of_contact, of_turn = (np.repeat(motions, n) for n in (events.n_contacts, events.n_extrema))
+    # Motion by motion on one clock: a unit for each.
+    contact = of_contact + np.minimum(events.t_contacts / t_end[of_contact], 1.0)
+    turn = of_turn + np.minimum(events.t_extrema / t_end[of_turn], 1.0)
+    is_beyond = np.zeros(len(begin), bool)
+    outside = beyond(events.extrema, of_turn)
+    is_beyond[(np.searchsorted(contact, turn) + of_turn)[outside]] = True
+    slack = _ON_WALL * np.abs(x_0)
+    with np.errstate(invalid="ignore"):  # of motions that failed
+        is_beyond[first] |= beyond(x_0, motions, slack)
+        is_beyond[last] |= beyond(call.y[0], motions, slack)
+    if closed:
+        is_beyond[first] = is_beyond[last] = is_beyond[first] | is_beyond[last]
+    lengths = np.where(is_beyond, end - begin, 0.0)
+    return np.asarray(np.add.reduceat(lengths, first) / t_end)

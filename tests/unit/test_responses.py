@@ -1,0 +1,124 @@
+"""Responses as columns: to rows and back, some of them, several together."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import gapsweep as gs
+from gapsweep.integrate.problem import Solver
+from gapsweep.response.ensemble import Scene
+from gapsweep.response.lists import Lists, spans
+from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.result import COLUMNS, LISTS, Response, Responses
+
+ASYMMETRIC = gs.Gap(0.0, 0.8e-3)
+
+
+@pytest.fixture(scope="module")
+def responses():
+    """Of every class, of several laws in turn."""
+    steady = gs.Steady(settle_tol=1e-2, max_decay_times=6.0)
+    laws = [
+        gs.Piecewise(1.4e6, ASYMMETRIC),
+        gs.Tanh(1.4e4, ASYMMETRIC, 1e4),
+        gs.Piecewise(1.4e4, ASYMMETRIC),
+    ]
+    points = [(gs.Oscillator(), law, w, 0.0) for w in (7.0, 14.0, 21.75) for law in laws]
+    points.insert(2, (gs.Oscillator(alpha=-7e8), laws[2], 5.0, 5e-3))
+    return respond_all(
+        [
+            Question(
+                scene=Scene(oscillator=oscillator, law=law, omega=omega, solver=Solver.of()),
+                start=(x_0, 0.0),
+                steady=steady,
+            )
+            for oscillator, law, omega, x_0 in points
+        ]
+    )
+
+
+def test_every_field_of_a_response_is_a_column_a_list_or_the_message():
+    assert {f.name for f in fields(Response)} == {*COLUMNS, *LISTS, "message"}
+
+
+def test_columns_have_the_types_and_the_order_of_the_table(responses):
+    assert {n: column.dtype.str[1:] for n, column in responses.columns.items()} == COLUMNS
+    assert list(responses.columns) == list(COLUMNS)
+    for name, (items, counts) in responses.lists.items():
+        assert items.dtype.str[1:] == LISTS[name]
+        assert counts.dtype == np.int64
+        assert counts.sum() == len(items)
+    assert list(responses.messages) == [2]
+
+
+def test_rows_are_plain_values_and_make_the_same_columns_again(responses):
+    rows = responses.rows()
+    assert {row.response_class for row in rows} >= {gs.ResponseClass.PERIODIC,
+                                                     gs.ResponseClass.FAILED}  # fmt: skip
+    assert rows[2].status is gs.Status.DIVERGED
+    assert rows[2].message.startswith("diverged before t = ")
+    for k, row in enumerate(rows):
+        assert repr(responses.row(k)) == repr(row)
+        for field in fields(row):
+            value = getattr(row, field.name)
+            kind = (gs.Status, gs.ResponseClass, int, float, str, tuple)
+            assert type(value) in kind, field.name
+            if isinstance(value, tuple):
+                assert {type(item) for item in value} <= {int, float}
+    assert_same(Responses.of(rows), responses)
+
+
+def test_some_rows_and_several_parts(responses):
+    numbers = np.array([4, 2, 2, 9])
+    some = responses.take(numbers)
+    assert [repr(row) for row in some.rows()] == [repr(responses.row(k)) for k in numbers]
+    parts = [responses.take(part) for part in ([0, 1, 2], [], range(3, 10))]
+    assert_same(Responses.concatenated(parts), responses)
+    assert len(Responses.concatenated([])) == len(Responses.of([])) == len(respond_all([])) == 0
+
+
+def test_one_response_whose_attributes_are_arrays(responses):
+    one = responses.shaped((2, 5))
+    for k, at in enumerate(np.ndindex(2, 5)):
+        for field in fields(one):
+            value = getattr(responses.row(k), field.name)
+            assert_array_equal(getattr(one, field.name)[at], value, field.name)
+    assert one.status.dtype == one.extremum_kind[0, 0].dtype == np.int64
+
+
+def test_the_order_is_that_of_the_questions():
+    laws = [gs.Piecewise(1.4e4, ASYMMETRIC), gs.Tanh(1.4e4, ASYMMETRIC, 1e4)]
+    questions = [
+        Question(
+            scene=Scene(oscillator=gs.Oscillator(), law=law, omega=omega, solver=Solver.of()),
+            start=(0.0, 0.0),
+            steady=gs.Steady(settle_tol=1e-2),
+        )
+        for omega in (6.0, 7.0)
+        for law in laws
+    ]
+    for question, found in zip(questions, respond_all(questions).rows(), strict=True):
+        alone = respond_all([question]).row(0)
+        assert replace(found, cpu_time=0.0) == replace(alone, cpu_time=0.0)
+
+
+def test_lists_keep_what_was_put_last():
+    lists = Lists(4)
+    lists.put(np.array([2, 0]), np.array([1.0, 2.0, 3.0]), np.array([2, 1]))
+    lists.put(np.array([2, 3]), np.array([4.0]), np.array([1, 0]))
+    items, counts = lists.of(np.array([3, 2, 0]))
+    assert items.tolist() == [4.0, 3.0]
+    assert counts.tolist() == [0, 1, 1]
+    assert lists.counts.tolist() == [1, -1, 1, 0]
+    assert spans(np.array([7, 1, 3]), np.array([2, 0, 1])).tolist() == [7, 8, 3]
+
+
+def assert_same(a, b):
+    for name in COLUMNS:
+        assert_array_equal(a.columns[name], b.columns[name], name)
+    for name in LISTS:
+        for x, y in zip(a.lists[name], b.lists[name], strict=True):
+            assert_array_equal(x, y, name)
+    assert a.messages == b.messages
