@@ -9,8 +9,8 @@ import xarray as xr
 from gapsweep import Response, ResponseClass, Status, Study
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import plan
-from gapsweep.store.cache import Cache, Row
-from gapsweep.study.points import content_key
+from gapsweep.store.cache import Cache
+from tests.stored import commit
 
 COST = {"n_steps": 10, "nfev": 100, "n_rejected": 0, "n_contacts": 4, "cpu_time": 0.5}
 
@@ -83,14 +83,12 @@ def datasets(folder, study_tables, answer) -> tuple[xr.Dataset, xr.Dataset]:
     grid = study.grid
     (folder / "cache.sqlite").unlink(missing_ok=True)
     with Cache(folder / "cache.sqlite") as cache:
-        rows = []
-        for chain in study.chains():
-            for index, identity in zip(chain, study.identities(chain), strict=True):
-                r, _, _, w, i = index
-                response = answer(grid.representations[r], grid.omega[w], i)
-                if response is not None:
-                    rows.append(Row(content_key(identity), identity, response, "here"))
-        cache.commit(rows)
+
+        def at(place):
+            label, omega = grid.representations[place["representation"]], grid.omega[place["omega"]]
+            return answer(label, omega, place["initial_condition"])
+
+        commit(cache, study, at)
         planned = plan(study, cache.status)
         export(study, planned, cache, folder / "responses.nc", folder / "attractors.nc")
     return tuple(

@@ -11,11 +11,13 @@ import sqlite3
 import subprocess
 import sys
 import time
-from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from gapsweep.store.cache import Cache
+from gapsweep.store.slab import slabs, stored
+from gapsweep.study.points import Points
 
 QUICK = """
 [study]
@@ -165,29 +167,36 @@ def test_explain_names_the_field_that_differs(finished):
 
 def test_cache_commands(finished):
     info = json.loads(gapsweep(finished, "cache", "info", "--json").stdout)
-    assert (info["rows"], info["current"], info["status"]) == (4, 4, {"ok": 4})
+    assert (info["points"], info["current"], info["status"]) == (4, 4, {"ok": 4})
     done = gapsweep(finished, "cache", "verify", "--sample", "2")
-    assert (done.returncode, done.stdout) == (0, "4 rows, 0 damaged\n")
-    assert "4 rows in copy.sqlite" in gapsweep(finished, "cache", "export", "copy.sqlite").stdout
-    assert "0 rows could be deleted" in gapsweep(finished, "cache", "gc").stdout
+    assert (done.returncode, done.stdout) == (0, "4 points, 0 damaged\n")
+    assert "4 points in copy.sqlite" in gapsweep(finished, "cache", "export", "copy.sqlite").stdout
+    assert "0 points could be deleted" in gapsweep(finished, "cache", "gc").stdout
     with sqlite3.connect(finished / "copy.sqlite") as db:
         db.execute("UPDATE results SET host = 'nobody' WHERE rowid = 2")
     db.close()
     copy = ("--cache", "copy.sqlite")
     done = gapsweep(finished, "cache", "verify", *copy)
-    assert (done.returncode, done.stdout) == (1, "4 rows, 1 damaged\n")
+    assert (done.returncode, done.stdout) == (1, "4 points, 4 damaged\n")
     again = gapsweep(finished, "run", "tiny.toml", *copy)
-    assert again.stdout.startswith("4 points: 3 from the cache, 1 computed\n")
-    assert "warning: copy.sqlite: 1 damaged rows, computed again\n" in again.stderr
+    assert again.stdout.startswith("4 points: 0 from the cache, 4 computed\n")
+    assert "warning: copy.sqlite: 4 damaged results, computed again\n" in again.stderr
 
 
 def test_verify_notices_a_wrong_number_with_a_right_checksum(finished):
     with Cache(finished / "data" / "cache.sqlite") as cache:
-        (row,) = cache.rows([next(iter(cache.records()))[0]]).values()
-        cache.commit([replace(row, response=replace(row.response, x_max=1.0))])
+        ((_, slab),) = cache.slabs()
+        contents = stored(slab)
+        contents.responses.columns["x_max"] = np.ones(slab.n_points)
+        points = Points(slab.kind, contents.numbers)
+        parts = contents.keys, contents.previous, contents.responses
+        cache.commit(list(slabs(points, *parts, slab.host, slab.versions)))
     done = gapsweep(finished, "cache", "verify", "--sample", "4")
     assert done.returncode == 1
-    assert f"computed again, x_max came out otherwise: {row.key.hex()}" in done.stderr
+    assert (
+        f"computed again, x_max came out otherwise: {contents.keys[0].tobytes().hex()}"
+        in done.stderr
+    )
 
 
 def test_report_is_rebuilt_from_the_datasets_alone(finished):

@@ -9,15 +9,16 @@ import time
 import numpy as np
 import pytest
 import xarray as xr
+from tests.stored import commit, messages, point, stored, tile_rows
 
 import gapsweep as gs
 from gapsweep import workflow
 from gapsweep.execution import execute
 from gapsweep.execution.cluster import cluster
 from gapsweep.execution.plan import plan
-from gapsweep.execution.task import responses as responses_of
+from gapsweep.model.labels import contact_law
 from gapsweep.store.cache import Cache
-from gapsweep.study.schema import COORDINATES, POINT_DIMS, VARIABLES
+from gapsweep.study.schema import COORDINATES, POINT_DIMS, VARIABLES, coordinates
 from gapsweep.study.software import versions
 
 
@@ -41,7 +42,8 @@ def test_dataset_has_every_dimension_unit_and_flag(responses):
         if variable.dtype.startswith("i"):
             assert responses[name].dtype.kind == "i"
             assert "_FillValue" not in responses[name].encoding
-    for name, (dimension, variable) in COORDINATES.items():
+    for name, dimension in coordinates(POINT_DIMS).items():
+        variable = COORDINATES[name][1]
         assert responses.coords[name].dims == (dimension,)
         assert responses[name].attrs["units"] == variable.units
     meanings = responses["status"].attrs["flag_meanings"].split()
@@ -54,11 +56,12 @@ def test_dataset_has_every_dimension_unit_and_flag(responses):
 
 def test_dataset_holds_what_respond_returns(responses, tables):
     study = gs.Study.from_dict(tables)
-    point = study.point((1, 0, 0, 1, 0))
-    solver = point.solver
+    table = point(study, 1, 0, 0, 1, 0)
+    solver = table.kind.solver
+    law = contact_law("tanh-1e4", 1.4e4, table.gap(0))
     expected = gs.respond(
-        point.oscillator, point.law, point.omega, engine=solver.engine, rtol=solver.rtol,
-        atol=solver.atol, steady=point.steady,
+        gs.Oscillator(), law, 12.0, engine=solver.engine, rtol=solver.rtol,
+        atol=solver.atol, steady=table.kind.steady,
     )  # fmt: skip
     cell = responses.sel(representation="tanh-1e4", omega=12.0).squeeze()
     for name in set(VARIABLES) - {"cpu_time", "host", "attractor"}:
@@ -119,10 +122,10 @@ def test_interrupted_sweep_goes_on_where_it_was(tables, client, tmp_path):
     tables["sweep"] = [block]
     whole = run(tables, client, tmp_path, "whole")
     study = gs.Study.from_dict(tables)
-    (chain,) = study.chains()
-    first = study.keys(chain)[0]
-    with Cache(tmp_path / "whole.sqlite") as full, Cache(tmp_path / "part.sqlite") as part:
-        part.commit([full.rows([first])[first]])
+    with Cache(tmp_path / "whole.sqlite") as full:
+        answers = stored(study, full)
+    with Cache(tmp_path / "part.sqlite") as part:
+        commit(part, study, lambda at: answers[tuple(at.values())] if at["omega"] == 0 else None)
     resumed = run(tables, client, tmp_path, "part")
     for name in ("x_max", "x_min", "n_steps", "extrema"):
         xr.testing.assert_equal(whole[name], resumed[name])
@@ -134,8 +137,7 @@ def test_long_sweep_in_parts_equals_one_in_a_piece(tables, client, tmp_path):
     tables["sweep"] = [block | {"initial_condition": "sweep_up"}]
     parts = run(tables, client, tmp_path)
     study = gs.Study.from_dict(tables)
-    (chain,) = study.chains()
-    whole = responses_of([([study.point(i) for i in chain], (0.0, 0.0))])
+    whole = tile_rows(study)
     assert parts["x_max"].values.ravel().tolist() == [r.x_max for r in whole]
 
 
@@ -144,9 +146,8 @@ def test_law_that_raises_is_a_result_with_its_message(tables, client, tmp_path):
     status = run(tables, client, tmp_path)["status"].sel(representation="tests.laws:raising")
     assert set(status.values.ravel().tolist()) == {gs.Status.ERROR}
     study = gs.Study.from_dict(tables)
-    (key,) = study.keys(((1, 0, 0, 0, 0),))
     with Cache(tmp_path / "out.sqlite") as cache:
-        assert cache.rows([key])[key].response.message == "ArithmeticError: no force here"
+        assert messages(study, cache)[1, 0, 0, 0, 0] == "ArithmeticError: no force here"
 
 
 def test_law_that_kills_its_worker_spares_all_other_points(tables, tmp_path):
@@ -210,15 +211,15 @@ _HOLDER = """
 import sqlite3, sys, time
 from pathlib import Path
 from gapsweep.store.claims import Claims
-cache, key, wanted = Path(sys.argv[1]), bytes.fromhex(sys.argv[2]), int(sys.argv[3])
-with Claims(cache) as claims:
-    assert claims.take(key)
+cache, keys, wanted = Path(sys.argv[1]), bytes.fromhex(sys.argv[2]), int(sys.argv[3])
+with Claims(cache, keys) as claims:
+    assert claims.take(0, 0)
     print("held", flush=True)
     count = 0
     while count < wanted:
         time.sleep(0.05)
         with sqlite3.connect(f"file:{cache}?mode=ro", uri=True) as db:
-            count = db.execute("SELECT count(*) FROM results").fetchone()[0]
+            count = db.execute("SELECT count(*) FROM slabs").fetchone()[0]
 """
 
 
@@ -232,12 +233,12 @@ def test_a_run_that_waits_for_another_first_lets_go_of_what_it_has(
     with Cache(cache):
         pass  # the other one looks into it
     planned = plan(study)
-    arguments = [str(cache), planned.keys[0].hex(), str(planned.n_points - 1)]
+    arguments = [str(cache), planned.keys.tobytes().hex(), str(planned.n_points - 1)]
     command = [sys.executable, "-c", _HOLDER, *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout.readline() == "held\n"
         killer = threading.Timer(60.0, other.kill)
         killer.start()
-        gs.run(study, client, out=tmp_path / "out", cache=cache).close()
+        gs.run(study, client, out=tmp_path / "out", cache=cache, batch=1).close()
         killer.cancel()
         assert other.wait() == 0, "it waited until it was killed"

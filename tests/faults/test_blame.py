@@ -6,12 +6,12 @@ import sys
 import time
 
 import pytest
+from tests.stored import commit, stored
 
 import gapsweep as gs
 from gapsweep.execution.cluster import cluster
 from gapsweep.integrate.runge_kutta import smooth
-from gapsweep.store.cache import Cache, Row
-from gapsweep.study.points import content_key
+from gapsweep.store.cache import Cache
 
 LAWS = "tests.laws"
 COMMAND = "from gapsweep.cli import main; main()"
@@ -47,8 +47,7 @@ def run(tables, folder, client, **options):
 def responses(tables, folder):
     study = gs.Study.from_dict(tables)
     with Cache(folder / "c.sqlite") as cache:
-        keys = [key for chain in study.chains() for key in study.keys(chain)]
-        return [cache.rows([key])[key].response for key in keys]
+        return list(stored(study, cache).values())
 
 
 def test_only_a_users_law_can_be_one_that_numba_does_not_compile(one_point, tmp_path):
@@ -94,9 +93,7 @@ omega = [12.0]
 def test_a_late_failure_does_not_replace_what_another_run_has_found(tmp_path):
     (tmp_path / "s.toml").write_text(STUDY)
     study = gs.Study.load(tmp_path / "s.toml")
-    (chain,) = study.chains()
-    (identity,) = study.identities(chain)
-    key, answer = content_key(identity), gs.Response(status=gs.Status.OK, x_max=1e-3)
+    answer = gs.Response(status=gs.Status.OK, x_max=1e-3)
     gives_up = subprocess.Popen(
         [sys.executable, "-c", COMMAND, "run", "s.toml", *OPTIONS, "--timeout", "2"],
         cwd=tmp_path,
@@ -106,6 +103,7 @@ def test_a_late_failure_does_not_replace_what_another_run_has_found(tmp_path):
         assert gives_up.poll() is None
         time.sleep(0.05)
     with Cache(tmp_path / "c.sqlite") as cache:  # as on another machine, where no lock is seen
-        cache.commit([Row(key, identity, answer, "another")])
+        commit(cache, study, lambda at: answer, "another")
         assert gives_up.wait() == 0, "its own failure was its result"
-        assert cache.rows([key])[key].response == answer
+        (found,) = stored(study, cache).values()
+        assert str(found) == str(answer)

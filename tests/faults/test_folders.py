@@ -12,6 +12,7 @@ import pytest
 
 import gapsweep as gs
 from gapsweep import make, workflow
+from gapsweep.execution.execute import _SWEEP_PART
 from gapsweep.store.artefact import alone_in
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
@@ -95,14 +96,15 @@ def test_repairs_are_told(finished):
 def test_one_lost_row_of_a_sweep_is_one_point_to_compute(finished):
     path = finished / "c.sqlite"
     data = bytearray(path.read_bytes())
-    at = data.index(b'"x_max":', len(data) // 2) + 12
-    data[at] ^= 1
+    data[data.index(b'"start":"sweep_up"') + 2000] ^= 1  # among the columns of a row
     path.write_bytes(data)
     done = gapsweep(finished, "run", "tiny.toml", "--out", "out")
     assert done.returncode == 0, done.stderr
-    # The row stands for a point of each label.
-    assert done.stdout.startswith("40 points: 38 from the cache, 2 computed\n")
-    assert "2 damaged rows, computed again" in done.stderr
+    # One part of the sweep of twenty, for each label, and none that comes behind it.
+    n_lost = 2 * (20 - _SWEEP_PART)
+    said = f"40 points: {40 - n_lost} from the cache, {n_lost} computed\n"
+    assert done.stdout.startswith(said)
+    assert f"{n_lost} damaged results, computed again" in done.stderr
 
 
 LEFT = """

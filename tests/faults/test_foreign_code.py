@@ -1,16 +1,16 @@
 """Python files that happen to lie about, and rows that name code: nothing of it is run."""
 
-import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.stored import made, point
 
 import gapsweep as gs
-from gapsweep.store.cache import Cache, Row
-from gapsweep.study.points import content_key
+from gapsweep.store.cache import Cache
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
 MARK = "import os\nopen(os.path.join(os.path.dirname(__file__), 'ran'), 'a').write(__name__)\n"
@@ -73,8 +73,8 @@ def test_code_that_a_study_names_is_found_in_the_current_folder_after_libraries(
     assert not ran.exists() or set(ran.read_text().split("cftime")) == {""}
 
     done = gapsweep(shadowed, "cache", "verify", "--sample", "2")
-    assert (done.returncode, done.stdout) == (0, "2 rows, 0 damaged\n")
-    assert "2 rows of laws of your own not computed again: --study FILE must" in done.stderr
+    assert (done.returncode, done.stdout) == (0, "2 points, 0 damaged\n")
+    assert "2 points of laws of your own not computed again: name them with --study" in done.stderr
     done = gapsweep(shadowed, "cache", "verify", "--sample", "2", "--study", "tiny.toml")
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -82,13 +82,10 @@ def test_code_that_a_study_names_is_found_in_the_current_folder_after_libraries(
 def test_code_that_only_a_row_names_is_not_run(shadowed):
     (shadowed / "evil.py").write_text(MARK + "def law(x):\n    return 0.0\n")
     study = gs.Study.load(shadowed / "tiny.toml")
-    whole = json.loads(study.point((0, 0, 0, 0, 0)).identity())
-    whole["point"]["representation"] = "evil:law"
-    identity = json.dumps(whole)
+    evil = replace(point(study, 0, 0, 0, 0, 0).kind, representation="evil:law")
     with Cache(shadowed / "c.sqlite") as cache:
-        answer = gs.Response(status=gs.Status.OK)
-        cache.commit([Row(content_key(identity), identity, answer, "here")])
+        cache.commit(made([1], [gs.Response(status=gs.Status.OK)], kind=evil))
     done = gapsweep(shadowed, "cache", "verify", "--sample", "4")
     assert done.returncode == 0, done.stderr
     assert not (shadowed / "ran").exists()
-    assert "1 rows of laws of your own not computed again" in done.stderr
+    assert "1 points of laws of your own not computed again" in done.stderr

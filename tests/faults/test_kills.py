@@ -65,7 +65,7 @@ def finish(process):
 def stored(path):
     try:
         with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as db:
-            return db.execute("SELECT count(*) FROM results").fetchone()[0]
+            return db.execute("SELECT sum(length(status)) FROM slabs").fetchone()[0] or 0
     except sqlite3.OperationalError:
         return 0
 

@@ -18,6 +18,7 @@ from gapsweep.execution import try_out
 from gapsweep.execution.alone import Alone, CallError
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
+from gapsweep.store.maintenance import contents_of
 from gapsweep.study.points import law_code
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
@@ -65,8 +66,8 @@ def test_a_law_that_exits_fails_its_own_points_only(tmp_path):
     assert "failed points: 2 error" in done.stderr
     assert "Traceback" not in done.stderr
     with Cache(tmp_path / "c.sqlite") as cache:
-        keys = [record[0] for record in cache.records()]
-        messages = {row.response.message for row in cache.rows(keys).values()}
+        slabs = [contents_of(slab) for _, slab in cache.slabs()]
+    messages = {one.message for slab in slabs for one in slab.responses.rows()}
     assert messages == {"", "SystemExit: bye", "Stopped: enough"}
     again = gapsweep(tmp_path, "run", "own.toml", "--out", "out")
     assert (again.returncode, again.stdout.split("\n")[0]) == (

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 import xarray as xr
+from tests.stored import messages
 
 import gapsweep as gs
 from gapsweep.execution.cluster import cluster
@@ -23,9 +24,8 @@ def run(tables, folder, client, **options):
 
 def message(tables, folder, index):
     study = gs.Study.from_dict(tables)
-    (key,) = study.keys((index,))
     with Cache(folder / "c.sqlite") as cache:
-        return cache.rows([key])[key].response.message
+        return messages(study, cache)[index]
 
 
 @pytest.fixture
@@ -57,12 +57,12 @@ def test_poison_points_get_their_own_status_and_all_others_complete(poisoned, tm
         "undefined": gs.Status.DIVERGED,
     }
     omega = ds.omega.values.tolist().index(12.0)
-    messages = [message(poisoned, tmp_path, (r, 0, 0, omega, 0)) for r in range(1, 6)]
-    assert messages[0] == "ArithmeticError: no force here"
-    assert messages[1] == "its process was ended by SIGKILL"
-    assert messages[2] == "its process ended with exit code 7"
-    assert messages[3] == "took longer than 10 s"
-    assert messages[4].startswith("diverged before t = ")
+    said = [message(poisoned, tmp_path, (r, 0, 0, omega, 0)) for r in range(1, 6)]
+    assert said[0] == "ArithmeticError: no force here"
+    assert said[1] == "its process was ended by SIGKILL"
+    assert said[2] == "its process ended with exit code 7"
+    assert said[3] == "took longer than 10 s"
+    assert said[4].startswith("diverged before t = ")
 
 
 def test_hanging_point_in_a_sweep_does_not_end_the_sweep(poisoned, tmp_path):

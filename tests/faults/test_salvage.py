@@ -1,22 +1,23 @@
 """Damaged caches: what is sound in them is saved, the rest is computed again."""
 
-import json
 import os
 import random
 import shutil
 import sqlite3
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
 import pytest
+from tests.stored import keys, made, point
 
 import gapsweep as gs
-from gapsweep.store.cache import Cache, DamagedCacheError, Row, _record
+from gapsweep.store.cache import Cache, DamagedCacheError
 from gapsweep.store.maintenance import verify
-from gapsweep.store.salvage import salvage, sound_records
-from gapsweep.study.points import content_key
+from gapsweep.store.salvage import salvage, sound_slabs
+from gapsweep.store.slab import sealed
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
 STUDY = """
@@ -35,20 +36,25 @@ max_period_multiple = 8
 N_ROWS = 200
 
 
-def made(n, **more):
-    """A row; every tenth is too long for a page."""
+def response(n, **more):
+    """A response; every tenth is too long for a page."""
     generator = random.Random(n)
-    extrema = tuple(generator.uniform(-1e-3, 1e-3) for _ in range(400 if n % 10 == 0 else 6))
-    identity = json.dumps({"numerics": "now", "point": {"number": n, "more": "x" * 500}})
+    extrema = tuple(generator.uniform(-1e-3, 1e-3) for _ in range(800 if n % 10 == 0 else 60))
     values = {"status": gs.Status.OK, "x_max": float(n), "extrema": extrema, "cpu_time": 0.5}
-    return Row(content_key(identity), identity, gs.Response(**values | more), "machine")
+    return gs.Response(**values | more)
+
+
+def row(n, **more):
+    """A row of the cache that holds one point."""
+    (slab,) = made([n], [response(n, **more)])
+    return slab
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "c.sqlite"
     with Cache(path) as cache:
-        cache.commit([made(n) for n in range(N_ROWS)])
+        cache.commit([row(n) for n in range(N_ROWS)])
     return path
 
 
@@ -101,11 +107,12 @@ def test_sound_rows_are_saved_and_no_other(whole, tmp_path, what, seed):
     with Cache(path) as cache:
         verdict = verify(cache)
         assert verdict.is_sound
-        assert N_ROWS - cost <= verdict.n_rows <= N_ROWS
-        assert f"damaged; {verdict.n_rows} sound rows saved" in line
-        rows = [made(n) for n in range(N_ROWS)]
-        for key, row in cache.rows([row.key for row in rows]).items():
-            assert row.response == next(r for r in rows if r.key == key).response
+        assert N_ROWS - cost <= verdict.n_points <= N_ROWS
+        assert f"damaged; {verdict.n_points} sound results saved" in line
+        found = cache.find(keys(*range(N_ROWS)))
+        assert len(found.at) == verdict.n_points
+        for n, one in zip(found.at.tolist(), found.responses.rows(), strict=True):
+            assert str(one) == str(response(n))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.sqlite", "c.sqlite.damaged"]
 
 
@@ -114,14 +121,17 @@ def test_rows_of_the_log_are_saved_and_the_latest_success_wins(whole, tmp_path):
     shutil.copyfile(whole, path)
     other = Cache(path)  # kept open: what it commits stays in the log
     other.db.execute("PRAGMA wal_autocheckpoint = 0")
-    other.commit([made(N_ROWS + n) for n in range(20)])
-    other.commit([made(3, status=gs.Status.KILLED), made(4, x_max=-1.0)])
-    found = sound_records(path)
+    other.commit([row(N_ROWS + n) for n in range(20)])
+    other.commit([row(3, status=gs.Status.KILLED), row(4, x_max=-1.0)])
+    found = sound_slabs(path).values()
     other.db.close()
-    assert len(found) == N_ROWS + 20
-    values = [json.loads(found[made(n).key][2])["x_max"] for n in (3, 4)]
-    assert values[0] == 3.0
-    assert values[1] in (4.0, -1.0)  # stored within one second
+    assert len(found) == N_ROWS + 22
+    with Cache(tmp_path / "saved.sqlite") as saved:
+        saved.commit(list(found))
+        held = saved.find(keys(*range(N_ROWS + 20)))
+    assert len(held.at) == N_ROWS + 20
+    assert held.responses.columns["x_max"][3] == 3.0
+    assert held.responses.columns["x_max"][4] in (4.0, -1.0)  # stored within one second
 
 
 def test_files_of_others_are_left_alone(tmp_path):
@@ -158,13 +168,13 @@ def test_a_run_salvages_a_torn_cache_says_so_and_goes_on(tmp_path):
 
     exported = gapsweep(tmp_path, "cache", "export", "copy.sqlite")
     assert exported.returncode == 0, exported.stderr
-    n_saved = int(exported.stdout.split(" rows in ")[0])
+    n_saved = int(exported.stdout.split(" points in ")[0])
     assert 20 <= n_saved < 30
 
     done = gapsweep(tmp_path, "run", "tiny.toml", "--out", "out")
     assert done.returncode == 0, done.stderr
     assert f"30 points: {n_saved} from the cache, {30 - n_saved} computed" in done.stdout
-    warning = f"c.sqlite: damaged; {n_saved} sound rows saved, the damaged file is now"
+    warning = f"c.sqlite: damaged; {n_saved} sound results saved, the damaged file is now"
     assert [warning in line for line in done.stderr.splitlines()].count(True) == 1
     assert (tmp_path / "c.sqlite.damaged").read_bytes() == torn
     with Cache(path) as cache:
@@ -180,11 +190,11 @@ def test_reading_commands_need_no_room_beside_the_cache(tmp_path):
         (tmp_path / f"c.sqlite{suffix}").mkdir()
     before = (tmp_path / "c.sqlite").read_bytes()
     with pytest.raises(sqlite3.OperationalError), sqlite3.connect(tmp_path / "c.sqlite") as db:
-        db.execute("SELECT count(*) FROM results")
+        db.execute("SELECT count(*) FROM slabs")
     for arguments, said in (
         (("plan", "tiny.toml", "--out", "out"), "hits  3"),
         (("query", "tiny.toml"), "piecewise"),
-        (("cache", "export", "copy.sqlite"), "3 rows in copy.sqlite"),
+        (("cache", "export", "copy.sqlite"), "3 points in copy.sqlite"),
     ):
         done = gapsweep(tmp_path, *arguments)
         assert done.returncode == 0, done.stderr
@@ -197,10 +207,10 @@ def test_plan_writes_nothing(whole, tmp_path):
     shutil.copyfile(whole, path)
     path.chmod(0o444)
     with Cache(path, read_only=True) as cache, pytest.raises(sqlite3.OperationalError):
-        cache.db.execute("DELETE FROM results")
+        cache.db.execute("DELETE FROM slabs")
     path.write_bytes(b"")
     with Cache(path, read_only=True) as cache:  # a run killed before it made the table
-        assert list(cache.records()) == []
+        assert list(cache.slabs()) == []
     assert path.read_bytes() == b""
 
 
@@ -217,14 +227,15 @@ def test_a_cache_that_cannot_be_prepared_is_closed(tmp_path):
 def test_a_row_that_no_run_has_written_is_one_line_and_can_be_deleted(tmp_path):
     (tmp_path / "tiny.toml").write_text(STUDY.replace("num = 30", "num = 1"))
     study = gs.Study.load(tmp_path / "tiny.toml")
-    identity = study.point((0, 0, 0, 0, 0)).identity()
-    with Cache(tmp_path / "c.sqlite") as cache, cache.transaction():
-        forged = content_key(identity), identity, '{"status":0,"mystery":1}', 0, 0.5, "", "2001"
-        cache.insert([_record(*forged)])
+    table = point(study, 0, 0, 0, 0, 0)
+    (slab,) = made([1], [gs.Response(status=gs.Status.OK)])
+    forged = replace(slab, keys=table.keys().tobytes(), columns=b"mystery")
+    with Cache(tmp_path / "c.sqlite") as cache:
+        cache.commit([sealed(forged)])
     for command in ("query", "explain"):
         done = gapsweep(tmp_path, command, "tiny.toml")
         assert done.returncode == 1
         assert done.stderr.count("\n") == 1
         assert "'gapsweep cache gc --apply' deletes it" in done.stderr
-    assert "1 rows deleted" in gapsweep(tmp_path, "cache", "gc", "--apply").stdout
+    assert "1 points deleted" in gapsweep(tmp_path, "cache", "gc", "--apply").stdout
     assert gapsweep(tmp_path, "plan", "tiny.toml").returncode == 0

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from tests.stored import tile_rows
 
 import gapsweep as gs
-from gapsweep.execution.task import responses
 from gapsweep.report import figures
 from gapsweep.response.attractors import attractors, numbers
 from gapsweep.response.section import (
@@ -175,9 +175,7 @@ def test_upward_sweep_rides_the_upper_branch_beyond_the_fitted_range():
         ],
     }
     study = gs.Study.from_dict(tables)
-    exact, rational, polynomial = (
-        responses([([study.point(i) for i in chain], (0.0, 0.0))]) for chain in study.chains()
-    )
+    exact, rational, polynomial = (tile_rows(study, r) for r in range(3))
     peak = {w: 1e3 * r.x_max for w, r in zip(study.grid.omega, exact, strict=True)}
     assert 3.8 < peak[14.0] < 4.2
     assert max(peak.values()) == pytest.approx(6.3, abs=0.15)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
+from tests.stored import point
 
 import gapsweep as gs
 from gapsweep.analysis.advice import advice, sentences
@@ -139,13 +140,14 @@ def test_auto_meets_its_error_and_says_what_it_chose(client, tmp_path):
 
 def test_auto_shares_the_points_that_it_chooses():
     study = gs.Study.from_dict(AUTO)
-    chosen = study.point((1, 0, 0, 0, 0))
-    assert (chosen.representation, chosen.K_c) == ("piecewise", 1.4e4)
+    chosen = point(study, 1, 0, 0, 0, 0)
+    assert (chosen.kind.representation, chosen.column("K_c")) == ("piecewise", 1.4e4)
     tables = json.loads(json.dumps(AUTO))
-    tables["solver"] = {"rtol": chosen.solver.rtol, "atol": chosen.solver.atol}
-    plain = gs.Study.from_dict(tables).point((0, 0, 0, 0, 0))
-    assert plain.identity() == chosen.identity()
-    assert study.point((1, 0, 0, 3, 0)).oscillator.alpha == 0.0
+    solver = chosen.kind.solver
+    tables["solver"] = {"rtol": solver.rtol, "atol": solver.atol}
+    plain = point(gs.Study.from_dict(tables), 0, 0, 0, 0, 0)
+    assert plain.keys() == chosen.keys()
+    assert point(study, 1, 0, 0, 3, 0).column("alpha") == 0.0
 
 
 @pytest.mark.parametrize(

@@ -1,154 +1,203 @@
 """The point cache: exact round trip, damage, formats, versions."""
 
-import json
 import math
-import shutil
 import sqlite3
-from pathlib import Path
+import zlib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.stored import KIND, keys, made
 
 import gapsweep as gs
+from gapsweep.response.result import Responses
 from gapsweep.store import filesystem, maintenance
-from gapsweep.store.cache import (
-    DAMAGED,
-    MISSING,
-    SCHEMA_VERSION,
-    Cache,
-    Row,
-    _decoded,
-    _encoded,
-    _record,
-)
-from gapsweep.study.points import content_key
+from gapsweep.store.cache import SCHEMA_VERSION, Cache
+from gapsweep.store.index import DAMAGED, MISSING
+from gapsweep.store.slab import SLAB, sealed, stored
+from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.study.points import NUMBERS
 
-FIRST_VERSION = Path(__file__).parents[1] / "data" / "cache-v1.sqlite"
+NOW = numerics_fingerprint()
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
-def row(name="k", **values):
-    given = {"status": gs.Status.OK, "x_max": 1e-3, "cpu_time": 0.25} | values
-    identity = f'{{"numerics":"now","point":{{"name":"{name}"}}}}'
-    return Row(content_key(identity), identity, gs.Response(**given), "machine")
+def result(**values):
+    return gs.Response(**({"status": gs.Status.OK, "x_max": 1e-3, "cpu_time": 0.25} | values))
 
 
-def key(name):
-    return row(name).key
+def row(name, **values):
+    """A row of the cache that holds one point."""
+    (slab,) = made([name], [result(**values)])
+    return slab
 
 
-@given(st.lists(finite, max_size=5), finite, st.sampled_from(gs.Status), st.text(max_size=20))
-def test_responses_round_trip_exactly(extrema, x_max, status, message):
-    response = gs.Response(status=status, extrema=tuple(extrema), x_max=x_max, message=message)
-    back, _ = _decoded(_encoded(response))
-    assert back.extrema == response.extrema
-    assert (back.x_max, back.status, back.message) == (x_max, status, message)
-    assert math.isnan(back.amplitude)
+def seconds(cache, *names):
+    return cache.seconds(keys(*names)).tolist()
 
 
-@given(st.sampled_from([float("inf"), float("-inf")]))
-def test_infinities_round_trip(value):
-    back, _ = _decoded(_encoded(gs.Response(status=gs.Status.OK, lyapunov=value, message="inf")))
-    assert back.lyapunov == value
-    assert back.message == "inf"
+responses = st.builds(
+    gs.Response,
+    status=st.sampled_from(gs.Status),
+    extrema=st.lists(finite, max_size=5).map(tuple),
+    section=st.lists(finite, max_size=3).map(lambda x: tuple(x + x)),
+    multipliers=st.sampled_from([(), (0.5, 0.25, 0.5, -0.25)]),
+    n_steps=st.integers(0, 2**62),
+    x_max=st.floats(),
+    message=st.text(st.characters(codec="utf-8"), max_size=20),
+)
+
+
+@given(st.lists(responses, min_size=1, max_size=5))
+def test_responses_round_trip_exactly(given_ones):
+    (slab,) = made(range(len(given_ones)), given_ones)
+    assert slab.is_sound
+    back = stored(slab).responses.rows()
+    for one, other in zip(given_ones, back, strict=True):
+        assert str(one) == str(other)  # NaN as well
+
+
+def test_a_row_holds_but_so_many_points():
+    names = range(3 * SLAB + 1)
+    slabs = made(names, [result(x_max=float(name)) for name in names])
+    assert [slab.n_points for slab in slabs] == [SLAB, SLAB, SLAB, 1]
+    found = Responses.concatenated([stored(slab).responses for slab in slabs])
+    assert found.columns["x_max"].tolist() == list(names)
 
 
 def test_committed_rows_are_there_after_reopening(tmp_path):
     path = tmp_path / "new" / "cache.sqlite"
     with Cache(path) as cache:
-        cache.commit([row("a"), row("b", status=gs.Status.KILLED)])
+        cache.commit([row(1), row(2, status=gs.Status.KILLED)])
     with Cache(path) as cache:
-        stored = cache.status([key("a"), key("b"), key("c")])
-        assert stored.tolist() == [gs.Status.OK, gs.Status.KILLED, MISSING]
-        assert cache.rows([key("a")])[key("a")].response.x_max == 1e-3
-        assert cache.cpu_times([key("a")]) == {key("a"): 0.25}
+        assert cache.status(keys(1, 2, 3)).tolist() == [gs.Status.OK, gs.Status.KILLED, MISSING]
+        found = cache.find(keys(3, 1))
+        assert found.at.tolist() == [1]
+        assert str(found.responses.row(0)) == str(result())
+        assert seconds(cache, 1) == [0.25]
+        assert math.isnan(*seconds(cache, 3))
 
 
 def test_a_failure_never_takes_the_place_of_a_result(tmp_path):
     late = gs.Status.TIMED_OUT
     with Cache(tmp_path / "cache.sqlite") as cache:
-        cache.commit([row("a"), row("b", status=gs.Status.KILLED), row("c")])
-        with cache.transaction():
-            cache.db.execute("UPDATE results SET host = 'damage' WHERE key = ?", [key("c")])
-        cache.commit([row(name, status=late) for name in "abcd"])
-        found = cache.status([key(name) for name in "abcd"])
-        assert found.tolist() == [gs.Status.OK, late, late, late]
-        cache.commit([row("b")])
-        assert cache.status([key("b")]).tolist() == [gs.Status.OK]
-
-
-def test_more_keys_than_one_query_takes(tmp_path):
-    rows = [row(str(i)) for i in range(1201)]
+        cache.commit([row(1), row(2, status=gs.Status.KILLED)])
+        cache.commit([row(name, status=late) for name in (1, 2, 3)])
+        assert cache.status(keys(1, 2, 3)).tolist() == [gs.Status.OK, late, late]
+        cache.commit([row(2)])
+        assert cache.status(keys(2)).tolist() == [gs.Status.OK]
     with Cache(tmp_path / "cache.sqlite") as cache:
-        cache.commit(rows)
-        assert set(cache.rows([r.key for r in rows])) == {r.key for r in rows}
+        assert cache.status(keys(1, 2, 3)).tolist() == [gs.Status.OK, gs.Status.OK, late]
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.booleans()), min_size=1, max_size=40), st.data())
+def test_the_latest_result_counts_in_whatever_pieces_it_came(history, data):
+    status = {False: gs.Status.OK, True: gs.Status.KILLED}
+    slabs = [row(n, status=status[failed], x_max=float(i)) for i, (n, failed) in enumerate(history)]
+    expected = {}
+    for i, (name, failed) in enumerate(history):
+        if not failed or expected.get(name, (True, 0))[0]:
+            expected[name] = failed, i
+    with Cache(":memory:") as cache:
+        while slabs:
+            n = data.draw(st.integers(1, len(slabs)))
+            cache.commit(slabs[:n])
+            del slabs[:n]
+            cache.status(keys(0))  # so that these are a piece of the index
+        names = sorted(expected)
+        found = cache.find(keys(*names))
+        assert found.at.tolist() == list(range(len(names)))
+        assert found.responses.columns["x_max"].tolist() == [expected[n][1] for n in names]
+
+
+def test_more_keys_than_one_row_holds(tmp_path):
+    names = range(1201)
+    with Cache(tmp_path / "cache.sqlite") as cache:
+        cache.commit(made(names, [result(x_max=float(name)) for name in names]))
+        found = cache.find(keys(*names)[::-1])
+        assert found.responses.columns["x_max"].tolist() == [*reversed(names)]
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        "response = replace(response, '0.001', '0.002')",
-        "status = 3",
-        "cpu_time = 0.5",
-        "cpu_time = NULL",
+        "columns = X'00'",
+        "columns = substr(columns, 1, 40) || X'00' || substr(columns, 42)",
+        "status = X'03'",
+        "seconds = 0.5",
+        "seconds = NULL",
         "host = 'another'",
         "created = '2001-01-01'",
-        "identity = replace(identity, 'now', 'old')",
-        "response = X'ff00fe'",
-        "status = 'text'",
+        'messages = \'{"0": "other"}\'',
+        "identity = replace(identity, 'piecewise', 'otherwise')",
+        "versions = X'ff00fe'",
+        "checksum = X'00'",
     ],
 )
 def test_damaged_row_is_missing_and_counted(tmp_path, change):
     path = tmp_path / "cache.sqlite"
     with Cache(path) as cache:
-        cache.commit([row("a"), row("b")])
+        cache.commit([row(1), row(2)])
     with sqlite3.connect(path) as db:
-        db.execute(f"UPDATE results SET {change} WHERE key = ?", [key("a")])
+        db.execute("PRAGMA ignore_check_constraints = ON")
+        try:
+            db.execute(f"UPDATE slabs SET {change} WHERE rowid = 1")
+        except sqlite3.IntegrityError:
+            return  # the table itself refuses it
     db.close()
     with Cache(path) as cache:
-        keys = [key("a"), key("b")]
-        assert set(cache.rows(keys)) == {key("b")}
-        assert cache.status(keys).tolist() == [DAMAGED, gs.Status.OK]
-        assert set(cache.cpu_times(keys)) == {key("b")}
-        assert maintenance.verify(cache).damaged == (key("a").hex(),)
+        assert cache.find(keys(1, 2)).at.tolist() == [1]
+        assert cache.status(keys(1, 2)).tolist() == [DAMAGED, gs.Status.OK]
+        assert maintenance.verify(cache).damaged == (keys(1)[0].tobytes().hex(),)
 
 
-def test_row_under_the_key_of_another_is_damaged(tmp_path):
+@pytest.mark.parametrize("change", ["keys = X'00'", "status = 'text'", "status = X''", "keys = ''"])
+def test_a_row_whose_points_cannot_be_told_is_missing(tmp_path, change):
     path = tmp_path / "cache.sqlite"
     with Cache(path) as cache:
-        cache.commit([row("a"), row("b", x_max=2e-3)])
+        cache.commit([row(1), row(2)])
     with sqlite3.connect(path) as db:
-        db.execute("DELETE FROM results WHERE key = ?", [key("b")])
-        db.execute("UPDATE results SET key = ? WHERE key = ?", [key("b"), key("a")])
+        db.execute(f"UPDATE slabs SET {change} WHERE rowid = 1")
     db.close()
     with Cache(path) as cache:
-        assert cache.status([key("b")]).tolist() == [DAMAGED]
+        assert cache.status(keys(1, 2)).tolist() == [MISSING, gs.Status.OK]
+        assert len(maintenance.verify(cache).damaged) == 1
+
+
+def test_results_under_the_keys_of_others_are_damaged(tmp_path):
+    (slab,) = made([1, 2], [result(), result(x_max=2e-3)])
+    swapped = sealed(replace(slab, keys=slab.keys[32:] + slab.keys[:32]))
+    with Cache(tmp_path / "cache.sqlite") as cache:
+        cache.commit([swapped])
+        assert len(maintenance.verify(cache).damaged) == 2
 
 
 def test_garbage_collection_keeps_what_the_present_code_computed(tmp_path):
-    old = '{"numerics":"before","point":{}}'
+    (old,) = made([2], [result()])
+    old = sealed(replace(old, identity=old.identity.replace(NOW, "before")))
     with Cache(tmp_path / "cache.sqlite") as cache:
-        cache.commit([row("a"), Row(content_key(old), old, row().response, "machine")])
-        assert maintenance.info(cache, "now")["of_other_code"] == 1
-        keys = maintenance.removable(cache, "now")
-        assert keys == [content_key(old)]
-        maintenance.remove(cache, keys)
-        assert set(cache.rows([key("a"), content_key(old)])) == {key("a")}
+        cache.commit([row(1), old])
+        assert maintenance.info(cache, NOW)["of_other_code"] == 1
+        removable = maintenance.removable(cache, NOW)
+        assert removable == {2}
+        maintenance.remove(cache, removable)
+    with Cache(tmp_path / "cache.sqlite") as cache:
+        assert cache.find(keys(1, 2)).at.tolist() == [0]
 
 
 def test_export_copies_sound_rows_and_refuses_to_replace(tmp_path):
     path, copy = tmp_path / "cache.sqlite", tmp_path / "copy.sqlite"
     with Cache(path) as cache:
-        cache.commit([row("a"), row("b")])
+        cache.commit([row(1), row(2)])
         with cache.transaction():
-            cache.db.execute("UPDATE results SET status = 4 WHERE key = ?", [key("a")])
+            cache.db.execute("UPDATE slabs SET status = X'04' WHERE rowid = 1")
         assert maintenance.export(path, copy) == 1
         with pytest.raises(gs.StoreError, match="exists already"):
             maintenance.export(path, copy)
     with Cache(copy) as saved:
-        assert saved.status([key("a"), key("b")]).tolist() == [MISSING, gs.Status.OK]
+        assert saved.status(keys(1, 2)).tolist() == [MISSING, gs.Status.OK]
 
 
 @pytest.mark.parametrize(("fstype", "journal"), [("nfs4", "delete"), ("ext4", "wal")])
@@ -157,10 +206,10 @@ def test_no_write_ahead_log_on_network_file_systems(tmp_path, monkeypatch, fstyp
     mounts.append(SimpleNamespace(mountpoint=str(tmp_path), fstype=fstype))
     monkeypatch.setattr(filesystem.psutil, "disk_partitions", lambda all: mounts)
     with Cache(tmp_path / "cache.sqlite") as cache:
-        cache.commit([row("a")])
+        cache.commit([row(1)])
         assert cache.on_network == (fstype == "nfs4")
         assert cache.db.execute("PRAGMA journal_mode").fetchone() == (journal,)
-        assert cache.status([key("a")]).tolist() == [gs.Status.OK]
+        assert cache.status(keys(1)).tolist() == [gs.Status.OK]
 
 
 def test_file_that_is_no_database_is_refused(tmp_path):
@@ -170,41 +219,19 @@ def test_file_that_is_no_database_is_refused(tmp_path):
         Cache(path)
 
 
-def test_cache_of_another_format_is_refused(tmp_path):
+@pytest.mark.parametrize("version", [1, 2, SCHEMA_VERSION + 1])
+def test_cache_of_another_format_is_refused(tmp_path, version):
     path = tmp_path / "cache.sqlite"
     with sqlite3.connect(path) as db:
-        db.execute("CREATE TABLE other (x)")
-        db.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
+        db.execute("CREATE TABLE results (x)")
+        db.execute(f"PRAGMA user_version = {version}")
     db.close()
-    with pytest.raises(gs.StoreError, match=r"format 3.*choose another file with --cache"):
-        Cache(path)
-
-
-def test_cache_of_the_first_version_is_migrated(tmp_path):
-    path = tmp_path / "cache.sqlite"
-    shutil.copyfile(FIRST_VERSION, path)
-    with sqlite3.connect(path) as db:
-        before = dict(db.execute("SELECT key, response FROM results"))
-    db.close()
-    with Cache(path) as cache:
-        rows = cache.rows([bytes.fromhex(k) for k in before])
-        verdict = maintenance.verify(cache)
-    peaks = {k: json.loads(text)["x_max"] for k, text in before.items()}
-    assert {k.hex(): r.response.x_max for k, r in rows.items()} == peaks
-    assert len(peaks) == 9
-    assert verdict.is_sound
-
-
-def test_rows_of_the_first_version_that_were_damaged_are_not_taken_over(tmp_path):
-    path = tmp_path / "cache.sqlite"
-    shutil.copyfile(FIRST_VERSION, path)
-    with sqlite3.connect(path) as db:
-        (first,) = db.execute("SELECT key FROM results").fetchone()
-        db.execute("UPDATE results SET response = replace(response, '1', '2') WHERE key=?", [first])
-    db.close()
-    with Cache(path) as cache:
-        assert cache.status([bytes.fromhex(first)]).tolist() == [MISSING]
-        assert maintenance.verify(cache).n_rows == 8
+    before = path.read_bytes()
+    said = rf"format {version}, this gapsweep reads format {SCHEMA_VERSION}: move it away, or"
+    for read_only in (False, True):
+        with pytest.raises(gs.StoreError, match=said):
+            Cache(path, read_only=read_only)
+    assert path.read_bytes() == before
 
 
 def test_unwritable_folder_is_named(tmp_path):
@@ -213,38 +240,38 @@ def test_unwritable_folder_is_named(tmp_path):
         Cache(tmp_path / "file" / "cache.sqlite")
 
 
+def packed(**columns):
+    """The columns of a row in another form than a run writes."""
+    slab = row(1)
+    return sealed(replace(slab, **{name: change(slab) for name, change in columns.items()}))
+
+
+def _with_status(columns, status):
+    at = 32 + 8 * len(NUMBERS)  # behind the key of the point before it, and its numbers
+    assert columns[at : at + 1] == bytes([gs.Status.OK])
+    return columns[:at] + status + columns[at + 1 :]
+
+
 NO_RESULTS = {
-    "unknown field": '{"status":0,"mystery":1}',
-    "status that there is not": '{"status":99}',
-    "no status": "{}",
-    "no JSON": "nonsense",
-    "a list": "[]",
-    "nested": "[" * 100_000,
-    "text for numbers": '{"status":0,"extrema":["a"]}',
-    "a number for numbers": '{"status":0,"section":1}',
-    "text for a number": '{"status":0,"n_steps":"many"}',
-    "number for a text": '{"status":0,"message":1}',
-    "object for a number": '{"status":0,"x_max":{}}',
+    "too short": packed(columns=lambda slab: zlib.compress(zlib.decompress(slab.columns)[:-1])),
+    "too long": packed(columns=lambda slab: zlib.compress(zlib.decompress(slab.columns) + b"0")),
+    "not compressed": packed(columns=lambda slab: b"nonsense"),
+    "another status": packed(status=lambda slab: b"\x03"),
+    "a status that there is not": packed(
+        status=lambda slab: b"\x63",
+        columns=lambda slab: zlib.compress(_with_status(zlib.decompress(slab.columns), b"\x63")),
+    ),
+    "messages": packed(messages=lambda slab: "[" * 100_000),
 }
 
 
-@pytest.mark.parametrize("text", NO_RESULTS.values(), ids=NO_RESULTS.keys())
-@pytest.mark.parametrize("identity", [row("a").identity, "nonsense", "[1]", "[" * 100_000])
-def test_rows_that_no_run_has_written_are_one_line(tmp_path, text, identity):
+@pytest.mark.parametrize("slab", NO_RESULTS.values(), ids=NO_RESULTS.keys())
+@pytest.mark.parametrize("identity", [KIND.identity, "nonsense", "[1]", "[" * 100_000])
+def test_rows_that_no_run_has_written_are_one_line(tmp_path, slab, identity):
     with Cache(tmp_path / "cache.sqlite") as cache:
-        cache.commit([row("b")])
-        with cache.transaction():
-            cache.insert([_record(key("a"), identity, text, 0, None, "there", "2001-01-01")])
+        cache.commit([row(2), sealed(replace(slab, identity=identity))])
         with pytest.raises(gs.StoreError, match="'gapsweep cache gc --apply' deletes it"):
-            cache.rows([key("a"), key("b")])
-        assert maintenance.verify(cache).damaged == (key("a").hex(),)
-        assert maintenance.info(cache, "now")["rows"] == 2
-        assert maintenance.removable(cache, "now") == [key("a")]
-
-
-@pytest.mark.parametrize("status", [99, -7, 10**6])
-def test_a_status_that_there_is_not_is_damage(tmp_path, status):
-    with Cache(tmp_path / "cache.sqlite") as cache, cache.transaction():
-        text = _encoded(row("a").response)
-        cache.insert([_record(key("a"), row("a").identity, text, status, None, "", "2001-01-01")])
-        assert cache.status([key("a")]).tolist() == [DAMAGED]
+            cache.find(keys(1, 2))
+        assert maintenance.verify(cache).damaged == (keys(1)[0].tobytes().hex(),)
+        assert maintenance.info(cache, NOW)["points"] == 2
+        assert maintenance.removable(cache, NOW) == {2}

@@ -267,7 +267,7 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
         return FINISHED
     click.echo(f"for an error of the steady amplitude of {found.attrs['error']:g}:")
     for scene in scenes:
-        click.echo(f"K_c = {scene['K_c']:g} N/m, gap {scene['gap']} mm")
+        click.echo(_scene(scene))
         for one in scene["starts"]:
             click.echo(f"  from {one['start']}:")
             for part in one["advice"]:
@@ -276,6 +276,12 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
                 click.echo(f"    {hertz:<16} {model:<22} {part['reason']}")
         click.echo(f"  {scene['stand_ins']}")
     return FINISHED
+
+
+def _scene(scene: dict[str, Any]) -> str:
+    words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
+    swept = scene.keys() - {"K_c", "gap", "starts", "stand_ins", "j_1", "j_2"}
+    return ", ".join(words + [f"{name} = {scene[name]:g}" for name in sorted(swept)])
 
 
 @commands.command()

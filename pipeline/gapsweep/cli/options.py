@@ -49,12 +49,12 @@ selection = click.option(
     "wanted",
     metavar="KEY=VALUE",
     multiple=True,
-    help="Points to take: KEY is representation, K_c, gap, omega or initial_condition, VALUE one "
-    "value, a list A,B,... or, for numbers, a range A:B that includes both ends. Repeat for "
-    "several keys.",
+    help="Points to take: KEY is any dimension of the study, as representation, K_c, gap or omega, "
+    "VALUE one value, a list A,B,... or, for numbers, a range A:B that includes both ends. Repeat "
+    "for several keys.",
 )
 
-_NUMBERS = {"K_c": float, "omega": float, "initial_condition": int}
+_LABELLED = ("representation", "gap")
 
 
 def loaded(path: Path, engine: str | None) -> Study:
@@ -77,9 +77,9 @@ def _selected(text: str) -> tuple[str, Any]:
     key, equals, value = text.partition("=")
     if not equals or not value:
         raise click.BadParameter(f"{text!r}: must read KEY=VALUE", param_hint="--sel")
-    number = _NUMBERS.get(key)
-    if number is None:
+    if key in _LABELLED:
         return key, value.split(",")
+    number = int if key == "initial_condition" else float
     try:
         if ":" in value:
             low, _, high = value.partition(":")

@@ -10,7 +10,6 @@ import xarray as xr
 from gapsweep.errors import StoreError
 from gapsweep.status import Status
 from gapsweep.store.artefact import replacing
-from gapsweep.study.schema import POINT_DIMS
 
 
 def written(responses: xr.Dataset, form: str, output: Path | None) -> None:
@@ -35,7 +34,8 @@ def written(responses: xr.Dataset, form: str, output: Path | None) -> None:
 
 def _text(responses: xr.Dataset, form: str) -> str:
     """The variables that have one value per point; flags in words."""
-    plain = [name for name, v in responses.data_vars.items() if v.dims == POINT_DIMS]
+    points = responses["status"].dims
+    plain = [name for name, v in responses.data_vars.items() if v.dims == points]
     frame = _in_words(responses[plain]).to_dataframe().reset_index()
     frame = frame[frame["status"] != Status.NOT_REQUESTED.label]
     if form == "csv":

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attractors, set_flags
 from gapsweep.execution.plan import Plan
-from gapsweep.response.attractors import Attractor, attractors, numbers
+from gapsweep.response.attractors import NONE, Attractor, attractors, numbers
 from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
@@ -71,10 +71,12 @@ def export(
                 continue
             found, at = points.stored(piece, cache)
             versions |= found.versions
-            values = _point_arrays(layout, requested, found, at, hosts)
-            groups = _group(layout, piece, found.responses, at, values["attractor"])
+            hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
+            ids, groups = _group(layout, piece, found.responses, at)
             grouped.append((piece, groups))
-            _write(dataset, piece, values)
+            for starts in layout.starts():
+                values = _point_arrays(layout, requested, found, at, ids, hosts, starts)
+                _write(dataset, (*piece.cells[:-1], starts), values)
         set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
         dataset.computed_with = "; ".join(sorted(versions - {""}))
     with writing(attractors, attributes) as dataset:
@@ -82,7 +84,7 @@ def export(
             dataset, layout, max((v["x_max"].shape[1] for _, v in grouped), default=1)
         )
         for piece, values in grouped:
-            _write(dataset, piece, _padded(dataset, piece, values))
+            _write(dataset, piece.cells[:-1], _padded(dataset, piece, values))
 
 
 def _attributes(study: Study) -> dict[str, str]:
@@ -139,20 +141,24 @@ def _point_arrays(
     requested: NDArray[np.bool_],
     found: Found,
     at: NDArray[np.intp],
+    ids: NDArray[np.int32],
     hosts: list[str],
+    starts: slice,
 ) -> Arrays:
-    """Values of all variables of `responses.nc` over a piece; attractors not yet numbered."""
+    """Values of all variables of `responses.nc` over some starts of a piece."""
+    here = np.flatnonzero((at[1] >= starts.start) & (at[1] < starts.stop))
+    requested, at = requested[:, starts], at[:, here] - [[0], [starts.start]]
+    responses = found.responses.take(here)
     shape = requested.shape
     values = {name: np.full(shape, v.missing, v.dtype) for name, v in VARIABLES.items()}
     # Unless a result follows:
     values["status"][requested] = Status.INTERRUPTED
     values["response_class"][requested] = ResponseClass.FAILED
-    for name in values.keys() & found.responses.columns.keys():
-        values[name][*at] = found.responses.columns[name]
-    hosts += [host for host in np.unique(found.host).tolist() if host and host not in hosts]
+    for name in values.keys() & responses.columns.keys():
+        values[name][*at] = responses.columns[name]
+    values["attractor"][*at] = ids[here]
     number = {host: i for i, host in enumerate(hosts)}
-    values["host"][*at] = [number.get(host, -1) for host in found.host.tolist()]
-    responses = found.responses
+    values["host"][*at] = [number.get(host, -1) for host in found.host[here].tolist()]
     section, n_values = responses.lists["section"]
     lists = {
         "extrema": responses.lists["extrema"],
@@ -174,28 +180,23 @@ def _ragged(items: NDArray[Any], counts: NDArray[np.int64], padding: NDArray[Any
 
 
 def _group(
-    layout: Layout,
-    piece: Piece,
-    responses: Responses,
-    at: NDArray[np.intp],
-    ids: NDArray[np.int32],
-) -> Arrays:
-    """Attractors of every frequency of a piece; their numbers go into `ids`."""
+    layout: Layout, piece: Piece, responses: Responses, at: NDArray[np.intp]
+) -> tuple[NDArray[np.int32], Arrays]:
+    """Number of the attractor of every response, and the attractors of every frequency."""
+    ids = np.full(len(responses), NONE, np.int32)
     grid = layout.grid
     is_fixed = grid.starts.is_fixed
     found: dict[int, list[Attractor]] = {}
     for w in np.unique(at[0]).tolist():
         rows = np.flatnonzero(at[0] == w)
-        starts = at[1][rows]
-        here = responses.take(rows)
         found[w] = attractors(
-            here.rows(),
+            responses.take(rows).rows(),
             grid.axes["omega"][piece.first + w],
             symmetric=layout.is_symmetric(piece),
-            counted=is_fixed[starts].tolist(),
+            counted=is_fixed[at[1][rows]].tolist(),
         )
-        ids[w, starts] = numbers(found[w], len(rows))
-    return _attractor_arrays(found, len(piece))
+        ids[rows] = numbers(found[w], len(rows))
+    return ids, _attractor_arrays(found, len(piece))
 
 
 def _attractor_arrays(found: dict[int, list[Attractor]], n_omega: int) -> Arrays:
@@ -244,6 +245,6 @@ def _padded(dataset: netCDF4.Dataset, piece: Piece, values: Arrays) -> Arrays:
     return padded
 
 
-def _write(dataset: netCDF4.Dataset, piece: Piece, values: Arrays) -> None:
+def _write(dataset: netCDF4.Dataset, cells: tuple[int | slice, ...], values: Arrays) -> None:
     for name, value in values.items():
-        dataset[name][piece.cells[: len(dataset[name].dimensions)]] = value
+        dataset[name][cells] = value

@@ -103,6 +103,12 @@ class Layout:
                 cells = (*place[:omega], slice(first, last), *place[omega + 1 :], slice(None))
                 yield Piece(cells, first, last)
 
+    def starts(self) -> Iterator[slice]:
+        """Parts of all starts that are written at a time."""
+        n_starts = len(self.grid.starts)
+        for first in range(0, n_starts, _PIECE):
+            yield slice(first, min(first + _PIECE, n_starts))
+
     def is_symmetric(self, piece: Piece) -> bool:
         """Whether both walls are equally far from the origin."""
         places = zip(self.grid.axes.items(), piece.cells, strict=True)

@@ -299,7 +299,7 @@ def _answered(kind: Kind, questions: list[Question]) -> Responses:
         return Responses.of(())
     try:
         _warm_up(kind, questions[0])
-        return respond_all(questions).rows()
+        return respond_all(questions)
     except BaseException as error:  # the task boundary: SystemExit, too, is a point's own result
         if len(questions) > 1:
             return Responses.concatenated([_answered(kind, [question]) for question in questions])

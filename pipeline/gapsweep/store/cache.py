@@ -161,40 +161,40 @@ class Cache:
 
     def _check(self) -> None:
         """Whether the cache can be read as it is."""
-        version, n_tables = self._version()
-        if version == 0 and n_tables == 0:  # a run that was killed before it made the table
+        if self._is_new():  # a run that was killed before it made the table
             self.db.execute(_TABLE.replace("CREATE TABLE", "CREATE TEMP TABLE"))
-        elif version != SCHEMA_VERSION:
-            raise self._other_format(version)
         self.db.execute("PRAGMA query_only = ON")
 
-    def _version(self) -> tuple[int, int]:
-        """Format, and number of tables."""
+    def _is_new(self) -> bool:
+        """Whether there is nothing in the file yet.
+
+        Raises
+        ------
+        StoreError
+            If there is something else than a cache of this format.
+        """
         (version,) = self.db.execute("PRAGMA user_version").fetchone()
         (n_tables,) = self.db.execute("SELECT count(*) FROM sqlite_master").fetchone()
-        return version, n_tables
-
-    def _other_format(self, version: int) -> StoreError:
-        return StoreError(
-            f"{self.path}: a cache of format {version}, this gapsweep reads format "
-            f"{SCHEMA_VERSION}: move it away, or choose another file with --cache"
-        )
+        if version == 0 and n_tables == 0:
+            return True
+        if version != SCHEMA_VERSION:
+            raise StoreError(
+                f"{self.path}: a cache of format {version}, this gapsweep reads format "
+                f"{SCHEMA_VERSION}: move it away, or choose another file with --cache"
+            )
+        return False
 
     def _prepare(self) -> None:
+        is_new = self._is_new()
         mode = "DELETE" if self.on_network else "WAL"
         self.db.execute(f"PRAGMA journal_mode = {mode}")
         # A commit survives the death of the process; power loss may cost the last ones.
         self.db.execute(f"PRAGMA synchronous = {'FULL' if self.on_network else 'NORMAL'}")
-        if self._version()[0] == SCHEMA_VERSION:
-            return
-        with self.transaction():
-            # Another process may have come first.
-            version, n_tables = self._version()
-            if version == 0 and n_tables == 0:
-                self.db.execute(_TABLE)
-            elif version != SCHEMA_VERSION:
-                raise self._other_format(version)
-            self.db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+        if is_new:
+            with self.transaction():
+                if self._is_new():  # another process may have come first
+                    self.db.execute(_TABLE)
+                    self.db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
     def __enter__(self) -> "Cache":
         return self

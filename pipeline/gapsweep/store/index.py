@@ -118,4 +118,5 @@ def _is_result(status: NDArray[np.int8]) -> NDArray[np.bool_]:
 
 def _head(keys: NDArray[np.void]) -> NDArray[np.uint64]:
     """The first eight bytes of each key, by which they are sorted."""
-    return np.ascontiguousarray(keys.view(np.uint64).reshape(-1, 4)[:, 0])
+    whole = np.ascontiguousarray(keys)
+    return np.ascontiguousarray(whole.view(np.uint64).reshape(-1, 4)[:, 0])

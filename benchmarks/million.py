@@ -1,0 +1,133 @@
+"""A map of a million points, exact law, stiffness times frequency, from rest: what it costs.
+
+Runs a study in fresh processes on two local workers, then again, and prints
+
+* wall time times workers to the last stored point, over the processor time of the integrations;
+* time of datasets and report behind that;
+* the largest resident memory of the client, with the scheduler in it, and of a worker;
+* bytes of the cache per point, beside the extrema and section values in it;
+* how long a second run takes to find that there is nothing to do, and a query of a thousand points;
+* with ``--nothing``, the same with workers that answer at once: what the client sustains.
+
+Run with ``python benchmarks/million.py FOLDER [POINTS]``; half an hour for a million.
+"""
+
+import json
+import math
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+
+STUDY = """
+[study]
+name = "million"
+[[sweep]]
+representation = "piecewise"
+K_c = {{ start = 1e3, stop = 1e6, num = {n} }}
+gap = [0.4e-3, 0.4e-3]
+omega = {{ start = 1.0, stop = 30.0, num = {n} }}
+"""
+WORKERS = 2
+
+
+def main(folder: Path, n_points: int) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    n = math.isqrt(n_points)
+    (folder / "million.toml").write_text(STUDY.format(n=n))
+    for what in ("first", "again"):
+        print(what, measured(folder, what))
+    print("query", measured(folder, "query"))
+
+
+def measured(folder: Path, what: str) -> dict[str, float]:
+    """What a fresh process says of itself, and the largest memory of it and of its workers."""
+    command = [sys.executable, __file__, str(folder), what, *sys.argv[3:]]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        client, workers = 0.0, 0.0
+        while process.poll() is None:
+            time.sleep(0.5)
+            try:
+                one = psutil.Process(process.pid)
+                client = max(client, one.memory_info().rss)
+                others = [child.memory_info().rss for child in one.children(recursive=True)]
+                workers = max([workers, *others])
+            except psutil.Error:
+                continue
+        said = json.loads(process.stdout.read().splitlines()[-1])
+    return said | {"client_mb": client / 1e6, "worker_mb": workers / 1e6}
+
+
+def child(folder: Path, what: str) -> None:
+    begin = time.time()
+    import gapsweep as gs
+    from gapsweep import workflow
+    from gapsweep.store.cache import Cache
+
+    study, cache = gs.Study.load(folder / "million.toml"), folder / "cache.sqlite"
+    if what == "query":
+        began = time.time()
+        with gs.query(study, cache=cache, K_c=study.grid.K_c[-1]) as row:
+            n_row = row.sizes["omega"]
+        middle = time.time()
+        with gs.query(study, cache=cache, omega=study.grid.omega[-1]) as column:
+            n_column = column.sizes["K_c"]
+        found = {
+            "points": [n_row, n_column],
+            "of_one_stiffness": middle - began,
+            "of_one_frequency": time.time() - middle,
+        }
+        print(json.dumps(found))
+        return
+    last = {"computed": 0, "seconds": begin}
+
+    def watch(progress) -> None:
+        if progress.n_computed != last["computed"]:
+            last.update(computed=progress.n_computed, seconds=time.time())
+
+    if "--nothing" in sys.argv:
+        from overhead import do_nothing
+
+        from gapsweep.execution.cluster import cluster
+
+        with cluster(WORKERS) as client:
+            client.run(do_nothing)
+            workflow.carry_out(study, client, out=folder / "out", cache=cache, on_progress=watch)
+    else:
+        workflow.carry_out(
+            study, out=folder / "out", cache=cache, workers=WORKERS, on_progress=watch
+        )
+    end = time.time()
+    found = {"whole": end - begin, "behind_the_last_point": end - last["seconds"]}
+    if last["computed"]:
+        with Cache(cache, read_only=True) as store:
+            slabs = [slab for _, slab in store.slabs()]
+        n_points, cpu = last["computed"], sum(slab.seconds for slab in slabs)
+        wall = last["seconds"] - begin
+        found |= {
+            "points": n_points,
+            "to_the_last_point": wall,
+            "cpu_time": cpu,
+            "wall_workers_over_cpu": WORKERS * wall / cpu if cpu else math.nan,
+            "left_after_bound": WORKERS * wall - 1.1 * cpu - 20e-6 * n_points - 30.0,
+            "cache_bytes_per_point": cache.stat().st_size / n_points,
+            "list_bytes_per_point": 8 * listed(slabs) / n_points,
+        }
+    print(json.dumps(found))
+
+
+def listed(slabs) -> int:
+    """Stored extrema and section values."""
+    from gapsweep.store.slab import stored
+
+    lists = (stored(slab).responses.lists for slab in slabs)
+    return sum(len(each[name][0]) for each in lists for name in ("extrema", "section"))
+
+
+if __name__ == "__main__":
+    if sys.argv[2:3] and sys.argv[2] in ("first", "again", "query"):
+        child(Path(sys.argv[1]), sys.argv[2])
+    else:
+        main(Path(sys.argv[1]), int(float(sys.argv[2])) if sys.argv[2:] else 10**6)

@@ -1,0 +1,96 @@
+"""Results in a cache, without computing any."""
+
+import numpy as np
+
+from gapsweep.execution.plan import plan
+from gapsweep.execution.task import Tile, respond_to
+from gapsweep.integrate.problem import Solver
+from gapsweep.response.result import Responses, Steady
+from gapsweep.store.slab import slabs
+from gapsweep.study.points import KEY, NUMBERS, Kind, Points
+
+KIND = Kind(representation="piecewise", solver=Solver.of(), steady=Steady())
+
+
+def points(*names, kind=KIND):
+    """Points that differ in their stiffness: one for each name, which is any number."""
+    numbers = np.ones((len(names), len(NUMBERS)))
+    numbers[:, 0] = names
+    return Points(kind, numbers)
+
+
+def keys(*names, kind=KIND):
+    return points(*names, kind=kind).keys()
+
+
+def made(names, responses, *, kind=KIND, host="machine"):
+    """Rows of a cache that hold these responses of points of these names."""
+    table = points(*names, kind=kind)
+    nothing = np.zeros(len(table), KEY)
+    return list(slabs(table, table.keys(), nothing, Responses.of(responses), host, "Python 3"))
+
+
+def commit(cache, study, answer, host="here"):
+    """Store what a function answers for every point of a study.
+
+    Parameters
+    ----------
+    answer : callable
+        From the point's place on every axis, by name, to a Response; None: is not stored.
+    """
+    planned, grid = plan(study), study.grid
+    for rows, table in study.points(planned.cells):
+        at = np.transpose(np.unravel_index(planned.cells[rows], grid.shape)).tolist()
+        answers = [answer(dict(zip(grid.dims, place, strict=True))) for place in at]
+        kept = [i for i, one in enumerate(answers) if one is not None]
+        here = rows[kept]
+        responses = Responses.of([answers[i] for i in kept])
+        previous = planned.previous(here)
+        cache.commit(
+            list(slabs(table.take(kept), planned.keys[here], previous, responses, host, ""))
+        )
+
+
+def all_keys(study):
+    """Content keys by place on the axes."""
+    planned = plan(study)
+    places = np.transpose(np.unravel_index(planned.cells, study.grid.shape))
+    return dict(zip(map(tuple, places.tolist()), planned.keys.tolist(), strict=True))
+
+
+def point(study, *place):
+    """The table with the one point at a place."""
+    cell = np.ravel_multi_index(place, study.grid.shape)
+    ((_, table),) = study.points(np.array([cell]))
+    return table
+
+
+def rows(cache, keys):
+    """Stored responses by key."""
+    found = cache.find(keys)
+    asked = [keys[i].tobytes() for i in found.at.tolist()]
+    return dict(zip(asked, found.responses.rows(), strict=True))
+
+
+def stored(study, cache):
+    """Stored responses of all points of a study, by place."""
+    planned = plan(study)
+    by_key = rows(cache, planned.keys)
+    places = np.transpose(np.unravel_index(planned.cells, study.grid.shape)).tolist()
+    keys = planned.keys.tolist()
+    return {tuple(p): by_key[k] for p, k in zip(places, keys, strict=True) if k in by_key}
+
+
+def messages(study, cache):
+    """What is said of each point of a study, by place."""
+    return {place: one.message for place, one in stored(study, cache).items()}
+
+
+def tile_rows(study, representation=0):
+    """Responses of all points of a sweep, computed here in one tile."""
+    planned = plan(study)
+    rows = np.flatnonzero(planned.representation(np.arange(planned.n_points)) == representation)
+    ((_, table),) = study.points(planned.cells[rows])
+    nothing = np.zeros(len(rows), KEY)
+    tile = Tile(table, nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)))
+    return respond_to(tile)[0].rows()
