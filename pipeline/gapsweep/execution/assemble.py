@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.execution.plan import Plan
-from gapsweep.response.attractors import Attractor, attractors, numbers
-from gapsweep.response.result import Response, ResponseClass
+from gapsweep.response.attractors import Attractor, attractors_of_scenes
+from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Row
 from gapsweep.store.netcdf import writing
@@ -241,19 +241,19 @@ def _group(
     *_, g = piece.position
     grid = layout.grid
     fixed = [start.kind == FIXED for start in grid.starts]
+    responses = Responses.of([row.response for row in rows])
+    all_of_them = attractors_of_scenes(
+        responses,
+        at[0],
+        omega=grid.omega[piece.first : piece.last],
+        symmetric=grid.gaps[g].is_symmetric,
+        counted=np.array(fixed)[at[1]],
+    )
+    ids[*at] = all_of_them.numbers
     found: dict[int, list[Attractor]] = {}
-    by_frequency: dict[int, dict[int, Response]] = {}
-    for row, w, i in zip(rows, *at.tolist(), strict=True):
-        by_frequency.setdefault(w, {})[i] = row.response
-    for w, by_start in by_frequency.items():
-        members, responses = list(by_start), list(by_start.values())
-        found[w] = attractors(
-            responses,
-            grid.omega[piece.first + w],
-            symmetric=grid.gaps[g].is_symmetric,
-            counted=[fixed[i] for i in members],
-        )
-        ids[w, members] = numbers(found[w], len(members))
+    listed = all_of_them.listed(responses)
+    for w, attractor in zip(all_of_them.scene.tolist(), listed, strict=True):
+        found.setdefault(w, []).append(attractor)
     return _attractor_arrays(found, len(piece))
 
 

@@ -202,12 +202,20 @@ def orbit_distance(a: Section, b: Section) -> float:
     return float(min(max(np.abs(gap.real).max(), np.abs(gap.imag).max()) for gap in gaps))
 
 
-def cloud_distance(a: Section, b: Section, share: float = 0.8) -> float:
-    """Partial Hausdorff distance of two point clouds [m].
+def cloud_distances(a: Section, b: Section, share: float = 0.8) -> Array:
+    """Partial Hausdorff distances of pairs of point clouds [m].
 
     The distance below which `share` of either cloud's points have a neighbour in the other:
     the full Hausdorff distance of chaotic samples is ruled by one outlier.
+
+    Parameters
+    ----------
+    a, b : ndarray of complex, shape (m, n_a), (m, n_b)
+
+    Returns
+    -------
+    ndarray, shape (m,)
     """
-    distances = np.abs(a[:, None] - b[None, :])
-    nearest = (np.quantile(distances.min(axis=axis), share) for axis in (0, 1))
-    return float(max(nearest))
+    distances = np.abs(a[:, :, None] - b[:, None, :])
+    nearest = [np.quantile(distances.min(axis=axis), share, axis=1) for axis in (1, 2)]
+    return np.asarray(np.maximum(*nearest))
