@@ -143,7 +143,9 @@ def converging_multiples(
     -------
     ndarray of int, shape (m,)
     """
-    latest = _latest(sections, lengths, largest + 3)
+    # Early windows are short: no more columns than the longest of them has points.
+    longest = int(lengths.max(initial=0))
+    latest = _latest(sections, lengths, max(3, min(largest + 3, longest - 1)))
     # From the last one backwards; where there are too few points, NaN.
     earlier = sliding_window_view(latest, 4, axis=1)[:, 1:]
     with np.errstate(invalid="ignore"):
