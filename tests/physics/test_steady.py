@@ -12,8 +12,9 @@ from tests.stored import tile_rows
 import gapsweep as gs
 from gapsweep.report import figures
 from gapsweep.response.attractors import attractors, numbers
+from gapsweep.response.result import Responses
 from gapsweep.response.section import (
-    cloud_distance,
+    cloud_distances,
     converging_multiples,
     orbit_distance,
     period_multiple,
@@ -116,16 +117,15 @@ def test_mirror_twins_are_named():
     assert_allclose(found["x_max"][periodic], -found["x_min"][periodic][::-1], rtol=1e-6)
     law = gs.Piecewise(HARD, SYMMETRIC)
     pair = [gs.respond(gs.Oscillator(), law, 3.0, x) for x in (0.0, 1e-4, 2e-4, -1e-4, -3e-4)]
-    groups = attractors(pair, 3.0, symmetric=True)
+    groups = attractors(Responses.of(pair), 3.0, symmetric=True)
     twins = [g for g in groups if g.response.period_multiple == 1]
     assert len(twins) == 2
     assert [g.mirror_of for g in twins] == [1, 0]
 
 
 def test_symmetric_orbit_is_its_own_mirror_image():
-    (only,) = attractors(
-        [gs.respond(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0)], 9.0, symmetric=True
-    )
+    response = gs.respond(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0)
+    (only,) = attractors(Responses.of([response]), 9.0, symmetric=True)
     assert only.mirror_of == 0
     assert only.basin_share == 1.0
 
@@ -134,8 +134,8 @@ def test_start_order_does_not_change_the_attractors():
     law = gs.Piecewise(HARD, ASYMMETRIC)
     starts = np.linspace(-1e-3, 1e-3, 12)
     found = [gs.respond(gs.Oscillator(), law, 11.0, float(x)) for x in starts]
-    ids = numbers(attractors(found, 11.0, symmetric=False), 12)
-    backwards = numbers(attractors(found[::-1], 11.0, symmetric=False), 12)
+    ids = numbers(attractors(Responses.of(found), 11.0, symmetric=False), 12)
+    backwards = numbers(attractors(Responses.of(found[::-1]), 11.0, symmetric=False), 12)
     assert backwards[::-1] == ids
     assert set(ids) == set(range(max(ids) + 1))
 
@@ -256,8 +256,8 @@ def test_one_outlier_does_not_separate_two_clouds():
     rng = np.random.default_rng(3)
     cloud = rng.normal(size=40) + 1j * rng.normal(size=40)
     other = np.append(cloud[1:], 100.0)
-    assert cloud_distance(cloud, other) < 1.0
-    assert cloud_distance(cloud, cloud + 100.0) > 90.0
+    assert cloud_distances(cloud[None], other[None])[0] < 1.0
+    assert cloud_distances(cloud[None], cloud[None] + 100.0)[0] > 90.0
 
 
 @pytest.mark.parametrize(

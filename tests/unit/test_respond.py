@@ -139,9 +139,9 @@ def test_arrays_of_points_give_arrays_of_what_each_gives_alone():
 
 def test_scipy_records_only_what_is_asked_for():
     law, steady = gs.Piecewise(1.4e4, SYMMETRIC), gs.Steady(settle_tol=1e-2, max_decay_times=6.0)
-    tolerances = {"engine": "scipy", "rtol": 1e-5, "atol": 1e-8, "steady": steady}
+    tolerances = {"engine": "scipy", "rtol": 1e-4, "atol": 1e-7, "steady": steady}
     # One settles slowly and pauses while the other is recorded.
-    omega = np.array([3.0, 14.0, 25.0])
+    omega = np.linspace(3.0, 25.0, 8)
     together = gs.respond(gs.Oscillator(zeta=0.1), law, omega, **tolerances)
     for k, each in enumerate(omega.tolist()):
         alone = gs.respond(gs.Oscillator(zeta=0.1), law, each, **tolerances)

@@ -76,7 +76,7 @@ def basins(
         for v_0 in starts_v.tolist()
         for x_0 in starts_x.tolist()
     ]
-    found = attractors(respond_all(questions).rows(), omega, symmetric=law.gap.is_symmetric)
+    found = attractors(respond_all(questions), omega, symmetric=law.gap.is_symmetric)
     ids = np.reshape(numbers(found, len(questions)), (starts_v.size, starts_x.size))
     dataset = xr.Dataset(
         {

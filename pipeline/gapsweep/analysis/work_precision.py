@@ -49,7 +49,7 @@ from gapsweep.model.contact import Piecewise
 from gapsweep.response.attractors import attractors
 from gapsweep.response.ensemble import Scene as Asked
 from gapsweep.response.respond import Question, respond_all
-from gapsweep.response.result import Response, Steady
+from gapsweep.response.result import Response, Responses, Steady
 from gapsweep.status import Status
 from gapsweep.study.schema import STATUS_FLAGS, Variable
 from gapsweep.study.study import Study
@@ -409,7 +409,7 @@ class Bench:
         scene = self.scenes[cell[0]]
         if self.methods[cell[1]].label in scene.without:
             return
-        groups = attractors([found, true], scene.omega, symmetric=False)
+        groups = attractors(Responses.of([found, true]), scene.omega, symmetric=False)
         self.arrays[f"same_attractor{suffix}"][cell] = any(len(g.members) == 2 for g in groups)
         error = abs(found.amplitude - true.amplitude) / true.amplitude
         name = f"amplitude{suffix}_error" if suffix else "amplitude_error"

@@ -6,6 +6,7 @@ by piece (some frequencies of one scene), so that memory stays small. Attractors
 a scene, not of a point: they are grouped here, from all starts of a scene.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,8 @@ from numpy.typing import NDArray
 
 from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attractors, set_flags
 from gapsweep.execution.plan import Plan
-from gapsweep.response.attractors import NONE, Attractor, attractors, numbers
-from gapsweep.response.result import ResponseClass, Responses
+from gapsweep.response.attractors import attractors_of_scenes
+from gapsweep.response.result import COLUMNS, ResponseClass, Responses
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
@@ -27,7 +28,7 @@ from gapsweep.study.schema import (
     ATTRACTOR_VARIABLES,
     LISTS,
     MULTIPLIERS,
-    N_ATTRACTORS,
+    SECTION,
     VARIABLES,
 )
 from gapsweep.study.study import Study
@@ -62,9 +63,9 @@ def export(
     attributes = _attributes(study) | {"made_from": made_from}
     hosts: list[str] = []
     versions: set[str] = set()
-    grouped: list[tuple[Piece, Arrays]] = []
-    with writing(responses, attributes) as dataset:
+    with writing(responses, attributes) as dataset, writing(attractors, attributes) as others:
         define(dataset, layout)
+        define_attractors(others, layout)
         for piece in layout.pieces():
             requested = points.grid.requested[piece.cells]
             if not requested.any():
@@ -73,18 +74,12 @@ def export(
             versions |= found.versions
             hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
             ids, groups = _group(layout, piece, found.responses, at)
-            grouped.append((piece, groups))
+            _write(others, piece.cells[:-1], groups)
             for starts in layout.starts():
                 values = _point_arrays(layout, requested, found, at, ids, hosts, starts)
                 _write(dataset, (*piece.cells[:-1], starts), values)
         set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
         dataset.computed_with = "; ".join(sorted(versions - {""}))
-    with writing(attractors, attributes) as dataset:
-        define_attractors(
-            dataset, layout, max((v["x_max"].shape[1] for _, v in grouped), default=1)
-        )
-        for piece, values in grouped:
-            _write(dataset, piece.cells[:-1], _padded(dataset, piece, values))
 
 
 def _attributes(study: Study) -> dict[str, str]:
@@ -159,13 +154,7 @@ def _point_arrays(
     values["attractor"][*at] = ids[here]
     number = {host: i for i, host in enumerate(hosts)}
     values["host"][*at] = [number.get(host, -1) for host in found.host[here].tolist()]
-    section, n_values = responses.lists["section"]
-    lists = {
-        "extrema": responses.lists["extrema"],
-        "extremum_kind": responses.lists["extremum_kind"],
-        "section_x": (section[::2], n_values // 2),
-        "section_v": (section[1::2], n_values // 2),
-    }
+    lists = {**responses.lists, **_pairs(responses, "section", SECTION)}
     for name, (dimension, variable) in LISTS.items():
         full = np.full((*shape, layout.sizes[dimension]), variable.missing, variable.dtype)
         full[*at] = _ragged(*lists[name], full[*at])
@@ -183,68 +172,43 @@ def _group(
     layout: Layout, piece: Piece, responses: Responses, at: NDArray[np.intp]
 ) -> tuple[NDArray[np.int32], Arrays]:
     """Number of the attractor of every response, and the attractors of every frequency."""
-    ids = np.full(len(responses), NONE, np.int32)
-    grid = layout.grid
-    is_fixed = grid.starts.is_fixed
-    found: dict[int, list[Attractor]] = {}
-    for w in np.unique(at[0]).tolist():
-        rows = np.flatnonzero(at[0] == w)
-        found[w] = attractors(
-            responses.take(rows).rows(),
-            grid.axes["omega"][piece.first + w],
-            symmetric=layout.is_symmetric(piece),
-            counted=is_fixed[at[1][rows]].tolist(),
-        )
-        ids[rows] = numbers(found[w], len(rows))
-    return ids, _attractor_arrays(found, len(piece))
-
-
-def _attractor_arrays(found: dict[int, list[Attractor]], n_omega: int) -> Arrays:
-    """Attractors of a piece, no larger than they must be."""
-    most = max((len(members) for members in found.values()), default=0)
-    longest = max(
-        (len(a.response.section) // 2 for members in found.values() for a in members), default=0
+    found = attractors_of_scenes(
+        responses,
+        at[0],
+        omega=layout.grid.omega[piece.first : piece.last],
+        symmetric=layout.is_symmetric(piece),
+        counted=layout.grid.starts.is_fixed[at[1]],
     )
+    leaders = responses.take(found.first)
+    most = int(found.number.max(initial=0)) + 1
+    place, shape = (found.scene, found.number), (len(piece), most)
     values: Arrays = {
-        name: np.full((n_omega, most), v.missing, v.dtype)
-        for name, v in ATTRACTOR_VARIABLES.items()
+        name: np.full(shape, v.missing, v.dtype) for name, v in ATTRACTOR_VARIABLES.items()
     }
-    for name in MULTIPLIERS:
-        values[name] = np.full((n_omega, most, 2), np.nan)
-    for name in ("section_x", "section_v"):
-        values[name] = np.full((n_omega, most, longest), np.nan)
-    values["n_attractors"] = np.zeros(n_omega, N_ATTRACTORS.dtype)
-    for w, members in found.items():
-        values["n_attractors"][w] = len(members)
-        for number, attractor in enumerate(members):
-            _place_attractor(values, (w, number), attractor)
-    return values
+    for name, filled in values.items():
+        filled[place] = leaders.columns[name] if name in COLUMNS else getattr(found, name)
+    for name, (parts, counts) in {
+        **_pairs(leaders, "multipliers", MULTIPLIERS),
+        **_pairs(leaders, "section", SECTION),
+    }.items():
+        full = np.full((*shape, int(counts.max(initial=0))), np.nan)
+        full[place] = _ragged(parts, counts, full[place])
+        values[name] = full
+    values["n_attractors"] = np.bincount(found.scene, minlength=len(piece)).astype(np.int32)
+    return found.numbers.astype(np.int32), values
 
 
-def _place_attractor(values: Arrays, at: tuple[int, int], attractor: Attractor) -> None:
-    response = attractor.response
-    for name in ATTRACTOR_VARIABLES:
-        values[name][at] = getattr(attractor if hasattr(attractor, name) else response, name)
-    for name, parts in (
-        ("multiplier_real", response.multipliers[::2]),
-        ("multiplier_imag", response.multipliers[1::2]),
-        ("section_x", response.section[::2]),
-        ("section_v", response.section[1::2]),
-    ):
-        values[name][at][: len(parts)] = parts
-
-
-def _padded(dataset: netCDF4.Dataset, piece: Piece, values: Arrays) -> Arrays:
-    """Attractors of a piece, filled up to the dimensions of the file."""
-    padded = {}
-    for name, given in values.items():
-        missing = ATTRACTOR_VARIABLES[name].missing if name in ATTRACTOR_VARIABLES else np.nan
-        shape = (given.shape[0], *dataset[name].shape[len(piece.cells) - 1 :])
-        padded[name] = np.full(shape, missing if given.ndim > 1 else 0, given.dtype)
-        padded[name][tuple(slice(n) for n in given.shape)] = given
-    return padded
+def _pairs(
+    responses: Responses, name: str, halves: Iterable[str]
+) -> dict[str, tuple[NDArray[Any], NDArray[np.int64]]]:
+    """A list of pairs as two lists, of their first and of their second parts."""
+    items, counts = responses.lists[name]
+    return {half: (items[i::2], counts // 2) for i, half in enumerate(halves)}
 
 
 def _write(dataset: netCDF4.Dataset, cells: tuple[int | slice, ...], values: Arrays) -> None:
     for name, value in values.items():
-        dataset[name][cells] = value
+        n_more = len(dataset[name].dimensions) - len(cells)
+        ends = [slice(0, size) for size in value.shape[value.ndim - n_more :]] if n_more else []
+        if value.size:
+            dataset[name][*cells, *ends] = value

@@ -19,6 +19,7 @@ from gapsweep.study.schema import (
     MULTIPLIER,
     MULTIPLIERS,
     N_ATTRACTORS,
+    SECTION,
     SECTION_POINT,
     VARIABLES,
     Variable,
@@ -29,6 +30,8 @@ Arrays = dict[str, NDArray[Any]]
 
 # Sweep points in memory, and in a chunk of the file, at a time.
 _PIECE = 4096
+# Attractors of a scene in a chunk: few have more.
+_ATTRACTORS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,24 +134,20 @@ def define(dataset: netCDF4.Dataset, layout: Layout) -> None:
     _name_auxiliary(dataset, dims)
 
 
-def define_attractors(dataset: netCDF4.Dataset, layout: Layout, n_attractors: int) -> None:
-    """Dimensions, coordinates and variables of `attractors.nc`."""
+def define_attractors(dataset: netCDF4.Dataset, layout: Layout) -> None:
+    """Dimensions, coordinates and variables of `attractors.nc`; it grows with their number."""
     scenes, chunk = layout.grid.dims[:-1], layout.chunk[:-1]
     _define_coordinates(dataset, layout.grid, scenes)
-    sizes = {
-        ATTRACTOR: max(n_attractors, 1),
-        MULTIPLIER: 2,
-        SECTION_POINT: layout.sizes[SECTION_POINT],
-    }
-    for name, size in sizes.items():
+    sizes = {MULTIPLIER: 2, SECTION_POINT: layout.sizes[SECTION_POINT]}
+    for name, size in {ATTRACTOR: None, **sizes}.items():
         dataset.createDimension(name, size)
     _create(dataset, "n_attractors", N_ATTRACTORS, scenes, chunk)
-    dims, chunk = (*scenes, ATTRACTOR), (*chunk, sizes[ATTRACTOR])
+    dims, chunk = (*scenes, ATTRACTOR), (*chunk, min(len(layout.grid.starts), _ATTRACTORS))
     for name, variable in ATTRACTOR_VARIABLES.items():
         _create(dataset, name, variable, dims, chunk)
     for name, variable in MULTIPLIERS.items():
         _create(dataset, name, variable, (*dims, MULTIPLIER), (*chunk, 2))
-    for name in ("section_x", "section_v"):
+    for name in SECTION:
         last, variable = LISTS[name]
         _create(dataset, name, variable, (*dims, last), (*chunk, sizes[last]))
     _name_auxiliary(dataset, scenes)

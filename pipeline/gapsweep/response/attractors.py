@@ -1,14 +1,28 @@
-"""Which responses from different starts are the same attractor."""
+"""Which responses from different starts are the same attractor.
+
+A response belongs to the first attractor of its scene whose first response it repeats. So in each
+round all that are left are compared, as arrays, with the first of them in their scene: one scene of
+a million starts takes as many rounds as it has attractors, and a million scenes of one start take
+one.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.response.result import Response, ResponseClass
-from gapsweep.response.section import Section, cloud_distance, orbit_distance, scaled
+from gapsweep.response.lists import spans
+from gapsweep.response.result import Response, ResponseClass, Responses
+from gapsweep.response.section import cloud_distances
 from gapsweep.response.walks import DEVIATIONS
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
+# Which pairs of responses, given by their numbers, are the same attractor.
+Same = Callable[[Numbers, Numbers], Mask]
 
 NONE = -1
 # Two periodic orbits closer than this share of their reach are one, polished or not.
@@ -17,6 +31,8 @@ _SAME_ORBIT = 1e-3
 _SAME_RATTLE = 0.1
 # Two chaotic samples are of one attractor if they overlap this well, in shares of their extent.
 _SAME_CLOUD = 0.25
+_DIGITS = 9  # of displacements [m], so that the last bits of twins do not decide their order
+_BLOCK = 1 << 20  # numbers that are compared at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +71,67 @@ class Attractor:
         return math.sqrt(self.basin_share * (1.0 - self.basin_share) / self.n_starts)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Attractors:
+    """Attractors of many scenes as columns: scene after scene, in each by their peaks.
+
+    Attributes
+    ----------
+    of_response : ndarray of int, shape (n_responses,)
+        Row, in the columns below, of the attractor that each response is on, `NONE` if on none.
+    scene, number : ndarray of int, shape (n,)
+        Number of its scene, and its own within that.
+    first : ndarray of int, shape (n,)
+        Number of the first response that ends on it.
+    n_ending, n_starts, mirror_of : ndarray of int, shape (n,)
+        As of an `Attractor`.
+    """
+
+    of_response: Numbers
+    scene: Numbers
+    number: Numbers
+    first: Numbers
+    n_ending: Numbers
+    n_starts: Numbers
+    mirror_of: Numbers
+
+    @property
+    def numbers(self) -> Numbers:
+        """Number of the attractor of every response within its scene, `NONE` if it has none."""
+        return np.append(self.number, NONE)[self.of_response]
+
+    @property
+    def basin_share(self) -> Array:
+        """Share of the scene's starts that end on each [-]."""
+        # Undefined, not infinite, where no start counts.
+        n_starts = np.where(self.n_starts > 0, self.n_starts, np.nan)
+        return np.asarray(self.n_ending / n_starts)
+
+    @property
+    def basin_share_error(self) -> Array:
+        """Standard error of the share [-], of a binomial sample."""
+        share, n_starts = self.basin_share, np.maximum(self.n_starts, 1)
+        return np.sqrt(share * (1.0 - share) / n_starts)
+
+    def listed(self, responses: Responses) -> list[Attractor]:
+        """One by one, with the responses that they were found among."""
+        order = np.argsort(self.of_response, kind="stable")
+        ends = np.searchsorted(self.of_response[order], np.arange(len(self.first) + 1))
+        columns = (self.n_ending, self.n_starts, self.mirror_of)
+        return [
+            Attractor(response, tuple(order[i:j].tolist()), *counts)
+            for response, i, j, *counts in zip(
+                responses.take(self.first).rows(),
+                ends[:-1].tolist(),
+                ends[1:].tolist(),
+                *(column.tolist() for column in columns),
+                strict=True,
+            )
+        ]
+
+
 def attractors(
-    responses: Sequence[Response],
+    responses: Responses,
     omega: float,
     *,
     symmetric: bool,
@@ -68,7 +143,7 @@ def attractors(
 
     Parameters
     ----------
-    responses : sequence of Response
+    responses : Responses
         One per start.
     omega : float
         Forcing frequency [Hz].
@@ -82,29 +157,52 @@ def attractors(
     list of Attractor
         In the order of their peaks, then troughs and period multiples.
     """
-    groups: list[list[int]] = []
-    for i, response in enumerate(responses):
-        if not response.section or response.response_class > ResponseClass.CHAOTIC:
-            continue
-        own = (g for g in groups if _same(responses[g[0]], response, omega))
-        group = next(own, None)
-        if group is None:
-            groups.append([i])
-        else:
-            group.append(i)
-    groups.sort(key=lambda g: _rank(responses[g[0]]))
-    firsts = [responses[group[0]] for group in groups]
-    sample = [True] * len(responses) if counted is None else counted
-    return [
-        Attractor(
-            response=responses[group[0]],
-            members=tuple(group),
-            n_ending=sum(sample[i] for i in group),
-            n_starts=sum(sample),
-            mirror_of=_mirror(responses[group[0]], firsts) if symmetric else NONE,
-        )
-        for group in groups
-    ]
+    scene = np.zeros(len(responses), np.intp)
+    found = attractors_of_scenes(
+        responses, scene, omega=[omega], symmetric=symmetric, counted=counted
+    )
+    return found.listed(responses)
+
+
+def attractors_of_scenes(
+    responses: Responses,
+    scene: ArrayLike,
+    *,
+    omega: ArrayLike,
+    symmetric: ArrayLike,
+    counted: ArrayLike | None = None,
+) -> Attractors:
+    """Group the responses in each of many scenes; see `attractors`.
+
+    To be called for as many scenes at a time as have all their responses at hand: a scene costs
+    a microsecond or two then, and half a millisecond in a call of its own.
+
+    Parameters
+    ----------
+    responses : Responses
+        Of all scenes, in any order.
+    scene : array_like of int, shape (n_responses,)
+        Number of each response's scene, from 0 on.
+    omega : array_like, shape (n_scenes,)
+        Forcing frequencies [Hz].
+    symmetric : bool or array_like of bool, shape (n_scenes,)
+    counted : array_like of bool, shape (n_responses,), optional
+    """
+    scene, omega = np.asarray(scene, np.intp), np.asarray(omega, float)
+    symmetric = np.broadcast_to(symmetric, omega.shape)
+    sample = np.ones(len(scene), bool) if counted is None else np.asarray(counted, bool)
+    first = _firsts(responses, scene, omega)
+    leaders, place = _ordered(np.unique(first[first >= 0]), responses, scene)
+    of_response = np.full(len(scene), NONE, np.intp)
+    of_response[first >= 0] = place[first[first >= 0]]
+    where = scene[leaders]
+    number = np.arange(len(leaders)) - np.searchsorted(where, where)
+    n_ending = np.bincount(of_response[sample & (first >= 0)], minlength=len(leaders))
+    n_starts = np.bincount(scene[sample], minlength=len(omega))[where]
+    mirror_of = np.full(len(leaders), NONE, np.intp)
+    rows = np.flatnonzero(symmetric[where])
+    mirror_of[rows] = _mirrors(rows, responses.take(leaders), where, number)
+    return Attractors(of_response, where, number, leaders, n_ending, n_starts, mirror_of)
 
 
 def numbers(found: Sequence[Attractor], n_starts: int) -> list[int]:
@@ -116,45 +214,163 @@ def numbers(found: Sequence[Attractor], n_starts: int) -> list[int]:
     return ids
 
 
-def _rank(response: Response) -> tuple[float, float, int]:
-    # Rounded, so that the last bits of twins do not decide their order.
-    digits = 9
-    return round(response.x_max, digits), round(response.x_min, digits), response.period_multiple
+# --- which are the same ---------------------------------------------------------------------------
 
 
-def _points(response: Response, omega: float) -> Section:
-    return scaled(np.reshape(response.section, (-1, 2)), omega)
+def _firsts(responses: Responses, scene: Numbers, omega: Array) -> Numbers:
+    """Number of the first response on each response's attractor, `NONE` if it is on none."""
+    kind = responses.columns["response_class"]
+    states, lengths = responses.lists["section"]
+    n_points, begin = lengths // 2, (np.cumsum(lengths) - lengths) // 2
+    x, v = states[::2], states[1::2] / (2.0 * np.pi * np.repeat(omega[scene], n_points))
+    first = np.full(len(scene), NONE, np.intp)
+    is_orbit = (kind == ResponseClass.PERIODIC) & (n_points > 0)
+    for n in np.unique(n_points[is_orbit]).tolist():
+        rows = np.flatnonzero(is_orbit & (n_points == n))
+        first[rows] = _led(rows, scene, _same_orbits(responses, x, v, begin, n))
+    rows = np.flatnonzero((kind == ResponseClass.CHAOTIC) & (n_points > 0))
+    if rows.size:
+        first[rows] = _led(rows, scene, _same_clouds(x, v, begin, n_points))
+    return first
 
 
-def _same(a: Response, b: Response, omega: float) -> bool:
-    if a.response_class is not b.response_class:
-        return False
-    p, q = _points(a, omega), _points(b, omega)
-    if a.response_class is ResponseClass.PERIODIC:
-        reach = max(abs(a.x_max), abs(a.x_min))
-        rattles = max(a.lyapunov_error, b.lyapunov_error) > 0.0
-        noise = DEVIATIONS * max((n for n in (a.noise, b.noise) if math.isfinite(n)), default=0.0)
-        share = _SAME_RATTLE if rattles else _SAME_ORBIT
-        return orbit_distance(p, q) <= max(share * reach, noise)
-    extent = max(np.ptp(part) for cloud in (p, q) for part in (cloud.real, cloud.imag))
-    return cloud_distance(p, q) <= _SAME_CLOUD * float(extent)
+def _led(rows: Numbers, scene: Numbers, same: Same) -> Numbers:
+    """For each response the first one of its scene that leads a group which it belongs to."""
+    order = np.argsort(scene[rows], kind="stable")
+    left, led = rows[order], np.empty(len(rows), np.intp)
+    places = order
+    while left.size:
+        where = scene[left]
+        is_first = np.diff(where, prepend=NONE) != 0
+        leaders = left[np.flatnonzero(is_first)[np.cumsum(is_first) - 1]]
+        joins = is_first
+        others = np.flatnonzero(~is_first)
+        joins[others] = same(leaders[others], left[others])
+        led[places[joins]] = leaders[joins]
+        left, places = left[~joins], places[~joins]
+    return led
 
 
-def _mirror(response: Response, all_of_them: Sequence[Response]) -> int:
-    """Number of the mirror image: same kind, extrema with the opposite signs."""
-    reach = max(abs(response.x_max), abs(response.x_min))
-    chaotic = response.response_class is ResponseClass.CHAOTIC
-    close = (_SAME_CLOUD if chaotic else 2.0 * _SAME_ORBIT) * reach
-    image = np.sort(-np.array(response.extrema))
-    for number, other in enumerate(all_of_them):
-        if other.response_class is not response.response_class:
-            continue
-        ends = abs(other.x_max + response.x_min), abs(other.x_min + response.x_max)
-        if max(ends) > close or other.period_multiple != response.period_multiple:
-            continue
-        if chaotic:
-            return number
-        extrema = np.sort(other.extrema)
-        if extrema.size == image.size and np.all(np.abs(extrema - image) <= close):
-            return number
-    return NONE
+def _same_orbits(responses: Responses, x: Array, v: Array, begin: Numbers, n: int) -> Same:
+    """Comparison of periodic orbits of n points."""
+    columns = responses.columns
+    reach = np.maximum(np.abs(columns["x_max"]), np.abs(columns["x_min"]))
+    error = columns["lyapunov_error"]
+    noise = np.where(np.isfinite(columns["noise"]), columns["noise"], 0.0)
+
+    def same(a: Numbers, b: Numbers) -> Mask:
+        rattles = np.where(error[b] > error[a], error[b], error[a]) > 0.0
+        share = np.where(rattles, _SAME_RATTLE, _SAME_ORBIT)
+        allowed = np.maximum(share * reach[a], DEVIATIONS * np.maximum(noise[a], noise[b]))
+        found = np.zeros(len(a), bool)
+        for shift in range(n):
+            # Mostly the first point alone decides.
+            left = np.flatnonzero(~found)
+            for k in range(n):
+                i, j = begin[a[left]] + (k - shift) % n, begin[b[left]] + k
+                apart = np.maximum(np.abs(x[i] - x[j]), np.abs(v[i] - v[j]))
+                left = left[apart <= allowed[left]]
+            found[left] = True
+        return found
+
+    return same
+
+
+def _same_clouds(x: Array, v: Array, begin: Numbers, n_points: Numbers) -> Same:
+    """Comparison of samples of chaotic motions."""
+    points = np.empty(len(x), complex)
+    points.real, points.imag = x, v
+
+    def same(a: Numbers, b: Numbers) -> Mask:
+        found = np.empty(len(a), bool)
+        sizes = n_points[a] * (n_points.max() + 1) + n_points[b]
+        for size in np.unique(sizes).tolist():
+            pairs = np.flatnonzero(sizes == size)
+            n_a, n_b = (n_points[each[pairs[0]]] for each in (a, b))
+            for some in _blocks(pairs, int(n_a * n_b)):
+                p = points[begin[a[some], None] + np.arange(n_a)]
+                q = points[begin[b[some], None] + np.arange(n_b)]
+                parts = p.real, p.imag, q.real, q.imag
+                extent = np.max([np.ptp(part, axis=1) for part in parts], axis=0)
+                found[some] = cloud_distances(p, q) <= _SAME_CLOUD * extent
+        return found
+
+    return same
+
+
+def _blocks(rows: Numbers, size: int) -> Iterator[Numbers]:
+    """Rows in parts, so that so many numbers for each are not too many at a time."""
+    step = max(1, _BLOCK // size)
+    return (rows[k : k + step] for k in range(0, len(rows), step))
+
+
+# --- order and images -----------------------------------------------------------------------------
+
+
+def _ordered(leaders: Numbers, responses: Responses, scene: Numbers) -> tuple[Numbers, Numbers]:
+    """First responses in the order of scenes and peaks, and the place there of each response."""
+    where = scene[leaders]
+    # Rounding as Python does it takes its time, and one attractor needs no order.
+    counts = np.bincount(where)
+    several = np.flatnonzero(counts[where] > 1)
+    keys = np.zeros((3, len(leaders)))
+    for key, name in zip(keys, ("x_max", "x_min", "period_multiple"), strict=True):
+        values = responses.columns[name][leaders[several]].tolist()
+        key[several] = [round(value, _DIGITS) for value in values]
+    x_max, x_min, n = keys
+    leaders = leaders[np.lexsort((leaders, n, x_min, x_max, where))]
+    place = np.full(len(scene), NONE, np.intp)
+    place[leaders] = np.arange(len(leaders))
+    return leaders, place
+
+
+def _mirrors(rows: Numbers, found: Responses, scene: Numbers, number: Numbers) -> Numbers:
+    """Numbers of the mirror images of some attractors: same kind, extrema of opposite signs.
+
+    Parameters
+    ----------
+    rows : ndarray of int, shape (m,)
+    found : Responses
+        The first responses of all attractors.
+    scene, number : ndarray of int
+        As of `Attractors`.
+    """
+    mirror = np.full(len(rows), NONE, np.intp)
+    items, lengths = found.lists["extrema"]
+    begin, of_item = np.cumsum(lengths) - lengths, np.repeat(np.arange(len(found)), lengths)
+    items = items[np.lexsort((items, of_item))]
+    ends = [np.searchsorted(scene, scene[rows], side) for side in ("left", "right")]
+    n_others = ends[1] - ends[0]
+    # As many rows at a time as have a block of pairs, or one.
+    parts = np.cumsum(n_others) // _BLOCK
+    for part in np.unique(parts).tolist():
+        here = np.flatnonzero(parts == part)
+        a, b = np.repeat(here, n_others[here]), spans(ends[0][here], n_others[here])
+        is_image = _are_images(rows[a], b, found, items, begin, lengths)
+        # The first image of each is kept, since it is written last.
+        mirror[a[is_image][::-1]] = number[b[is_image][::-1]]
+    return mirror
+
+
+def _are_images(
+    a: Numbers, b: Numbers, found: Responses, extrema: Array, begin: Numbers, lengths: Numbers
+) -> Mask:
+    """Which pairs are mirror images; `extrema` are sorted for each attractor."""
+    columns = found.columns
+    x_max, x_min, kind = columns["x_max"], columns["x_min"], columns["response_class"]
+    is_chaotic = kind[a] == ResponseClass.CHAOTIC
+    reach = np.maximum(np.abs(x_max[a]), np.abs(x_min[a]))
+    close = np.where(is_chaotic, _SAME_CLOUD, 2.0 * _SAME_ORBIT) * reach
+    apart = np.maximum(np.abs(x_max[b] + x_min[a]), np.abs(x_min[b] + x_max[a]))
+    n = columns["period_multiple"]
+    may = (kind[a] == kind[b]) & (apart <= close) & (n[a] == n[b])
+    is_image = may & is_chaotic
+    orbits = np.flatnonzero(may & ~is_chaotic & (lengths[a] == lengths[b]))
+    a, b, size = a[orbits], b[orbits], lengths[a[orbits]]
+    # The last extremum of one meets the first of the other.
+    pair = np.repeat(np.arange(len(orbits)), size)
+    up = spans(np.zeros_like(size), size)
+    gaps = extrema[begin[b][pair] + up] + extrema[(begin[a] + size - 1)[pair] - up]
+    n_off = np.bincount(pair[~(np.abs(gaps) <= close[orbits][pair])], minlength=len(orbits))
+    is_image[orbits] = n_off == 0
+    return np.asarray(is_image)

@@ -188,10 +188,11 @@ def contact_shares(call: Call, x_0: Array, walls: Array, *, closed: bool) -> Arr
     of_contact, of_turn = (np.repeat(motions, n) for n in (events.n_contacts, events.n_extrema))
     # Motion by motion on one clock: a unit for each.
     contact = of_contact + np.minimum(events.t_contacts / t_end[of_contact], 1.0)
-    turn = of_turn + np.minimum(events.t_extrema / t_end[of_turn], 1.0)
+    outside = np.flatnonzero(beyond(events.extrema, of_turn))
+    of_turn = of_turn[outside]
+    turn = of_turn + np.minimum(events.t_extrema[outside] / t_end[of_turn], 1.0)
     is_beyond = np.zeros(len(begin), bool)
-    outside = beyond(events.extrema, of_turn)
-    is_beyond[(np.searchsorted(contact, turn) + of_turn)[outside]] = True
+    is_beyond[np.searchsorted(contact, turn) + of_turn] = True
     slack = _ON_WALL * np.abs(x_0)
     with np.errstate(invalid="ignore"):  # of motions that failed
         is_beyond[first] |= beyond(x_0, motions, slack)

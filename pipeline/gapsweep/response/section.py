@@ -143,7 +143,9 @@ def converging_multiples(
     -------
     ndarray of int, shape (m,)
     """
-    latest = _latest(sections, lengths, largest + 3)
+    # Early windows are short: no more columns than the longest of them has points.
+    longest = int(lengths.max(initial=0))
+    latest = _latest(sections, lengths, max(3, min(largest + 3, longest - 1)))
     # From the last one backwards; where there are too few points, NaN.
     earlier = sliding_window_view(latest, 4, axis=1)[:, 1:]
     with np.errstate(invalid="ignore"):
@@ -202,12 +204,20 @@ def orbit_distance(a: Section, b: Section) -> float:
     return float(min(max(np.abs(gap.real).max(), np.abs(gap.imag).max()) for gap in gaps))
 
 
-def cloud_distance(a: Section, b: Section, share: float = 0.8) -> float:
-    """Partial Hausdorff distance of two point clouds [m].
+def cloud_distances(a: Section, b: Section, share: float = 0.8) -> Array:
+    """Partial Hausdorff distances of pairs of point clouds [m].
 
     The distance below which `share` of either cloud's points have a neighbour in the other:
     the full Hausdorff distance of chaotic samples is ruled by one outlier.
+
+    Parameters
+    ----------
+    a, b : ndarray of complex, shape (m, n_a), (m, n_b)
+
+    Returns
+    -------
+    ndarray, shape (m,)
     """
-    distances = np.abs(a[:, None] - b[None, :])
-    nearest = (np.quantile(distances.min(axis=axis), share) for axis in (0, 1))
-    return float(max(nearest))
+    distances = np.abs(a[:, :, None] - b[:, None, :])
+    nearest = [np.quantile(distances.min(axis=axis), share, axis=1) for axis in (1, 2)]
+    return np.asarray(np.maximum(*nearest))

@@ -27,7 +27,7 @@ from gapsweep.store.artefact import digests, is_intact, recording
 if TYPE_CHECKING:
     import xarray as xr
 
-_LOCK = threading.Lock()
+_LOCK = threading.RLock()
 _RECORDED_PACKAGES = ("gapsweep", "numpy", "scipy", "numba", "dask", "distributed", "xarray")
 _THREAD_SETTINGS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 CONVENTIONS = "CF-1.11"

@@ -118,6 +118,8 @@ LISTS: dict[str, tuple[str, Variable]] = {
     "section_v": (SECTION_POINT, Variable("f8", "m s-1", "velocity at whole forcing periods")),
 }
 
+SECTION = ("section_x", "section_v")
+
 # `attractors.nc`: over the scenes and `attractor`; names as in `responses.nc` where they are one.
 ATTRACTOR_VARIABLES: dict[str, Variable] = {
     **{

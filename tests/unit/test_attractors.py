@@ -1,0 +1,177 @@
+"""Grouping of responses, against a straightforward version that compares them one by one."""
+
+import math
+
+import numpy as np
+import pytest
+
+from gapsweep.response.attractors import NONE, attractors, attractors_of_scenes, numbers
+from gapsweep.response.result import Response, ResponseClass, Responses
+from gapsweep.response.section import orbit_distance, scaled
+from gapsweep.status import Status
+
+OMEGA = 7.0
+
+
+# --- straightforward ------------------------------------------------------------------------------
+
+
+def points(response, omega):
+    return scaled(np.reshape(response.section, (-1, 2)), omega)
+
+
+def same(a, b, omega):
+    if a.response_class is not b.response_class:
+        return False
+    p, q = points(a, omega), points(b, omega)
+    if a.response_class is ResponseClass.PERIODIC:
+        reach = max(abs(a.x_max), abs(a.x_min))
+        rattles = max(a.lyapunov_error, b.lyapunov_error) > 0.0
+        noise = 4.0 * max((n for n in (a.noise, b.noise) if math.isfinite(n)), default=0.0)
+        return orbit_distance(p, q) <= max((0.1 if rattles else 1e-3) * reach, noise)
+    distances = np.abs(p[:, None] - q[None, :])
+    nearest = max(np.quantile(distances.min(axis=axis), 0.8) for axis in (0, 1))
+    extent = max(np.ptp(part) for cloud in (p, q) for part in (cloud.real, cloud.imag))
+    return nearest <= 0.25 * float(extent)
+
+
+def mirror(response, firsts):
+    reach = max(abs(response.x_max), abs(response.x_min))
+    chaotic = response.response_class is ResponseClass.CHAOTIC
+    close = (0.25 if chaotic else 2e-3) * reach
+    image = np.sort(-np.array(response.extrema))
+    for number, other in enumerate(firsts):
+        if other.response_class is not response.response_class:
+            continue
+        ends = abs(other.x_max + response.x_min), abs(other.x_min + response.x_max)
+        if max(ends) > close or other.period_multiple != response.period_multiple:
+            continue
+        extrema = np.sort(other.extrema)
+        if chaotic or (extrema.size == image.size and np.all(np.abs(extrema - image) <= close)):
+            return number
+    return NONE
+
+
+def straightforward(responses, omega, symmetric, counted):
+    """Members, mirror image, counted members and counted starts of each attractor."""
+    groups = []
+    for i, response in enumerate(responses):
+        if not response.section or response.response_class > ResponseClass.CHAOTIC:
+            continue
+        own = next((g for g in groups if same(responses[g[0]], response, omega)), None)
+        if own is None:
+            groups.append([i])
+        else:
+            own.append(i)
+
+    def rank(group):
+        first = responses[group[0]]
+        return round(first.x_max, 9), round(first.x_min, 9), first.period_multiple
+
+    groups.sort(key=rank)
+    firsts = [responses[group[0]] for group in groups]
+    return [
+        (
+            tuple(group),
+            mirror(responses[group[0]], firsts) if symmetric else NONE,
+            sum(counted[i] for i in group),
+            sum(counted),
+        )
+        for group in groups
+    ]
+
+
+# --- random responses -----------------------------------------------------------------------------
+
+
+def orbits(rng, n_families):
+    """Shapes that responses are copies of: states, extrema, period multiple; and mirror images."""
+    found = []
+    for _ in range(n_families):
+        n = int(rng.choice([1, 1, 2, 3, 6]))
+        states = rng.normal(size=(n, 2)) * [1e-3, 1e-3 * 2.0 * math.pi * OMEGA]
+        extrema = rng.normal(size=2 * n) * 1e-3
+        found += [(states, extrema, n), (-states, -extrema, n)]
+        # One that is near, and one that is its own image.
+        found.append((states * (1.0 + rng.choice([5e-4, 2e-3, 0.05])), extrema, n))
+        found.append((states, np.concatenate([extrema, -extrema]), n))
+    return found
+
+
+def random_response(rng, families):
+    kind = rng.choice(4, p=[0.7, 0.15, 0.1, 0.05])
+    costs = {"status": Status.OK, "noise": float(rng.choice([np.nan, 1e-12, 1e-5]))}
+    if kind == ResponseClass.FAILED:
+        return Response(status=Status.DIVERGED)
+    if kind == ResponseClass.PERIODIC:
+        states, extrema, n = families[rng.integers(len(families))]
+        states = np.roll(states, rng.integers(n), axis=0)
+        scatter = rng.choice([0.0, 1e-9, 3e-4, 9e-4]) * rng.normal(size=states.shape)
+        states = states * (1.0 + scatter)
+        error = float(rng.choice([0.0, 0.0, 0.0, 1e-3, np.nan]))
+    else:
+        size, place = rng.integers(1, 4), rng.choice([-1.0, 1.0])
+        count = int(rng.choice([32, 32, 20]))
+        states = (rng.normal(size=(count, 2)) + place) * [1e-3 * size, 4e-2 * size]
+        extrema, n, error = rng.normal(size=5) * 1e-3 * size + place * 1e-3, 0, 0.1
+    return Response(
+        response_class=ResponseClass(kind),
+        period_multiple=n,
+        extrema=tuple(extrema.tolist()),
+        x_max=float(extrema.max()),
+        x_min=float(extrema.min()),
+        section=tuple(states.ravel().tolist()),
+        lyapunov_error=error,
+        **costs,
+    )
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_scenes_together_and_alone_as_one_by_one(seed):
+    rng = np.random.default_rng(seed)
+    n_scenes = int(rng.integers(1, 8))
+    n, families = int(rng.integers(0, 60)), orbits(rng, int(rng.integers(1, 4)))
+    rows = [random_response(rng, families) for _ in range(n)]
+    responses, scene = Responses.of(rows), rng.integers(n_scenes, size=n)
+    counted, symmetric = rng.random(n) < 0.7, rng.random(n_scenes) < 0.7
+    omega = OMEGA * (1.0 + 1e-5 * np.arange(n_scenes))
+    together = attractors_of_scenes(
+        responses, scene, omega=omega, symmetric=symmetric, counted=counted
+    )
+    assert np.all(np.diff(together.scene) >= 0)
+    listed = together.listed(responses)
+    for s in range(n_scenes):
+        here = np.flatnonzero(scene == s)
+        its = [rows[i] for i in here]
+        expected = straightforward(its, omega[s], symmetric[s], counted[here].tolist())
+        alone = attractors(
+            responses.take(here), omega[s], symmetric=symmetric[s], counted=counted[here].tolist()
+        )
+        assert [(a.members, a.mirror_of, a.n_ending, a.n_starts) for a in alone] == expected
+        assert together.numbers[here].tolist() == numbers(alone, len(here))
+        of_scene = np.flatnonzero(together.scene == s)
+        assert together.number[of_scene].tolist() == list(range(len(alone)))
+        for row, one in zip(of_scene.tolist(), alone, strict=True):
+            assert tuple(here[list(one.members)].tolist()) == listed[row].members
+            assert together.first[row] == here[one.members[0]]
+            assert repr(listed[row].response) == repr(one.response)
+            assert together.mirror_of[row] == listed[row].mirror_of == one.mirror_of
+            for name in ("basin_share", "basin_share_error"):
+                both = getattr(together, name)[row], getattr(one, name)
+                np.testing.assert_array_equal(*both)
+
+
+def test_the_random_sets_hold_what_matters():
+    """Several groups of several members, mirror images, order that rounding decides."""
+    rng = np.random.default_rng(0)
+    rows = [random_response(rng, orbits(rng, 2)[:8]) for _ in range(10)]
+    rows += [random_response(rng, families) for families in [orbits(rng, 2)] for _ in range(300)]
+    found = attractors(Responses.of(rows), OMEGA, symmetric=True)
+    assert sum(len(each.members) > 3 for each in found) > 5
+    images = [each.mirror_of for each in found]
+    assert any(image not in (NONE, k) for k, image in enumerate(images))
+    assert any(image == k for k, image in enumerate(images))
+    assert {each.response.response_class for each in found} == {
+        ResponseClass.PERIODIC,
+        ResponseClass.CHAOTIC,
+    }
