@@ -6,6 +6,7 @@ from gapsweep.execution.plan import plan
 from gapsweep.execution.task import Tile, respond_to
 from gapsweep.integrate.problem import Solver
 from gapsweep.response.result import Responses, Steady
+from gapsweep.store.cache import Cache
 from gapsweep.store.slab import slabs
 from gapsweep.study.points import KEY, NUMBERS, Kind, Points
 
@@ -94,3 +95,13 @@ def tile_rows(study, representation=0):
     nothing = np.zeros(len(rows), KEY)
     tile = Tile(table, nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)))
     return respond_to(tile)[0].rows()
+
+
+def damaged_row(path):
+    """Flip a bit among the columns of the first row of a cache; how many points it holds."""
+    with Cache(path, read_only=True) as cache:
+        slab = next(slab for _, slab in cache.slabs())
+    data = bytearray(path.read_bytes())
+    data[data.index(slab.columns[:32])] ^= 1
+    path.write_bytes(data)
+    return slab.n_points
