@@ -7,7 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gapsweep.report import drawing
-from gapsweep.report.drawing import NOT_PERIODIC, axis_label, labels_of
+from gapsweep.report.drawing import axis_label, labels_of
+from gapsweep.report.style import NOT_PERIODIC
 
 _WIDTH = 9.5  # inches, the report's column
 
