@@ -360,7 +360,7 @@ class Run:
         return self._read[key]
 
     def scene(
-        self, name: str, representation: str, K_c: float, gap: str | None, *names: str, **at: float
+        self, name: str, representation: str, K_c: float, gap: str | None, *names: str, **at: Any
     ) -> xr.Dataset:
         """Some variables (`names`) of one representation in one scene of a dataset (`name`).
 
@@ -390,7 +390,7 @@ class Run:
         band: tuple[float, float] = (0.0, math.inf),
         start: str = "rest",
         data: str = _RESPONSES,
-        **at: float,
+        **at: Any,
     ) -> xr.Dataset:
         """Sweep points that were asked for, one after another (dimension ``point``).
 

@@ -13,7 +13,7 @@ import xarray as xr
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import drawing, maps
-from gapsweep.report.drawing import axis_label, is_crowded_low, labels_of, named
+from gapsweep.report.drawing import axis_label, is_log, labels_of, named
 from gapsweep.report.selection import missing_variable, places, scene
 from gapsweep.report.style import NOT_PERIODIC, colour
 from gapsweep.report.summary import as_html, as_text
@@ -284,7 +284,7 @@ def _axes(ax: "Axes | None") -> "Axes":
 
 def _finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
     axes.set_xlabel(axis_label(shown[along]))
-    if is_crowded_low(shown[along].values):
+    if is_log(shown[along]):
         axes.set_xscale("log")
     return _titled(axes, shown)
 

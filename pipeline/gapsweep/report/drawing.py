@@ -25,6 +25,7 @@ WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--",
 MANY = 800  # points as vectors would make a file heavy
 _WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
 _MOST_NAMES = 24  # that fit beside a colour bar
+_FINENESS = 2000  # cells of one width along an axis of uneven ones
 _FEW = 60  # points on a curve that can be told apart
 # UDUNITS text to a factor and what stands on an axis.
 _SHOWN_UNITS = {
@@ -63,11 +64,16 @@ def named(coordinate: xr.DataArray) -> str:
 
 
 def is_crowded_low(values: NDArray[np.float64]) -> bool:
-    """Whether a logarithmic axis shows values better: wide apart, most of them at the low end."""
+    """Whether a logarithmic scale shows values better: wide apart, most at the low end."""
     low, high = float(values.min()), float(values.max())
     if not (low > 0.0 and high > _WIDE * low):
         return False
     return values.size < 3 or float(np.median(values)) < 0.35 * (low + high)
+
+
+def is_log(coordinate: xr.DataArray) -> bool:
+    """Whether an axis over a coordinate is logarithmic; one over frequency never is."""
+    return coordinate.name != "omega" and is_crowded_low(coordinate.values)
 
 
 def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
@@ -94,20 +100,35 @@ def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
     return np.exp(ends) if log else ends
 
 
-def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: Any, **style: Any) -> Any:
-    """One mesh of cells, shape (n_y, n_x, ...), whose edges lie halfway between the values.
+def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **style: Any) -> Any:
+    """Cells whose edges lie halfway between the values, as one image; logarithmic by `is_log`.
 
-    An axis is logarithmic where its values are crowded at the low end.
+    Parameters
+    ----------
+    cells : ndarray, shape (n_y, n_x, ...)
+        What `matplotlib.axes.Axes.imshow` takes.
     """
-    at, scales = [], []
-    for values in (drawn(x), drawn(y)):
-        log = is_crowded_low(values)
-        at.append(edges(values, log=log))
-        scales.append("log" if log else "linear")
-    made = axes.pcolormesh(*at, cells, rasterized=bool(x.size * y.size > MANY), **style)
-    axes.set(xscale=scales[0], yscale=scales[1])
+    extent: dict[int, tuple[float, float]] = {}
+    for axis, coordinate in ((1, x), (0, y)):
+        log = is_log(coordinate)
+        ends = edges(drawn(coordinate), log=log)
+        cells = _even(cells, np.log(ends) if log else ends, axis)
+        extent[axis] = float(ends[0]), float(ends[-1])
+        axes.set(**{"yx"[axis] + "scale": "log" if log else "linear"})
+    look = {"origin": "lower", "aspect": "auto", "interpolation": "nearest", **style}
+    made = axes.imshow(cells, extent=(*extent[1], *extent[0]), **look)
+    axes.set(xlim=extent[1], ylim=extent[0])
     axes.grid(visible=False)
     return made
+
+
+def _even(cells: NDArray[Any], ends: NDArray[np.float64], axis: int) -> NDArray[Any]:
+    """Cells of one width along an axis: as they are, or repeated to fit their edges."""
+    even = np.linspace(ends[0], ends[-1], ends.size)
+    if np.allclose(ends, even, rtol=0.0, atol=0.01 * (even[1] - even[0])):
+        return cells
+    middles = np.linspace(ends[0], ends[-1], 2 * _FINENESS + 1)[1::2]
+    return np.take(cells, np.searchsorted(ends, middles, side="right") - 1, axis=axis)
 
 
 def labels_of(dataset: xr.Dataset) -> list[str]:
@@ -283,11 +304,12 @@ def basins(axes: "Axes", found: xr.Dataset) -> None:
     found : Dataset
         As `gapsweep.basins` returns it.
     """
+    found = found.sortby(["x_0", "v_0"])
     names = attractor_names(found["period_multiple"], found["x_max"])
     n = max(len(names), 1)
     ids = found["attractor"].transpose("v_0", "x_0")
     look = {"cmap": _shades(n), "vmin": -0.5, "vmax": n - 0.5}
-    made = mesh(axes, found["x_0"], found["v_0"], ids.where(ids >= 0), **look)
+    made = mesh(axes, found["x_0"], found["v_0"], ids.where(ids >= 0).values, **look)
     shown = range(0, len(names), math.ceil(n / _MOST_NAMES))
     bar = axes.figure.colorbar(made, ax=axes, ticks=list(shown))
     bar.ax.set_yticklabels([names[i] for i in shown])

@@ -1,5 +1,6 @@
 """Maps: one variable over two numeric axes, every cell a colour of one mesh."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -180,10 +181,12 @@ def draw(axes: "Axes", shown: Picture) -> None:
     axes.set_ylabel(axis_label(shown.y))
     is_blank = not (is_number | (shown.kind >= 0)).all()
     names = shown.names + [f"blank: {shown.blank}"] * is_blank
-    _key(axes, names, shown.colours + [BLANK] * is_blank)
+    # A colour bar says itself what it is of.
+    title = "" if is_number.any() else re.sub(", -?[0-9]+: none", "", axis_label(shown.numbers))
+    _key(axes, names, shown.colours + [BLANK] * is_blank, title)
 
 
-def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str]) -> None:
+def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str) -> None:
     """A legend under the axes, where it hides nothing."""
     from matplotlib.patches import Patch
     from matplotlib.transforms import ScaledTranslation
@@ -200,7 +203,10 @@ def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str]) -> None:
         bbox_to_anchor=(0.0, 0.0),
         bbox_transform=axes.transAxes + below,
         ncols=5,
+        title=title,
+        alignment="left",
         fontsize=8,
+        title_fontsize=8,
         handlelength=1.0,
         handletextpad=0.4,
         columnspacing=1.0,

@@ -8,7 +8,7 @@ import xarray as xr
 
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
-from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.selection import listed
 
 _SHOWN_NAMES = 6
@@ -67,6 +67,19 @@ def places(dataset: xr.Dataset) -> list[str]:
     # The label of a gap holds both distances.
     walls = ("j_1", "j_2") if "gap" in dataset.coords else ()
     return [name for name in _PLACE if name in dataset.coords and name not in walls]
+
+
+def beside(scene: xr.Dataset) -> list[str]:
+    """What a scene has one value of, beside its stiffness and gap."""
+    own = {"K_c", "gap", "j_1", "j_2"}
+    return [name for name in places(scene) if name not in own and scene[name].ndim == 0]
+
+
+def gap_label(scene: xr.Dataset) -> str:
+    """Wall distances of a scene [mm], whether its gap has a label or they are swept as numbers."""
+    if "gap" in scene.coords:
+        return str(scene["gap"].item())
+    return Gap(float(scene["j_1"]), float(scene["j_2"])).label
 
 
 def missing_variable(dataset: xr.Dataset, name: str) -> str:

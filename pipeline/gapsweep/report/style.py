@@ -48,11 +48,11 @@ def colour(label: str) -> str:
 
 
 def sequence(n: int) -> list[str]:
-    """Colours of the first `n` of things that are counted, from pale to dark."""
+    """Colours of `n` things that are counted, from pale to dark; the first ones farther apart."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    places = [0.12 + 0.88 * i / max(n - 1, 1) for i in range(n)]
+    places = [0.12 + 0.88 * (i / max(n - 1, 1)) ** 0.6 for i in range(n)]
     return [to_hex(colormaps[_SEQUENCE](place)) for place in places]
 
 
