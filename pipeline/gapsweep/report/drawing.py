@@ -108,22 +108,32 @@ def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **
     cells : ndarray, shape (n_y, n_x, ...)
         What `matplotlib.axes.Axes.imshow` takes.
     """
-    extent: dict[int, tuple[float, float]] = {}
+    scaled: dict[int, NDArray[np.float64]] = {}
     for axis, coordinate in ((1, x), (0, y)):
-        log = is_log(coordinate)
-        ends = edges(drawn(coordinate), log=log)
-        cells = _even(cells, np.log(ends) if log else ends, axis)
-        extent[axis] = float(ends[0]), float(ends[-1])
-        axes.set(**{"yx"[axis] + "scale": "log" if log else "linear"})
-    look = {"origin": "lower", "aspect": "auto", "interpolation": "nearest", **style}
-    made = axes.imshow(cells, extent=(*extent[1], *extent[0]), **look)
-    axes.set(xlim=extent[1], ylim=extent[0])
+        ends = edges(drawn(coordinate), log=is_log(coordinate))
+        which = "yx"[axis]
+        axes.set(**{f"{which}scale": "log" if is_log(coordinate) else "linear"})
+        axes.set(**{f"{which}lim": (ends[0], ends[-1])})
+        scaled[axis] = getattr(axes, f"{which}axis").get_transform().transform(ends)
+        cells = _even(cells, scaled[axis], axis)
+    limits = axes.get_xlim(), axes.get_ylim()
+    # Evenly spaced on the scale, not in the data: matplotlib would stretch it a second time.
+    look = {"transform": axes.transLimits + axes.transAxes, "interpolation": "nearest", **style}
+    extent = *scaled[1][[0, -1]].tolist(), *scaled[0][[0, -1]].tolist()
+    made = axes.imshow(cells, extent=extent, origin="lower", aspect="auto", **look)
+    axes.set(xlim=limits[0], ylim=limits[1])
     axes.grid(visible=False)
     return made
 
 
 def _even(cells: NDArray[Any], ends: NDArray[np.float64], axis: int) -> NDArray[Any]:
-    """Cells of one width along an axis: as they are, or repeated to fit their edges."""
+    """Cells of one width along an axis: as they are, or repeated to fit their edges.
+
+    Parameters
+    ----------
+    ends : ndarray, shape (n + 1,)
+        The edges on the scale of the axis.
+    """
     even = np.linspace(ends[0], ends[-1], ends.size)
     if np.allclose(ends, even, rtol=0.0, atol=0.01 * (even[1] - even[0])):
         return cells

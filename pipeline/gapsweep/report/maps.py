@@ -202,7 +202,7 @@ def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str)
         loc="upper left",
         bbox_to_anchor=(0.0, 0.0),
         bbox_transform=axes.transAxes + below,
-        ncols=5,
+        ncols=4,
         title=title,
         alignment="left",
         fontsize=8,
