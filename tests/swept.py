@@ -2,6 +2,7 @@
 
 import numpy as np
 import xarray as xr
+
 from tests.made import datasets, tables
 
 FORCING = {"units": "N", "long_name": "forcing amplitude"}

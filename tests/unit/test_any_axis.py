@@ -154,13 +154,15 @@ def test_the_report_of_another_axis_shows_maps_and_medians(forced, tmp_path):
 def test_one_parameter_alone_is_a_bifurcation_diagram(forced, tmp_path):
     files = [ds.isel(omega=[0]) for ds in forced]
     figures = list(overview(files[0], None, timing(files[0]), files[1]).figures)
-    assert [figure.description.partition(",")[0] for figure in figures] == ["Bifurcation diagram"] * 2
+    assert [figure.description.partition(",")[0] for figure in figures] == [
+        "Bifurcation diagram"
+    ] * 2
     (panel,) = (axes for axes in figures[0].figure.axes if axes.get_visible())
     assert panel.get_xlabel() == "forcing amplitude [N]"
     assert sorted(set(panel.lines[2].get_xdata())) == list(FORCING)
 
 
 def test_scenes_with_swept_walls_of_one_distance_have_their_figures(tmp_path):
-    (split, labelled) = over_walls(tmp_path, LABELS[::2], OMEGA, J_1[:1], J_2[:1], answer)
+    split, _ = over_walls(tmp_path, LABELS[::2], OMEGA, J_1[:1], J_2[:1], answer)
     assert "K_c = 14000 N/m, gap 0.2/0.4 mm" in page_of(tmp_path, split)
     assert not is_wide(split[0])

@@ -226,7 +226,7 @@ class GapsweepAccessor:
             As for `frequency_response`; of all other dimensions one value must be left. `regime`
             is ``"all"`` if not given.
         """
-        if "regime" in self._dataset.dims:
+        if variable in self._dataset and "regime" in self._dataset[variable].dims:
             wanted = {"regime": "all", **wanted}
         picture, shown = maps.picture(self._dataset, variable, x, y, wanted)
         axes = _axes(ax)
