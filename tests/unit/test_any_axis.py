@@ -151,15 +151,25 @@ def test_the_report_of_another_axis_shows_maps_and_medians(forced, tmp_path):
     assert [row[-1] for row in costs.rows] == ["18"] * 3
 
 
-def test_one_parameter_alone_is_a_bifurcation_diagram(forced, tmp_path):
+def test_one_parameter_alone_is_a_bifurcation_diagram(forced):
     files = [ds.isel(omega=[0]) for ds in forced]
     figures = list(overview(files[0], None, timing(files[0]), files[1]).figures)
-    assert [figure.description.partition(",")[0] for figure in figures] == [
-        "Bifurcation diagram"
-    ] * 2
-    (panel,) = (axes for axes in figures[0].figure.axes if axes.get_visible())
-    assert panel.get_xlabel() == "forcing amplitude [N]"
-    assert sorted(set(panel.lines[2].get_xdata())) == list(FORCING)
+    said = [figure.description.partition(",")[0] for figure in figures]
+    assert said == ["Bifurcation diagram", "Attractors and their basins"] * 2
+    for figure in figures:
+        (panel,) = (axes for axes in figure.figure.axes if axes.get_visible())
+        assert panel.get_xlabel() == "forcing amplitude [N]"
+    assert sorted(set(figures[0].figure.axes[0].lines[2].get_xdata())) == list(FORCING)
+
+
+def test_many_starts_at_one_place_are_a_map_of_the_starts(tmp_path):
+    study = tables(["piecewise"], [5.0])
+    states = [[1e-5 * i, 1e-3 * k] for i in range(26) for k in range(20)]
+    study["sweep"][0]["initial_condition"] = states
+    responses, found = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 5.0))
+    (figure,) = overview(responses, None, timing(responses), found).figures
+    assert figure.figure.axes[0].get_xlabel() == "initial displacement [mm]"
+    assert all(axes.images[0].get_array().shape[:2] == (20, 26) for axes in figure.figure.axes[:4])
 
 
 def test_scenes_with_swept_walls_of_one_distance_have_their_figures(tmp_path):

@@ -60,13 +60,15 @@ def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
     return figure
 
 
-def attractors(found: xr.Dataset) -> Figure:
+def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
     """Peak of every attractor over frequency, its dot as large as its basin, a panel per label.
 
     Parameters
     ----------
     found : Dataset
-        One stiffness and one gap of ``attractors.nc``; dimensions representation, omega, attractor.
+        Part of ``attractors.nc``; dimensions representation, `along`, attractor.
+    along : str
+        Numeric dimension of the horizontal axis.
     """
     labels = labels_of(found)
     n_columns = min(3, len(labels))
@@ -74,13 +76,13 @@ def attractors(found: xr.Dataset) -> Figure:
     figure = Figure(figsize=(_WIDTH, 0.7 + 2.4 * n_rows))
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, label in zip(panels, labels, strict=False):
-        drawing.walls(axes, found)
-        drawing.attractor_peaks(axes, found.sel(representation=label), "omega")
+        drawing.walls(axes, found, along)
+        drawing.attractor_peaks(axes, found.sel(representation=label), along)
         axes.set_title(label, fontsize=9, loc="left")
     for axes in panels[len(labels) :]:
         axes.set_visible(False)
     for axes in panels[max(0, len(labels) - n_columns) : len(labels)]:
-        _axis(axes, found["omega"])
+        _axis(axes, found[along])
         axes.xaxis.set_tick_params(labelbottom=True)
     for axes in panels[::n_columns]:
         axes.set_ylabel(axis_label(found["x_max"], "peak"))

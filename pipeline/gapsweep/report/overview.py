@@ -4,12 +4,15 @@ Everything is drawn as meshes over two axes, the others at one value: neither th
 memory grows with the number of scenes.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.grid import REPRESENTATION, SWEPT, scene_dims
 from gapsweep.errors import DatasetError
 from gapsweep.report.drawing import named
+from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, maps
 from gapsweep.report.maps import numeric_axes, on_grid, picture
 from gapsweep.report.parts import Figured, Part, Table
@@ -44,7 +47,7 @@ _TIMING = {
 
 
 def is_wide(responses: xr.Dataset) -> bool:
-    """Whether scenes are too many, or of too many parameters, for figures of each.
+    """Whether a representation has too many scenes, or points, or parameters for figures of each.
 
     Parameters
     ----------
@@ -56,7 +59,7 @@ def is_wide(responses: xr.Dataset) -> bool:
     return (
         any(asked.sizes[dim] > 1 for dim in dims if dim not in _TOLD_APART)
         or int(asked.any(SWEPT).sum(dims).max()) > MOST_SCENES
-        or int(asked.sum()) > MOST_POINTS
+        or int(asked.sum([*dims, *SWEPT]).max()) > MOST_POINTS
     )
 
 
@@ -99,7 +102,12 @@ def overview(
             for title, (head, of) in rows.items()
             if of
         ],
-        (_figure(responses, attractors, asked, label, axes) for label in plain if axes),
+        (
+            figure
+            for label in plain
+            if axes
+            for figure in _figures(responses, attractors, asked, label, axes)
+        ),
     )
 
 
@@ -121,36 +129,50 @@ def _axes(responses: xr.Dataset) -> list[str]:
     return sorted(axes, key=lambda axis: axis != "omega")
 
 
-def _figure(
+def _figures(
     responses: xr.Dataset,
     attractors: xr.Dataset | None,
     asked: xr.DataArray,
     label: str,
     axes: list[str],
-) -> Figured:
+) -> Iterator[Figured]:
     """Pictures of a representation, of the other axes at the values with the most points."""
     at = _most(asked, label, [_START] if axes[0] in _STATE else axes)
     here = responses.isel(at)
+    found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
     where = f"{label}, {_where(responses, here)}"
     if len(axes) == 1:
-        curve = here.expand_dims([REPRESENTATION, _START])
-        needed = [*axes, "amplitude", "extrema", "response_class"]
-        shown = curve[needed].load()
-        return Figured(
-            bifurcation(shown, axes[0]),
-            f"All steady zero-velocity displacements: {where}. Red: not periodic. Dashed: walls.",
-            f"Bifurcation diagram, {where}",
-        )
-    last = "attractor" if axes[0] in _STATE else "n_attractors"
-    found = [(here, name) for name in ("response_class", "period_multiple", "amplitude")]
-    if last in responses:
-        found.append((here, last))
-    elif attractors is not None:
-        found.append((attractors.isel(at, missing_dims="ignore"), last))
-    pictures = (picture(part, name, axes[0], axes[1], {})[0] for part, name in found)
-    return Figured(
+        yield from _curves(here, found, axes[0], where)
+        return
+    parts = [(here, name) for name in ("response_class", "period_multiple", "amplitude")]
+    if axes[0] in _STATE:
+        parts.append((here, "attractor"))
+    elif found is not None:
+        parts.append((found, "n_attractors"))
+    pictures = (picture(part, name, axes[0], axes[1], {})[0] for part, name in parts)
+    yield Figured(
         maps(pictures), f"Class, period, amplitude and attractors: {where}.", f"Maps, {where}"
     )
+
+
+def _curves(
+    here: xr.Dataset, found: xr.Dataset | None, along: str, where: str
+) -> Iterator[Figured]:
+    """Diagrams over the only axis: from one start, and of the attractors from all."""
+    shown = here[["extrema", "response_class"]].load().expand_dims([REPRESENTATION, _START])
+    yield Figured(
+        bifurcation(shown, along),
+        f"All steady zero-velocity displacements: {where}. Red: not periodic. Dashed: walls.",
+        f"Bifurcation diagram, {where}",
+    )
+    if found is not None:
+        shown = found[["x_max", "basin_share", "response_class"]].load()
+        yield Figured(
+            attractors_figure(shown.expand_dims(REPRESENTATION), along),
+            f"Peak displacement of every attractor: {where}. The area of a dot is the share of "
+            "all starts that end on it; hollow: not periodic.",
+            f"Attractors and their basins, {where}",
+        )
 
 
 def _most(asked: xr.DataArray, label: str, over: list[str]) -> dict[str, int]:

@@ -5,6 +5,7 @@ import xarray as xr
 
 from gapsweep.analysis.grid import At
 from gapsweep.status import Status
+from gapsweep.study.selection import positions
 
 # What figures and sentences use.
 _SHOWN = ("status", "response_class", "amplitude", "x_max", "x_min", "extrema")
@@ -44,10 +45,12 @@ class Scenes:
 
     def labelled(self, K_c: float, gap: str) -> xr.Dataset | None:
         """The scene of a stiffness [N/m] and gap, None if it was not swept."""
-        stiffnesses, gaps = (self._responses[name].values.tolist() for name in ("K_c", "gap"))
-        if K_c not in stiffnesses or gap not in gaps:
+        wanted = {"K_c": K_c, "gap": gap}
+        try:
+            found = {n: positions(n, self._responses[n].values, v) for n, v in wanted.items()}
+        except ValueError:
             return None
-        return self.at({"K_c": stiffnesses.index(K_c), "gap": gaps.index(gap)})
+        return self.at({name: int(where[0]) for name, where in found.items()})
 
     def _scene(self, at: At) -> xr.Dataset:
         asked = self._asked.isel(at)
