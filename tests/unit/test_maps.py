@@ -1,5 +1,8 @@
 """Maps: every cell has its colour, at its place on the axes, and says what it is."""
 
+import io
+import re
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -169,6 +172,22 @@ def test_cells_of_any_width_are_where_their_values_are(x, y, random):
     mesh(axes, *at, cells.astype(np.uint8))
     seen = colours(axes, *np.meshgrid(x, y))
     assert_allclose(255 * seen, cells.reshape(-1, 4), atol=1.5)
+
+
+def test_drawings_keep_every_cell():
+    """Also of a logarithmic axis, where matplotlib would resample an image."""
+    axes = Figure(figsize=(6, 5)).subplots()
+    cells = np.zeros((40, 30, 4), np.uint8)
+    places = {"omega": np.linspace(1.0, 9.0, 30), "K_c": np.geomspace(1.0, 1e4, 40)}
+    mesh(axes, *(xr.DataArray(v, dims=n, name=n) for n, v in places.items()), cells)
+    drawing = io.StringIO()
+    axes.figure.savefig(drawing, format="svg")
+    (image,) = re.findall("<image[^>]*>", drawing.getvalue())
+    assert ('width="30"' in image, 'height="40"' in image) == (True, True)
+    width, _, _, height, left, low = map(float, re.search(r"matrix\(([^)]*)\)", image)[1].split())
+    box = axes.get_position()
+    assert_allclose([left, left + 30 * width], [432.0 * box.x0, 432.0 * box.x1])
+    assert_allclose([low, low + 40 * height], [360.0 * (1.0 - y) for y in (box.y0, box.y1)])
 
 
 @pytest.mark.parametrize(

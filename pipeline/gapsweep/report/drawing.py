@@ -118,7 +118,7 @@ def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **
         cells = _even(cells, scaled[axis], axis)
     limits = axes.get_xlim(), axes.get_ylim()
     # Evenly spaced on the scale, not in the data: matplotlib would stretch it a second time.
-    look = {"transform": axes.transLimits + axes.transAxes, "interpolation": "nearest", **style}
+    look = {"transform": axes.transLimits + axes.transAxes, "interpolation": "none", **style}
     extent = *scaled[1][[0, -1]].tolist(), *scaled[0][[0, -1]].tolist()
     made = axes.imshow(cells, extent=extent, origin="lower", aspect="auto", **look)
     axes.set(xlim=limits[0], ylim=limits[1])
