@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gapsweep.report import drawing
 from gapsweep.report.drawing import MANY, drawn, labels_of
-from gapsweep.report.style import colour, lines
+from gapsweep.report.style import NOT_PERIODIC, colour, lines
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
@@ -73,7 +73,7 @@ def overlaid_bifurcations(scene: xr.Dataset, overlays: Sequence[Overlay]) -> Fig
         _extrema(axes, scene.sel(representation=rear), _DOT + 1.1 * _REAR)
         _extrema(axes, scene.sel(representation=front), _DOT)
         edge = axes.get_xaxis_transform()
-        axes.vlines(apart, 1.0, 1.04, drawing.NOT_PERIODIC, transform=edge, clip_on=False)
+        axes.vlines(apart, 1.0, 1.04, NOT_PERIODIC, transform=edge, clip_on=False)
         axes.set_title(f"{_law(front)} over {_law(rear)}", fontsize=9, loc="left", pad=7)
     return figure
 

@@ -16,19 +16,27 @@ from gapsweep.analysis.bands import band_metrics
 from gapsweep.analysis.classes import CLASSES
 from gapsweep.analysis.curves import curve_metrics
 from gapsweep.analysis.floors import REFERENCE, floor_labels
+from gapsweep.analysis.grid import (
+    REPRESENTATION,
+    SWEPT,
+    At,
+    cells,
+    over,
+    point_dims,
+    scene_dims,
+    scenes,
+)
 from gapsweep.analysis.metrics import BOUND, BOUNDS, CLASS_DIMS, REGIME, REGIMES, variables
 from gapsweep.analysis.sets import basin_metrics, matching, set_metrics
 from gapsweep.analysis.slab import Slab, slab
 from gapsweep.analysis.starts import start_metrics
 from gapsweep.analysis.summary import summaries
 from gapsweep.status import Status
-from gapsweep.study.schema import POINT_DIMS
 
 _VARIABLES = dict(variables())
 _TINY = 1e-300
 
 Tables = dict[str, NDArray[Any]]
-Position = tuple[int, ...]
 
 
 def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | None:
@@ -48,28 +56,35 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
     if REFERENCE not in labels:
         return None
     floors = floor_labels(responses.attrs.get("study_json", ""), labels)
-    sizes = {dim: responses.sizes[dim] for dim in POINT_DIMS} | {
-        REGIME: len(REGIMES),
-        BOUND: len(BOUNDS),
-        **dict.fromkeys(CLASS_DIMS, len(CLASSES)),
-    }
+    dims = point_dims(responses)
+    own = {REGIME: len(REGIMES), BOUND: len(BOUNDS), **dict.fromkeys(CLASS_DIMS, len(CLASSES))}
+    sizes = {str(dim): n for dim, n in responses.sizes.items()} | own
     tables: Tables = {}
     for name, metric in _VARIABLES.items():
         missing = 0 if metric.dtype == "i4" else np.nan
-        tables[name] = np.full([sizes[dim] for dim in metric.dims], missing, metric.dtype)
-    requested = (responses["status"] != Status.NOT_REQUESTED).any(POINT_DIMS[3:]).values
-    for scene in np.ndindex(*requested.shape[1:]):
-        exact = slab(responses, attractors, (labels.index(REFERENCE), *scene))
-        width = _width(float(responses["j_1"][scene[1]] + responses["j_2"][scene[1]]), exact)
-        symmetric = bool(responses["j_1"][scene[1]] == responses["j_2"][scene[1]])
-        for r in np.flatnonzero(requested[:, *scene]).tolist():
-            is_exact = labels[r] == REFERENCE
-            ours = exact if is_exact else slab(responses, attractors, (r, *scene))
+        shape = [sizes[dim] for dim in over(metric.dims, dims)]
+        tables[name] = np.full(shape, missing, metric.dtype)
+
+    def place(name: str, at: At, values: Any) -> None:
+        tables[name][cells(over(_VARIABLES[name].dims, dims), at)] = values
+
+    requested = (responses["status"] != Status.NOT_REQUESTED).any(SWEPT)
+    for at in scenes(responses, scene_dims(dims)):
+        swept = np.flatnonzero(requested.isel(at)).tolist()
+        if not swept:
+            continue
+        exact = slab(responses, attractors, {**at, REPRESENTATION: labels.index(REFERENCE)})
+        walls = responses[["j_1", "j_2"]].isel(at, missing_dims="ignore")
+        j_1, j_2 = float(walls["j_1"]), float(walls["j_2"])
+        width = _width(j_1 + j_2, exact)
+        for r in swept:
+            here = {**at, REPRESENTATION: r}
+            ours = exact if labels[r] == REFERENCE else slab(responses, attractors, here)
             # Infinity and NaN are what comes of a response that ran away, or of none.
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                for name, values in _compared(ours, exact, width, symmetric=symmetric):
-                    tables[name][r, *scene] = values
-        _set_floors(tables, [labels.index(label) for label in floors], scene)
+                for name, values in _compared(ours, exact, width, symmetric=j_1 == j_2):
+                    place(name, here, values)
+    _set_floors(tables, [labels.index(label) for label in floors])
     return _dataset(tables, responses, floors)
 
 
@@ -97,25 +112,26 @@ def _compared(
     yield from summaries(ours, exact, values)
 
 
-def _set_floors(tables: Tables, floors: list[int], scene: Position) -> None:
+def _set_floors(tables: Tables, floors: list[int]) -> None:
     """The worst of the exact-against-exact values, where there are any."""
     for name, metric in _VARIABLES.items():
         if floors and f"{name}_floor" in tables:
-            values = [tables[name][r, *scene] for r in floors]
+            values = tables[name][floors]
             lowest = metric.worst == "min"
             worst = np.fmin.reduce(values) if lowest else np.fmax.reduce(np.abs(values))
-            tables[f"{name}_floor"][scene] = worst
+            tables[f"{name}_floor"][...] = worst
 
 
 def _dataset(tables: Tables, responses: xr.Dataset, floors: list[str]) -> xr.Dataset:
-    coordinates = {name: c for name, c in responses.coords.items() if set(c.dims) <= {*POINT_DIMS}}
+    dims = point_dims(responses)
+    coordinates = {name: c for name, c in responses.coords.items() if set(c.dims) <= {*dims}}
     labels = {REGIME: REGIMES, BOUND: BOUNDS, **dict.fromkeys(CLASS_DIMS, CLASSES)}
     for dim, values in labels.items():
         coordinates[dim] = xr.DataArray(list(values), dims=dim, attrs={"long_name": dim})
     result = xr.Dataset(
         {
             name: (
-                metric.dims,
+                over(metric.dims, dims),
                 tables[name],
                 {
                     "units": metric.units,

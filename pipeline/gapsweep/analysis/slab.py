@@ -1,4 +1,4 @@
-"""One representation at one stiffness and gap: its stored results as plain arrays."""
+"""One representation in one scene: its stored results as plain arrays."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,6 +8,7 @@ import xarray as xr
 
 from gapsweep.analysis.arrays import Array, Bools, Ints
 from gapsweep.analysis.classes import CHAOTIC, NONE, class_numbers
+from gapsweep.analysis.grid import At
 from gapsweep.status import Status
 from gapsweep.study.points import FIXED
 
@@ -100,15 +101,15 @@ class Slab:
         return np.asarray(self.class_number == CHAOTIC)
 
 
-def slab(responses: xr.Dataset, attractors: xr.Dataset, at: tuple[int, ...]) -> Slab:
+def slab(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> Slab:
     """Read one slab.
 
     Parameters
     ----------
     responses, attractors : Dataset
         As stored in ``responses.nc`` and ``attractors.nc``.
-    at : tuple of int
-        Position along representation, K_c and gap.
+    at : mapping of str to int
+        Position along the representation and every dimension of scenes.
     """
     omega = responses["omega"].values
     here = _read(responses, (*_INTEGERS, *_FLOATS, *_SECTION, *COSTS), at)
@@ -127,7 +128,7 @@ def slab(responses: xr.Dataset, attractors: xr.Dataset, at: tuple[int, ...]) -> 
     )
 
 
-def _found(attractors: xr.Dataset, at: tuple[int, ...]) -> Found:
+def _found(attractors: xr.Dataset, at: At) -> Found:
     here = _read(attractors, ("n_attractors", *_FOUND_INTEGERS, *_FOUND_FLOATS), at)
     return Found(
         n=here["n_attractors"],
@@ -137,9 +138,9 @@ def _found(attractors: xr.Dataset, at: tuple[int, ...]) -> Found:
     )
 
 
-def _read(dataset: xr.Dataset, names: tuple[str, ...], at: tuple[int, ...]) -> dict[str, Any]:
-    """Some variables at one position of the first three dimensions, small integers widened."""
-    here = {name: dataset.variables[name][at].values for name in names}
+def _read(dataset: xr.Dataset, names: tuple[str, ...], at: At) -> dict[str, Any]:
+    """Some variables of one representation and scene, small integers widened."""
+    here = {name: dataset.variables[name].isel(at).values for name in names}
     return {n: v.astype(np.int64) if v.dtype.kind == "i" else v for n, v in here.items()}
 
 

@@ -4,9 +4,7 @@ import warnings
 
 import xarray as xr
 
-from gapsweep.study.schema import POINT_DIMS
-
-SWEPT = POINT_DIMS[3:]
+from gapsweep.analysis.grid import SWEPT
 
 
 def quantile(values: xr.DataArray, q: float) -> xr.DataArray:

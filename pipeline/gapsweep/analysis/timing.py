@@ -7,7 +7,8 @@ points of a study is the one reported, the others' points are only counted.
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.statistics import SWEPT, mean, quantile
+from gapsweep.analysis.grid import SWEPT
+from gapsweep.analysis.statistics import mean, quantile
 from gapsweep.status import Status
 
 COSTS = {
@@ -20,7 +21,7 @@ COSTS = {
 
 
 def timing(responses: xr.Dataset) -> xr.Dataset:
-    """Mean and median cost per point of every representation, stiffness and gap.
+    """Mean and median cost per point of every representation and scene.
 
     Parameters
     ----------

@@ -20,6 +20,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.analysis.selection import selected
+from gapsweep.errors import DatasetError
 from gapsweep.status import Status
 
 CONFIRMED, REFUTED, PARTLY, UNDECIDABLE = "confirmed", "refuted", "partly", "undecidable"
@@ -335,7 +337,9 @@ class Run:
         return self.datasets[name]
 
     def select(self, name: str, *names: str, **at: Any) -> xr.Dataset:
-        """Part of a dataset by labels along dimensions, in memory; some variables, or all.
+        """Part of a dataset by coordinates, in memory; some variables, or all.
+
+        Equal is what `gapsweep.study.selection` takes for equal.
 
         Raises
         ------
@@ -349,17 +353,23 @@ class Run:
                 raise NotInRunError(f"{name}.nc has no {', '.join(missing)}")
             try:
                 found = dataset[list(names)] if names else dataset
-                self._read[key] = found.sel(at).load()
-            except KeyError:
+                self._read[key] = selected(found, at).load()
+            except DatasetError:
                 where = ", ".join(f"{dim} {label}" for dim, label in at.items())
                 raise NotInRunError(f"{name}.nc has nothing at {where}") from None
         return self._read[key]
 
     def scene(
-        self, name: str, representation: str, K_c: float, gap: str, *names: str
+        self, name: str, representation: str, K_c: float, gap: str | None, *names: str, **at: Any
     ) -> xr.Dataset:
-        """Some variables (`names`) of one representation in one scene of a dataset (`name`)."""
-        return self.select(name, *names, representation=representation, K_c=K_c, gap=gap)
+        """Some variables (`names`) of one representation in one scene of a dataset (`name`).
+
+        Where the study sweeps wall distances, `gap` is None and ``j_1=``, ``j_2=`` [m] are given;
+        likewise every other parameter that it sweeps, as ``forcing=3.0``.
+        """
+        walls = {} if gap is None else {"gap": gap}
+        here = {"representation": representation, "K_c": K_c, **walls, **at}
+        return self.select(name, *names, **here)
 
     @cached_property
     def starts(self) -> dict[str, Any]:
@@ -375,11 +385,12 @@ class Run:
         self,
         representation: str,
         K_c: float,
-        gap: str,
+        gap: str | None,
         *names: str,
         band: tuple[float, float] = (0.0, math.inf),
         start: str = "rest",
         data: str = _RESPONSES,
+        **at: Any,
     ) -> xr.Dataset:
         """Sweep points that were asked for, one after another (dimension ``point``).
 
@@ -391,16 +402,19 @@ class Run:
             Closed interval of frequencies [Hz].
         start : str
             A key of `starts`.
+        **at
+            Values of the other parameters that the study sweeps, as for `scene`.
 
         Raises
         ------
         NotInRunError
             If none was asked for.
         """
-        key = (data, representation, K_c, gap, *names, band, start)
+        scene = (representation, K_c, gap)
+        key = (data, *scene, *names, band, start, *sorted(at.items()))
         if key not in self._read:
-            status = self.scene(_RESPONSES, representation, K_c, gap, "status")["status"]
-            found = self.scene(data, representation, K_c, gap, *names).assign(asked=status)
+            status = self.scene(_RESPONSES, *scene, "status", **at)["status"]
+            found = self.scene(data, *scene, *names, **at).assign(asked=status)
             found = found.sel(omega=slice(*band)).isel(initial_condition=self.starts[start])
             found = found.stack(point=("omega", "initial_condition"), create_index=False)
             self._read[key] = found.isel(point=found["asked"].values != Status.NOT_REQUESTED)

@@ -5,21 +5,23 @@
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
-from gapsweep.report import drawing
-from gapsweep.report.drawing import axis_label, labels_of
-from gapsweep.report.selection import as_words, missing_variable, scene, selected
-from gapsweep.report.style import colour
+from gapsweep.report import drawing, maps
+from gapsweep.report.drawing import axis_label, is_log, labels_of, named
+from gapsweep.report.selection import missing_variable, places, scene
+from gapsweep.report.style import NOT_PERIODIC, colour
 from gapsweep.report.summary import as_html, as_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_MANY_STARTS = 500  # from here on those that form a grid are a mesh
 _CURVES = ("representation", "initial_condition")
 _RIM, _DOT = 5.0, 3.0  # points: of the law behind, of the one before it
 
@@ -54,7 +56,8 @@ class GapsweepAccessor:
         ax : Axes, optional
             Drawn into; new ones if None.
         **wanted
-            Selection by coordinate; one stiffness and one gap must be left.
+            Selection by coordinate; one stiffness, one gap and one value of every other parameter
+            must be left.
         """
         shown = self._along(along, {"amplitude": _CURVES}, wanted)
         axes = _axes(ax)
@@ -79,9 +82,9 @@ class GapsweepAccessor:
         needed = {"extrema": (*_CURVES, "extremum"), "response_class": _CURVES}
         shown = self._along(along, needed, wanted)
         labels = labels_of(shown)
-        other = drawing.NOT_PERIODIC if len(labels) == 1 else None
+        other = NOT_PERIODIC if len(labels) == 1 else None
         axes = _axes(ax)
-        drawing.walls(axes, shown)
+        drawing.walls(axes, shown, along)
         for label in labels:
             drawing.extrema(axes, shown.sel(representation=label), along, other=other)
             axes.plot([], [], ".", color=colour(label), label=label)
@@ -108,7 +111,7 @@ class GapsweepAccessor:
         needed = {"x_max": _CURVES, "response_class": _CURVES}
         shown = self._along(along, needed, {**wanted, "representation": [a, b]})
         axes = _axes(ax)
-        drawing.walls(axes, shown)
+        drawing.walls(axes, shown, along)
         for label, size in ((a, _RIM), (b, _DOT)):
             one = selected(shown, {"representation": label})
             drawing.peaks(axes, one, size, along=along)
@@ -124,7 +127,7 @@ class GapsweepAccessor:
         Of ``attractors.nc``: the peak of every attractor over frequency, the dot as large as its
         basin, hollow if not periodic; at a single frequency the stroboscopic sections. Of
         ``responses.nc`` at a single frequency, and of `gapsweep.basins`: the attractor that every
-        start ends on.
+        start ends on; more than 500 starts that form a grid are drawn as one mesh.
 
         Parameters
         ----------
@@ -145,7 +148,7 @@ class GapsweepAccessor:
         )
         shown = self._along(along, needed, wanted)
         axes = _axes(ax)
-        drawing.walls(axes, shown)
+        drawing.walls(axes, shown, along)
         for label in labels_of(shown):
             drawing.attractor_peaks(axes, shown.sel(representation=label), along)
             axes.plot([], [], "o", color=colour(label), markersize=4, label=label)
@@ -196,6 +199,40 @@ class GapsweepAccessor:
         axes.set_xlabel(axis_label(value))
         return _titled(axes, value.to_dataset(name=variable))
 
+    def map(
+        self,
+        variable: str = "response_class",
+        x: str = "omega",
+        y: str | None = None,
+        *,
+        ax: "Axes | None" = None,
+        **wanted: Any,
+    ) -> "Axes":
+        """A variable over two swept numbers, a cell per point: a map.
+
+        Classes, periods and other whole numbers have a colour each and a legend, numbers a colour
+        bar; what is unresolved or failed has its own colour whatever is shown. What was not
+        requested is blank.
+
+        Parameters
+        ----------
+        variable : str
+            As ``"response_class"``, ``"period_multiple"`` or ``"amplitude"`` of ``responses.nc``,
+            ``"n_attractors"`` of ``attractors.nc``, or a number of ``agreement.nc``.
+        x, y : str
+            Numeric dimensions; `y` is the longest other one if None. ``"x_0"`` and ``"v_0"`` for
+            starts that form a full grid.
+        ax, **wanted
+            As for `frequency_response`; of all other dimensions one value must be left. `regime`
+            is ``"all"`` if not given.
+        """
+        if variable in self._dataset and "regime" in self._dataset[variable].dims:
+            wanted = {"regime": "all", **wanted}
+        picture, shown = maps.picture(self._dataset, variable, x, y, wanted)
+        axes = _axes(ax)
+        maps.draw(axes, picture)
+        return _titled(axes, shown)
+
     def work_precision(self, *, ax: "Axes | None" = None, **wanted: Any) -> "Axes":
         """Cost of every method over its error, of one scene of ``work_precision.nc``.
 
@@ -233,14 +270,6 @@ class GapsweepAccessor:
         return scene(self._dataset, needed, wanted)
 
 
-_TITLES = {
-    "scene": "",
-    "representation": "",
-    "K_c": "K_c =",
-    "gap": "gap",
-    "omega": "omega =",
-    "regime": "regime:",
-}
 _AGREEMENT = "; the metrics are in agreement.nc, which gs.open opens"
 
 
@@ -255,23 +284,18 @@ def _axes(ax: "Axes | None") -> "Axes":
 
 def _finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
     axes.set_xlabel(axis_label(shown[along]))
-    values = shown[along].values
-    if along == "K_c" and values.min() > 0.0 and values.max() > 30.0 * values.min():
+    if is_log(shown[along]):
         axes.set_xscale("log")
     return _titled(axes, shown)
 
 
 def _titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
     """Say what is what, and what the plot shows one value of."""
-    if axes.get_legend_handles_labels()[0]:
+    if axes.get_legend() is None and axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8)
-    parts = []
-    for name, words in _TITLES.items():
-        if name in shown.coords and shown[name].size == 1:
-            value = as_words(np.atleast_1d(shown[name].values))[0]
-            unit = axis_label(shown[name], " ").strip(" []")
-            parts.append(f"{words} {value} {unit}".strip())
-    axes.set_title(", ".join(parts), fontsize=9, loc="left")
+    names = ["scene", "representation", *places(shown), "regime"]
+    one = [name for name in names if name in shown.coords and shown[name].size == 1]
+    axes.set_title(", ".join(named(shown[name]) for name in one), fontsize=9, loc="left")
     return axes
 
 
@@ -295,6 +319,9 @@ def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
     dataset = dataset.reset_coords([name for name in ("x_0", "v_0") if name in dataset.coords])
     names = ("attractor", "period_multiple", "x_max", "x_0", "v_0")
     shown = scene(dataset, dict.fromkeys(names, ("initial_condition",)), {})
+    if shown.sizes["initial_condition"] > _MANY_STARTS:
+        with suppress(DatasetError):  # no grid: a mark for each
+            return _basins(maps.as_basins(shown), ax)
     axes = _axes(ax)
     drawing.starts(axes, shown)
     return _plane(axes, shown["x_0"], shown["v_0"], shown)

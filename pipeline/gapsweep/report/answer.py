@@ -23,11 +23,15 @@ differ by. ±: the ends of the intervals lie on both sides of a line between "us
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.analysis.grid import scene_dims, scenes
+from gapsweep.report.drawing import named
+from gapsweep.report.selection import beside, gap_label
 from gapsweep.report.tables import number
 
 LINE, MOST, HALF = 0.05, 0.95, 0.5
@@ -40,6 +44,8 @@ _SHOWN = {
 _PRICE = "cpu_time_per_period_ratio"
 # Of each number the estimate, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
+Row = dict[str, Any]  # variables of one law in one contact
+MOST_CONTACTS = 16  # that are told one by one
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +92,17 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in."""
+    """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in.
+
+    `others` names the values of what the study sweeps beside.
+    """
 
     K_c: float
     gap: str
     floors: Values
     laws: list[Judged]
     threshold: str
+    others: str = ""
 
     @property
     def columns(self) -> dict[str, list[Judged]]:
@@ -129,24 +139,35 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         return []
     pooled = agreement[[*names, *(f"{n}_ci" for n in names), "n_points"]].sel(regime="all").load()
     pooled["n_exact"] = agreement["n_attractors_exact"].sum("omega")
-    walls = np.lexsort((pooled["j_1"], np.round(pooled["j_1"] + pooled["j_2"], 12)))
-    pooled = pooled.isel(K_c=np.argsort(pooled["K_c"].values), gap=walls)
     exact = str(agreement.attrs["floor_representations"]).split()
     labels = [str(label) for label in pooled["representation"].values]
     laws = [n for n in labels if n != agreement.attrs["reference"] and "@" not in n]
+    if not laws:
+        return []
+    dims = scene_dims(agreement["n_attractors_exact"].dims)
+    pooled = pooled.transpose("representation", *dims, ...)
+    # As arrays: a study may have a thousand contacts.
+    tables = {str(name): pooled[name].values for name in pooled}
     found = []
-    for k, g in np.ndindex(pooled.sizes["K_c"], pooled.sizes["gap"]):
-        here = pooled.isel(K_c=k, gap=g)
-        floors = _worst([_values(here.sel(representation=label)) for label in exact])
-        spread = np.abs(np.log(here[_PRICE].sel(representation=exact).values))
+    for at in scenes(pooled, dims):
+        where = {
+            label: {name: table[r, *at.values()] for name, table in tables.items()}
+            for r, label in enumerate(labels)
+        }
+        if not any(where[law]["n_points"] > 0 for law in laws):
+            continue
+        floors = _worst([_values(where[label]) for label in exact])
+        spread = np.abs(np.log([where[label][_PRICE] for label in exact]))
         noise = float(np.exp(np.nanmax(spread, initial=0.0)))
-        rows = [here.sel(representation=law) for law in laws]
-        judged = [_judged(row, floors, noise) for row in rows if row["n_points"] > 0]
-        if judged:
-            gap = str(here["gap"].item())
-            threshold = _threshold(static, float(here["K_c"]), gap)
-            found.append(Contact(float(here["K_c"]), gap, floors, judged, threshold))
-    return found
+        judged = [
+            _judged(law, where[law], floors, noise) for law in laws if where[law]["n_points"] > 0
+        ]
+        here = pooled.coords.to_dataset().isel(at)
+        gap, others = gap_label(here), ", ".join(named(here[name]) for name in beside(here))
+        contact = Contact(float(here["K_c"]), gap, floors, judged, _threshold(static, here), others)
+        order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
+        found.append((contact.K_c, *order, contact))
+    return [contact for *_, contact in sorted(found, key=lambda one: one[:-1])]
 
 
 def verdict(values: Values, floors: Values) -> list[str]:
@@ -166,10 +187,10 @@ def verdict(values: Values, floors: Values) -> list[str]:
     return said
 
 
-def _values(row: xr.Dataset) -> Values:
+def _values(row: Row) -> Values:
     values = {}
     for name, long in _SHOWN.items():
-        low, high = row[f"{long}_ci"].values
+        low, high = row[f"{long}_ci"]
         values[name] = np.array([row[long], *((high, low) if name == "found" else (low, high))])
     return values
 
@@ -181,27 +202,38 @@ def _worst(exact: Sequence[Values]) -> Values:
     return {n: reduce(w, (values[n] for values in exact), nothing) for n, w in worst.items()}
 
 
-def _judged(row: xr.Dataset, floors: Values, noise: float) -> Judged:
+def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
     values = _values(row)
     said, *ends = verdict(values, floors)
     is_firm = len({end.replace("exact here", "use") for end in ends}) == 1
     unknown = any(np.isnan(v[1:]).any() and np.isfinite(v[0]) for v in values.values())
-    price, (low, high) = float(row[_PRICE]), row[f"{_PRICE}_ci"].values
+    price, (low, high) = float(row[_PRICE]), row[f"{_PRICE}_ci"]
     # NaN, where there is no interval, comes first: it is kept.
     low, high = min(float(low), price / noise), max(float(high), price * noise)
-    label, n_exact = str(row["representation"].item()), int(row["n_exact"])
-    return Judged(label, values, n_exact, said, is_firm and not unknown, price, low, high)
+    return Judged(
+        label, values, int(row["n_exact"]), said, is_firm and not unknown, price, low, high
+    )
 
 
-def _threshold(static: xr.Dataset | None, K_c: float, gap: str) -> str:
-    if static is None or "tanh_threshold" not in static or gap == "0/0":
+def _threshold(static: xr.Dataset | None, here: xr.Dataset) -> str:
+    if static is None or "tanh_threshold" not in static or gap_label(here) == "0/0":
         return "?"
-    value = float(static["tanh_threshold"].sel(K_c=K_c, gap=gap))
+    known = static["tanh_threshold"]
+    if not {str(dim) for dim in known.dims} <= {*here.coords}:
+        return "?"
+    value = float(known.sel({dim: here[dim].item() for dim in known.dims}))
     return f"ε > {number(float(f'{value:.2g}'))}" if np.isfinite(value) else "any ε"
 
 
 def in_words(found: Sequence[Contact]) -> list[str]:
-    """What to take, and what a stand-in costs where it must be one."""
+    """What to take, what a stand-in costs where it must be one, and what is not told in full."""
+    if len(found) > MOST_CONTACTS:
+        cut = f"Told one by one are the first {MOST_CONTACTS} of {len(found)} contacts."
+        return [*_said(found), f"{cut} All are in agreement.nc."]
+    return _said(found)
+
+
+def _said(found: Sequence[Contact]) -> list[str]:
     paying = [c for c in found if any(one.is_firm and one.high < 1.0 for one in c.picks)]
     others = [c for c in found if c not in paying]
     picks = [one for contact in others for one in contact.picks]
@@ -229,10 +261,15 @@ def _picked(found: Sequence[Contact]) -> str:
 
 
 def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
-    gaps: dict[str, list[str]] = {}
+    gaps: dict[tuple[str, str], list[str]] = {}
     for contact in some:
-        gaps.setdefault(number(contact.K_c), []).append(contact.gap)
-    places = " and ".join(f"{K_c} N/m with {', '.join(mm)} mm" for K_c, mm in gaps.items())
+        gaps.setdefault((number(contact.K_c), contact.others), []).append(contact.gap)
+    places = " and ".join(
+        f"{K_c} N/m with {', '.join(mm)} mm{f' at {others}' if others else ''}"
+        for (K_c, others), mm in gaps.items()
+    )
+    if len(some) > MOST_CONTACTS:
+        places = f"{len(some)} contacts"
     if not laws:
         return f"none of those swept for {places}"
     names = " or ".join([", ".join(laws[:-1]), laws[-1]] if laws[1:] else laws)
@@ -258,4 +295,10 @@ def lines(found: Sequence[Contact]) -> Iterator[list[str]]:
             ", ".join(f"{law.name} {law.cost}" for law in laws) or "none"
             for laws in one.columns.values()
         ]
-        yield [f"{number(one.K_c)} N/m, {one.gap} mm", *columns, one.threshold, one.least_tanh]
+        others = f", {one.others}" if one.others else ""
+        yield [
+            f"{number(one.K_c)} N/m, {one.gap} mm{others}",
+            *columns,
+            one.threshold,
+            one.least_tanh,
+        ]

@@ -5,6 +5,7 @@ from the dataset; lengths are drawn in millimetres. matplotlib itself comes with
 importing this module is cheap.
 """
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -15,19 +16,23 @@ from numpy.typing import NDArray
 from gapsweep.report.style import colour, lines
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
+from gapsweep.study.selection import as_words, is_numeric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-NOT_PERIODIC = "#c00000"
 WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
 MANY = 800  # points as vectors would make a file heavy
+_WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
+_MOST_NAMES = 24  # that fit beside a colour bar
+_FINENESS = 2000  # cells of one width along an axis of uneven ones
 _FEW = 60  # points on a curve that can be told apart
 # UDUNITS text to a factor and what stands on an axis.
 _SHOWN_UNITS = {
     "m": (1e3, "mm"),
     "m s-1": (1e3, "mm/s"),
     "N m-1": (1.0, "N/m"),
+    "N m-3": (1.0, "N/m³"),
     "s-1": (1.0, "1/s"),
     "1": (1.0, ""),
 }
@@ -48,6 +53,92 @@ def axis_label(variable: xr.DataArray, words: str = "") -> str:
     words = words or str(variable.attrs.get("long_name", variable.name))
     unit = _shown_unit(variable)[1]
     return f"{words} [{unit}]" if unit else words
+
+
+def named(coordinate: xr.DataArray) -> str:
+    """A coordinate's one value with its name and unit, as ``K_c = 14000 N/m``."""
+    name, held = str(coordinate.name), coordinate.values
+    (value,) = as_words(np.ravel(drawn(coordinate) if is_numeric(held) else held))
+    names = {"scene": "", "representation": "", "gap": "gap ", "regime": "regime: "}
+    return f"{names.get(name, f'{name} = ')}{value} {_shown_unit(coordinate)[1]}".strip()
+
+
+def is_crowded_low(values: NDArray[np.float64]) -> bool:
+    """Whether a logarithmic scale shows values better: wide apart, most at the low end."""
+    low, high = float(values.min()), float(values.max())
+    if not (low > 0.0 and high > _WIDE * low):
+        return False
+    return values.size < 3 or float(np.median(values)) < 0.35 * (low + high)
+
+
+def is_log(coordinate: xr.DataArray) -> bool:
+    """Whether an axis over a coordinate is logarithmic; one over frequency never is."""
+    return coordinate.name != "omega" and is_crowded_low(coordinate.values)
+
+
+def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
+    """Edges of the cells of an axis, halfway between its values.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        Ascending.
+    log : bool
+        Whether halfway on a logarithmic axis.
+
+    Returns
+    -------
+    ndarray, shape (n + 1,)
+    """
+    at = np.log(values) if log else values
+    if at.size == 1:
+        half = 0.05 if log else 0.05 * abs(float(at[0])) or 0.5
+        ends = np.array([at[0] - half, at[0] + half])
+    else:
+        inner = 0.5 * (at[1:] + at[:-1])
+        ends = np.concatenate([[2.0 * at[0] - inner[0]], inner, [2.0 * at[-1] - inner[-1]]])
+    return np.exp(ends) if log else ends
+
+
+def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **style: Any) -> Any:
+    """Cells whose edges lie halfway between the values, as one image; logarithmic by `is_log`.
+
+    Parameters
+    ----------
+    cells : ndarray, shape (n_y, n_x, ...)
+        What `matplotlib.axes.Axes.imshow` takes.
+    """
+    scaled: dict[int, NDArray[np.float64]] = {}
+    for axis, coordinate in ((1, x), (0, y)):
+        ends = edges(drawn(coordinate), log=is_log(coordinate))
+        which = "yx"[axis]
+        axes.set(**{f"{which}scale": "log" if is_log(coordinate) else "linear"})
+        axes.set(**{f"{which}lim": (ends[0], ends[-1])})
+        scaled[axis] = getattr(axes, f"{which}axis").get_transform().transform(ends)
+        cells = _even(cells, scaled[axis], axis)
+    limits = axes.get_xlim(), axes.get_ylim()
+    # Evenly spaced on the scale, not in the data: matplotlib would stretch it a second time.
+    look = {"transform": axes.transLimits + axes.transAxes, "interpolation": "none", **style}
+    extent = *scaled[1][[0, -1]].tolist(), *scaled[0][[0, -1]].tolist()
+    made = axes.imshow(cells, extent=extent, origin="lower", aspect="auto", **look)
+    axes.set(xlim=limits[0], ylim=limits[1])
+    axes.grid(visible=False)
+    return made
+
+
+def _even(cells: NDArray[Any], ends: NDArray[np.float64], axis: int) -> NDArray[Any]:
+    """Cells of one width along an axis: as they are, or repeated to fit their edges.
+
+    Parameters
+    ----------
+    ends : ndarray, shape (n + 1,)
+        The edges on the scale of the axis.
+    """
+    even = np.linspace(ends[0], ends[-1], ends.size)
+    if np.allclose(ends, even, rtol=0.0, atol=0.01 * (even[1] - even[0])):
+        return cells
+    middles = np.linspace(ends[0], ends[-1], 2 * _FINENESS + 1)[1::2]
+    return np.take(cells, np.searchsorted(ends, middles, side="right") - 1, axis=axis)
 
 
 def labels_of(dataset: xr.Dataset) -> list[str]:
@@ -88,10 +179,12 @@ def curves(axes: "Axes", variable: xr.DataArray, along: str) -> None:
             )
 
 
-def walls(axes: "Axes", scene: xr.Dataset) -> None:
-    """Both walls of the gap, where the dataset knows them."""
+def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega") -> None:
+    """Both walls of the gap, where the dataset knows them; one that moves `along` is a curve."""
     for name, sign in (("j_1", -1.0), ("j_2", 1.0)):
-        if name in scene.coords and scene[name].ndim == 0:
+        if name == along:
+            axes.plot(drawn(scene[name]), sign * drawn(scene[name]), **WALL)
+        elif name in scene.coords and scene[name].ndim == 0:
             axes.axhline(sign * float(drawn(scene[name])), **WALL)
 
 
@@ -221,19 +314,15 @@ def basins(axes: "Axes", found: xr.Dataset) -> None:
     found : Dataset
         As `gapsweep.basins` returns it.
     """
-    n = max(found.sizes["attractor_number"], 1)
+    found = found.sortby(["x_0", "v_0"])
+    names = attractor_names(found["period_multiple"], found["x_max"])
+    n = max(len(names), 1)
     ids = found["attractor"].transpose("v_0", "x_0")
-    mesh = axes.pcolormesh(
-        drawn(found["x_0"]),
-        drawn(found["v_0"]),
-        ids.where(ids >= 0),
-        cmap=_shades(n),
-        vmin=-0.5,
-        vmax=n - 0.5,
-    )
-    bar = axes.figure.colorbar(mesh, ax=axes, ticks=range(n))
-    bar.ax.set_yticklabels(attractor_names(found["period_multiple"], found["x_max"]))
-    axes.grid(visible=False)
+    look = {"cmap": _shades(n), "vmin": -0.5, "vmax": n - 0.5}
+    made = mesh(axes, found["x_0"], found["v_0"], ids.where(ids >= 0).values, **look)
+    shown = range(0, len(names), math.ceil(n / _MOST_NAMES))
+    bar = axes.figure.colorbar(made, ax=axes, ticks=list(shown))
+    bar.ax.set_yticklabels([names[i] for i in shown])
 
 
 def attractor_names(period_multiple: xr.DataArray, x_max: xr.DataArray) -> list[str]:

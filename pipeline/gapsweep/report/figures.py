@@ -1,29 +1,34 @@
 """Figures of the report, each from a dataset to a matplotlib figure."""
 
 import math
+from collections.abc import Iterable
 
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gapsweep.report import drawing
-from gapsweep.report.drawing import NOT_PERIODIC, axis_label, labels_of
+from gapsweep.report.drawing import axis_label, drawn, is_log, labels_of
+from gapsweep.report.maps import Picture, draw
+from gapsweep.report.style import NOT_PERIODIC
 
 _WIDTH = 9.5  # inches, the report's column
 
 
-def frequency_response(responses: xr.Dataset) -> Figure:
+def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
     """Amplitude over frequency, one curve per representation and start.
 
     Parameters
     ----------
     responses : Dataset
-        One stiffness and one gap; dimensions representation, omega, initial_condition.
+        Dimensions representation, `along`, initial_condition.
+    along : str
+        Numeric dimension of the horizontal axis.
     """
     figure = Figure(figsize=(_WIDTH, 4.2))
     axes = figure.subplots()
-    drawing.curves(axes, responses["amplitude"], "omega")
-    _frequency_axis(axes, responses)
+    drawing.curves(axes, responses["amplitude"], along)
+    _axis(axes, responses[along])
     axes.set_ylabel(axis_label(responses["amplitude"], "amplitude"))
     axes.set_ylim(bottom=0)
     if axes.lines:
@@ -31,7 +36,7 @@ def frequency_response(responses: xr.Dataset) -> Figure:
     return figure
 
 
-def bifurcation(responses: xr.Dataset) -> Figure:
+def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
     """All steady extrema over frequency, a panel per representation.
 
     Periodic responses are drawn in the representation's colour, all others in red.
@@ -42,26 +47,28 @@ def bifurcation(responses: xr.Dataset) -> Figure:
     figure = Figure(figsize=(_WIDTH, 1.1 + 2.3 * n_rows))
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, label in zip(panels, labels, strict=False):
-        drawing.walls(axes, responses)
-        drawing.extrema(axes, responses.sel(representation=label), "omega", other=NOT_PERIODIC)
+        drawing.walls(axes, responses, along)
+        drawing.extrema(axes, responses.sel(representation=label), along, other=NOT_PERIODIC)
         axes.set_title(label, fontsize=9, loc="left")
     for axes in panels[len(labels) :]:
         axes.set_visible(False)
     for axes in panels[max(0, len(labels) - n_columns) : len(labels)]:
-        _frequency_axis(axes, responses)
+        _axis(axes, responses[along])
         axes.xaxis.set_tick_params(labelbottom=True)
     for axes in panels[::n_columns]:
         axes.set_ylabel(axis_label(responses["extrema"], "extrema"))
     return figure
 
 
-def attractors(found: xr.Dataset) -> Figure:
+def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
     """Peak of every attractor over frequency, its dot as large as its basin, a panel per label.
 
     Parameters
     ----------
     found : Dataset
-        One stiffness and one gap of ``attractors.nc``; dimensions representation, omega, attractor.
+        Part of ``attractors.nc``; dimensions representation, `along`, attractor.
+    along : str
+        Numeric dimension of the horizontal axis.
     """
     labels = labels_of(found)
     n_columns = min(3, len(labels))
@@ -69,13 +76,13 @@ def attractors(found: xr.Dataset) -> Figure:
     figure = Figure(figsize=(_WIDTH, 0.7 + 2.4 * n_rows))
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, label in zip(panels, labels, strict=False):
-        drawing.walls(axes, found)
-        drawing.attractor_peaks(axes, found.sel(representation=label), "omega")
+        drawing.walls(axes, found, along)
+        drawing.attractor_peaks(axes, found.sel(representation=label), along)
         axes.set_title(label, fontsize=9, loc="left")
     for axes in panels[len(labels) :]:
         axes.set_visible(False)
     for axes in panels[max(0, len(labels) - n_columns) : len(labels)]:
-        _frequency_axis(axes, found)
+        _axis(axes, found[along])
         axes.xaxis.set_tick_params(labelbottom=True)
     for axes in panels[::n_columns]:
         axes.set_ylabel(axis_label(found["x_max"], "peak"))
@@ -98,8 +105,23 @@ def basins(found: xr.Dataset) -> Figure:
     return figure
 
 
-def _frequency_axis(axes: Axes, responses: xr.Dataset) -> None:
-    omega = responses["omega"].values
-    axes.set_xlabel(axis_label(responses["omega"]))
-    pad = 0.02 * (omega.max() - omega.min()) or 0.5
-    axes.set_xlim(max(0.0, omega.min() - pad), omega.max() + pad)
+def maps(pictures: Iterable[Picture]) -> Figure:
+    """Up to four pictures of one representation, two in a row; each is let go once it is drawn."""
+    figure = Figure(figsize=(_WIDTH, 7.4))
+    panels = iter(figure.subplots(2, 2).ravel())
+    for shown in pictures:
+        draw(next(panels), shown)
+    for axes in panels:
+        axes.set_visible(False)
+    return figure
+
+
+def _axis(axes: Axes, coordinate: xr.DataArray) -> None:
+    values = drawn(coordinate)
+    axes.set_xlabel(axis_label(coordinate))
+    if is_log(coordinate):
+        axes.set_xscale("log")
+        return
+    pad = 0.02 * (values.max() - values.min()) or 0.5
+    low = values.min() - pad
+    axes.set_xlim(max(0.0, low) if values.min() >= 0.0 else low, values.max() + pad)

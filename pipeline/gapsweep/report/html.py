@@ -13,13 +13,18 @@ import matplotlib
 import xarray as xr
 from markupsafe import Markup
 
-from gapsweep.report.answer import SIGNS, contacts, in_words, times
+from gapsweep.analysis.grid import At, scene_dims
+from gapsweep.analysis.grid import scenes as all_scenes
+from gapsweep.report.answer import MOST_CONTACTS, SIGNS, contacts, in_words, times
 from gapsweep.report.bench import bench_parts
+from gapsweep.report.drawing import named
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.findings import findings, outcomes
+from gapsweep.report.overview import is_wide, overview
 from gapsweep.report.parts import for_page, rendered, svg
 from gapsweep.report.scenes import Scenes, swept
+from gapsweep.report.selection import beside, gap_label
 from gapsweep.report.style import MATPLOTLIB
 from gapsweep.report.tables import (
     VERDICTS,
@@ -38,7 +43,7 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Everything about one contact stiffness and gap."""
+    """Everything about one scene."""
 
     title: str
     anchor: str
@@ -96,10 +101,14 @@ def write_report(
         lstrip_blocks=True,
     )
     script = (_TEMPLATES / "claims.js").read_text(encoding="utf-8")
-    with matplotlib.rc_context(MATPLOTLIB):
-        scenes = Scenes(responses)
-        sections = list(_sections(responses, scenes, agreement, timing, attractors))
-    parts = [*own_parts, *rendered(bench_parts(work_precision, stability))]
+    sections: list[Section] = []
+    ours = list(bench_parts(work_precision, stability))
+    if is_wide(responses):
+        ours.append(overview(responses, agreement, timing, attractors))
+    else:
+        with matplotlib.rc_context(MATPLOTLIB):
+            sections = list(_sections(responses, Scenes(responses), agreement, timing, attractors))
+    parts = [*own_parts, *rendered(ours)]
     environment.filters.update(number=number, percent=percent, times=times)
     found = [] if agreement is None else contacts(agreement, static)
     page = environment.get_template("report.html").render(
@@ -107,7 +116,7 @@ def write_report(
         made_from=made_from,
         study=responses.attrs["study"],
         findings=findings(responses, found, claims, advice),
-        contacts=found,
+        contacts=found[:MOST_CONTACTS],
         answer=in_words(found),
         signs=SIGNS,
         claims=claims and {"counts": claims["counts"], "rows": list(claim_rows(claims))},
@@ -146,36 +155,35 @@ def _sections(
     timing: xr.Dataset,
     attractors: xr.Dataset | None,
 ) -> Iterator[Section]:
-    for k in range(responses.sizes["K_c"]):
-        for g in range(responses.sizes["gap"]):
-            at = {"K_c": k, "gap": g}
-            here = scenes.at(k, g)
-            if here is None:
-                continue
-            labels = [str(label) for label in here["representation"].values]
-            title = f"K_c = {number(float(here['K_c']))} N/m, gap {here['gap'].item()} mm"
-            shown = _without_protocols(here)
-            rows: list[Row] = []
-            if agreement is not None and agreement.attrs["reference"] in labels:
-                rows = list(agreement_rows(agreement.isel(at), labels))
-            several = _attractors(attractors, shown, at, title)
-            yield Section(
-                title=title,
-                anchor=f"scene-{k}-{g}",
-                summary=outcomes(here),
-                # Curves of many starts would cross between attractors: these have their own panels.
-                frequency_response=None
-                if several
-                else svg(frequency_response(shown), f"Frequency response, {title}"),
-                bifurcation=svg(bifurcation(shown), f"Bifurcation diagram, {title}"),
-                attractors=several,
-                agreement=rows,
-                timing=list(timing_rows(timing.isel(at).load(), labels)),
-            )
+    for at in all_scenes(responses, scene_dims(responses["status"].dims)):
+        here = scenes.at(at)
+        if here is None:
+            continue
+        labels = [str(label) for label in here["representation"].values]
+        others = "".join(f", {named(here[name])}" for name in beside(here))
+        title = f"K_c = {number(float(here['K_c']))} N/m, gap {gap_label(here)} mm{others}"
+        shown = _without_protocols(here)
+        rows: list[Row] = []
+        if agreement is not None and agreement.attrs["reference"] in labels:
+            rows = list(agreement_rows(agreement.isel(at), labels))
+        several = _attractors(attractors, shown, at, title)
+        yield Section(
+            title=title,
+            anchor="-".join(["scene", *map(str, at.values())]),
+            summary=outcomes(here),
+            # Curves of many starts would cross between attractors: these have their own panels.
+            frequency_response=None
+            if several
+            else svg(frequency_response(shown), f"Frequency response, {title}"),
+            bifurcation=svg(bifurcation(shown), f"Bifurcation diagram, {title}"),
+            attractors=several,
+            agreement=rows,
+            timing=list(timing_rows(timing.isel(at), labels)),
+        )
 
 
 def _attractors(
-    attractors: xr.Dataset | None, scene: xr.Dataset, at: dict[str, int], title: str
+    attractors: xr.Dataset | None, scene: xr.Dataset, at: At, title: str
 ) -> Markup | None:
     """Attractors of a scene, at the frequencies that have several starts; None if none has."""
     several = (scene["status"] != Status.NOT_REQUESTED).sum("initial_condition") > 1

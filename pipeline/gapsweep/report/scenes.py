@@ -1,9 +1,11 @@
-"""The scenes of ``responses.nc``: what was swept at one stiffness and gap, in memory."""
+"""The scenes of ``responses.nc``: what was swept at one stiffness, gap, ..., in memory."""
 
 import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.grid import At
 from gapsweep.status import Status
+from gapsweep.study.selection import positions
 
 # What figures and sentences use.
 _SHOWN = ("status", "response_class", "amplitude", "x_max", "x_min", "extrema")
@@ -25,34 +27,39 @@ class Scenes:
     def __init__(self, responses: xr.Dataset) -> None:
         self._responses = responses[[name for name in _SHOWN if name in responses]]
         self._asked = responses["status"].load() != Status.NOT_REQUESTED
-        self._last: tuple[int, int, xr.Dataset | None] = (-1, -1, None)
+        self._last: tuple[At | None, xr.Dataset | None] = (None, None)
 
-    def at(self, k: int, g: int) -> xr.Dataset | None:
-        """Representations, frequencies and starts swept at the k-th stiffness and g-th gap.
+    def at(self, at: At) -> xr.Dataset | None:
+        """Representations, frequencies and starts swept at a position; None if there are none.
 
-        None if there are none.
+        Parameters
+        ----------
+        at : mapping of str to int
+            Position along every dimension of scenes.
         """
-        if self._last[:2] != (k, g):
-            self._last = (-1, -1, None)  # never two scenes in memory
-            asked = self._asked.isel(K_c=k, gap=g)
-            self._last = (k, g, self._scene(k, g) if bool(asked.any()) else None)
-        return self._last[2]
+        if self._last[0] != at:
+            self._last = (None, None)  # never two scenes in memory
+            asked = self._asked.isel(at)
+            self._last = (at, self._scene(at) if bool(asked.any()) else None)
+        return self._last[1]
 
     def labelled(self, K_c: float, gap: str) -> xr.Dataset | None:
         """The scene of a stiffness [N/m] and gap, None if it was not swept."""
-        stiffnesses, gaps = (self._responses[name].values.tolist() for name in ("K_c", "gap"))
-        if K_c not in stiffnesses or gap not in gaps:
+        wanted = {"K_c": K_c, "gap": gap}
+        try:
+            found = {n: positions(n, self._responses[n].values, v) for n, v in wanted.items()}
+        except ValueError:
             return None
-        return self.at(stiffnesses.index(K_c), gaps.index(gap))
+        return self.at({name: int(where[0]) for name, where in found.items()})
 
-    def _scene(self, k: int, g: int) -> xr.Dataset:
-        asked = self._asked.isel(K_c=k, gap=g)
+    def _scene(self, at: At) -> xr.Dataset:
+        asked = self._asked.isel(at)
         rows = np.flatnonzero(asked.any(["omega", "initial_condition"]))
         omega = np.flatnonzero(asked.any(["representation", "initial_condition"]))
         starts = np.flatnonzero(asked.any(["representation", "omega"]))
         parts = []
         for row in rows.tolist():
-            slab = self._responses.isel(representation=row, K_c=k, gap=g).load()
+            slab = self._responses.isel({**at, "representation": row}).load()
             parts.append(_without_padding(slab.isel(omega=omega, initial_condition=starts)))
         longest = max(part.sizes.get(_PADDED, 0) for part in parts)
         padded = [

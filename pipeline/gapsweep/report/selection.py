@@ -1,17 +1,18 @@
 """The part of a dataset that a plot shows: selected by coordinate, with the dimensions it needs."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
-import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from gapsweep.errors import DatasetError, ModelError
-from gapsweep.model.labels import canonical_label
-from gapsweep.study.points import canonical
+from gapsweep.analysis.selection import selected
+from gapsweep.errors import DatasetError
+from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.study.selection import listed
 
-SHOWN_VALUES = 6
+_SHOWN_NAMES = 6
+_PLACE = ("K_c", "gap", "j_1", "j_2", "omega", *(field.name for field in fields(Oscillator)))
 _NAMELESS = "response"  # where a selection has dropped the representation's label
 
 
@@ -61,95 +62,44 @@ def _over(part: xr.Dataset, name: str, dims: Sequence[str]) -> xr.DataArray:
     return part[name].expand_dims(repeated).expand_dims(alone)
 
 
-def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
-    """A selection by any coordinate of one dimension.
+def places(dataset: xr.Dataset) -> list[str]:
+    """Coordinates that say where a dataset's points are, representation and start apart."""
+    # The label of a gap holds both distances.
+    walls = ("j_1", "j_2") if "gap" in dataset.coords else ()
+    return [name for name in _PLACE if name in dataset.coords and name not in walls]
 
-    A value of a dimension's own coordinate reduces it to a scalar; lists, slices (both ends
-    included) and other coordinates (``start="sweep_up"``) keep the dimension. Numbers are
-    compared after rounding to 12 significant digits.
 
-    Raises
-    ------
-    DatasetError
-        If a name is no coordinate or nothing has the value.
-    """
-    for name, value in wanted.items():
-        if name not in dataset.coords:
-            known = ", ".join(str(coordinate) for coordinate in dataset.coords)
-            raise DatasetError(f"{name}: no coordinate of this dataset; it has {known}")
-        coordinate = dataset[name]
-        matches = _matches(name, coordinate, value)
-        if coordinate.ndim:
-            (dim,) = coordinate.dims
-            where = np.flatnonzero(matches)
-            is_one = name == dim and not isinstance(value, (list, tuple, slice, np.ndarray))
-            dataset = dataset.isel({dim: int(where[0]) if is_one else where})
-    return dataset
+def beside(scene: xr.Dataset) -> list[str]:
+    """What a scene has one value of, beside its stiffness and gap."""
+    own = {"K_c", "gap", "j_1", "j_2"}
+    return [name for name in places(scene) if name not in own and scene[name].ndim == 0]
+
+
+def gap_label(scene: xr.Dataset) -> str:
+    """Wall distances of a scene [mm], whether its gap has a label or they are swept as numbers."""
+    if "gap" in scene.coords:
+        return str(scene["gap"].item())
+    return Gap(float(scene["j_1"]), float(scene["j_2"])).label
 
 
 def missing_variable(dataset: xr.Dataset, name: str) -> str:
     """Why a variable cannot be drawn, and where it is."""
-    known = ", ".join(str(variable) for variable in list(dataset.data_vars)[:SHOWN_VALUES])
+    known = ", ".join(str(variable) for variable in list(dataset.data_vars)[:_SHOWN_NAMES])
     file = next((file for file, names in _FILES.items() if name in names), "")
     remedy = f"; it is in {file}, which gs.open opens" if file else ""
     return f"{name}: no variable of this dataset (it has {known or 'none'}, ...){remedy}"
 
 
 _FILES = {
-    "responses.nc": ("amplitude", "x_max", "extrema", "response_class"),
-    "attractors.nc": ("basin_share", "section_x", "section_v"),
+    "responses.nc": ("amplitude", "x_max", "extrema", "response_class", "period_multiple"),
+    "attractors.nc": ("n_attractors", "basin_share", "section_x", "section_v"),
     "work_precision.nc": ("trajectory_error", "cpu_time"),
 }
 
 
-def _matches(name: str, coordinate: xr.DataArray, value: Any) -> NDArray[np.bool_]:
-    """Which values of a coordinate are wanted; every wanted one must be there."""
-    held = np.atleast_1d(coordinate.values)
-    if isinstance(value, slice):
-        if held.dtype.kind not in "iuf":
-            raise DatasetError(f"{name}: holds text, which has no range; give a list instead")
-        low = -np.inf if value.start is None else canonical(value.start)
-        high = np.inf if value.stop is None else canonical(value.stop)
-        matches = (held >= low) & (held <= high)
-        absent = [] if matches.any() else [value]
-    else:
-        values = value if isinstance(value, (list, tuple, np.ndarray)) else [value]
-        each = [held == _canonical(name, one, held) for one in values]
-        matches = np.logical_or.reduce(each, axis=0) if each else np.zeros(held.shape, bool)
-        absent = [one for one, found in zip(values, each, strict=True) if not found.any()]
-    if absent or not matches.any():
-        missing = ", ".join(map(repr, absent)) or "nothing"
-        raise DatasetError(f"{name} = {missing}: not in this dataset; it has {listed(coordinate)}")
-    return matches
-
-
-def _canonical(name: str, value: Any, held: NDArray[Any]) -> Any:
-    if held.dtype.kind in "iuf" and not isinstance(value, str):
-        return canonical(value)
-    if name == "representation":
-        label, at, protocol = str(value).partition("@")
-        try:
-            return canonical_label(label) + at + protocol
-        except ModelError as error:
-            raise DatasetError(str(error)) from None
-    return value
-
-
 def _too_many(part: xr.Dataset, dim: str) -> str:
-    values = listed(part[dim]) if dim in part.coords else f"0 to {part.sizes[dim] - 1}"
-    one = part[dim].values[0]
-    example = f"{one:g}" if isinstance(one, float) else repr(str(one))
+    values = listed(part[dim].values) if dim in part.coords else f"0 to {part.sizes[dim] - 1}"
+    one = part[dim].values.tolist()[0]
+    example = f"{one:.12g}" if isinstance(one, float | int) else repr(str(one))
     how = f"{dim}={example}" if dim in part.coords else f".isel({dim}=0)"
     return f"{dim}: this plot has room for one value and the dataset has {values}; choose: {how}"
-
-
-def listed(coordinate: xr.DataArray) -> str:
-    """The first values of a coordinate, and how many more there are."""
-    words = as_words(np.atleast_1d(coordinate.values))
-    more = len(words) - SHOWN_VALUES
-    return ", ".join(words[:SHOWN_VALUES]) + (f" and {more} more" if more > 0 else "")
-
-
-def as_words(values: NDArray[Any]) -> list[str]:
-    """Values as they are printed."""
-    return [f"{v:g}" if isinstance(v, float) else str(v) for v in values.tolist()]

@@ -14,6 +14,16 @@ _FAMILIES = {
     "logarctan": "#D55E00",
 }
 _OTHER = "#56B4E9"
+# What is not periodic is red in every figure; pale is what is most common.
+NOT_PERIODIC, BLANK = "#c00000", "#ffffff"
+CLASS_COLOURS = {
+    "periodic": "#9ecae1",
+    "chaotic": NOT_PERIODIC,
+    "unresolved": "#E69F00",
+    "failed": "#555555",
+}
+# Light to dark in blue and green, apart from red and orange, also for colour-blind readers.
+_SEQUENCE = "YlGnBu"
 _LINES = ("-", "--", ":", "-.")
 
 MATPLOTLIB: dict[Any, Any] = {
@@ -35,6 +45,15 @@ def colour(label: str) -> str:
     if label == "piecewise":
         return _EXACT
     return _FAMILIES.get(label, _FAMILIES.get(label.partition("-")[0], _OTHER))
+
+
+def sequence(n: int) -> list[str]:
+    """Colours of `n` things that are counted, from pale to dark; the first ones farther apart."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    places = [0.12 + 0.88 * (i / max(n - 1, 1)) ** 0.6 for i in range(n)]
+    return [to_hex(colormaps[_SEQUENCE](place)) for place in places]
 
 
 def lines(labels: Sequence[str]) -> dict[str, str]:

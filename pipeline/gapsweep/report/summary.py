@@ -6,9 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
-from gapsweep.report.selection import SHOWN_VALUES, listed
-from gapsweep.study.schema import CLASS_FLAGS, POINT_DIMS, STATUS_FLAGS
+from gapsweep.report.selection import places
+from gapsweep.study.schema import CLASS_FLAGS, STATUS_FLAGS
+from gapsweep.study.selection import is_numeric, listed
 
+_FEW = 6  # values that are named one by one
 _NOT_REQUESTED = "not_requested"
 _PADDING = (_NOT_REQUESTED, "none")  # cells that are no sweep point or no attractor
 
@@ -50,9 +52,9 @@ def _facts(dataset: xr.Dataset) -> Iterator[tuple[str, str]]:
     for name, flags in (("status", STATUS_FLAGS), ("response_class", CLASS_FLAGS)):
         if name in dataset:
             yield name.replace("_", " "), _counts(dataset[name].values, flags)
-    for name in POINT_DIMS:
+    for name in ("representation", *places(dataset), "initial_condition"):
         if name in dataset.coords:
-            yield name.replace("_", " ") if name == POINT_DIMS[-1] else name, _values(dataset[name])
+            yield name.replace("initial_condition", "initial condition"), _values(dataset[name])
 
 
 def _counts(values: np.ndarray, flags: tuple[tuple[str, int], ...]) -> str:
@@ -65,6 +67,6 @@ def _values(coordinate: xr.DataArray) -> str:
     values = np.atleast_1d(coordinate.values)
     units = str(coordinate.attrs.get("units", "1"))
     unit = "" if units == "1" else f" {units.replace('N m-1', 'N/m')}"
-    if values.size > SHOWN_VALUES and values.dtype.kind in "iuf":
+    if values.size > _FEW and is_numeric(values):
         return f"{values.size} values, {values.min():g} to {values.max():g}{unit}"
-    return listed(coordinate) + unit
+    return listed(values) + unit

@@ -1,11 +1,14 @@
 """Tables of the report: rows of texts, from the datasets of a run."""
 
+import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.grid import scene_dims
+from gapsweep.analysis.metrics import BOUND
 from gapsweep.report.style import colour
 
 Row = dict[str, Any]
@@ -16,16 +19,16 @@ VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 
 
 def agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[Row]:
-    """Agreement of representations with the exact law in one scene, and the floors at the end.
+    """Agreement of representations with the exact law, and the floors at the end.
 
     Parameters
     ----------
     agreement : Dataset
-        One stiffness and one gap of ``agreement.nc``.
+        One scene of ``agreement.nc``, or more: then medians over scenes, without intervals.
     labels : list of str
         Representations swept there.
     """
-    pooled = agreement[list(_SHOWN)].sel(regime="all").load()
+    pooled = condensed(agreement[list(_SHOWN)].sel(regime="all").load())
     floors = str(agreement.attrs["floor_representations"]).split()
     for label in labels:
         if label not in (agreement.attrs["reference"], *floors):
@@ -83,7 +86,8 @@ def _interval(bounds: xr.DataArray) -> str:
 
 
 def timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[Row]:
-    """Median costs per sweep point in one scene of ``timing.nc``."""
+    """Median costs per sweep point in one scene of ``timing.nc``, or medians over its scenes."""
+    timing = condensed(timing.load())
     for label in labels:
         row = timing.sel(representation=label)
         yield {
@@ -94,6 +98,21 @@ def timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[Row]:
             "n_points": row["n_points"].item(),
             "n_elsewhere": row["n_points_elsewhere"].item(),
         }
+
+
+def condensed(dataset: xr.Dataset) -> xr.Dataset:
+    """Medians over scenes, and sums of what is counted; one scene as it is."""
+    dims = [dim for dim in scene_dims(dataset.dims) if dim != BOUND]
+    if not dims:
+        return dataset
+    counted = [name for name, variable in dataset.items() if variable.dtype.kind == "i"]
+    # The median of intervals would be none.
+    intervals = {name: np.nan * dataset[name] for name in dataset if str(name).endswith("_ci")}
+    with warnings.catch_warnings():
+        # numpy warns where no scene has a number: NaN is what we want there.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        middle = dataset.drop_vars(counted).assign(intervals).median(dims)
+    return middle.assign(dataset[counted].sum(dims))
 
 
 def claim_rows(decided: Mapping[str, Any]) -> Iterator[Row]:

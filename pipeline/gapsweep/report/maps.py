@@ -1,0 +1,296 @@
+"""Maps: one variable over two numeric axes, every cell a colour of one mesh."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.analysis.classes import CLASSES, UNRESOLVED, class_numbers
+from gapsweep.analysis.selection import selected
+from gapsweep.errors import DatasetError
+from gapsweep.report import drawing
+from gapsweep.report.drawing import axis_label, drawn, is_crowded_low
+from gapsweep.report.selection import missing_variable, scene
+from gapsweep.report.style import BLANK, CLASS_COLOURS, sequence
+from gapsweep.response.result import ResponseClass
+from gapsweep.status import Status
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_START = "initial_condition"
+_MOST_KINDS = 9  # colours that can be told apart; whole numbers beyond have a colour bar
+_TAIL = 0.005  # share of the numbers at either end that may lie beyond the colour bar
+_NO_PICTURE = ("unresolved", "failed")
+
+
+@dataclass
+class Picture:
+    """A map before it is drawn.
+
+    Attributes
+    ----------
+    x, y : DataArray, shapes (n_x,) and (n_y,)
+    kind : ndarray of int, shape (n_y, n_x)
+        Position among `names`; -1: a number, or nothing.
+    names, colours : list of str
+        Of the kinds.
+    numbers : DataArray, shape (n_y, n_x)
+        What the colour bar is of; NaN where there is none.
+    blank : str
+        What a cell without a colour means.
+    """
+
+    x: xr.DataArray
+    y: xr.DataArray
+    numbers: xr.DataArray
+    kind: NDArray[np.int64]
+    names: list[str] = field(default_factory=list)
+    colours: list[str] = field(default_factory=list)
+    blank: str = "no value"
+
+    def mark(self, where: NDArray[np.bool_], name: str, colour: str) -> None:
+        """Give cells a colour of their own in place of their number."""
+        if where.any():
+            self.kind[where] = len(self.names)
+            self.names.append(name)
+            self.colours.append(colour)
+
+
+def picture(
+    dataset: xr.Dataset, variable: str, x: str, y: str | None, wanted: Mapping[str, Any]
+) -> tuple[Picture, xr.Dataset]:
+    """What a map of a variable shows, and the part of the dataset that it is of.
+
+    Parameters
+    ----------
+    x, y : str
+        Numeric dimensions, or ``x_0`` and ``v_0`` of starts that form a full grid; `y` is the
+        longest other numeric dimension if None.
+    wanted : mapping
+        As for `gapsweep.analysis.selection.selected`; one value must be left of all others.
+
+    Raises
+    ------
+    DatasetError
+        If something is missing, or there is more than a map has room for.
+    """
+    if variable not in dataset.data_vars:
+        raise DatasetError(missing_variable(dataset, variable))
+    part = selected(dataset, wanted)
+    y = next((dim for dim in numeric_axes(part) if dim != x), "K_c") if y is None else y
+    for name in (x, y):
+        _check_axis(part, name)
+    if x == y:
+        raise DatasetError(f"{x}: both axes of the map; give two different ones")
+    names = [variable, *_companions(part, variable)]
+    if _START in part[x].dims and _START in part[y].dims:
+        shown = on_grid(scene(part, dict.fromkeys(names, (_START,)), {}), y, x)
+    else:
+        shown = scene(part, dict.fromkeys(names, (y, x)), {}).sortby([x, y])
+    return _picture(shown, variable, x, y), shown
+
+
+def numeric_axes(dataset: xr.Dataset) -> list[str]:
+    """Numeric dimensions of more than one value, the longest first; starts have only numbers."""
+    found = [
+        str(dim)
+        for dim, n in dataset.sizes.items()
+        if n > 1 and dim != _START and dim in dataset.coords and dataset[dim].dtype.kind in "iuf"
+    ]
+    return sorted(found, key=lambda dim: -dataset.sizes[dim])
+
+
+def on_grid(starts: xr.Dataset, y: str = "v_0", x: str = "x_0") -> xr.Dataset:
+    """Variables over the starts as variables over two coordinates of these; sweeps left out.
+
+    Raises
+    ------
+    DatasetError
+        If the fixed starts do not form a full grid.
+    """
+    here = starts.isel({_START: np.isfinite(starts[x].values) & np.isfinite(starts[y].values)})
+    rows, columns = np.unique(here[y].values), np.unique(here[x].values)
+    order = np.lexsort((here[x].values, here[y].values))
+    pairs = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+    found = np.column_stack([here[y].values, here[x].values])[order]
+    if not order.size or pairs.shape != found.shape or not np.array_equal(pairs, found):
+        raise DatasetError(
+            f"{x}, {y}: the {order.size} fixed starts are no full grid of the two; attractors() "
+            "draws a mark for each"
+        )
+    shape = rows.size, columns.size
+    return xr.Dataset(
+        {
+            name: ((y, x), here[name].values[order].reshape(shape), here[name].attrs)
+            for name in here.data_vars
+        },
+        {y: (y, rows, here[y].attrs), x: (x, columns, here[x].attrs)}
+        | {name: c for name, c in here.coords.items() if c.ndim == 0},
+        starts.attrs,
+    )
+
+
+def as_basins(starts: xr.Dataset) -> xr.Dataset:
+    """Starts that form a grid in the form in which `gapsweep.basins` returns them.
+
+    Parameters
+    ----------
+    starts : Dataset
+        ``attractor(initial_condition)``, ``period_multiple``, ``x_max``, ``x_0`` and ``v_0``.
+
+    Raises
+    ------
+    DatasetError
+        If they form none.
+    """
+    starts = starts.isel({_START: np.isfinite(starts["x_0"].values)})
+    ids, first = np.unique(starts["attractor"].values, return_index=True)
+    known = first[ids >= 0]
+    what = starts[["period_multiple", "x_max"]].isel({_START: known})
+    grid = on_grid(starts.set_coords(["x_0", "v_0"])[["attractor"]])
+    numbers = np.searchsorted(ids[ids >= 0], grid["attractor"].values)
+    grid["attractor"] = grid["attractor"].copy(data=np.where(grid["attractor"] >= 0, numbers, -1))
+    return grid.assign(
+        {name: ("attractor_number", what[name].values, what[name].attrs) for name in what}
+    )
+
+
+def draw(axes: "Axes", shown: Picture) -> None:
+    """The mesh, a colour bar of its numbers and a legend of everything else."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import to_rgba_array
+
+    values = drawn(shown.numbers)
+    is_number = (shown.kind < 0) & np.isfinite(values)
+    rgba = np.zeros((*values.shape, 4), dtype=np.uint8)
+    if is_number.any():
+        norm, extend = _norm(values[is_number])
+        bar = ScalarMappable(norm, "viridis")
+        rgba[is_number] = bar.to_rgba(values[is_number], bytes=True)
+        axes.figure.colorbar(bar, ax=axes, label=axis_label(shown.numbers), extend=extend)
+    if shown.names:
+        palette = np.rint(255 * to_rgba_array(shown.colours)).astype(np.uint8)
+        rgba[shown.kind >= 0] = palette[shown.kind[shown.kind >= 0]]
+    drawing.mesh(axes, shown.x, shown.y, rgba)
+    axes.set_xlabel(axis_label(shown.x))
+    axes.set_ylabel(axis_label(shown.y))
+    is_blank = not (is_number | (shown.kind >= 0)).all()
+    names = shown.names + [f"blank: {shown.blank}"] * is_blank
+    # A colour bar says itself what it is of.
+    title = "" if is_number.any() else re.sub(", -?[0-9]+: none", "", axis_label(shown.numbers))
+    _key(axes, names, shown.colours + [BLANK] * is_blank, title)
+
+
+def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str) -> None:
+    """A legend under the axes, where it hides nothing."""
+    from matplotlib.patches import Patch
+    from matplotlib.transforms import ScaledTranslation
+
+    if not names:
+        return
+    below = ScaledTranslation(0.0, -34.0 / 72.0, axes.figure.dpi_scale_trans)
+    axes.legend(
+        handles=[
+            Patch(facecolor=shade, edgecolor="#888888", linewidth=0.4, label=name)
+            for name, shade in zip(names, colours, strict=True)
+        ],
+        loc="upper left",
+        bbox_to_anchor=(0.0, 0.0),
+        bbox_transform=axes.transAxes + below,
+        ncols=4,
+        title=title,
+        alignment="left",
+        fontsize=8,
+        title_fontsize=8,
+        handlelength=1.0,
+        handletextpad=0.4,
+        columnspacing=1.0,
+        borderpad=0.0,
+        frameon=False,
+    )
+
+
+def _check_axis(part: xr.Dataset, name: str) -> None:
+    if name not in part.coords:
+        axes = ", ".join(numeric_axes(part)) or "none"
+        raise DatasetError(f"{name}: no coordinate of this dataset; numeric axes: {axes}")
+    if part[name].dtype.kind not in "iuf":
+        axes = ", ".join(numeric_axes(part)) or "none"
+        raise DatasetError(f"{name}: holds text, which is no axis of a map; numeric axes: {axes}")
+
+
+def _companions(part: xr.Dataset, variable: str) -> list[str]:
+    """What tells why a cell has no number, where it is stored cell by cell."""
+    needed = ("status", "response_class")
+    dims = set(part[variable].dims)
+    return [n for n in needed if n in part and n != variable and dims == set(part[n].dims)]
+
+
+def _picture(shown: xr.Dataset, variable: str, x: str, y: str) -> Picture:
+    values = shown[variable].transpose(y, x)
+    asked = np.ones(values.shape, dtype=bool)
+    if "status" in shown:
+        asked = shown["status"].transpose(y, x).values != Status.NOT_REQUESTED
+    made = Picture(shown[x], shown[y], values.where(asked), np.full(values.shape, -1))
+    classes = shown["response_class"].transpose(y, x).values if "response_class" in shown else None
+    if variable == "period_multiple" and classes is not None:
+        _mark_periods(made, class_numbers(asked, classes, values.values))
+    elif values.dtype.kind in "iu":
+        _mark_whole_numbers(made, values.where(asked, -1))
+    if classes is not None and variable != "response_class":
+        for name in _NO_PICTURE:
+            where = asked & (classes == ResponseClass[name.upper()])
+            if name not in made.names:
+                made.mark(where, name, CLASS_COLOURS[name])
+    if "status" in shown and ((made.kind >= 0) | np.isfinite(made.numbers.values) | ~asked).all():
+        made.blank = "not requested"
+    elif variable == "n_attractors":
+        made.blank = "none found, or not requested"
+    return made
+
+
+def _mark_periods(made: Picture, numbers: NDArray[np.int64]) -> None:
+    """Periods and other classes, each in its colour."""
+    shades = sequence(UNRESOLVED - 1)
+    for number in np.unique(numbers[numbers >= 0]).tolist():
+        name = CLASSES[number]
+        made.mark(numbers == number, name, CLASS_COLOURS.get(name) or shades[number])
+    made.numbers = made.numbers.where(False)
+
+
+def _mark_whole_numbers(made: Picture, values: xr.DataArray) -> None:
+    """Flags by their names, and few different numbers as they are; negative ones are none."""
+    whole, attributes = values.values, values.attrs
+    first = 1 if values.name == "n_attractors" else 0
+    there = np.unique(whole[whole >= first]).tolist()
+    flags = np.ravel(attributes.get("flag_values", [])).tolist()
+    known = dict(zip(flags, str(attributes.get("flag_meanings", "")).split(), strict=False))
+    if not known and len(there) > _MOST_KINDS:
+        made.numbers = made.numbers.where(whole >= first)
+        return
+    shades = sequence(len(there))
+    for number, shade in zip(there, shades, strict=True):
+        name = known.get(number, str(number))
+        made.mark(whole == number, name.replace("_", " "), CLASS_COLOURS.get(name, shade))
+    made.numbers = made.numbers.where(False)
+
+
+def _norm(numbers: NDArray[np.float64]) -> tuple[Any, str]:
+    """How numbers become colours, a few far ones left out, and at which ends some are."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    low, high = (float(end) for end in (numbers.min(), numbers.max()))
+    inner = np.quantile(numbers, [_TAIL, 1.0 - _TAIL]).tolist()
+    # A resonance that ran away must not leave one colour for all the rest.
+    if high - low > 3.0 * (inner[1] - inner[0]) > 0.0:
+        low, high = inner
+    beyond = bool(numbers.min() < low), bool(numbers.max() > high)
+    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}
+    within = numbers[(numbers >= low) & (numbers <= high)]
+    norm = LogNorm if is_crowded_low(within) else Normalize
+    return norm(low, high), extend.get(beyond, "neither")

@@ -1,0 +1,197 @@
+"""The section of the report in place of one per scene, where these would be too many.
+
+Everything is drawn as meshes over two axes, the others at one value: neither the page nor the
+memory grows with the number of scenes.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.analysis.grid import REPRESENTATION, SWEPT, scene_dims
+from gapsweep.errors import DatasetError
+from gapsweep.report.drawing import named
+from gapsweep.report.figures import attractors as attractors_figure
+from gapsweep.report.figures import bifurcation, maps
+from gapsweep.report.maps import numeric_axes, on_grid, picture
+from gapsweep.report.parts import Figured, Part, Table
+from gapsweep.report.selection import places
+from gapsweep.report.tables import agreement_rows, timing_rows
+from gapsweep.status import Status
+
+MOST_SCENES, MOST_POINTS = 16, 200_000
+_TOLD_APART = ("K_c", "gap")  # by these alone scenes have always had a figure each
+_START = SWEPT[1]
+_STATE = ("x_0", "v_0")
+_FEW_STARTS = 500
+_AGREEMENT = {
+    "representation": "Representation",
+    "amplitude_median": "Amplitude error, median",
+    "amplitude_p95": "95th percentile",
+    "recall": "Attractors found",
+    "precision": "Attractors right",
+    "same_class": "Same class",
+    "basin_distance": "Basin distance",
+    "compared": "Points compared",
+}
+_TIMING = {
+    "representation": "Representation",
+    "cpu": "Processor time [ms]",
+    "nfev": "Right-hand sides",
+    "n_steps": "Steps",
+    "n_rejected": "Rejected",
+    "n_contacts": "Contacts",
+    "n_points": "Points",
+}
+
+
+def is_wide(responses: xr.Dataset) -> bool:
+    """Whether a representation has too many scenes, or points, or parameters for figures of each.
+
+    Parameters
+    ----------
+    responses : Dataset
+        As stored in ``responses.nc``.
+    """
+    asked = responses["status"].load() != Status.NOT_REQUESTED
+    dims = scene_dims(asked.dims)
+    return (
+        any(asked.sizes[dim] > 1 for dim in dims if dim not in _TOLD_APART)
+        or int(asked.any(SWEPT).sum(dims).max()) > MOST_SCENES
+        or int(asked.sum([*dims, *SWEPT]).max()) > MOST_POINTS
+    )
+
+
+def overview(
+    responses: xr.Dataset,
+    agreement: xr.Dataset | None,
+    timing: xr.Dataset,
+    attractors: xr.Dataset | None,
+) -> Part:
+    """What stands in the report in place of its scenes.
+
+    Parameters
+    ----------
+    responses, agreement, timing, attractors : Dataset
+        As for `gapsweep.report.html.write_report`.
+    """
+    asked = responses["status"].load() != Status.NOT_REQUESTED
+    n_points = asked.sum([dim for dim in asked.dims if dim != REPRESENTATION])
+    labels = [str(label) for label in asked[REPRESENTATION].values[n_points.values > 0]]
+    n_scenes = int(asked.any((REPRESENTATION, *SWEPT)).sum())
+    axes = _axes(responses)
+    names = [str(responses[axis].attrs.get("long_name", axis)) for axis in axes]
+    sentence = (
+        f"{n_scenes} scenes with {int(n_points.sum())} sweep points: pictures over "
+        f"{' and '.join(names) or 'nothing'}, of all else at one value, in place of figures of "
+        "each scene. ds.gapsweep.map() and bifurcation() draw any other."
+    )
+    rows = {
+        "Agreement with the exact law": (_AGREEMENT, _agreement_rows(agreement, labels)),
+        "Cost per sweep point (medians)": (_TIMING, list(timing_rows(timing, labels))),
+    }
+    over = f", median over {n_scenes} scenes" if n_scenes > 1 else ""
+    plain = [label for label in labels if "@" not in label] or labels
+    return Part(
+        "overview",
+        f"All scenes over {' and '.join(names)}" if names else "All scenes",
+        [sentence],
+        [
+            Table(title + over, list(head.values()), [[str(r[name]) for name in head] for r in of])
+            for title, (head, of) in rows.items()
+            if of
+        ],
+        (
+            figure
+            for label in plain
+            if axes
+            for figure in _figures(responses, attractors, asked, label, axes)
+        ),
+    )
+
+
+def _agreement_rows(agreement: xr.Dataset | None, labels: list[str]) -> list[dict[str, str]]:
+    if agreement is None or agreement.attrs["reference"] not in labels:
+        return []
+    return list(agreement_rows(agreement, labels))
+
+
+def _axes(responses: xr.Dataset) -> list[str]:
+    """The two longest axes, frequency the horizontal one; states that many starts form, if none."""
+    axes = numeric_axes(responses["status"].to_dataset())[:2]
+    if len(axes) < 2 and responses.sizes[_START] > _FEW_STARTS:
+        starts = responses[list(_STATE)].reset_coords()
+        try:
+            return [str(dim) for dim in on_grid(starts.set_coords(_STATE)).dims][::-1]
+        except DatasetError:
+            pass
+    return sorted(axes, key=lambda axis: axis != "omega")
+
+
+def _figures(
+    responses: xr.Dataset,
+    attractors: xr.Dataset | None,
+    asked: xr.DataArray,
+    label: str,
+    axes: list[str],
+) -> Iterator[Figured]:
+    """Pictures of a representation, of the other axes at the values with the most points."""
+    at = _most(asked, label, [_START] if axes[0] in _STATE else axes)
+    here = responses.isel(at)
+    found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
+    where = f"{label}, {_where(responses, here)}"
+    if len(axes) == 1:
+        yield from _curves(here, found, axes[0], where)
+        return
+    parts = [(here, name) for name in ("response_class", "period_multiple", "amplitude")]
+    if axes[0] in _STATE:
+        parts.append((here, "attractor"))
+    elif found is not None:
+        parts.append((found, "n_attractors"))
+    pictures = (picture(part, name, axes[0], axes[1], {})[0] for part, name in parts)
+    yield Figured(
+        maps(pictures), f"Class, period, amplitude and attractors: {where}.", f"Maps, {where}"
+    )
+
+
+def _curves(
+    here: xr.Dataset, found: xr.Dataset | None, along: str, where: str
+) -> Iterator[Figured]:
+    """Diagrams over the only axis: from one start, and of the attractors from all."""
+    shown = here[["extrema", "response_class"]].load().expand_dims([REPRESENTATION, _START])
+    yield Figured(
+        bifurcation(shown, along),
+        f"All steady zero-velocity displacements: {where}. Red: not periodic. Dashed: walls.",
+        f"Bifurcation diagram, {where}",
+    )
+    if found is not None:
+        shown = found[["x_max", "basin_share", "response_class"]].load()
+        yield Figured(
+            attractors_figure(shown.expand_dims(REPRESENTATION), along),
+            f"Peak displacement of every attractor: {where}. The area of a dot is the share of "
+            "all starts that end on it; hollow: not periodic.",
+            f"Attractors and their basins, {where}",
+        )
+
+
+def _most(asked: xr.DataArray, label: str, over: list[str]) -> dict[str, int]:
+    """Where a representation has the most points over some dimensions; the first such place."""
+    r = asked[REPRESENTATION].values.tolist().index(label)
+    counts = asked.isel({REPRESENTATION: r}).sum(over)
+    place = np.unravel_index(int(counts.values.argmax()), counts.shape)
+    return {REPRESENTATION: r} | {
+        str(dim): int(i) for dim, i in zip(counts.dims, place, strict=True)
+    }
+
+
+def _where(responses: xr.Dataset, here: xr.Dataset) -> str:
+    """The values that a part is of, and among how many they are."""
+    words = []
+    for name in places(here):
+        if here[name].ndim == 0:
+            n = responses.sizes.get(name, 1)
+            words.append(named(here[name]) + (f" (one of {n})" if n > 1 else ""))
+    if responses.sizes[_START] > 1 and here[_START].ndim == 0:
+        words.append(f"start {here[_START].item()} (one of {responses.sizes[_START]})")
+    return ", ".join(words)

@@ -1,0 +1,178 @@
+"""Datasets of studies that sweep any number: every scene is what it is by itself."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from tests.made import chaotic, datasets, failed, periodic, tables
+from tests.swept import over_forcing, over_walls
+
+from gapsweep.analysis.agreement import agreement
+from gapsweep.analysis.grid import over, scene_dims
+from gapsweep.analysis.timing import timing
+from gapsweep.analysis.verdicts import NotInRunError, Run
+from gapsweep.report.answer import contacts, in_words, lines
+from gapsweep.report.html import write_report
+from gapsweep.report.overview import is_wide, overview
+
+LABELS = ["piecewise", "piecewise@half", "tanh-1e4"]
+HALF = {"protocol": {"half": {"rtol": 5e-10}}}
+OMEGA = (5.0, 6.0, 7.0)
+FORCING = (2.0, 4.0)
+J_1, J_2 = [0.2e-3, 0.4e-3], [0.4e-3, 0.6e-3, 0.8e-3]
+
+
+def answer(label, omega, start, forcing=3.0):
+    """Peaks grow with the forcing; tanh is 1 % off, chaotic at 6 Hz and fails at 7 Hz."""
+    x = (1.0 + 0.01 * LABELS.index(label) + 0.3 * start) * forcing * 1e-3 / omega
+    if label == "tanh-1e4" and omega == 6.0:
+        return chaotic([(x, 0.0), (0.5 * x, 1e-4), (0.2 * x, 0.0)], omega)
+    return failed() if label == "tanh-1e4" and omega == 7.0 else periodic([(x, 0.0)], omega)
+
+
+STUDY = tables(LABELS, OMEGA, starts=2, sweeps=["sweep_up"], **HALF)
+
+
+@pytest.fixture(scope="module")
+def forced(tmp_path_factory):
+    return over_forcing(tmp_path_factory.mktemp("forced"), STUDY, answer, FORCING)
+
+
+@pytest.fixture(scope="module")
+def walled(tmp_path_factory):
+    return over_walls(tmp_path_factory.mktemp("walled"), LABELS[::2], OMEGA, J_1, J_2, answer)
+
+
+def test_a_scene_is_all_but_representation_frequency_and_start():
+    dims = ("representation", "K_c", "j_1", "j_2", "omega", "zeta", "initial_condition")
+    assert scene_dims(dims) == ["K_c", "j_1", "j_2", "zeta"]
+    frequency = ("representation", "K_c", "gap", "omega")
+    assert over(frequency, dims) == dims[:-1]
+    assert over(("K_c", "gap", "regime"), dims) == ("K_c", "j_1", "j_2", "zeta", "regime")
+
+
+@pytest.mark.parametrize("analysis", [agreement, lambda responses, _: timing(responses)])
+def test_every_forcing_is_what_it_is_by_itself(forced, tmp_path, analysis):
+    whole = analysis(*forced)
+    for i, force in enumerate(FORCING):
+        alone = datasets(tmp_path, STUDY, lambda *at, f=force: answer(*at, f))
+        mine, theirs = whole.isel(forcing=i, drop=True), analysis(*alone)
+        assert set(mine) == set(theirs)
+        for name in theirs:
+            xr.testing.assert_identical(mine[name], theirs[name])
+
+
+def test_dimensions_keep_the_order_of_the_responses(forced):
+    compared = agreement(*forced)
+    assert compared["amplitude_error"].dims == forced[0]["status"].dims
+    assert compared["n_attractors"].dims == ("representation", "K_c", "gap", "omega", "forcing")
+    assert compared["n_jumps"].dims[-2:] == ("forcing", "initial_condition")
+    assert compared["kappa_floor"].dims == ("K_c", "gap", "forcing", "regime")
+    assert timing(forced[0])["nfev_mean"].dims == ("representation", "K_c", "gap", "forcing")
+    assert compared["forcing"].values.tolist() == list(FORCING)
+
+
+@pytest.mark.parametrize("analysis", [agreement, lambda responses, _: timing(responses)])
+def test_wall_distances_are_a_gap(walled, analysis):
+    split, labelled = (analysis(*files) for files in walled)
+    for a, b in ((a, b) for a in J_1 for b in J_2):
+        mine = split.sel(j_1=a, j_2=b, drop=True)
+        theirs = labelled.sel(gap=f"{1e3 * a:g}/{1e3 * b:g}", drop=True)
+        for name in theirs:
+            np.testing.assert_array_equal(mine[name].values, theirs[name].values)
+
+
+def test_claims_select_any_parameter(forced, walled):
+    run = Run({"responses": forced[0], "agreement": agreement(*forced)})
+    points = run.points("tanh-10000", 1.4e4, "0.4/0.4", "amplitude", forcing=4.0)
+    assert points["amplitude"].values[0] == pytest.approx(1.02 * 4e-3 / 5.0)
+    assert points.sizes["point"] == len(OMEGA)
+    with pytest.raises(NotInRunError, match=r"nothing at .* forcing 5"):
+        run.points("piecewise", 1.4e4, "0.4/0.4", "amplitude", forcing=5.0)
+    run = Run({"responses": walled[0][0]})
+    points = run.points("piecewise", 1.4e4, None, "status", j_1=J_1[0], j_2=J_2[1])
+    assert points["j_2"] == J_2[1]
+
+
+def test_contacts_are_told_apart_by_every_parameter(forced, walled):
+    found = contacts(agreement(*forced))
+    assert [contact.others for contact in found] == ["forcing = 2 N", "forcing = 4 N"]
+    assert [line[0] for line in lines(found)] == [
+        "14000 N/m, 0.4/0.4 mm, forcing = 2 N",
+        "14000 N/m, 0.4/0.4 mm, forcing = 4 N",
+    ]
+    gaps = [contact.gap for contact in contacts(agreement(*walled[0]))]
+    assert gaps == ["0.2/0.4", "0.2/0.6", "0.4/0.4", "0.2/0.8", "0.4/0.6", "0.4/0.8"]
+    assert gaps == [contact.gap for contact in contacts(agreement(*walled[1]))]
+
+
+def test_many_contacts_are_counted(tmp_path):
+    study = tables(["piecewise", "tanh-1e4"], [5.0])
+    study["sweep"][0]["K_c"] = [1e4 + i for i in range(20)]
+    found = contacts(agreement(*datasets(tmp_path, study, answer)))
+    said = " ".join(in_words(found))
+    assert len(found) == 20
+    assert "for 20 contacts" in said
+    assert "the first 16 of 20 contacts" in said
+    assert said.count("10019") == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "wide"),
+    [
+        ({}, False),
+        ({"K_c": [1e4 + i for i in range(16)]}, False),
+        ({"K_c": [1e4 + i for i in range(17)]}, True),
+    ],
+)
+def test_sixteen_scenes_have_figures_of_their_own(tmp_path, changes, wide):
+    study = tables(["piecewise", "tanh-1e4"], [5.0])
+    study["sweep"][0] |= changes
+    assert is_wide(datasets(tmp_path, study, answer)[0]) == wide
+
+
+def page_of(folder, files):
+    responses, attractors = files
+    compared, costs = agreement(*files), timing(responses)
+    path = folder / "page" / "index.html"
+    return write_report(path, responses, compared, costs, attractors=attractors).read_text()
+
+
+def test_the_report_of_another_axis_shows_maps_and_medians(forced, tmp_path):
+    page = page_of(tmp_path, forced)
+    assert 'id="overview"' in page
+    assert 'id="scene-' not in page
+    assert "2 scenes with 54 sweep points: pictures over forcing frequency and forcing" in page
+    assert page.count("Class, period, amplitude and attractors:") == 2  # protocols have none
+    assert "piecewise, K_c = 14000 N/m, gap 0.4/0.4 mm, start 0 (one of 3)" in page
+    part = overview(forced[0], agreement(*forced), timing(forced[0]), forced[1])
+    (compared, costs) = part.tables
+    assert [row[0] for row in compared.rows] == ["tanh-1e4", "exact against exact"]
+    assert compared.rows[0][-1] == "12 of 18"  # of all scenes together
+    assert [row[-1] for row in costs.rows] == ["18"] * 3
+
+
+def test_one_parameter_alone_is_a_bifurcation_diagram(forced):
+    files = [ds.isel(omega=[0]) for ds in forced]
+    figures = list(overview(files[0], None, timing(files[0]), files[1]).figures)
+    said = [figure.description.partition(",")[0] for figure in figures]
+    assert said == ["Bifurcation diagram", "Attractors and their basins"] * 2
+    for figure in figures:
+        (panel,) = (axes for axes in figure.figure.axes if axes.get_visible())
+        assert panel.get_xlabel() == "forcing amplitude [N]"
+    assert sorted(set(figures[0].figure.axes[0].lines[2].get_xdata())) == list(FORCING)
+
+
+def test_many_starts_at_one_place_are_a_map_of_the_starts(tmp_path):
+    study = tables(["piecewise"], [5.0])
+    states = [[1e-5 * i, 1e-3 * k] for i in range(26) for k in range(20)]
+    study["sweep"][0]["initial_condition"] = states
+    responses, found = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 5.0))
+    (figure,) = overview(responses, None, timing(responses), found).figures
+    assert figure.figure.axes[0].get_xlabel() == "initial displacement [mm]"
+    assert all(axes.images[0].get_array().shape[:2] == (20, 26) for axes in figure.figure.axes[:4])
+
+
+def test_scenes_with_swept_walls_of_one_distance_have_their_figures(tmp_path):
+    split, _ = over_walls(tmp_path, LABELS[::2], OMEGA, J_1[:1], J_2[:1], answer)
+    assert "K_c = 14000 N/m, gap 0.2/0.4 mm" in page_of(tmp_path, split)
+    assert not is_wide(split[0])
