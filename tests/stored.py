@@ -98,9 +98,9 @@ def tile_rows(study, representation=0):
 
 
 def damaged_row(path):
-    """Flip a bit among the columns of the first row of a cache; how many points it holds."""
+    """Flip a bit among the columns of the latest row of a cache; how many points it holds."""
     with Cache(path, read_only=True) as cache:
-        slab = next(slab for _, slab in cache.slabs())
+        slab = next(slab for _, slab in cache.slabs("DESC"))
     data = bytearray(path.read_bytes())
     data[data.index(slab.columns[:32])] ^= 1
     path.write_bytes(data)

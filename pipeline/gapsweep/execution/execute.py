@@ -118,6 +118,7 @@ def execute(
         finally:
             run.cancel()
             run.commit()
+        cache.delete_damaged()
     return run.progress
 
 
@@ -140,10 +141,11 @@ class _Execution:
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
         # What must be computed although it is stored: failures, and what follows them in a sweep.
         self.is_stale = plan.is_missing & (plan.status >= 0)
-        self.is_repeated = _repeated(plan.keys)
         self.progress = Progress(plan.n_points, plan.n_hits)
-        self.blocks = _shuffled(plan)
-        self.n_new = plan.n_missing
+        missing = _once(plan)
+        self.blocks = _shuffled(plan, missing)
+        self.n_new = len(missing)
+        self.n_repeated = plan.n_missing - len(missing)  # under another label
         # What comes before new points: the rest of a block, and of long sweeps.
         self.begun: deque[Rows] = deque()
         self.ends: dict[int, NDArray[np.float64]] = {}  # where sweeps begun go on, by number
@@ -170,7 +172,10 @@ class _Execution:
                 self.commit()
                 time.sleep(_WAIT_SECONDS)
             else:
-                return
+                break
+        self.progress.n_computed += self.n_repeated
+        if self.n_repeated and on_progress is not None:
+            on_progress(self.progress)
 
     # --- sending ---------------------------------------------------------------------------------
 
@@ -244,13 +249,10 @@ class _Execution:
         self.elsewhere = held
 
     def _not_stored(self, rows: Rows) -> Rows:
-        """The points still to be computed; some are, by us under another label, or by others."""
+        """The points still to be computed; others may be, by another run."""
         status = self.cache.status(self.plan.keys[rows])
         is_hit = (status >= 0) & (status <= self.largest_hit) & ~self.is_stale[rows]
-        hits = rows[is_hit & self.plan.is_missing[rows]]
-        n_ours = int(self.is_repeated[hits].sum()) if self.is_repeated is not None else 0
-        self.progress.n_computed += n_ours
-        self.progress.n_shared += len(hits) - n_ours
+        self.progress.n_shared += int(np.sum(is_hit & self.plan.is_missing[rows]))
         return rows[~is_hit]
 
     def _tiles(self, rows: Rows) -> list[tuple[Rows, Tile]]:
@@ -339,10 +341,15 @@ class _Execution:
         self.in_flight.clear()
 
 
-def _repeated(keys: NDArray[np.void]) -> NDArray[np.bool_] | None:
-    """Which points a study names under several labels; None if it names none."""
-    _, number, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    return None if len(counts) == len(keys) else np.asarray(counts[number] > 1)
+def _once(plan: Plan) -> Rows:
+    """What is missing; of fixed starts that a study names under several labels, the first."""
+    missing = np.flatnonzero(plan.is_missing)
+    _, first = np.unique(plan.keys[missing], return_index=True)
+    is_first = np.zeros(len(missing), bool)
+    is_first[first] = True
+    is_followed = np.append(plan.follows[1:], False)
+    in_sweep = plan.follows[missing] | is_followed[missing]
+    return np.asarray(missing[is_first | in_sweep])
 
 
 def _is_first(rows: Rows, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -384,12 +391,11 @@ class _Costs:
         return int(min(max(_TASK_SECONDS / max(price, 1e-9), 1.0), _MAX_BATCH))
 
 
-def _shuffled(plan: Plan) -> Iterator[Rows]:
+def _shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
     """What is missing, in random order of blocks of neighbours, which cost alike.
 
     A block is as large as a task may be, of one representation, and made of whole sweeps.
     """
-    missing = np.flatnonzero(plan.is_missing)
     if not missing.size:
         return
     firsts = np.flatnonzero(_is_first(missing, plan.follows))

@@ -109,6 +109,7 @@ class Cache:
     def __init__(self, path: str | Path, *, read_only: bool = False) -> None:
         self.path = Path(path)
         self._index = Index()
+        self._damaged: set[int] = set()  # rows that were met so far
         self._slab = lru_cache(maxsize=_KEPT)(self._read_slab)
         with self.errors():
             self.db = self._connected_to_read() if read_only else self._connected()
@@ -293,6 +294,17 @@ class Cache:
         with self.errors(), self.transaction():
             self.insert(slabs)
 
+    def delete_damaged(self) -> None:
+        """Delete the damaged rows that were met, once their points are computed again."""
+        if self._damaged:
+            with self.errors(), self.transaction():
+                self.delete(self._damaged)
+            self._damaged.clear()
+
+    def delete(self, numbers: Iterable[int]) -> None:
+        """Delete rows, within the caller's transaction."""
+        self.db.executemany("DELETE FROM slabs WHERE rowid = ?", [(n,) for n in numbers])
+
     def insert(self, slabs: Iterable[Slab]) -> None:
         """Add slabs as they are, within the caller's transaction."""
         marks = ", ".join("?" * len(fields(Slab)))
@@ -324,6 +336,7 @@ class Cache:
             ).fetchone()
         slab = None if row is None else Slab(*row)
         if slab is None or not slab.is_sound:
+            self._damaged.add(number)
             return None
         try:
             return slab, stored(slab)

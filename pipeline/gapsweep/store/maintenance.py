@@ -114,7 +114,7 @@ def remove(cache: Cache, numbers: Collection[int]) -> None:
     """Delete rows and give their room back."""
     with cache.errors():
         with cache.transaction():
-            cache.db.executemany("DELETE FROM slabs WHERE rowid = ?", [(n,) for n in numbers])
+            cache.delete(numbers)
         cache.db.execute("VACUUM")
 
 
