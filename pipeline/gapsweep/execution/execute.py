@@ -142,10 +142,11 @@ class _Execution:
         # What must be computed although it is stored: failures, and what follows them in a sweep.
         self.is_stale = plan.is_missing & (plan.status >= 0)
         self.progress = Progress(plan.n_points, plan.n_hits)
-        missing = _once(plan)
+        self.is_repeated = _repeated(plan)
+        missing = _once(plan, self.is_repeated)
         self.blocks = _shuffled(plan, missing)
         self.n_new = len(missing)
-        self.n_repeated = plan.n_missing - len(missing)  # under another label
+        self.n_once = plan.n_missing - len(missing)  # computed under another label only
         # What comes before new points: the rest of a block, and of long sweeps.
         self.begun: deque[Rows] = deque()
         self.ends: dict[int, NDArray[np.float64]] = {}  # where sweeps begun go on, by number
@@ -173,8 +174,8 @@ class _Execution:
                 time.sleep(_WAIT_SECONDS)
             else:
                 break
-        self.progress.n_computed += self.n_repeated
-        if self.n_repeated and on_progress is not None:
+        self.progress.n_computed += self.n_once
+        if self.n_once and on_progress is not None:
             on_progress(self.progress)
 
     # --- sending ---------------------------------------------------------------------------------
@@ -249,10 +250,13 @@ class _Execution:
         self.elsewhere = held
 
     def _not_stored(self, rows: Rows) -> Rows:
-        """The points still to be computed; others may be, by another run."""
+        """The points still to be computed; some are, by us under another label, or by others."""
         status = self.cache.status(self.plan.keys[rows])
         is_hit = (status >= 0) & (status <= self.largest_hit) & ~self.is_stale[rows]
-        self.progress.n_shared += int(np.sum(is_hit & self.plan.is_missing[rows]))
+        hits = rows[is_hit & self.plan.is_missing[rows]]
+        n_ours = int(self.is_repeated[hits].sum())
+        self.progress.n_computed += n_ours
+        self.progress.n_shared += len(hits) - n_ours
         return rows[~is_hit]
 
     def _tiles(self, rows: Rows) -> list[tuple[Rows, Tile]]:
@@ -341,15 +345,18 @@ class _Execution:
         self.in_flight.clear()
 
 
-def _once(plan: Plan) -> Rows:
-    """What is missing; of fixed starts that a study names under several labels, the first."""
-    missing = np.flatnonzero(plan.is_missing)
-    _, first = np.unique(plan.keys[missing], return_index=True)
-    is_first = np.zeros(len(missing), bool)
-    is_first[first] = True
-    is_followed = np.append(plan.follows[1:], False)
-    in_sweep = plan.follows[missing] | is_followed[missing]
-    return np.asarray(missing[is_first | in_sweep])
+def _repeated(plan: Plan) -> NDArray[np.bool_]:
+    """Which points a study names under several labels."""
+    _, number, counts = np.unique(plan.keys, return_inverse=True, return_counts=True)
+    return np.asarray(counts[number] > 1)
+
+
+def _once(plan: Plan, is_repeated: NDArray[np.bool_]) -> Rows:
+    """What is missing; of fixed starts that are named under several labels, the first."""
+    in_sweep = plan.follows | np.append(plan.follows[1:], False)
+    alone = np.flatnonzero(plan.is_missing & is_repeated & ~in_sweep)
+    _, first = np.unique(plan.keys[alone], return_index=True)
+    return np.setdiff1d(np.flatnonzero(plan.is_missing), np.delete(alone, first))
 
 
 def _is_first(rows: Rows, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
