@@ -133,16 +133,16 @@ def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
 def stages_of(study: Study) -> list[Stage]:
     """The stages of a study.
 
-    Without the exact law there is nothing to agree with, without claims nothing to decide,
-    motions are kept only where some are asked for, and advice where ``auto`` took it. Scenes of a
-    benchmark whose right answer is stated make one file, the others another. Datasets of the
-    study's own come before what reads them.
+    Without the exact law there is nothing to agree with, and nothing that could if it is alone;
+    without claims nothing to decide, motions are kept only where some are asked for, and advice
+    where ``auto`` took it. Scenes of a benchmark whose right answer is stated make one file, the
+    others another. Datasets of the study's own come before what reads them.
     """
     labels, bench = study.grid.representations, study.spec.bench
     stated = [scene.expected is not None for scene in bench.scene] if bench else []
     left_out = {
         STATIC: labels == (AUTO,),
-        AGREEMENT: _EXACT not in labels,
+        AGREEMENT: _EXACT not in labels or len(labels) == 1,
         ADVICE: AUTO not in labels,
         HISTORIES: not study.spec.history,
         WORK_PRECISION: all(stated),

@@ -144,7 +144,7 @@ def read_peaks(run):
 def test_run_writes_a_damaged_dataset_again(sound, tmp_path):
     study, folder, truth = sound
     run = shutil.copytree(folder / "out", tmp_path / "out")
-    for name in ("responses.nc", "agreement.nc"):
+    for name in ("responses.nc", "timing.nc"):
         data = bytearray((run / name).read_bytes())
         data[len(data) // 2] ^= 1
         (run / name).write_bytes(data)
@@ -153,7 +153,7 @@ def test_run_writes_a_damaged_dataset_again(sound, tmp_path):
     with again:
         xr.testing.assert_equal(again["x_max"].load(), truth["x_max"])
     assert [str(one.message).split(":")[0] for one in told] == [
-        str(run / name) for name in ("responses.nc", "agreement.nc")
+        str(run / name) for name in ("responses.nc", "timing.nc")
     ]
 
 
@@ -162,12 +162,12 @@ def test_files_of_others_are_never_replaced(sound, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     theirs = xr.Dataset({"x": ("t", [1.0, 2.0])})
-    theirs.to_netcdf(out / "agreement.nc", engine="netcdf4")
-    before = (out / "agreement.nc").read_bytes()
+    theirs.to_netcdf(out / "timing.nc", engine="netcdf4")
+    before = (out / "timing.nc").read_bytes()
     with pytest.raises(gs.StoreError, match="not written by gapsweep, so it is left alone"):
         gs.run(study, out=out, cache=folder / "cache.sqlite")
-    assert (out / "agreement.nc").read_bytes() == before
-    (out / "agreement.nc").unlink()
+    assert (out / "timing.nc").read_bytes() == before
+    (out / "timing.nc").unlink()
     (out / "report").mkdir(exist_ok=True)
     (out / "report" / "index.html").write_text("<html>my own page</html>")
     with pytest.raises(gs.StoreError, match=r"index.html: not written by gapsweep"):

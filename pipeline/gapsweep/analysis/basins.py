@@ -1,8 +1,10 @@
 """Basins of attraction: which attractor a grid of starts ends on."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
@@ -11,9 +13,12 @@ from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.response.attractors import attractors, numbers
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import Question, respond_all
-from gapsweep.response.result import Steady
+from gapsweep.response.result import Responses, Steady
+
+Array = NDArray[np.float64]
 
 _MAX_STARTS = 10**6
+_PART = 4096  # starts that are answered together
 _ATTRIBUTES = {
     "attractor": ("1", "number of the attractor, -1: none"),
     "x_max": ("m", "peak displacement of the attractor"),
@@ -37,6 +42,7 @@ def basins(
     rtol: float | None = None,
     atol: float | None = None,
     steady: Steady | None = None,
+    client: Any = None,
 ) -> xr.Dataset:
     """Attractors over a grid of initial states.
 
@@ -50,6 +56,8 @@ def basins(
         Initial displacements [m] and velocities [m/s], at forcing phase zero.
     engine, rtol, atol, steady
         As in `gapsweep.respond`.
+    client : distributed.Client, optional
+        A Dask cluster that computes; None: this process.
 
     Returns
     -------
@@ -71,13 +79,16 @@ def basins(
         omega=checked("omega", omega, low=0.0, strict=True),
         solver=Solver.of(engine, rtol, atol),
     )
-    questions = [
-        Question(scene=scene, start=(x_0, v_0), steady=Steady() if steady is None else steady)
-        for v_0 in starts_v.tolist()
-        for x_0 in starts_x.tolist()
-    ]
-    found = attractors(respond_all(questions), omega, symmetric=law.gap.is_symmetric)
-    ids = np.reshape(numbers(found, len(questions)), (starts_v.size, starts_x.size))
+    v_0, x_0 = (each.ravel() for each in np.meshgrid(starts_v, starts_x, indexing="ij"))
+    settings = scene, Steady() if steady is None else steady
+    parts = [(x_0[i : i + _PART], v_0[i : i + _PART]) for i in range(0, x_0.size, _PART)]
+    if client is None:
+        answers = [_answer(part, *settings) for part in parts]
+    else:
+        answers = client.gather([client.submit(_answer, part, *settings) for part in parts])
+    responses = Responses.concatenated(answers)
+    found = attractors(responses, omega, symmetric=law.gap.is_symmetric)
+    ids = np.reshape(numbers(found, x_0.size), (starts_v.size, starts_x.size))
     dataset = xr.Dataset(
         {
             "attractor": (("v_0", "x_0"), ids),
@@ -98,6 +109,11 @@ def basins(
     for name, (units, long_name) in _ATTRIBUTES.items():
         dataset[name].attrs.update(units=units, long_name=long_name)
     return dataset
+
+
+def _answer(starts: tuple[Array, Array], scene: Scene, steady: Steady) -> Responses:
+    states = zip(*(each.tolist() for each in starts), strict=True)
+    return respond_all([Question(scene=scene, start=state, steady=steady) for state in states])
 
 
 def _axis(name: str, values: ArrayLike) -> np.ndarray:
