@@ -14,7 +14,7 @@ from gapsweep.response.maps import floquet_multipliers, newton_steps
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.section import period_multiple
 
-SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
+SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
 TIGHT = {"engine": "scipy", "rtol": 1e-8, "atol": 1e-12}
 
 
@@ -67,6 +67,13 @@ def test_light_damping_is_never_called_settled():
     response = gs.respond(oscillator, gs.Piecewise(0.0, SYMMETRIC), 5.0, steady=steady, **TIGHT)
     assert response.status is gs.Status.UNRESOLVED
     assert response.response_class is gs.ResponseClass.UNRESOLVED
+
+
+def test_any_number_of_looks_may_be_taken():
+    # Chaos at hard contact, and a settling time that takes more looks than doublings fit a number.
+    steady = gs.Steady(settle_tol=1e-50, n_periods=2, max_period_multiple=1)
+    response = gs.respond(gs.Oscillator(), gs.Piecewise(1.4e6, ASYMMETRIC), 11.0, steady=steady)
+    assert response.t_simulated > math.log(1e50) / gs.Oscillator().decay_rate
 
 
 def test_response_that_leaves_the_fitted_range_keeps_its_values():

@@ -98,7 +98,8 @@ class Search:
         self._phase = np.full(n, int(Phase.PAUSE))
         self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
         self._settled = np.zeros(n, bool)
-        self._look = np.full(n, _FIRST_WINDOW)  # size of an early look's window
+        # Size of an early look's window.
+        self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))
         self._size, self._largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._before, self._goal = np.zeros(n), np.zeros(n)  # distances from an orbit found
         self._found = Found(n)
@@ -144,8 +145,7 @@ class Search:
         """After a pause: a window, as long as it takes once the motion must have settled."""
         n_periods = self._steady.n_periods
         self._settled[points] = self._walks.n_periods[points] >= self._limits.settled[points]
-        early = np.minimum(self._look[points], n_periods)
-        self._largest[points] = np.where(self._settled[points], n_periods, early)
+        self._largest[points] = np.where(self._settled[points], n_periods, self._look[points])
         after = self._walks.n_periods[points] + self._largest[points]
         is_last = after >= self._limits.last[points]
         self._record_last(points[is_last])
@@ -331,7 +331,7 @@ class Search:
         """Nothing found: another look later, or the growth of a disturbance."""
         is_last = self._walks.n_periods[points] >= self._limits.last[points]
         again, last = points[~is_last], points[is_last]
-        self._look[again] *= 2
+        self._look[again] = np.minimum(2 * self._look[again], self._steady.n_periods)
         self._asked[again], self._phase[again] = self._limits.pause[again], Phase.PAUSE
         is_recorded = self._walks.extrema.counts[last] >= 0
         self._record_last(last[~is_recorded])
