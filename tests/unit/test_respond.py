@@ -128,6 +128,19 @@ def test_a_response_is_the_same_alone_and_in_any_company():
     assert all(response.cpu_time > 0.0 for response in together)
 
 
+def test_every_point_has_its_own_solver():
+    questions = [
+        Question(
+            scene=Scene(oscillator=gs.Oscillator(), law=gs.Piecewise(1.4e4, SYMMETRIC), omega=9.0,
+                        solver=Solver.of(rtol=rtol, atol=1e-3 * rtol)),
+            start=(0.0, 0.0), steady=gs.Steady(),
+        )
+        for rtol in (1e-4, 1e-9)
+    ]  # fmt: skip
+    loose, tight = respond_all(questions).rows()
+    assert loose.noise > 1e3 * tight.noise
+
+
 def test_arrays_of_points_give_arrays_of_what_each_gives_alone():
     law, steady = gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3)), gs.Steady(settle_tol=1e-2)
     omega, x_0 = np.array([[7.0], [21.75], [14.0]]), [0.0, 1e-4]

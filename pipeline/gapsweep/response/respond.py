@@ -100,13 +100,15 @@ def respond(
 
 
 def respond_all(questions: Sequence[Question]) -> Responses:
-    """Steady responses of many points with one solver, advanced together; in their order.
+    """Steady responses of many points, those of a kind advanced together; in their order.
 
     No point sees the others: each response is the same to the last bit in any company.
     """
     groups: dict[Hashable, list[int]] = {}
     for i, question in enumerate(questions):
-        groups.setdefault((law_kind(question.scene.law), question.steady), []).append(i)
+        scene = question.scene
+        kind = law_kind(scene.law), scene.solver, question.steady
+        groups.setdefault(kind, []).append(i)
     found = []
     for numbers in groups.values():
         group = [questions[i] for i in numbers]
