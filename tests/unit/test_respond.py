@@ -5,6 +5,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import gapsweep as gs
@@ -189,9 +191,40 @@ def test_a_singular_or_overflowing_map_spoils_no_other():
     steps = newton_steps(monodromy, moved)
     assert_allclose((np.eye(2) - monodromy[0]) @ steps[0], moved[0])
     assert np.all(np.isinf(steps[1]))
-    multipliers = floquet_multipliers(monodromy)
+    multipliers = floquet_multipliers(monodromy, np.array([0.1, 1.0, 1.0]))
     assert_allclose(multipliers[0], [0.5, 0.2])
     assert np.all(np.isnan(multipliers[2]))
+
+
+@given(st.tuples(*[st.floats(-2.0, 2.0)] * 3), st.floats(1e-3, 2.0))
+def test_multipliers_follow_from_trace_and_determinant(entries, determinant):
+    a, b, shear = entries
+    # Any matrix of this trace and determinant has the same ones.
+    matrix = np.array([[a, 1.0], [a * b - determinant, b]])
+    turn = np.array([[1.0, shear], [0.0, 1.0]])
+    matrix = turn @ matrix @ np.linalg.inv(turn)
+    found = floquet_multipliers(matrix[None], np.array([determinant]))[0]
+    assert abs(found[0]) >= abs(found[1]) * (1.0 - 1e-15)
+    assert_allclose(found.sum(), a + b, atol=1e-12)
+    assert_allclose(found.prod(), determinant, rtol=1e-12)
+
+
+def test_the_smaller_multiplier_of_an_overdamped_motion_is_known_too():
+    oscillator = gs.Oscillator(zeta=3.0, alpha=0.0)
+    found = gs.respond(oscillator, gs.Piecewise(1.0, gs.Gap(1.0, 1.0)), 1.0)
+    # Far below what rounding leaves of a determinant: 5e-3 and 1e-79.
+    rates = oscillator.decay_rate + math.sqrt(8.0) * oscillator.omega_n_rad * np.array([-1.0, 1.0])
+    assert_allclose(np.reshape(found.multipliers, (2, 2)),
+                    np.stack((np.exp(-rates), np.zeros(2)), axis=1), rtol=1e-6)  # fmt: skip
+
+
+def test_an_exponent_that_nothing_is_left_of_is_not_invented():
+    # The slow part decays at 5.39/s, to exp(-1078) in a period: below any double.
+    oscillator = gs.Oscillator(zeta=3.0, alpha=0.0)
+    found = gs.respond(oscillator, gs.Piecewise(1e6, gs.Gap(1.0, 1.0)), 0.005)
+    assert found.response_class is gs.ResponseClass.PERIODIC
+    assert math.isnan(found.lyapunov)
+    assert found.multipliers == (0.0, 0.0, 0.0, 0.0)
 
 
 def test_period_multiple_is_the_smallest_repeat():

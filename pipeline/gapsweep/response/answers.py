@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gapsweep.response.ensemble import Call, Ensemble
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares, largest_forces
+from gapsweep.response.maps import NOTHING
 from gapsweep.response.result import (
     LISTS,
     ExtremumKind,
@@ -28,8 +29,6 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
-
-_NOTHING = 1e-290  # below it doubles lose digits
 
 
 class Found:
@@ -98,9 +97,12 @@ def _stability(
     largest = shots.multipliers[points[is_orbit], 0]
     modulus[is_orbit] = np.hypot(largest.real, largest.imag)
     follows = is_orbit & np.isnan(lyapunov)
-    # What has shrunk to nothing shrank on average as areas do.
-    lyapunov[follows], error[follows] = -ensemble.decay_rate[points[follows]], 0.0
-    shrinks = follows & (modulus > _NOTHING)
+    shrinks = follows & (modulus > NOTHING)
+    # What swings until it has shrunk to nothing shrank on average as areas do; what creeps did not.
+    rate = ensemble.decay_rate[points]
+    swings = follows & ~shrinks & (ensemble.settling_rate[points] == rate)
+    lyapunov[swings] = -rate[swings]
+    error[swings | shrinks] = 0.0
     # numpy's own logarithm is another one on another processor.
     logarithms = np.fromiter(map(math.log, modulus[shrinks].tolist()), float)
     lyapunov[shrinks] = logarithms * omega[shrinks] / n[shrinks]

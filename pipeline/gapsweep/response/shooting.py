@@ -105,7 +105,9 @@ class Shots:
     def _keep(self, points: Numbers, motions: Numbers, call: Call) -> None:
         if not points.size:
             return
-        self.multipliers[points] = floquet_multipliers(call.monodromy[motions])
+        self.multipliers[points] = floquet_multipliers(
+            call.monodromy[motions], call.shrinkage[motions]
+        )
         first, last = call.period_ends[motions], call.period_ends[motions + 1]
         for point, i, j in zip(points.tolist(), first.tolist(), last.tolist(), strict=True):
             self.section[point] = call.section[i:j].tolist()
