@@ -32,6 +32,20 @@ def test_linear_oscillator_reaches_its_closed_form_amplitude():
     assert_allclose(response.amplitude, expected, rtol=2e-6)
 
 
+@pytest.mark.parametrize(("omega", "rtol"), [(500.0, 1e-6), (2000.0, 1e-6), (2000.0, 1e-9)])
+def test_an_orbit_is_found_where_a_period_hardly_contracts(omega, rtol):
+    # Ends that meet to the solver's noise are no orbit's: it is 1 / |1 - multiplier| times as far.
+    oscillator = gs.Oscillator(alpha=0.0)
+    found = gs.respond(
+        oscillator, gs.Piecewise(1e4, SYMMETRIC), omega, 1e-4, rtol=rtol, atol=1e-3 * rtol
+    )
+    stiffness = oscillator.mass * oscillator.omega_n_rad**2
+    r = omega / oscillator.omega_n
+    amplitude = oscillator.forcing / stiffness / math.hypot(1 - r * r, 2 * oscillator.zeta * r)
+    assert found.period_multiple == 1
+    assert_allclose([found.x_max, -found.x_min], amplitude, rtol=2e-2)
+
+
 def test_work_of_the_forcing_is_what_damping_takes():
     oscillator, law, omega = gs.Oscillator(), gs.Piecewise(1.4e4, SYMMETRIC), 9.0
     response = gs.respond(oscillator, law, omega, **TIGHT)

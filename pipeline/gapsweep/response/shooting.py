@@ -24,6 +24,8 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 _MAX_NEWTON = 6
+# Newton's steps that shorten no more than this are the solver's noise.
+_SHORTENS = 0.5
 
 # Lyapunov exponent: as many blocks, each at least this part of the decay time, after one to align
 # the vector.
@@ -53,6 +55,7 @@ class Shots:
         self.multipliers = np.empty((n_points, 2), complex)
         self.section: list[list[complex]] = [[]] * n_points
         self._moved, self._tries = np.zeros((2, n_points)), np.zeros(n_points, np.int64)
+        self._last = np.zeros(n_points)  # length of the last step
         self._goal, self._furthest = np.zeros(n_points), np.zeros(n_points)
 
     def aim(self, points: Numbers, y: Array, n: Counts, goal: Array, furthest: Array) -> None:
@@ -64,13 +67,15 @@ class Shots:
         y : ndarray, shape (2, m)
         n : ndarray of int, shape (m,)
         goal : ndarray, shape (m,)
-            Distance [m] of an orbit's ends below which it is closed.
+            Distance [m] from the orbit at which it is found. Where the solver's noise lets no step
+            be as short, its ends must be this close.
         furthest : ndarray, shape (m,)
             Distance [m] from `y` beyond which it is given up.
         """
         self.y[:, points], self.n[points] = y, n
         self._goal[points], self._furthest[points] = goal, furthest
         self._moved[:, points], self._tries[points] = 0.0, 0
+        self._last[points] = np.inf
 
     def step(self, points: Numbers, motions: Numbers, call: Call) -> tuple[Mask, Mask]:
         """One step of Newton's method from what a call found.
@@ -86,21 +91,23 @@ class Shots:
             Whose orbit is closed; who went too far, did not converge, or failed.
         """
         y, unit, is_ok = self.y[:, points], call.unit[:, motions], call.is_ok[motions]
+        goal = self._goal[points]
         with np.errstate(over="ignore", invalid="ignore"):  # of motions that failed
             missed = (call.y[:, motions] - y) / unit
-            is_near = np.hypot(*missed) <= self._goal[points]
-        is_found = is_ok & call.is_sound[motions] & is_near
-        self._keep(points[is_found], motions[is_found], call)
-        self._tries[points] += 1
-        left = np.flatnonzero(is_ok & ~is_found & (self._tries[points] < _MAX_NEWTON))
-        with np.errstate(over="ignore", invalid="ignore"):
-            step = newton_steps(call.monodromy[motions[left]], missed[:, left].T).T
-            moved = self._moved[:, points[left]] + step
-            is_lost = ~is_found
-            is_lost[left] = ~(np.hypot(*moved) <= self._furthest[points[left]])
-            self._moved[:, points[left]] = moved
-            self.y[:, points[left]] = y[:, left] + step * unit[:, left]
-        return is_found, is_lost
+            step = newton_steps(call.monodromy[motions], missed.T).T
+            length = np.hypot(*step)
+            # Ends that meet are not enough: weakly contracting, the orbit is much farther away.
+            is_at_best = (np.hypot(*missed) <= goal) & (length >= _SHORTENS * self._last[points])
+            is_found = is_ok & call.is_sound[motions] & ((length <= goal) | is_at_best)
+            self._keep(points[is_found], motions[is_found], call)
+            self._tries[points], self._last[points] = self._tries[points] + 1, length
+            moved = self._moved[:, points] + step
+            goes_on = is_ok & ~is_found & (self._tries[points] < _MAX_NEWTON)
+            goes_on &= np.hypot(*moved) <= self._furthest[points]
+        left = points[goes_on]
+        self._moved[:, left] = moved[:, goes_on]
+        self.y[:, left] = (y + step * unit)[:, goes_on]
+        return is_found, ~is_found & ~goes_on
 
     def _keep(self, points: Numbers, motions: Numbers, call: Call) -> None:
         if not points.size:
