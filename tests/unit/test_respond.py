@@ -232,6 +232,47 @@ def test_the_smaller_multiplier_of_an_overdamped_motion_is_known_too():
                     np.stack((np.exp(-rates), np.zeros(2)), axis=1), rtol=1e-6)  # fmt: skip
 
 
+@pytest.mark.parametrize("zeta", [0.0, 0.03])
+def test_a_response_ends_at_its_last_section_point(zeta):
+    law, steady = gs.Piecewise(1.4e4, ASYMMETRIC), gs.Steady(settle_tol=1e-2, max_decay_times=6.0)
+    found = gs.respond(gs.Oscillator(zeta=zeta), law, [7.0, 14.0], steady=steady)
+    for k in range(2):
+        assert found.section[k][-2:].tolist() == [found.x_end[k], found.v_end[k]]
+
+
+def test_transient_chaos_that_ends_while_its_growth_is_measured_is_no_chaos():
+    oscillator = gs.Oscillator(
+        zeta=0.1, omega_n=11.117086247303757, mass=0.40110934813009175, alpha=-1e6,
+        forcing=4.801352817692459,
+    )  # fmt: skip
+    law, omega = gs.Piecewise(331869.6780197071, ASYMMETRIC), 17.555070502053812
+    start = 3.227497825438147e-05, -0.018514426861966353
+    found = gs.respond(oscillator, law, omega, *start)
+    settled = gs.simulate(oscillator, law, omega, *start, t_end=1000 / omega)
+    window = gs.simulate(oscillator, law, omega, settled.x, settled.v, t_end=1 / omega)
+    assert_allclose(window.x, settled.x, rtol=1e-9)
+    assert (found.response_class, found.period_multiple) == (gs.ResponseClass.PERIODIC, 1)
+    assert_allclose(found.x_max, window.extrema.max(), rtol=1e-8)
+    assert found.lyapunov < 0.0 == found.lyapunov_error
+
+
+def test_a_multiple_of_the_period_is_no_dead_end():
+    # Noise of the last digits chose which multiple of a settled section contracts.
+    oscillator = gs.Oscillator(
+        zeta=0.1, omega_n=11.117086247303757, mass=0.40110934813009175, alpha=-1e6,
+        forcing=4.801352817692459,
+    )  # fmt: skip
+    law, omega = gs.Piecewise(331869.6780197071, ASYMMETRIC), 17.555070502053812
+    rng = np.random.default_rng(1)
+    starts = rng.uniform(-5e-4, 5e-4, 300), rng.uniform(-0.03, 0.03, 300)
+    found = gs.respond(oscillator, law, omega, *starts)
+    others = found.response_class != gs.ResponseClass.PERIODIC
+    x, v = found.x_end[others], found.v_end[others]
+    ends = gs.simulate(oscillator, law, omega, x, v, t_end=1 / omega)
+    moved = np.hypot(ends.x - x, (ends.v - v) / (2.0 * math.pi * omega))
+    assert (moved > 1e-6 * found.x_max[others]).all()
+
+
 def test_an_exponent_that_nothing_is_left_of_is_not_invented():
     # The slow part decays at 5.39/s, to exp(-1078) in a period: below any double.
     oscillator = gs.Oscillator(zeta=3.0, alpha=0.0)

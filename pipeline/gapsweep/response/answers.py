@@ -58,7 +58,9 @@ def answers(
     read |= _stability(points, ensemble, walks, shots, found)
     read["t_settled"] = t_settled[points]
     lists["multipliers"] = _multipliers(points, shots, found)
-    lists["section"] = _section(points, walks, found, states, steady)
+    lists["section"] = section, counts = _section(points, walks, found, states, steady)
+    ends = np.cumsum(counts)
+    read["x_end"], read["v_end"] = section[ends - 2], section[ends - 1]
     columns = missing(n)
     for name, values in read.items():
         columns[name][points] = values
@@ -186,8 +188,6 @@ def _read_off(
         "amplitude": 0.5 * (x_max - x_min),
         "force_max": largest_forces(laws, x_min, x_max),
         "contact_share": walks.contact_share[points],
-        "x_end": y[0],
-        "v_end": y[1],
     }
     return columns, {"extrema": (x[shown], n_shown), "extremum_kind": (kinds[shown], n_shown)}
 

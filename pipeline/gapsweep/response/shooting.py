@@ -77,6 +77,10 @@ class Shots:
         self._moved[:, points], self._tries[points] = 0.0, 0
         self._last[points] = np.inf
 
+    def shorten(self, points: Numbers, n: Counts) -> None:
+        """Begin again at orbits that were found, over fewer forcing periods."""
+        self.n[points], self._tries[points], self._last[points] = n, 0, np.inf
+
     def step(self, points: Numbers, motions: Numbers, call: Call) -> tuple[Mask, Mask]:
         """One step of Newton's method from what a call found.
 
