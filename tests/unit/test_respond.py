@@ -256,6 +256,16 @@ def test_transient_chaos_that_ends_while_its_growth_is_measured_is_no_chaos():
     assert found.lyapunov < 0.0 == found.lyapunov_error
 
 
+def test_an_orbit_that_is_not_approached_leaves_no_gap_in_the_window():
+    # A P3 beside the P9 that this start settles on; over a gap the section repeated after 30.
+    law, omega = gs.Piecewise(1462568.5819342812, ASYMMETRIC), 25.15090406639029
+    found = gs.respond(gs.Oscillator(), law, omega, 4.548126282479751e-05, 0.028058411772597366)
+    n = found.period_multiple
+    period = gs.simulate(gs.Oscillator(), law, omega, found.x_end, found.v_end, t_end=n / omega)
+    assert_allclose([period.x, period.v], [found.x_end, found.v_end], rtol=1e-6)
+    assert n == 9
+
+
 def test_a_multiple_of_the_period_is_no_dead_end():
     # Noise of the last digits chose which multiple of a settled section contracts.
     oscillator = gs.Oscillator(

@@ -296,7 +296,10 @@ class Search:
     def _arrive(self, points: Numbers) -> None:
         is_near = self._distance(points) <= self._goal[points]
         self._close(points[is_near])
-        self._go_on(points[~is_near])
+        away = points[~is_near]
+        # A window that is to go on begins anew: what was not recorded would be a gap in it.
+        self._walks.forget(away[self._walks.length[away] < self._largest[away]])
+        self._go_on(away)
 
     def _distance(self, points: Numbers) -> Array:
         """Distances of motions, at whole periods of their orbits, from these' starts [m]."""
