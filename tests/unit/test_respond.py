@@ -14,7 +14,7 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.maps import floquet_multipliers, newton_steps
 from gapsweep.response.respond import Question, respond_all
-from gapsweep.response.section import period_multiple
+from gapsweep.response.section import likely_multiple, period_multiple
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
 TIGHT = {"engine": "scipy", "rtol": 1e-8, "atol": 1e-12}
@@ -254,6 +254,27 @@ def test_transient_chaos_that_ends_while_its_growth_is_measured_is_no_chaos():
     assert (found.response_class, found.period_multiple) == (gs.ResponseClass.PERIODIC, 1)
     assert_allclose(found.x_max, window.extrema.max(), rtol=1e-8)
     assert found.lyapunov < 0.0 == found.lyapunov_error
+
+
+def test_what_a_solver_cannot_rattle_is_no_scatter():
+    # A disturbance that flips as it decays, to P2 as an independent solver with bisected contacts
+    # has it after 4,000 periods: from 64 of them it looked like a rattled P4.
+    law = gs.Piecewise(1.4e5, ASYMMETRIC, located=False)
+    found = gs.respond(gs.Oscillator(), law, 9.40)
+    if found.response_class is gs.ResponseClass.PERIODIC:
+        assert found.period_multiple == 2
+        assert_allclose(found.x_max, 1.0358741e-3, rtol=1e-5)
+    else:
+        assert found.response_class is gs.ResponseClass.UNRESOLVED
+
+
+def test_scatter_beyond_its_bound_has_no_multiple():
+    rng = np.random.default_rng(0)
+    section = np.tile([0.0, 1.0j], 32) + 1e-3 * rng.normal(size=64)
+    distance = 1e-3 * math.sqrt(2.0)
+    assert likely_multiple(section.tolist(), 0.1, 8) == 2
+    assert likely_multiple(section.tolist(), 0.1, 8, scatter=1.5 * distance) == 2
+    assert likely_multiple(section.tolist(), 0.1, 8, scatter=0.5 * distance) == 0
 
 
 def test_an_orbit_that_is_not_approached_leaves_no_gap_in_the_window():

@@ -25,7 +25,7 @@ from gapsweep.response.section import (
     prime_multiple,
 )
 from gapsweep.response.shooting import Growths, Shots, block
-from gapsweep.response.walks import Walks
+from gapsweep.response.walks import DEVIATIONS, Walks
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -284,8 +284,10 @@ class Search:
                 expected = shrinks ** int(last[k] // n[k])
                 has_shrunk = before[k] <= 0.5 * (1.0 + expected) * first[k]
                 is_own[k] = has_shrunk and before[k] <= near[k]
-                if has_shrunk:  # it is on its way, and what grew before says nothing of it
-                    self._found.lyapunov[points[k]] = np.nan
+                found, point = self._found, points[k]
+                if has_shrunk and found.lyapunov[point] > 0.0:
+                    # It is on its way, and what grew before says nothing of it.
+                    found.lyapunov[point] = found.lyapunov_error[point] = np.nan
             else:
                 waits[k], self._asked[points[k]] = True, stretch
         self._phase[points[waits]] = Phase.APPROACH
@@ -381,13 +383,15 @@ class Search:
         """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.
 
         A kink that is passed unlocated throws a step off by more than its error estimate. The
-        tangent is another solver's, so that the exponent tells this from chaos.
+        tangent is another solver's, so that the exponent tells this from chaos; and what does not
+        contract, or scatters more than the solver strays, is on its way or has another period.
         """
-        n = 0
-        grows = not self._found.lyapunov[point] <= _SURE * self._found.lyapunov_error[point]
-        if not (self._ensemble.has_own_tangent or grows):
+        n, found, reach = 0, self._found, self._walks.reach[point]
+        contracts = found.lyapunov[point] < -_SURE * found.lyapunov_error[point]
+        if contracts and not self._ensemble.has_own_tangent:
             window, largest = self._walks.window(point).tolist(), self._steady.max_period_multiple
-            n = likely_multiple(window, _CLOSE * self._walks.reach[point], largest)
+            scatter = self._growths.scatter(point, float(self._omega[point]), found.lyapunov[point])
+            n = likely_multiple(window, _CLOSE * reach, largest, DEVIATIONS * scatter)
         if n:
             self._as_it_is(point, n, Phase.RATTLE)
         else:

@@ -135,12 +135,14 @@ class Growths:
         Forcing periods in each of a motion's blocks.
     n_blocks : ndarray of int, shape (n_points,)
         Blocks behind it.
+    strayed : ndarray, shape (n_points,)
+        How far [m] the solver strayed in a block: root of the mean square.
     """
 
     def __init__(self, n_points: int) -> None:
         self.y = np.empty((2, n_points))
         self.n_periods, self.n_blocks = np.zeros(n_points, np.int64), np.zeros(n_points, np.int64)
-        self._direction = np.empty((n_points, 2))
+        self._direction, self.strayed = np.empty((n_points, 2)), np.zeros(n_points)
         self._factors: dict[int, list[float]] = {}
 
     def begin(self, points: Numbers, y: Array, wanted: Array) -> None:
@@ -168,6 +170,9 @@ class Growths:
         length[~call.is_sound[motions]] = np.nan
         self.y[:, points] = call.y[:, motions]
         self.n_blocks[points] += is_ok
+        before, strayed = self.strayed[points], call.strayed[motions]
+        mean_square = before**2 + (strayed**2 - before**2) / self.n_blocks[points]
+        self.strayed[points] = np.sqrt(mean_square)
         for point, factor, ok in zip(points.tolist(), length.tolist(), is_ok.tolist(), strict=True):
             if ok:
                 self._factors[point].append(factor)
@@ -187,6 +192,15 @@ class Growths:
         batches = np.reshape(rates, (-1, _BATCH)).mean(axis=1)
         error = float(batches.std(ddof=1) / math.sqrt(len(batches)))
         return float(batches.mean()), error
+
+    def scatter(self, point: int, omega: float, exponent: float) -> float:
+        """Distance [m] of two points of a motion that its solver rattles: root of the mean square.
+
+        What it strays in each block adds up in random directions, and shrinks with the exponent
+        [1/s], < 0.
+        """
+        shrinks = 2.0 * exponent * int(self.n_periods[point]) / omega
+        return math.sqrt(2.0 / -math.expm1(shrinks)) * float(self.strayed[point])
 
 
 def block(rate: Array, omega: Array, longest: Counts) -> Array:
