@@ -6,8 +6,10 @@ finds the periodic orbit itself; it is accepted only if it is close, stable, of 
 period, and if the motion then really approaches it. A motion that has found no orbit once
 transients must have decayed (`settle_tol`) may still be in transient chaos: it is looked at again
 and again (`max_decay_times`, `max_periods`). What has found none by then is asked for its Lyapunov
-exponent: positive beyond three standard errors is chaotic. Without a positive one, a motion that
-passes kinks unlocated may be a periodic one that its solver rattles. Anything else is `unresolved`.
+exponent, and looked at for a last time: if it still finds none, positive beyond three standard
+errors is chaotic. Negative beyond three, a motion that passes kinks unlocated is a periodic one
+that its solver rattles, if it scatters no more than the solver strays. Anything else is
+`unresolved`.
 With ζ > 0 every area of the section shrinks by the same factor, so there is no third kind.
 """
 
