@@ -5,6 +5,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import gapsweep as gs
@@ -12,9 +14,9 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.maps import floquet_multipliers, newton_steps
 from gapsweep.response.respond import Question, respond_all
-from gapsweep.response.section import period_multiple
+from gapsweep.response.section import likely_multiple, period_multiple
 
-SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
+SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
 TIGHT = {"engine": "scipy", "rtol": 1e-8, "atol": 1e-12}
 
 
@@ -28,6 +30,20 @@ def test_linear_oscillator_reaches_its_closed_form_amplitude():
     assert response.period_multiple == 1
     assert response.n_extrema == 2
     assert_allclose(response.amplitude, expected, rtol=2e-6)
+
+
+@pytest.mark.parametrize(("omega", "rtol"), [(500.0, 1e-6), (2000.0, 1e-6), (2000.0, 1e-9)])
+def test_an_orbit_is_found_where_a_period_hardly_contracts(omega, rtol):
+    # Ends that meet to the solver's noise are no orbit's: it is 1 / |1 - multiplier| times as far.
+    oscillator = gs.Oscillator(alpha=0.0)
+    found = gs.respond(
+        oscillator, gs.Piecewise(1e4, SYMMETRIC), omega, 1e-4, rtol=rtol, atol=1e-3 * rtol
+    )
+    stiffness = oscillator.mass * oscillator.omega_n_rad**2
+    r = omega / oscillator.omega_n
+    amplitude = oscillator.forcing / stiffness / math.hypot(1 - r * r, 2 * oscillator.zeta * r)
+    assert found.period_multiple == 1
+    assert_allclose([found.x_max, -found.x_min], amplitude, rtol=2e-2)
 
 
 def test_work_of_the_forcing_is_what_damping_takes():
@@ -67,6 +83,13 @@ def test_light_damping_is_never_called_settled():
     response = gs.respond(oscillator, gs.Piecewise(0.0, SYMMETRIC), 5.0, steady=steady, **TIGHT)
     assert response.status is gs.Status.UNRESOLVED
     assert response.response_class is gs.ResponseClass.UNRESOLVED
+
+
+def test_any_number_of_looks_may_be_taken():
+    # Chaos at hard contact, and a settling time that takes more looks than doublings fit a number.
+    steady = gs.Steady(settle_tol=1e-50, n_periods=2, max_period_multiple=1)
+    response = gs.respond(gs.Oscillator(), gs.Piecewise(1.4e6, ASYMMETRIC), 11.0, steady=steady)
+    assert response.t_simulated > math.log(1e50) / gs.Oscillator().decay_rate
 
 
 def test_response_that_leaves_the_fitted_range_keeps_its_values():
@@ -121,6 +144,19 @@ def test_a_response_is_the_same_alone_and_in_any_company():
     assert all(response.cpu_time > 0.0 for response in together)
 
 
+def test_every_point_has_its_own_solver():
+    questions = [
+        Question(
+            scene=Scene(oscillator=gs.Oscillator(), law=gs.Piecewise(1.4e4, SYMMETRIC), omega=9.0,
+                        solver=Solver.of(rtol=rtol, atol=1e-3 * rtol)),
+            start=(0.0, 0.0), steady=gs.Steady(),
+        )
+        for rtol in (1e-4, 1e-9)
+    ]  # fmt: skip
+    loose, tight = respond_all(questions).rows()
+    assert loose.noise > 1e3 * tight.noise
+
+
 def test_arrays_of_points_give_arrays_of_what_each_gives_alone():
     law, steady = gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3)), gs.Steady(settle_tol=1e-2)
     omega, x_0 = np.array([[7.0], [21.75], [14.0]]), [0.0, 1e-4]
@@ -169,9 +205,112 @@ def test_a_singular_or_overflowing_map_spoils_no_other():
     steps = newton_steps(monodromy, moved)
     assert_allclose((np.eye(2) - monodromy[0]) @ steps[0], moved[0])
     assert np.all(np.isinf(steps[1]))
-    multipliers = floquet_multipliers(monodromy)
+    multipliers = floquet_multipliers(monodromy, np.array([0.1, 1.0, 1.0]))
     assert_allclose(multipliers[0], [0.5, 0.2])
     assert np.all(np.isnan(multipliers[2]))
+
+
+@given(st.tuples(*[st.floats(-2.0, 2.0)] * 3), st.floats(1e-3, 2.0))
+def test_multipliers_follow_from_trace_and_determinant(entries, determinant):
+    a, b, shear = entries
+    # Any matrix of this trace and determinant has the same ones.
+    matrix = np.array([[a, 1.0], [a * b - determinant, b]])
+    turn = np.array([[1.0, shear], [0.0, 1.0]])
+    matrix = turn @ matrix @ np.linalg.inv(turn)
+    found = floquet_multipliers(matrix[None], np.array([determinant]))[0]
+    assert abs(found[0]) >= abs(found[1]) * (1.0 - 1e-15)
+    assert_allclose(found.sum(), a + b, atol=1e-12)
+    assert_allclose(found.prod(), determinant, rtol=1e-12)
+
+
+def test_the_smaller_multiplier_of_an_overdamped_motion_is_known_too():
+    oscillator = gs.Oscillator(zeta=3.0, alpha=0.0)
+    found = gs.respond(oscillator, gs.Piecewise(1.0, gs.Gap(1.0, 1.0)), 1.0)
+    # Far below what rounding leaves of a determinant: 5e-3 and 1e-79.
+    rates = oscillator.decay_rate + math.sqrt(8.0) * oscillator.omega_n_rad * np.array([-1.0, 1.0])
+    assert_allclose(np.reshape(found.multipliers, (2, 2)),
+                    np.stack((np.exp(-rates), np.zeros(2)), axis=1), rtol=1e-6)  # fmt: skip
+
+
+@pytest.mark.parametrize("zeta", [0.0, 0.03])
+def test_a_response_ends_at_its_last_section_point(zeta):
+    law, steady = gs.Piecewise(1.4e4, ASYMMETRIC), gs.Steady(settle_tol=1e-2, max_decay_times=6.0)
+    found = gs.respond(gs.Oscillator(zeta=zeta), law, [7.0, 14.0], steady=steady)
+    for k in range(2):
+        assert found.section[k][-2:].tolist() == [found.x_end[k], found.v_end[k]]
+
+
+def test_transient_chaos_that_ends_while_its_growth_is_measured_is_no_chaos():
+    oscillator = gs.Oscillator(
+        zeta=0.1, omega_n=11.117086247303757, mass=0.40110934813009175, alpha=-1e6,
+        forcing=4.801352817692459,
+    )  # fmt: skip
+    law, omega = gs.Piecewise(331869.6780197071, ASYMMETRIC), 17.555070502053812
+    start = 3.227497825438147e-05, -0.018514426861966353
+    found = gs.respond(oscillator, law, omega, *start)
+    settled = gs.simulate(oscillator, law, omega, *start, t_end=1000 / omega)
+    window = gs.simulate(oscillator, law, omega, settled.x, settled.v, t_end=1 / omega)
+    assert_allclose(window.x, settled.x, rtol=1e-9)
+    assert (found.response_class, found.period_multiple) == (gs.ResponseClass.PERIODIC, 1)
+    assert_allclose(found.x_max, window.extrema.max(), rtol=1e-8)
+    assert found.lyapunov < 0.0 == found.lyapunov_error
+
+
+def test_what_a_solver_cannot_rattle_is_no_scatter():
+    # A disturbance that flips as it decays, to P2 as an independent solver with bisected contacts
+    # has it after 4,000 periods: from 64 of them it looked like a rattled P4.
+    law = gs.Piecewise(1.4e5, ASYMMETRIC, located=False)
+    found = gs.respond(gs.Oscillator(), law, 9.40)
+    if found.response_class is gs.ResponseClass.PERIODIC:
+        assert found.period_multiple == 2
+        assert_allclose(found.x_max, 1.0358741e-3, rtol=1e-5)
+    else:
+        assert found.response_class is gs.ResponseClass.UNRESOLVED
+
+
+def test_scatter_beyond_its_bound_has_no_multiple():
+    rng = np.random.default_rng(0)
+    section = np.tile([0.0, 1.0j], 32) + 1e-3 * rng.normal(size=64)
+    distance = 1e-3 * math.sqrt(2.0)
+    assert likely_multiple(section.tolist(), 0.1, 8) == 2
+    assert likely_multiple(section.tolist(), 0.1, 8, scatter=1.5 * distance) == 2
+    assert likely_multiple(section.tolist(), 0.1, 8, scatter=0.5 * distance) == 0
+
+
+def test_an_orbit_that_is_not_approached_leaves_no_gap_in_the_window():
+    # A P3 beside the P9 that this start settles on; over a gap the section repeated after 30.
+    law, omega = gs.Piecewise(1462568.5819342812, ASYMMETRIC), 25.15090406639029
+    found = gs.respond(gs.Oscillator(), law, omega, 4.548126282479751e-05, 0.028058411772597366)
+    n = found.period_multiple
+    period = gs.simulate(gs.Oscillator(), law, omega, found.x_end, found.v_end, t_end=n / omega)
+    assert_allclose([period.x, period.v], [found.x_end, found.v_end], rtol=1e-6)
+    assert n == 9
+
+
+def test_a_multiple_of_the_period_is_no_dead_end():
+    # Noise of the last digits chose which multiple of a settled section contracts.
+    oscillator = gs.Oscillator(
+        zeta=0.1, omega_n=11.117086247303757, mass=0.40110934813009175, alpha=-1e6,
+        forcing=4.801352817692459,
+    )  # fmt: skip
+    law, omega = gs.Piecewise(331869.6780197071, ASYMMETRIC), 17.555070502053812
+    rng = np.random.default_rng(1)
+    starts = rng.uniform(-5e-4, 5e-4, 300), rng.uniform(-0.03, 0.03, 300)
+    found = gs.respond(oscillator, law, omega, *starts)
+    others = found.response_class != gs.ResponseClass.PERIODIC
+    x, v = found.x_end[others], found.v_end[others]
+    ends = gs.simulate(oscillator, law, omega, x, v, t_end=1 / omega)
+    moved = np.hypot(ends.x - x, (ends.v - v) / (2.0 * math.pi * omega))
+    assert (moved > 1e-6 * found.x_max[others]).all()
+
+
+def test_an_exponent_that_nothing_is_left_of_is_not_invented():
+    # The slow part decays at 5.39/s, to exp(-1078) in a period: below any double.
+    oscillator = gs.Oscillator(zeta=3.0, alpha=0.0)
+    found = gs.respond(oscillator, gs.Piecewise(1e6, gs.Gap(1.0, 1.0)), 0.005)
+    assert found.response_class is gs.ResponseClass.PERIODIC
+    assert math.isnan(found.lyapunov)
+    assert found.multipliers == (0.0, 0.0, 0.0, 0.0)
 
 
 def test_period_multiple_is_the_smallest_repeat():

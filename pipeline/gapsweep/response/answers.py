@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gapsweep.response.ensemble import Call, Ensemble
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares, largest_forces
+from gapsweep.response.maps import NOTHING
 from gapsweep.response.result import (
     LISTS,
     ExtremumKind,
@@ -28,8 +29,6 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
-
-_NOTHING = 1e-290  # below it doubles lose digits
 
 
 class Found:
@@ -59,7 +58,9 @@ def answers(
     read |= _stability(points, ensemble, walks, shots, found)
     read["t_settled"] = t_settled[points]
     lists["multipliers"] = _multipliers(points, shots, found)
-    lists["section"] = _section(points, walks, found, states, steady)
+    lists["section"] = section, counts = _section(points, walks, found, states, steady)
+    ends = np.cumsum(counts)
+    read["x_end"], read["v_end"] = section[ends - 2], section[ends - 1]
     columns = missing(n)
     for name, values in read.items():
         columns[name][points] = values
@@ -98,9 +99,12 @@ def _stability(
     largest = shots.multipliers[points[is_orbit], 0]
     modulus[is_orbit] = np.hypot(largest.real, largest.imag)
     follows = is_orbit & np.isnan(lyapunov)
-    # What has shrunk to nothing shrank on average as areas do.
-    lyapunov[follows], error[follows] = -ensemble.decay_rate[points[follows]], 0.0
-    shrinks = follows & (modulus > _NOTHING)
+    shrinks = follows & (modulus > NOTHING)
+    # What swings until it has shrunk to nothing shrank on average as areas do; what creeps did not.
+    rate = ensemble.decay_rate[points]
+    swings = follows & ~shrinks & (ensemble.settling_rate[points] == rate)
+    lyapunov[swings] = -rate[swings]
+    error[swings | shrinks] = 0.0
     # numpy's own logarithm is another one on another processor.
     logarithms = np.fromiter(map(math.log, modulus[shrinks].tolist()), float)
     lyapunov[shrinks] = logarithms * omega[shrinks] / n[shrinks]
@@ -184,8 +188,6 @@ def _read_off(
         "amplitude": 0.5 * (x_max - x_min),
         "force_max": largest_forces(laws, x_min, x_max),
         "contact_share": walks.contact_share[points],
-        "x_end": y[0],
-        "v_end": y[1],
     }
     return columns, {"extrema": (x[shown], n_shown), "extremum_kind": (kinds[shown], n_shown)}
 

@@ -83,11 +83,17 @@ class Call:
     """
 
     def __init__(
-        self, found: Motions, omega: Array, t_end: Array, shrinkage: Array, monodromy: Array | None
+        self,
+        found: Motions,
+        omega: Array,
+        t_end: Array,
+        area_rate: Array,
+        monodromy: Array | None,
+        tangent_end: Array,
     ) -> None:
         self._omega, self._monodromy, self._read = omega, monodromy, found.events
-        self._shrinkage, self.t_end = shrinkage, t_end
-        self.y = np.array((found.x, found.v))
+        self._area_rate, self.t_end = area_rate, t_end
+        self.y, self._tangent_end = np.array((found.x, found.v)), tangent_end
         self.status = found.status
         self.n_steps, self.reach = found.n_steps, found.reach
         if self.status.any():
@@ -123,6 +129,20 @@ class Call:
         return self._monodromy * (unit[:, None, :] / unit[:, :, None])
 
     @property
+    def strayed(self) -> Array:
+        """How far [m] motions have strayed from those that their tangents belong to.
+
+        These start where they do, and their kinks are located.
+        """
+        return np.asarray(np.hypot(*(self.y - self._tangent_end) / self.unit))
+
+    @cached_property
+    def shrinkage(self) -> Array:
+        """Shares [-] of an area of the section that damping leaves, whatever the force."""
+        # numpy's own exponential is another one on another processor.
+        return np.fromiter(map(math.exp, (-self._area_rate * self.t_end).tolist()), float)
+
+    @property
     def is_sound(self) -> NDArray[np.bool_]:
         """Where the tangent shrinks areas as damping says, whatever the force.
 
@@ -131,8 +151,8 @@ class Call:
         """
         with np.errstate(all="ignore"):  # of motions that failed
             size = np.square(self.monodromy).sum(axis=(1, 2))
-            missed = np.abs(np.linalg.det(self.monodromy) - self._shrinkage)
-            allowed = np.maximum(self._shrinkage, _ROUNDING * size)
+            missed = np.abs(np.linalg.det(self.monodromy) - self.shrinkage)
+            allowed = np.maximum(self.shrinkage, _ROUNDING * size)
         return np.asarray(missed <= _UNSOUND * allowed)
 
     @cached_property
@@ -239,13 +259,13 @@ class Ensemble:
         )
         found = self._solved(self._integrate, problems, n_periods)
         self._pace[scenes] = found.n_steps / n_periods
-        monodromy = found.monodromy
+        monodromy, end = found.monodromy, np.array((found.x, found.v))
         if tangent and self._integrate_tangent is not None:
             never = np.full(len(scenes), math.inf)
             problems = replace(problems, record_from=never, tangent=True)
-            monodromy = self._solved(self._integrate_tangent, problems, n_periods).monodromy
-        shrinkage = np.exp(-2.0 * self.decay_rate[scenes] * t_end)
-        return Call(found, omega, t_end, shrinkage, monodromy)
+            exact = self._solved(self._integrate_tangent, problems, n_periods)
+            monodromy, end = exact.monodromy, np.array((exact.x, exact.v))
+        return Call(found, omega, t_end, 2.0 * self.decay_rate[scenes], monodromy, end)
 
     def _solved(
         self, integrate: Integrate, problems: Problems, n_periods: NDArray[np.int64]

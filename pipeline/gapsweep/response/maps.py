@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+NOTHING = 1e-290  # below it doubles lose digits
 _IDENTITY = np.eye(2)
 
 
@@ -40,24 +41,34 @@ def _solution(matrix: Array, right: Array) -> Array:
         return np.full(2, np.inf)
 
 
-def floquet_multipliers(monodromy: Array) -> NDArray[np.complex128]:
+def floquet_multipliers(monodromy: Array, determinant: Array) -> NDArray[np.complex128]:
     """Eigenvalues of monodromy matrices, largest modulus first; NaN where the tangent overflowed.
+
+    They follow from the trace and from the determinant, which damping fixes: computed from the
+    matrix it is lost in rounding where the two shrink differently, and with it the smaller one.
+    Those that shrank to nothing are zero.
 
     Parameters
     ----------
     monodromy : ndarray, shape (n, 2, 2)
+    determinant : ndarray, shape (n,)
+        What the determinants are without error, >= 0.
 
     Returns
     -------
     ndarray of complex, shape (n, 2)
     """
-    if not np.isfinite(monodromy).all():
-        is_finite = np.isfinite(monodromy).all(axis=(1, 2))
-        found = np.full((len(monodromy), 2), complex(np.nan, np.nan))
-        found[is_finite] = floquet_multipliers(monodromy[is_finite])
-        return found
-    found = np.linalg.eigvals(monodromy).astype(complex)
-    modulus = np.abs(found)
-    is_smaller_first = modulus[:, 0] < modulus[:, 1]
-    found[is_smaller_first] = found[is_smaller_first, ::-1]
+    with np.errstate(all="ignore"):  # of tangents that overflowed or shrank to nothing
+        half = 0.5 * np.trace(monodromy, axis1=1, axis2=2)
+        # Where the trace is zero the two are imaginary.
+        ratio = np.where(half == 0.0, np.inf, determinant / half / half)
+        larger = half * (1.0 + np.sqrt(1.0 - ratio))
+        smaller = np.where(larger == 0.0, 0.0, determinant / larger)
+        height = np.sqrt((np.sqrt(determinant) - half) * (np.sqrt(determinant) + half))
+    is_real = ratio <= 1.0
+    found = np.empty((len(half), 2), complex)
+    found.real = np.where(is_real, (larger, smaller), half).T
+    found.imag = np.where(is_real, 0.0, (height, -height)).T
+    found[np.abs(found) < NOTHING] = 0.0
+    found[~np.isfinite(monodromy).all(axis=(1, 2))] = complex(np.nan, np.nan)
     return found

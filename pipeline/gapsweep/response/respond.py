@@ -6,8 +6,10 @@ finds the periodic orbit itself; it is accepted only if it is close, stable, of 
 period, and if the motion then really approaches it. A motion that has found no orbit once
 transients must have decayed (`settle_tol`) may still be in transient chaos: it is looked at again
 and again (`max_decay_times`, `max_periods`). What has found none by then is asked for its Lyapunov
-exponent: positive beyond three standard errors is chaotic. Without a positive one, a motion that
-passes kinks unlocated may be a periodic one that its solver rattles. Anything else is `unresolved`.
+exponent, and looked at for a last time: if it still finds none, positive beyond three standard
+errors is chaotic. Negative beyond three, a motion that passes kinks unlocated is a periodic one
+that its solver rattles, if it scatters no more than the solver strays. Anything else is
+`unresolved`.
 With ζ > 0 every area of the section shrinks by the same factor, so there is no third kind.
 """
 
@@ -100,13 +102,15 @@ def respond(
 
 
 def respond_all(questions: Sequence[Question]) -> Responses:
-    """Steady responses of many points with one solver, advanced together; in their order.
+    """Steady responses of many points, those of a kind advanced together; in their order.
 
     No point sees the others: each response is the same to the last bit in any company.
     """
     groups: dict[Hashable, list[int]] = {}
     for i, question in enumerate(questions):
-        groups.setdefault((law_kind(question.scene.law), question.steady), []).append(i)
+        scene = question.scene
+        kind = law_kind(scene.law), scene.solver, question.steady
+        groups.setdefault(kind, []).append(i)
     found = []
     for numbers in groups.values():
         group = [questions[i] for i in numbers]

@@ -74,7 +74,8 @@ class Steady:
         period, but never shorter than it needs to settle; then it is asked for its exponent.
         Transient chaos may last many decay times. Both ``> 0``.
     t_max : float, optional
-        Bound [s] of the time that it is watched, also where it then has not settled, ``> 0``.
+        Bound [s] of the time that it is watched before its last window of `n_periods`, also where
+        it then has not settled, ``> 0``.
     n_periods : int
         Forcing periods in a full recording window, at least twice `max_period_multiple`.
     max_period_multiple : int

@@ -25,7 +25,7 @@ from gapsweep.response.section import (
     prime_multiple,
 )
 from gapsweep.response.shooting import Growths, Shots, block
-from gapsweep.response.walks import Walks
+from gapsweep.response.walks import DEVIATIONS, Walks
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -98,7 +98,8 @@ class Search:
         self._phase = np.full(n, int(Phase.PAUSE))
         self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
         self._settled = np.zeros(n, bool)
-        self._look = np.full(n, _FIRST_WINDOW)  # size of an early look's window
+        # Size of an early look's window.
+        self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))
         self._size, self._largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._before, self._goal = np.zeros(n), np.zeros(n)  # distances from an orbit found
         self._found = Found(n)
@@ -113,10 +114,10 @@ class Search:
                 self._advance_tangent(np.flatnonzero(shoots))
             elif moves.any():
                 self._advance(np.flatnonzero(moves))
-            elif (last := np.flatnonzero(self._phase == Phase.LAST)).size:
-                self._advance_last(last)
-            else:
+            elif grows.any():
                 self._advance_tangent(np.flatnonzero(grows))
+            else:
+                self._advance_last(np.flatnonzero(self._phase == Phase.LAST))
         return answers(self._ensemble, self._walks, self._shots, self._found, self._steady)
 
     # --- motion ----------------------------------------------------------------------------------
@@ -142,13 +143,14 @@ class Search:
     @_for_some
     def _open(self, points: Numbers) -> None:
         """After a pause: a window, as long as it takes once the motion must have settled."""
-        n_periods = self._steady.n_periods
+        n_periods, was_settled = self._steady.n_periods, self._settled[points]
         self._settled[points] = self._walks.n_periods[points] >= self._limits.settled[points]
-        early = np.minimum(self._look[points], n_periods)
-        self._largest[points] = np.where(self._settled[points], n_periods, early)
+        self._largest[points] = np.where(self._settled[points], n_periods, self._look[points])
         after = self._walks.n_periods[points] + self._largest[points]
-        is_last = after >= self._limits.last[points]
-        self._record_last(points[is_last])
+        # A growth costs more than the first look at a settled motion.
+        is_new = self._settled[points] & ~was_settled
+        is_last = (after >= self._limits.last[points]) & ~is_new
+        self._finish(points[is_last])
         others = points[~is_last]
         self._size[others] = _FIRST_WINDOW
         self._walks.forget(others)
@@ -219,14 +221,15 @@ class Search:
         modulus = np.hypot(*_parts(self._shots.multipliers[points, 0]))
         shooting = phase == Phase.SHOOT
         inside = points[shooting & (modulus < _INSIDE)]
-        is_prime = self._is_prime(inside)
+        prime = self._primes(inside)
+        is_prime = prime == self._shots.n[inside]
         self._compare(inside[is_prime])
+        self._shots.shorten(inside[~is_prime], prime[~is_prime])
         is_undamped = self._ensemble.settling_rate[points] == 0.0
         stays = modulus < np.where(is_undamped, 1.0 + _ON_CIRCLE, 1.0)
         self._close(points[~shooting & stays])
         refused = ~np.where(shooting, modulus < _INSIDE, stays)
         self._miss(points[refused], phase[refused])
-        self._go_on(inside[~is_prime])
 
     @_for_some
     def _miss(self, points: Numbers, phase: Counts) -> None:
@@ -236,16 +239,16 @@ class Search:
         for point in points[phase == Phase.RATTLE].tolist():
             self._aperiodic(point)
 
-    def _is_prime(self, points: Numbers) -> Mask:
-        """Whose orbit does not repeat itself sooner."""
+    def _primes(self, points: Numbers) -> Counts:
+        """After how many forcing periods orbits repeat themselves: fewer than shot over, maybe."""
         walks, n = self._walks, self._shots.n
         tolerance = np.maximum(10.0 * walks.same, 1e-6 * walks.reach)
         return np.array(
             [
-                n[p] == 1 or prime_multiple(self._shots.section[p], tolerance[p]) == n[p]
+                1 if n[p] == 1 else prime_multiple(self._shots.section[p], tolerance[p])
                 for p in points.tolist()
             ],
-            bool,
+            np.int64,
         )
 
     @_for_some
@@ -267,7 +270,9 @@ class Search:
         is_own = before <= np.maximum(same, np.minimum(near, _CLOSER * first))
         goal = np.maximum(np.minimum(_CLOSER * before, near), same)
         modulus = np.hypot(*_parts(self._shots.multipliers[points, 0]))
-        n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], 0)
+        # Transient chaos that has ended late leaves as much time as it took.
+        more = np.where(self._growths.n_blocks[points] > 0, self._limits.last[points], 0)
+        n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
         self._goal[points] = goal
         waits = np.zeros(len(points), bool)
         for k in np.flatnonzero(~is_own).tolist():
@@ -279,6 +284,10 @@ class Search:
                 expected = shrinks ** int(last[k] // n[k])
                 has_shrunk = before[k] <= 0.5 * (1.0 + expected) * first[k]
                 is_own[k] = has_shrunk and before[k] <= near[k]
+                found, point = self._found, points[k]
+                if has_shrunk and found.lyapunov[point] > 0.0:
+                    # It is on its way, and what grew before says nothing of it.
+                    found.lyapunov[point] = found.lyapunov_error[point] = np.nan
             else:
                 waits[k], self._asked[points[k]] = True, stretch
         self._phase[points[waits]] = Phase.APPROACH
@@ -289,7 +298,10 @@ class Search:
     def _arrive(self, points: Numbers) -> None:
         is_near = self._distance(points) <= self._goal[points]
         self._close(points[is_near])
-        self._go_on(points[~is_near])
+        away = points[~is_near]
+        # A window that is to go on begins anew: what was not recorded would be a gap in it.
+        self._walks.forget(away[self._walks.length[away] < self._largest[away]])
+        self._go_on(away)
 
     def _distance(self, points: Numbers) -> Array:
         """Distances of motions, at whole periods of their orbits, from these' starts [m]."""
@@ -328,24 +340,33 @@ class Search:
 
     @_for_some
     def _end_look(self, points: Numbers) -> None:
-        """Nothing found: another look later, or the growth of a disturbance."""
+        """Nothing found: another look later, if there is time."""
         is_last = self._walks.n_periods[points] >= self._limits.last[points]
-        again, last = points[~is_last], points[is_last]
-        self._look[again] *= 2
+        again = points[~is_last]
+        self._look[again] = np.minimum(2 * self._look[again], self._steady.n_periods)
         self._asked[again], self._phase[again] = self._limits.pause[again], Phase.PAUSE
-        is_recorded = self._walks.extrema.counts[last] >= 0
-        self._record_last(last[~is_recorded])
-        last = last[is_recorded]
+        self._finish(points[is_last])
+
+    @_for_some
+    def _finish(self, points: Numbers) -> None:
+        """No time left: the growth of a disturbance, then the last window, then what they say.
+
+        In this order, because transient chaos may end during the growth: the window that a verdict
+        rests on is the last of the motion.
+        """
         # A motion that was given no time to settle is nobody's example; without damping nothing
         # is long enough.
-        rate = self._ensemble.settling_rate[last]
-        grows = self._settled[last] & (rate > 0.0)
-        late = last[grows]
+        rate = self._ensemble.settling_rate[points]
+        may_grow = self._settled[points] & (rate > 0.0)
+        grows = may_grow & (self._growths.n_blocks[points] == 0)
+        late = points[grows]
         wanted = block(rate[grows], self._omega[late], self._limits.last[late])
         self._growths.begin(late, self._walks.y[:, late], wanted)
         self._phase[late] = Phase.GROW
-        for point in last[~grows].tolist():
-            self._aperiodic(point)
+        is_recorded = self._walks.extrema.counts[points] >= 0
+        self._record_last(points[~grows & ~is_recorded])
+        for point in points[~grows & is_recorded].tolist():
+            self._rattle(point)
 
     @_for_some
     def _grown(self, points: Numbers, status: Counts) -> None:
@@ -356,19 +377,21 @@ class Search:
         for point in points[is_ok].tolist():
             exponent, error = self._growths.exponent(point, float(self._omega[point]))
             self._found.lyapunov[point], self._found.lyapunov_error[point] = exponent, error
-            self._rattle(point)
+        self._record_last(points[is_ok])
 
     def _rattle(self, point: int) -> None:
         """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.
 
         A kink that is passed unlocated throws a step off by more than its error estimate. The
-        tangent is another solver's, so that the exponent tells this from chaos.
+        tangent is another solver's, so that the exponent tells this from chaos; and what does not
+        contract, or scatters more than the solver strays, is on its way or has another period.
         """
-        n = 0
-        grows = not self._found.lyapunov[point] <= _SURE * self._found.lyapunov_error[point]
-        if not (self._ensemble.has_own_tangent or grows):
+        n, found, reach = 0, self._found, self._walks.reach[point]
+        contracts = found.lyapunov[point] < -_SURE * found.lyapunov_error[point]
+        if contracts and not self._ensemble.has_own_tangent:
             window, largest = self._walks.window(point).tolist(), self._steady.max_period_multiple
-            n = likely_multiple(window, _CLOSE * self._walks.reach[point], largest)
+            scatter = self._growths.scatter(point, float(self._omega[point]), found.lyapunov[point])
+            n = likely_multiple(window, _CLOSE * reach, largest, DEVIATIONS * scatter)
         if n:
             self._as_it_is(point, n, Phase.RATTLE)
         else:
@@ -379,6 +402,9 @@ class Search:
     @_for_some
     def _close(self, points: Numbers) -> None:
         """The response is the orbit that shooting found."""
+        # Measured before, an exponent is that of the way here, unless the motion is rattled.
+        others = points[self._phase[points] != Phase.RATTLE]
+        self._found.lyapunov[others] = self._found.lyapunov_error[others] = np.nan
         self._phase[points] = Phase.ENDED
         self._found.is_periodic[points] = True
 

@@ -63,7 +63,9 @@ def period_multiple(section: Sequence[complex], tolerance: float, largest: int) 
     return 0
 
 
-def likely_multiple(section: Sequence[complex], closeness: float, largest: int) -> int:
+def likely_multiple(
+    section: Sequence[complex], closeness: float, largest: int, scatter: float = math.inf
+) -> int:
     """Smallest n after which a rattled section repeats as well as after any; 0 if none is close.
 
     Parameters
@@ -74,6 +76,8 @@ def likely_multiple(section: Sequence[complex], closeness: float, largest: int) 
         Largest distance [m] of a point from the one n periods before.
     largest : int
         Largest n tried; at least 2 n points are needed to find n.
+    scatter : float
+        Largest root of these distances' mean square [m].
     """
     points = np.array(section)
     distances = [
@@ -82,7 +86,7 @@ def likely_multiple(section: Sequence[complex], closeness: float, largest: int) 
     spreads = [float(np.sqrt(np.mean(each**2))) for each in distances]
     for n, (distance, spread) in enumerate(zip(distances, spreads, strict=True), start=1):
         # A disturbance that turns as it decays repeats better after some periods than others, ...
-        if distance.max() < closeness and spread <= _AS_WELL * min(spreads):
+        if distance.max() < closeness and spread <= min(_AS_WELL * min(spreads), scatter):
             # ... though the points scatter about fewer places.
             phases = points[len(points) % n :].reshape(-1, n)
             places = phases.mean(axis=0)

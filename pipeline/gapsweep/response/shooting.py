@@ -24,6 +24,8 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 _MAX_NEWTON = 6
+# Newton's steps that shorten no more than this are the solver's noise.
+_SHORTENS = 0.5
 
 # Lyapunov exponent: as many blocks, each at least this part of the decay time, after one to align
 # the vector.
@@ -53,6 +55,7 @@ class Shots:
         self.multipliers = np.empty((n_points, 2), complex)
         self.section: list[list[complex]] = [[]] * n_points
         self._moved, self._tries = np.zeros((2, n_points)), np.zeros(n_points, np.int64)
+        self._last = np.zeros(n_points)  # length of the last step
         self._goal, self._furthest = np.zeros(n_points), np.zeros(n_points)
 
     def aim(self, points: Numbers, y: Array, n: Counts, goal: Array, furthest: Array) -> None:
@@ -64,13 +67,19 @@ class Shots:
         y : ndarray, shape (2, m)
         n : ndarray of int, shape (m,)
         goal : ndarray, shape (m,)
-            Distance [m] of an orbit's ends below which it is closed.
+            Distance [m] from the orbit at which it is found. Where the solver's noise lets no step
+            be as short, its ends must be this close.
         furthest : ndarray, shape (m,)
             Distance [m] from `y` beyond which it is given up.
         """
         self.y[:, points], self.n[points] = y, n
         self._goal[points], self._furthest[points] = goal, furthest
         self._moved[:, points], self._tries[points] = 0.0, 0
+        self._last[points] = np.inf
+
+    def shorten(self, points: Numbers, n: Counts) -> None:
+        """Begin again at orbits that were found, over fewer forcing periods."""
+        self.n[points], self._tries[points], self._last[points] = n, 0, np.inf
 
     def step(self, points: Numbers, motions: Numbers, call: Call) -> tuple[Mask, Mask]:
         """One step of Newton's method from what a call found.
@@ -86,26 +95,30 @@ class Shots:
             Whose orbit is closed; who went too far, did not converge, or failed.
         """
         y, unit, is_ok = self.y[:, points], call.unit[:, motions], call.is_ok[motions]
+        goal = self._goal[points]
         with np.errstate(over="ignore", invalid="ignore"):  # of motions that failed
             missed = (call.y[:, motions] - y) / unit
-            is_near = np.hypot(*missed) <= self._goal[points]
-        is_found = is_ok & call.is_sound[motions] & is_near
-        self._keep(points[is_found], motions[is_found], call)
-        self._tries[points] += 1
-        left = np.flatnonzero(is_ok & ~is_found & (self._tries[points] < _MAX_NEWTON))
-        with np.errstate(over="ignore", invalid="ignore"):
-            step = newton_steps(call.monodromy[motions[left]], missed[:, left].T).T
-            moved = self._moved[:, points[left]] + step
-            is_lost = ~is_found
-            is_lost[left] = ~(np.hypot(*moved) <= self._furthest[points[left]])
-            self._moved[:, points[left]] = moved
-            self.y[:, points[left]] = y[:, left] + step * unit[:, left]
-        return is_found, is_lost
+            step = newton_steps(call.monodromy[motions], missed.T).T
+            length = np.hypot(*step)
+            # Ends that meet are not enough: weakly contracting, the orbit is much farther away.
+            is_at_best = (np.hypot(*missed) <= goal) & (length >= _SHORTENS * self._last[points])
+            is_found = is_ok & call.is_sound[motions] & ((length <= goal) | is_at_best)
+            self._keep(points[is_found], motions[is_found], call)
+            self._tries[points], self._last[points] = self._tries[points] + 1, length
+            moved = self._moved[:, points] + step
+            goes_on = is_ok & ~is_found & (self._tries[points] < _MAX_NEWTON)
+            goes_on &= np.hypot(*moved) <= self._furthest[points]
+        left = points[goes_on]
+        self._moved[:, left] = moved[:, goes_on]
+        self.y[:, left] = (y + step * unit)[:, goes_on]
+        return is_found, ~is_found & ~goes_on
 
     def _keep(self, points: Numbers, motions: Numbers, call: Call) -> None:
         if not points.size:
             return
-        self.multipliers[points] = floquet_multipliers(call.monodromy[motions])
+        self.multipliers[points] = floquet_multipliers(
+            call.monodromy[motions], call.shrinkage[motions]
+        )
         first, last = call.period_ends[motions], call.period_ends[motions + 1]
         for point, i, j in zip(points.tolist(), first.tolist(), last.tolist(), strict=True):
             self.section[point] = call.section[i:j].tolist()
@@ -122,12 +135,14 @@ class Growths:
         Forcing periods in each of a motion's blocks.
     n_blocks : ndarray of int, shape (n_points,)
         Blocks behind it.
+    strayed : ndarray, shape (n_points,)
+        How far [m] the solver strayed in a block: root of the mean square.
     """
 
     def __init__(self, n_points: int) -> None:
         self.y = np.empty((2, n_points))
         self.n_periods, self.n_blocks = np.zeros(n_points, np.int64), np.zeros(n_points, np.int64)
-        self._direction = np.empty((n_points, 2))
+        self._direction, self.strayed = np.empty((n_points, 2)), np.zeros(n_points)
         self._factors: dict[int, list[float]] = {}
 
     def begin(self, points: Numbers, y: Array, wanted: Array) -> None:
@@ -155,6 +170,9 @@ class Growths:
         length[~call.is_sound[motions]] = np.nan
         self.y[:, points] = call.y[:, motions]
         self.n_blocks[points] += is_ok
+        before, strayed = self.strayed[points], call.strayed[motions]
+        mean_square = before**2 + (strayed**2 - before**2) / self.n_blocks[points]
+        self.strayed[points] = np.sqrt(mean_square)
         for point, factor, ok in zip(points.tolist(), length.tolist(), is_ok.tolist(), strict=True):
             if ok:
                 self._factors[point].append(factor)
@@ -174,6 +192,15 @@ class Growths:
         batches = np.reshape(rates, (-1, _BATCH)).mean(axis=1)
         error = float(batches.std(ddof=1) / math.sqrt(len(batches)))
         return float(batches.mean()), error
+
+    def scatter(self, point: int, omega: float, exponent: float) -> float:
+        """Distance [m] of two points of a motion that its solver rattles: root of the mean square.
+
+        What it strays in each block adds up in random directions, and shrinks with the exponent
+        [1/s], < 0.
+        """
+        shrinks = 2.0 * exponent * int(self.n_periods[point]) / omega
+        return math.sqrt(2.0 / -math.expm1(shrinks)) * float(self.strayed[point])
 
 
 def block(rate: Array, omega: Array, longest: Counts) -> Array:
