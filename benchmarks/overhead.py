@@ -8,7 +8,7 @@ Prints, each from fresh processes:
   `attractors.nc` to be written;
 * the largest resident memory of client and scheduler (one process) at 10,000 and 100,000 points.
 
-Run with ``python benchmarks/pipeline.py``; ``--quick`` leaves out the 100,000 points.
+Run with ``python benchmarks/overhead.py``; ``--quick`` leaves out the 100,000 points.
 """
 
 import json

@@ -242,3 +242,27 @@ def test_a_run_that_waits_for_another_first_lets_go_of_what_it_has(
         gs.run(study, client, out=tmp_path / "out", cache=cache, batch=1).close()
         killer.cancel()
         assert other.wait() == 0, "it waited until it was killed"
+
+
+@pytest.mark.parametrize("walls", [{"gap": [4e-4, 4e-4]}, {"j_1": 4e-4, "j_2": [2e-4, 4e-4]}])
+def test_further_axes_are_dimensions_after_the_frequency(tables, client, tmp_path, walls):
+    block = {"representation": "piecewise", "K_c": 1.4e4, "omega": [8.0, 12.0]}
+    starts = [[0.0, 0.0], [1e-3, 0.0]]
+    tables["sweep"] = [block | walls | {"forcing": [2.0, 6.0], "initial_condition": starts}]
+    found = run(tables, client, tmp_path)
+    assert found["x_max"].dims == tuple(gs.Study.from_dict(tables).grid.dims)
+    assert found["forcing"].attrs["units"] == "N"
+    here = found.sel(forcing=6.0, omega=12.0).isel(initial_condition=1)
+    here = here.isel(gap=0) if "gap" in walls else here.sel(j_1=4e-4, j_2=4e-4)
+    law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    steady = gs.Steady(**tables["steady"])
+    expected = gs.respond(gs.Oscillator(forcing=6.0), law, 12.0, 1e-3, steady=steady)
+    assert here["x_max"].item() == expected.x_max
+    assert here["contact_share"].item() == expected.contact_share
+    study = gs.Study.from_dict(tables)
+    part = gs.query(study, client, cache=tmp_path / "out.sqlite", forcing=slice(5.0, 7.0))
+    assert part.attrs["n_computed"] == 0
+    xr.testing.assert_equal(part["x_max"], found["x_max"].sel(forcing=[6.0]))
+    with gs.open(tmp_path / "out" / "attractors.nc") as sets:
+        assert sets["x_max"].dims == (*found["x_max"].dims[:-1], "attractor")
+        assert (sets["n_attractors"] > 0).all()

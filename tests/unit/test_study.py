@@ -299,3 +299,77 @@ def test_points_carry_canonical_values(tables):
     tables["sweep"][0]["omega"] = [0.1 + 0.2]
     assert gs.Study.from_dict(tables).grid.omega == (0.3,)
     assert np.isclose(0.3, 0.1 + 0.2)
+
+
+def test_a_point_is_the_same_whatever_names_its_numbers(tables):
+    (block,) = tables["sweep"]
+    plain = set(all_keys(study_of(tables)).values())
+    j_1, j_2 = block.pop("gap")[0]
+    walls = study_of(tables, sweep=[block | {"j_1": j_1, "j_2": [j_2]}])
+    assert walls.grid.dims == (
+        "representation", "K_c", "j_1", "j_2", "omega", "initial_condition",
+    )  # fmt: skip
+    assert set(all_keys(walls).values()) == plain
+    forced = study_of(
+        tables, sweep=[block | {"gap": [j_1, j_2], "forcing": [4.0, 8.0], "zeta": 0.03}]
+    )
+    assert forced.grid.dims[3:] == ("omega", "zeta", "forcing", "initial_condition")
+    keys = all_keys(forced)
+    assert {key for place, key in keys.items() if place[5] == 0} == plain
+    harder = {"oscillator": {"forcing": 8.0}, "sweep": [block | {"gap": [[j_1, j_2]]}]}
+    assert set(keys.values()) - plain == set(all_keys(study_of(tables, **harder)).values())
+
+
+def test_a_grid_of_starts_is_a_list_of_them(tables):
+    block = tables["sweep"][0] | {"representation": "piecewise", "omega": 7.0}
+    form = {"grid": [3, 2], "x": [-1e-3, 1e-3], "v": [0.0, 0.1]}
+    listed = [[x, v] for v in (0.0, 0.1) for x in (-1e-3, 0.0, 1e-3)]
+    one, other = (
+        study_of(tables, sweep=[block | {"initial_condition": starts}]) for starts in (form, listed)
+    )
+    assert list(one.grid.starts) == list(other.grid.starts)
+    assert all_keys(one) == all_keys(other)
+    alone = study_of(tables, sweep=[block | {"initial_condition": [1e-3, 0.1]}])
+    assert set(all_keys(alone).values()) < set(all_keys(one).values())
+
+
+def test_blocks_that_do_not_sweep_a_number_keep_that_of_the_oscillator(tables):
+    block = tables["sweep"][0] | {"representation": "piecewise", "omega": 7.0}
+    blocks = [block | {"forcing": [2.0, 8.0]}, block | {"omega": 12.0}]
+    grid = study_of(tables, sweep=blocks).grid
+    assert grid.axes["forcing"] == (2.0, 4.0, 8.0)
+    assert grid.requested.squeeze().tolist() == [[True, False, True], [False, True, False]]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gap": None}, "sweep[0]: give gap, or both j_1 and j_2"),
+        ({"j_1": 1e-3}, "sweep[0]: give gap, or both j_1 and j_2"),
+        ({"gap": None, "j_1": 1e-3}, "sweep[0]: give gap, or both j_1 and j_2"),
+        ({"forcing": []}, "sweep[0].forcing"),
+        ({"mass": [0.0]}, "sweep[0].mass[0] = 0.0: must be > 0"),
+        ({"zeta": {"start": -0.1, "stop": 1.0, "num": 3}}, "sweep[0].zeta.start = -0.1: must be"),
+        ({"alpha": "stiff"}, "sweep[0].alpha[0] = 'stiff': must be a valid number"),
+        ({"omega": True}, "sweep[0].omega[0] = True: must be a valid number"),
+        ({"K_ratio": 2.0}, "sweep[0].K_ratio = 2.0: unknown key"),
+        (
+            {"initial_condition": {"grid": [1, 5], "x": [0.0, 1.0], "v": [0.0, 1.0]}},
+            "sweep[0].initial_condition.grid[0] = 1: must be >= 2",
+        ),
+        (
+            {"forcing": {"start": 0.0, "stop": 1.0, "num": 10**7}},
+            "sweep points: must be <= 10000000",
+        ),
+    ],
+)
+def test_wrong_axes_are_refused(tables, change, message):
+    block = {k: v for k, v in (tables["sweep"][0] | change).items() if v is not None}
+    found = problems(tables | {"sweep": [block]})
+    assert any(message in one for one in found), found
+
+
+def test_walls_and_gaps_do_not_mix(tables):
+    (block,) = tables["sweep"]
+    other = {k: v for k, v in block.items() if k != "gap"} | {"j_1": 0.0, "j_2": 0.0}
+    assert "j_1 and j_2 in every block" in problems(tables | {"sweep": [block, other]})[0]
