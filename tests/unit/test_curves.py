@@ -20,7 +20,7 @@ def curve(tmp_path):
         answers = {"piecewise": exact, "tanh-1e4": ours or exact}
         study = tables(answers, OMEGA)
         files = datasets(tmp_path, study, lambda label, omega, _: answers[label](omega))
-        return [slab(*files, (r, 0, 0)) for r in (1, 0)]
+        return [slab(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0)]
 
     return slabs
 

@@ -458,9 +458,9 @@ def test_a_study_tries_a_law_out_once_for_every_code(own, tables):
     )
     tables["sweep"][0]["representation"] = [LABEL]
     study = gs.Study.from_dict(tables)
-    first = plan(study).keys
+    first = plan(study).keys.tolist()
     assert own_law.function(LABEL).__globals__["CALLS"] == [0.0]
-    assert plan(study).keys == first
+    assert plan(study).keys.tolist() == first
     (folder / "laws.py").write_text("spring = 3.0\n")
     with pytest.raises(gs.ModelError, match=r"^function = 3\.0: must be a function of x;"):
         plan(study)

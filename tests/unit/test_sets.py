@@ -26,7 +26,7 @@ def compare(tmp_path):
         answers = {"piecewise": exact, "tanh-1e4": ours}
         study = tables(answers, [W], gap=gap, starts=len(exact) - len(sweeps), sweeps=sweeps)
         files = datasets(tmp_path, study, lambda label, _, i: answers[label][i])
-        slabs = [slab(*files, (r, 0, 0)) for r in (1, 0)]
+        slabs = [slab(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0)]
         found = matching(*slabs, G, symmetric=gap[0] == gap[1])
         found_metrics = set_metrics(found, *slabs, G / 2) | basin_metrics(found, *slabs)
         return {name: values.ravel().tolist() for name, values in found_metrics.items()}
@@ -132,7 +132,7 @@ def test_sets_come_from_the_starts_that_both_were_asked_for(tmp_path):
     study = tables(["piecewise"], [W], gap=(0.0, G), starts=3)
     study["sweep"] += tables(["tanh-1e4"], [W], gap=(0.0, G), starts=1)["sweep"]
     files = datasets(tmp_path, study, lambda label, _, i: (A, B, C)[i])
-    ours, exact = (slab(*files, (r, 0, 0)) for r in (1, 0))
+    ours, exact = (slab(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0))
     found = matching(ours, exact, G, symmetric=False)
     assert [found.n[0], found.n_exact[0], found.n_matched[0]] == [1, 1, 1]
 

@@ -20,7 +20,7 @@ def slabs(tmp_path):
         answers = {"piecewise": exact, "tanh-1e4": ours}
         study = tables(answers, [W], gap=gap, starts=len(exact))
         files = datasets(tmp_path, study, lambda label, _, i: answers[label][i])
-        return [slab(*files, (r, 0, 0)) for r in (1, 0)]
+        return [slab(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0)]
 
     return pair
 
