@@ -94,7 +94,7 @@ def tile_rows(study, representation=0):
     ((_, table),) = study.points(planned.cells[rows])
     nothing = np.zeros(len(rows), KEY)
     tile = Tile(table, nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)))
-    return respond_to(tile)[0].rows()
+    return respond_to(tile).rows()
 
 
 def damaged_row(path):

@@ -167,7 +167,7 @@ def stages_of(study: Study) -> list[Stage]:
 def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
     """Digests of what is no file of the run: settings of a study, rows in the cache, own code."""
     digest = hashlib.sha256()
-    digest.update(plan.keys.tobytes())
+    digest.update(plan.keys.data)
     for part in cache.checksums(plan.keys):
         digest.update(part)
     return {**study_source(study), POINTS: digest.hexdigest(), **module_sources(study)}

@@ -6,9 +6,11 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 from tests.stored import keys, made, point
@@ -132,6 +134,44 @@ def test_rows_of_the_log_are_saved_and_the_latest_success_wins(whole, tmp_path):
     assert len(held.at) == N_ROWS + 20
     assert held.responses.columns["x_max"][3] == 3.0
     assert held.responses.columns["x_max"][4] in (4.0, -1.0)  # stored within one second
+
+
+def test_megabytes_that_look_like_anything_are_no_obstacle(tmp_path):
+    """Compressed numbers look like the head of a row some ten times in a megabyte."""
+    path = tmp_path / "c.sqlite"
+    generator = np.random.default_rng(1)
+    with Cache(path) as cache:
+        for first in range(0, 6400, 64):
+            names = range(first, first + 64)
+            columns = {
+                name: generator.uniform(size=(64, 250 if name == "extrema" else 1)).tolist()
+                for name in ("extrema", "section", "multipliers")
+            }
+            answers = [
+                gs.Response(
+                    status=gs.Status.OK,
+                    cpu_time=float(n % 3),  # whole numbers, too, are stored as what they are
+                    **{name: tuple(values[n - first]) for name, values in columns.items()},
+                )
+                for n in names
+            ]
+            cache.commit(made(names, answers))
+    data = bytearray(path.read_bytes())
+    assert len(data) > 8e6
+    data[:100] = bytes(100)
+    path.write_bytes(data)
+    begin = time.monotonic()
+    assert "6400 sound results saved" in salvage(path)
+    assert time.monotonic() - begin < 30.0
+
+
+@pytest.mark.parametrize("cpu_time", [0.0, 1.0, 2.0, 1e6, float("nan"), 0.1])
+def test_whole_seconds_are_saved(tmp_path, cpu_time):
+    path = tmp_path / "c.sqlite"
+    with Cache(path) as cache:
+        cache.commit([row(1, cpu_time=cpu_time)])
+    (found,) = sound_slabs(path).values()
+    assert found.n_points == 1
 
 
 def test_files_of_others_are_left_alone(tmp_path):

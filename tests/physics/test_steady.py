@@ -65,8 +65,8 @@ def test_known_coexisting_attractors_are_found(K_c, gap, omega, known):
 def test_basins_are_drawn_with_a_name_for_every_attractor():
     found = box(SOFT, SYMMETRIC, 19.0, n=5)
     axes, bar = figures.basins(found).axes
-    drawn = axes.collections[0].get_array()
-    assert np.array_equal(np.ravel(drawn), found["attractor"].values.ravel())
+    (mesh,) = axes.images
+    assert np.array_equal(mesh.get_array(), found["attractor"].values)
     names = [tick.get_text() for tick in bar.get_yticklabels()]
     assert [name.split(",")[0] for name in names] == ["P1", "P3"]
 

@@ -187,6 +187,22 @@ def test_garbage_collection_keeps_what_the_present_code_computed(tmp_path):
         assert cache.find(keys(1, 2)).at.tolist() == [0]
 
 
+def test_rows_deleted_and_given_back_by_another_process_mix_nothing_up(tmp_path):
+    path = tmp_path / "cache.sqlite"
+    with Cache(path) as cache, Cache(path) as other:
+        cache.commit([row(n, x_max=float(n)) for n in range(4)])
+        assert cache.status(keys(*range(4))).tolist() == [gs.Status.OK] * 4
+        maintenance.remove(other, {1, 2})
+        other.commit([row(n, x_max=float(n)) for n in (4, 5, 6)])
+        for one in (cache, other):
+            found = one.find(keys(*range(7)))
+            assert set(found.at.tolist()) >= {2, 3, 4, 5, 6}
+            # What it has read before it may still know.
+            assert found.responses.columns["x_max"].tolist() == found.at.tolist()
+        cache.delete_damaged()
+        assert other.find(keys(*range(7))).at.tolist() == [2, 3, 4, 5, 6]
+
+
 def test_export_copies_sound_rows_and_refuses_to_replace(tmp_path):
     path, copy = tmp_path / "cache.sqlite", tmp_path / "copy.sqlite"
     with Cache(path) as cache:

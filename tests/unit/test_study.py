@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from tests.stored import all_keys, point
 
@@ -25,9 +25,16 @@ def problems(tables):
     return caught.value.problems
 
 
+def is_halfway(value):
+    digits = value / 10.0 ** (np.floor(np.log10(value)) - 11)
+    return abs(digits % 1.0 - 0.5) < 0.05
+
+
 @given(st.floats(0.01, 100.0), st.floats(1e-3, 10.0), st.integers(1, 50), st.integers(2, 7))
 def test_refined_grids_contain_the_coarse_coordinates(start, step, n, factor):
     coarse = [canonical(start + i * step) for i in range(n + 1)]
+    # Halfway between two roundings the last bit decides, and a point more is computed.
+    assume(not any(is_halfway(start + i * step) for i in range(n + 1)))
     stop = start + n * step
     by_num = [canonical(start + i * ((stop - start) / (n * factor))) for i in range(n * factor + 1)]
     by_step = [canonical(start + i * (step / factor)) for i in range(n * factor + 1)]
@@ -351,6 +358,11 @@ def test_blocks_that_do_not_sweep_a_number_keep_that_of_the_oscillator(tables):
         ({"mass": [0.0]}, "sweep[0].mass[0] = 0.0: must be > 0"),
         ({"zeta": {"start": -0.1, "stop": 1.0, "num": 3}}, "sweep[0].zeta.start = -0.1: must be"),
         ({"alpha": "stiff"}, "sweep[0].alpha[0] = 'stiff': must be a valid number"),
+        (
+            {"forcing": {"start": -1e308, "stop": 1e308, "num": 3}},
+            "stop 1e+308 must be within 1e+100 of start",
+        ),
+        ({"zeta": {"start": 0.1, "stop": 1.0, "step": 1e-320}}, "sweep points: must be <="),
         ({"omega": True}, "sweep[0].omega[0] = True: must be a valid number"),
         ({"K_ratio": 2.0}, "sweep[0].K_ratio = 2.0: unknown key"),
         (

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.execution.alone import Alone, CallError, response_of
-from gapsweep.execution.task import States, Tile
+from gapsweep.execution.task import States
 from gapsweep.response.result import Response
 from gapsweep.store.cache import Cache
 from gapsweep.study.points import KEY, OURS, Kind, Points, law_code
@@ -26,7 +26,7 @@ def differences(cache: Cache, key: NDArray[np.void], alone: Alone) -> list[str]:
     if not _is_current(kind, alone):
         return []
     points = Points(kind, contents.numbers[[row]])
-    again = response_of(alone, Tile.of_one(points, start_of(cache, contents.previous[[row]])))
+    again = response_of(alone, points, start_of(cache, contents.previous[[row]]))
     now, stored = again.row(0), contents.responses.row(row)
     names = [field.name for field in fields(Response) if field.name not in ("cpu_time", "message")]
     return [name for name in names if not _same(getattr(now, name), getattr(stored, name))]

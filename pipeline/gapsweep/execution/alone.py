@@ -21,25 +21,14 @@ from multiprocessing.reduction import ForkingPickler  # what a Connection sends 
 from types import TracebackType
 from typing import Any, TypeVar
 
-import numpy as np
 import psutil
 
 from gapsweep.errors import ClusterError, ModelError
-from gapsweep.execution.task import (
-    Task,
-    TaskResult,
-    Tile,
-    TileResult,
-    continued,
-    failure,
-    is_failure,
-    respond_to,
-    states_after,
-)
+from gapsweep.execution.task import States, Task, TaskResult, Tile, failure, respond_to
 from gapsweep.model import own_law
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
-from gapsweep.study.points import law_code
+from gapsweep.study.points import Points, law_code
 from gapsweep.study.software import software
 
 Result = TypeVar("Result")
@@ -154,32 +143,25 @@ def _with_code(
 
 def compute_alone(task: Task) -> TaskResult:
     """Body of a Dask task: like `compute`, but nothing that a point does can harm the worker."""
-    ours = software()
+    ours, found = software(), []
     with Alone(task.timeout) as alone:
-        found = [_of_tile(alone, tile) for tile in task.tiles]
+
+        def ask(points: Points, states: States) -> Responses:
+            rows = range(len(points))
+            each = [response_of(alone, points.take([row]), states[row]) for row in rows]
+            return Responses.concatenated(each)
+
+        for tile in task.tiles:
+            found += tile.slabs(respond_to(tile, ask), platform.node())
     return TaskResult(found, 0.0, ours)
 
 
-def _of_tile(alone: Alone, tile: Tile) -> TileResult:
-    parts, states = [], tile.states.copy()
-    ends = np.cumsum(tile.lengths)
-    for sweep, rows in enumerate(map(range, ends - tile.lengths, ends)):
-        after_failure = np.zeros(1, bool)
-        for row in rows:
-            here = states[sweep : sweep + 1]
-            found = response_of(alone, Tile.of_one(tile.points.take([row]), here))
-            parts.append(continued(found, after_failure))
-            after_failure, states[sweep] = is_failure(found), states_after(found, here)[0]
-    return TileResult.of(tile, Responses.concatenated(parts), states, platform.node())
-
-
-def response_of(alone: Alone, tile: Tile) -> Responses:
+def response_of(alone: Alone, points: Points, state: States) -> Responses:
     """The response of one point; what became of its process is its status."""
     try:
-        found, _ = alone(respond_to, tile)
+        return alone(respond_to, Tile.of_one(points, state))
     except CallError as lost:
         return Responses.of([Response(status=lost.status, message=lost.message)])
-    return found
 
 
 class _Child:

@@ -7,7 +7,6 @@ a scene, not of a point: they are grouped here, from all starts of a scene.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +57,8 @@ def export(
     StoreError
         If a file cannot be written.
     """
-    points = _Points.of(study, plan, selection)
-    layout = Layout.of(points.grid, study.steady)
+    grid = study.grid if selection is None else study.grid.cut(selection)
+    numbers, layout = _numbers(plan, grid, selection), Layout.of(grid, study.steady)
     attributes = _attributes(study) | {"made_from": made_from}
     hosts: list[str] = []
     versions: set[str] = set()
@@ -67,16 +66,18 @@ def export(
         define(dataset, layout)
         define_attractors(others, layout)
         for piece in layout.pieces():
-            requested = points.grid.requested[piece.cells]
-            if not requested.any():
+            asked = numbers[piece.cells]
+            here = np.nonzero(asked >= 0)
+            if not len(here[0]):
                 continue
-            found, at = points.stored(piece, cache)
+            found = cache.find(plan.keys[asked[here]])
+            at = np.array(here)[:, found.at]  # frequency and start of each
             versions |= found.versions
             hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
             ids, groups = _group(layout, piece, found.responses, at)
             _write(others, piece.cells[:-1], groups)
             for starts in layout.starts():
-                values = _point_arrays(layout, requested, found, at, ids, hosts, starts)
+                values = _point_arrays(layout, asked >= 0, found, at, ids, hosts, starts)
                 _write(dataset, (*piece.cells[:-1], starts), values)
         set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
         dataset.computed_with = "; ".join(sorted(versions - {""}))
@@ -91,44 +92,13 @@ def _attributes(study: Study) -> dict[str, str]:
     }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Points:
-    """The points of a plan that are written, in the order of the grid.
-
-    Attributes
-    ----------
-    grid : Grid
-        What is written.
-    cells : ndarray of int, shape (n,)
-        Flat positions in that grid, ascending.
-    keys : ndarray of void, shape (n,)
-    """
-
-    grid: Grid
-    cells: NDArray[np.int64]
-    keys: NDArray[np.void]
-
-    @classmethod
-    def of(cls, study: Study, plan: Plan, selection: Selection | None) -> "_Points":
-        grid, cells = study.grid, plan.cells
-        if selection is not None:
-            places = np.full(plan.shape, -1)
-            grid = grid.cut(selection)
-            places[np.ix_(*selection.positions)] = np.arange(grid.requested.size).reshape(
-                grid.shape
-            )
-            cells = places.ravel()[cells]
-        order = np.argsort(cells, kind="stable")
-        order = order[cells[order] >= 0]
-        return cls(grid, cells[order], plan.keys[order])
-
-    def stored(self, piece: Piece, cache: Cache) -> tuple[Found, NDArray[np.intp]]:
-        """Stored results of a piece, and the frequency and start of each, shape (2, n)."""
-        asked = piece.flat(self.grid.shape)
-        place = np.minimum(np.searchsorted(self.cells, asked.ravel()), len(self.cells) - 1)
-        here = np.flatnonzero(self.cells[place] == asked.ravel())
-        found = cache.find(self.keys[place[here]])
-        return found, np.array(np.unravel_index(here[found.at], asked.shape))
+def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.int32]:
+    """Number in the plan of every cell that is written, -1 where there is none."""
+    number = np.full(plan.shape, -1, np.int32)
+    number.flat[plan.cells] = np.arange(plan.n_points)
+    if selection is not None:
+        number = number[np.ix_(*selection.positions)]
+    return np.where(grid.requested, number, np.int32(-1))
 
 
 def _point_arrays(

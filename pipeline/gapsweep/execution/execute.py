@@ -25,7 +25,7 @@ from gapsweep.execution.alone import compute_alone
 from gapsweep.execution.cluster import check_software, check_workers
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
-from gapsweep.execution.task import Task, TaskResult, Tile, TileResult, compute, process
+from gapsweep.execution.task import Task, TaskResult, Tile, compute, process
 from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
@@ -68,15 +68,14 @@ class _Job:
         All of one representation.
     claimed : (int, int)
         First and last number claimed.
-    tiles : list of (ndarray of int, Tile)
-        Positions in `rows`, and the points.
+    tiles : list of Tile
     rest : ndarray of int
         What follows in their sweeps.
     """
 
     rows: Rows
     claimed: tuple[int, int]
-    tiles: list[tuple[Rows, Tile]]
+    tiles: list[Tile]
     rest: Rows
     attempts: int = 0
 
@@ -111,7 +110,7 @@ def execute(
         If the workers run other code, or the cluster is lost; what arrived is stored.
     """
     check_workers(client)
-    with Claims(cache.path, plan.keys.tobytes()) as claims:
+    with Claims(cache.path, plan.keys.data) as claims:
         run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)
         try:
             run.finish(on_progress)
@@ -149,9 +148,9 @@ class _Execution:
         self.n_once = plan.n_missing - len(missing)  # computed under another label only
         # What comes before new points: the rest of a block, and of long sweeps.
         self.begun: deque[Rows] = deque()
-        self.ends: dict[int, NDArray[np.float64]] = {}  # where sweeps begun go on, by number
         # What another run has claimed: looked at again when nothing else is left.
         self.elsewhere: list[Rows] = []
+        self.n_threads = 1
         self.suspects: deque[_Job] = deque()
         self.in_flight: dict[Future, _Job] = {}
         self.arrived: list[Slab] = []
@@ -182,11 +181,12 @@ class _Execution:
 
     def _refill(self, completed: as_completed) -> None:
         n_threads = sum(self.client.nthreads().values())
-        while len(self.in_flight) < _WINDOW * max(n_threads, 1):
+        self.n_threads = max(n_threads, 1)
+        while len(self.in_flight) < _WINDOW * self.n_threads:
             job = self.suspects.popleft() if self.suspects else self._next_job()
             if job is None:
                 return
-            task = Task([tile for _, tile in job.tiles], self.timeout, process())
+            task = Task(job.tiles, self.timeout, process())
             body = compute_alone if job.attempts else compute
             future = self.client.submit(body, task, pure=False)
             self.in_flight[future] = job
@@ -230,8 +230,7 @@ class _Execution:
         """Points that a task takes, so that it is not long and all threads have work to the end."""
         if self.batch:
             return self.batch
-        n_threads = max(sum(self.client.nthreads().values()), 1)
-        share = max(int(_PART_OF_SHARE * self.n_new / n_threads), _MIN_BATCH)
+        share = max(int(_PART_OF_SHARE * self.n_new / self.n_threads), _MIN_BATCH)
         return min(share, self.costs.room(self._representation(point)))
 
     def _representation(self, point: np.intp) -> int:
@@ -259,7 +258,7 @@ class _Execution:
         self.progress.n_shared += len(hits) - n_ours
         return rows[~is_hit]
 
-    def _tiles(self, rows: Rows) -> list[tuple[Rows, Tile]]:
+    def _tiles(self, rows: Rows) -> list[Tile]:
         keys, previous = self.plan.keys[rows], self.plan.previous(rows)
         is_first = _is_first(rows, self.plan.follows)
         tiles = []
@@ -268,15 +267,9 @@ class _Execution:
             lengths = np.diff(firsts, append=len(at))
             states = np.zeros((len(firsts), 2))
             if points.kind.is_sweep:
-                states[:] = [self._start_of(int(row)) for row in rows[at[firsts]]]
-            tiles.append((at, Tile(points, keys[at], previous[at], lengths, states)))
+                states[:] = [start_of(self.cache, key) for key in previous[at[firsts], None]]
+            tiles.append(Tile(points, keys[at], previous[at], lengths, states))
         return tiles
-
-    def _start_of(self, row: int) -> NDArray[np.float64]:
-        """Where a sweep that has come to a point goes on."""
-        if (row - 1) in self.ends:
-            return self.ends.pop(row - 1)
-        return start_of(self.cache, self.plan.previous(np.array([row])))
 
     # --- receiving -------------------------------------------------------------------------------
 
@@ -304,21 +297,16 @@ class _Execution:
         status = Status.KILLED if killed else Status.ERROR
         message = "its worker process died" if killed else f"{type(error).__name__}: {error}"
         failed = Response(status=status, message=message)
-        found = [
-            TileResult.of(tile, Responses.of([failed] * len(tile)), tile.states, "")
-            for _, tile in job.tiles
+        slabs = [
+            s for tile in job.tiles for s in tile.slabs(Responses.of([failed] * len(tile)), "")
         ]
-        self._keep(job, TaskResult(found, 0.0, software()))
+        self._keep(job, TaskResult(slabs, 0.0, software()))
 
     def _keep(self, job: _Job, result: TaskResult) -> None:
         check_software("a worker", result.software)
-        for (at, tile), found in zip(job.tiles, result.tiles, strict=True):
-            self.arrived += found.slabs
-            self.progress.n_computed += len(tile)
-            self.progress.n_failed += int(np.sum(found.status > Status.OUT_OF_FIT_RANGE))
-            if tile.points.kind.is_sweep:
-                last = job.rows[at[np.cumsum(tile.lengths) - 1]]
-                self.ends |= zip(last.tolist(), found.states, strict=True)
+        self.arrived += result.slabs
+        self.progress.n_computed += len(job.rows)
+        self.progress.n_failed += sum(slab.n_failed for slab in result.slabs)
         if result.seconds:
             self.costs.add(self._representation(job.rows[0]), len(job.rows), result.seconds)
         self.held.append(job.claimed)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from gapsweep.execution.plan import Plan
 from gapsweep.store.cache import Cache
 from gapsweep.store.index import DAMAGED
-from gapsweep.store.maintenance import readable
-from gapsweep.store.slab import Slab, stored
+from gapsweep.store.maintenance import contents_of, readable
+from gapsweep.store.slab import Slab, Stored
 from gapsweep.study.grid import Starts
 from gapsweep.study.points import KEY, NUMBERS
 from gapsweep.study.study import Study
@@ -54,8 +54,9 @@ def explain(study: Study, plan: Plan, cache: Cache, limit: int) -> Iterator[Expl
     missing = [one for one in asked if plan.status[one.number] < 0]
     if missing:
         for slab in readable(cache):
-            for one in missing:
-                one.compare(slab)
+            if (contents := contents_of(slab)) is not None:
+                for one in missing:
+                    one.compare(slab, contents)
     for one in asked:
         place = cache.place(plan.keys[[one.number]])
         if place is not None:
@@ -97,13 +98,9 @@ class _Asked:
         label = _label(study, int(plan.cells[number]))
         return cls(number, label, _fields(points.kind.identity), points.numbers[0], previous)
 
-    def compare(self, slab: Slab) -> None:
+    def compare(self, slab: Slab, contents: Stored) -> None:
         """Take the point of a slab that differs in the fewest fields, if none so far is nearer."""
         differing = _differences(self.identity, _fields(slab.identity))
-        try:
-            contents = stored(slab)
-        except ValueError:
-            return
         unlike = contents.numbers != self.numbers
         is_other = contents.previous != np.frombuffer(self.previous, KEY)
         row = int(np.argmin(unlike.sum(axis=1) + is_other))

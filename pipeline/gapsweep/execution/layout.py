@@ -53,15 +53,6 @@ class Piece:
     def __len__(self) -> int:
         return self.last - self.first
 
-    def flat(self, shape: tuple[int, ...]) -> NDArray[np.int64]:
-        """Flat positions of the cells in a grid, shape (n_omega, n_starts)."""
-        n_starts = shape[-1]
-        axes = [
-            range(n)[at] if isinstance(at, slice) else [at]
-            for n, at in zip(shape, self.cells, strict=True)
-        ]
-        return np.ravel_multi_index(np.ix_(*axes), shape).reshape(len(self), n_starts)
-
 
 @dataclass(frozen=True, slots=True)
 class Layout:

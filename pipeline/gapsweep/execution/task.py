@@ -9,7 +9,7 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -36,6 +36,7 @@ _RESTARTED = "the point before it failed: starts from the last settled one"
 _warm: set[Kind] = set()
 
 States = NDArray[np.float64]
+Ask = Callable[[Points, States], Responses]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,33 +96,10 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TileResult:
-    """What became of a tile: its results as they are stored, and what the client needs to go on.
-
-    Attributes
-    ----------
-    slabs : list of Slab
-    status : ndarray of int8, shape (n,)
-    states : ndarray, shape (m, 2)
-        Where the next point of each sweep starts [m], [m/s]; of fixed starts nothing.
-    """
+class TaskResult:
+    """Results as they are stored, the processor time [s] of the task, and its `software`."""
 
     slabs: list[Slab]
-    status: NDArray[np.int8]
-    states: States
-
-    @classmethod
-    def of(cls, tile: Tile, responses: Responses, states: States, host: str) -> "TileResult":
-        is_sweep = tile.points.kind.is_sweep
-        status = responses.columns["status"]
-        return cls(tile.slabs(responses, host), status, states if is_sweep else np.empty((0, 2)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TaskResult:
-    """Results of the tiles, the processor time [s] of the task, and what `software` it ran on."""
-
-    tiles: list[TileResult]
     seconds: float
     software: Mapping[str, str]
 
@@ -132,11 +110,10 @@ def compute(task: Task) -> TaskResult:
     found, n_warm = [], len(_warm)
     with _ending_after(task.timeout if task.client != process() else np.inf):
         for tile in task.tiles:
-            responses, states = respond_to(tile)
-            found.append(TileResult.of(tile, responses, states, platform.node()))
+            found += tile.slabs(respond_to(tile), platform.node())
     seconds = time.thread_time() - begin
     if len(_warm) > n_warm:  # that held compiling, which comes but once
-        seconds = sum(slab.seconds for tile in found for slab in tile.slabs)
+        seconds = sum(slab.seconds for slab in found)
     return TaskResult(found, seconds, ours)
 
 
@@ -184,56 +161,47 @@ def _nowhere() -> int:
     return os.open(os.devnull, os.O_WRONLY)
 
 
-def respond_to(tile: Tile) -> tuple[Responses, States]:
-    """Steady responses of a tile, and where its sweeps end; a failure is one with its status.
+def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
+    """Steady responses of a tile; a failure is one with its status.
 
-    The first points of all sweeps advance together, then the second ones, and so on.
+    The first points of all sweeps advance together, then the second ones, and so on. A point whose
+    predecessor failed starts where the last one ended that did.
+
+    Parameters
+    ----------
+    tile : Tile
+    ask : callable, optional
+        Responses of independent points from states, shape (n, 2); here and all in one call if None.
     """
     states, lengths = tile.states.copy(), tile.lengths
-    first, failed = np.cumsum(lengths) - lengths, np.zeros(len(lengths), bool)
+    first, after_failure = np.cumsum(lengths) - lengths, np.zeros(len(lengths), bool)
     order, parts = [], []
     for position in range(max(lengths, default=0)):
         here = np.flatnonzero(lengths > position)
         rows = first[here] + position
-        found = _together(tile.points.take(rows), states[here])
-        parts.append(continued(found, failed[here]))
+        found = (ask or _together)(tile.points.take(rows), states[here])
+        for row in np.flatnonzero(after_failure[here]).tolist():
+            found.messages.setdefault(row, _RESTARTED)
+        after_failure[here] = found.columns["status"] > Status.OUT_OF_FIT_RANGE
+        ends = np.stack([found.columns[name] for name in ("x_end", "v_end")], axis=1)
+        ended = np.isfinite(ends).all(axis=1)
+        states[here[ended]] = ends[ended]
+        parts.append(found)
         order.append(rows)
-        failed[here] = is_failure(found)
-        states[here] = states_after(found, states[here])
-    responses = Responses.concatenated(parts)
-    return (
-        responses if len(parts) == 1 else responses.take(np.argsort(np.concatenate(order)))
-    ), states
-
-
-def is_failure(responses: Responses) -> NDArray[np.bool_]:
-    """Which responses are failures."""
-    return np.asarray(responses.columns["status"] > Status.OUT_OF_FIT_RANGE)
-
-
-def continued(responses: Responses, after_failure: NDArray[np.bool_]) -> Responses:
-    """Responses of sweeps, with a word on the ones before them that failed."""
-    for row in np.flatnonzero(after_failure).tolist():
-        responses.messages.setdefault(row, _RESTARTED)
-    return responses
-
-
-def states_after(responses: Responses, states: States) -> States:
-    """Where the next points of sweeps start: where these ended, if they did, else as these."""
-    ends = np.stack([responses.columns[name] for name in ("x_end", "v_end")], axis=1)
-    return np.where(np.isfinite(ends).all(axis=1, keepdims=True), ends, states)
+    if len(parts) == 1:
+        return parts[0]
+    return Responses.concatenated(parts).take(np.argsort(np.concatenate(order)))
 
 
 def _together(points: Points, states: States) -> Responses:
     """Responses of independent points, all in one call."""
     questions, order, refused = [], [], []
-    ask = _Asking(points)
-    for row in range(len(points)):
-        try:
-            questions.append(ask(row, states[row]))
+    for row, asked in enumerate(_asked(points, states)):
+        if isinstance(asked, Question):
+            questions.append(asked)
             order.append(row)
-        except ModelError as error:
-            refused.append((row, failed(error)))
+        else:
+            refused.append((row, failed(asked)))
     found = _answered(points.kind, questions)
     if not refused:
         return found
@@ -242,42 +210,33 @@ def _together(points: Points, states: States) -> Responses:
     return whole.take(np.argsort(order))
 
 
-class _Asking:
-    """Makes questions of points; neighbours share their law and their oscillator."""
+def _asked(points: Points, states: States) -> Iterator[Question | ModelError]:
+    """What is asked for each point, or why it cannot be; neighbours share law and oscillator."""
+    kind = points.kind
 
-    def __init__(self, points: Points) -> None:
-        self.points = points
-        self._law = lru_cache(maxsize=256)(self._made)
-        self._oscillator = lru_cache(maxsize=256)(self._oscillating)
-        names = ("K_c", "j_1", "j_2"), OSCILLATOR
-        self._laws, self._oscillators = (
-            np.stack([points.column(name) for name in some], axis=1).tolist() for some in names
-        )
-        self._omega, self._x_0, self._v_0 = (
-            points.column(name).tolist() for name in ("omega", "x_0", "v_0")
-        )
-
-    def _made(self, K_c: float, j_1: float, j_2: float) -> ContactLaw:
-        kind = self.points.kind
+    @lru_cache(maxsize=256)
+    def law(K_c: float, j_1: float, j_2: float) -> ContactLaw:
         if kind.law_code != OURS:
             own_law.require(kind.representation, kind.law_code)
         return contact_law(kind.representation, K_c, Gap(j_1, j_2), kind.fit_range)
 
-    @staticmethod
-    def _oscillating(*values: float) -> Oscillator:
+    @lru_cache(maxsize=256)
+    def oscillator(*values: float) -> Oscillator:
         return Oscillator(**dict(zip(OSCILLATOR, values, strict=True)))
 
-    def __call__(self, row: int, state: States) -> Question:
-        kind = self.points.kind
-        x, v = self._x_0[row] + kind.start_jitter, self._v_0[row]
-        scene = Scene(
-            oscillator=self._oscillator(*self._oscillators[row]),
-            law=self._law(*self._laws[row]),
-            omega=self._omega[row],
-            solver=kind.solver,
-        )
-        start = tuple(state.tolist()) if kind.is_sweep else (x, v)
-        return Question(scene=scene, start=start, steady=kind.steady)
+    for row, state in zip(points.numbers.tolist(), states.tolist(), strict=True):
+        K_c, j_1, j_2, omega, *others, x_0, v_0 = row
+        start = (state[0], state[1]) if kind.is_sweep else (x_0 + kind.start_jitter, v_0)
+        try:
+            scene = Scene(
+                oscillator=oscillator(*others),
+                law=law(K_c, j_1, j_2),
+                omega=omega,
+                solver=kind.solver,
+            )
+            yield Question(scene=scene, start=start, steady=kind.steady)
+        except ModelError as error:
+            yield error
 
 
 def _warm_up(kind: Kind, question: Question) -> None:
@@ -294,7 +253,7 @@ def _warm_up(kind: Kind, question: Question) -> None:
 
 
 def _answered(kind: Kind, questions: list[Question]) -> Responses:
-    """Responses; what a point raises is its own response, the others are asked again alone."""
+    """Responses; what a point raises is its own response, the others are asked again."""
     if not questions:
         return Responses.of(())
     try:
@@ -302,7 +261,9 @@ def _answered(kind: Kind, questions: list[Question]) -> Responses:
         return respond_all(questions)
     except BaseException as error:  # the task boundary: SystemExit, too, is a point's own result
         if len(questions) > 1:
-            return Responses.concatenated([_answered(kind, [question]) for question in questions])
+            half = len(questions) // 2
+            halves = questions[:half], questions[half:]
+            return Responses.concatenated([_answered(kind, part) for part in halves])
         return Responses.of([failed(error)])
 
 

@@ -3,17 +3,18 @@
 The cache is the truth; every NetCDF file can be rebuilt from it. Rows hold numbers and text, never
 pickle. Every point has a key of its own, made of all that its result depends on, the fingerprint
 of the code among it: results of older code stay beside new ones. A checksum covers the whole row;
-a row that fails it is never returned, only counted. Rows are only added, so that two processes
-never disturb each other: what was computed again stands in a later one.
+a row that fails it is never returned, only counted. A row is never changed: what was computed again
+stands in a later one, and the number of one that was deleted is not given to another.
 """
 
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ SCHEMA_VERSION = 3
 
 _TABLE = """
 CREATE TABLE slabs (
+    id       INTEGER PRIMARY KEY AUTOINCREMENT,  -- no number is used twice, whatever is deleted
     identity TEXT NOT NULL,  -- of what the points have in common, canonical JSON
     keys     BLOB NOT NULL,  -- content keys of the points, 32 bytes each
     status   BLOB NOT NULL,  -- their status, one byte each
@@ -41,7 +43,6 @@ CREATE TABLE slabs (
 )
 """
 _COLUMNS = ", ".join(field.name for field in fields(Slab))
-_BATCH = 500  # rows per query; SQLite allows 999 parameters everywhere
 _KEPT = 64  # decoded slabs: neighbouring points are read together
 
 
@@ -303,17 +304,18 @@ class Cache:
 
     def delete(self, numbers: Iterable[int]) -> None:
         """Delete rows, within the caller's transaction."""
-        self.db.executemany("DELETE FROM slabs WHERE rowid = ?", [(n,) for n in numbers])
+        self.db.executemany("DELETE FROM slabs WHERE id = ?", [(n,) for n in numbers])
 
     def insert(self, slabs: Iterable[Slab]) -> None:
         """Add slabs as they are, within the caller's transaction."""
         marks = ", ".join("?" * len(fields(Slab)))
-        self.db.executemany(f"INSERT INTO slabs VALUES ({marks})", map(astuple, slabs))
+        insert = f"INSERT INTO slabs ({_COLUMNS}) VALUES ({marks})"
+        self.db.executemany(insert, map(_values, slabs))
 
     def slabs(self, order: str = "ASC") -> Iterator[tuple[int, Slab]]:
         """All rows as stored, sound or not, oldest first or last (``"DESC"``), by their number."""
         with self.errors():
-            rows = self.db.execute(f"SELECT rowid, {_COLUMNS} FROM slabs ORDER BY rowid {order}")
+            rows = self.db.execute(f"SELECT id, {_COLUMNS} FROM slabs ORDER BY id {order}")
             for number, *values in rows:
                 yield number, Slab(*values)
 
@@ -322,9 +324,10 @@ class Cache:
         with self.errors():
             self._index.add(
                 self.db.execute(
-                    "SELECT rowid, keys, status, seconds, checksum FROM slabs WHERE rowid > ?",
+                    "SELECT id, keys, status, seconds, checksum FROM slabs WHERE id > ?"
+                    " ORDER BY id",
                     (self._index.last,),
-                )
+                ).fetchall()
             )
         return self._index
 
@@ -332,10 +335,12 @@ class Cache:
         """A slab and its contents; None if it is damaged or gone."""
         with self.errors():
             row = self.db.execute(
-                f"SELECT {_COLUMNS} FROM slabs WHERE rowid = ?", (number,)
+                f"SELECT {_COLUMNS} FROM slabs WHERE id = ?", (number,)
             ).fetchone()
-        slab = None if row is None else Slab(*row)
-        if slab is None or not slab.is_sound:
+        if row is None:
+            return None
+        slab = Slab(*row)
+        if not slab.is_sound:
             self._damaged.add(number)
             return None
         try:
@@ -345,6 +350,10 @@ class Cache:
                 f"{self.path}: a row was written by something else than a run ({error}): "
                 "'gapsweep cache gc --apply' deletes it"
             ) from None
+
+
+def _values(slab: Slab) -> tuple[Any, ...]:
+    return tuple(getattr(slab, field.name) for field in fields(Slab))
 
 
 def _grouped(numbers: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.intp]]]:

@@ -1,10 +1,10 @@
 """Who is computing what: so that two runs of one study on one cache do not do the same work twice.
 
 A claim is a lock on a range of a file beside the cache: from the number of a task's first point in
-its study to that of its last, at a place that the study gives. The operating system drops it when
-the process ends, however it ends: a killed run leaves no claim behind. Claims only save work; that
-no result is lost or mixed up is the cache's business. Where such locks do not exist, everything
-can be claimed.
+its plan to that of its last, at a place that the plan's points give. The operating system drops it
+when the process ends, however it ends: a killed run leaves no claim behind. Claims only save work;
+that no result is lost or mixed up is the cache's business. Where such locks do not exist,
+everything can be claimed.
 """
 
 import errno
@@ -27,11 +27,11 @@ class Claims:
     Parameters
     ----------
     cache : Path
-    points : bytes
+    points : bytes-like
         What tells one study's points from another's.
     """
 
-    def __init__(self, cache: Path, points: bytes) -> None:
+    def __init__(self, cache: Path, points: bytes | memoryview) -> None:
         self._file = cache.with_name(f"{cache.name}-claims").open("ab")
         digest = hashlib.sha256(points).digest()
         self._place = int.from_bytes(digest[:4], "big") * _ROOM

@@ -14,8 +14,6 @@ from gapsweep.store.salvage import sound_slabs
 from gapsweep.store.slab import Slab, Stored, stored
 from gapsweep.study.points import KEY, Points
 
-_BATCH = 500
-
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -48,7 +46,7 @@ def info(cache: Cache, numerics: str) -> dict[str, Any]:
     for _, slab in cache.slabs():
         n_slabs += 1
         by_code[numerics_of(slab)] += slab.n_points
-        by_status.update(map(_status_label, slab.status if slab.is_sound else [-1]))
+        by_status.update(map(_status_label, slab.status if slab.is_sound else [-1] * slab.n_points))
     return {
         "file": str(cache.path.absolute()),
         "format": SCHEMA_VERSION,

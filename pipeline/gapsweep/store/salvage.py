@@ -26,10 +26,10 @@ _TABLE = b"CREATE TABLE slabs"
 # Length of the head, then the type of each column; the checksum is a blob of 32 bytes.
 _NUMBER = rb"[\x00-\x09]"
 _LONG = rb"[\x80-\xff]{0,3}[\x00-\x7f]"  # a text or blob, by its length
-_HEAD = re.compile(rb"(?=[\x0b-\x28]" + 5 * _LONG + _NUMBER + 3 * _LONG + rb"\x4c)", re.DOTALL)
+_HEAD = re.compile(rb"(?=[\x0c-\x29]\x00" + 5 * _LONG + _NUMBER + 3 * _LONG + rb"\x4c)", re.DOTALL)
 _INTEGER_BYTES = (0, 1, 2, 3, 4, 6, 8)
 _REAL, _ZERO, _ONE = 7, 8, 9
-_COLUMNS = 10
+_COLUMNS = 11  # of which the first, its number, stands elsewhere
 
 
 def salvage(path: Path) -> str | None:
@@ -133,16 +133,18 @@ class _Pages:
 
     def _slab(self, buffer: Buffer, at: int, logged: dict[int, bytes]) -> Slab | None:
         types = _types(buffer[at : at + buffer[at]])
+        if len(types) != _COLUMNS:
+            return None
         sizes = [_size(kind) for kind in types]
         payload = self._payload(buffer, at, buffer[at] + sum(sizes), logged)
-        if len(types) != _COLUMNS or payload is None:
+        if payload is None:
             return None
         values: list[Any] = []
         start = buffer[at]
         for kind, size in zip(types, sizes, strict=True):
             values.append(_value(kind, payload[start : start + size]))
             start += size
-        slab = Slab(*values)
+        slab = Slab(*values[1:])
         return slab if slab.is_sound else None
 
     def _payload(
@@ -160,6 +162,8 @@ class _Pages:
         for _ in range(-(-(length - local) // room)):
             number = int.from_bytes(following, "big")
             page = logged.get(number) or self.main[(number - 1) * self.size : number * self.size]
+            if len(page) < self.size:
+                return None
             following = page[:4]
             parts.append(page[4:])
         whole = b"".join(parts)[:length]
@@ -189,5 +193,6 @@ def _value(kind: int, data: bytes) -> Any:
     if kind == _REAL:
         return struct.unpack(">d", data)[0]
     if kind in (_ZERO, _ONE):
-        return kind - _ZERO
-    return int.from_bytes(data, "big", signed=True) if kind else None
+        return float(kind - _ZERO)
+    # A real number that is whole is stored as an integer.
+    return float(int.from_bytes(data, "big", signed=True)) if kind else None

@@ -19,6 +19,7 @@ from gapsweep.errors import ModelError
 from gapsweep.model.labels import canonical_label
 
 MAX_POINTS = 10**7
+_LARGEST = 1e100  # of what a model is made of nothing comes near it
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -74,10 +75,16 @@ class _Grid(Table, Generic[Value]):
     start: Value
     stop: Value
 
+    @property
+    def span(self) -> float:
+        return self.stop - self.start  # type: ignore[operator, no-any-return]  # both are numbers
+
     @model_validator(mode="after")
     def _ordered(self) -> "_Grid[Value]":
-        if self.stop < self.start:  # type: ignore[operator]  # both are numbers
+        if self.span < 0.0:
             raise ValueError(f"stop {self.stop:g} must be >= start {self.start:g}")
+        if not self.span <= _LARGEST:
+            raise ValueError(f"stop {self.stop:g} must be within {_LARGEST:g} of start")
         return self
 
 
@@ -87,10 +94,11 @@ class StepGrid(_Grid[Value], Generic[Value]):
     @property
     def count(self) -> int:
         # A stop that is a whole number of steps away is meant to be reached.
-        return int((self.stop - self.start) / self.step + 1e-9) + 1  # type: ignore[operator]
+        return int(min(self.span / self.step, _LARGEST) + 1e-9) + 1
 
     def values(self) -> list[float]:
-        return [self.start + i * self.step for i in range(self.count)]  # type: ignore[operator]
+        start = float(self.start)  # type: ignore[arg-type]  # a number
+        return [start + i * self.step for i in range(self.count)]
 
 
 class NumGrid(_Grid[Value], Generic[Value]):
@@ -101,8 +109,9 @@ class NumGrid(_Grid[Value], Generic[Value]):
         return self.num
 
     def values(self) -> list[float]:
-        step = (self.stop - self.start) / max(self.num - 1, 1)  # type: ignore[operator]
-        return [self.start + i * step for i in range(self.num)]
+        start = float(self.start)  # type: ignore[arg-type]  # a number
+        step = self.span / max(self.num - 1, 1)
+        return [start + i * step for i in range(self.num)]
 
 
 def _form(value: Any) -> str:
