@@ -12,8 +12,10 @@ import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
+import xarray as xr
 
 import gapsweep as gs
 from gapsweep.execution.cluster import cluster
@@ -231,3 +233,16 @@ omega = [12.0]
     assert [
         f"scheduler {address}: cannot be reached" in line for line in without.stderr.splitlines()
     ] == [True]
+
+
+def test_basins_on_a_cluster_are_those_of_one_process(client):
+    axes = {"x": np.linspace(-1e-3, 1e-3, 70), "v": np.linspace(-0.05, 0.05, 60)}
+    law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    asked = (gs.Oscillator(), law, 19.0)
+    steady = gs.Steady(settle_tol=1e-2, n_periods=16, max_period_multiple=8)
+    here = gs.basins(*asked, **axes, steady=steady)
+    there = gs.basins(*asked, **axes, steady=steady, client=client)
+    xr.testing.assert_identical(here, there)
+    own = gs.law(lambda x: 0.0, 1.0, gs.Gap(0.0, 0.0))
+    with pytest.raises(gs.ModelError, match="client: not for laws of your own"):
+        gs.basins(gs.Oscillator(), own, 19.0, **axes, client=client)

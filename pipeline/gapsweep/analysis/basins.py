@@ -7,8 +7,9 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
+from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
-from gapsweep.model.contact import ContactLaw
+from gapsweep.model.contact import ContactLaw, UserLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.response.attractors import attractors, numbers
 from gapsweep.response.ensemble import Scene
@@ -57,7 +58,8 @@ def basins(
     engine, rtol, atol, steady
         As in `gapsweep.respond`.
     client : distributed.Client, optional
-        A Dask cluster that computes; None: this process.
+        A Dask cluster that computes; None: this process. Not for laws of your own, whose code
+        workers cannot be held to here: sweep a grid of starts in a study.
 
     Returns
     -------
@@ -69,7 +71,13 @@ def basins(
     ------
     ModelError
         If an argument is out of range.
+    ClusterError
+        If the workers run other code.
     """
+    if client is not None:
+        check_workers(client)
+        if isinstance(law, UserLaw):
+            raise ModelError("client: not for laws of your own; leave it out, or write a study")
     starts_x, starts_v = (_axis(name, values) for name, values in (("x", x), ("v", v)))
     if starts_x.size * starts_v.size > _MAX_STARTS:
         raise ModelError(f"{starts_x.size} x {starts_v.size} starts: must be <= {_MAX_STARTS}")
