@@ -95,4 +95,4 @@ def test_refined_grids_compute_exactly_the_new_points(tables, client, tmp_path, 
         computed.append(seen[-1])
     assert computed == [21, 80, 100]
     with Cache(tmp_path / "c.sqlite") as cache:
-        assert verify(cache).n_rows == 201
+        assert verify(cache).n_points == 201

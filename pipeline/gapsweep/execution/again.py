@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.errors import StoreError
 from gapsweep.execution.alone import Alone, CallError, response_of
 from gapsweep.execution.task import States
 from gapsweep.response.result import Response
@@ -21,12 +22,15 @@ def differences(cache: Cache, key: NDArray[np.void], alone: Alone) -> list[str]:
     slab, contents, row = place
     try:
         kind = slab.kind
-    except (ValueError, TypeError, KeyError, AttributeError):
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return ["identity"]  # whoever wrote this, it was not a run
     if not _is_current(kind, alone):
         return []
-    points = Points(kind, contents.numbers[[row]])
-    again = response_of(alone, points, start_of(cache, contents.previous[[row]]))
+    try:
+        state = start_of(cache, contents.previous[[row]])
+    except StoreError:  # nobody knows where it started
+        return []
+    again = response_of(alone, Points(kind, contents.numbers[[row]]), state)
     now, stored = again.row(0), contents.responses.row(row)
     names = [field.name for field in fields(Response) if field.name not in ("cpu_time", "message")]
     return [name for name in names if not _same(getattr(now, name), getattr(stored, name))]
@@ -43,8 +47,20 @@ def _is_current(kind: Kind, alone: Alone) -> bool:
 
 
 def start_of(cache: Cache, previous: NDArray[np.void]) -> States:
-    """Where a sweep that has come to the point of a key goes on; at rest if it has not begun."""
-    while previous != np.zeros(1, KEY) and (place := cache.place(previous)) is not None:
+    """Where a sweep that has come to the point of a key goes on; at rest if it has not begun.
+
+    Raises
+    ------
+    StoreError
+        If that point is not stored.
+    """
+    while previous != np.zeros(1, KEY):
+        place = cache.place(previous)
+        if place is None:
+            raise StoreError(
+                f"{cache.path}: the point from which a sweep goes on is no longer stored: run "
+                "again to resume"
+            )
         _, contents, row = place
         response = contents.responses.row(row)
         if response.ended:

@@ -52,6 +52,7 @@ _COMMIT_POINTS = 4096
 # Workers that a suspect may lose, before it is taken for guilty although it was alone.
 _MAX_ATTEMPTS = 5
 _WAIT_SECONDS = 0.1
+_LONGEST = 1e8  # s: what watches over time limits knows no longer ones
 _CLUSTER_LOST = "the cluster was lost; run again to resume"
 
 # Numbers of points in the plan, ascending.
@@ -107,8 +108,12 @@ def execute(
     Raises
     ------
     ClusterError
-        If the workers run other code, or the cluster is lost; what arrived is stored.
+        If the workers run other code, or the cluster is lost; what arrived is stored. Or if the
+        time limit is none.
     """
+    if not timeout > 0.0:
+        raise ClusterError(f"timeout = {timeout:g} s: must be > 0")
+    timeout = min(timeout, _LONGEST)
     check_workers(client)
     with Claims(cache.path, plan.keys.data) as claims:
         run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)

@@ -85,7 +85,7 @@ def _damaged(slab: Slab) -> list[str]:
         return of_all
     try:
         points = Points(slab.kind, contents.numbers)
-    except (ValueError, TypeError, KeyError, AttributeError):
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return of_all
     is_right = points.keys_after(slab.identity, contents.previous) == contents.keys
     return [key for key, is_one in zip(of_all, is_right.tolist(), strict=True) if not is_one]
@@ -102,9 +102,7 @@ def contents_of(slab: Slab) -> Stored | None:
 def removable(cache: Cache, numerics: str) -> set[int]:
     """Numbers of the rows that no study can ask for any more: of other code, or damaged."""
     return {
-        number
-        for number, slab in cache.slabs()
-        if numerics_of(slab) != numerics or contents_of(slab) is None
+        number for number, slab in cache.slabs() if numerics_of(slab) != numerics or _damaged(slab)
     }
 
 

@@ -21,6 +21,7 @@ from gapsweep.study.points import KEY, NUMBERS, Kind, Points
 
 # Few enough that damage costs little, and that picking out a point reads little.
 SLAB = 64
+_MOST_BYTES = 2**20  # that one point has: 65,536 extrema, their kinds, and the section
 _LEVEL = 1  # of compression: more takes longer and saves little
 
 
@@ -145,7 +146,7 @@ def stored(slab: Slab) -> Stored:
         If it is none that a run has written.
     """
     try:
-        data = memoryview(zlib.decompress(slab.columns))
+        data = memoryview(_unpacked(slab))
         keys = np.frombuffer(slab.keys, KEY)
         n, at = len(keys), 0
 
@@ -189,6 +190,15 @@ def _packed(
     parts += [responses.lists[name][1].astype("<i4") for name in LISTS]
     parts += [responses.lists[name][0].astype(_little(dtype)) for name, dtype in LISTS.items()]
     return zlib.compress(b"".join(part.tobytes() for part in parts), _LEVEL)
+
+
+def _unpacked(slab: Slab) -> bytes:
+    """The columns, if they are not more than so many points can have."""
+    unpacking = zlib.decompressobj()
+    data = unpacking.decompress(slab.columns, _MOST_BYTES * max(slab.n_points, 1))
+    if not unpacking.eof or unpacking.unused_data:
+        raise ValueError("its columns are of other lengths")
+    return data
 
 
 def _little(dtype: str) -> str:

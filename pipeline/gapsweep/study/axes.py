@@ -169,6 +169,8 @@ class _Box(Table):
         for name, (low, high) in (("x", self.x), ("v", self.v)):
             if not low < high:
                 raise ValueError(f"{name} = [{low:g}, {high:g}] must ascend")
+            if not max(-low, high) <= _LARGEST:
+                raise ValueError(f"{name} = [{low:g}, {high:g}] must be within {_LARGEST:g}")
         return self
 
 

@@ -1,7 +1,7 @@
 """The labelled grid of a study: its axes, and which of its cells are sweep points."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,6 +23,8 @@ class Starts(Sequence[tuple[str, float, float]]):
     ----------
     kind : ndarray of int8, shape (n,)
         Position in `KINDS`.
+    number : ndarray of int, shape (n,)
+        Number of each in its study.
     x_0, v_0 : ndarray, shape (n,)
         Displacement [m] and velocity [m/s]; zero of a sweep.
     """
@@ -32,25 +34,30 @@ class Starts(Sequence[tuple[str, float, float]]):
     kind: NDArray[np.int8]
     x_0: NDArray[np.float64]
     v_0: NDArray[np.float64]
+    number: NDArray[np.int32]
 
     @classmethod
     def fixed(cls, states: ArrayLike) -> "Starts":
         """Fixed states, shape (n, 2), made canonical."""
         x_0, v_0 = np.array([[canonical(v) for v in row] for row in np.asarray(states).T.tolist()])
-        return cls(np.zeros(len(x_0), np.int8), x_0, v_0)
+        return cls(np.zeros(len(x_0), np.int8), x_0, v_0, np.arange(len(x_0), dtype=np.int32))
 
     @classmethod
     def sweep(cls, kind: str) -> "Starts":
         """A sweep, by its name."""
-        return cls(np.array([cls.KINDS.index(kind)], np.int8), np.zeros(1), np.zeros(1))
+        nothing = np.zeros(1)
+        return cls(
+            np.array([cls.KINDS.index(kind)], np.int8), nothing, nothing, np.zeros(1, np.int32)
+        )
 
     @classmethod
     def union(cls, several: Iterable["Starts"]) -> "Starts":
         """All starts of several, each once, in order of first appearance."""
-        columns = zip(*((s.kind, s.x_0, s.v_0) for s in several), strict=True)
+        columns = zip(*((s.kind, s.x_0, s.v_0, s.number) for s in several), strict=True)
         whole = cls(*map(np.concatenate, columns))
         _, first = np.unique(whole._states, return_index=True)
-        return whole.take(np.sort(first))
+        number = np.arange(len(first), dtype=np.int32)
+        return replace(whole.take(np.sort(first)), number=number)
 
     @property
     def _states(self) -> NDArray[np.complex128]:
@@ -71,7 +78,8 @@ class Starts(Sequence[tuple[str, float, float]]):
         return order[np.searchsorted(states[order], some._states)]
 
     def take(self, numbers: Any) -> "Starts":
-        return Starts(self.kind[numbers], self.x_0[numbers], self.v_0[numbers])
+        columns = (self.kind, self.x_0, self.v_0, self.number)
+        return Starts(*(column[numbers] for column in columns))
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -151,7 +159,7 @@ class Grid:
         axis = self.axes[name]
         if name == "gap":
             return [gap.label for gap in axis]
-        return range(len(axis)) if isinstance(axis, Starts) else axis
+        return axis.number.tolist() if isinstance(axis, Starts) else axis
 
     def coordinates(self) -> dict[str, NDArray[Any]]:
         """Values of all coordinates of the dataset; states of sweeps are NaN."""

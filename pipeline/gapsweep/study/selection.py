@@ -82,7 +82,7 @@ def _within(name: str, axis: NDArray[Any], wanted: slice, of: str) -> NDArray[np
     try:
         low = -np.inf if wanted.start is None else canonical(wanted.start)
         high = np.inf if wanted.stop is None else canonical(wanted.stop)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} = {wanted}: its ends must be numbers") from None
     values = np.array([canonical(value) for value in axis.tolist()])
     found = np.flatnonzero((values >= low) & (values <= high))
@@ -102,7 +102,7 @@ def _key(name: str, axis: NDArray[Any], value: Any) -> Any:
             return canonical_label(law) + at + protocol
         if name == "gap":
             return tuple(canonical(float(distance)) for distance in text.split("/"))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None if is_numeric(axis) else text
     return text
 

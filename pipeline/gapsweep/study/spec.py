@@ -196,7 +196,7 @@ class StudySpec(Table):
         labels = [label for table in tables for label in table.representation]
         scenes = self.bench.scene if self.bench else []
         labels += [method.label for method in self.bench.method] if self.bench else []
-        used = {protocol for x in labels for protocol in x.split("@")[1:]}
+        used = {x.partition("@")[2] for x in labels if "@" in x}
         problems = [
             f"protocol {name!r} is used by a label but there is no [protocol.{name}]"
             for name in sorted(used - set(self.protocol))
