@@ -1,6 +1,9 @@
 """NetCDF files: complete or absent."""
 
+import gc
+
 import numpy as np
+import psutil
 import pytest
 import xarray as xr
 
@@ -47,3 +50,21 @@ def test_torn_file_is_refused_by_name(tmp_path, size):
 def test_missing_file_is_refused_by_name(tmp_path):
     with pytest.raises(gs.StoreError, match=r"none.nc: cannot be read"):
         gs.open(tmp_path / "none.nc")
+
+
+def test_files_are_closed_by_the_next_reader_and_not_by_the_garbage_collector(tmp_path):
+    paths = [tmp_path / f"{n}.nc" for n in range(3)]
+    for path in paths:
+        netcdf.write(xr.Dataset({"x": ("n", np.arange(3.0))}), path, {})
+
+    def is_open(path):
+        return any(file.path == str(path) for file in psutil.Process().open_files())
+
+    part = netcdf.read(paths[0])["x"]
+    netcdf.read(paths[1])
+    gc.collect()
+    assert is_open(paths[0])
+    assert is_open(paths[1]), "until somebody reads again"
+    with netcdf.read(paths[2]):
+        assert not is_open(paths[1])
+        assert part.sum() == 3.0, "what was selected still can be read"

@@ -62,7 +62,7 @@ def export(
     attributes = _attributes(study) | {"made_from": made_from}
     hosts: list[str] = []
     versions: set[str] = set()
-    with writing(responses, attributes) as dataset, writing(attractors, attributes) as others:
+    with writing(attractors, attributes) as others, writing(responses, attributes) as dataset:
         define(dataset, layout)
         define_attractors(others, layout)
         for piece in layout.pieces():

@@ -8,6 +8,7 @@ made from, so that it is made again only when that has changed.
 import json
 import os
 import platform
+import sys
 import threading
 import warnings
 from collections.abc import Iterator, Mapping
@@ -34,6 +35,7 @@ _RECORDED_PACKAGES = ("gapsweep", "numpy", "scipy", "numba", "dask", "distribute
 _THREAD_SETTINGS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 CONVENTIONS = "CF-1.11"
 SOURCE = "gapsweep"
+_FORGOTTEN = 2  # references: a name, and the argument of what counts them
 _CHECKED = {"fletcher32": True, "zlib": True, "complevel": 1}
 
 
@@ -126,13 +128,16 @@ def read(path: str | Path) -> "xr.Dataset":
 
     path = Path(path)
     try:
+        _close_forgotten()
         intact = is_intact(path)
         if intact is False:
             raise StoreError(
                 f"{path}: damaged or changed since it was written (SHA-256 differs from "
                 "SHA256SUMS beside it); 'gapsweep run' writes it again from the cache"
             )
-        opened = xr.open_dataset(path, engine="netcdf4")
+        store = xr.backends.NetCDF4DataStore.open(os.fspath(path))  # type: ignore[no-untyped-call]  # xarray has no type for it
+        opened = xr.open_dataset(store)
+        _opened.append(store)
     except StoreError:
         raise
     except (OSError, ValueError) as error:
@@ -144,6 +149,27 @@ def read(path: str | Path) -> "xr.Dataset":
             stacklevel=2,
         )
     return opened
+
+
+# What is open, for a dataset of ours or for what was selected from it.
+_opened: list[Any] = []
+
+
+def _close_forgotten() -> None:
+    """Close the files whose datasets are gone.
+
+    The garbage collector would, in whichever thread it runs; Dask has one of its own, and two calls
+    of the HDF5 library at a time were seen to end the process.
+    """
+    with _LOCK:
+        used = []
+        while _opened:
+            store = _opened.pop()
+            if sys.getrefcount(store) > _FORGOTTEN:
+                used.append(store)
+            else:
+                store.close()
+        _opened.extend(used)
 
 
 def provenance() -> dict[str, str]:
