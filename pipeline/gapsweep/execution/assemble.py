@@ -2,10 +2,11 @@
 
 The files are exports: they can be written again from the cache at any time and are then
 identical but for their file-level provenance. Results go to their place by position, piece
-by piece (some frequencies of one scene), so that memory stays small. Attractors are a property of
+by piece (whole scenes, neighbours), so that memory stays small. Attractors are a property of
 a scene, not of a point: they are grouped here, from all starts of a scene.
 """
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -66,19 +67,19 @@ def export(
         define(dataset, layout)
         define_attractors(others, layout)
         for piece in layout.pieces():
-            asked = numbers[piece.cells]
+            asked = numbers[piece]
             here = np.nonzero(asked >= 0)
             if not len(here[0]):
                 continue
             found = cache.find(plan.keys[asked[here]])
-            at = np.array(here)[:, found.at]  # frequency and start of each
+            at = np.array(here)[:, found.at]  # place of each in the piece
             versions |= found.versions
             hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
             ids, groups = _group(layout, piece, found.responses, at)
-            _write(others, piece.cells[:-1], groups)
+            _write(others, piece[:-1], groups)
             for starts in layout.starts():
                 values = _point_arrays(layout, asked >= 0, found, at, ids, hosts, starts)
-                _write(dataset, (*piece.cells[:-1], starts), values)
+                _write(dataset, (*piece[:-1], starts), values)
         set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
         dataset.computed_with = "; ".join(sorted(versions - {""}))
 
@@ -111,8 +112,9 @@ def _point_arrays(
     starts: slice,
 ) -> Arrays:
     """Values of all variables of `responses.nc` over some starts of a piece."""
-    here = np.flatnonzero((at[1] >= starts.start) & (at[1] < starts.stop))
-    requested, at = requested[:, starts], at[:, here] - [[0], [starts.start]]
+    here = np.flatnonzero((at[-1] >= starts.start) & (at[-1] < starts.stop))
+    requested, at = requested[..., starts], at[:, here]
+    at[-1] -= starts.start
     responses = found.responses.take(here)
     shape = requested.shape
     values = {name: np.full(shape, v.missing, v.dtype) for name, v in VARIABLES.items()}
@@ -141,19 +143,20 @@ def _ragged(items: NDArray[Any], counts: NDArray[np.int64], padding: NDArray[Any
 def _group(
     layout: Layout, piece: Piece, responses: Responses, at: NDArray[np.intp]
 ) -> tuple[NDArray[np.int32], Arrays]:
-    """Number of the attractor of every response, and the attractors of every frequency."""
+    """Number of the attractor of every response, and the attractors of every scene."""
+    shape = tuple(part.stop - part.start for part in piece[:-1])
     found = attractors_of_scenes(
         responses,
-        at[0],
-        omega=layout.grid.omega[piece.first : piece.last],
+        np.ravel_multi_index(tuple(at[:-1]), shape),
+        omega=layout.omega(piece),
         symmetric=layout.is_symmetric(piece),
-        counted=layout.grid.starts.is_fixed[at[1]],
+        counted=layout.grid.starts.is_fixed[at[-1]],
     )
     leaders = responses.take(found.first)
     most = int(found.number.max(initial=0)) + 1
-    place, shape = (found.scene, found.number), (len(piece), most)
+    place = (*np.unravel_index(found.scene, shape), found.number)
     values: Arrays = {
-        name: np.full(shape, v.missing, v.dtype) for name, v in ATTRACTOR_VARIABLES.items()
+        name: np.full((*shape, most), v.missing, v.dtype) for name, v in ATTRACTOR_VARIABLES.items()
     }
     for name, filled in values.items():
         filled[place] = leaders.columns[name] if name in COLUMNS else getattr(found, name)
@@ -161,10 +164,11 @@ def _group(
         **_pairs(leaders, "multipliers", MULTIPLIERS),
         **_pairs(leaders, "section", SECTION),
     }.items():
-        full = np.full((*shape, int(counts.max(initial=0))), np.nan)
+        full = np.full((*shape, most, int(counts.max(initial=0))), np.nan)
         full[place] = _ragged(parts, counts, full[place])
         values[name] = full
-    values["n_attractors"] = np.bincount(found.scene, minlength=len(piece)).astype(np.int32)
+    counts = np.bincount(found.scene, minlength=math.prod(shape))
+    values["n_attractors"] = counts.reshape(shape).astype(np.int32)
     return found.numbers.astype(np.int32), values
 
 
@@ -176,7 +180,7 @@ def _pairs(
     return {half: (items[i::2], counts // 2) for i, half in enumerate(halves)}
 
 
-def _write(dataset: netCDF4.Dataset, cells: tuple[int | slice, ...], values: Arrays) -> None:
+def _write(dataset: netCDF4.Dataset, cells: tuple[slice, ...], values: Arrays) -> None:
     for name, value in values.items():
         n_more = len(dataset[name].dimensions) - len(cells)
         ends = [slice(0, size) for size in value.shape[value.ndim - n_more :]] if n_more else []

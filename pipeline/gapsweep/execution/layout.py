@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import netCDF4
@@ -34,24 +35,8 @@ _PIECE = 4096
 _ATTRACTORS = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """Some neighbouring frequencies of one scene: one place on all other axes, but all starts.
-
-    Attributes
-    ----------
-    cells : tuple of int and slice
-        Where the piece lies in a variable over the grid.
-    first, last : int
-        Frequencies, one past the last.
-    """
-
-    cells: tuple[int | slice, ...]
-    first: int
-    last: int
-
-    def __len__(self) -> int:
-        return self.last - self.first
+# Where in a variable over the grid some neighbouring points lie: whole scenes, with all starts.
+Piece = tuple[slice, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,42 +59,43 @@ class Layout:
         return cls(grid, sizes)
 
     @property
-    def n_frequencies(self) -> int:
-        """Frequencies in a piece."""
-        n_omega, n_starts = len(self.grid.axes["omega"]), len(self.grid.starts)
-        return max(1, min(n_omega, _PIECE // n_starts))
-
-    @property
     def chunk(self) -> tuple[int, ...]:
-        """Sizes of a chunk of a variable over the grid."""
-        sizes = {
-            "omega": self.n_frequencies,
-            "initial_condition": min(len(self.grid.starts), _PIECE),
-        }
-        return tuple(sizes.get(dim, 1) for dim in self.grid.dims)
+        """Sizes of a chunk of a variable over the grid: starts first, then frequencies."""
+        sizes, room = {}, _PIECE
+        for dim in sorted(self.grid.dims[::-1], key=lambda dim: (dim != START, dim != "omega")):
+            sizes[dim] = max(1, min(len(self.grid.axes[dim]), room))
+            room //= sizes[dim]
+        return tuple(sizes[dim] for dim in self.grid.dims)
 
     def pieces(self) -> Iterator[Piece]:
-        n_omega, omega = len(self.grid.axes["omega"]), self.grid.dims.index("omega")
-        others = [1 if i == omega else n for i, n in enumerate(self.grid.shape[:-1])]
-        for place in np.ndindex(*others):
-            for first in range(0, n_omega, self.n_frequencies):
-                last = min(first + self.n_frequencies, n_omega)
-                cells = (*place[:omega], slice(first, last), *place[omega + 1 :], slice(None))
-                yield Piece(cells, first, last)
+        """Pieces of the grid, as large as a chunk, but with all starts."""
+        *sizes, _ = zip(self.grid.shape, self.chunk, strict=True)
+        parts = ([slice(i, min(i + k, n)) for i in range(0, n, k)] for n, k in sizes)
+        yield from product(*parts, [slice(0, len(self.grid.starts))])
+
+    def omega(self, piece: Piece) -> NDArray[np.float64]:
+        """Forcing frequency of every scene of a piece [Hz], flat."""
+        return self._over(piece, "omega", np.array(self.grid.omega))
+
+    def is_symmetric(self, piece: Piece) -> NDArray[np.bool_]:
+        """Whether both walls are equally far from the origin, in every scene of a piece, flat."""
+        values = self.grid.coordinates()
+        along = coordinates(self.grid.dims)
+        j_1, j_2 = (self._over(piece, along[name], values[name]) for name in ("j_1", "j_2"))
+        return np.asarray(j_1 == j_2)
+
+    def _over(self, piece: Piece, dim: str, values: NDArray[Any]) -> NDArray[Any]:
+        """Values along a dimension, for every scene of a piece, flat."""
+        axis = self.grid.dims.index(dim)
+        shape = [part.stop - part.start for part in piece[:-1]]
+        along = np.expand_dims(values[piece[axis]], [i for i in range(len(shape)) if i != axis])
+        return np.broadcast_to(along, shape).ravel()
 
     def starts(self) -> Iterator[slice]:
         """Parts of all starts that are written at a time."""
         n_starts = len(self.grid.starts)
         for first in range(0, n_starts, _PIECE):
             yield slice(first, min(first + _PIECE, n_starts))
-
-    def is_symmetric(self, piece: Piece) -> bool:
-        """Whether both walls are equally far from the origin."""
-        places = zip(self.grid.axes.items(), piece.cells, strict=True)
-        here: dict[str, Any] = {name: axis[at] for (name, axis), at in places if name != START}
-        if "gap" in here:
-            return bool(here["gap"].is_symmetric)
-        return bool(here["j_1"] == here["j_2"])
 
 
 def define(dataset: netCDF4.Dataset, layout: Layout) -> None:
