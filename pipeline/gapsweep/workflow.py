@@ -303,17 +303,29 @@ def query(
     GapsweepError
         If a value is not among the study's own, or cluster or cache cannot be used.
     """
-    selection = study.select(**wanted)
-    planned = plan(study, cache, selection=selection)
-    shown = (
-        progress_bar() if on_progress is None and planned.n_missing else nullcontext(on_progress)
-    )
-    with shown as observer:
+    selection, path = study.select(**wanted), cache_path(cache)
+    try_out_own_laws(study)
+    if path.exists():
+        with Cache(path, read_only=True) as store:
+            planned = make_plan(study, store.status, selection=selection)
+            if not planned.n_missing:
+                done = Progress(planned.n_points, planned.n_hits)
+                return _exported(study, planned, store, selection, done)
+    else:
+        planned = make_plan(study, selection=selection)
+    with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         progress = _computed(
             study, client, planned, cache, observer, workers=workers, scheduler=scheduler
         )
-    path = cache_path(cache)
-    with tempfile.TemporaryDirectory() as folder, Cache(path, read_only=True) as store:
+    with Cache(path, read_only=True) as store:
+        return _exported(study, planned, store, selection, progress)
+
+
+def _exported(
+    study: Study, planned: Plan, store: Cache, selection: Selection, progress: Progress
+) -> "xr.Dataset":
+    """A part of a study from the cache, in memory, with where its points came from."""
+    with tempfile.TemporaryDirectory() as folder:
         responses = Path(folder) / RESPONSES
         export(study, planned, store, responses, Path(folder) / ATTRACTORS, selection=selection)
         with netcdf.read(responses) as dataset:

@@ -238,7 +238,7 @@ class Cache:
         index = self._refreshed()
         held = index.find(keys)
         for number, asked in _grouped(held.slab):
-            if self._slab(index.ids[number]) is None:
+            if self._sound_row(index.ids[number]) is None:
                 held.status[asked] = DAMAGED
         return held.status
 
@@ -331,8 +331,8 @@ class Cache:
             )
         return self._index
 
-    def _read_slab(self, number: int) -> tuple[Slab, Stored] | None:
-        """A slab and its contents; None if it is damaged or gone."""
+    def _sound_row(self, number: int) -> Slab | None:
+        """A row; None if it is damaged or gone."""
         with self.errors():
             row = self.db.execute(
                 f"SELECT {_COLUMNS} FROM slabs WHERE id = ?", (number,)
@@ -342,6 +342,13 @@ class Cache:
         slab = Slab(*row)
         if not slab.is_sound:
             self._damaged.add(number)
+            return None
+        return slab
+
+    def _read_slab(self, number: int) -> tuple[Slab, Stored] | None:
+        """A row and its contents; None if it is damaged or gone."""
+        slab = self._sound_row(number)
+        if slab is None:
             return None
         try:
             return slab, stored(slab)
