@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from tests import random_scenes as rs
@@ -68,11 +68,15 @@ def test_a_wall_without_a_gap_has_its_own_multipliers(omega):
     x_0=st.floats(1e-4, 1e-2),
     rtol=st.sampled_from([1e-3, 1e-6, 1e-9, 1e-12]),
 )
+@example(alpha=1e8, omega_n=1.8125, mass=1.8125, x_0=0.0009308669617593193, rtol=1e-9)
 @settings(max_examples=60)
 def test_a_free_swing_keeps_its_energy(alpha, omega_n, mass, x_0, rtol):
-    """Within what its 300 to 600 steps admit: where they keep step with it, errors add up."""
+    """Within what its 300 to 600 steps admit: where they keep step with it, errors add up.
+
+    A step may be off by rtol, and a hardening swing's energy goes with the fourth power.
+    """
     oscillator = gs.Oscillator(zeta=0.0, omega_n=omega_n, mass=mass, alpha=alpha, forcing=0.0)
-    assert rs.energy_error(oscillator, x_0, rtol) <= 500.0 * rtol
+    assert rs.energy_error(oscillator, x_0, rtol) <= 4.0 * 600.0 * rtol
 
 
 @pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9, 1e-12])
