@@ -143,7 +143,7 @@ def _tolerant(function: Any, x: Any) -> Any:
     try:
         with np.errstate(all="ignore"):
             return function(x)
-    except Exception:
+    except Exception:  # the user's function may raise anything where no motion has led
         if not np.ndim(x):
             return np.nan
         return np.array([_tolerant(function, each) for each in x])
