@@ -240,12 +240,22 @@ def test_a_response_ends_at_its_last_section_point(zeta):
         assert found.section[k][-2:].tolist() == [found.x_end[k], found.v_end[k]]
 
 
-def test_transient_chaos_that_ends_while_its_growth_is_measured_is_no_chaos():
-    oscillator = gs.Oscillator(
-        zeta=0.1, omega_n=11.117086247303757, mass=0.40110934813009175, alpha=-1e6,
+# Chaos from which nearly every start escapes, to one orbit of period one, after many decay times.
+ESCAPING = (
+    gs.Oscillator(
+        zeta=0.1,
+        omega_n=11.117086247303757,
+        mass=0.40110934813009175,
+        alpha=-1e6,
         forcing=4.801352817692459,
-    )  # fmt: skip
-    law, omega = gs.Piecewise(331869.6780197071, ASYMMETRIC), 17.555070502053812
+    ),
+    gs.Piecewise(331869.6780197071, ASYMMETRIC),
+    17.555070502053812,
+)
+
+
+def test_transient_chaos_that_ends_while_its_growth_is_measured_is_no_chaos():
+    oscillator, law, omega = ESCAPING
     start = 3.227497825438147e-05, -0.018514426861966353
     found = gs.respond(oscillator, law, omega, *start)
     settled = gs.simulate(oscillator, law, omega, *start, t_end=1000 / omega)
@@ -289,11 +299,7 @@ def test_an_orbit_that_is_not_approached_leaves_no_gap_in_the_window():
 
 def test_a_multiple_of_the_period_is_no_dead_end():
     # Noise of the last digits chose which multiple of a settled section contracts.
-    oscillator = gs.Oscillator(
-        zeta=0.1, omega_n=11.117086247303757, mass=0.40110934813009175, alpha=-1e6,
-        forcing=4.801352817692459,
-    )  # fmt: skip
-    law, omega = gs.Piecewise(331869.6780197071, ASYMMETRIC), 17.555070502053812
+    oscillator, law, omega = ESCAPING
     rng = np.random.default_rng(1)
     starts = rng.uniform(-5e-4, 5e-4, 300), rng.uniform(-0.03, 0.03, 300)
     found = gs.respond(oscillator, law, omega, *starts)
