@@ -18,7 +18,7 @@ from gapsweep.status import Status
 if TYPE_CHECKING:
     from gapsweep.analysis.basins import basins
     from gapsweep.integrate.simulate import simulate
-    from gapsweep.integrate.trajectory import Trajectory
+    from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
     from gapsweep.model.contact import (
         Arctan,
         ContactLaw,
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         static_error,
     )
     from gapsweep.model.labels import canonical_label, contact_law, law
+    from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
     from gapsweep.store.netcdf import read as open
@@ -57,9 +58,10 @@ _ON_DEMAND = {
         ),
         "model.contact",
     ),
+    **dict.fromkeys(("Cubic", "Harmonic", "Lags", "Modulation", "System"), "model.system"),
+    **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
     **dict.fromkeys(("query", "run"), "workflow"),
     "Study": "study.study",
-    "Trajectory": "integrate.trajectory",
     "basins": "analysis.basins",
     "open": "store.netcdf",
     "respond": "response.respond",
@@ -73,11 +75,15 @@ __all__ = [
     "Arctan",
     "ClusterError",
     "ContactLaw",
+    "Cubic",
     "DatasetError",
     "Gap",
     "GapsweepError",
+    "Harmonic",
+    "Lags",
     "LogArctan",
     "ModelError",
+    "Modulation",
     "Oscillator",
     "Piecewise",
     "Polynomial",
@@ -89,6 +95,8 @@ __all__ = [
     "StoreError",
     "Study",
     "StudyError",
+    "System",
+    "SystemTrajectory",
     "Tanh",
     "Trajectory",
     "UserLaw",

@@ -192,19 +192,18 @@ def test_a_section_alone_is_the_section_of_a_full_record(label):
     law = gs.Piecewise(1.4e4, gap) if "piecewise" in label else gs.contact_law(label, 1.4e4, gap)
     law = replace(law, located=False) if label == "piecewise-noevents" else law
     omega = np.linspace(3.0, 29.0, 40)
-    models = Models(oscillators=[gs.Oscillator()] * 40, laws=[law] * 40, omega=omega)
+    models = Models(systems=[gs.Oscillator()] * 40, laws=[law] * 40, omega=omega)
     integrate = prepared(models, Solver.of(rtol=1e-6, atol=1e-9))
     problems = Problems(
         which=np.arange(40),
-        x_0=np.linspace(-1e-3, 1e-3, 40),
-        v_0=np.zeros(40),
+        start=np.linspace([-1e-3, 0.0], [1e-3, 0.0], 40),
         t_0=np.zeros(40),
         t_end=30.0 / omega,
         record_from=np.where(np.arange(40) % 3 == 0, np.inf, 10.0 / omega),
     )
     full = integrate(problems)
     alone = integrate(replace(problems, section_only=True, effort=np.arange(40.0)))
-    for name in ("x", "v", "n_steps", "reach"):
+    for name in ("state", "n_steps", "reach"):
         assert getattr(full, name).tolist() == getattr(alone, name).tolist()
     assert_array_equal(full.events().section, alone.events().section)
     assert full.events().n_section.tolist() == alone.events().n_section.tolist()
@@ -212,7 +211,7 @@ def test_a_section_alone_is_the_section_of_a_full_record(label):
     assert not alone.events().extrema.size
     whole = integrate(replace(problems, record_from=np.zeros(40))).events()
     owner = np.repeat(np.arange(40), whole.n_extrema)
-    largest = np.abs(problems.x_0)
+    largest = np.abs(problems.start[:, 0])
     np.maximum.at(largest, owner, np.abs(whole.extrema))
     assert np.all(full.reach <= largest * (1 + 1e-9))
     assert np.all(full.reach > 0.5 * largest)

@@ -39,11 +39,10 @@ class Timed:
 def timed(scene: Scene, law: ContactLaw, solver: Solver, n_lanes: int) -> Timed:
     """A scene and its neighbours in frequency, prepared."""
     omega: Array = scene.omega * (1.0 + _NEIGHBOUR * np.arange(n_lanes, dtype=np.float64))
-    models = Models(oscillators=[scene.oscillator] * n_lanes, laws=[law] * n_lanes, omega=omega)
+    models = Models(systems=[scene.oscillator] * n_lanes, laws=[law] * n_lanes, omega=omega)
     problems = Problems(
         which=np.arange(n_lanes),
-        x_0=np.full(n_lanes, scene.x_0),
-        v_0=np.full(n_lanes, scene.v_0),
+        start=np.full((n_lanes, 2), (scene.x_0, scene.v_0)),
         t_0=np.zeros(n_lanes),
         t_end=scene.n_periods / omega,
         record_from=np.full(n_lanes, np.inf),

@@ -1,6 +1,6 @@
 """The compiled engine: the exact law by Taylor series, all others by Runge–Kutta, in lanes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from gapsweep.integrate.motion import Events, Motions, Sampler
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.runge_kutta import lanes, representations, smooth
 from gapsweep.integrate.taylor import exact, record
+from gapsweep.integrate.taylor.scenes import Scenes, scenes
+from gapsweep.integrate.taylor.systems import Walls, system_scenes
 from gapsweep.model.contact import (
     Arctan,
     ContactLaw,
@@ -30,6 +32,9 @@ Mask = NDArray[np.bool_]
 
 def prepared(models: Models, solver: Solver) -> Integrate:
     """Integration of models; each result is the same to the last bit in any company."""
+    if not models.is_plain:
+        _check_exact(models, solver)
+        return _exact(models, solver)
     return (_exact if _by_taylor(models.laws[0], solver) else _smooth)(models, solver)
 
 
@@ -38,13 +43,23 @@ def _by_taylor(law: ContactLaw, solver: Solver) -> bool:
     return located and solver.controller == "native" and not solver.restart
 
 
+def _check_exact(models: Models, solver: Solver) -> None:
+    """Refuse for a system what only oscillators have compiled steps for."""
+    for law in (law for laws in models.laws for law in laws):
+        if not _by_taylor(law, solver):
+            raise ModelError(
+                f"{law}: a System has compiled steps for the law 'piecewise' alone, without "
+                "restarts; use engine='scipy'"
+            )
+
+
 def _column(objects: Sequence[Any], name: str) -> Array:
     return np.array([getattr(each, name) for each in objects])
 
 
 def _oscillator_arrays(models: Models) -> dict[str, Any]:
     names = ("zeta", "omega_n", "mass", "alpha", "forcing")
-    return {name: _column(models.oscillators, name) for name in names} | {"omega": models.omega}
+    return {name: _column(models.systems, name) for name in names} | {"omega": models.omega}
 
 
 def _gap_arrays(laws: Sequence[Any]) -> dict[str, Any]:
@@ -57,8 +72,6 @@ def _given(problems: Problems) -> dict[str, Any]:
     effort = problems.t_end - problems.t_0 if problems.effort is None else problems.effort
     return {
         "which": problems.which,
-        "x_0": problems.x_0,
-        "v_0": problems.v_0,
         "t_0": problems.t_0,
         "t_end": problems.t_end,
         "record_from": problems.record_from,
@@ -69,27 +82,48 @@ def _given(problems: Problems) -> dict[str, Any]:
     }
 
 
-def _exact(models: Models, solver: Solver) -> Integrate:
-    scenes = exact.scenes(
-        **_gap_arrays(models.laws),
-        **_oscillator_arrays(models),
-        rtol=solver.rtol,
-        atol=solver.atol,
+def _scenes(models: Models, solver: Solver) -> Scenes:
+    tolerances: dict[str, Any] = {"rtol": solver.rtol, "atol": solver.atol}
+    if models.is_plain:
+        return scenes(**_gap_arrays(models.laws), **_oscillator_arrays(models), **tolerances)
+    walls = [_gap_arrays(laws) for laws in models.laws]
+    names = ("K_c", "j_1", "j_2")
+    return system_scenes(
+        models.systems,
+        Walls(*(np.array([each[name] for each in walls], dtype=float) for name in names)),
+        models.omega,
+        **tolerances,
     )
 
+
+def _exact(models: Models, solver: Solver) -> Integrate:
+    prepared_scenes = _scenes(models, solver)
+
     def integrate(problems: Problems) -> Motions:
-        run = exact.run(scenes, **_given(problems))
+        run = exact.run(prepared_scenes, start=problems.start, **_given(problems))
 
         def events() -> Events:
-            point, kind, t, x, v = run.log.T
+            point, kind, t, which, *state = run.log.T
             # The kinds are numbered so: extrema, the section, then contacts.
             masks = kind < record.SECTION, kind == record.SECTION, kind > record.SECTION
-            return _events(len(problems), point, t, x, v, *masks)
+            return _events(len(problems), point, t, which, np.stack(state, axis=1), *masks)
 
         def sampler(i: int) -> Sampler:
-            return lambda t: tuple(part[0] for part in run.sample(t, i))
+            return lambda t: run.sample(t, i)[:, 0]
 
-        return _motions(run, events, sampler, run.monodromy)
+        return Motions(
+            t=run.t,
+            state=run.state,
+            status=run.status,
+            n_contacts=run.n_contacts,
+            n_steps=run.n_steps,
+            n_rejected=np.zeros_like(run.n_steps),  # the step size comes from the series itself
+            nfev=run.n_steps,
+            reach=run.reach,
+            events=events,
+            sampler=sampler,
+            monodromy=run.monodromy,
+        )
 
     return integrate
 
@@ -105,7 +139,13 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
 
     def integrate(problems: Problems) -> Motions:
         try:
-            run = smooth.run(scenes, **_given(problems), contacts=problems.contacts)
+            run = smooth.run(
+                scenes,
+                x_0=problems.start[:, 0],
+                v_0=problems.start[:, 1],
+                contacts=problems.contacts,
+                **_given(problems),
+            )
         except NumbaError as error:
             reason = _why_not_compiled(models.laws[0])
             if reason is None:  # not the user's fault
@@ -118,12 +158,25 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
         def events() -> Events:
             kind, point, t, x, v, *_ = run.records.T
             masks = (kind == each for each in (lanes.EXTREMUM, lanes.SECTION, lanes.CONTACT))
-            return _events(len(problems), point, t, x, v, *masks)
+            state = np.stack([x, v], axis=1)
+            return _events(len(problems), point, t, np.zeros_like(x), state, *masks)
 
         def sampler(i: int) -> Sampler:
-            return lambda t: run.sample(t, i)
+            return lambda t: np.array(run.sample(t, i))
 
-        return _motions(run, events, sampler, run.tangent if problems.tangent else None)
+        return Motions(
+            t=run.t,
+            state=np.stack([run.x, run.v], axis=1),
+            status=run.status,
+            n_contacts=run.n_contacts,
+            n_steps=run.n_steps,
+            n_rejected=run.n_rejected,
+            nfev=run.nfev,
+            reach=run.reach[:, None],
+            events=events,
+            sampler=sampler,
+            monodromy=run.tangent if problems.tangent else None,
+        )
 
     return integrate
 
@@ -140,40 +193,27 @@ def _why_not_compiled(law: ContactLaw) -> str | None:
 
 
 def _events(
-    n: int, point: Array, t: Array, x: Array, v: Array, extrema: Mask, section: Mask, contacts: Mask
+    n: int,
+    point: Array,
+    t: Array,
+    which: Array,
+    state: Array,
+    extrema: Mask,
+    section: Mask,
+    contacts: Mask,
 ) -> Events:
     """Events of n motions from the columns of a record sorted by motion, and masks of its rows."""
     number = point.astype(np.int64)
     return Events(
         t_extrema=t[extrema],
-        extrema=x[extrema],
+        extrema=state[extrema, 0],
+        extrema_of=which[extrema].astype(np.int64),
         t_contacts=t[contacts],
-        section=np.stack((x[section], v[section]), axis=1),
+        contacts_of=which[contacts].astype(np.int64),
+        section=state[section],
         n_extrema=np.bincount(number[extrema], minlength=n),
         n_contacts=np.bincount(number[contacts], minlength=n),
         n_section=np.bincount(number[section], minlength=n),
-    )
-
-
-def _motions(
-    run: Any,
-    events: Callable[[], Events],
-    sampler: Callable[[int], Sampler],
-    monodromy: Array | None,
-) -> Motions:
-    return Motions(
-        t=run.t,
-        x=run.x,
-        v=run.v,
-        status=run.status,
-        n_contacts=run.n_contacts,
-        n_steps=run.n_steps,
-        n_rejected=run.n_rejected,
-        nfev=run.nfev,
-        reach=run.reach,
-        events=events,
-        sampler=sampler,
-        monodromy=monodromy,
     )
 
 

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
-Sampler = Callable[[Array], tuple[Array, Array]]
+Sampler = Callable[[Array], Array]
 
-SCALARS = ("t", "x", "v", "status", "n_contacts", "n_steps", "n_rejected", "nfev", "reach")
+SCALARS = ("t", "status", "n_contacts", "n_steps", "n_rejected", "nfev")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,18 +20,24 @@ class Events:
     Attributes
     ----------
     t_extrema, extrema : ndarray, shape (sum of n_extrema,)
-        Times [s] and displacements [m] of all zero-velocity points after the start.
+        Times [s] and values [m] of all zero-velocity points of coordinates after the start.
+    extrema_of : ndarray of int, shape (sum of n_extrema,)
+        The coordinate of each.
     t_contacts : ndarray, shape (sum of n_contacts,)
-        Times [s] at which the displacement crossed a wall, in or out.
-    section : ndarray, shape (sum of n_section, 2)
-        Stroboscopic section: ``(x, v)`` at every whole forcing period after the start.
+        Times [s] at which a contact crossed a wall, in or out.
+    contacts_of : ndarray of int, shape (sum of n_contacts,)
+        The contact of each.
+    section : ndarray, shape (sum of n_section, n_states)
+        Stroboscopic section: the state at every whole forcing period after the start.
     n_extrema, n_contacts, n_section : ndarray of int, shape (n,)
         How many of them belong to each motion.
     """
 
     t_extrema: Array
     extrema: Array
+    extrema_of: Counts
     t_contacts: Array
+    contacts_of: Counts
     section: Array
     n_extrema: Counts
     n_contacts: Counts
@@ -44,26 +50,28 @@ class Motions:
 
     Attributes
     ----------
-    t, x, v : ndarray, shape (n,)
-        Time [s] and state [m], [m/s] reached: at ``t_end`` unless the motion failed.
+    t : ndarray, shape (n,)
+        Time [s] reached: ``t_end`` unless the motion failed.
+    state : ndarray, shape (n, n_states)
+        Coordinates [m], their velocities [m/s], then first-order states there.
     status : ndarray of int, shape (n,)
         `gapsweep.status.Status` values.
     n_contacts, n_steps, n_rejected, nfev : ndarray of int, shape (n,)
         Wall crossings in and out, accepted and rejected steps, right-hand sides (for a Taylor
         method, expansions).
-    reach : ndarray, shape (n,)
-        Largest modulus of the displacement at the start and at the ends of steps [m].
+    reach : ndarray, shape (n, n_coordinates)
+        Largest modulus of every coordinate at the start and at the ends of steps [m].
     events : callable
         Events of all motions; none of one that was not recorded.
     sampler : callable
-        Function of time that gives ``(x, v)`` of one motion, by its number.
-    monodromy : ndarray, shape (n, 2, 2), or None
+        Function of times that gives the states, shape (n_states, n_times), of one motion, by its
+        number.
+    monodromy : ndarray, shape (n, n_states, n_states), or None
         Derivative of the end state by the initial state.
     """
 
     t: Array
-    x: Array
-    v: Array
+    state: Array
     status: Counts
     n_contacts: Counts
     n_steps: Counts

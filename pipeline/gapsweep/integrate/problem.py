@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Motions
 from gapsweep.model.contact import Arctan, ContactLaw, LogArctan, Piecewise, Tanh, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.model.system import System
 
 Array = NDArray[np.float64]
 
@@ -30,26 +32,32 @@ class Models:
 
     Attributes
     ----------
-    oscillators : sequence of Oscillator, length n
-    laws : sequence of ContactLaw, length n
-        All of one `law_kind`.
+    systems : sequence of Oscillator or of System, length n
+    laws : sequence, length n
+        The contact law of every oscillator, all of one `law_kind`; of a system a tuple of them, in
+        the order of its contacts.
     omega : ndarray, shape (n,)
         Forcing frequency [Hz].
     """
 
-    oscillators: Sequence[Oscillator]
-    laws: Sequence[ContactLaw]
+    systems: Sequence[Any]
+    laws: Sequence[Any]
     omega: Array
 
     def __post_init__(self) -> None:
-        for oscillator in self.oscillators:
-            if not isinstance(oscillator, Oscillator):
+        for system, law in zip(self.systems, self.laws, strict=True):
+            if not isinstance(system, Oscillator | System):
                 raise ModelError(
-                    f"oscillator = {oscillator!r}: must be a gapsweep.Oscillator(); "
-                    "without arguments it is the paper's"
+                    f"oscillator = {system!r}: must be a gapsweep.Oscillator(), which without "
+                    "arguments is the paper's, or a gapsweep.System()"
                 )
-        for law in self.laws:
-            checked_law(law)
+            for each in law if isinstance(system, System) else [law]:
+                checked_law(each)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether they are oscillators."""
+        return not self.systems or isinstance(self.systems[0], Oscillator)
 
 
 def law_kind(law: ContactLaw) -> Hashable:
@@ -75,8 +83,8 @@ class Problems:
     ----------
     which : ndarray of int, shape (m,)
         Numbers of the models that move.
-    x_0, v_0 : ndarray, shape (m,)
-        State [m], [m/s] at `t_0`.
+    start : ndarray, shape (m, n_states)
+        Coordinates [m], velocities [m/s] and first-order states at `t_0`.
     t_0, t_end : ndarray, shape (m,)
         Start and end [s]. The forcing phase at the start is wrapped, so that whole periods
         before it cost no accuracy.
@@ -97,8 +105,7 @@ class Problems:
     """
 
     which: NDArray[np.intp]
-    x_0: Array
-    v_0: Array
+    start: Array
     t_0: Array
     t_end: Array
     record_from: Array

@@ -175,14 +175,19 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
         def sampler(i: int) -> Sampler:
             motion, t_0 = runs[i].motion, problems.t_0[i]
-            return lambda t: tuple(np.moveaxis(motion(t - t_0), -1, 0)[:2])
+            return lambda t: np.moveaxis(motion(t - t_0), -1, 0)[:2]
 
         monodromy = None
         if problems.tangent:
             columns_first = np.array([run.tangent for run in runs]).reshape(-1, 2, 2)
             monodromy = columns_first.transpose(0, 2, 1)
         return Motions(
-            events=lambda: _events(runs), sampler=sampler, monodromy=monodromy, **columns
+            state=np.array([run.state for run in runs]).reshape(-1, 2),
+            reach=np.array([[run.reach] for run in runs]).reshape(-1, 1),
+            events=lambda: _events(runs),
+            sampler=sampler,
+            monodromy=monodromy,
+            **columns,
         )
 
     return integrate
@@ -193,8 +198,7 @@ class _Run:
     """One finished motion; names as in `Motions`."""
 
     t: float
-    x: float
-    v: float
+    state: State
     status: Status
     n_contacts: int
     n_steps: int
@@ -212,8 +216,11 @@ class _Run:
 def _events(runs: Sequence[_Run]) -> Events:
     names = ("t_extrema", "extrema", "t_contacts", "section")
     lists = {name: [getattr(run, name) for run in runs] for name in names}
+    merged = {name: np.concatenate(arrays) for name, arrays in lists.items()}
     return Events(
-        **{name: np.concatenate(arrays) for name, arrays in lists.items()},
+        **merged,
+        extrema_of=np.zeros(len(merged["extrema"]), np.int64),
+        contacts_of=np.zeros(len(merged["t_contacts"]), np.int64),
         n_extrema=np.array([len(extrema) for extrema in lists["extrema"]]),
         n_contacts=np.array([len(t_contacts) for t_contacts in lists["t_contacts"]]),
         n_section=np.array([len(section) for section in lists["section"]]),
@@ -226,7 +233,7 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
     t_end = float(problems.t_end[i])
     theta_0 = 2.0 * math.pi * math.fmod(omega * t_0, 1.0)
     scene = _Scene(
-        models.oscillators[model],
+        models.systems[model],
         models.laws[model],
         omega,
         theta_0,
@@ -235,7 +242,7 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
         problems.tangent,
     )
     run = _Record()
-    start: State = float(problems.x_0[i]), float(problems.v_0[i])
+    start: State = tuple(problems.start[i].tolist())
     if problems.tangent:
         start += _UNIT_TANGENT
     # An overflow on the way to divergence is an outcome, not a fault of this code.
@@ -246,8 +253,7 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
     is_late, t_contacts = t_extrema >= since, np.array(run.t_contacts)
     return _Run(
         t=t_end if run.status is Status.OK else t_0 + t,
-        x=y[0],
-        v=y[1],
+        state=y[:2],
         status=run.status,
         n_contacts=len(run.t_contacts),
         n_steps=run.n_steps,

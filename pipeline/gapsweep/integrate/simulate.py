@@ -1,6 +1,8 @@
 """One call for every engine, for one motion or many."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,9 +11,10 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate import compiled, reference
 from gapsweep.integrate.motion import Motions
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Integrate, Models, Problems, Solver
-from gapsweep.integrate.trajectory import Trajectory
-from gapsweep.model.contact import ContactLaw
+from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
+from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
+from gapsweep.model.system import System, fastest_mode
 
 # Largest resolution of the clock, as a share of the natural period.
 _CLOCK_SHARE = 1e-9
@@ -24,13 +27,15 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
 
 def simulate(
-    oscillator: Oscillator,
-    law: ContactLaw,
-    omega: ArrayLike,
+    system: Oscillator | System,
+    law: ContactLaw | Mapping[str, ContactLaw],
+    omega: ArrayLike | None = None,
     x_0: ArrayLike = 0.0,
     v_0: ArrayLike = 0.0,
     *,
     t_end: float,
+    q_0: ArrayLike = 0.0,
+    z_0: ArrayLike = 0.0,
     t_0: float = 0.0,
     engine: str = DEFAULT_ENGINE,
     rtol: float | None = None,
@@ -40,16 +45,21 @@ def simulate(
     dense_output: bool = False,
     tangent: bool = False,
 ) -> Trajectory:
-    """Simulate the oscillator from given initial states.
+    """Simulate an oscillator or a system from given initial states.
 
     Parameters
     ----------
-    oscillator : Oscillator
-    law : ContactLaw
+    system : Oscillator or System
+    law : ContactLaw or mapping of str to ContactLaw
+        One law for all contacts, or that of each contact of a system, by its name.
     omega : float or array_like
-        Forcing frequency [Hz], ``> 0``.
-    x_0, v_0 : float or array_like
-        Displacement [m] and velocity [m/s] at `t_0`; broadcast against `omega`.
+        Forcing frequency [Hz], ``> 0``; None of a system that is not forced.
+    x_0 : float or array_like
+        Displacement [m] of an oscillator at `t_0`; broadcast against `omega`.
+    v_0 : float or array_like
+        Velocity [m/s], likewise; of a system, velocities along the last axis.
+    q_0, z_0 : float or array_like
+        Coordinates [m] and first-order states of a system, along the last axis.
     t_end, t_0 : float
         End and start [s], ``t_end > t_0``.
     engine, rtol, atol, controller, restart
@@ -63,7 +73,7 @@ def simulate(
     Returns
     -------
     Trajectory
-        Its attributes are arrays if any of `omega`, `x_0`, `v_0` is one.
+        Its attributes are arrays if `omega` or a start is one. Of a system a `SystemTrajectory`.
 
     Raises
     ------
@@ -74,20 +84,25 @@ def simulate(
     t_0, t_end = checked("t_0", t_0), checked("t_end", t_end)
     if t_end <= t_0:
         raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
-    omega, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
-    models = Models(
-        oscillators=[oscillator] * omega.size, laws=[law] * omega.size, omega=omega.ravel()
-    )
-    _check_clock(oscillator, omega, t_0)
-    n = omega.size
+    if isinstance(system, System):
+        _zero("x_0", x_0, "a System starts from q_0, v_0 and z_0")
+        frequency, start = _system_starts(system, omega, q_0, v_0, z_0)
+        laws: Any = _laws(system, law)
+    else:
+        for name, value in (("q_0", q_0), ("z_0", z_0)):
+            _zero(name, value, "an Oscillator starts from x_0 and v_0")
+        frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
+        laws, start = law, np.stack([x_0, v_0], axis=-1)
+    n = frequency.size
+    models = Models(systems=[system] * n, laws=[laws] * n, omega=frequency.ravel())
+    _check_clock(system, frequency, t_0)
     integrate = prepared(models, solver)
 
     def solve(record_from: float, dense_output: bool) -> Motions:
         return integrate(
             Problems(
                 which=np.arange(n),
-                x_0=x_0.ravel(),
-                v_0=v_0.ravel(),
+                start=start.reshape(n, -1),
                 t_0=np.full(n, t_0),
                 t_end=np.full(n, t_end),
                 record_from=np.full(n, record_from),
@@ -97,18 +112,61 @@ def simulate(
             )
         )
 
-    return Trajectory(solve, t_0, omega.shape, dense_output)
+    if isinstance(system, System):
+        return SystemTrajectory(system, solve, t_0, frequency.shape, dense_output)
+    return Trajectory(solve, t_0, frequency.shape, dense_output)
 
 
-def _check_clock(oscillator: Oscillator, omega: NDArray[np.float64], t_0: float) -> None:
+def _zero(name: str, value: ArrayLike, remedy: str) -> None:
+    """Refuse a start that a model of this kind does not have."""
+    if np.any(np.not_equal(value, 0.0)):
+        raise ModelError(f"{name} = {value!r}: {remedy}")
+
+
+def _laws(system: System, law: ContactLaw | Mapping[str, ContactLaw]) -> tuple[ContactLaw, ...]:
+    """The law of every contact, in the system's order."""
+    if not isinstance(law, Mapping):
+        return (checked_law(law),) * len(system.contacts)
+    if set(law) != set(system.contacts):
+        raise ModelError(f"law: of {sorted(law)}: must name {sorted(system.contacts)}")
+    return tuple(law[name] for name in system.contacts)
+
+
+def _system_starts(
+    system: System, omega: ArrayLike | None, q_0: ArrayLike, v_0: ArrayLike, z_0: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Forcing frequencies, zero where nothing is forced, and states along the last axis."""
+    if (omega is None) == system.is_forced:
+        said = "missing; this System is forced" if system.is_forced else "this System is not forced"
+        raise ModelError(f"omega: {said}")
+    sizes = {"q_0": (q_0, system.n), "v_0": (v_0, system.n), "z_0": (z_0, system.n_lags)}
+    parts = []
+    for name, (value, size) in sizes.items():
+        (given,) = broadcast(**{name: value})
+        if given.ndim and given.shape[-1] != size:
+            raise ModelError(f"{name}: has the shape {given.shape}, its last axis must be {size}")
+        parts.append(given if given.ndim else np.full(size, given))
+    (frequency,) = [np.zeros(())] if omega is None else broadcast(omega=omega)
+    try:
+        shape = np.broadcast_shapes(frequency.shape, *(part.shape[:-1] for part in parts))
+    except ValueError as error:
+        raise ModelError(f"omega, q_0, v_0, z_0: {error}") from None
+    states = [np.broadcast_to(part, (*shape, part.shape[-1])) for part in parts]
+    return np.broadcast_to(frequency, shape), np.concatenate(states, axis=-1)
+
+
+def _check_clock(system: Oscillator | System, omega: NDArray[np.float64], t_0: float) -> None:
     """Refuse a start at a forcing phase beside which a step of the motion is rounded away.
 
     Time is kept as whole forcing periods and a fraction, so a fraction to begin with limits what
     the clock can tell apart.
     """
+    if not t_0 or not omega.all():
+        return
     turns = omega.ravel() * t_0
     resolved = np.spacing(turns - np.floor(turns)) / omega.ravel()
-    largest = _CLOCK_SHARE / oscillator.omega_n
+    fastest = system.omega_n if isinstance(system, Oscillator) else fastest_mode(system)
+    largest = _CLOCK_SHARE / fastest
     coarse = resolved > largest
     if coarse.any():
         raise ModelError(
@@ -117,7 +175,7 @@ def _check_clock(oscillator: Oscillator, omega: NDArray[np.float64], t_0: float)
         )
 
 
-def broadcast(**values: ArrayLike) -> list[NDArray[np.float64]]:
+def broadcast(**values: ArrayLike | None) -> list[NDArray[np.float64]]:
     """Finite float arrays of one shape; `omega` positive.
 
     Raises

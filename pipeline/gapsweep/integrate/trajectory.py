@@ -1,7 +1,7 @@
 """The public result of `simulate`."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from typing import Any
 
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Counts, Events, Motions
+from gapsweep.model.system import System
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -52,10 +53,9 @@ class Trajectory:
         self.t_0 = t_0
         self.shape = shape
         motions = solve(math.inf, False)
-        self._n = len(motions.x)
+        self._n = len(motions.t)
         self.t: Any = self._shaped(motions.t)
-        self.x: Any = self._shaped(motions.x)
-        self.v: Any = self._shaped(motions.v)
+        self._set_state(motions.state)
         self.n_contacts: Any = self._shaped(motions.n_contacts)
         self.n_steps: Any = self._shaped(motions.n_steps)
         self.n_rejected: Any = self._shaped(motions.n_rejected)
@@ -63,7 +63,11 @@ class Trajectory:
         self.status: Any = self._shaped(motions.status) if shape else Status(motions.status[0])
         self.monodromy = motions.monodromy
         if motions.monodromy is not None:
-            self.monodromy = motions.monodromy.reshape((*shape, 2, 2))
+            self.monodromy = motions.monodromy.reshape((*shape, *motions.monodromy.shape[1:]))
+
+    def _set_state(self, state: Array) -> None:
+        self.x: Any = self._shaped(state[:, 0])
+        self.v: Any = self._shaped(state[:, 1])
 
     def __repr__(self) -> str:
         what = f"{self._n} motions" if self.shape else f"ends {self.status.label}"
@@ -89,7 +93,7 @@ class Trajectory:
         """Stroboscopic section, shape (n, 2): ``(x, v)`` at every whole forcing period."""
         return self._ragged(self._events.section, self._events.n_section)
 
-    def sample(self, t: ArrayLike) -> tuple[Array, Array]:
+    def sample(self, t: ArrayLike) -> tuple[Array, ...]:
         """Displacement [m] and velocity [m/s] at times `t` [s] within the run.
 
         Parameters
@@ -115,8 +119,13 @@ class Trajectory:
             raise ModelError(f"t = {outside:g} s: must be within {self.t_0:g}..{end:g} s")
         motions = self._dense_from(float(np.min(t, initial=end)))
         parts = [motions.sampler(i)(t.ravel()) for i in range(self._n)]
-        x, v = (np.reshape([part[k] for part in parts], self.shape + t.shape) for k in (0, 1))
-        return x, v
+        return self._as_sampled(
+            np.moveaxis(np.array(parts), 1, -1).reshape(*self.shape, *t.shape, -1)
+        )
+
+    def _as_sampled(self, states: Array) -> tuple[Array, ...]:
+        """What `sample` returns of states along the last axis."""
+        return states[..., 0], states[..., 1]
 
     def _dense_from(self, t: float) -> Motions:
         """Dense output from `t` on; kept, and made anew only for earlier times."""
@@ -137,4 +146,58 @@ class Trajectory:
         ragged = np.empty(self._n, dtype=object)
         ends = np.cumsum(counts)
         ragged[:] = [values[end - n : end] for n, end in zip(counts, ends, strict=True)]
+        return ragged.reshape(self.shape)
+
+
+class SystemTrajectory(Trajectory):
+    """One simulated motion of a `System`, or an array of them, as a `Trajectory`.
+
+    Attributes
+    ----------
+    q, v : ndarray, shape (..., n)
+        Coordinates [m] and velocities [m/s] where the run ended.
+    z : ndarray, shape (..., m)
+        First-order states there.
+    monodromy : ndarray, shape (..., 2 n + m, 2 n + m), or None
+        Derivative of the end state (q, v, z) by the initial one, with ``tangent=True``.
+    """
+
+    def __init__(self, system: System, *given: Any) -> None:
+        self.system = system
+        super().__init__(*given)
+
+    def _set_state(self, state: Array) -> None:
+        self.q, self.v, self.z = self._as_sampled(state.reshape(*self.shape, -1))
+
+    def _as_sampled(self, states: Array) -> tuple[Array, ...]:
+        n = self.system.n
+        return states[..., :n], states[..., n : 2 * n], states[..., 2 * n :]
+
+    @property
+    def extrema(self) -> Any:
+        """Values [m] of each coordinate where its velocity is zero in ``(t_0, t]``, by its name."""
+        return self._by_name(self.system.coordinates, "extrema", "extrema_of", "n_extrema")
+
+    @property
+    def t_extrema(self) -> Any:
+        """Times [s] of `extrema`."""
+        return self._by_name(self.system.coordinates, "t_extrema", "extrema_of", "n_extrema")
+
+    @property
+    def t_contacts(self) -> Any:
+        """Times [s] at which every contact crossed a wall, in or out, by its name."""
+        return self._by_name(self.system.contacts, "t_contacts", "contacts_of", "n_contacts")
+
+    def _by_name(self, names: Iterable[str], values: str, owners: str, counts: str) -> Any:
+        """Recorded values as a dict by name; of an array of motions an array of dicts."""
+        ends = np.cumsum(getattr(self._events, counts))
+        parts = []
+        for first, last in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):
+            of = getattr(self._events, owners)[first:last]
+            found = getattr(self._events, values)[first:last]
+            parts.append({name: found[of == i] for i, name in enumerate(names)})
+        if not self.shape:
+            return parts[0]
+        ragged = np.empty(self._n, dtype=object)
+        ragged[:] = parts
         return ragged.reshape(self.shape)

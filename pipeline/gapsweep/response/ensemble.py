@@ -93,9 +93,9 @@ class Call:
     ) -> None:
         self._omega, self._monodromy, self._read = omega, monodromy, found.events
         self._area_rate, self.t_end = area_rate, t_end
-        self.y, self._tangent_end = np.array((found.x, found.v)), tangent_end
+        self.y, self._tangent_end = found.state.T, tangent_end
         self.status = found.status
-        self.n_steps, self.reach = found.n_steps, found.reach
+        self.n_steps, self.reach = found.n_steps, found.reach[:, 0]
         if self.status.any():
             # A fit that was left on the way but did not run away goes on; where its steady
             # response lies decides in the end.
@@ -202,7 +202,7 @@ class Ensemble:
         self.walls = np.array([[-gap.j_1 for gap in gaps], [gap.j_2 for gap in gaps]])
         self.has_own_tangent = scenes[0].has_own_tangent
         models = Models(
-            oscillators=[scene.oscillator for scene in scenes],
+            systems=[scene.oscillator for scene in scenes],
             laws=[scene.law for scene in scenes],
             omega=self.omega,
         )
@@ -244,11 +244,9 @@ class Ensemble:
         """
         omega = self.omega[scenes]
         t_end = n_periods / omega
-        x_0, v_0 = np.ascontiguousarray(y)
         problems = Problems(
             which=scenes,
-            x_0=x_0,
-            v_0=v_0,
+            start=np.ascontiguousarray(y.T),
             t_0=np.zeros(len(scenes)),
             t_end=t_end,
             record_from=record_from,
@@ -259,12 +257,12 @@ class Ensemble:
         )
         found = self._solved(self._integrate, problems, n_periods)
         self._pace[scenes] = found.n_steps / n_periods
-        monodromy, end = found.monodromy, np.array((found.x, found.v))
+        monodromy, end = found.monodromy, found.state.T
         if tangent and self._integrate_tangent is not None:
             never = np.full(len(scenes), math.inf)
             problems = replace(problems, record_from=never, tangent=True)
             exact = self._solved(self._integrate_tangent, problems, n_periods)
-            monodromy, end = exact.monodromy, np.array((exact.x, exact.v))
+            monodromy, end = exact.monodromy, exact.state.T
         return Call(found, omega, t_end, 2.0 * self.decay_rate[scenes], monodromy, end)
 
     def _solved(

@@ -160,6 +160,11 @@ def nearest_integer(a):
     return _call("rint", a)
 
 
+def round_down(a):
+    """Largest integer that is not above `a`."""
+    return _call("floor", a)
+
+
 def copy_sign(magnitude, sign):
     """`magnitude` with the sign of `sign`."""
     return _call("copysign", magnitude, sign)

@@ -1,11 +1,12 @@
 """What a step leaves behind when recording is on: extrema, section points, contacts, the series.
 
-Each record is a row (point, kind, t, x, v) of one log that all points share; a point's rows are
-in the order of time within each kind.
+Each record is a row (point, kind, t, which, q, v, z) of one log that all points share; a point's
+rows are in the order of time within each kind. `which` is the coordinate of an extremum, whose value
+stands first, or the contact; all others hold the whole state.
 
-Extrema are all zeros of the step's velocity polynomial. Vector code proves by Descartes' rule,
-for all lanes at once, that there is none or one, and finds it (`find_events`). That leaves one
-step in some hundreds: its zeros are isolated by the same rule on parts of the step (`roots`).
+Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
+at once, that there is none or one, and finds it (`find_turns`). That leaves one step in some
+hundreds: its zeros are isolated by the same rule on parts of the step (`roots`).
 """
 
 import math
@@ -16,26 +17,15 @@ from numba.extending import intrinsic
 
 from gapsweep.integrate.jit import internal
 
-from . import lane_rows as row
-from .lane_ir import (
-    I64,
-    absolute,
-    copy_sign,
-    is_nonzero,
-    load_row,
-    lowest_bit,
-    minimum,
-    store_row,
-    where,
-)
+from .lane_ir import I64, absolute, copy_sign, is_nonzero, lowest_bit, minimum, where
 from .roots import DOUBLE, SIMPLE, isolate, polynomial
-from .taylor_ir import CLOCK_SLACK, value_and_slope
+from .series import Lanes
+from .step import CLOCK_SLACK, value_and_slope
 
 MINIMUM, MAXIMUM, INFLECTION, SECTION = 0, 1, 2, 3
 ENTER_UPPER, LEAVE_UPPER, ENTER_LOWER, LEAVE_LOWER = 4, 5, 6, 7
-POINT, KIND, TIME, DISPLACEMENT, VELOCITY = range(5)
-N_FIELDS = 5
-DENSE_HEAD = 3  # point, start time, length; then the coefficients
+POINT, KIND, TIME, WHICH, STATE = range(5)
+DENSE_HEAD = 3  # point, start time, length; then the coefficients of q and z
 
 # A turn and its return that differ by less than this part of the displacement are rounding's
 # picture of one inflection (v = 0 and a = 0).
@@ -47,11 +37,34 @@ _CLOSE = 1e-7  # of the step: largest last correction; the error left is about i
 
 
 @internal
-def _write(log, fill, point, kind, t, x, v):
-    i = fill[0]
-    log[i, POINT], log[i, KIND], log[i, TIME] = point, kind, t
-    log[i, DISPLACEMENT], log[i, VELOCITY] = x, v
-    fill[0] += 1
+def rows_per_step(at):
+    """Most rows that a step of all lanes writes to the log."""
+    return at.width * (at.n * (at.order + 1) + 2 * at.contacts + 1)
+
+
+@internal
+def _begin_row(run, point, kind, t, which):
+    """Number of a new row, whose state is left to the caller."""
+    i = run.fill[0]
+    run.log[i, POINT], run.log[i, KIND], run.log[i, TIME] = point, kind, t
+    run.log[i, WHICH] = which
+    run.fill[0] += 1
+    return i
+
+
+@internal
+def _write_turn(run, point, kind, t, coordinate, value):
+    i = _begin_row(run, point, kind, t, coordinate)
+    run.log[i, STATE:] = 0.0
+    run.log[i, STATE] = value
+
+
+@internal
+def _write_state(at, run, k, kind, t, which, first):
+    """A row with the state that stands in the lanes from row `first` on."""
+    i = _begin_row(run, run.lane_point[k], kind, t, which)
+    for j in range(at.n_states):
+        run.log[i, STATE + j] = run.lanes[first + j, k]
 
 
 @internal
@@ -117,14 +130,16 @@ def _velocity_roots(step, v_1, work):
 
 
 @internal
-def _record_extrema(lanes, k, point, log, fill, work):
-    """The zeros of the velocity of a step (in `work.series`) that `find_events` left unclear."""
-    n_roots = _velocity_roots(lanes[row.STEP, k], lanes[row.V, k], work)
+def _record_extrema(at, run, k, coordinate):
+    """The zeros of a velocity within a step that `find_turns` left unclear."""
+    lanes, work, point = run.lanes, run.work, run.lane_point[k]
+    load_series(run.coefficients, coordinate * at.n_terms, k, work.series)
+    n_roots = _velocity_roots(lanes[at.step, k], lanes[at.v + coordinate, k], work)
     if n_roots == 0:
         return
-    start = lanes[row.START_TIME, k]
-    begun = lanes[row.CYCLE_0, k] + lanes[row.TAU_0, k] - lanes[row.EVENT_CLOCK, k]
-    first = -begun * lanes[row.PERIOD, k]  # within the step; negative once recording is fully on
+    start = lanes[at.start_time, k]
+    begun = lanes[at.cycle_0, k] + lanes[at.tau_0, k] - lanes[at.event_clock, k]
+    first = -begun * lanes[at.period, k]  # within the step; negative once recording is fully on
     series, degree = work.series, len(work.series) - 1
     roots, multiplicity = work.roots, work.multiplicity
     rising = work.reduced[0] > 0.0  # sign of v right after the start; each simple root flips it
@@ -148,31 +163,34 @@ def _record_extrema(lanes, k, point, log, fill, work):
             is_again = abs(x - halt) <= _SAME_DISPLACEMENT * abs(x)
             halt = x
         if t >= first and not is_again:
-            _write(log, fill, point, kind, start + t, x, 0.0)
+            _write_turn(run, point, kind, start + t, coordinate, x)
         i += 1
 
 
 @internal
-def _record_contact(lanes, k, point, log, fill):
+def _record_contact(at, run, k, contact):
     """One row for a wall passed; two where no gap lies between the walls."""
-    side, end = lanes[row.SIDE, k], lanes[row.START_TIME, k] + lanes[row.STEP, k]
-    x, v, mode = lanes[row.X, k], lanes[row.V, k], lanes[row.MODE, k]
-    if mode == 0.0:
+    lanes = run.lanes
+    side, end = lanes[at.side + contact, k], lanes[at.start_time, k] + lanes[at.step, k]
+    mode, mode_0 = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
+    has_gap = lanes[at.lower + contact, k] < lanes[at.upper + contact, k]
+    if mode == 0.0 or (not has_gap and mode_0 != 0.0):
         # out of contact: over its upper wall downward (side -1), over its lower one upward
-        _write(log, fill, point, LEAVE_UPPER if side < 0.0 else LEAVE_LOWER, end, x, v)
-        return
-    if lanes[row.LOWER, k] == lanes[row.UPPER, k] and lanes[row.MODE_0, k] != 0.0:
-        _write(log, fill, point, LEAVE_UPPER if side < 0.0 else LEAVE_LOWER, end, x, v)
-    _write(log, fill, point, ENTER_UPPER if side > 0.0 else ENTER_LOWER, end, x, v)
+        left = LEAVE_UPPER if side < 0.0 else LEAVE_LOWER
+        _write_state(at, run, k, left, end, contact, at.q)
+    if mode != 0.0:
+        entered = ENTER_UPPER if side > 0.0 else ENTER_LOWER
+        _write_state(at, run, k, entered, end, contact, at.q)
 
 
 @internal
-def _record_dense(lanes, k, coefficients, point, dense, fill):
-    """The whole step's series."""
-    i = fill[1]
-    dense[i, 0], dense[i, 1], dense[i, 2] = point, lanes[row.START_TIME, k], lanes[row.STEP, k]
-    load_series(coefficients, 0, k, dense[i, DENSE_HEAD:])
-    fill[1] += 1
+def _record_dense(at, run, k):
+    """The whole step's series of coordinates and first-order states."""
+    lanes, dense, i = run.lanes, run.dense, run.fill[1]
+    dense[i, 0], dense[i, 1] = run.lane_point[k], lanes[at.start_time, k]
+    dense[i, 2] = lanes[at.step, k]
+    load_series(run.coefficients, 0, k, dense[i, DENSE_HEAD:])
+    run.fill[1] += 1
 
 
 def _velocity_terms(series, h):
@@ -261,123 +279,161 @@ def _emit_turns(builder, series, h, v_1, among):
     return is_found, is_none, t, x
 
 
-def _emit_section(builder, series, step, load, store, is_section, among):
+def _emit_section(builder, lanes, coefficients, is_section, among):
     """Store the state at the whole period that a step passed or ended on; skipped if none did."""
+    layout = lanes.layout
     with builder.if_then(is_nonzero(builder, builder.and_(is_section.bits(), among))):
-        period = load(row.PERIOD)
-        t = minimum((1.0 - load(row.TAU_0)) * period, step)
-        x, v = value_and_slope(series, t)
-        is_at_end = load(row.TAU).equals(0.0)
-        store(row.SECTION_X, where(is_at_end, load(row.X), x))
-        store(row.SECTION_V, where(is_at_end, load(row.V), v))
-        elapsed = load(row.CYCLE) - load(row.TAU_START)
-        store(row.SECTION_TIME, load(row.T_START) + elapsed * period)
+        period = lanes["period"]
+        t = minimum((1.0 - lanes["tau_0"]) * period, lanes["step"])
+        is_at_end = lanes["tau"].equals(0.0)
+        pairs = [
+            value_and_slope(
+                [coefficients[i * layout.n_terms + n] for n in range(layout.n_terms)], t
+            )
+            for i in range(layout.n + layout.m)
+        ]
+        state = [x for x, _ in pairs[: layout.n]] + [v for _, v in pairs[: layout.n]]
+        state += [z for z, _ in pairs[layout.n :]]
+        for i, value in enumerate(state):
+            lanes[layout.section + i] = where(is_at_end, lanes[layout.q + i], value)
+        elapsed = lanes["cycle"] - lanes["tau_start"]
+        lanes["section_time"] = lanes["t_start"] + elapsed * period
 
 
-def _emit_events(builder, lanes, coefficients, order, among):
-    """Emit the whole search; returns the packed masks (see `find_events`)."""
-
-    def load(r):
-        return load_row(builder, lanes, r, row.WIDTH)
-
-    def store(r, vec):
-        store_row(lanes, r, vec)
-
-    series = [load_row(builder, coefficients, n, row.WIDTH) for n in range(order + 1)]
-    step, period, event_clock = load(row.STEP), load(row.PERIOD), load(row.EVENT_CLOCK)
-    cycle_0, tau_0, cycle = load(row.CYCLE_0), load(row.TAU_0), load(row.CYCLE)
-    start = load(row.T_START) + (cycle_0 + (tau_0 - load(row.TAU_START))) * period
-    store(row.START_TIME, start)
-
-    is_section = (cycle > cycle_0) & (cycle - load(row.RECORD_CLOCK) >= -CLOCK_SLACK)
-    _emit_section(builder, series, step, load, store, is_section, among)
-
-    side, since = load(row.SIDE), cycle + load(row.TAU) - event_clock
-    has_passed = (absolute(side) > 0.0) & (since >= 0.0)
-    before, all_of = builder.block, builder.and_((since >= -CLOCK_SLACK).bits(), among)
-    with builder.if_then(is_nonzero(builder, all_of)):
-        is_single, is_none, t, x = _emit_turns(builder, series, step, load(row.V), all_of)
-        # recording may begin within the step
-        is_turn = is_single & (t >= (event_clock - (cycle_0 + tau_0)) * period)
-        store(row.TURN_TIME, start + t)
-        store(row.TURN_X, x)
-        turns = [builder.and_(mask.bits(), all_of) for mask in (is_turn, ~(is_single | is_none))]
-        inside = builder.block
+def _emit_passed(builder, lanes, coefficients, among):
+    """Emit `find_passed`; returns its packed masks."""
+    step, period, event_clock = lanes["step"], lanes["period"], lanes["event_clock"]
+    cycle_0, tau_0, cycle = lanes["cycle_0"], lanes["tau_0"], lanes["cycle"]
+    start = lanes["t_start"] + (cycle_0 + (tau_0 - lanes["tau_start"])) * period
+    lanes["start_time"] = start
+    is_section = (cycle > cycle_0) & (cycle - lanes["record_clock"] >= -CLOCK_SLACK)
+    _emit_section(builder, lanes, coefficients, is_section, among)
+    since = cycle + lanes["tau"] - event_clock
+    has_passed = step < step
+    for side in lanes.rows("side"):
+        has_passed = has_passed | (absolute(side) > 0.0)
     packed = ir.Constant(I64, 0)
-    for k, found in enumerate(turns):
-        bits = builder.phi(I64)
-        bits.add_incoming(ir.Constant(I64, 0), before)
-        bits.add_incoming(found, inside)
-        turns[k] = bits
-    passed = [builder.and_(mask.bits(), among) for mask in (is_section, has_passed)]
-    for k, bits in enumerate(turns + passed):
-        packed = builder.or_(packed, builder.shl(bits, ir.Constant(I64, k * row.WIDTH)))
+    masks = is_section, has_passed & (since >= 0.0), since >= -CLOCK_SLACK
+    for k, mask in enumerate(masks):
+        bits = builder.and_(mask.bits(), among)
+        packed = builder.or_(packed, builder.shl(bits, ir.Constant(I64, k * lanes.layout.width)))
     return packed
 
 
+def _pointers(context, builder, signature, args):
+    """Where the arrays `lanes` and `coefficients` begin."""
+    return [
+        context.make_array(t)(context, builder, a).data
+        for t, a in zip(signature.args[1:3], args[1:3], strict=True)
+    ]
+
+
 @intrinsic
-def find_events(typingctx, lanes, coefficients, order, among):
-    """What happened within the last step of the lanes in `among`, for all lanes at once.
+def find_passed(typingctx, at, lanes, coefficients, among):
+    """What was passed within the last step of the lanes in `among`, for all lanes at once.
 
     Parameters
     ----------
-    lanes, coefficients, order
+    at, lanes, coefficients
         As `taylor_step`, after it; the lanes whose crossing was unclear are at their end too.
-        The rows from `START_TIME` on receive times and places.
+        `start_time` and what begins with `section` are set.
     among : int64
         The lanes that record, one bit each.
 
     Returns
     -------
     int64
-        Four masks of WIDTH bits, lowest first: lanes with a single zero of the velocity; lanes
-        whose zeros need `isolate`; lanes with a section point; lanes that ended on a wall.
+        Three masks of `at.width` bits, lowest first: lanes with a section point; lanes that ended
+        on a wall; lanes that record all events.
     """
-    signature = types.int64(lanes, coefficients, order, types.int64)
-    n_order = len(order)
+    signature = types.int64(at, lanes, coefficients, types.int64)
 
     def codegen(context, builder, signature, args):
-        pointers = [
-            context.make_array(t)(context, builder, a).data
-            for t, a in zip(signature.args[:2], args[:2], strict=True)
+        arrays = [
+            Lanes(builder, p, at.layout) for p in _pointers(context, builder, signature, args)
         ]
-        return _emit_events(builder, *pointers, n_order, args[3])
+        return _emit_passed(builder, *arrays, args[3])
+
+    return signature, codegen
+
+
+@intrinsic
+def find_turns(typingctx, at, lanes, coefficients, coordinate, among):
+    """Zeros of the velocity of a coordinate within the last step of the lanes in `among`.
+
+    Parameters
+    ----------
+    at, lanes, coefficients, among
+        As `find_passed`, after it. `turn_time` and `turn_x` are set.
+    coordinate : int64
+
+    Returns
+    -------
+    int64
+        Two masks of `at.width` bits, lowest first: lanes with a single zero; lanes whose zeros need
+        `isolate`.
+    """
+    layout = at.layout
+    signature = types.int64(at, lanes, coefficients, types.int64, types.int64)
+
+    def codegen(context, builder, signature, args):
+        state, series = (
+            Lanes(builder, p, layout) for p in _pointers(context, builder, signature, args)
+        )
+        _, _, _, coordinate, among = args
+        terms = series.below(coordinate, layout.n_terms)
+        v_1 = state.below(coordinate, 1)[layout.v]
+        x = [terms[n] for n in range(layout.n_terms)]
+        is_single, is_none, t, turn = _emit_turns(builder, x, state["step"], v_1, among)
+        # recording may begin within the step
+        begun = (state["event_clock"] - (state["cycle_0"] + state["tau_0"])) * state["period"]
+        state["turn_time"], state["turn_x"] = state["start_time"] + t, turn
+        single, unclear = is_single & (t >= begun), ~(is_single | is_none)
+        masks = [builder.and_(mask.bits(), among) for mask in (single, unclear)]
+        return builder.or_(masks[0], builder.shl(masks[1], ir.Constant(I64, layout.width)))
 
     return signature, codegen
 
 
 @internal
-def record_steps(lanes, among, coefficients, order, lane_point, log, dense, fill, work):
-    """Record the last step of the lanes in the bits `among`, from their clocks on."""
-    events = find_events(lanes, coefficients, order, among)
-    turns = events & row.ALL_LANES
-    unclear = (events >> row.WIDTH) & row.ALL_LANES
-    sections = (events >> 2 * row.WIDTH) & row.ALL_LANES
-    contacts = (events >> 3 * row.WIDTH) & row.ALL_LANES
+def _record_turns(at, among, run, coordinate):
+    events = find_turns(at, run.lanes, run.coefficients, coordinate, among)
+    turns = events & at.all_lanes
+    unclear = (events >> at.width) & at.all_lanes
     while turns != 0:
         k = lowest_bit(turns)
         turns &= turns - 1
-        kind = MAXIMUM if coefficients[1, k] > 0.0 else MINIMUM
-        t, x = lanes[row.TURN_TIME, k], lanes[row.TURN_X, k]
-        _write(log, fill, lane_point[k], kind, t, x, 0.0)
+        slope = run.coefficients[coordinate * at.n_terms + 1, k]
+        t, x = run.lanes[at.turn_time, k], run.lanes[at.turn_x, k]
+        _write_turn(run, run.lane_point[k], MAXIMUM if slope > 0.0 else MINIMUM, t, coordinate, x)
     while unclear != 0:
         k = lowest_bit(unclear)
         unclear &= unclear - 1
-        load_series(coefficients, 0, k, work.series)
-        _record_extrema(lanes, k, lane_point[k], log, fill, work)
+        _record_extrema(at, run, k, coordinate)
+
+
+@internal
+def record_steps(at, among, run):
+    """Record the last step of the lanes in the bits `among`, from their clocks on."""
+    passed = find_passed(at, run.lanes, run.coefficients, among)
+    sections = passed & at.all_lanes
+    contacts = (passed >> at.width) & at.all_lanes
+    all_events = (passed >> 2 * at.width) & at.all_lanes
+    if all_events != 0:
+        for coordinate in range(at.n):
+            _record_turns(at, all_events, run, coordinate)
     while sections != 0:
         k = lowest_bit(sections)
         sections &= sections - 1
-        t, x, v = lanes[row.SECTION_TIME, k], lanes[row.SECTION_X, k], lanes[row.SECTION_V, k]
-        _write(log, fill, lane_point[k], SECTION, t, x, v)
+        _write_state(at, run, k, SECTION, run.lanes[at.section_time, k], 0, at.section)
     while contacts != 0:
         k = lowest_bit(contacts)
         contacts &= contacts - 1
-        _record_contact(lanes, k, lane_point[k], log, fill)
-    if len(dense) > 0:
-        while among != 0:
-            k = lowest_bit(among)
-            among &= among - 1
-            clock = lanes[row.CYCLE, k] + lanes[row.TAU, k] - lanes[row.EVENT_CLOCK, k]
-            if clock >= -CLOCK_SLACK:
-                _record_dense(lanes, k, coefficients, lane_point[k], dense, fill)
+        for contact in range(at.contacts):
+            if run.lanes[at.side + contact, k] != 0.0:
+                _record_contact(at, run, k, contact)
+    if len(run.dense) > 0:
+        while all_events != 0:
+            k = lowest_bit(all_events)
+            all_events &= all_events - 1
+            _record_dense(at, run, k)

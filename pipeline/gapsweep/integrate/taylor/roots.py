@@ -3,7 +3,7 @@
 A polynomial in Bernstein form on an interval has at most as many roots there as its coefficients
 have sign changes, and exactly one if they change once. Intervals with more changes are halved
 (de Casteljau) until that decides, leftmost first. Only single lanes come here: those whose crossing
-`taylor_ir`, or whose extrema `record`, could not decide for all lanes at once.
+`step`, or whose extrema `record`, could not decide for all lanes at once.
 """
 
 import math
@@ -37,9 +37,10 @@ class Work(NamedTuple):
     ends: np.ndarray  # of the same intervals, as parts of the step
     roots: np.ndarray
     multiplicity: np.ndarray
+    exits: np.ndarray  # shape (n_contacts, 2): when and over which end each leaves its mode
 
 
-def work_space(degree: int) -> Work:
+def work_space(degree: int, n_contacts: int) -> Work:
     """Work space for polynomials up to `degree`."""
     n, depth = degree + 1, MAX_DEPTH + 3
     return Work(
@@ -49,6 +50,7 @@ def work_space(degree: int) -> Work:
         np.empty((depth, 2)),
         np.empty(n),
         np.empty(n, np.int64),
+        np.empty((n_contacts, 2)),
     )
 
 

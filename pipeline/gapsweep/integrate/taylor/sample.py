@@ -9,7 +9,7 @@ from .roots import polynomial
 
 
 @entry
-def sample_steps(steps, first, last, times):
+def sample_steps(at, steps, first, last, times):
     """Evaluate recorded steps.
 
     Parameters
@@ -20,16 +20,16 @@ def sample_steps(steps, first, last, times):
         Rows of each point.
     times : array, shape (n_points, n_t)
         Times [s], in any order.
+    at : Layout
 
     Returns
     -------
-    x, v : ndarray, shape (n_points, n_t)
-        Displacement [m] and velocity [m/s].
+    states : ndarray, shape (n_states, n_points, n_t)
+        (q, v, z).
     outside : int
         A point asked for a time outside its recorded part (beyond a rounding of the clock), or -1.
     """
-    x, v = np.empty(times.shape), np.empty(times.shape)
-    degree = steps.shape[1] - DENSE_HEAD - 1
+    states = np.empty((at.n_states, *times.shape))
     outside = -1
     for p in range(len(times)):
         starts = steps[first[p] : last[p], 1]
@@ -43,5 +43,11 @@ def sample_steps(steps, first, last, times):
             slack = 1e-9 * step[2] + 4e-16 * abs(times[p, i])
             if not -slack <= t <= step[2] + slack:
                 outside = p
-            x[p, i], v[p, i] = polynomial(step[DENSE_HEAD:], degree, t)
-    return x, v, outside
+            for c in range(at.n + at.m):
+                series = step[DENSE_HEAD + c * at.n_terms :]
+                value, slope = polynomial(series, at.order, t)
+                if c < at.n:
+                    states[c, p, i], states[at.n + c, p, i] = value, slope
+                else:
+                    states[at.n + c, p, i] = value
+    return states, outside

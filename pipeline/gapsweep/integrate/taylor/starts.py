@@ -10,8 +10,6 @@ import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
 
-from . import lane_rows as row
-
 # The absolute part of a step's tolerance never exceeds rtol times this part of the motion's
 # natural size: a step at high order costs so little more that a generous atol buys nothing, and
 # would only spoil motions much smaller than a metre. It is never zero in motion, so that a
@@ -22,31 +20,34 @@ _CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
 
 
 @entry
-def set_starts(points, table, which, x_0, v_0, t_0, t_end, record_from, section_only, rtol, atol):
+def set_starts(at, points, table, which, start, t_0, t_end, record_from, section_only, rtol, atol):
     """Copy rows of a table of scenes and put starts and ends into the copies.
 
     Parameters
     ----------
-    points : array, shape (n + 1, N_ROWS)
+    at : Layout
+    points : array, shape (n + 1, n_rows)
         Receives the points, and the table's last row, the idle point, as its last one.
-    table : array, shape (n_scenes + 1, N_ROWS)
+    table : array, shape (n_scenes + 1, n_rows)
         Rows of `exact.Scenes`.
     which : int array, shape (n,)
         Number of the scene of each point.
-    x_0, v_0, t_0, t_end, record_from : arrays, shape (n,)
+    start : array, shape (n, n_states)
+        States (q, v, z).
+    t_0, t_end, record_from : arrays, shape (n,)
     section_only : bool
         As in `exact.run`.
 
     Returns
     -------
     int
-        READY; ON_WALL: points start on a wall, their `MODE` is left to the caller; NOT_FINITE or
-        BACKWARD: a value is not a number, or an end lies before its start.
+        READY; ON_WALL: points start on a wall, their modes there are left to the caller; NOT_FINITE
+        or BACKWARD: a value is not a number, or an end lies before its start.
     """
     points[-1] = table[-1]
     outcome = READY
     for i in range(len(which)):
-        if not (isfinite(x_0[i]) and isfinite(v_0[i]) and isfinite(t_0[i]) and isfinite(t_end[i])):
+        if not (isfinite(t_0[i]) and isfinite(t_end[i])):
             return NOT_FINITE
         if math.isnan(record_from[i]):
             return NOT_FINITE
@@ -54,25 +55,73 @@ def set_starts(points, table, which, x_0, v_0, t_0, t_end, record_from, section_
             return BACKWARD
         point = points[i]
         point[:] = table[which[i]]
-        x, v = x_0[i], v_0[i]
-        point[row.X], point[row.V] = x, v
-        size = max(point[row.FLOOR], _swing(x, v, point))
-        floor = rtol * FLOOR_SHARE * size
-        floor = min(floor, atol) if atol > 0.0 else floor
-        point[row.FLOOR] = floor * math.sqrt(point[row.STIFFNESS])
-        _set_clocks(point, t_0[i], t_end[i], record_from[i])
-        point[row.EVENT_CLOCK] = np.inf if section_only else point[row.RECORD_CLOCK]
-        point[row.REACH] = abs(x)
-        if x == point[row.UPPER] or x == point[row.LOWER]:
+        for j in range(at.n_states):
+            if not isfinite(start[i, j]):
+                return NOT_FINITE
+            point[at.q + j] = start[i, j]
+        for j in range(at.n):
+            point[at.reach + j] = abs(start[i, j])
+        _set_floors(at, point, rtol, atol)
+        _set_clocks(at, point, t_0[i], t_end[i], record_from[i])
+        point[at.event_clock] = np.inf if section_only else point[at.record_clock]
+        if _set_modes(at, point):
             outcome = ON_WALL
-        point[row.MODE] = 1.0 if x > point[row.UPPER] else -1.0 if x < point[row.LOWER] else 0.0
     return outcome
 
 
 @internal
-def _swing(x, v, point):
-    """Displacement [m] that the free springs would carry the state to, as in `taylor_ir`."""
-    stiffness, cubic = point[row.STIFFNESS], abs(point[row.CUBIC])
+def _set_floors(at, point, rtol, atol):
+    """Absolute parts of the tolerances, from the size of the motion that is to be expected."""
+    if at.is_plain:
+        size = max(point[at.floor], _swing(at, point))
+        scale = math.sqrt(point[at.stiffness])
+    else:
+        # of speeds, in the norm of the masses
+        energy = _square_norm(at, point, at.mass_root, at.v)
+        energy += _square_norm(at, point, at.spring_root, at.q)
+        size = max(point[at.floor], math.sqrt(energy)) / point[at.slow]
+        scale = point[at.slow]
+    floor = rtol * FLOOR_SHARE * size
+    floor = min(floor, atol) if atol > 0.0 else floor
+    point[at.floor] = floor * scale
+    for i in range(at.m):
+        point[at.lag_floor + i] *= floor
+
+
+@internal
+def _square_norm(at, point, root, first):
+    """Square of the norm of n numbers from row `first` on, by a root of its matrix."""
+    total = 0.0
+    for i in range(at.n):
+        part = 0.0
+        for j in range(at.n):
+            part += point[root + i * at.n + j] * point[first + j]
+        total += part * part
+    return total
+
+
+@internal
+def _set_modes(at, point):
+    """Gaps and modes at the start; whether one is on a wall."""
+    is_on_wall = False
+    for contact in range(at.contacts):
+        gap = point[at.q]
+        if not at.is_plain:
+            gap = 0.0
+            for i in range(at.n):
+                gap += point[at.direction + contact * at.n + i] * point[at.q + i]
+            point[at.gap + contact] = gap
+        lower, upper = point[at.lower + contact], point[at.upper + contact]
+        is_on_wall = is_on_wall or gap == upper or gap == lower
+        point[at.mode + contact] = 1.0 if gap > upper else -1.0 if gap < lower else 0.0
+    return is_on_wall
+
+
+@internal
+def _swing(at, point):
+    """Displacement [m] that the free springs would carry the state to, as in `series`."""
+    x, v = point[at.q], point[at.v]
+    stiffness, cubic = point[at.stiffness], abs(point[at.cubic])
     energy = v * v + (stiffness + 0.5 * cubic * x * x) * x * x
     return math.sqrt(
         2.0 * energy / (stiffness + math.sqrt(stiffness * stiffness + 2.0 * cubic * energy))
@@ -80,10 +129,10 @@ def _swing(x, v, point):
 
 
 @internal
-def _set_clocks(point, t_0, t_end, record_from):
+def _set_clocks(at, point, t_0, t_end, record_from):
     # The product is rounded to a whole number if t_0 was meant as one: its rounding and that of
     # t_0 are of one size. Everything later counts from the start, so nothing else is lost.
-    omega = point[row.OMEGA]
+    omega = point[at.omega]
     start, stop = t_0 * omega, t_end * omega
     tau = start - np.floor(start)
     end = tau + (t_end - t_0) * omega
@@ -94,8 +143,8 @@ def _set_clocks(point, t_0, t_end, record_from):
     whole = np.rint(end)
     if whole > 0.0 and abs(end - whole) <= _CLOCK_ROUNDING * (1.0 + end):
         end = whole
-    point[row.TAU] = point[row.TAU_START] = tau
-    point[row.T_START] = t_0
-    point[row.END_CYCLE] = np.floor(end)
-    point[row.END_TAU] = end - np.floor(end)
-    point[row.RECORD_CLOCK] = tau + (record_from - t_0) * omega
+    point[at.tau] = point[at.tau_start] = tau
+    point[at.t_start] = t_0
+    point[at.end_cycle] = np.floor(end)
+    point[at.end_tau] = end - np.floor(end)
+    point[at.record_clock] = tau + (record_from - t_0) * omega

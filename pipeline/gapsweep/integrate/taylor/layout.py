@@ -1,0 +1,204 @@
+"""Layout of the lane-major arrays that the stepping code shares.
+
+``lanes`` has one row per quantity and one column per lane, so that a row is one vector load. How
+many rows there are depends on the system: a `Layout` names them. It is a compile-time value: its
+numbers are part of its numba type, so that the kernel is compiled once for every size of system,
+and a row's number is a constant in its code.
+
+Clocks count forcing periods: a time is the pair (whole periods since the start of the point's
+first period, fraction of a period in [0, 1)). The fraction *is* the forcing phase, hence time and
+phase cannot drift apart however long the run.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from itertools import accumulate
+
+from numba import types
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import (
+    NativeValue,
+    lower_getattr_generic,
+    models,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+
+# Lanes that advance together. A multiple of every vector length in use (2, 4, 8 doubles); the
+# compiler cuts the wide values into registers, whose independent chains hide each other's
+# latency. At most 16: four masks of as many bits are packed into one 64-bit answer.
+WIDTH = 16
+
+# Names of the blocks of rows and, by the counts of a `Layout`, how many rows each has.
+_ONE = (
+    # the clock, and the last step: its length, and where it began
+    *("tau", "cycle", "step", "tau_0", "cycle_0"),
+    # phase and time [s] of the point's own start, and its end
+    *("tau_start", "t_start", "end_cycle", "end_tau"),
+    *("omega", "omega_rad", "period"),
+    # section points are recorded from this clock (whole periods + fraction) on, all events from
+    # another
+    *("record_clock", "event_clock"),
+    "floor",  # absolute part of the step's tolerance [m/s]
+    "rate",  # fastest angular frequency of the linear parts [rad/s]
+    "min_step",  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
+    *("n_steps", "n_contacts", "n_short"),
+    # what the recording of the last step found: when it began [s], zero of a velocity, section
+    *("start_time", "turn_time", "turn_x", "section_time"),
+)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes of a system, and the first row of everything that is kept of a point.
+
+    Attributes
+    ----------
+    n : int
+        Coordinates q.
+    m : int
+        First-order states z.
+    contacts, cubics, harmonics, modulations : int
+        Contacts, cubic springs, harmonics of the forcing (a constant load is one), and of the
+        contacts' stiffness.
+    is_plain : bool
+        Whether it is an oscillator: one coordinate, which one contact and one cubic spring act on.
+    in_step : bool
+        Whether the only harmonic has the frequency and the phase of the clock.
+    order : int
+        Degree of the Taylor polynomial.
+    tangent : int
+        1 if the variational equation is integrated along, else 0.
+    width : int
+        Lanes.
+    """
+
+    n: int = 1
+    m: int = 0
+    contacts: int = 1
+    cubics: int = 1
+    harmonics: int = 1
+    modulations: int = 0
+    is_plain: bool = True
+    in_step: bool = True
+    order: int = 12
+    tangent: int = 0
+    width: int = WIDTH
+
+    @property
+    def n_states(self) -> int:
+        """Length of a state (q, v, z)."""
+        return 2 * self.n + self.m
+
+    @property
+    def bare(self) -> "Layout":
+        """The same rows, whatever the method does with them: less is compiled for it."""
+        return replace(self, order=0, tangent=0, width=0)
+
+    @property
+    def all_lanes(self) -> int:
+        """All lanes as a mask."""
+        return (1 << self.width) - 1
+
+    @property
+    def n_terms(self) -> int:
+        """Coefficients of one series."""
+        return self.order + 1
+
+    @property
+    def n_series(self) -> int:
+        """Series of a step that are kept: of q and z, then of the contacts' gaps."""
+        return 1 if self.is_plain else self.n + self.m + self.contacts
+
+    @property
+    def first_gap(self) -> int:
+        """Number of the first contact's series; of a plain oscillator, that of the coordinate."""
+        return 0 if self.is_plain else self.n + self.m
+
+    @cached_property
+    def blocks(self) -> dict[str, int]:
+        """Number of rows of every block."""
+        n, m, k, c = self.n, self.m, self.contacts, self.cubics
+        h, s = self.harmonics, self.modulations
+        several = not self.is_plain
+        return dict.fromkeys(_ONE, 1) | {
+            # state, and the largest |q| at the ends of steps
+            **{"q": n, "v": n, "z": m, "reach": n},
+            # solutions of the variational equation, one after the other, from unit states
+            "tangent_state": self.n_states**2,
+            # contacts: mode (+1 upper wall, -1 lower, 0 none) now and before the last step, wall
+            # that step ended on (+1, -1, 0 none), present position in the gap several, walls
+            # -j_1 and j_2 [m], stiffness K_c, and K_c b'M^-1 b [1/s^2]
+            **{"mode": k, "mode_0": k, "side": k, "gap": k * several},
+            **{"lower": k, "upper": k, "contact": k, "coupling": k * several},
+            # q'' = push cos(..) - damping v - stiffness q - lag_force z - cubic's and contacts'
+            # pull, all per unit mass (multiplied by M^-1); z' = of_speed v + of_place q + of_lag z
+            **{"stiffness": n * n, "damping": n * n, "lag_force": n * m},
+            **{"of_speed": m * n, "of_place": m * n, "of_lag": m * m},
+            # cubic springs: alpha M^-1 a, a, and for n > 1 alpha, a'M^-1 a, 1 / (a'K^-1 a)
+            **{"cubic": n * c, "along": c * n * several},
+            **{"alpha": c * several, "softness": c * several, "holding": c * several},
+            **{"pull": n * k * several, "direction": k * n * several},
+            # forcing: amplitudes, multiples of the frequency, phases in periods
+            **{"push": h * n, "multiple": h * (not self.in_step), "phase": h * (not self.in_step)},
+            **{"depth": k * s, "depth_multiple": s, "depth_phase": s},
+            # what steps are measured by: roots of the matrices of masses and springs, square of
+            # the fastest rate [1/s^2] and rate of decay [1/s] of the linear parts, speed of a metre
+            # [1/s], sizes of lags beside a metre
+            **{"mass_root": n * n * several, "spring_root": n * n * several},
+            **{"fastest": 1 * several, "decay": 1 * several, "slow": 1 * several, "lag_floor": m},
+            "section": self.n_states,
+        }
+
+    @cached_property
+    def first(self) -> dict[str, int]:
+        """First row of every block."""
+        return dict(zip(self.blocks, accumulate(self.blocks.values(), initial=0), strict=False))
+
+    @cached_property
+    def n_rows(self) -> int:
+        return sum(self.blocks.values())
+
+    def __getattr__(self, name: str) -> int:
+        """First row of a block."""
+        if name.startswith("_") or name not in self.blocks:
+            raise AttributeError(name)
+        return self.first[name]
+
+
+class LayoutType(types.Opaque):
+    """numba's type of one layout: its numbers are constants of the code."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        super().__init__(repr(layout))
+
+
+register_model(LayoutType)(models.OpaqueModel)
+
+
+_typed = cache(LayoutType)  # every call from Python asks
+
+
+@typeof_impl.register(Layout)
+def _typeof(layout, context):
+    return _typed(layout)
+
+
+@unbox(LayoutType)
+def _unbox(typ, value, c):
+    return NativeValue(c.context.get_dummy_value())
+
+
+@infer_getattr
+class _Numbers(AttributeTemplate):
+    key = LayoutType
+
+    def generic_resolve(self, typ, name):
+        return types.int64 if isinstance(getattr(typ.layout, name), int) else None
+
+
+@lower_getattr_generic(LayoutType)
+def _number(context, builder, typ, value, name):
+    return context.get_constant(types.int64, int(getattr(typ.layout, name)))

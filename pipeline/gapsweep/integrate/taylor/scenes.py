@@ -1,0 +1,220 @@
+"""Tables of what moves: a row for every scene, as the kernel reads it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .layout import Layout
+
+FloatArray = NDArray[np.float64]
+
+# Degree of the Taylor polynomial by relative tolerance: the cheapest measured on the benchmark
+# scenes. (smallest rtol it is used for, degree)
+ORDERS = ((2e-5, 8), (2e-8, 12), (2e-11, 16), (0.0, 20))
+# Shortest step that makes progress, in rad of the natural or forcing frequency: a stiffness of 1e9
+# N/m takes steps a million times longer, and a run of shorter ones would never end.
+MIN_STEP = 1e-10
+
+
+def order_for(rtol: float) -> int:
+    """Degree of the Taylor polynomial used at a relative tolerance."""
+    return next(order for smallest, order in ORDERS if rtol >= smallest)
+
+
+@dataclass(frozen=True, slots=True)
+class Scenes:
+    """Systems between walls as the kernel takes them: all of a point but its start and end.
+
+    Attributes
+    ----------
+    at : Layout
+    table : ndarray, shape (n + 1, n_rows)
+        Rows as the kernel reads them, the idle point last. ``at.floor`` holds the size of the
+        motion that the forcing keeps up against all springs.
+    rtol, atol : float
+        As in `scenes`.
+    """
+
+    at: Layout
+    table: FloatArray
+    rtol: float
+    atol: float
+
+
+def scenes(
+    zeta: FloatArray,
+    omega_n: FloatArray,
+    mass: FloatArray,
+    alpha: FloatArray,
+    forcing: FloatArray,
+    K_c: FloatArray,
+    j_1: FloatArray,
+    j_2: FloatArray,
+    omega: FloatArray,
+    *,
+    rtol: float,
+    atol: float,
+) -> Scenes:
+    """Prepare oscillators; `run` then starts them as often as wanted.
+
+    Parameters
+    ----------
+    zeta, mass, alpha, forcing, K_c : ndarray, shape (n,)
+        Damping ratio [-], mass [kg], cubic stiffness [N/m^3], forcing [N], contact stiffness [N/m].
+    omega_n, omega : ndarray, shape (n,)
+        Natural and forcing frequency [Hz], both > 0.
+    j_1, j_2 : ndarray, shape (n,)
+        Distances of the walls from the origin [m], >= 0; infinity: no wall.
+    rtol, atol : float
+        A step's error in velocity is kept below about `rtol` times the speed that the state's
+        energy amounts to, in the gap or beside the wall, whichever springs hold it; that of a
+        disturbance below a part of `rtol` of its own size. `atol` [m] can only tighten: it is
+        limited to ``1e-3 * rtol`` of the motion's natural size.
+    """
+    check_tolerances(rtol, atol)
+    check(zeta=zeta, omega_n=omega_n, mass=mass, alpha=alpha, forcing=forcing, omega=omega)
+    check(K_c=K_c, j_1=j_1, j_2=j_2)
+    n_rad = 2 * np.pi * omega_n
+    at = Layout(order=order_for(rtol))
+    points, table = empty_table(at, len(zeta))
+    table[at.stiffness], table[at.damping] = n_rad**2, 2 * zeta * n_rad
+    table[at.cubic], table[at.push], table[at.contact] = alpha / mass, forcing / mass, K_c / mass
+    table[at.lower], table[at.upper] = -j_1, j_2
+    set_clock(at, table, omega)
+    table[at.floor] = _forced_size(at, table, np.minimum(j_1, j_2))
+    table[at.rate] = np.sqrt(n_rad**2 + K_c / mass) + table[at.omega_rad]
+    table[at.min_step] = MIN_STEP / np.maximum(n_rad, table[at.omega_rad])
+    return Scenes(at, points, rtol, atol)
+
+
+def check_tolerances(rtol: float, atol: float) -> None:
+    """Refuse tolerances that no step can meet."""
+    if not 1e-14 <= rtol <= 1e-1:
+        raise ValueError(f"rtol = {rtol}: must lie in [1e-14, 0.1]")
+    if not 0.0 <= atol < np.inf:
+        raise ValueError(f"atol = {atol}: must be finite and >= 0")
+
+
+def empty_table(at: Layout, n: int) -> tuple[FloatArray, FloatArray]:
+    """A table of n scenes and the idle point; the same without that, as columns."""
+    points = np.zeros((n + 1, at.n_rows))
+    table = points[:-1].T
+    for i in range(at.n_states):
+        table[at.tangent_state + i * (at.n_states + 1)] = 1.0
+    _set_idle(at, points[-1])
+    return points, table
+
+
+def set_clock(at: Layout, table: FloatArray, omega: FloatArray) -> None:
+    """Forcing frequency [Hz] of every column."""
+    table[at.omega], table[at.omega_rad], table[at.period] = omega, 2 * np.pi * omega, 1.0 / omega
+
+
+_POSITIVE = ("omega_n", "mass", "omega")
+_NOT_NEGATIVE = ("zeta", "K_c", "j_1", "j_2")
+_MAY_BE_INFINITE = ("j_1", "j_2", "record_from")
+
+
+def check(**values: FloatArray) -> None:
+    """Refuse what would make the kernel's arithmetic meaningless; names the offending value."""
+    for name, array in values.items():
+        is_bad = np.isnan(array) if name in _MAY_BE_INFINITE else ~np.isfinite(array)
+        rule = "a number" if name in _MAY_BE_INFINITE else "finite"
+        if name in _POSITIVE:
+            is_bad, rule = is_bad | (array <= 0), "finite and > 0"
+        elif name in _NOT_NEGATIVE:
+            is_bad, rule = is_bad | (array < 0), rule + " and >= 0"
+        if is_bad.any():
+            raise ValueError(f"{name} = {array[is_bad][0]}: must be {rule}")
+
+
+def _forced_size(at: Layout, table: FloatArray, to_wall: FloatArray) -> FloatArray:
+    """Displacement [m] that the forcing keeps up against the springs, and the wall if it is met."""
+    push = np.abs(table[at.push])
+    cubic = np.cbrt(np.abs(table[at.cubic]) * push**2)
+    springs = table[at.stiffness] + cubic + table[at.omega_rad] ** 2
+    free = push / springs
+    beyond = np.maximum(free - to_wall, 0.0)
+    return free - beyond * (table[at.contact] / (springs + table[at.contact]))
+
+
+def set_modes_on_walls(at: Layout, points: FloatArray) -> None:
+    """Contact modes of points that start on a wall.
+
+    The first derivative of the gap that is not zero decides, up to the fourth. None depends on that
+    contact's mode as long as the lower ones are zero.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, n_rows)
+        Changed in place.
+    """
+    first = at.q if at.is_plain else at.gap
+    for contact in range(at.contacts):
+        gap, mode = points[:, first + contact], points[:, at.mode + contact]
+        is_high = gap == points[:, at.upper + contact]
+        is_low = gap == points[:, at.lower + contact]
+        here = np.flatnonzero(is_high | is_low)
+        heading = np.zeros(len(here))
+        for slope in _slopes(at, points[here], contact):
+            heading = np.where(heading == 0.0, np.sign(slope), heading)
+        mode[here] = (is_high[here] & (heading > 0.0)) * 1.0 - (is_low[here] & (heading < 0.0))
+
+
+def _slopes(at: Layout, points: FloatArray, contact: int) -> list[FloatArray]:
+    """First to fourth derivative of a contact's gap, each right where the lower ones are zero."""
+
+    def matrix(name: str, *shape: int) -> FloatArray:
+        block = slice(at.first[name], at.first[name] + at.blocks[name])
+        return points[:, block].reshape(len(points), *shape)
+
+    n, k, c = at.n, at.contacts, at.cubics
+    place, speed, lags = matrix("q", n), matrix("v", n), matrix("z", at.m)
+    stiffness, damping = matrix("stiffness", n, n), matrix("damping", n, n)
+    along = np.ones((len(points), c, n)) if at.is_plain else matrix("along", c, n)
+    force = -np.einsum("pij,pj->pi", matrix("cubic", n, c), _along(along, place) ** 3)
+    force -= np.einsum("pij,pj->pi", matrix("lag_force", n, at.m), lags)
+    direction = np.ones((len(points), n)) if at.is_plain else matrix("direction", k, n)[:, contact]
+    if not at.is_plain:  # the other contacts
+        mode, gap = matrix("mode", k), matrix("gap", k)
+        wall = np.where(mode > 0.0, matrix("upper", k), matrix("lower", k))
+        push = np.where(mode != 0.0, matrix("contact", k) * (gap - wall), 0.0)
+        force -= np.einsum("pij,pj->pi", matrix("pull", n, k), push)
+    derivatives = [place, speed]
+    with np.errstate(over="ignore", invalid="ignore"):  # such a start diverges in the kernel
+        for order in range(3):
+            push = np.zeros_like(place) if order else force
+            for h in range(at.harmonics):
+                multiple = 1.0 if at.in_step else points[:, at.multiple + h]
+                phase = 0.0 if at.in_step else points[:, at.phase + h]
+                cosine, sine = _cos_sin_of_period(multiple * points[:, at.tau] + phase)
+                rate = (multiple * points[:, at.omega_rad]) ** order
+                factor = rate * (cosine, -sine, -cosine)[order]
+                push = push + factor[:, None] * matrix("push", at.harmonics, n)[:, h]
+            push = push - np.einsum("pij,pj->pi", damping, derivatives[-1])
+            derivatives.append(push - np.einsum("pij,pj->pi", stiffness, derivatives[-2]))
+    return [_along(direction[:, None], each)[:, 0] for each in derivatives[1:]]
+
+
+def _along(directions: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Projections, shape (n, k), of vectors, shape (n, m), on directions, shape (n, k, m)."""
+    return np.asarray(np.einsum("pij,pj->pi", directions, vectors))
+
+
+def _cos_sin_of_period(tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """cos and sin of 2 pi tau, exactly 0 or 1 at quarter periods as in the kernel."""
+    quarter = np.rint(4 * tau)
+    angle = (4 * tau - quarter) * (np.pi / 2)
+    z = np.exp(1j * angle) * np.array([1, 1j, -1, -1j])[quarter.astype(int) % 4]
+    return z.real, z.imag
+
+
+def _set_idle(at: Layout, point: FloatArray) -> None:
+    """Rest without forcing, walls or end: what a lane does when no point waits for it."""
+    point[[at.omega, at.period, at.floor, at.rate]] = 1.0
+    point[at.lower : at.lower + at.contacts] = -1.0
+    point[at.upper : at.upper + at.contacts] = 1.0
+    if not at.is_plain:
+        point[at.slow] = 1.0
+    point[[at.end_cycle, at.record_clock, at.event_clock]] = np.inf

@@ -1,0 +1,533 @@
+"""Taylor series of a motion within its contact modes, and how long a step they carry.
+
+Inside a mode the equation is polynomial, so the coefficients of q(t) follow from short
+convolutions and from the series of the forcing [1]_::
+
+    q'' = push(t) - C q' - K q - D z - sum cubic (a.q)^3 - sum pull K_c s(t) (b.q - wall)
+    z'  = E q' + G q + H z
+
+with all matrices per unit mass, and s(t) the periodic part of a contact's stiffness. Everything
+here emits code for all lanes (`lane_ir`); sums over coordinates and degrees are unrolled.
+
+References
+----------
+.. [1] A. Jorba, M. Zou, "A software package for the numerical integration of ODEs by means of
+   high-order Taylor methods", Experimental Mathematics 14 (2005) 99-117.
+"""
+
+import math
+from functools import reduce
+
+from llvmlite import ir
+
+from .lane_ir import (
+    I64,
+    absolute,
+    fma,
+    load_row,
+    maximum,
+    minimum,
+    nearest_integer,
+    rough_exp2,
+    rough_log2,
+    round_down,
+    store_row,
+    where,
+)
+
+# The step size comes from terms that the step still contains, h^N and h^(N-1). With this factor
+# the energy of a free swing is kept to some 20 rtol over 50 cycles, whatever the spring.
+SAFETY = 0.5
+_STEPS_PER_PERIOD = 8192  # at a stiff wall: over so many the tangent's errors come to about rtol
+_POLE = 1.854  # K(1/2), complete elliptic integral: of the stiffest, purely cubic swing
+
+
+class Lanes:
+    """The rows of all lanes, by number or name; reads and writes are emitted where they stand."""
+
+    def __init__(self, builder, pointer, layout):
+        self.builder, self.pointer, self.layout = builder, pointer, layout
+
+    def _number(self, row):
+        return self.layout.first[row] if isinstance(row, str) else row
+
+    def __getitem__(self, row):
+        return load_row(self.builder, self.pointer, self._number(row), self.layout.width)
+
+    def __setitem__(self, row, vec):
+        store_row(self.pointer, self._number(row), vec)
+
+    def below(self, group, n_rows):
+        """The rows from the first one of a group of rows on, the group known at run time."""
+        first = self.builder.mul(group, ir.Constant(I64, n_rows * self.layout.width))
+        return Lanes(self.builder, self.builder.gep(self.pointer, [first]), self.layout)
+
+    def rows(self, block):
+        """All rows of a block."""
+        first = self.layout.first[block]
+        return [self[first + i] for i in range(self.layout.blocks[block])]
+
+    def matrix(self, block, n_rows):
+        """The rows of a block as those of a matrix."""
+        rows = self.rows(block)
+        n = len(rows) // max(n_rows, 1)
+        return [rows[i * n : (i + 1) * n] for i in range(n_rows)]
+
+
+def dot(factors, values, total):
+    """Sum of products, added to `total`."""
+    for a, b in zip(factors, values, strict=True):
+        total = fma(a, b, total)
+    return total
+
+
+def _sin_cos_of_period(tau):
+    """cos and sin of 2 pi tau for tau in [0, 1], absolute error of a rounding."""
+    quarter = nearest_integer(tau * 4.0)
+    angle = (tau * 4.0 - quarter) * (math.pi / 2)  # within pi/4
+    square = angle * angle
+    sine = square.constant((-1) ** 7 / math.factorial(15))
+    cosine = square.constant((-1) ** 8 / math.factorial(16))
+    for k in range(6, -1, -1):
+        sine = fma(sine, square, (-1.0) ** k / math.factorial(2 * k + 1))
+    for k in range(7, -1, -1):
+        cosine = fma(cosine, square, (-1.0) ** k / math.factorial(2 * k))
+    sine = sine * angle
+    is_odd = quarter.equals(1.0) | quarter.equals(3.0)
+    c, s = where(is_odd, sine, cosine), where(is_odd, cosine, sine)
+    c = where(quarter.equals(1.0) | quarter.equals(2.0), -c, c)
+    s = where(quarter.equals(2.0) | quarter.equals(3.0), -s, s)
+    return c, s
+
+
+def _harmonic(amplitudes, rate, turn, n_terms):
+    """Series of ``amplitude * cos(2 pi turn + rate * t)`` for each amplitude.
+
+    Parameters
+    ----------
+    rate : Vec
+        [rad/s].
+    turn : Vec
+        Phase in periods, in [0, 1].
+    """
+    c, s = _sin_cos_of_period(turn)
+    minus_square = -(rate * rate)
+    series = [[a * c, -(a * rate * s)] for a in amplitudes]
+    for terms in series:
+        for n in range(n_terms - 2):
+            terms.append(terms[n] * (minus_square * (1.0 / ((n + 1) * (n + 2)))))
+    return series
+
+
+def _harmonics(lanes, amplitudes, names, n_terms):
+    """Sum over harmonics of `_harmonic`; nothing where there is none.
+
+    Parameters
+    ----------
+    amplitudes : list of list of Vec
+        Of each harmonic.
+    names : (str, str)
+        Blocks of the multiples and phases; empty ones: the clock's own.
+    """
+    omega_rad, tau, total = lanes["omega_rad"], lanes["tau"], []
+    multiples, phases = map(lanes.rows, names)
+    for i, given in enumerate(amplitudes):
+        rate, turn = omega_rad, tau
+        if multiples:
+            rate, turn = omega_rad * multiples[i], fma(multiples[i], tau, phases[i])
+            turn = turn - round_down(turn)
+        new = _harmonic(given, rate, turn, n_terms)
+        total = (
+            [[a + b for a, b in zip(*pair, strict=True)] for pair in zip(total, new, strict=True)]
+            if total
+            else new
+        )
+    return total
+
+
+def square_term(x, n):
+    """Coefficient n of x^2. The newest coefficient comes last: the sum waits for it alone."""
+    if n == 0:
+        return x[0] * x[0]
+    total = None
+    for i in range((n - 1) // 2, 0, -1):
+        total = x[i] * x[n - i] if total is None else fma(x[i], x[n - i], total)
+    total = x[0] * x[n] if total is None else fma(x[0], x[n], total)
+    total = total * 2.0
+    return total if n % 2 else fma(x[n // 2], x[n // 2], total)
+
+
+def product_term(a, b, n):
+    """Coefficient n of a*b, newest factors last."""
+    if n == 0:
+        return a[0] * b[0]
+    total = None
+    for i in range(1, n):
+        total = a[i] * b[n - i] if total is None else fma(a[i], b[n - i], total)
+    total = a[0] * b[n] if total is None else fma(a[0], b[n], total)
+    return fma(a[n], b[0], total)
+
+
+class Modes:
+    """Contact modes at the start of a step: lists with an entry for every contact.
+
+    Attributes
+    ----------
+    above, below, touching : list of Mask
+    wall : list of Vec
+        The wall that is touched; 0 if none is: a wall at infinity is never touched.
+    lo, hi : list of Vec
+        The interval of the gap that the mode allows.
+    stiffness : list of Vec
+        K_c where there is contact, else 0.
+    """
+
+    def __init__(self, lanes):
+        names = ("above", "below", "touching", "wall", "lo", "hi", "stiffness")
+        self.above, self.below, self.touching, self.wall, self.lo, self.hi, self.stiffness = (
+            [] for _ in names
+        )
+        blocks = (lanes.rows(name) for name in ("mode", "lower", "upper", "contact"))
+        for mode, lower, upper, contact in zip(*blocks, strict=True):
+            above, below = mode > 0.0, mode < 0.0
+            self.above.append(above)
+            self.below.append(below)
+            self.touching.append(above | below)
+            self.stiffness.append(where(above | below, contact, 0.0))
+            self.wall.append(where(above, upper, where(below, lower, 0.0)))
+            self.lo.append(where(above, upper, where(below, lower.constant(-math.inf), lower)))
+            self.hi.append(where(below, lower, where(above, upper.constant(math.inf), upper)))
+
+
+class Equation:
+    """The equation of motion in the present modes, per unit mass: lists of rows of matrices.
+
+    Attributes
+    ----------
+    stiffness, springs : list of list of Vec
+        Of the springs alone, and with the contacts that are touched.
+    damping : list of list of Vec
+    direction, along : list of list of Vec
+        Of the contacts and of the cubic springs; empty of a plain oscillator, where both are one.
+    pull : list of list of Vec
+        What a unit force of each contact does, by coordinate; empty of a plain oscillator.
+    others : list of list of Vec
+        Factors of the first-order states and of the cubes, by coordinate.
+    lags : list of list of Vec
+        Factors of speeds, coordinates and first-order states, by first-order state.
+    rates : list of list of Vec
+        Series of the contacts' stiffness where it is periodic, empty where it is constant.
+    """
+
+    def __init__(self, lanes, modes):
+        layout = lanes.layout
+        n, m = layout.n, layout.m
+        self.zero = lanes["tau"].constant(0.0)
+        self.damping, self.stiffness = lanes.matrix("damping", n), lanes.matrix("stiffness", n)
+        self.cubic = lanes.matrix("cubic", n)
+        lag_force = lanes.matrix("lag_force", n)
+        self.others = [a + b for a, b in zip(lag_force, self.cubic, strict=True)]
+        parts = (lanes.matrix(name, m) for name in ("of_speed", "of_place", "of_lag"))
+        self.lags = [a + b + c for a, b, c in zip(*parts, strict=True)]
+        self.is_plain = layout.is_plain
+        self.direction = [] if self.is_plain else lanes.matrix("direction", layout.contacts)
+        self.along = [] if self.is_plain else lanes.matrix("along", layout.cubics)
+        self.pull = lanes.matrix("pull", n)
+        self.contact = modes.stiffness
+        self.forcing = _harmonics(
+            lanes, lanes.matrix("push", layout.harmonics), ("multiple", "phase"), layout.order - 1
+        )
+        self.rates = self._rates(lanes)
+        self.springs = self.stiffness if self.rates else self._springs()
+
+    def _rates(self, lanes):
+        layout = lanes.layout
+        if not layout.modulations:
+            return []
+        depths = lanes.matrix("depth", layout.modulations)
+        scaled = [[k * d for k, d in zip(self.contact, row, strict=True)] for row in depths]
+        names = ("depth_multiple", "depth_phase")
+        rates = _harmonics(lanes, scaled, names, layout.order - 1)
+        return [
+            [k + first, *others] for k, (first, *others) in zip(self.contact, rates, strict=True)
+        ]
+
+    def _springs(self):
+        if self.is_plain:
+            return [[reduce(lambda a, b: a + b, self.contact, self.stiffness[0][0])]]
+        return [
+            [
+                dot(pull, [k * d[j] for k, d in zip(self.contact, self.direction, strict=True)], s)
+                for j, s in enumerate(row)
+            ]
+            for row, pull in zip(self.stiffness, self.pull, strict=True)
+        ]
+
+    def contact_forces(self, n, depths):
+        """Coefficient n of the contact forces that `springs` does not hold, of series of depths."""
+        if self.rates:
+            return [product_term(*pair, n) for pair in zip(self.rates, depths, strict=True)]
+        # At degree 0 K_c (x - wall), not the difference of two large products.
+        return [] if n else [k * d[0] for k, d in zip(self.contact, depths, strict=True)]
+
+    def pulled(self, i, forces, total):
+        """`total` on coordinate i, less what some contact forces do there."""
+        for k, force in enumerate(forces):
+            total = total - force if self.is_plain else fma(-self.pull[i][k], force, total)
+        return total
+
+
+class Motion:
+    """Taylor coefficients of a step, lists from degree 0 on.
+
+    Attributes
+    ----------
+    q, z : list of list of Vec
+        Of every coordinate and every first-order state, up to degree `order`.
+    gaps : list of list of Vec
+        Of every contact's b.q; of a plain oscillator, the coordinate itself.
+    depths : list of list of Vec
+        Of every contact's b.q less the wall that is touched.
+    squares : list of list of Vec
+        Of (a.q)^2 of every cubic spring, up to degree order - 2.
+    """
+
+    def __init__(self, lanes, modes, equation):
+        layout = lanes.layout
+        self.equation, order = equation, layout.order
+        self.q = [[x, v] for x, v in zip(lanes.rows("q"), lanes.rows("v"), strict=True)]
+        self.z = [[z] for z in lanes.rows("z")]
+        self.gaps = [self.q[0]] if layout.is_plain else [[g] for g in lanes.rows("gap")]
+        self.depths = [[g[0] - w] for g, w in zip(self.gaps, modes.wall, strict=True)]
+        self.along, self.squares = ([[] for _ in range(layout.cubics)] for _ in range(2))
+        for n in range(order - 1):
+            self._project_gaps(n)
+            self._extend(n, self._cubes(n))
+            self._extend_lags(n)
+        self._extend_lags(order - 1)
+        for n in (order - 1, order):
+            self._project_gaps(n)
+
+    def _across(self, direction, n):
+        """Coefficient n of the motion along a direction."""
+        return dot(direction, [q[n] for q in self.q], self.equation.zero)
+
+    def _project_gaps(self, n):
+        if n == 0:
+            return
+        for k, direction in enumerate(self.equation.direction):
+            self.gaps[k].append(self._across(direction, n))
+        for depth, gap in zip(self.depths, self.gaps, strict=True):
+            depth.append(gap[n])
+
+    def _cubes(self, n):
+        """Coefficient n of the cube of the motion along every cubic spring."""
+        if not self.equation.along:
+            self.along = [self.q[0]] * len(self.squares)
+        for along, direction in zip(self.along, self.equation.along, strict=False):
+            along.append(self._across(direction, n))
+        for square, along in zip(self.squares, self.along, strict=True):
+            square.append(square_term(along, n))
+        return [product_term(*pair, n) for pair in zip(self.squares, self.along, strict=True)]
+
+    def _extend(self, n, cubes):
+        """Coefficient n + 2 of the coordinates."""
+        one = self.equation
+        forces = one.contact_forces(n, self.depths)
+        others = [z[n] for z in self.z] + cubes
+        new = []
+        for i, springs in enumerate(one.springs if n else one.stiffness):
+            total = one.pulled(i, forces, one.forcing[i][n] if one.forcing else one.zero)
+            for k, q in zip(springs, self.q, strict=True):
+                total = fma(-k, q[n], total)
+            for c, q in zip(one.damping[i], self.q, strict=True):
+                total = fma(-c * float(n + 1), q[n + 1], total)
+            for a, value in zip(one.others[i], others, strict=True):
+                total = fma(-a, value, total)
+            new.append(total * (1.0 / ((n + 1) * (n + 2))))
+        for q, term in zip(self.q, new, strict=True):
+            q.append(term)
+
+    def _extend_lags(self, n):
+        """Coefficient n + 1 of the first-order states."""
+        extend_lags(self.equation, self.q, self.z, n)
+
+
+def extend_lags(equation, q, z, n):
+    """Append coefficient n + 1 to the series of the first-order states."""
+    if not z:
+        return
+    state = [x[n + 1] * float(n + 1) for x in q] + [x[n] for x in q] + [x[n] for x in z]
+    new = [dot(row, state, equation.zero) * (1.0 / (n + 1)) for row in equation.lags]
+    for series, term in zip(z, new, strict=True):
+        series.append(term)
+
+
+def variation(lanes, motion, column):
+    """Series of one solution of the variational equation along a motion.
+
+    Returns
+    -------
+    y, z : list of list of Vec
+        Of the coordinates and the first-order states.
+    """
+    layout, one = lanes.layout, motion.equation
+    first = layout.tangent_state + column * layout.n_states
+    state = [lanes[first + i] for i in range(layout.n_states)]
+    y = [[state[i], state[layout.n + i]] for i in range(layout.n)]
+    z = [[value] for value in state[2 * layout.n :]]
+    gaps, along = [[] for _ in range(layout.contacts)], [[] for _ in range(layout.cubics)]
+    for n in range(layout.order - 1):
+        for series, directions in ((gaps, one.direction), (along, one.along)):
+            for k, terms in enumerate(series):
+                place = [x[n] for x in y]
+                terms.append(dot(directions[k], place, one.zero) if directions else place[0])
+        bends = [product_term(*pair, n) for pair in zip(motion.squares, along, strict=True)]
+        forces = one.contact_forces(n, gaps) if one.rates else []
+        new = []
+        for i, springs in enumerate(one.springs):
+            total = None
+            for k, x in zip(springs, y, strict=True):
+                total = k * x[n] if total is None else fma(k, x[n], total)
+            for a, bend in zip(one.cubic[i], bends, strict=True):
+                total = fma(a * 3.0, bend, total)
+            for c, x in zip(one.damping[i], y, strict=True):
+                total = fma(c * float(n + 1), x[n + 1], total)
+            for a, x in zip(one.others[i], z, strict=False):
+                total = fma(a, x[n], total)
+            total = one.pulled(i, forces, -total)
+            new.append(total * (1.0 / ((n + 1) * (n + 2))))
+        extend_lags(one, y, z, n)
+        for series, term in zip(y, new, strict=True):
+            series.append(term)
+    extend_lags(one, y, z, layout.order - 1)
+    return y, z
+
+
+def _rough_root(a):
+    return rough_exp2(rough_log2(a) * 0.5)
+
+
+def _reach(energy, stiffness, cubic):
+    """Displacement to which springs carry a state of that energy (twice, as below), to 6 %."""
+    root = _rough_root(fma(stiffness, stiffness, cubic * energy * 2.0))
+    return rough_exp2((rough_log2(energy) + 1.0 - rough_log2(stiffness + root)) * 0.5)
+
+
+class Sizes:
+    """What the errors of a step are measured by.
+
+    An error is small or large beside the speed and the displacement that the springs would carry
+    the state to, without all else, because at a turn and on a wall v or x alone is zero. Both
+    follow from the energy, twice and, of a plain oscillator, per unit mass:
+    ``v^2 + stiffness depth^2 + cubic depth^4 / 2``.
+
+    Attributes
+    ----------
+    speed : Vec
+        [m/s]; of several coordinates in the norm of their masses, as all velocities here.
+    springs, hardening : Vec
+        Of disturbances: squares of the fastest rate and of the cubic springs' part in it [1/s^2].
+    damping : Vec
+        Rate [1/s].
+    """
+
+    def __init__(self, lanes, modes, motion):
+        if lanes.layout.is_plain:
+            self._of_one(lanes, modes, motion)
+        else:
+            self._of_many(lanes, modes, motion)
+
+    def _of_one(self, lanes, modes, motion):
+        # In contact the depth is what counts: an error of x there is one of a much larger force.
+        (contact,), (wall,), ((depth, *_),) = modes.stiffness, modes.wall, motion.depths
+        v, cubic, stiffness = lanes["v"], absolute(lanes["cubic"]), lanes["stiffness"]
+        at_wall = contact + cubic * (wall * wall) * 3.0
+        square, total = depth * depth, stiffness + at_wall
+        energy = fma(v, v, fma(cubic * 0.5, square, total) * square)
+        self.speed = _rough_root(energy)
+        farthest = absolute(wall) + _reach(energy, total, cubic)
+        self.hardening = cubic * (farthest * farthest)
+        self.springs = fma(self.hardening, 3.0, stiffness + contact)
+        self.damping = lanes["damping"]
+
+    def _of_many(self, lanes, modes, motion):
+        place, speed = [q[0] for q in motion.q], [q[1] for q in motion.q]
+        energy = _square_norm(lanes, "mass_root", speed)
+        energy = energy + _square_norm(lanes, "spring_root", place)
+        for contact, depth in zip(modes.stiffness, motion.depths, strict=True):
+            energy = fma(contact, depth[0] * depth[0], energy)
+        alphas = [absolute(alpha) for alpha in lanes.rows("alpha")]
+        for alpha, square in zip(alphas, motion.squares, strict=True):
+            energy = fma(alpha * 0.5, square[0] * square[0], energy)
+        self.speed, self.hardening = _rough_root(energy), 0.0 * energy
+        for alpha, holding, softness in zip(
+            alphas, lanes.rows("holding"), lanes.rows("softness"), strict=True
+        ):
+            reach = _reach(energy, holding, alpha)
+            self.hardening = fma(alpha * softness, reach * reach, self.hardening)
+        self.springs = fma(self.hardening, 3.0, lanes["fastest"])
+        for coupling, touching in zip(lanes.rows("coupling"), modes.touching, strict=True):
+            self.springs = self.springs + where(touching, coupling, 0.0)
+        self.damping = lanes["decay"]
+
+
+def _square_norm(lanes, block, values):
+    """Square of the norm of a vector, by a root of its matrix."""
+    total = None
+    for row in lanes.matrix(block, len(values)):
+        part = dot(row, values, values[0].constant(0.0))
+        total = part * part if total is None else fma(part, part, total)
+    return total
+
+
+def _log_speed(lanes, motion, n):
+    """Logarithm of the size of coefficient n of the coordinates."""
+    terms = [q[n] for q in motion.q]
+    if lanes.layout.is_plain:
+        return rough_log2(absolute(terms[0]))
+    return rough_log2(_square_norm(lanes, "mass_root", terms)) * 0.5
+
+
+def _off_grid(logarithm):
+    """A logarithm to 20 bits and a quarter of the last.
+
+    `rough_log2` and `rough_exp2` round to 20 bits. What is divided in between then never lies
+    halfway between two results, where the last bit of a double would decide: a motion in which
+    time runs twice as fast takes the same steps.
+    """
+    return (math.floor(logarithm * 2**20) + 0.25) * 2.0**-20
+
+
+def step_size(lanes, motion, sizes, rtol):
+    """Largest h (to about 6 %) that keeps the motion, and what becomes of its errors, accurate.
+
+    The last two terms of the velocity stay below `rtol` of the speed; within a swing an error of x
+    is smaller beside its own scale. Two bounds hold besides, because those terms may vanish:
+
+    - A disturbance (an earlier step's error, the tangent) oscillates and decays no faster than the
+      larger of ``sqrt(springs)`` and `damping`, and h spans no more of that than a series of this
+      degree carries. Where x itself is slow or straight, it would come out as nonsense.
+    - A cubic spring swings like an elliptic cosine, whose poles lie `_POLE` over the root of
+      `hardening` from the real axis: terms fall no faster than powers of h over that.
+
+    First-order states keep `rtol` of their own size, or of what they change by in a radian.
+    """
+    order = lanes.layout.order
+    log_error = rough_log2(rtol * SAFETY)
+    log_scale = rough_log2(fma(sizes.speed, rtol, lanes["floor"]) * SAFETY)
+    log_tangent = log_error - math.log2(_STEPS_PER_PERIOD)
+    log_carried = (log_tangent + math.log2(math.factorial(order + 1))) * (1.0 / (order + 1))
+    log_ratio = (log_error - math.log2(1.2 * (order + 1))) * (1.0 / order) + math.log2(_POLE)
+    log_rate = maximum(rough_log2(sizes.springs) * 0.5, rough_log2(sizes.damping))
+    limits = [
+        (log_scale - _off_grid(math.log2(n)) - _log_speed(lanes, motion, n)) * (1.0 / (n - 1))
+        for n in (order, order - 1)
+    ]
+    limits.append(log_carried - log_rate)
+    limits.append(log_ratio - rough_log2(sizes.hardening) * 0.5)
+    for z, floor in zip(motion.z, lanes.rows("lag_floor"), strict=True):
+        size = fma(absolute(z[0]) + absolute(z[1]) / lanes["rate"], rtol, floor)
+        log_size = rough_log2(size * SAFETY)
+        limits += [(log_size - rough_log2(absolute(z[n]))) * (1.0 / n) for n in (order, order - 1)]
+    return rough_exp2(reduce(minimum, limits))

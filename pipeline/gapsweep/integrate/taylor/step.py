@@ -1,0 +1,373 @@
+"""One Taylor step of a system with located contacts, for all lanes at once, as vector code.
+
+A contact mode is an interval [lo, hi] that the contact's gap b.q may not leave: the freeplay
+itself, or one of the half lines behind a wall. The step is cut where the step's own polynomial leaves an
+interval first. What happens here, without any branch but two:
+
+1. Taylor coefficients, and the step size that the last two of them allow (`series`);
+2. proof, from bounds on the coefficients of every gap, that it, its slope or its curvature keep
+   their place or sign on the whole step. It sorts the lanes into *inside* (no crossing possible),
+   *crossing* (exactly one, decided by the end point) and *unclear*;
+3. Newton's method for all crossing lanes together (skipped if there is none); the earliest counts;
+4. commit: clock, state, modes, counters. *Unclear* lanes are left untouched; the caller isolates
+   their roots one by one (`roots`).
+"""
+
+import math
+from functools import reduce
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from .lane_ir import (
+    I64,
+    Vec,
+    absolute,
+    copy_sign,
+    fma,
+    is_nonzero,
+    maximum,
+    minimum,
+    splat,
+    square_root,
+    where,
+)
+from .series import Equation, Lanes, Modes, Motion, Sizes, dot, step_size, variation
+
+# A step spans at most this part of a forcing period, so that it holds at most one section point.
+MAX_PERIODS_PER_STEP = 0.5
+CLOCK_SLACK = 1e-9  # of a period: a record_from meant as a whole period includes its section
+MAX_HALVINGS = 3
+NEWTON_STEPS = 3
+SHORT_STEP = 1e-6  # rad of the fastest frequency: contact steps shorter than this count as chatter
+_EPS = 2.0**-52
+
+
+def value_and_slope(series, t):
+    """Polynomial and derivative at t by Horner's rule."""
+    value, slope = series[-1], None
+    for a in reversed(series[:-1]):
+        slope = value if slope is None else fma(slope, t, value)
+        value = fma(value, t, a)
+    return value, slope
+
+
+def _tail_bound(series, h):
+    """``sum(n (n-1) |x_n| h^n, n >= 4)``: bounds the tail of h^2 x'', thrice that of h x' and
+    twelve times that of x (all tails from degree 4 on)."""
+    order = len(series) - 1
+    total = absolute(series[order]) * float(order * (order - 1))
+    for n in range(order - 1, 3, -1):
+        total = fma(total, h, absolute(series[n]) * float(n * (n - 1)))
+    square = h * h
+    return total * (square * square) * (1.0 + 1e-9)
+
+
+class _Shape:
+    """What is proved about a step: each attribute is a `Mask`, true only where proved."""
+
+    def __init__(self, series, lo, hi, h):
+        y_1, y_2, y_3 = series[1] * h, series[2] * (h * h), series[3] * (h * h * h)
+        tail = _tail_bound(series, h)
+        # Bernstein coefficients of the cubic part enclose it; the tail widens the enclosure,
+        # and so do the roundings of this very computation.
+        rounding = (absolute(y_1) + absolute(y_2) * 2.0 + absolute(y_3) * 6.0) * (16 * _EPS)
+        self.falls, self.rises = _signs(
+            [y_1, y_1 + y_2, y_1 + y_2 * 2.0 + y_3 * 3.0], tail * (1.0 / 3) + rounding
+        )
+        self.is_concave, self.is_convex = _signs([y_2, y_2 + y_3 * 3.0], tail * 0.5 + rounding)
+        offsets = [y_1 * (1.0 / 3), fma(y_1, 2.0, y_2) * (1.0 / 3), y_1 + y_2 + y_3]
+        low = minimum(minimum(offsets[0], offsets[1]), minimum(offsets[2], 0.0 * y_1))
+        high = maximum(maximum(offsets[0], offsets[1]), maximum(offsets[2], 0.0 * y_1))
+        slack = fma(tail, 1.0 / 12, fma(absolute(series[0]), 16 * _EPS, rounding))
+        self.stays_above_lo = series[0] + (low - slack) >= lo
+        self.stays_below_hi = series[0] + (high + slack) <= hi
+        is_monotone = self.falls | self.rises
+        # Inside at the start, x leaves over `lo` at most once if it is monotone or concave,
+        # over `hi` at most once if monotone or convex: then the end point decides.
+        self.is_decided = (self.stays_above_lo | is_monotone | self.is_concave) & (
+            self.stays_below_hi | is_monotone | self.is_convex
+        )
+
+
+def _emit_decided_step(builder, gaps, h, modes):
+    """Shorten the step of lanes whose crossing is unclear, up to MAX_HALVINGS times.
+
+    A shorter step costs a fifth of isolating roots for one lane, and its bounds are much tighter:
+    each neglected degree halves once more.
+
+    Returns
+    -------
+    h : Vec
+        The step.
+    is_decided : Mask
+        No gap is left, or left once and where its end lies beyond.
+    """
+    if not gaps:
+        return h, h <= h
+    start = builder.block
+    loop, done = builder.append_basic_block("halve"), builder.append_basic_block("decided")
+    builder.branch(loop)
+    builder.position_at_end(loop)
+    step, count = builder.phi(h.value.type), builder.phi(I64)
+    trial = Vec(builder, step)
+    shapes = [_Shape(*gap, trial) for gap in zip(gaps, modes.lo, modes.hi, strict=True)]
+    is_decided = reduce(lambda a, b: a & b, [shape.is_decided for shape in shapes])
+    halved = where(is_decided, trial, trial * 0.5)
+    step.add_incoming(h.value, start)
+    step.add_incoming(halved.value, builder.block)
+    count.add_incoming(ir.Constant(I64, 0), start)
+    count.add_incoming(builder.add(count, ir.Constant(I64, 1)), builder.block)
+    is_open = is_nonzero(builder, (~is_decided).bits())
+    may_go_on = builder.icmp_unsigned("<", count, ir.Constant(I64, MAX_HALVINGS))
+    builder.cbranch(builder.and_(is_open, may_go_on), loop, done)
+    builder.position_at_end(done)
+    return trial, is_decided
+
+
+def _signs(bernstein, slack):
+    """Masks (all below zero, all above zero) of a polynomial from its Bernstein coefficients."""
+    low = high = bernstein[0]
+    for b in bernstein[1:]:
+        low, high = minimum(low, b), maximum(high, b)
+    return high + slack < 0.0, low - slack > 0.0
+
+
+def _crossing(series, h, wall, x_1, v_1):
+    """Last time before h at which x reaches `wall`, the velocity there, and the residual."""
+    # The parabola through both ends and the slope at h is good to about 1e-3 of the step. Of its
+    # two roots the later one is taken: the earlier may be the wall that the step started on.
+    g_1, u_1 = x_1 - wall, v_1 * h
+    bend = (series[0] - wall) - g_1 + u_1
+    root = square_root(maximum(fma(u_1, u_1, -(bend * g_1 * 4.0)), 0.0 * g_1))
+    back = g_1 * 2.0 / (u_1 + copy_sign(root, u_1))
+    t = h - h * maximum(minimum(back, back.constant(1.0)), 0.0 * back)
+    for _ in range(NEWTON_STEPS):
+        value, slope = value_and_slope(series, t)
+        t = t - (value - wall) / slope
+    value, slope = value_and_slope(series, t)
+    return t, slope, value - wall
+
+
+def _emit_crossings(builder, series, h, end, outward, wants_root, wall):
+    """Crossing time and velocity of the lanes in `wants_root`; skipped if there is none.
+
+    Returns
+    -------
+    t, v : Vec
+        Time and velocity at the crossing, where `is_found`.
+    is_found : Mask
+        Newton's method converged inside the step to an outward crossing.
+    """
+    x_1, v_1 = end
+    mask_type = wants_root.value.type
+    none = ir.Constant(mask_type, [ir.Constant(ir.IntType(1), 0)] * mask_type.count)
+    before = builder.block
+    with builder.if_then(is_nonzero(builder, wants_root.bits())):
+        t, v, residual = _crossing(series, h, wall, x_1, v_1)
+        size = absolute(series[0]) + (absolute(series[1]) + absolute(v)) * absolute(t)
+        is_exact = absolute(residual) <= size * (8 * _EPS)  # as near as rounding lets it come
+        is_found = is_exact & (t > 0.0) & (t <= h) & (v * outward > 0.0)
+        inside = builder.block
+    results = []
+    for skipped, computed in ((h.value, t.value), (v_1.value, v.value), (none, is_found.value)):
+        phi = builder.phi(computed.type)
+        phi.add_incoming(skipped, before)
+        phi.add_incoming(computed, inside)
+        results.append(phi)
+    return Vec(builder, results[0]), Vec(builder, results[1]), type(wants_root)(builder, results[2])
+
+
+class _Exits:
+    """Which contacts the lanes leave their modes at by the end of a step, and when first.
+
+    Attributes
+    ----------
+    step : Vec
+        The step, cut where a wall is passed.
+    sides : list of Vec
+        For every contact +1 or -1 where the step ends on its upper or lower end, else 0.
+    crosses : Mask
+        Lanes that end on one.
+    is_unclear : Mask
+    of_one : tuple of Vec
+        Displacement and velocity at the end, of a plain oscillator.
+    """
+
+    def __init__(self, builder, motion, modes, h):
+        h, is_decided = _emit_decided_step(builder, motion.gaps, h, modes)
+        found = [
+            self._crossing_of(builder, gap, h, lo, hi, is_decided)
+            for gap, lo, hi in zip(motion.gaps, modes.lo, modes.hi, strict=True)
+        ]
+        self.h, self.is_unclear = h, ~is_decided
+        for leaves, crosses, *_ in found:
+            self.is_unclear = self.is_unclear | (leaves & ~crosses)
+        self.step = reduce(minimum, [where(crosses, t, h) for _, crosses, t, *_ in found], h)
+        self.sides, self.crosses = [], h < h
+        for _, crosses, t, outward, _ in found:
+            is_first = crosses & (t <= self.step) & ~self.is_unclear
+            self.sides.append(where(is_first, outward, 0.0))
+            self.crosses = self.crosses | is_first
+        self.ends = [end for *_, end in found]
+
+    @staticmethod
+    def _crossing_of(builder, gap, h, lo, hi, is_decided):
+        g_1, u_1 = value_and_slope(gap, h)
+        leaves_up, leaves_down = g_1 >= hi, g_1 <= lo
+        leaves = leaves_up | leaves_down
+        outward = where(leaves_up, h.constant(1.0), -1.0)
+        target = where(leaves_up, hi, lo)
+        wants_root = leaves & is_decided
+        t, u, is_found = _emit_crossings(builder, gap, h, (g_1, u_1), outward, wants_root, target)
+        crosses = wants_root & is_found
+        end = where(crosses, target, g_1), where(crosses, u, u_1)
+        return leaves, crosses, t, outward, end
+
+
+def _state_at(motion, step):
+    """q, v and z after a part of the step, as one list."""
+    pairs = [value_and_slope(q, step) for q in motion.q]
+    lags = [value_and_slope(z, step)[0] for z in motion.z]
+    return [q for q, _ in pairs] + [v for _, v in pairs] + lags
+
+
+def _commit_contacts(lanes, modes, motion, exits, state):
+    """Store modes, sides and gaps with which the next step begins; the number of walls passed."""
+    layout = lanes.layout
+    n_walls = lanes["tau"].constant(0.0)
+    for k, side in enumerate(exits.sides):
+        passes, touching = absolute(side) > 0.0, modes.touching[k]
+        mode, has_gap = lanes[layout.mode + k], lanes[layout.lower + k] < lanes[layout.upper + k]
+        # Leaving contact without a gap is entering contact with the other wall.
+        lanes[layout.mode + k] = where(passes, where(touching & has_gap, 0.0 * side, side), mode)
+        lanes[layout.mode_0 + k], lanes[layout.side + k] = mode, side
+        n_walls = n_walls + where(passes, where(touching & ~has_gap, side.constant(2.0), 1.0), 0.0)
+        if not layout.is_plain:
+            # Exactly on the wall that it passes; proved to be inside of the others.
+            lo, hi, old = modes.lo[k], modes.hi[k], motion.gaps[k][0]
+            gap = dot(motion.equation.direction[k], state[: layout.n], old.constant(0.0))
+            gap = minimum(maximum(gap, lo), hi)
+            gap = where(passes, where(side > 0.0, hi, lo), gap)
+            lanes[layout.gap + k] = where(exits.is_unclear, old, gap)
+    return n_walls
+
+
+def _emit_tangents(lanes, coefficients, motion, step, is_unclear):
+    """Advance the solutions of the variational equation, and keep their series."""
+    layout = lanes.layout
+    kept = layout.n_series * layout.n_terms
+    for column in range(layout.n_states):
+        y, z = variation(lanes, motion, column)
+        for number, series in enumerate(y + z):
+            for n, term in enumerate(series):
+                coefficients[kept + number * layout.n_terms + n] = term
+        kept += (layout.n + layout.m) * layout.n_terms
+        pairs = [value_and_slope(series, step) for series in y]
+        ends = [a for a, _ in pairs] + [b for _, b in pairs]
+        ends += [value_and_slope(series, step)[0] for series in z]
+        starts = [s[0] for s in y] + [s[1] for s in y] + [s[0] for s in z]
+        first = layout.tangent_state + column * layout.n_states
+        for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
+            lanes[first + i] = where(is_unclear, start, end)
+
+
+def _emit_step(builder, layout, pointers, scalars):
+    """Emit the whole step; returns the packed masks (see `taylor_step`)."""
+    lanes, coefficients = (Lanes(builder, pointer, layout) for pointer in pointers)
+    rtol, x_bound, max_short = (splat(builder, s, layout.width) for s in scalars)
+
+    # 1. series and step size
+    modes = Modes(lanes)
+    motion = Motion(lanes, modes, Equation(lanes, modes))
+    kept = motion.q if layout.is_plain else motion.q + motion.z + motion.gaps
+    for number, series in enumerate(kept):
+        for n, term in enumerate(series):
+            coefficients[number * layout.n_terms + n] = term
+    free_step = step_size(lanes, motion, Sizes(lanes, modes, motion), rtol)
+    period, tau, cycle = lanes["period"], lanes["tau"], lanes["cycle"]
+    end_cycle, end_tau = lanes["end_cycle"], lanes["end_tau"]
+    left = maximum(((end_cycle - cycle) + (end_tau - tau)) * period, 0.0 * period)
+    h = minimum(free_step, period * MAX_PERIODS_PER_STEP)
+    is_last = h >= left
+    h = where(is_last, left, h)
+
+    # 2., 3. which lanes leave their intervals, and where exactly
+    exits = _Exits(builder, motion, modes, h)
+    step, crosses, is_unclear = exits.step, exits.crosses, exits.is_unclear
+    is_last = is_last & (exits.h >= left)
+    state = list(exits.ends[0]) if layout.is_plain else _state_at(motion, step)
+
+    # 4. commit
+    is_done = is_last & ~crosses & ~is_unclear
+    tau_1 = fma(lanes["omega"], step, tau)
+    is_stuck = (step < lanes["min_step"]) & ~(crosses | is_last)
+    wraps = tau_1 >= 1.0
+    tau_1 = where(is_done, end_tau, where(wraps, tau_1 - 1.0, tau_1))
+    cycle_1 = where(is_done, end_cycle, where(wraps, cycle + 1.0, cycle))
+    is_short = crosses & (step * lanes["rate"] < SHORT_STEP)
+    one = step.constant(1.0)
+    n_short = where(is_short, lanes["n_short"] + 1.0, 0.0 * one)
+    is_fine = one <= one
+    for i, value in enumerate(state):
+        is_fine = is_fine & (
+            absolute(value) <= x_bound if i < layout.n else absolute(value) < math.inf
+        )
+    is_bad = ~is_fine | is_stuck | (n_short > max_short)
+    # an unclear lane ends here or earlier
+    is_section = (cycle_1 > cycle) & (cycle_1 - lanes["record_clock"] >= -CLOCK_SLACK)
+    is_recording = is_section | (cycle_1 + tau_1 - lanes["event_clock"] >= -CLOCK_SLACK)
+
+    if layout.tangent:
+        _emit_tangents(lanes, coefficients, motion, step, is_unclear)
+    n_walls = _commit_contacts(lanes, modes, motion, exits, state)
+    before = lanes.rows("q") + lanes.rows("v") + lanes.rows("z")
+    for i, (old, new) in enumerate(zip(before, state, strict=True)):
+        lanes[layout.q + i] = where(is_unclear, old, new)
+    for i, reach in enumerate(lanes.rows("reach")):
+        lanes[layout.reach + i] = where(is_unclear, reach, maximum(reach, absolute(state[i])))
+    lanes["tau"] = where(is_unclear, tau, tau_1)
+    lanes["cycle"] = where(is_unclear, cycle, cycle_1)
+    lanes["n_steps"] = lanes["n_steps"] + where(is_unclear, 0.0 * one, 1.0)
+    lanes["n_contacts"] = lanes["n_contacts"] + n_walls
+    lanes["n_short"] = where(is_unclear, lanes["n_short"], n_short)
+    lanes["step"], lanes["tau_0"], lanes["cycle_0"] = step, tau, cycle
+
+    packed = is_unclear.bits()
+    for k, mask in enumerate((is_done, is_bad & ~is_unclear, is_recording), start=1):
+        packed = builder.or_(packed, builder.shl(mask.bits(), ir.Constant(I64, k * layout.width)))
+    return packed
+
+
+@intrinsic
+def taylor_step(typingctx, at, lanes, coefficients, rtol, x_bound, max_short):
+    """Advance every lane by one step.
+
+    Parameters
+    ----------
+    at : Layout
+    lanes : array, shape (at.n_rows, at.width)
+        Parameters and state, updated in place.
+    coefficients : array, shape (n * at.n_terms, at.width)
+        Receives the Taylor coefficients of the kept series, then, if they are wanted, those of
+        every solution of the variational equation.
+    rtol, x_bound, max_short : float
+        Relative tolerance; bound of every |q|; cap on successive short contact steps.
+
+    Returns
+    -------
+    int64
+        Four masks of `at.width` bits, lowest first: lanes not advanced because a crossing is
+        unclear; lanes at their end; lanes that failed; lanes that record (an unclear one perhaps).
+    """
+    signature = types.int64(at, lanes, coefficients, rtol, x_bound, max_short)
+
+    def codegen(context, builder, signature, args):
+        pointers = [
+            context.make_array(t)(context, builder, a).data
+            for t, a in zip(signature.args[1:3], args[1:3], strict=True)
+        ]
+        return _emit_step(builder, at.layout, pointers, args[3:])
+
+    return signature, codegen

@@ -1,0 +1,197 @@
+"""Rows of systems for the kernel: their matrices per unit mass, and what steps are measured by."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.model.system import System, fastest_mode, fraction
+
+from .layout import Layout
+from .scenes import MIN_STEP, Scenes, check, check_tolerances, empty_table, order_for, set_clock
+
+Array = NDArray[np.float64]
+
+# An eigenvalue of the springs below this part of the largest is zero: a motion that nothing holds.
+_LOOSE = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Walls:
+    """The contacts of some points, arrays of shape (n_points, n_contacts).
+
+    Attributes
+    ----------
+    K_c : ndarray
+        Stiffness [N/m].
+    j_1, j_2 : ndarray
+        Distances of the walls from the origin [m]; infinity: no wall.
+    """
+
+    K_c: Array
+    j_1: Array
+    j_2: Array
+
+
+def layout_of(system: System) -> Layout:
+    """The layout of a system's points."""
+    terms = sum(map(len, system.modulation.values()))
+    first = system.forcing[0] if len(system.forcing) == 1 else None
+    return Layout(
+        n=system.n,
+        m=system.n_lags,
+        contacts=len(system.contacts),
+        cubics=len(system.cubic),
+        harmonics=len(system.forcing),
+        modulations=terms,
+        is_plain=False,
+        in_step=first is not None and (first.k, first.phase) == (1, 0.0),
+    )
+
+
+def system_scenes(
+    systems: Sequence[System],
+    walls: Walls,
+    omega: Array,
+    *,
+    rtol: float,
+    atol: float,
+) -> Scenes:
+    """Prepare points of systems; `exact.run` then starts them as often as wanted.
+
+    Parameters
+    ----------
+    systems : sequence of System, length n
+        All of one layout; the same object again and again costs nothing.
+    walls : Walls
+    omega : ndarray, shape (n,)
+        Forcing frequency [Hz]; 0 of what is not forced, whose clock then counts its own periods.
+    rtol, atol : float
+        As of `scenes`: the norm of errors is that of the masses, ``v'Mv``.
+    """
+    check_tolerances(rtol, atol)
+    check(K_c=walls.K_c, j_1=walls.j_1, j_2=walls.j_2)
+    of_each = np.array([id(system) for system in systems])
+    _, firsts, which = np.unique(of_each, return_index=True, return_inverse=True)
+    (layout,) = {layout_of(systems[first]) for first in firsts}
+    at = replace(layout, order=order_for(rtol))
+    points, table = empty_table(at, len(systems))
+    for number, first in enumerate(firsts):
+        here = np.flatnonzero(which == number)
+        _fill(at, points, here, _Linear(systems[first]), walls.K_c[here], omega[here])
+    k = slice(at.lower, at.lower + at.contacts), slice(at.upper, at.upper + at.contacts)
+    table[k[0]], table[k[1]] = -walls.j_1.T, walls.j_2.T
+    table[at.contact : at.contact + at.contacts] = walls.K_c.T
+    return Scenes(at, points, rtol, atol)
+
+
+class _Linear:
+    """A system's linear part in the metric of its masses.
+
+    Attributes
+    ----------
+    inverse : ndarray, shape (n, n)
+        Of the mass matrix.
+    mass_root, spring_root : ndarray, shape (n, n)
+        R and S with R'R = M and S'S = \\|K\\|, the springs with the moduli of their eigenvalues.
+    slowest : float
+        Smallest natural frequency that is not zero [rad/s]; 1 if there is none.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.inverse = np.linalg.inv(system.mass)
+        self.mass_root = np.linalg.cholesky(system.mass).T
+        unroot = np.linalg.inv(self.mass_root)
+        springs = unroot.T @ (0.5 * (system.stiffness + system.stiffness.T)) @ unroot
+        squares, modes = np.linalg.eigh(springs)
+        squares = np.abs(squares)
+        self.spring_root = np.sqrt(squares)[:, None] * (modes.T @ self.mass_root)
+        held = squares > _LOOSE * squares.max(initial=0.0)
+        self.slowest = float(np.sqrt(squares[held].min())) if held.any() else 1.0
+        self.decay = float(np.linalg.norm(unroot.T @ system.damping @ unroot, 2))
+        self.unroot = unroot
+
+    def holding(self, direction: Array) -> float:
+        """Stiffness of the springs against a force along a direction [N/m]; 0: nothing holds it."""
+        bent, _, rank, _ = np.linalg.lstsq(self.spring_root.T, direction, rcond=1e-6)
+        if rank < self.system.n:
+            return 0.0
+        return 1.0 / float(bent @ bent)
+
+
+def _fill(
+    at: Layout, points: Array, here: NDArray[np.intp], linear: _Linear, K_c: Array, omega: Array
+) -> None:
+    """The rows of the points of one system, apart from its walls."""
+    system, inverse = linear.system, linear.inverse
+    table = np.zeros((at.n_rows, len(here)))
+
+    def put(block: str, values: Array) -> None:
+        if n := at.blocks[block]:
+            table[at.first[block] : at.first[block] + n] = np.reshape(values, (n, -1))
+
+    put("stiffness", inverse @ system.stiffness)
+    put("damping", inverse @ system.damping)
+    put("mass_root", linear.mass_root)
+    put("spring_root", linear.spring_root)
+    directions = np.array([*system.contacts.values()]).reshape(-1, system.n)
+    compliance = np.einsum("ki,ij,kj->k", directions, inverse, directions)
+    put("direction", directions)
+    put("pull", inverse @ directions.T)
+    put("coupling", K_c.T * compliance[:, None])
+    along = np.array([each.along for each in system.cubic]).reshape(-1, system.n)
+    alpha = np.array([each.alpha for each in system.cubic])
+    put("along", along)
+    put("alpha", alpha)
+    put("cubic", inverse @ along.T * alpha)
+    put("softness", np.einsum("ki,ij,kj->k", along, inverse, along))
+    put("holding", np.array([linear.holding(a) for a in along]))
+    fastest = 2.0 * np.pi * fastest_mode(system)
+    clock = np.where(omega > 0.0, omega, linear.slowest / (2.0 * np.pi))
+    set_clock(at, table, clock)
+    _put_loads(at, table, put, linear)
+    table[at.fastest], table[at.decay] = fastest**2, linear.decay
+    lightest = float(np.sqrt(np.diag(system.mass).min()))
+    table[at.slow] = linear.slowest * lightest
+    highest = max([load.k for load in system.forcing], default=0) * table[at.omega_rad]
+    table[at.rate] = np.sqrt(fastest**2 + (K_c * compliance).sum(axis=1)) + highest
+    table[at.min_step] = MIN_STEP / np.maximum(fastest, table[at.omega_rad])
+    if system.lags is not None:
+        _put_lags(put, linear)
+    tangent = slice(at.tangent_state, at.tangent_state + at.n_states**2)
+    table[tangent] = points[here].T[tangent]
+    points[here] = table.T
+
+
+def _put_loads(at: Layout, table: Array, put, linear: _Linear) -> None:
+    """Forcing, periodic stiffness, and the speed that the forcing keeps up."""
+    system = linear.system
+    put("push", np.array([linear.inverse @ load.amplitude for load in system.forcing]))
+    speed = np.zeros(table.shape[1])
+    for load in system.forcing:
+        force = float(np.linalg.norm(linear.unroot.T @ load.amplitude))
+        speed += force / (load.k * table[at.omega_rad] + linear.slowest)
+    table[at.floor] = speed
+    if not at.in_step:
+        put("multiple", np.array([float(load.k) for load in system.forcing]))
+        put("phase", np.array([fraction(load.phase) for load in system.forcing]))
+    names = list(system.contacts)
+    terms = [(names.index(name), m) for name, ms in system.modulation.items() for m in ms]
+    for i, (contact, term) in enumerate(terms):
+        table[at.depth + i * at.contacts + contact] = term.depth
+        table[at.depth_multiple + i] = term.k
+        table[at.depth_phase + i] = fraction(term.phase)
+
+
+def _put_lags(put, linear: _Linear) -> None:
+    lags = linear.system.lags
+    assert lags is not None, "asked for where there are some"
+    put("lag_force", linear.inverse @ lags.force)
+    put("of_speed", lags.of_speed)
+    put("of_place", lags.of_place)
+    put("of_lag", lags.of_lags)
+    driven = np.abs(lags.of_place).max(axis=1) + linear.slowest * np.abs(lags.of_speed).max(axis=1)
+    rates = np.maximum(np.abs(np.linalg.eigvals(lags.of_lags)).max(), linear.slowest)
+    put("lag_floor", driven / rates)

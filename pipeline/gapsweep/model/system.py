@@ -1,0 +1,261 @@
+"""Systems of several coordinates with contacts, as data: frozen, checked arrays.
+
+The equation of motion, with `F_j` the contact law of contact j::
+
+    M q'' + C q' + K q + sum_i alpha_i (a_i.q)^3 a_i + sum_j s_j(t) b_j F_j(b_j.q) + D z
+        = sum_k p_k cos(2 pi k omega t + phi_k)
+    z' = E q' + G q + H z
+
+A system's arrays are its identity: nothing else enters what is computed for it.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gapsweep.errors import ModelError
+from gapsweep.model.oscillator import LARGEST, checked, whole
+
+Array = NDArray[np.float64]
+
+MAX_COORDINATES, MAX_CONTACTS, MAX_HARMONIC = 16, 8, 1000
+
+
+def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """`value` as a frozen array of numbers of that shape, or a `ModelError` that names it."""
+    try:
+        found = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ModelError(f"{name} = {value!r}: must be an array of numbers") from None
+    if found.shape != shape:
+        raise ModelError(f"{name}: has the shape {found.shape}, must have {shape}")
+    if not np.all(np.abs(found) <= LARGEST):
+        raise ModelError(f"{name}: must be finite numbers within -{LARGEST:g}..{LARGEST:g}")
+    found.setflags(write=False)
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Harmonic:
+    """A harmonic load, or a constant one (``k = 0``).
+
+    Parameters
+    ----------
+    amplitude : array_like, shape (n,)
+        Generalised forces [N].
+    k : int
+        Multiple of the forcing frequency, 0 to 1000.
+    phase : float
+        [rad]: the load is ``amplitude * cos(2 pi k omega t + phase)``.
+    """
+
+    amplitude: Any
+    k: int = 1
+    phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "k", whole("k", self.k, 0, MAX_HARMONIC))
+        object.__setattr__(self, "phase", checked("phase", self.phase))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Cubic:
+    """A cubic spring along a direction, with the force ``alpha (a.q)^3 a``.
+
+    Parameters
+    ----------
+    along : array_like, shape (n,)
+        Direction a [-].
+    alpha : float
+        Cubic stiffness [N/m³]; negative values soften.
+    """
+
+    along: Any
+    alpha: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "alpha", checked("alpha", self.alpha))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Modulation:
+    """Periodic stiffness: a contact's force times ``1 + sum depth cos(2 pi k omega t + phase)``.
+
+    Parameters
+    ----------
+    depth : float
+        [-].
+    k : int
+        Multiple of the forcing frequency, 1 to 1000.
+    phase : float
+        [rad].
+    """
+
+    depth: float
+    k: int = 1
+    phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "depth", checked("depth", self.depth))
+        object.__setattr__(self, "k", whole("k", self.k, 1, MAX_HARMONIC))
+        object.__setattr__(self, "phase", checked("phase", self.phase))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lags:
+    """First-order states z, as of aerodynamics or filters: ``z' = E q' + G q + H z``.
+
+    Parameters
+    ----------
+    force : array_like, shape (n, m)
+        D: what they do to the coordinates, with the sign of a stiffness.
+    of_speed, of_place : array_like, shape (m, n)
+        E and G.
+    of_lags : array_like, shape (m, m)
+        H.
+    """
+
+    force: Any
+    of_speed: Any
+    of_place: Any
+    of_lags: Any
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class System:
+    """A machine with n coordinates and contacts; see the module for its equation.
+
+    Parameters
+    ----------
+    mass, stiffness : array_like, shape (n, n)
+        M, symmetric and positive definite, and K.
+    damping : array_like, shape (n, n), optional
+        C; none by default.
+    contacts : mapping of str to array_like, shape (n,)
+        Direction b of every contact, by name; none by default.
+    cubic : sequence of Cubic
+    forcing : sequence of Harmonic
+        Without one of ``k >= 1`` nothing depends on time but what `modulation` makes depend.
+    modulation : mapping of str to sequence of Modulation
+        Periodic stiffness of contacts, by name.
+    lags : Lags, optional
+    coordinates : sequence of str, optional
+        Names; ``q_1``, ``q_2``, ... by default.
+
+    Raises
+    ------
+    ModelError
+        If an array has another shape or holds no number, or M is not positive definite.
+    """
+
+    mass: Any
+    stiffness: Any
+    damping: Any = None
+    contacts: Mapping[str, Any] = field(default_factory=dict)
+    cubic: Sequence[Cubic] = ()
+    forcing: Sequence[Harmonic] = ()
+    modulation: Mapping[str, Sequence[Modulation]] = field(default_factory=dict)
+    lags: Lags | None = None
+    coordinates: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        n = np.shape(self.mass)[0] if np.ndim(self.mass) == 2 else 0
+        whole("number of coordinates (rows of mass)", n, 1, MAX_COORDINATES)
+        square = {"mass": self.mass, "stiffness": self.stiffness}
+        square["damping"] = np.zeros((n, n)) if self.damping is None else self.damping
+        for name, value in square.items():
+            self._set(name, array(name, value, (n, n)))
+        _check_mass(self.mass)
+        directions = {k: array(f"contact {k!r}", b, (n,)) for k, b in self.contacts.items()}
+        whole("number of contacts", len(directions), 0, MAX_CONTACTS)
+        for name, direction in directions.items():
+            if not direction.any():
+                raise ModelError(f"contact {name!r}: its direction must not be zero")
+        self._set("contacts", directions)
+        self._set("cubic", tuple(_along(cubic, n) for cubic in self.cubic))
+        self._set("forcing", tuple(_loaded(load, n) for load in self.forcing))
+        for name in self.modulation:
+            if name not in directions:
+                raise ModelError(f"modulation of {name!r}: must be one of {list(directions)}")
+        self._set("modulation", {k: tuple(terms) for k, terms in self.modulation.items()})
+        if self.lags is not None:
+            self._set("lags", _lags(self.lags, n))
+        names = tuple(self.coordinates) or tuple(f"q_{i + 1}" for i in range(n))
+        if len(names) != n or len(set(names)) != n:
+            raise ModelError(f"coordinates = {names}: must be {n} different names")
+        self._set("coordinates", names)
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.mass)
+
+    @property
+    def n_lags(self) -> int:
+        """Number of first-order states."""
+        return 0 if self.lags is None else len(self.lags.of_lags)
+
+    @property
+    def is_forced(self) -> bool:
+        """Whether anything in it repeats with the forcing's period."""
+        return bool(self.modulation) or any(load.k > 0 for load in self.forcing)
+
+
+def _check_mass(mass: Array) -> None:
+    if not np.array_equal(mass, mass.T):
+        raise ModelError("mass: must be symmetric")
+    smallest = float(np.linalg.eigvalsh(mass)[0])
+    if not smallest > 0.0:
+        raise ModelError(
+            f"mass: its smallest eigenvalue is {smallest:g}: must be positive definite"
+        )
+
+
+def _along(cubic: Cubic, n: int) -> Cubic:
+    return Cubic(along=array("cubic: along", cubic.along, (n,)), alpha=cubic.alpha)
+
+
+def _loaded(load: Harmonic, n: int) -> Harmonic:
+    amplitude = array("forcing: amplitude", load.amplitude, (n,))
+    return Harmonic(amplitude=amplitude, k=load.k, phase=load.phase)
+
+
+def _lags(lags: Lags, n: int) -> Lags:
+    m = len(np.atleast_2d(lags.of_lags))
+    return Lags(
+        array("lags: force", lags.force, (n, m)),
+        array("lags: of_speed", lags.of_speed, (m, n)),
+        array("lags: of_place", lags.of_place, (m, n)),
+        array("lags: of_lags", lags.of_lags, (m, m)),
+    )
+
+
+def fraction(phase: float) -> float:
+    """A phase [rad] as a part of a period, in [0, 1)."""
+    turns = phase / (2.0 * math.pi)
+    return turns - math.floor(turns)
+
+
+def first_order(system: System) -> Array:
+    """Matrix of the linear part out of contact, for states (q, v, z); shape (2 n + m, 2 n + m)."""
+    n, m = system.n, system.n_lags
+    matrix = np.zeros((2 * n + m, 2 * n + m))
+    matrix[:n, n : 2 * n] = np.eye(n)
+    matrix[n : 2 * n, :n] = -np.linalg.solve(system.mass, system.stiffness)
+    matrix[n : 2 * n, n : 2 * n] = -np.linalg.solve(system.mass, system.damping)
+    if (lags := system.lags) is not None:
+        matrix[n : 2 * n, 2 * n :] = -np.linalg.solve(system.mass, lags.force)
+        matrix[2 * n :] = np.hstack([lags.of_place, lags.of_speed, lags.of_lags])
+    return matrix
+
+
+def fastest_mode(system: System) -> float:
+    """Largest modulus of an eigenvalue of the linear part out of contact [Hz]."""
+    return float(np.abs(np.linalg.eigvals(first_order(system))).max()) / (2.0 * math.pi)
