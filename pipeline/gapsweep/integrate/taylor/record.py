@@ -1,8 +1,8 @@
 """What a step leaves behind when recording is on: extrema, section points, contacts, the series.
 
 Each record is a row (point, kind, t, which, q, v, z) of one log that all points share; a point's
-rows are in the order of time within each kind. `which` is the coordinate of an extremum, whose value
-stands first, or the contact; all others hold the whole state.
+rows are in the order of time within each kind. `which` is the coordinate of an extremum, whose
+value stands first, or the contact; all others hold the whole state.
 
 Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
 at once, that there is none or one, and finds it (`find_turns`). That leaves one step in some

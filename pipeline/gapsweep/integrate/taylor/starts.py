@@ -112,7 +112,7 @@ def _set_modes(at, point):
                 gap += point[at.direction + contact * at.n + i] * point[at.q + i]
             point[at.gap + contact] = gap
         lower, upper = point[at.lower + contact], point[at.upper + contact]
-        is_on_wall = is_on_wall or gap == upper or gap == lower
+        is_on_wall |= gap in (upper, lower)
         point[at.mode + contact] = 1.0 if gap > upper else -1.0 if gap < lower else 0.0
     return is_on_wall
 

@@ -1,7 +1,7 @@
 """One Taylor step of a system with located contacts, for all lanes at once, as vector code.
 
 A contact mode is an interval [lo, hi] that the contact's gap b.q may not leave: the freeplay
-itself, or one of the half lines behind a wall. The step is cut where the step's own polynomial leaves an
+itself, or one of the half lines behind a wall. The step is cut where its own polynomial leaves an
 interval first. What happens here, without any branch but two:
 
 1. Taylor coefficients, and the step size that the last two of them allow (`series`);
