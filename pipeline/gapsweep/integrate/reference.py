@@ -26,24 +26,22 @@ from scipy.optimize import brentq
 
 from gapsweep.integrate.motion import SCALARS, Events, Motions, Sampler
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
-from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.oscillator import Oscillator
+from gapsweep.integrate.reference_scenes import (
+    Modes,
+    OscillatorScene,
+    Scene,
+    State,
+    SystemScene,
+)
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
-# Displacement and velocity; with the tangent also the images of a unit displacement and of a
-# unit velocity at the start.
-State = tuple[float, ...]
-_UNIT_TANGENT = (1.0, 0.0, 0.0, 1.0)
 Event = Callable[[float, Sequence[float]], float]
-
-# Below this tolerance RK45 needs ten times the steps of DOP853.
-TIGHT = 1e-6
 
 # A displacement [m] that no machine survives; finite, so that blow-up is caught early.
 DIVERGED_AT = 1e3
 _MAX_STALLED = 100
-_TOUCH = 1e-12
+_NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it has just passed
 
 # solve_ivp does not report rejected steps; its evaluation count gives them away.
 _START_NFEV = 2
@@ -57,105 +55,27 @@ _TO_POWERS = np.linalg.inv(np.vander(_NODES, _DEGREE + 1))
 
 
 @dataclass(frozen=True, slots=True)
-class _Scene:
-    """One point of a sweep, in the units of the right-hand side (seconds, radians)."""
-
-    oscillator: Oscillator
-    law: ContactLaw
-    omega: float
-    theta_0: float
-    rtol: float
-    atol: float
-    tangent: bool
-
-    @property
-    def method(self) -> str:
-        return "RK45" if self.rtol >= TIGHT else "DOP853"
-
-    @property
-    def located(self) -> bool:
-        return isinstance(self.law, Piecewise) and self.law.located
-
-    def wall(self, mode: int) -> float:
-        return self.law.gap.j_2 if mode > 0 else -self.law.gap.j_1
-
-    def force(self, mode: int | None) -> Callable[[float], float]:
-        """Contact force: the law itself, or one branch of the exact one."""
-        if mode is None:
-            law = self.law
-            return lambda x: float(law.force(x))
-        stiffness = self.law.K_c if mode else 0.0
-        wall = self.wall(mode)
-        return lambda x: stiffness * (x - wall)
-
-    def slope(self, mode: int | None) -> Callable[[float], float]:
-        """Slope of `force`."""
-        if mode is None:
-            law = self.law
-            return lambda x: float(law.derivative(x))
-        stiffness = self.law.K_c if mode else 0.0
-        return lambda x: stiffness
-
-    def rhs(self, mode: int | None) -> Callable[[float, Array], State]:
-        o = self.oscillator
-        damping, stiffness = 2.0 * o.decay_rate, o.omega_n_rad**2
-        cubic, forcing, mass = o.alpha / o.mass, o.forcing / o.mass, o.mass
-        omega_rad, theta_0 = 2.0 * math.pi * self.omega, self.theta_0
-        contact = self.force(mode)
-
-        def f(t: float, y: Array) -> State:
-            x, v = y.tolist()
-            drive = forcing * math.cos(omega_rad * t + theta_0)
-            return v, drive - damping * v - (stiffness + cubic * x * x) * x - contact(x) / mass
-
-        if not self.tangent:
-            return f
-        contact_slope = self.slope(mode)
-
-        def with_tangent(t: float, y: Array) -> State:
-            x, _, *tangent = y.tolist()
-            slope = stiffness + 3.0 * cubic * x * x + contact_slope(x) / mass
-            (a, a_dot), (b, b_dot) = tangent[:2], tangent[2:]
-            images = a_dot, -damping * a_dot - slope * a, b_dot, -damping * b_dot - slope * b
-            return (*f(t, y[:2]), *images)
-
-        return with_tangent
-
-    def mode_at(self, t: float, y: State) -> int:
-        """Contact mode; on a wall the direction of motion decides, then acceleration."""
-        x, v = y[:2]
-        a = self.rhs(0)(t, np.array(y))[1]
-        # A contact shorter than a picosecond cannot be told from a touch.
-        heading = v if abs(v) > _TOUCH * abs(a) else a
-        for mode in (1, -1):
-            beyond = mode * (x - self.wall(mode))
-            if beyond > 0.0 or (beyond == 0.0 and mode * heading > 0.0):
-                return mode
-        return 0
-
-
-@dataclass(frozen=True, slots=True)
 class _Segment:
-    """A stretch of motion in one contact mode, and the wall it ended on."""
+    """A stretch of motion in one set of contact modes, and the contact and wall it ended on."""
 
     t: float
     y: State
     motion: PPoly
-    wall: float | None = None
+    hit: tuple[int, float] | None = None
 
 
 @dataclass(slots=True)
 class _Record:
     """What accumulates over the segments of a run."""
 
-    t_contacts: list[float] = field(default_factory=list)
+    contacts: list[tuple[float, int]] = field(default_factory=list)  # times, and which
     n_steps: int = 0
     n_rejected: int = 0
     nfev: int = 0
     pieces: list[PPoly] = field(default_factory=list)
     status: Status = Status.OK
 
-    def count(self, scene: _Scene, nfev: int, n_steps: int) -> None:
+    def count(self, scene: Scene, nfev: int, n_steps: int) -> None:
         method = scene.method
         attempts = nfev - _START_NFEV - n_steps * _DENSE_NFEV[method]
         self.nfev += nfev
@@ -175,15 +95,16 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
         def sampler(i: int) -> Sampler:
             motion, t_0 = runs[i].motion, problems.t_0[i]
-            return lambda t: np.moveaxis(motion(t - t_0), -1, 0)[:2]
+            return lambda t: np.moveaxis(motion(t - t_0), -1, 0)[: runs[i].n_states]
 
         monodromy = None
         if problems.tangent:
-            columns_first = np.array([run.tangent for run in runs]).reshape(-1, 2, 2)
-            monodromy = columns_first.transpose(0, 2, 1)
+            n_states = problems.start.shape[1]
+            columns_first = np.array([run.tangent for run in runs])
+            monodromy = columns_first.reshape(-1, n_states, n_states).transpose(0, 2, 1)
         return Motions(
-            state=np.array([run.state for run in runs]).reshape(-1, 2),
-            reach=np.array([[run.reach] for run in runs]).reshape(-1, 1),
+            state=np.array([run.state for run in runs]).reshape(problems.start.shape),
+            reach=np.array([run.reach for run in runs]).reshape(len(runs), -1),
             events=lambda: _events(runs),
             sampler=sampler,
             monodromy=monodromy,
@@ -204,23 +125,26 @@ class _Run:
     n_steps: int
     n_rejected: int
     nfev: int
-    reach: float
+    reach: Array
     tangent: State
     t_extrema: Array
     extrema: Array
+    extrema_of: NDArray[np.int64]
     t_contacts: Array
+    contacts_of: NDArray[np.int64]
     section: Array
     motion: PPoly
 
+    @property
+    def n_states(self) -> int:
+        return len(self.state)
+
 
 def _events(runs: Sequence[_Run]) -> Events:
-    names = ("t_extrema", "extrema", "t_contacts", "section")
+    names = ("t_extrema", "extrema", "extrema_of", "t_contacts", "contacts_of", "section")
     lists = {name: [getattr(run, name) for run in runs] for name in names}
-    merged = {name: np.concatenate(arrays) for name, arrays in lists.items()}
     return Events(
-        **merged,
-        extrema_of=np.zeros(len(merged["extrema"]), np.int64),
-        contacts_of=np.zeros(len(merged["t_contacts"]), np.int64),
+        **{name: np.concatenate(arrays) for name, arrays in lists.items()},
         n_extrema=np.array([len(extrema) for extrema in lists["extrema"]]),
         n_contacts=np.array([len(t_contacts) for t_contacts in lists["t_contacts"]]),
         n_section=np.array([len(section) for section in lists["section"]]),
@@ -232,9 +156,10 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
     t_0, omega = float(problems.t_0[i]), float(models.omega[model])
     t_end = float(problems.t_end[i])
     theta_0 = 2.0 * math.pi * math.fmod(omega * t_0, 1.0)
-    scene = _Scene(
+    is_plain, law = models.is_plain, models.laws[model]
+    scene = (OscillatorScene if is_plain else SystemScene)(
         models.systems[model],
-        models.laws[model],
+        (law,) if is_plain else law,
         omega,
         theta_0,
         solver.rtol,
@@ -244,72 +169,96 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
     run = _Record()
     start: State = tuple(problems.start[i].tolist())
     if problems.tangent:
-        start += _UNIT_TANGENT
+        start += tuple(np.eye(len(start)).ravel().tolist())
     # An overflow on the way to divergence is an outcome, not a fault of this code.
     with np.errstate(all="ignore"):
         t, y = (_located if scene.located else _plain)(scene, run, start, t_end - t_0)
     motion, since = _joined(run.pieces), float(problems.record_from[i]) - t_0
-    t_extrema, extrema = _extrema(motion)
-    is_late, t_contacts = t_extrema >= since, np.array(run.t_contacts)
+    n, turns = scene.n_states, [_extrema(motion, i, scene.n) for i in range(scene.n)]
+    t_extrema, extrema = (np.concatenate([turn[k] for turn in turns]) for k in (0, 1))
+    of = np.repeat(range(scene.n), [len(turn[0]) for turn in turns])
+    is_late, contacts = t_extrema >= since, np.array(run.contacts).reshape(-1, 2)
+    contacts = contacts[contacts[:, 0] >= since]
     return _Run(
         t=t_end if run.status is Status.OK else t_0 + t,
-        state=y[:2],
+        state=y[:n],
         status=run.status,
-        n_contacts=len(run.t_contacts),
+        n_contacts=len(run.contacts),
         n_steps=run.n_steps,
         n_rejected=run.n_rejected,
         nfev=run.nfev,
-        reach=float(np.abs([y[0], *motion.c[-1, :, 0]]).max()),  # at the ends of its pieces
-        tangent=y[2:],
+        # at the ends of its pieces
+        reach=np.abs([y[: scene.n], *motion.c[-1, :, : scene.n]]).max(axis=0),
+        tangent=y[n:],
         t_extrema=t_0 + t_extrema[is_late],
         extrema=extrema[is_late],
-        t_contacts=t_0 + t_contacts[t_contacts >= since],
+        extrema_of=of[is_late],
+        t_contacts=t_0 + contacts[:, 0],
+        contacts_of=contacts[:, 1].astype(np.int64),
         section=_section(motion, scene, since, t),
         motion=motion,
     )
 
 
-def _plain(scene: _Scene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
+def _plain(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
     """One run without stops; wall crossings are read off the motion afterwards."""
-    segment = _solve(scene, run, None, 0.0, y_0, t_end)
-    crossings = [_roots(segment.motion, 0, scene.wall(mode)) for mode in (-1, 1)]
-    run.t_contacts = np.sort(np.concatenate(crossings)).tolist()
+    segment = _solve(scene, run, None, 0.0, y_0, t_end, None)
+    for contact, law in enumerate(scene.laws):
+        gap = _gap_of(scene, segment.motion, contact)
+        for wall in (-law.gap.j_1, law.gap.j_2):
+            run.contacts += [(t, contact) for t in _roots(gap, 0, wall).tolist()]
+    run.contacts.sort()
     run.pieces.append(segment.motion)
     return segment.t, segment.y
 
 
-def _located(scene: _Scene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
-    """Segments of one contact mode each, restarted at every contact."""
-    t, y, mode, stalled = 0.0, y_0, scene.mode_at(0.0, y_0), 0
+def _located(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
+    """Segments in one set of contact modes each, restarted at every contact."""
+    t, y, modes, stalled = 0.0, y_0, scene.modes_at(0.0, y_0), 0
+    on_wall = None
     while t < t_end:
-        segment = _cut_at_missed_contact(scene, mode, _solve(scene, run, mode, t, y, t_end))
+        found = _solve(scene, run, modes, t, y, t_end, on_wall)
+        segment = _cut_at_missed_contact(scene, modes, found)
         run.pieces.append(segment.motion)
         stalled = stalled + 1 if segment.t <= t + 16.0 * np.spacing(t) else 0
         t, y = segment.t, segment.y
-        if segment.wall is None:
+        if segment.hit is None:
             break
         if stalled > _MAX_STALLED:
             run.status = Status.CHATTER
             break
-        y = (segment.wall, *y[1:])
-        previous, mode = mode, scene.mode_at(t, y)
+        on_wall, _ = segment.hit
+        previous, modes = modes, scene.passed(t, y, modes, *segment.hit)
         # With both walls in one place a single crossing leaves one and enters the other.
-        run.t_contacts += [t] * abs(mode - previous)
+        run.contacts += [(t, on_wall)] * abs(modes[on_wall] - previous[on_wall])
     return t, y
 
 
 def _solve(
-    scene: _Scene, run: _Record, mode: int | None, t: float, y: State, t_end: float
+    scene: Scene,
+    run: _Record,
+    modes: Modes,
+    t: float,
+    y: State,
+    t_end: float,
+    on_wall: int | None,
 ) -> _Segment:
-    """Run `solve_ivp` until `t_end`, the next contact or divergence."""
-    sides = _exits(mode)
+    """Run `solve_ivp` until `t_end`, the next contact or divergence.
+
+    Parameters
+    ----------
+    on_wall : int, optional
+        The contact that stands on a wall at the start.
+    """
+    exits = _exits(modes)
     solution = solve_ivp(
-        scene.rhs(mode),
+        scene.rhs(modes),
         (t, t_end),
         y,
         scene.method,
         dense_output=True,
-        events=[_contact_event(scene, mode, side, t, y) for side in sides] + [_diverged],
+        events=[_contact_event(scene, modes, *each, t, y, on_wall) for each in exits]
+        + [_divergence(scene.n)],
         rtol=scene.rtol,
         atol=scene.atol,
     )
@@ -321,10 +270,20 @@ def _solve(
     if diverged.size or not all(map(math.isfinite, end)):
         run.status = Status.DIVERGED
     elif solution.status < 0:
-        lost = _is_undefined_ahead(scene.rhs(mode), solution.t[-1], solution.y[:, -1])
+        lost = _is_undefined_ahead(scene.rhs(modes), solution.t[-1], solution.y[:, -1])
         run.status = Status.DIVERGED if lost else Status.STEP_UNDERFLOW
-    hit = [scene.wall(side) for side, times in zip(sides, contacts, strict=True) if times.size]
-    return _Segment(float(solution.t[-1]), end, motion, hit[0] if hit else None)
+    hits = [
+        (contact, scene.wall(contact, side))
+        for (contact, side), times in zip(exits, contacts, strict=True)
+        if times.size
+    ]
+    end = _on_wall(scene, end, *hits[0]) if hits else end
+    return _Segment(float(solution.t[-1]), end, motion, hits[0] if hits else None)
+
+
+def _on_wall(scene: Scene, y: State, contact: int, wall: float) -> State:
+    """The state, put onto the wall if that is one coordinate's."""
+    return (wall, *y[1:]) if scene.n == 1 and scene.gap(contact, (1.0,)) == 1.0 else y
 
 
 def _is_undefined_ahead(rhs: Callable[[float, Array], State], t: float, y: Array) -> bool:
@@ -334,23 +293,35 @@ def _is_undefined_ahead(rhs: Callable[[float, Array], State], t: float, y: Array
     return any(not np.all(np.isfinite(rhs(t + h, y + h * slope))) for h in steps)
 
 
-def _exits(mode: int | None) -> tuple[int, ...]:
-    """Sides (-1 lower, 1 upper wall) on which a contact mode can end."""
-    return () if mode is None else (mode,) if mode else (-1, 1)
+def _exits(modes: Modes) -> list[tuple[int, int]]:
+    """Contacts and their sides (-1 lower, 1 upper wall) on which modes can end."""
+    sides = [(mode,) if mode else (-1, 1) for mode in modes or ()]
+    return [(contact, side) for contact, both in enumerate(sides) for side in both]
 
 
 def _contact_event(
-    scene: _Scene, mode: int | None, side: int, t_start: float, y_start: State
+    scene: Scene,
+    modes: Modes,
+    contact: int,
+    side: int,
+    t_start: float,
+    y_start: State,
+    on_wall: int | None,
 ) -> Event:
     """Terminal event at a wall: the distance beyond it, blind to a root at its own start."""
-    wall = scene.wall(side)
-    on_wall = y_start[0] == wall
+    assert modes is not None, "without modes nothing is located"
+    wall, at_start = scene.wall(contact, side), scene.gap(contact, y_start)
+    mode = modes[contact]
+    starts_there = at_start == wall or (
+        contact == on_wall
+        and abs(at_start - wall) <= _NEAR * (scene.laws[contact].gap.width + abs(at_start))
+    )
     sign = 1.0 if mode else -1.0
 
     def event(t: float, y: Sequence[float]) -> float:
-        beyond = side * (y[0] - wall)
-        if not on_wall:
-            return float(beyond)
+        if not starts_there:
+            return float(side * (scene.gap(contact, y) - wall))
+        beyond = side * (scene.gap(contact, y) - at_start)
         return float(beyond / (t - t_start)) if t > t_start else sign
 
     event.terminal = True  # type: ignore[attr-defined]  # how scipy takes event options
@@ -358,46 +329,58 @@ def _contact_event(
     return event
 
 
-def _diverged(t: float, y: Sequence[float]) -> float:
-    return abs(y[0]) - DIVERGED_AT
+def _divergence(n: int) -> Event:
+    """Terminal event where a coordinate of n leaves all bounds."""
+
+    def diverged(t: float, y: Sequence[float]) -> float:
+        return max(map(abs, y[:n])) - DIVERGED_AT
+
+    diverged.terminal = True  # type: ignore[attr-defined]  # how scipy takes event options
+    return diverged
 
 
-_diverged.terminal = True  # type: ignore[attr-defined]  # how scipy takes event options
+def _gap_of(scene: Scene, motion: PPoly, contact: int) -> PPoly:
+    """A contact's gap and its rate along a motion."""
+    n, direction = scene.n, scene.directions[contact]
+    parts = [motion.c[:, :, i * n : (i + 1) * n] @ direction for i in (0, 1)]
+    return PPoly.construct_fast(np.stack(parts, axis=-1), motion.x)
 
 
-def _cut_at_missed_contact(scene: _Scene, mode: int, segment: _Segment) -> _Segment:
+def _cut_at_missed_contact(scene: Scene, modes: tuple[int, ...], segment: _Segment) -> _Segment:
     """End a segment at the contact that two step ends straddle unseen, if there is one."""
-    turns = _roots(segment.motion, 1, 0.0)
-    if not turns.size:
-        return segment
-    x_turns = segment.motion(turns)[:, 0]
-    # A touch within rounding of the wall is not a contact.
-    slack = 8.0 * np.finfo(float).eps * max(scene.law.gap.j_1, scene.law.gap.j_2)
-    allowed = 1.0 if mode else -1.0
     missed = []
-    for side in _exits(mode):
-        wall = scene.wall(side)
-        wrong = np.flatnonzero(allowed * side * (x_turns - wall) < -slack)
-        if wrong.size and (segment.wall != wall or turns[wrong[0]] < segment.t):
-            missed.append((int(wrong[0]), wall))
+    for contact, side in _exits(modes):
+        gap, wall = _gap_of(scene, segment.motion, contact), scene.wall(contact, side)
+        turns = _roots(gap, 1, 0.0)
+        if not turns.size:
+            continue
+        walls = scene.laws[contact].gap
+        # A touch within rounding of the wall is not a contact.
+        slack = 8.0 * np.finfo(float).eps * max(walls.j_1, walls.j_2)
+        allowed = 1.0 if modes[contact] else -1.0
+        wrong = np.flatnonzero(allowed * side * (gap(turns)[:, 0] - wall) < -slack)
+        if wrong.size and (segment.hit != (contact, wall) or turns[wrong[0]] < segment.t):
+            before = turns[wrong[0] - 1] if wrong[0] else segment.motion.x[0]
+            missed.append((turns[wrong[0]], before, contact, wall))
     if not missed:
         return segment
-    # The earliest one, of either wall: what follows it is no motion.
-    first, wall = min(missed)
-    t_before = turns[first - 1] if first else segment.motion.x[0]
-    return _cut(segment, t_before, turns[first], wall)
+    # The earliest one, of any wall: what follows it is no motion.
+    beyond, before, contact, wall = min(missed)
+    return _cut(scene, segment, before, beyond, contact, wall)
 
 
-def _cut(segment: _Segment, t_before: float, t_beyond: float, wall: float) -> _Segment:
+def _cut(
+    scene: Scene, segment: _Segment, t_before: float, t_beyond: float, contact: int, wall: float
+) -> _Segment:
     def distance(t: float) -> float:
-        return float(segment.motion(t)[0]) - wall
+        return scene.gap(contact, segment.motion(t)) - wall
 
     straddles = distance(t_before) * distance(t_beyond) < 0.0
     t = float(brentq(distance, t_before, t_beyond, xtol=1e-15)) if straddles else t_before
     last = int(np.searchsorted(segment.motion.x, t, side="left"))
     breaks = np.append(segment.motion.x[:last], t)
     motion = PPoly.construct_fast(segment.motion.c[:, : breaks.size - 1], breaks)
-    return _Segment(t, (wall, *motion(t)[1:].tolist()), motion, wall)
+    return _Segment(t, _on_wall(scene, tuple(motion(t)), contact, wall), motion, (contact, wall))
 
 
 def _resting(t: float, y: Array) -> PPoly:
@@ -426,7 +409,7 @@ def _joined(pieces: list[PPoly]) -> PPoly:
 
 
 def _roots(motion: PPoly, component: int, value: float) -> Array:
-    """Times after the start at which x (component 0) or v (component 1) takes a value."""
+    """Times after the start at which a component of a motion takes a value."""
     single = PPoly.construct_fast(np.ascontiguousarray(motion.c[:, :, component]), motion.x)
     roots = np.sort(single.solve(value, discontinuity=False, extrapolate=False))
     roots = roots[np.isfinite(roots)]
@@ -436,14 +419,17 @@ def _roots(motion: PPoly, component: int, value: float) -> Array:
     return np.asarray(roots[after_start])
 
 
-def _extrema(motion: PPoly) -> tuple[Array, Array]:
-    t = _roots(motion, 1, 0.0)
-    return t, motion(t)[:, 0] if t.size else t
+def _extrema(motion: PPoly, coordinate: int, n: int) -> tuple[Array, Array]:
+    """Times and values of the zero-velocity points of one of n coordinates."""
+    t = _roots(motion, n + coordinate, 0.0)
+    return t, motion(t)[:, coordinate] if t.size else t
 
 
-def _section(motion: PPoly, scene: _Scene, since: float, t_end: float) -> Array:
-    """(x, v) at every whole forcing period after the start, from the time `since` on."""
+def _section(motion: PPoly, scene: Scene, since: float, t_end: float) -> Array:
+    """The state at every whole forcing period after the start, from the time `since` on."""
+    if not scene.omega:
+        return np.empty((0, scene.n_states))
     phase = scene.theta_0 / (2.0 * math.pi)
     last = math.floor(scene.omega * t_end + phase + 1e-9)
     t = (np.arange(math.floor(phase + 1e-9) + 1, last + 1) - phase) / scene.omega
-    return np.asarray(motion(np.minimum(t[t >= since], t_end)))[:, :2]
+    return np.asarray(motion(np.minimum(t[t >= since], t_end)))[:, : scene.n_states]

@@ -27,7 +27,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
 
 def simulate(
-    system: Oscillator | System,
+    oscillator: Oscillator | System,
     law: ContactLaw | Mapping[str, ContactLaw],
     omega: ArrayLike | None = None,
     x_0: ArrayLike = 0.0,
@@ -49,7 +49,7 @@ def simulate(
 
     Parameters
     ----------
-    system : Oscillator or System
+    oscillator : Oscillator or System
     law : ContactLaw or mapping of str to ContactLaw
         One law for all contacts, or that of each contact of a system, by its name.
     omega : float or array_like
@@ -84,18 +84,18 @@ def simulate(
     t_0, t_end = checked("t_0", t_0), checked("t_end", t_end)
     if t_end <= t_0:
         raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
-    if isinstance(system, System):
+    if isinstance(oscillator, System):
         _zero("x_0", x_0, "a System starts from q_0, v_0 and z_0")
-        frequency, start = _system_starts(system, omega, q_0, v_0, z_0)
-        laws: Any = _laws(system, law)
+        frequency, start = _system_starts(oscillator, omega, q_0, v_0, z_0)
+        laws: Any = _laws(oscillator, law)
     else:
         for name, value in (("q_0", q_0), ("z_0", z_0)):
             _zero(name, value, "an Oscillator starts from x_0 and v_0")
         frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
         laws, start = law, np.stack([x_0, v_0], axis=-1)
     n = frequency.size
-    models = Models(systems=[system] * n, laws=[laws] * n, omega=frequency.ravel())
-    _check_clock(system, frequency, t_0)
+    models = Models(systems=[oscillator] * n, laws=[laws] * n, omega=frequency.ravel())
+    _check_clock(oscillator, frequency, t_0)
     integrate = prepared(models, solver)
 
     def solve(record_from: float, dense_output: bool) -> Motions:
@@ -112,14 +112,14 @@ def simulate(
             )
         )
 
-    if isinstance(system, System):
-        return SystemTrajectory(system, solve, t_0, frequency.shape, dense_output)
+    if isinstance(oscillator, System):
+        return SystemTrajectory(oscillator, solve, t_0, frequency.shape, dense_output)
     return Trajectory(solve, t_0, frequency.shape, dense_output)
 
 
 def _zero(name: str, value: ArrayLike, remedy: str) -> None:
     """Refuse a start that a model of this kind does not have."""
-    if np.any(np.not_equal(value, 0.0)):
+    if not np.all(np.equal(value, 0.0)):
         raise ModelError(f"{name} = {value!r}: {remedy}")
 
 
@@ -142,7 +142,7 @@ def _system_starts(
     sizes = {"q_0": (q_0, system.n), "v_0": (v_0, system.n), "z_0": (z_0, system.n_lags)}
     parts = []
     for name, (value, size) in sizes.items():
-        (given,) = broadcast(**{name: value})
+        (given,) = broadcast(**{name: 0.0 if not size and not np.size(value) else value})
         if given.ndim and given.shape[-1] != size:
             raise ModelError(f"{name}: has the shape {given.shape}, its last axis must be {size}")
         parts.append(given if given.ndim else np.full(size, given))
