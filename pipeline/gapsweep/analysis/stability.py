@@ -42,7 +42,7 @@ from gapsweep.analysis.truth import (
 from gapsweep.execution.alone import Alone, CallError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.contact import Arctan, ContactLaw, LogArctan, Tanh
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import (
     equilibria,
     linear_stiffness,
@@ -320,7 +320,7 @@ def _method_values(scene: Scene, method: Method, judges: dict[str, Judge]) -> li
     found = []
     for solver in method.rungs:
         run = observed(scene, law, solver)
-        layer = {"layer_over_step": _layer(law) / own.way(run)}
+        layer = {"layer_over_step": (math.nan if law is None else law.layer) / own.way(run)}
         found.append(own.verdict(run, solver) | predicted | layer)
     return found
 
@@ -449,10 +449,3 @@ def _in_gap_frequency(oscillator: Oscillator, law: ContactLaw, x_max: float) -> 
     plain = replace(oscillator, alpha=0.0)
     stiffness = float(restoring_slope(plain, law, 0.5 * (low + high)))
     return math.sqrt(stiffness / oscillator.mass) / (2.0 * math.pi) if stiffness > 0 else math.nan
-
-
-def _layer(law: ContactLaw | None) -> float:
-    """Thickness of a law's smoothing layer [m]; NaN if it has none."""
-    if isinstance(law, Tanh | Arctan):
-        return 1.0 / law.epsilon
-    return 1.0 / law.gamma if isinstance(law, LogArctan) else math.nan

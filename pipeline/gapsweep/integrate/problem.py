@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Motions
-from gapsweep.model.contact import Arctan, ContactLaw, LogArctan, Piecewise, Tanh, checked_law
+from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.system import System
 
@@ -70,7 +70,7 @@ def law_kind(law: ContactLaw) -> Hashable:
     ModelError
         If it is no law.
     """
-    if isinstance(checked_law(law), Piecewise | Tanh | Arctan | LogArctan):
+    if checked_law(law).is_numbers:
         return type(law), isinstance(law, Piecewise) and law.located
     return law
 

@@ -3,22 +3,38 @@
 Every law has ``force(x)`` [N] and ``derivative(x)`` [N/m] on arrays of displacements [m],
 for symmetric, asymmetric and zero gaps. Formulas and labels are those of the user guide;
 `gapsweep.model.labels` builds any law from its label.
+
+A law is one class here, with all that the rest of the package asks of it, and one compiled form in
+`gapsweep.integrate.runge_kutta.laws`.
 """
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from decimal import Decimal
+from typing import ClassVar
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, described
-from gapsweep.model.fit import N_FIT_POINTS, Fit, goodness, polynomial_fit, rational_fit, unit_force
+from gapsweep.model.fit import (
+    MAX_DEGREE,
+    MAX_RATIONAL_DEGREE,
+    N_FIT_POINTS,
+    Fit,
+    goodness,
+    polynomial_fit,
+    rational_fit,
+    unit_force,
+)
 from gapsweep.model.oscillator import Gap, checked
 
 Array = NDArray[np.float64]
 FIT_RANGE = 4e-3
+_NOEVENTS = "noevents"
 # A user's law has central differences for its slope: over the part of x that balances truncation
 # and rounding, and never less than of a length [m] below which nothing moves.
 SLOPE_STEP, SLOPE_LENGTH = 6e-6, 1e-9
@@ -36,8 +52,38 @@ class ContactLaw:
         Distances of the two walls from the origin.
     """
 
+    # What its label begins with, and its colour in every figure (Okabe & Ito, 2008: safe for
+    # colour-blind readers).
+    family: ClassVar[str] = ""
+    colour: ClassVar[str] = "#56B4E9"
+    # Whether laws of the family differ in numbers alone, so that one compiled form takes them all.
+    is_numbers: ClassVar[bool] = False
+    # Whether it has a convergence parameter: the larger, the nearer to the exact law.
+    is_sharpened: ClassVar[bool] = False
+
     K_c: float
     gap: Gap
+
+    @classmethod
+    def canonical(cls, label: str, parameter: str) -> str:
+        """The one spelling of what follows the family in a label.
+
+        Raises
+        ------
+        ModelError
+            If it is none of this family.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
+        """The law of a canonical label, by what follows its family there."""
+        raise NotImplementedError
+
+    @property
+    def layer(self) -> float:
+        """Thickness of the smoothing layer at a wall [m]; NaN if it has none."""
+        return math.nan
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K_c", checked("K_c", self.K_c, low=0.0))
@@ -69,7 +115,21 @@ class Piecewise(ContactLaw):
         ``piecewise-noevents``: the same force, its kinks left to step-size control.
     """
 
+    family: ClassVar[str] = "piecewise"
+    colour: ClassVar[str] = "#000000"
+    is_numbers: ClassVar[bool] = True
+
     located: bool = True
+
+    @classmethod
+    def canonical(cls, label: str, parameter: str) -> str:
+        if label not in (cls.family, f"{cls.family}-{_NOEVENTS}"):
+            raise ModelError(f"{label!r}: must be {cls.family} or {cls.family}-{_NOEVENTS}")
+        return parameter
+
+    @classmethod
+    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
+        return cls(K_c, gap, located=not parameter)
 
     def force(self, x: ArrayLike) -> Array:
         return np.asarray(self.K_c * unit_force(np.asarray(x, dtype=float), self.gap))
@@ -80,7 +140,39 @@ class Piecewise(ContactLaw):
 
 
 @dataclass(frozen=True)
-class _Switched(ContactLaw):
+class _Sharpened(ContactLaw):
+    """A law with a convergence parameter [1/m], whose inverse is the width of its layer."""
+
+    is_numbers: ClassVar[bool] = True
+    is_sharpened: ClassVar[bool] = True
+
+    @property
+    def sharpness(self) -> float:
+        """The convergence parameter [1/m]."""
+        raise NotImplementedError
+
+    @property
+    def layer(self) -> float:
+        return 1.0 / self.sharpness
+
+    @classmethod
+    def canonical(cls, label: str, parameter: str) -> str:
+        try:
+            value = float(parameter)
+        except ValueError:
+            raise ModelError(f"{label!r}: {parameter!r} is not a number, as in tanh-1e4") from None
+        if not (math.isfinite(value) and value > 0.0):
+            raise ModelError(f"{label!r}: the convergence parameter must be > 0 and finite, in 1/m")
+        digits, exponent = f"{value:.11e}".split("e")
+        return f"{Decimal(digits).normalize():f}e{int(exponent)}"
+
+    @classmethod
+    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
+        return cls(K_c, gap, float(parameter))  # type: ignore[call-arg]  # of every law of this kind
+
+
+@dataclass(frozen=True)
+class _Switched(_Sharpened):
     """Both contact branches, each blended in by a switch ``s`` running from -1 to 1."""
 
     epsilon: float
@@ -89,6 +181,10 @@ class _Switched(ContactLaw):
         super().__post_init__()
         value = checked("epsilon", self.epsilon, low=0.0, strict=True)
         object.__setattr__(self, "epsilon", value)
+
+    @property
+    def sharpness(self) -> float:
+        return self.epsilon
 
     def _switch(self, z: Array) -> tuple[Array, Array]:
         """Value and derivative of the switch at scaled distance `z` [-]."""
@@ -120,6 +216,9 @@ class Tanh(_Switched):
         Convergence parameter [1/m], ``> 0``; its inverse is the width of the layer.
     """
 
+    family: ClassVar[str] = "tanh"
+    colour: ClassVar[str] = "#0072B2"
+
     def _switch(self, z: Array) -> tuple[Array, Array]:
         s = np.tanh(z)
         return s, 1.0 - s * s
@@ -135,12 +234,15 @@ class Arctan(_Switched):
         Convergence parameter [1/m], ``> 0``.
     """
 
+    family: ClassVar[str] = "arctan"
+    colour: ClassVar[str] = "#009E73"
+
     def _switch(self, z: Array) -> tuple[Array, Array]:
         return (2.0 / math.pi) * np.arctan(z), (2.0 / math.pi) / (1.0 + z * z)
 
 
 @dataclass(frozen=True)
-class LogArctan(ContactLaw):
+class LogArctan(_Sharpened):
     """Integral of the arctan-smoothed stiffness, anchored so that ``force(0) = 0``.
 
     Parameters
@@ -154,7 +256,14 @@ class LogArctan(ContactLaw):
     ``K_c (1 + ln(γ j_2)) / (π γ)`` for ``j_1 = 0``.
     """
 
+    family: ClassVar[str] = "logarctan"
+    colour: ClassVar[str] = "#D55E00"
+
     gamma: float
+
+    @property
+    def sharpness(self) -> float:
+        return self.gamma
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -178,7 +287,7 @@ class LogArctan(ContactLaw):
 
 
 @dataclass(frozen=True)
-class _Fitted(ContactLaw):
+class Fitted(ContactLaw):
     """A fit ``K_c N(u)/D(u)`` of the exact force, ``u = x / valid_range``."""
 
     @property
@@ -217,7 +326,7 @@ class _Fitted(ContactLaw):
 
 
 @dataclass(frozen=True)
-class Polynomial(_Fitted):
+class Polynomial(Fitted):
     """Least-squares polynomial.
 
     Parameters
@@ -228,8 +337,19 @@ class Polynomial(_Fitted):
         Half-width of the fitted range [m], ``> 0``.
     """
 
+    family: ClassVar[str] = "poly"
+    colour: ClassVar[str] = "#E69F00"
+
     degree: int
     fit_range: float = FIT_RANGE
+
+    @classmethod
+    def canonical(cls, label: str, parameter: str) -> str:
+        return str(_degree(label, parameter, MAX_DEGREE))
+
+    @classmethod
+    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
+        return cls(K_c, gap, int(parameter), fit_range)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -247,7 +367,7 @@ class Polynomial(_Fitted):
 
 
 @dataclass(frozen=True)
-class RationalPolynomial(_Fitted):
+class RationalPolynomial(Fitted):
     """Least-squares rational polynomial without a pole in the fitted range.
 
     Parameters
@@ -263,9 +383,23 @@ class RationalPolynomial(_Fitted):
         If the best fit has a pole in the range; the message names it.
     """
 
+    family: ClassVar[str] = "ratpoly"
+    colour: ClassVar[str] = "#CC79A7"
+
     numerator: int
     denominator: int
     fit_range: float = FIT_RANGE
+
+    @classmethod
+    def canonical(cls, label: str, parameter: str) -> str:
+        top, _, bottom = parameter.partition("/")
+        degrees = (_degree(label, text, MAX_RATIONAL_DEGREE) for text in (top, bottom))
+        return "{}/{}".format(*degrees)
+
+    @classmethod
+    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
+        top, bottom = parameter.split("/")
+        return cls(K_c, gap, int(top), int(bottom), fit_range)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -328,6 +462,23 @@ class UserLaw(ContactLaw):
         x = np.asarray(x, dtype=float)
         h = SLOPE_STEP * np.maximum(np.abs(x), SLOPE_LENGTH)
         return np.asarray((self.force(x + h) - self.force(x - h)) / (2.0 * h))
+
+
+# Every law that a label names, by its family, in the order of the user guide.
+FAMILIES: dict[str, type[ContactLaw]] = {
+    law.family: law for law in (Piecewise, Polynomial, RationalPolynomial, Tanh, Arctan, LogArctan)
+}
+
+
+def family(label: str) -> type[ContactLaw] | None:
+    """The class of a label's law; None of ``auto`` and of users' laws."""
+    return FAMILIES.get(label.partition("-")[0])
+
+
+def _degree(label: str, text: str, largest: int) -> int:
+    if not re.fullmatch(r"[0-9]{1,3}", text) or not 1 <= int(text) <= largest:
+        raise ModelError(f"{label!r}: degree {text!r} must be a whole number in 1..{largest}")
+    return int(text)
 
 
 def checked_law(law: ContactLaw) -> ContactLaw:

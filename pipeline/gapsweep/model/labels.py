@@ -12,36 +12,18 @@
 ========================= ==========================================================
 """
 
-import math
 import re
 from collections.abc import Callable
-from decimal import Decimal
 
 from gapsweep.errors import ModelError
 from gapsweep.model import own_law
-from gapsweep.model.contact import (
-    FIT_RANGE,
-    Arctan,
-    ContactLaw,
-    LogArctan,
-    Piecewise,
-    Polynomial,
-    RationalPolynomial,
-    Tanh,
-    UserLaw,
-)
-from gapsweep.model.fit import MAX_DEGREE, MAX_RATIONAL_DEGREE
+from gapsweep.model.contact import FIT_RANGE, ContactLaw, Fitted, UserLaw, family
 from gapsweep.model.oscillator import Gap
 
 AUTO = "auto"
 EXAMPLES = (
     "piecewise, piecewise-noevents, poly-13, ratpoly-5/3, tanh-1e4, arctan-1e4, logarctan-1e4"
 )
-_SMOOTH: dict[str, type[Tanh] | type[Arctan] | type[LogArctan]] = {
-    "tanh": Tanh,
-    "arctan": Arctan,
-    "logarctan": LogArctan,
-}
 _FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
@@ -55,18 +37,21 @@ def canonical_label(label: str) -> str:
     """
     if not isinstance(label, str):
         raise ModelError(f"representation = {label!r}: must be a label, one of {EXAMPLES}")
-    family, _, parameter = label.partition("-")
-    if label in ("piecewise", "piecewise-noevents", AUTO) or _FUNCTION.fullmatch(label):
+    if label == AUTO or _FUNCTION.fullmatch(label):
         return label
-    if family in _SMOOTH:
-        return f"{family}-{_canonical_number(label, parameter)}"
-    if family == "poly":
-        return f"poly-{_degree(label, parameter, MAX_DEGREE)}"
-    if family == "ratpoly":
-        top, _, bottom = parameter.partition("/")
-        degrees = (_degree(label, text, MAX_RATIONAL_DEGREE) for text in (top, bottom))
-        return "ratpoly-{}/{}".format(*degrees)
-    raise ModelError(f"unknown representation {label!r}: use one of {EXAMPLES} or module:function")
+    name, dash, parameter = label.partition("-")
+    law = family(label)
+    if law is None:
+        raise ModelError(
+            f"unknown representation {label!r}: use one of {EXAMPLES} or module:function"
+        )
+    return f"{name}{dash}{law.canonical(label, parameter)}"
+
+
+def is_fitted(label: str) -> bool:
+    """Whether the law of a label is fitted over a range."""
+    law = family(label)
+    return law is not None and issubclass(law, Fitted)
 
 
 def contact_law(label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE) -> ContactLaw:
@@ -84,38 +69,14 @@ def contact_law(label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE) 
         Half-width [m] of the range on which polynomials are fitted.
     """
     label = canonical_label(label)
-    family, _, parameter = label.partition("-")
     if label == AUTO:
         raise ModelError("'auto' is no law: a study chooses one for every sweep point")
-    if ":" in label:
+    chosen = family(label)
+    if chosen is None:
         return law(own_law.function(label), K_c, gap)
-    if family == "piecewise":
-        return Piecewise(K_c, gap, located=not parameter)
-    if family == "poly":
-        return Polynomial(K_c, gap, int(parameter), fit_range)
-    if family == "ratpoly":
-        top, bottom = parameter.split("/")
-        return RationalPolynomial(K_c, gap, int(top), int(bottom), fit_range)
-    return _SMOOTH[family](K_c, gap, float(parameter))
+    return chosen.from_label(label.partition("-")[2], K_c, gap, fit_range)
 
 
 def law(function: Callable[[float], float], K_c: float, gap: Gap) -> UserLaw:
     """A user's own contact law from a scalar function of the displacement [m] to newtons."""
     return UserLaw(K_c, gap, function)
-
-
-def _canonical_number(label: str, text: str) -> str:
-    try:
-        value = float(text)
-    except ValueError:
-        raise ModelError(f"{label!r}: {text!r} is not a number, as in tanh-1e4") from None
-    if not (math.isfinite(value) and value > 0.0):
-        raise ModelError(f"{label!r}: the convergence parameter must be > 0 and finite, in 1/m")
-    digits, exponent = f"{value:.11e}".split("e")
-    return f"{Decimal(digits).normalize():f}e{int(exponent)}"
-
-
-def _degree(label: str, text: str, largest: int) -> int:
-    if not re.fullmatch(r"[0-9]{1,3}", text) or not 1 <= int(text) <= largest:
-        raise ModelError(f"{label!r}: degree {text!r} must be a whole number in 1..{largest}")
-    return int(text)

@@ -3,17 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-# Okabe & Ito (2008); the exact law is always black.
-_EXACT = "#000000"
-_FAMILIES = {
-    "piecewise-noevents": "#999999",
-    "poly": "#E69F00",
-    "ratpoly": "#CC79A7",
-    "tanh": "#0072B2",
-    "arctan": "#009E73",
-    "logarctan": "#D55E00",
-}
-_OTHER = "#56B4E9"
+from gapsweep.model.contact import ContactLaw, Piecewise, family
+
+_NOEVENTS = "#999999"  # the exact law, like one that is not
 # What is not periodic is red in every figure; pale is what is most common.
 NOT_PERIODIC, BLANK = "#c00000", "#ffffff"
 CLASS_COLOURS = {
@@ -42,9 +34,8 @@ MATPLOTLIB: dict[Any, Any] = {
 def colour(label: str) -> str:
     """Colour of a representation, by its family."""
     label = label.partition("@")[0]
-    if label == "piecewise":
-        return _EXACT
-    return _FAMILIES.get(label, _FAMILIES.get(label.partition("-")[0], _OTHER))
+    law = family(label) or ContactLaw
+    return law.colour if law is not Piecewise or label == Piecewise.family else _NOEVENTS
 
 
 def sequence(n: int) -> list[str]:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.contact import FAMILIES, ContactLaw, Piecewise
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 
@@ -35,7 +35,7 @@ DEFAULT_ERROR = 1e-3
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 0.1
 # Solver tolerance: per asked error, and at most this where it may choose between attractors.
 _TOLERANCE, _CHOOSING_RTOL = 0.1, 1e-9
-_FAMILIES = ("tanh", "arctan", "logarctan")
+_SHARPENED = [name for name, law in FAMILIES.items() if law.is_sharpened]
 _DECADES = range(2, 13)
 
 
@@ -159,7 +159,7 @@ def stand_ins(K_c: float, gap: Gap, forcing: float, *, error: float) -> list[Sta
     Families without one up to 1e12 /m are left out.
     """
     found = []
-    for family in _FAMILIES:
+    for family in _SHARPENED:
         for decade in _DECADES:
             one = stand_in(f"{family}-1e{decade}", K_c, gap, forcing, error=error)
             if one.is_adequate:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gapsweep.integrate.problem import Solver
 from gapsweep.model import own_law
 from gapsweep.model.contact import FIT_RANGE
-from gapsweep.model.labels import contact_law
+from gapsweep.model.labels import contact_law, is_fitted
 from gapsweep.model.oscillator import Gap
 from gapsweep.response.result import Steady
 from gapsweep.study.fingerprint import numerics_fingerprint
@@ -103,7 +103,7 @@ class Kind:
 def _identity(kind: Kind) -> str:
     said = asdict(kind)
     said["law"] = json.loads(said.pop("law_code"))
-    if not kind.representation.startswith(("poly-", "ratpoly-")):
+    if not is_fitted(kind.representation):
         del said["fit_range"]
     whole = {
         "kind": said,

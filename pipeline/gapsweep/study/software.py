@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
 
+from gapsweep.model.labels import is_fitted
 from gapsweep.study.fingerprint import numerics_fingerprint
 
 LIBRARIES = ("numba", "llvmlite", "numpy", "scipy")
@@ -29,6 +30,6 @@ def deciding(representation: str, engine: str) -> tuple[str, ...]:
     searches by which laws are fitted. numpy's arithmetic is in all of them, but the same in all
     versions up to rounding: an upgrade of it is recorded and asks for no new numbers.
     """
-    fitting = ("numpy", "scipy") if representation.startswith(("poly-", "ratpoly-")) else ()
+    fitting = ("numpy", "scipy") if is_fitted(representation) else ()
     solving = ("numba", "llvmlite") if engine == "compiled" else ("scipy",)
     return *fitting, *solving
