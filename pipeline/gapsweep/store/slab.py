@@ -8,7 +8,7 @@ import hashlib
 import json
 import zlib
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -84,6 +84,9 @@ class Slab:
     @property
     def n_points(self) -> int:
         return len(self.status) if isinstance(self.status, bytes) else 0
+
+
+_SEALED = tuple(field.name for field in fields(Slab))[:-1]  # all but the checksum
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +211,8 @@ def _little(dtype: str) -> str:
 
 def _checksum(slab: Slab) -> bytes:
     digest = hashlib.sha256()
-    for value in astuple(slab)[:-1]:
+    for name in _SEALED:
+        value = getattr(slab, name)
         data = value if isinstance(value, bytes) else str(value).encode()
         digest.update(len(data).to_bytes(8, "little"))
         digest.update(data)
