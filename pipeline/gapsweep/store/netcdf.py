@@ -57,6 +57,24 @@ def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Datas
                 _ = variable[(0,) * variable.ndim]
 
 
+@contextmanager
+def in_memory(name: str, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
+    """An open netCDF4 dataset that never becomes a file; no two of one name at a time."""
+    with _LOCK, netCDF4.Dataset(f"{name} in memory", "w", diskless=True) as dataset:
+        dataset.setncatts({**attributes, **provenance()})
+        yield dataset
+
+
+def loaded(dataset: netCDF4.Dataset) -> "xr.Dataset":
+    """All that an open netCDF4 dataset holds."""
+    import xarray as xr
+
+    store = xr.backends.NetCDF4DataStore(dataset)  # type: ignore[no-untyped-call]  # xarray has no type for it
+    found = xr.open_dataset(store).load()
+    found.set_close(None)  # the dataset's own context does
+    return found
+
+
 def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> None:
     """Write a small dataset as a whole, with attributes and provenance; else like `writing`."""
     with _LOCK, recording(path, _is_ours) as temporary, _errors(path):
