@@ -43,7 +43,7 @@ CREATE TABLE slabs (
 )
 """
 _COLUMNS = ", ".join(field.name for field in fields(Slab))
-_ROWS = 8192  # whose keys are read at a time
+_ROWS = 16_384  # whose keys are read at a time: a million
 _KEPT = 64  # decoded slabs: neighbouring points are read together
 
 

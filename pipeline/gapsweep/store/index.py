@@ -47,11 +47,18 @@ class _Level(NamedTuple):
     @classmethod
     def of(cls, parts: "Sequence[_Level]") -> "_Level":
         """All parts, older ones first, as one; the best result of each key."""
-        head, status = (np.concatenate([getattr(p, n) for p in parts]) for n in ("head", "status"))
-        # Of equally good ones the latest comes last: the sort is stable.
-        order = np.lexsort((_is_result(status), head))
-        order = order[np.append(head[order[1:]] != head[order[:-1]], True)]
-        return cls(*(np.concatenate(column)[order] for column in zip(*parts, strict=True)))
+        whole = (
+            parts[0]
+            if len(parts) == 1
+            else cls._make(map(np.concatenate, zip(*parts, strict=True)))
+        )
+        head = whole.head
+        order = np.argsort(head)  # takes a third of what a stable sort does
+        if (head[order[1:]] == head[order[:-1]]).any():
+            # Of equally good ones the latest comes last.
+            order = np.lexsort((_is_result(whole.status), head))
+            order = order[np.append(head[order[1:]] != head[order[:-1]], True)]
+        return cls._make(column[order] for column in whole)
 
     def add_to(self, held: Held, words: NDArray[np.uint64]) -> None:
         """Note what is here of the keys of these words, where it is better than what is noted."""
