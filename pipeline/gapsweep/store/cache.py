@@ -25,7 +25,7 @@ from gapsweep.store.filesystem import is_on_network
 from gapsweep.store.index import DAMAGED, Index
 from gapsweep.store.slab import Slab, Stored, stored
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 _TABLE = """
 CREATE TABLE slabs (
