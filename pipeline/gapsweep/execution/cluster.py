@@ -19,7 +19,7 @@ _LOCAL_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     # Dask's logs of messages hold the sweep points that were in them: a thousand tasks' worth.
     "distributed.admin.low-level-log-length": 10,
-    # A hundred times a second Dask looks where every thread is, a tenth of a worker's time.
+    # A hundred times a second Dask would look where every thread is; nobody looks at that here.
     "distributed.worker.profile.enabled": False,
 }
 

@@ -340,7 +340,7 @@ class _Execution:
 
 def _repeated(plan: Plan) -> NDArray[np.bool_]:
     """Which points a study names under several labels."""
-    # By the first eight bytes: to sort whole keys takes ten times as long.
+    # By the first eight bytes: numbers are sorted faster than whole keys, and in less memory.
     heads = plan.keys.view(np.uint64)[:: plan.keys.itemsize // 8]
     _, number, counts = np.unique(heads, return_inverse=True, return_counts=True)
     return np.asarray(counts[number] > 1)

@@ -67,9 +67,7 @@ def in_memory(name: str, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Data
 
 
 def loaded(dataset: netCDF4.Dataset) -> "xr.Dataset":
-    """All that an open netCDF4 dataset of ours holds: what `read` reads, without xarray's search
-    for engines and what it loads to decode them.
-    """
+    """All that an open netCDF4 dataset of ours holds, as `read` would read it."""
     import xarray as xr
 
     dataset.set_auto_maskandscale(False)
