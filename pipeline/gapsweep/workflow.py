@@ -7,7 +7,6 @@ everything up to date ends before they would be loaded.
 
 import os
 import random
-import tempfile
 import warnings
 from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext
@@ -20,7 +19,7 @@ import numpy as np
 
 from gapsweep.console import progress_bar
 from gapsweep.errors import StoreError
-from gapsweep.execution.assemble import export
+from gapsweep.execution.assemble import attributes_of, fill
 from gapsweep.execution.explain import Explanation
 from gapsweep.execution.explain import explain as explanations
 from gapsweep.execution.plan import Plan
@@ -325,16 +324,13 @@ def _exported(
     study: Study, planned: Plan, store: Cache, selection: Selection, progress: Progress
 ) -> "xr.Dataset":
     """A part of a study from the cache, in memory, with where its points came from."""
-    with tempfile.TemporaryDirectory() as folder:
-        responses = Path(folder) / RESPONSES
-        export(study, planned, store, responses, Path(folder) / ATTRACTORS, selection=selection)
-        with netcdf.read(responses) as dataset:
-            counts = {
-                "n_points": progress.n_points,
-                "n_hits": progress.n_hits,
-                "n_computed": progress.n_computed,
-            }
-            return dataset.load().assign_attrs(counts)
+    counts = {name: getattr(progress, name) for name in ("n_points", "n_hits", "n_computed")}
+    with (
+        netcdf.in_memory(ATTRACTORS, {}) as others,
+        netcdf.in_memory(RESPONSES, attributes_of(study)) as dataset,
+    ):
+        fill(dataset, others, study, planned, store, selection)
+        return netcdf.loaded(dataset).assign_attrs(counts)
 
 
 def _as_stored(planned: Plan, store: Cache) -> Plan:

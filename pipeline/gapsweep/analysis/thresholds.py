@@ -6,7 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.model.contact import Tanh
-from gapsweep.model.equilibria import equilibria, linear_stiffness
+from gapsweep.model.equilibria import (
+    linear_stiffness,
+    restoring_force,
+    restoring_slope,
+    search_points,
+    sign_changes,
+)
 from gapsweep.model.oscillator import Gap, Oscillator
 
 Array = NDArray[np.float64]
@@ -47,9 +53,14 @@ def tanh_threshold(oscillator: Oscillator, K_c: float, gap: Gap, x_max: float) -
     if not predicted > 0.0:
         return float("nan")
 
+    points = search_points(Tanh(K_c, gap, predicted), x_max)  # of any sharpness
+
     def single(epsilon: float) -> bool:
+        """Whether the force rises through zero once; where, and at which energy, is not asked."""
         law = Tanh(K_c, gap, epsilon)
-        return int(equilibria(oscillator, law, x_max).stable.sum()) == 1
+        turns, _ = sign_changes(lambda x: restoring_slope(oscillator, law, x), points)
+        sign = np.sign(restoring_force(oscillator, law, np.union1d(points, turns)))
+        return int(np.sum(np.diff(sign[sign != 0.0]) > 0.0)) == 1
 
     high, steps = 8.0 * predicted, np.geomspace(4.0, 0.125, 11) * predicted
     for low in steps.tolist():

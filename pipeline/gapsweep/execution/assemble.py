@@ -41,15 +41,12 @@ def export(
     responses: Path,
     attractors: Path,
     *,
-    selection: Selection | None = None,
     made_from: str = "",
 ) -> None:
     """Write both files from the cache.
 
     Parameters
     ----------
-    selection : Selection, optional
-        Part of the study to write; attractors are then those of the selected starts.
     made_from : str
         Kept in the files' attribute `made_from`.
 
@@ -58,33 +55,54 @@ def export(
     StoreError
         If a file cannot be written.
     """
+    attributes = attributes_of(study) | {"made_from": made_from}
+    with writing(attractors, attributes) as others, writing(responses, attributes) as dataset:
+        fill(dataset, others, study, plan, cache)
+
+
+def fill(
+    dataset: netCDF4.Dataset,
+    others: netCDF4.Dataset,
+    study: Study,
+    plan: Plan,
+    cache: Cache,
+    selection: Selection | None = None,
+) -> None:
+    """Fill empty datasets with responses and attractors of a study.
+
+    Parameters
+    ----------
+    dataset, others : netCDF4.Dataset
+        What becomes `responses.nc` and `attractors.nc`.
+    selection : Selection, optional
+        Part of the study to write; attractors are then those of the selected starts.
+    """
     grid = study.grid if selection is None else study.grid.cut(selection)
     numbers, layout = _numbers(plan, grid, selection), Layout.of(grid, study.steady)
-    attributes = _attributes(study) | {"made_from": made_from}
     hosts: list[str] = []
     versions: set[str] = set()
-    with writing(attractors, attributes) as others, writing(responses, attributes) as dataset:
-        define(dataset, layout)
-        define_attractors(others, layout)
-        for piece in layout.pieces():
-            asked = numbers[piece]
-            here = np.nonzero(asked >= 0)
-            if not len(here[0]):
-                continue
-            found = cache.find(plan.keys[asked[here]])
-            at = np.array(here)[:, found.at]  # place of each in the piece
-            versions |= found.versions
-            hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
-            ids, groups = _group(layout, piece, found.responses, at)
-            _write(others, piece[:-1], groups)
-            for starts in layout.starts():
-                values = _point_arrays(layout, asked >= 0, found, at, ids, hosts, starts)
-                _write(dataset, (*piece[:-1], starts), values)
-        set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
-        dataset.computed_with = "; ".join(sorted(versions - {""}))
+    define(dataset, layout)
+    define_attractors(others, layout)
+    for piece in layout.pieces():
+        asked = numbers[piece]
+        here = np.nonzero(asked >= 0)
+        if not len(here[0]):
+            continue
+        found = cache.find(plan.keys[asked[here]])
+        at = np.array(here)[:, found.at]  # place of each in the piece
+        versions |= found.versions
+        hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
+        ids, groups = _group(layout, piece, found.responses, at)
+        _write(others, piece[:-1], groups)
+        for starts in layout.starts():
+            values = _point_arrays(layout, asked >= 0, found, at, ids, hosts, starts)
+            _write(dataset, (*piece[:-1], starts), values)
+    set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
+    dataset.computed_with = "; ".join(sorted(versions - {""}))
 
 
-def _attributes(study: Study) -> dict[str, str]:
+def attributes_of(study: Study) -> dict[str, str]:
+    """Attributes of both files that say whose they are."""
     return {
         "title": study.title,
         "study": study.name,

@@ -19,6 +19,8 @@ _LOCAL_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     # Dask's logs of messages hold the sweep points that were in them: a thousand tasks' worth.
     "distributed.admin.low-level-log-length": 10,
+    # A hundred times a second Dask would look where every thread is; nobody looks at that here.
+    "distributed.worker.profile.enabled": False,
 }
 
 

@@ -340,7 +340,9 @@ class _Execution:
 
 def _repeated(plan: Plan) -> NDArray[np.bool_]:
     """Which points a study names under several labels."""
-    _, number, counts = np.unique(plan.keys, return_inverse=True, return_counts=True)
+    # By the first eight bytes: numbers are sorted faster than whole keys, and in less memory.
+    heads = plan.keys.view(np.uint64)[:: plan.keys.itemsize // 8]
+    _, number, counts = np.unique(heads, return_inverse=True, return_counts=True)
     return np.asarray(counts[number] > 1)
 
 
@@ -349,7 +351,9 @@ def _once(plan: Plan, is_repeated: NDArray[np.bool_]) -> Rows:
     in_sweep = plan.follows | np.append(plan.follows[1:], False)
     alone = np.flatnonzero(plan.is_missing & is_repeated & ~in_sweep)
     _, first = np.unique(plan.keys[alone], return_index=True)
-    return np.setdiff1d(np.flatnonzero(plan.is_missing), np.delete(alone, first))
+    is_left = plan.is_missing.copy()
+    is_left[np.delete(alone, first)] = False
+    return np.flatnonzero(is_left)
 
 
 def _is_first(rows: Rows, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -397,11 +401,11 @@ def _shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
     A block is as large as a task may be, of one representation, and made of whole sweeps.
     """
     if not missing.size:
-        return
+        return iter(())
     firsts = np.flatnonzero(_is_first(missing, plan.follows))
     representation = plan.representation(missing[firsts])
     block = np.cumsum(np.diff(firsts, append=len(missing))) // _MAX_BATCH
     is_new = (np.diff(representation, prepend=-1) != 0) | (np.diff(block, prepend=-1) > 0)
     blocks = np.split(missing, firsts[is_new][1:])
     random.shuffle(blocks)
-    yield from blocks
+    return iter(blocks)

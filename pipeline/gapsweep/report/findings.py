@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from gapsweep.report.answer import Contact, Judged
 from gapsweep.report.tables import VERDICTS
@@ -46,8 +47,8 @@ def outcomes(responses: xr.Dataset) -> str:
     """How many sweep points came out how, and why some did not."""
     status, kind = (responses[n].values for n in ("status", "response_class"))
     asked = status != Status.NOT_REQUESTED
-    counts = Counter(kind[asked].tolist())
-    why = Counter(status[asked & (kind == ResponseClass.FAILED)].tolist())
+    counts = _counted(kind[asked])
+    why = _counted(status[asked & (kind == ResponseClass.FAILED)])
     reasons = ", ".join(f"{n} {Status(s).label.replace('_', ' ')}" for s, n in sorted(why.items()))
     left = int(((status == Status.OUT_OF_FIT_RANGE) & (kind != ResponseClass.FAILED)).sum())
     return (
@@ -57,6 +58,12 @@ def outcomes(responses: xr.Dataset) -> str:
         f"{f' ({reasons})' if reasons else ''}"
         f"{f'; {left} of the others left the range of their fit' if left else ''}."
     )
+
+
+def _counted(values: NDArray[np.integer]) -> Counter[int]:
+    """How often each number is there."""
+    numbers, counts = np.unique(values, return_counts=True)
+    return Counter(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
 
 
 def _closest(found: Sequence[Contact]) -> Iterator[str]:

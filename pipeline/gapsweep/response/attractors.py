@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.response.lists import spans
 from gapsweep.response.result import Response, ResponseClass, Responses
-from gapsweep.response.section import cloud_distances
-from gapsweep.response.walks import DEVIATIONS
+from gapsweep.response.section import DEVIATIONS, cloud_distances
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -337,6 +336,9 @@ def _mirrors(rows: Numbers, found: Responses, scene: Numbers, number: Numbers) -
     """
     mirror = np.full(len(rows), NONE, np.intp)
     items, lengths = found.lists["extrema"]
+    # Of chaotic motions, which have the most, they are not compared.
+    is_orbit = found.columns["response_class"] != ResponseClass.CHAOTIC
+    items, lengths = items[np.repeat(is_orbit, lengths)], np.where(is_orbit, lengths, 0)
     begin, of_item = np.cumsum(lengths) - lengths, np.repeat(np.arange(len(found)), lengths)
     items = items[np.lexsort((items, of_item))]
     ends = [np.searchsorted(scene, scene[rows], side) for side in ("left", "right")]

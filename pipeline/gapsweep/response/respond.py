@@ -109,7 +109,8 @@ def respond_all(questions: Sequence[Question]) -> Responses:
     groups: dict[Hashable, list[int]] = {}
     for i, question in enumerate(questions):
         scene = question.scene
-        kind = law_kind(scene.law), scene.solver, question.steady
+        # Settings that are equal but not one are a group of their own, which changes no response.
+        kind = law_kind(scene.law), id(scene.solver), id(question.steady)
         groups.setdefault(kind, []).append(i)
     found = []
     for numbers in groups.values():

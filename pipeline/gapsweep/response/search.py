@@ -19,13 +19,14 @@ from gapsweep.response.answers import Found, answers
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
+    DEVIATIONS,
     converging_multiples,
     likely_multiple,
     period_multiples,
     prime_multiple,
 )
 from gapsweep.response.shooting import Growths, Shots, block
-from gapsweep.response.walks import DEVIATIONS, Walks
+from gapsweep.response.walks import Walks
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]

@@ -17,6 +17,7 @@ Counts = NDArray[np.int64]
 Numbers = NDArray[np.intp]
 Section = NDArray[np.complex128]
 
+DEVIATIONS = 4.0  # of the predicted scatter, within which two points are the same
 _AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
 

@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 from gapsweep.response.ensemble import Call, Ensemble
 from gapsweep.response.lists import Lists
 from gapsweep.response.loads import contact_shares
+from gapsweep.response.section import DEVIATIONS
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Numbers = NDArray[np.intp]
-
-DEVIATIONS = 4.0  # of the predicted scatter
 
 
 class Walks:

@@ -25,7 +25,7 @@ from gapsweep.store.filesystem import is_on_network
 from gapsweep.store.index import DAMAGED, Index
 from gapsweep.store.slab import Slab, Stored, stored
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 _TABLE = """
 CREATE TABLE slabs (
@@ -43,6 +43,7 @@ CREATE TABLE slabs (
 )
 """
 _COLUMNS = ", ".join(field.name for field in fields(Slab))
+_ROWS = 16_384  # whose keys are read at a time: a million
 _KEPT = 64  # decoded slabs: neighbouring points are read together
 
 
@@ -237,9 +238,9 @@ class Cache:
         """Stored status of each key; `MISSING` or `DAMAGED` where there is none to trust."""
         index = self._refreshed()
         held = index.find(keys)
-        for number, asked in _grouped(held.slab):
-            if self._sound_row(index.ids[number]) is None:
-                held.status[asked] = DAMAGED
+        slabs = np.unique(held.slab[held.slab >= 0]).tolist()
+        damaged = [slab for slab in slabs if self._sound_row(index.ids[slab]) is None]
+        held.status[np.isin(held.slab, damaged)] = DAMAGED
         return held.status
 
     def find(self, keys: NDArray[np.void]) -> Found:
@@ -280,15 +281,21 @@ class Cache:
     def seconds(self, keys: NDArray[np.void]) -> NDArray[np.float64]:
         """Processor time [s] of each key's result, as its slab's mean; NaN if it is not stored."""
         index = self._refreshed()
-        seconds = np.array([*index.seconds, np.nan])  # the last one for what is not there
+        # Damage leaves any type anywhere.
+        mean = "CASE typeof(seconds) WHEN 'real' THEN seconds / length(status) END"
+        found = self._by_row(mean)
+        # The last one for what is not there.
+        seconds = np.array([*map(found.get, index.ids), None], float)
         return np.asarray(seconds[index.find(keys).slab])
 
     def checksums(self, keys: NDArray[np.void]) -> Iterator[bytes]:
         """What an export of these keys is made of: checksums of rows, and which are whose."""
         index = self._refreshed()
-        held = index.find(keys)
+        held, found = index.find(keys), self._by_row("checksum")
         for number, asked in _grouped(held.slab):
-            yield index.checksums[number] + asked.tobytes() + held.row[asked].tobytes()
+            checksum = found.get(index.ids[number])
+            yield checksum if isinstance(checksum, bytes) else b""
+            yield asked.tobytes() + held.row[asked].tobytes()
 
     def commit(self, slabs: Sequence[Slab]) -> None:
         """Store slabs in one transaction."""
@@ -322,14 +329,18 @@ class Cache:
     def _refreshed(self) -> Index:
         """The index, with what has been added meanwhile, also by others."""
         with self.errors():
-            self._index.add(
-                self.db.execute(
-                    "SELECT id, keys, status, seconds, checksum FROM slabs WHERE id > ?"
-                    " ORDER BY id",
-                    (self._index.last,),
-                ).fetchall()
+            # What stands behind the columns of a row is read through all of these: not here.
+            rows = self.db.execute(
+                "SELECT id, keys, status FROM slabs WHERE id > ? ORDER BY id", (self._index.last,)
             )
+            while part := rows.fetchmany(_ROWS):
+                self._index.add(part)
         return self._index
+
+    def _by_row(self, expression: str) -> dict[int, Any]:
+        """Something of every row, by its number."""
+        with self.errors():
+            return dict(self.db.execute(f"SELECT id, {expression} FROM slabs"))
 
     def _sound_row(self, number: int) -> Slab | None:
         """A row; None if it is damaged or gone."""

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import GapsweepError, StoreError
 from gapsweep.store.artefact import digests, is_intact, recording
+from gapsweep.study.schema import COORDINATES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,6 +56,37 @@ def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Datas
         with netCDF4.Dataset(temporary) as dataset:
             for variable in dataset.variables.values():
                 _ = variable[(0,) * variable.ndim]
+
+
+@contextmanager
+def in_memory(name: str, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
+    """An open netCDF4 dataset that never becomes a file; no two of one name at a time."""
+    with _LOCK, netCDF4.Dataset(f"{name} in memory", "w", diskless=True) as dataset:
+        dataset.setncatts({**attributes, **provenance()})
+        yield dataset
+
+
+def loaded(dataset: netCDF4.Dataset) -> "xr.Dataset":
+    """All that an open netCDF4 dataset of ours holds, as `read` would read it."""
+    import xarray as xr
+
+    dataset.set_auto_maskandscale(False)
+    variables = {
+        name: xr.Variable(variable.dimensions, _plain(variable[:]), _attributes(variable))
+        for name, variable in dataset.variables.items()
+    }
+    coords = {name: variables.pop(name) for name in COORDINATES if name in variables}
+    return xr.Dataset(variables, coords, _attributes(dataset))
+
+
+def _plain(values: NDArray[Any]) -> NDArray[Any]:
+    """Values as they are; texts as NumPy's own, not as objects."""
+    return values.astype(str) if values.dtype == object else values
+
+
+def _attributes(held: Any) -> dict[str, Any]:
+    """Attributes of an open dataset or variable, but for those by which files name coordinates."""
+    return {name: held.getncattr(name) for name in held.ncattrs() if name != "coordinates"}
 
 
 def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> None:

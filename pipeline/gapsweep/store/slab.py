@@ -1,14 +1,15 @@
 """Results of some points of one kind, as they are stored: a row of the cache.
 
 Columns of numbers stand one after the other, compressed together, so that what is the same for
-all points, or missing, costs next to nothing. A checksum covers the whole row.
+all points, or missing, costs next to nothing. Behind them stand lists of numbers as they are: no
+compression makes their last digits shorter, and it takes its time. A checksum covers the whole row.
 """
 
 import hashlib
 import json
 import zlib
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -23,6 +24,8 @@ from gapsweep.study.points import KEY, NUMBERS, Kind, Points
 SLAB = 64
 _MOST_BYTES = 2**20  # that one point has: 65,536 extrema, their kinds, and the section
 _LEVEL = 1  # of compression: more takes longer and saves little
+# Lists that are compressed, and those that are not.
+_WHOLE, _REAL = ([n for n, dtype in LISTS.items() if dtype == each] for each in ("i1", "f8"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +87,9 @@ class Slab:
     @property
     def n_points(self) -> int:
         return len(self.status) if isinstance(self.status, bytes) else 0
+
+
+_SEALED = tuple(field.name for field in fields(Slab))[:-1]  # all but the checksum
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +167,8 @@ def stored(slab: Slab) -> Stored:
         columns = {name: column(dtype, n) for name, dtype in COLUMNS.items()}
         counts = {name: column("i4", n).astype(np.int64) for name in LISTS}
         lists = {
-            name: (column(LISTS[name], int(counts[name].sum())), counts[name]) for name in LISTS
+            name: (column(LISTS[name], int(counts[name].sum())), counts[name])
+            for name in (*_WHOLE, *_REAL)
         }
         if at != len(data) or not _is_plausible(slab, columns, counts):
             raise ValueError("its columns are of other lengths")
@@ -188,17 +195,24 @@ def _packed(
     parts: list[NDArray[Any]] = [previous, numbers.T.astype("<f8")]
     parts += [responses.columns[name].astype(_little(dtype)) for name, dtype in COLUMNS.items()]
     parts += [responses.lists[name][1].astype("<i4") for name in LISTS]
-    parts += [responses.lists[name][0].astype(_little(dtype)) for name, dtype in LISTS.items()]
-    return zlib.compress(b"".join(part.tobytes() for part in parts), _LEVEL)
+    whole, real = (
+        [responses.lists[name][0].astype(_little(LISTS[name])) for name in names]
+        for names in (_WHOLE, _REAL)
+    )
+    return zlib.compress(_joined(parts + whole), _LEVEL) + _joined(real)
+
+
+def _joined(parts: list[NDArray[Any]]) -> bytes:
+    return b"".join(part.tobytes() for part in parts)
 
 
 def _unpacked(slab: Slab) -> bytes:
-    """The columns, if they are not more than so many points can have."""
+    """The columns, if they are not more than so many points can have, and the lists behind them."""
     unpacking = zlib.decompressobj()
     data = unpacking.decompress(slab.columns, _MOST_BYTES * max(slab.n_points, 1))
-    if not unpacking.eof or unpacking.unused_data:
+    if not unpacking.eof:
         raise ValueError("its columns are of other lengths")
-    return data
+    return data + unpacking.unused_data
 
 
 def _little(dtype: str) -> str:
@@ -208,7 +222,8 @@ def _little(dtype: str) -> str:
 
 def _checksum(slab: Slab) -> bytes:
     digest = hashlib.sha256()
-    for value in astuple(slab)[:-1]:
+    for name in _SEALED:
+        value = getattr(slab, name)
         data = value if isinstance(value, bytes) else str(value).encode()
         digest.update(len(data).to_bytes(8, "little"))
         digest.update(data)
