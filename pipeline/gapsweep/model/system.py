@@ -125,7 +125,7 @@ class Lags:
     of_lags: Any
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class System:
     """A machine with n coordinates and contacts; see the module for its equation.
 
@@ -191,6 +191,11 @@ class System:
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        contacts = f", contacts {', '.join(self.contacts)}" if self.contacts else ""
+        lags = f", {self.n_lags} lags" if self.n_lags else ""
+        return f"<gapsweep.System: coordinates {', '.join(self.coordinates)}{contacts}{lags}>"
 
     @property
     def n(self) -> int:
