@@ -1,4 +1,4 @@
-"""The typical section with flap freeplay, contacts located: gapsweep's lanes against heyoka's batch.
+"""The typical section with flap freeplay, contacts located: lanes here, and batches of heyoka.
 
 Eight states, three contact modes, no forcing: sixteen speeds between two and three fifths of the
 flutter speed, in which the flap limit-cycles. Both are given the same tolerance and the same

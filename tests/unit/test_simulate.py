@@ -181,3 +181,23 @@ def test_a_wall_too_stiff_for_one_step_is_a_status():
     run = gs.simulate(gs.Oscillator(), law, 9.0, t_end=0.5, engine="scipy")
     assert run.status is gs.Status.STEP_UNDERFLOW
     assert run.t < 0.5
+
+
+@pytest.mark.parametrize("label", ["piecewise", "tanh-1e4"])
+def test_a_run_that_is_sampled_first_is_the_run_that_is_sampled_last(label):
+    """The pass that samples records the end of the motion too, bit for bit the same one."""
+    law, t = gs.contact_law(label, 1.4e4, gs.Gap(0.4e-3, 0.4e-3)), np.linspace(1.5, 2.0, 7)
+
+    def run():
+        omega = np.array([8.0, 9.0])
+        return gs.simulate(gs.Oscillator(), law, omega, t_end=2.0, dense_output=True)
+
+    first, last = run(), run()
+    sampled_first = first.sample(t)
+    ends = [(each.x, each.v, each.n_steps, each.status, each.n_contacts) for each in (last, first)]
+    for name, ours, theirs in zip("xvnsc", *ends, strict=True):
+        assert ours.tobytes() == theirs.tobytes(), name
+    for ours, theirs in zip(sampled_first, last.sample(t), strict=True):
+        assert ours.tobytes() == theirs.tobytes()
+    # Seconds into the last step are a difference of rounded times.
+    np.testing.assert_allclose(sampled_first[0][..., -1], first.x, rtol=1e-11)

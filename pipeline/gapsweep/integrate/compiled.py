@@ -9,7 +9,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import Events, Motions, Sampler
+from gapsweep.integrate.motion import Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.runge_kutta import lanes, representations, smooth
 from gapsweep.integrate.taylor import exact, record
@@ -108,9 +108,6 @@ def _exact(models: Models, solver: Solver) -> Integrate:
             masks = kind < record.SECTION, kind == record.SECTION, kind > record.SECTION
             return _events(len(problems), point, t, which, np.stack(state, axis=1), *masks)
 
-        def sampler(i: int) -> Sampler:
-            return lambda t: run.sample(t, i)[:, 0]
-
         return Motions(
             t=run.t,
             state=run.state,
@@ -121,7 +118,7 @@ def _exact(models: Models, solver: Solver) -> Integrate:
             nfev=run.n_steps,
             reach=run.reach,
             events=events,
-            sampler=sampler,
+            sampler=run.sample,
             monodromy=run.monodromy,
         )
 
@@ -161,8 +158,8 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
             state = np.stack([x, v], axis=1)
             return _events(len(problems), point, t, np.zeros_like(x), state, *masks)
 
-        def sampler(i: int) -> Sampler:
-            return lambda t: np.array(run.sample(t, i))
+        def sampler(t: Array) -> Array:
+            return np.stack([run.sample(t, i) for i in range(len(problems))], axis=1)
 
         return Motions(
             t=run.t,

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
-Sampler = Callable[[Array], Array]
 
 SCALARS = ("t", "status", "n_contacts", "n_steps", "n_rejected", "nfev")
 
@@ -64,8 +63,7 @@ class Motions:
     events : callable
         Events of all motions; none of one that was not recorded.
     sampler : callable
-        Function of times that gives the states, shape (n_states, n_times), of one motion, by its
-        number.
+        Function of times that gives the states of all motions there, shape (n_states, n, n_times).
     monodromy : ndarray, shape (n, n_states, n_states), or None
         Derivative of the end state by the initial state.
     """
@@ -79,5 +77,5 @@ class Motions:
     nfev: Counts
     reach: Array
     events: Callable[[], Events]
-    sampler: Callable[[int], Sampler]
+    sampler: Callable[[Array], Array]
     monodromy: Array | None = None

@@ -24,7 +24,7 @@ from scipy.integrate import OdeSolution, solve_ivp
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
-from gapsweep.integrate.motion import SCALARS, Events, Motions, Sampler
+from gapsweep.integrate.motion import SCALARS, Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.reference_scenes import (
     Modes,
@@ -93,9 +93,10 @@ def prepared(models: Models, solver: Solver) -> Integrate:
         runs = [_run(models, problems, i, solver) for i in range(len(problems))]
         columns = {name: np.array([getattr(run, name) for run in runs]) for name in SCALARS}
 
-        def sampler(i: int) -> Sampler:
-            motion, t_0 = runs[i].motion, problems.t_0[i]
-            return lambda t: np.moveaxis(motion(t - t_0), -1, 0)[: runs[i].n_states]
+        def sampler(t: Array) -> Array:
+            motions = zip(runs, problems.t_0, strict=True)
+            states = [run.motion(t - t_0)[:, : run.n_states] for run, t_0 in motions]
+            return np.moveaxis(np.reshape(states, (len(runs), t.size, -1)), -1, 0)
 
         monodromy = None
         if problems.tangent:

@@ -108,6 +108,7 @@ def simulate(
                 record_from=np.full(n, record_from),
                 dense_output=dense_output,
                 tangent=tangent,
+                section_only=dense_output,
                 contacts=math.isfinite(record_from) and not dense_output,
             )
         )

@@ -22,8 +22,9 @@ class Trajectory:
     Every attribute is a plain value for one motion. For an array of motions it is an array of
     their shape; ragged lists (`extrema`, `section`, ...) become arrays of arrays.
 
-    Events and dense output come from a second, recording pass over the same motion when they are
-    first asked for: most runs need neither, and the motion does not depend on it by a single bit.
+    Events come from a second, recording pass over the same motion when they are first asked for:
+    most runs need none, and the motion does not depend on it by a single bit. A run that is to be
+    sampled is made when it is first asked about anything: if by `sample`, one pass does for all.
 
     Attributes
     ----------
@@ -52,22 +53,54 @@ class Trajectory:
         self._dense: tuple[float, Motions] | None = None
         self.t_0 = t_0
         self.shape = shape
-        motions = solve(math.inf, False)
-        self._n = len(motions.t)
-        self.t: Any = self._shaped(motions.t)
-        self._set_state(motions.state)
-        self.n_contacts: Any = self._shaped(motions.n_contacts)
-        self.n_steps: Any = self._shaped(motions.n_steps)
-        self.n_rejected: Any = self._shaped(motions.n_rejected)
-        self.nfev: Any = self._shaped(motions.nfev)
-        self.status: Any = self._shaped(motions.status) if shape else Status(motions.status[0])
-        self.monodromy = motions.monodromy
-        if motions.monodromy is not None:
-            self.monodromy = motions.monodromy.reshape((*shape, *motions.monodromy.shape[1:]))
+        if not dense_output:
+            _ = self._motions
 
-    def _set_state(self, state: Array) -> None:
-        self.x: Any = self._shaped(state[:, 0])
-        self.v: Any = self._shaped(state[:, 1])
+    @cached_property
+    def _motions(self) -> Motions:
+        return self._dense[1] if self._dense else self._solve(math.inf, False)
+
+    @property
+    def _n(self) -> int:
+        return math.prod(self.shape)
+
+    @cached_property
+    def t(self) -> Any:
+        return self._shaped(self._motions.t)
+
+    @cached_property
+    def x(self) -> Any:
+        return self._shaped(self._motions.state[:, 0])
+
+    @cached_property
+    def v(self) -> Any:
+        return self._shaped(self._motions.state[:, 1])
+
+    @cached_property
+    def n_contacts(self) -> Any:
+        return self._shaped(self._motions.n_contacts)
+
+    @cached_property
+    def n_steps(self) -> Any:
+        return self._shaped(self._motions.n_steps)
+
+    @cached_property
+    def n_rejected(self) -> Any:
+        return self._shaped(self._motions.n_rejected)
+
+    @cached_property
+    def nfev(self) -> Any:
+        return self._shaped(self._motions.nfev)
+
+    @cached_property
+    def status(self) -> Any:
+        found = self._motions.status
+        return self._shaped(found) if self.shape else Status(found[0])
+
+    @cached_property
+    def monodromy(self) -> Array | None:
+        found = self._motions.monodromy
+        return None if found is None else found.reshape(*self.shape, *found.shape[1:])
 
     def __repr__(self) -> str:
         what = f"{self._n} motions" if self.shape else f"ends {self.status.label}"
@@ -112,16 +145,15 @@ class Trajectory:
             t = np.asarray(t, dtype=float)
         except (TypeError, ValueError):
             raise ModelError(f"t = {t!r}: must be a time or times [s]") from None
-        end = float(np.min(self.t))
+        first = float(np.min(t, initial=math.inf))
+        motions = self._dense_from(first) if self.t_0 <= first < math.inf else self._motions
+        end = float(np.min(motions.t))
         inside = (t >= self.t_0) & (t <= end)
         if not np.all(inside):
             outside = float(t[~inside].flat[0])
             raise ModelError(f"t = {outside:g} s: must be within {self.t_0:g}..{end:g} s")
-        motions = self._dense_from(float(np.min(t, initial=end)))
-        parts = [motions.sampler(i)(t.ravel()) for i in range(self._n)]
-        return self._as_sampled(
-            np.moveaxis(np.array(parts), 1, -1).reshape(*self.shape, *t.shape, -1)
-        )
+        states = motions.sampler(t.ravel())
+        return self._as_sampled(np.moveaxis(states, 0, -1).reshape(*self.shape, *t.shape, -1))
 
     def _as_sampled(self, states: Array) -> tuple[Array, ...]:
         """What `sample` returns of states along the last axis."""
@@ -166,8 +198,21 @@ class SystemTrajectory(Trajectory):
         self.system = system
         super().__init__(*given)
 
-    def _set_state(self, state: Array) -> None:
-        self.q, self.v, self.z = self._as_sampled(state.reshape(*self.shape, -1))
+    @property
+    def _state(self) -> Array:
+        return self._motions.state.reshape(*self.shape, -1)
+
+    @cached_property
+    def q(self) -> Array:
+        return self._as_sampled(self._state)[0]
+
+    @cached_property
+    def v(self) -> Array:
+        return self._as_sampled(self._state)[1]
+
+    @cached_property
+    def z(self) -> Array:
+        return self._as_sampled(self._state)[2]
 
     def _as_sampled(self, states: Array) -> tuple[Array, ...]:
         n = self.system.n

@@ -212,7 +212,7 @@ def run(
     if not 6 <= at.order <= MAX_DEGREE:
         raise ValueError(f"order = {at.order}: must lie in [6, {MAX_DEGREE}]")
     points = np.empty((len(which) + 1, at.n_rows))
-    given = start, t_0, t_end, record_from, section_only
+    given = start, t_0, t_end, record_from, section_only and not dense_output
     outcome = set_starts(
         at.bare, points, prepared.table, which, *given, prepared.rtol, prepared.atol
     )
@@ -225,11 +225,11 @@ def run(
     statuses = np.full(len(which), RUNNING)
     limits = prepared.rtol, x_bound, float(max_chatter)
     queue = np.arange(len(which)) if queue is None else queue
-    log, dense = _drained(at, points, queue, statuses, limits, dense_output)
+    log, dense = _drained(at, points, queue, statuses, limits, dense_output, not section_only)
     return _outcome(at, points[:-1], statuses, t_end, log, dense)
 
 
-def _drained(at, points, queue, statuses, limits, dense_output):
+def _drained(at, points, queue, statuses, limits, dense_output, turns):
     """Call the kernel until all points have ended; returns what it recorded."""
     is_recording = bool(np.isfinite(points[:-1, at.record_clock]).any())
     room = record.rows_per_step.py_func(at) + 1
@@ -248,6 +248,7 @@ def _drained(at, points, queue, statuses, limits, dense_output):
         ),
         fill=np.zeros(2, np.int64),
         work=work_space(at.order, at.contacts),
+        turns=turns,
     )
     logs, denses = [], []
     outcome = BUDGET_SPENT

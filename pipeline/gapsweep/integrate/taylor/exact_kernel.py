@@ -252,6 +252,8 @@ class Run(NamedTuple):
         Rows used in `log` and `dense`. The caller drains the buffers and sets them to zero.
     work : roots.Work
         Work space for this degree.
+    turns : bool
+        Whether extrema are searched for.
     """
 
     lanes: np.ndarray
@@ -265,6 +267,7 @@ class Run(NamedTuple):
     dense: np.ndarray
     fill: np.ndarray
     work: Work
+    turns: bool
 
 
 @entry

@@ -419,7 +419,7 @@ def record_steps(at, among, run):
     sections = passed & at.all_lanes
     contacts = (passed >> at.width) & at.all_lanes
     all_events = (passed >> 2 * at.width) & at.all_lanes
-    if all_events != 0:
+    if all_events != 0 and run.turns:
         for coordinate in range(at.n):
             _record_turns(at, all_events, run, coordinate)
     while sections != 0:
