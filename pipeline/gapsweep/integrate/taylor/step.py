@@ -186,8 +186,10 @@ class _Exits:
     ----------
     step : Vec
         The step, cut where a wall is passed.
+    passes : list of Mask
+        For every contact, the lanes whose step ends on one of its ends.
     sides : list of Vec
-        For every contact +1 or -1 where the step ends on its upper or lower end, else 0.
+        For every contact +1 or -1 there, for the upper or lower end, else 0.
     crosses : Mask
         Lanes that end on one.
     is_unclear : Mask
@@ -204,12 +206,18 @@ class _Exits:
         self.h, self.is_unclear = h, ~is_decided
         for leaves, crosses, *_ in found:
             self.is_unclear = self.is_unclear | (leaves & ~crosses)
-        self.step = reduce(minimum, [where(crosses, t, h) for _, crosses, t, *_ in found], h)
-        self.sides, self.crosses = [], h < h
+        first = found[0] if len(found) == 1 else None
+        self.step = (
+            where(first[1], first[2], h)
+            if first
+            else reduce(minimum, [where(crosses, t, h) for _, crosses, t, *_ in found], h)
+        )
+        self.passes, self.sides, self.crosses = [], [], h < h
         for _, crosses, t, outward, _ in found:
-            is_first = crosses & (t <= self.step) & ~self.is_unclear
+            is_first = crosses if first else crosses & (t <= self.step) & ~self.is_unclear
+            self.passes.append(is_first)
             self.sides.append(where(is_first, outward, 0.0))
-            self.crosses = self.crosses | is_first
+            self.crosses = is_first if first else self.crosses | is_first
         self.ends = [end for *_, end in found]
 
     @staticmethod
@@ -238,7 +246,7 @@ def _commit_contacts(lanes, modes, motion, exits, state):
     layout = lanes.layout
     n_walls = lanes["tau"].constant(0.0)
     for k, side in enumerate(exits.sides):
-        passes, touching = absolute(side) > 0.0, modes.touching[k]
+        passes, touching = exits.passes[k], modes.touching[k]
         mode, has_gap = lanes[layout.mode + k], lanes[layout.lower + k] < lanes[layout.upper + k]
         # Leaving contact without a gap is entering contact with the other wall.
         lanes[layout.mode + k] = where(passes, where(touching & has_gap, 0.0 * side, side), mode)
