@@ -198,6 +198,7 @@ LIMIT_CYCLES = [
     ("darabseh", 20.0, 3.8456381, 3.8456381, 11.3533786, 4),
     ("conner-scaled", 8.0, 2.8149284, 2.8149284, 4.8077082, 4),
     ("conner-scaled", 12.36842, 3.4291061, 2.4621163, 5.1000493, 6),  # printed: not symmetric
+    ("conner-scaled", 12.63158, 3.4522829, 2.4839996, 5.1223862, 6),
     ("conner-scaled", 13.0, 3.4838154, 3.4838149, 10.8332683, 4),  # beyond the printed change
 ]
 
@@ -216,6 +217,24 @@ def test_limit_cycles_of_the_section(copy, speed, larger, smaller, frequency, cr
     flap = np.degrees(late.extrema["beta"])
     found = sorted([-flap.min(), flap.max()])
     np.testing.assert_allclose(found, [smaller, larger], rtol=1e-6)
+
+
+def test_the_printed_change_of_limit_cycle():
+    """Printed at 12.7778 m/s: one like those at 12.63 m/s gives way to one like that at 13 m/s."""
+    law = gs.systems.typical_section_law("conner-scaled")
+    for speed, is_symmetric, crossings, frequency in (
+        (12.72, False, 6, 5.1224),
+        (12.7778, True, 4, 10.8333),
+    ):
+        section = gs.systems.typical_section(speed, "conner-scaled")
+        far = gs.simulate(section, law, q_0=PLUNGE, t_end=300.0)
+        late = gs.simulate(section, law, q_0=far.q, v_0=far.v, z_0=far.z, t_end=2.0)
+        times, flap = late.t_contacts["flap"], np.degrees(late.extrema["beta"])
+        periods = times[crossings:] - times[:-crossings]
+        np.testing.assert_allclose(periods, periods[0], rtol=1e-5)
+        assert 1.0 / periods[0] == pytest.approx(frequency, rel=0.005)
+        offset = abs(flap.max() + flap.min())
+        assert offset < 1e-3 if is_symmetric else offset > 0.9
 
 
 def test_the_section_comes_to_rest_in_slow_air():
@@ -393,6 +412,12 @@ def test_responses_of_the_soft_impact_oscillator(rate, periods, largest, orbit):
     assert again.extrema["x"].max() == pytest.approx(largest, abs=1e-6)
 
 
+def test_no_motion_reaches_the_other_wall_of_a_one_sided_stop():
+    motion = soft_impact(0.8, 10.0, q_0=[-0.5 * gs.systems.FAR])
+    assert gs.Status(motion.status) is gs.Status.DIVERGED
+    assert motion.n_contacts == 0
+
+
 @pytest.mark.parametrize(
     ("rate", "n_contacts", "end"),
     [
@@ -420,6 +445,7 @@ def test_motions_of_the_gear_pair(rate, n_contacts, end):
         (lambda: gs.systems.typical_section_law(freeplay=-0.1), r"freeplay = -0.1: must be >= 0"),
         (lambda: gs.systems.gear_pair(0.0), r"omega = 0: must be > 0"),
         (lambda: gs.systems.gear_pair(0.1, zeta=-1.0), r"zeta = -1: must be >= 0"),
+        (lambda: gs.systems.gear_pair(0.1, mean_load=math.nan), r"mean_load = nan: must be finite"),
         (lambda: gs.systems.gear_pair(0.1, errors=("a",)), r"errors = 'a': must be a number"),
         (lambda: gs.systems.soft_impact_oscillator(zeta=-1.0), r"zeta = -1: must be >= 0"),
         (lambda: gs.systems.soft_impact_oscillator(load=math.inf), r"load = inf: must be finite"),

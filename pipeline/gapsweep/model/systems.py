@@ -19,7 +19,7 @@ from gapsweep.model.system import Harmonic, Lags, Modulation, System
 
 Array = NDArray[np.float64]
 
-# A one-sided stop has its other wall here, in gaps: it takes a fault to reach it.
+# A one-sided stop has its other wall here, in gaps: a motion counts as diverged long before.
 FAR = 1e6
 
 # Flap freeplay of the typical section on either side [rad]: 2.12 degrees.
@@ -119,7 +119,8 @@ def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225
     They disagree in masses (m 1.558 or 1.5666 kg/m, with what plunges along 3.3843 or 3.39298) and
     damping ratios (0.0133, 0.01626, 0.0133 or 0.0113, 0.01626, 0.0115), taken here of each
     coordinate alone. Motions are printed from h = 0.01 m: with ``"conner-scaled"`` an asymmetric
-    limit cycle at 12.36842 m/s, and a change to another at 12.7778 m/s.
+    limit cycle at 12.36842 m/s, and a change to another at 12.7778 m/s. The springs of ``"conner"``
+    have the printed frequencies with the mass of the other copy.
 
     Raises
     ------
