@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gapsweep.analysis.basins import basins
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
+    from gapsweep.model import systems
     from gapsweep.model.contact import (
         Arctan,
         ContactLaw,
@@ -66,7 +67,10 @@ _ON_DEMAND = {
     "open": "store.netcdf",
     "respond": "response.respond",
     "simulate": "integrate.simulate",
+    "systems": "model.systems",
 }
+# Names that stand for a module, not for something in it.
+_MODULES = ("systems",)
 
 # What these return is drawn by ``ds.gapsweep``: it is there once one of them is.
 _RETURN_DATASETS = ("basins", "open", "query", "run")
@@ -110,6 +114,7 @@ __all__ = [
     "run",
     "simulate",
     "static_error",
+    "systems",
 ]
 
 
@@ -119,4 +124,6 @@ def __getattr__(name: str) -> Any:
     if name in _RETURN_DATASETS:
         importlib.import_module("gapsweep.report.accessor")
     module = importlib.import_module(f"gapsweep.{_ON_DEMAND[name]}")
+    if name in _MODULES:
+        return module
     return getattr(module, "read" if name == "open" else name)
