@@ -104,7 +104,7 @@ class Trajectory:
 
     def __repr__(self) -> str:
         what = f"{self._n} motions" if self.shape else f"ends {self.status.label}"
-        return f"<gapsweep.Trajectory: {what}, {np.sum(self.n_steps)} steps>"
+        return f"<gapsweep.{type(self).__name__}: {what}, {np.sum(self.n_steps)} steps>"
 
     @property
     def extrema(self) -> Array:
