@@ -17,8 +17,10 @@ from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from . import simd, vecmath
-from .simd import fma, load, select
+from gapsweep.integrate import simd
+from gapsweep.integrate.simd import fma, load, select
+
+from . import vecmath
 
 # Rows of the parameter block.
 STIFFNESS = 0  # K_c / m [1/s^2]; 1 / m for a fit or a user's law

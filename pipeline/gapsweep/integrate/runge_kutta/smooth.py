@@ -14,10 +14,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.integrate import simd
 from gapsweep.integrate.jit import entry
 
 from . import lanes as ln
-from . import laws, simd, tableaux
+from . import laws, tableaux
 from .attempt import attempt
 from .lanes import load_first_points, load_point, unload_point
 from .probing import new_scratch

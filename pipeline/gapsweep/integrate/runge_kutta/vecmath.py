@@ -10,8 +10,8 @@ Every function is exactly odd or even where its name promises it, so mirrored ru
 
 from numba import njit
 
-from . import simd
-from .simd import copysign, fma, select
+from gapsweep.integrate import simd
+from gapsweep.integrate.simd import copysign, fma, select
 
 _E = (
     1.0,

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
+from gapsweep.integrate.vectors import lowest_bit
 
-from .lane_ir import lowest_bit
 from .record import load_series, record_steps, rows_per_step
 from .roots import Work, first_exit, polynomial
 from .step import SHORT_STEP, taylor_step

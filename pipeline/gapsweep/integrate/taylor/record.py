@@ -16,8 +16,16 @@ from numba import types
 from numba.extending import intrinsic
 
 from gapsweep.integrate.jit import internal
+from gapsweep.integrate.vectors import (
+    I64,
+    absolute,
+    copysign,
+    is_nonzero,
+    lowest_bit,
+    minimum,
+    where,
+)
 
-from .lane_ir import I64, absolute, copy_sign, is_nonzero, lowest_bit, minimum, where
 from .roots import DOUBLE, SIMPLE, isolate, polynomial
 from .series import Lanes
 from .step import CLOCK_SLACK, value_and_slope
@@ -195,7 +203,7 @@ def _record_dense(at, run, k):
 
 def _velocity_terms(series, h):
     """Coefficients of v in powers of t / h, with the sign that makes v_0 positive; that sign."""
-    sign = copy_sign(h.constant(1.0), series[1])
+    sign = copysign(h.constant(1.0), series[1])
     terms, power = [], sign
     for n in range(1, len(series)):
         terms.append(series[n] * power * float(n))

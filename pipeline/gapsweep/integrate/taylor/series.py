@@ -7,7 +7,7 @@ convolutions and from the series of the forcing [1]_::
     z'  = E q' + G q + H z
 
 with all matrices per unit mass, and s(t) the periodic part of a contact's stiffness. Everything
-here emits code for all lanes (`lane_ir`); sums over coordinates and degrees are unrolled.
+here emits code for all lanes (`vectors`); sums over coordinates and degrees are unrolled.
 
 References
 ----------
@@ -20,7 +20,7 @@ from functools import reduce
 
 from llvmlite import ir
 
-from .lane_ir import (
+from gapsweep.integrate.vectors import (
     I64,
     absolute,
     fma,

@@ -20,11 +20,11 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .lane_ir import (
+from gapsweep.integrate.vectors import (
     I64,
     Vec,
     absolute,
-    copy_sign,
+    copysign,
     fma,
     is_nonzero,
     maximum,
@@ -33,6 +33,7 @@ from .lane_ir import (
     square_root,
     where,
 )
+
 from .series import Equation, Lanes, Modes, Motion, Sizes, dot, step_size, variation
 
 # A step spans at most this part of a forcing period, so that it holds at most one section point.
@@ -141,7 +142,7 @@ def _crossing(series, h, wall, x_1, v_1):
     g_1, u_1 = x_1 - wall, v_1 * h
     bend = (series[0] - wall) - g_1 + u_1
     root = square_root(maximum(fma(u_1, u_1, -(bend * g_1 * 4.0)), 0.0 * g_1))
-    back = g_1 * 2.0 / (u_1 + copy_sign(root, u_1))
+    back = g_1 * 2.0 / (u_1 + copysign(root, u_1))
     t = h - h * maximum(minimum(back, back.constant(1.0)), 0.0 * back)
     for _ in range(NEWTON_STEPS):
         value, slope = value_and_slope(series, t)

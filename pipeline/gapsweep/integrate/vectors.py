@@ -165,7 +165,7 @@ def round_down(a):
     return _call("floor", a)
 
 
-def copy_sign(magnitude, sign):
+def copysign(magnitude, sign):
     """`magnitude` with the sign of `sign`."""
     return _call("copysign", magnitude, sign)
 
