@@ -119,7 +119,7 @@ def _set_modes(at, point):
 
 @internal
 def _swing(at, point):
-    """Displacement [m] that the free springs would carry the state to, as in `series`."""
+    """Displacement [m] that the free springs would carry the state to, as in `step_size`."""
     x, v = point[at.q], point[at.v]
     stiffness, cubic = point[at.stiffness], abs(point[at.cubic])
     energy = v * v + (stiffness + 0.5 * cubic * x * x) * x * x

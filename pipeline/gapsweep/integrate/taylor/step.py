@@ -4,7 +4,7 @@ A contact mode is an interval [lo, hi] that the contact's gap b.q may not leave:
 itself, or one of the half lines behind a wall. The step is cut where its own polynomial leaves an
 interval first. What happens here, without any branch but two:
 
-1. Taylor coefficients, and the step size that the last two of them allow (`series`);
+1. Taylor coefficients (`series`), and the step that the last two of them allow (`step_size`);
 2. proof, from bounds on the coefficients of every gap, that it, its slope or its curvature keep
    their place or sign on the whole step. It sorts the lanes into *inside* (no crossing possible),
    *crossing* (exactly one, decided by the end point) and *unclear*;
@@ -34,7 +34,8 @@ from gapsweep.integrate.vectors import (
     where,
 )
 
-from .series import Equation, Lanes, Modes, Motion, Sizes, dot, step_size, variation
+from .series import Equation, Lanes, Modes, Motion, dot, variation
+from .step_size import Sizes, step_size
 
 # A step spans at most this part of a forcing period, so that it holds at most one section point.
 MAX_PERIODS_PER_STEP = 0.5

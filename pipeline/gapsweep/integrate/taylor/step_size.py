@@ -1,0 +1,151 @@
+"""How long a step a motion's Taylor series carry."""
+
+import math
+from functools import reduce
+
+from gapsweep.integrate.vectors import (
+    absolute,
+    fma,
+    maximum,
+    minimum,
+    rough_exp2,
+    rough_log2,
+    where,
+)
+
+from .series import dot
+
+# The step size comes from terms that the step still contains, h^N and h^(N-1). With this factor
+# the energy of a free swing is kept to some 20 rtol over 50 cycles, whatever the spring.
+SAFETY = 0.5
+_STEPS_PER_PERIOD = 8192  # at a stiff wall: over so many the tangent's errors come to about rtol
+_POLE = 1.854  # K(1/2), complete elliptic integral: of the stiffest, purely cubic swing
+
+
+def _rough_root(a):
+    return rough_exp2(rough_log2(a) * 0.5)
+
+
+def _reach(energy, stiffness, cubic):
+    """Displacement to which springs carry a state of that energy (twice, as below), to 6 %."""
+    root = _rough_root(fma(stiffness, stiffness, cubic * energy * 2.0))
+    return rough_exp2((rough_log2(energy) + 1.0 - rough_log2(stiffness + root)) * 0.5)
+
+
+class Sizes:
+    """What the errors of a step are measured by.
+
+    An error is small or large beside the speed and the displacement that the springs would carry
+    the state to, without all else, because at a turn and on a wall v or x alone is zero. Both
+    follow from the energy, twice and, of a plain oscillator, per unit mass:
+    ``v^2 + stiffness depth^2 + cubic depth^4 / 2``.
+
+    Attributes
+    ----------
+    speed : Vec
+        [m/s]; of several coordinates in the norm of their masses, as all velocities here.
+    springs, hardening : Vec
+        Of disturbances: squares of the fastest rate and of the cubic springs' part in it [1/s^2].
+    damping : Vec
+        Rate [1/s].
+    """
+
+    def __init__(self, lanes, modes, motion):
+        if lanes.layout.is_plain:
+            self._of_one(lanes, modes, motion)
+        else:
+            self._of_many(lanes, modes, motion)
+
+    def _of_one(self, lanes, modes, motion):
+        # In contact the depth is what counts: an error of x there is one of a much larger force.
+        (contact,), (wall,), ((depth, *_),) = modes.stiffness, modes.wall, motion.depths
+        v, cubic, stiffness = lanes["v"], absolute(lanes["cubic"]), lanes["stiffness"]
+        at_wall = contact + cubic * (wall * wall) * 3.0
+        square, total = depth * depth, stiffness + at_wall
+        energy = fma(v, v, fma(cubic * 0.5, square, total) * square)
+        self.speed = _rough_root(energy)
+        farthest = absolute(wall) + _reach(energy, total, cubic)
+        self.hardening = cubic * (farthest * farthest)
+        self.springs = fma(self.hardening, 3.0, stiffness + contact)
+        self.damping = lanes["damping"]
+
+    def _of_many(self, lanes, modes, motion):
+        place, speed = [q[0] for q in motion.q], [q[1] for q in motion.q]
+        energy = _square_norm(lanes, "mass_root", speed)
+        energy = energy + _square_norm(lanes, "spring_root", place)
+        for contact, depth in zip(modes.stiffness, motion.depths, strict=True):
+            energy = fma(contact, depth[0] * depth[0], energy)
+        alphas = [absolute(alpha) for alpha in lanes.rows("alpha")]
+        for alpha, square in zip(alphas, motion.squares, strict=True):
+            energy = fma(alpha * 0.5, square[0] * square[0], energy)
+        self.speed, self.hardening = _rough_root(energy), 0.0 * energy
+        for alpha, holding, softness in zip(
+            alphas, lanes.rows("holding"), lanes.rows("softness"), strict=True
+        ):
+            reach = _reach(energy, holding, alpha)
+            self.hardening = fma(alpha * softness, reach * reach, self.hardening)
+        self.springs = fma(self.hardening, 3.0, lanes["fastest"])
+        for coupling, touching in zip(lanes.rows("coupling"), modes.touching, strict=True):
+            self.springs = self.springs + where(touching, coupling, 0.0)
+        self.damping = lanes["decay"]
+
+
+def _square_norm(lanes, block, values):
+    """Square of the norm of a vector, by a root of its matrix."""
+    total = None
+    for row in lanes.matrix(block, len(values)):
+        part = dot(row, values, values[0].constant(0.0))
+        total = part * part if total is None else fma(part, part, total)
+    return total
+
+
+def _log_speed(lanes, motion, n):
+    """Logarithm of the size of coefficient n of the coordinates."""
+    terms = [q[n] for q in motion.q]
+    if lanes.layout.is_plain:
+        return rough_log2(absolute(terms[0]))
+    return rough_log2(_square_norm(lanes, "mass_root", terms)) * 0.5
+
+
+def _off_grid(logarithm):
+    """A logarithm to 20 bits and a quarter of the last.
+
+    `rough_log2` and `rough_exp2` round to 20 bits. What is divided in between then never lies
+    halfway between two results, where the last bit of a double would decide: a motion in which
+    time runs twice as fast takes the same steps.
+    """
+    return (math.floor(logarithm * 2**20) + 0.25) * 2.0**-20
+
+
+def step_size(lanes, motion, sizes, rtol):
+    """Largest h (to about 6 %) that keeps the motion, and what becomes of its errors, accurate.
+
+    The last two terms of the velocity stay below `rtol` of the speed; within a swing an error of x
+    is smaller beside its own scale. Two bounds hold besides, because those terms may vanish:
+
+    - A disturbance (an earlier step's error, the tangent) oscillates and decays no faster than the
+      larger of ``sqrt(springs)`` and `damping`, and h spans no more of that than a series of this
+      degree carries. Where x itself is slow or straight, it would come out as nonsense.
+    - A cubic spring swings like an elliptic cosine, whose poles lie `_POLE` over the root of
+      `hardening` from the real axis: terms fall no faster than powers of h over that.
+
+    First-order states keep `rtol` of their own size, or of what they change by in a radian.
+    """
+    order = lanes.layout.order
+    log_error = rough_log2(rtol * SAFETY)
+    log_scale = rough_log2(fma(sizes.speed, rtol, lanes["floor"]) * SAFETY)
+    log_tangent = log_error - math.log2(_STEPS_PER_PERIOD)
+    log_carried = (log_tangent + math.log2(math.factorial(order + 1))) * (1.0 / (order + 1))
+    log_ratio = (log_error - math.log2(1.2 * (order + 1))) * (1.0 / order) + math.log2(_POLE)
+    log_rate = maximum(rough_log2(sizes.springs) * 0.5, rough_log2(sizes.damping))
+    limits = [
+        (log_scale - _off_grid(math.log2(n)) - _log_speed(lanes, motion, n)) * (1.0 / (n - 1))
+        for n in (order, order - 1)
+    ]
+    limits.append(log_carried - log_rate)
+    limits.append(log_ratio - rough_log2(sizes.hardening) * 0.5)
+    for z, floor in zip(motion.z, lanes.rows("lag_floor"), strict=True):
+        size = fma(absolute(z[0]) + absolute(z[1]) / lanes["rate"], rtol, floor)
+        log_size = rough_log2(size * SAFETY)
+        limits += [(log_size - rough_log2(absolute(z[n]))) * (1.0 / n) for n in (order, order - 1)]
+    return rough_exp2(reduce(minimum, limits))
