@@ -48,8 +48,8 @@ def _check_exact(models: Models, solver: Solver) -> None:
     for law in (law for laws in models.laws for law in laws):
         if not _by_taylor(law, solver):
             raise ModelError(
-                f"{law}: a System has compiled steps for the law 'piecewise' alone, without "
-                "restarts; use engine='scipy'"
+                f"{law}: a System is stepped with the law 'piecewise' alone, by its own "
+                "controller and without restarts"
             )
 
 

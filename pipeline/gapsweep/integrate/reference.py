@@ -24,6 +24,7 @@ from scipy.integrate import OdeSolution, solve_ivp
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
+from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import SCALARS, Events, Motions, Sampler
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
@@ -167,7 +168,14 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     """Integration of models with scipy, one after the other.
 
     RK45 for ``rtol >= 1e-6``, DOP853 below; `solver.atol` holds for both m and m/s.
+
+    Raises
+    ------
+    ModelError
+        If a model is no oscillator.
     """
+    if not models.is_plain:
+        raise ModelError("engine = 'scipy': moves oscillators alone; a System needs 'compiled'")
 
     def integrate(problems: Problems) -> Motions:
         runs = [_run(models, problems, i, solver) for i in range(len(problems))]
