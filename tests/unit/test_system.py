@@ -40,6 +40,7 @@ RAGGED = [[1.0, 0.0], [0.0]]
         ({"forcing": [gs.Harmonic(amplitude=[1.0])]}, "amplitude"),
         ({"cubic": gs.Cubic(along=[1.0, 0.0], alpha=1.0)}, "sequence of gapsweep.Cubic"),
         ({"cubic": [1.0]}, "cubic"),
+        ({"cubic": [gs.Cubic(along=[0.0, 0.0], alpha=1.0)]}, "direction"),
         ({"modulation": {"stop": gs.Modulation(depth=0.1)}}, "modulation of 'stop'"),
         ({"modulation": {"stop": [0.1]}}, "modulation of 'stop'"),
         ({"modulation": {"other": [gs.Modulation(depth=0.1)]}}, "must be one of"),

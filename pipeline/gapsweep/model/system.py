@@ -261,7 +261,10 @@ def _names(given: Any, n: int) -> tuple[str, ...]:
 
 
 def _along(cubic: Cubic, n: int) -> Cubic:
-    return Cubic(along=array("cubic: along", cubic.along, (n,)), alpha=cubic.alpha)
+    along = array("cubic: along", cubic.along, (n,))
+    if not along.any():
+        raise ModelError("cubic: its direction must not be zero")
+    return Cubic(along=along, alpha=cubic.alpha)
 
 
 def _loaded(load: Harmonic, n: int) -> Harmonic:
