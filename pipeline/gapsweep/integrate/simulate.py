@@ -120,7 +120,8 @@ def simulate(
 
 def _zero(name: str, value: ArrayLike, remedy: str) -> None:
     """Refuse a start that a model of this kind does not have."""
-    if not np.all(np.equal(value, 0.0)):
+    (given,) = broadcast(**{name: value})
+    if given.any():
         raise ModelError(f"{name} = {value!r}: {remedy}")
 
 
@@ -129,7 +130,7 @@ def _laws(system: System, law: ContactLaw | Mapping[str, ContactLaw]) -> tuple[C
     if not isinstance(law, Mapping):
         return (checked_law(law),) * len(system.contacts)
     if set(law) != set(system.contacts):
-        raise ModelError(f"law: of {sorted(law)}: must name {sorted(system.contacts)}")
+        raise ModelError(f"law: of {list(law)}: must name {list(system.contacts)}")
     return tuple(law[name] for name in system.contacts)
 
 
@@ -143,7 +144,12 @@ def _system_starts(
     sizes = {"q_0": (q_0, system.n), "v_0": (v_0, system.n), "z_0": (z_0, system.n_lags)}
     parts = []
     for name, (value, size) in sizes.items():
-        (given,) = broadcast(**{name: 0.0 if not size and not np.size(value) else value})
+        if not size:  # a System without lags
+            if np.asarray(value, dtype=object).size:
+                _zero(name, value, "this System has no first-order states")
+            parts.append(np.zeros(0))
+            continue
+        (given,) = broadcast(**{name: value})
         if given.ndim and given.shape[-1] != size:
             raise ModelError(f"{name}: has the shape {given.shape}, its last axis must be {size}")
         parts.append(given if given.ndim else np.full(size, given))
@@ -167,6 +173,8 @@ def _check_clock(system: Oscillator | System, omega: NDArray[np.float64], t_0: f
     turns = omega.ravel() * t_0
     resolved = np.spacing(turns - np.floor(turns)) / omega.ravel()
     fastest = system.omega_n if isinstance(system, Oscillator) else fastest_mode(system)
+    if not fastest:  # nothing but contacts holds it
+        return
     largest = _CLOCK_SHARE / fastest
     coarse = resolved > largest
     if coarse.any():
@@ -188,7 +196,7 @@ def broadcast(**values: ArrayLike | None) -> list[NDArray[np.float64]]:
     for name, value in values.items():
         try:
             array = np.asarray([] if value is None else value, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise ModelError(f"{name} = {value!r}: must be a number or numbers") from None
         if array.size == 0:
             raise ModelError(f"{name} = {value!r}: must be a number or numbers, at least one")

@@ -233,6 +233,14 @@ class SystemTrajectory(Trajectory):
         """Times [s] at which every contact crossed a wall, in or out, by its name."""
         return self._by_name(self.system.contacts, "t_contacts", "contacts_of", "n_contacts")
 
+    @property
+    def section(self) -> Array:
+        """Section, shape (n_points, 2 n + m), at every whole forcing period; none unforced."""
+        if self.system.is_forced:
+            return super().section
+        none = np.zeros(self._n, dtype=np.int64)  # the clock has a period of its own
+        return self._ragged(self._events.section[:0], none)
+
     def _by_name(self, names: Iterable[str], values: str, owners: str, counts: str) -> Any:
         """Recorded values as a dict by name; of an array of motions an array of dicts."""
         ends = np.cumsum(getattr(self._events, counts))

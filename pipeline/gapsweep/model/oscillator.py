@@ -24,7 +24,7 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
     """
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ModelError(f"{name} = {value!r}: must be a number") from None
     if not math.isfinite(number):
         raise ModelError(f"{name} = {number}: must be finite")

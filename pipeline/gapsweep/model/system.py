@@ -18,25 +18,47 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.oscillator import LARGEST, checked, whole
+from gapsweep.model.oscillator import LARGEST, SMALLEST, checked, whole
 
 Array = NDArray[np.float64]
 
-MAX_COORDINATES, MAX_CONTACTS, MAX_HARMONIC = 16, 8, 1000
+MAX_COORDINATES, MAX_LAGS, MAX_CONTACTS, MAX_HARMONIC = 16, 16, 8, 1000
 
 
 def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """`value` as a frozen array of numbers of that shape, or a `ModelError` that names it."""
-    try:
-        found = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(f"{name} = {value!r}: must be an array of numbers") from None
+    found = _numbers(name, value)
     if found.shape != shape:
         raise ModelError(f"{name}: has the shape {found.shape}, must have {shape}")
     if not np.all(np.abs(found) <= LARGEST):
         raise ModelError(f"{name}: must be finite numbers within -{LARGEST:g}..{LARGEST:g}")
     found.setflags(write=False)
     return found
+
+
+def _numbers(name: str, value: ArrayLike) -> Array:
+    """A copy of `value` as an array of floats."""
+    try:
+        if not np.iscomplexobj(value):
+            return np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ModelError(f"{name} = {value!r}: must be an array of numbers")
+
+
+def _all_of(name: str, value: Any, kind: type) -> tuple[Any, ...]:
+    """`value` as a tuple, or a `ModelError` if it is no sequence of that kind."""
+    found = tuple(value) if isinstance(value, Sequence) else (None,)
+    if not all(isinstance(each, kind) for each in found):
+        raise ModelError(f"{name} = {value!r}: must be a sequence of gapsweep.{kind.__name__}(...)")
+    return found
+
+
+def _named(name: str, value: Any) -> Mapping[str, Any]:
+    """`value`, or a `ModelError` if it maps no names."""
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise ModelError(f"{name} = {value!r}: must map names to values")
+    return value
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -163,31 +185,35 @@ class System:
     coordinates: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        n = np.shape(self.mass)[0] if np.ndim(self.mass) == 2 else 0
+        mass = _numbers("mass", self.mass)
+        n = len(mass) if mass.ndim == 2 else 0
         whole("number of coordinates (rows of mass)", n, 1, MAX_COORDINATES)
         square = {"mass": self.mass, "stiffness": self.stiffness}
         square["damping"] = np.zeros((n, n)) if self.damping is None else self.damping
         for name, value in square.items():
             self._set(name, array(name, value, (n, n)))
         _check_mass(self.mass)
-        directions = {k: array(f"contact {k!r}", b, (n,)) for k, b in self.contacts.items()}
+        contacts = _named("contacts", self.contacts)
+        directions = {k: array(f"contact {k!r}", b, (n,)) for k, b in contacts.items()}
         whole("number of contacts", len(directions), 0, MAX_CONTACTS)
         for name, direction in directions.items():
             if not direction.any():
                 raise ModelError(f"contact {name!r}: its direction must not be zero")
         self._set("contacts", directions)
-        self._set("cubic", tuple(_along(cubic, n) for cubic in self.cubic))
-        self._set("forcing", tuple(_loaded(load, n) for load in self.forcing))
-        for name in self.modulation:
+        self._set("cubic", tuple(_along(each, n) for each in _all_of("cubic", self.cubic, Cubic)))
+        loads = _all_of("forcing", self.forcing, Harmonic)
+        self._set("forcing", tuple(_loaded(load, n) for load in loads))
+        terms = {
+            k: _all_of(f"modulation of {k!r}", each, Modulation)
+            for k, each in _named("modulation", self.modulation).items()
+        }
+        for name in terms:
             if name not in directions:
                 raise ModelError(f"modulation of {name!r}: must be one of {list(directions)}")
-        self._set("modulation", {k: tuple(terms) for k, terms in self.modulation.items()})
+        self._set("modulation", terms)
         if self.lags is not None:
             self._set("lags", _lags(self.lags, n))
-        names = tuple(self.coordinates) or tuple(f"q_{i + 1}" for i in range(n))
-        if len(names) != n or len(set(names)) != n:
-            raise ModelError(f"coordinates = {names}: must be {n} different names")
-        self._set("coordinates", names)
+        self._set("coordinates", _names(self.coordinates, n))
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
@@ -210,21 +236,40 @@ class System:
     @property
     def is_forced(self) -> bool:
         """Whether anything in it repeats with the forcing's period."""
-        return bool(self.modulation) or any(load.k > 0 for load in self.forcing)
+        return any(self.modulation.values()) or any(load.k > 0 for load in self.forcing)
 
 
 def _check_mass(mass: Array) -> None:
     if not np.array_equal(mass, mass.T):
         raise ModelError("mass: must be symmetric")
     smallest = float(np.linalg.eigvalsh(mass)[0])
-    if not smallest > 0.0:
+    try:
+        np.linalg.cholesky(mass)
+        is_definite = smallest > 0.0
+    except np.linalg.LinAlgError:
+        is_definite = False
+    if not is_definite:
         raise ModelError(
             f"mass: its smallest eigenvalue is {smallest:g}: must be positive definite"
         )
+    if smallest < SMALLEST:
+        raise ModelError(f"mass: its smallest eigenvalue is {smallest:g}: must be >= {SMALLEST:g}")
+
+
+def _names(given: Any, n: int) -> tuple[str, ...]:
+    names = tuple(given) if isinstance(given, Sequence) else (given,)
+    names = names or tuple(f"q_{i + 1}" for i in range(n))
+    are_names = all(isinstance(name, str) for name in names)
+    if not are_names or len(names) != n or len(set(names)) != n:
+        raise ModelError(f"coordinates = {given!r}: must be {n} different names")
+    return names
 
 
 def _along(cubic: Cubic, n: int) -> Cubic:
-    return Cubic(along=array("cubic: along", cubic.along, (n,)), alpha=cubic.alpha)
+    along = array("cubic: along", cubic.along, (n,))
+    if not along.any():
+        raise ModelError("cubic: its direction must not be zero")
+    return Cubic(along=along, alpha=cubic.alpha)
 
 
 def _loaded(load: Harmonic, n: int) -> Harmonic:
@@ -232,8 +277,13 @@ def _loaded(load: Harmonic, n: int) -> Harmonic:
     return Harmonic(amplitude=amplitude, k=load.k, phase=load.phase)
 
 
-def _lags(lags: Lags, n: int) -> Lags:
-    m = len(np.atleast_2d(lags.of_lags))
+def _lags(lags: Any, n: int) -> Lags:
+    if not isinstance(lags, Lags):
+        raise ModelError(f"lags = {lags!r}: must be a gapsweep.Lags(...)")
+    of_lags = _numbers("lags: of_lags", lags.of_lags)
+    m = whole(
+        "number of lags (rows of of_lags)", of_lags.shape[0] if of_lags.ndim else 0, 1, MAX_LAGS
+    )
     return Lags(
         array("lags: force", lags.force, (n, m)),
         array("lags: of_speed", lags.of_speed, (m, n)),

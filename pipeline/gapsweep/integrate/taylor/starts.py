@@ -79,13 +79,47 @@ def _set_floors(at, point, rtol, atol):
         # of speeds, in the norm of the masses
         energy = _square_norm(at, point, at.mass_root, at.v)
         energy += _square_norm(at, point, at.spring_root, at.q)
-        size = max(point[at.floor], math.sqrt(energy)) / point[at.slow]
+        speed = max(point[at.floor], math.sqrt(energy))
+        size = max(speed, _pushed_speed(at, point)) / point[at.slow]
         scale = point[at.slow]
     floor = rtol * FLOOR_SHARE * size
     floor = min(floor, atol) if atol > 0.0 else floor
     point[at.floor] = floor * scale
     for i in range(at.m):
         point[at.lag_floor + i] *= floor
+
+
+@internal
+def _pushed_speed(at, point):
+    """Speed to which first-order states and springs push a start, in the norm of the masses.
+
+    A start may be at rest without any energy: springs that circulate have none, nor have lags. What
+    does not push by itself, but by others, counts as the strongest that does.
+    """
+    rate = max(math.sqrt(point[at.fastest]), point[at.omega_rad])
+    square, strongest, sum_of_lags = 0.0, 0.0, 0.0
+    for i in range(at.n):
+        total = 0.0
+        for j in range(at.n):
+            total += _rooted(at, point, i, at.stiffness + j, at.n) * point[at.q + j]
+        for j in range(at.m):
+            push = _rooted(at, point, i, at.lag_force + j, at.m)
+            total += push * point[at.z + j]
+            strongest = max(strongest, abs(push))
+        square += total * total
+    for j in range(at.m):
+        sum_of_lags += abs(point[at.z + j])
+    push = math.sqrt(square)
+    return (push if push > 0.0 else strongest * sum_of_lags) / rate
+
+
+@internal
+def _rooted(at, point, i, first, n_columns):
+    """Row i of the masses' root times a column that begins in row `first`."""
+    total = 0.0
+    for j in range(at.n):
+        total += point[at.mass_root + i * at.n + j] * point[first + j * n_columns]
+    return total
 
 
 @internal

@@ -152,10 +152,12 @@ def _fill(
     clock = np.where(omega > 0.0, omega, linear.slowest / (2.0 * np.pi))
     set_clock(at, table, clock)
     _put_loads(at, table, put, linear)
-    table[at.fastest], table[at.decay] = fastest**2, linear.decay
+    # Errors are measured by the masses: what the forcing does to a light part, they hardly see.
+    highest = max([load.k for load in system.forcing], default=0) * table[at.omega_rad]
+    table[at.fastest] = np.maximum(fastest, highest) ** 2
+    table[at.decay] = linear.decay
     lightest = float(np.sqrt(np.diag(system.mass).min()))
     table[at.slow] = linear.slowest * lightest
-    highest = max([load.k for load in system.forcing], default=0) * table[at.omega_rad]
     table[at.rate] = np.sqrt(fastest**2 + (K_c * compliance).sum(axis=1)) + highest
     table[at.min_step] = MIN_STEP / np.maximum(fastest, table[at.omega_rad])
     if system.lags is not None:
