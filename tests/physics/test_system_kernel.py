@@ -377,3 +377,21 @@ def test_monodromy_of_cubes_and_periodic_stiffness_is_the_derivative():
         assert relative(run.monodromy[:, j], column) < 1e-4
     trace = -T_END * np.trace(np.linalg.solve(MASS, DAMPING))
     assert np.log(np.linalg.det(run.monodromy)) == pytest.approx(trace, abs=1e-8)
+
+
+def test_a_start_on_a_wall_that_only_lags_push_from_is_no_contact():
+    """The third derivative of the first gap is the first that is not zero, and points inward."""
+    system = gs.System(
+        mass=np.eye(2),
+        stiffness=np.diag([4.0, 9.0]),
+        damping=0.1 * np.eye(2),
+        contacts={"a": [1.0, 0.0], "b": [0.0, 1.0]},
+        lags=gs.Lags([[0.5], [0.0]], [[0.0, 0.0]], [[0.0, 2.0]], [[-2.0]]),
+    )
+    laws = {"a": gs.Piecewise(100.0, gs.Gap(0.0, 0.1)), "b": gs.Piecewise(100.0, gs.Gap(0.1, 0.1))}
+    run, plain = (
+        gs.simulate(system, laws, q_0=[0.0, 0.05], t_end=10.0, engine=engine, rtol=1e-9, atol=1e-12)
+        for engine in ("compiled", "scipy")
+    )
+    assert run.n_contacts == sum(map(len, run.t_contacts.values())) == plain.n_contacts
+    assert run.t_contacts["a"].min() > 0.0

@@ -1,5 +1,7 @@
 """Tables of what moves: a row for every scene, as the kernel reads it."""
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,8 +144,8 @@ def _forced_size(at: Layout, table: FloatArray, to_wall: FloatArray) -> FloatArr
 def set_modes_on_walls(at: Layout, points: FloatArray) -> None:
     """Contact modes of points that start on a wall.
 
-    The first derivative of the gap that is not zero decides, up to the fourth. None depends on that
-    contact's mode as long as the lower ones are zero.
+    The first derivative of the gap that is not zero decides. None depends on that contact's mode as
+    long as the lower ones are zero, and if as many are zero as there are states, it stays there.
 
     Parameters
     ----------
@@ -159,42 +161,69 @@ def set_modes_on_walls(at: Layout, points: FloatArray) -> None:
         heading = np.zeros(len(here))
         for slope in _slopes(at, points[here], contact):
             heading = np.where(heading == 0.0, np.sign(slope), heading)
+            if heading.all():
+                break
         mode[here] = (is_high[here] & (heading > 0.0)) * 1.0 - (is_low[here] & (heading < 0.0))
 
 
-def _slopes(at: Layout, points: FloatArray, contact: int) -> list[FloatArray]:
-    """First to fourth derivative of a contact's gap, each right where the lower ones are zero."""
+def _slopes(at: Layout, points: FloatArray, contact: int) -> Iterator[FloatArray]:
+    """Taylor coefficients of a contact's gap from the first on, that contact left out."""
 
     def matrix(name: str, *shape: int) -> FloatArray:
         block = slice(at.first[name], at.first[name] + at.blocks[name])
         return points[:, block].reshape(len(points), *shape)
 
-    n, k, c = at.n, at.contacts, at.cubics
-    place, speed, lags = matrix("q", n), matrix("v", n), matrix("z", at.m)
-    stiffness, damping = matrix("stiffness", n, n), matrix("damping", n, n)
-    along = np.ones((len(points), c, n)) if at.is_plain else matrix("along", c, n)
-    force = -np.einsum("pij,pj->pi", matrix("cubic", n, c), _along(along, place) ** 3)
-    force -= np.einsum("pij,pj->pi", matrix("lag_force", n, at.m), lags)
-    direction = np.ones((len(points), n)) if at.is_plain else matrix("direction", k, n)[:, contact]
-    if not at.is_plain:  # the other contacts
-        mode, gap = matrix("mode", k), matrix("gap", k)
-        wall = np.where(mode > 0.0, matrix("upper", k), matrix("lower", k))
-        push = np.where(mode != 0.0, matrix("contact", k) * (gap - wall), 0.0)
-        force -= np.einsum("pij,pj->pi", matrix("pull", n, k), push)
-    derivatives = [place, speed]
+    def series(name: str, size: int, multiple: str, phase: str, k: int) -> FloatArray:
+        """Coefficient k of the sum of some harmonics, of which block `name` holds amplitudes."""
+        amplitudes = matrix(name, -1, size)
+        multiples = matrix(multiple, -1) if at.blocks[multiple] else np.ones(amplitudes.shape[:2])
+        turns = multiples * points[:, [at.tau]]
+        turns = turns + matrix(phase, -1) if at.blocks[phase] else turns
+        cosine, sine = _cos_sin_of_period(turns)
+        rates = (multiples * points[:, [at.omega_rad]]) ** k / math.factorial(k)
+        factors = rates * (cosine, -sine, -cosine, sine)[k % 4]
+        return np.asarray(np.einsum("ph,phi->pi", factors, amplitudes))
+
+    n, m, c = at.n, at.m, at.contacts
+    ones = np.ones((len(points), 1, 1))
+    direction = ones if at.is_plain else matrix("direction", c, n)
+    along = ones if at.is_plain else matrix("along", at.cubics, n)
+    pull = ones if at.is_plain else matrix("pull", n, c)
+    mode = matrix("mode", c).copy()
+    mode[:, contact] = 0.0
+    # finite: a wall at infinity is never touched
+    wall = np.select([mode > 0.0, mode < 0.0], [matrix("upper", c), matrix("lower", c)], 0.0)
+    spring = np.where(mode != 0.0, matrix("contact", c), 0.0)
+    q, z = [matrix("q", n), matrix("v", n)], [matrix("z", m)]
+    yield _along(direction, q[1])[:, contact]
+    depths, bends, rates = [], [], []
     with np.errstate(over="ignore", invalid="ignore"):  # such a start diverges in the kernel
-        for order in range(3):
-            push = np.zeros_like(place) if order else force
-            for h in range(at.harmonics):
-                multiple = 1.0 if at.in_step else points[:, at.multiple + h]
-                phase = 0.0 if at.in_step else points[:, at.phase + h]
-                cosine, sine = _cos_sin_of_period(multiple * points[:, at.tau] + phase)
-                rate = (multiple * points[:, at.omega_rad]) ** order
-                factor = rate * (cosine, -sine, -cosine)[order]
-                push = push + factor[:, None] * matrix("push", at.harmonics, n)[:, h]
-            push = push - np.einsum("pij,pj->pi", damping, derivatives[-1])
-            derivatives.append(push - np.einsum("pij,pj->pi", stiffness, derivatives[-2]))
-    return [_along(direction[:, None], each)[:, 0] for each in derivatives[1:]]
+        for k in range(2 * at.n_states - 1):
+            depths.append(_along(direction, q[k]) - (wall if k == 0 else 0.0))
+            bends.append(_along(along, q[k]))
+            rates.append(np.full_like(spring, float(k == 0)))
+            if at.modulations:
+                rates[k] += series("depth", c, "depth_multiple", "depth_phase", k)
+            force = series("push", n, "multiple", "phase", k) if at.harmonics else 0.0
+            force = force - _along(matrix("damping", n, n), (k + 1) * q[k + 1])
+            force = force - _along(matrix("stiffness", n, n), q[k])
+            force = force - _along(matrix("lag_force", n, m), z[k])
+            cubes = _convolved(_convolved(bends, bends, k, whole=True), bends, k)
+            force = force - _along(matrix("cubic", n, at.cubics), cubes[0])
+            force = force - _along(pull, spring * _convolved(rates, depths, k)[0])
+            q.append(force / ((k + 1) * (k + 2)))
+            yield _along(direction, q[-1])[:, contact]
+            new = _along(matrix("of_speed", m, n), (k + 1) * q[k + 1])
+            new = new + _along(matrix("of_place", m, n), q[k])
+            z.append((new + _along(matrix("of_lag", m, m), z[k])) / (k + 1))
+
+
+def _convolved(
+    a: list[FloatArray], b: list[FloatArray], k: int, *, whole: bool = False
+) -> list[FloatArray]:
+    """Coefficient k of a product of series; all up to it with `whole`."""
+    wanted = range(k + 1) if whole else (k,)
+    return [np.sum([a[i] * b[j - i] for i in range(j + 1)], axis=0) for j in wanted]
 
 
 def _along(directions: FloatArray, vectors: FloatArray) -> FloatArray:
