@@ -24,7 +24,16 @@ from typing import Any, TypeVar
 import psutil
 
 from gapsweep.errors import ClusterError, ModelError
-from gapsweep.execution.task import States, Task, TaskResult, Tile, failure, respond_to
+from gapsweep.execution.task import (
+    WARM_UP_SECONDS,
+    States,
+    Task,
+    TaskResult,
+    Tile,
+    failure,
+    respond_to,
+    warm_up,
+)
 from gapsweep.model import own_law
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
@@ -98,11 +107,15 @@ class Alone:
         ClusterError
             If the process has other code than the caller.
         """
+        return self.within(self.timeout, function, *arguments)
+
+    def within(self, timeout: float, function: Callable[..., Result], *arguments: Any) -> Result:
+        """A call with a time limit [s] of its own."""
         if self._child is not None and self._child.is_spent:
             self._end()  # that is no fault of this call
         self._child = self._child or _Child()
         try:
-            found = self._child.ask(function, arguments, self.timeout)
+            found = self._child.ask(function, arguments, timeout)
         except BaseException:
             self._end()
             raise
@@ -158,8 +171,10 @@ def compute_alone(task: Task) -> TaskResult:
 
 def response_of(alone: Alone, points: Points, state: States) -> Responses:
     """The response of one point; what became of its process is its status."""
+    tile = Tile.of_one(points, state)
     try:
-        return alone(respond_to, Tile.of_one(points, state))
+        alone.within(WARM_UP_SECONDS, warm_up, tile)
+        return alone(respond_to, tile)
     except CallError as lost:
         return Responses.of([Response(status=lost.status, message=lost.message)])
 

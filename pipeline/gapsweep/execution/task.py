@@ -10,8 +10,8 @@ import platform
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -34,6 +34,10 @@ _RESTARTED = "the point before it failed: starts from the last settled one"
 
 # What was computed before has its machine code.
 _warm: set[Kind] = set()
+# To compile it takes half a minute, on a busy machine minutes; what takes longer hangs in a law of
+# the user's own.
+WARM_UP_SECONDS = 600.0
+_NO_TIME = 1e9  # Hz: a period in which nothing moves
 
 States = NDArray[np.float64]
 Ask = Callable[[Points, States], Responses]
@@ -108,7 +112,7 @@ def compute(task: Task) -> TaskResult:
     """Body of a Dask task."""
     ours, begin = software(), time.thread_time()  # of what runs now: it may be edited meanwhile
     found, n_warm = [], len(_warm)
-    with _ending_after(task.timeout if task.client != process() else np.inf):
+    with _ending_after(task.timeout) if task.client != process() else nullcontext():
         for tile in task.tiles:
             found += tile.slabs(respond_to(tile), platform.node())
     seconds = time.thread_time() - begin
@@ -128,20 +132,18 @@ _watch = threading.Lock()
 
 @contextmanager
 def _ending_after(timeout: float) -> Iterator[None]:
-    """End this process if the block takes longer [s].
+    """End this process if the block takes longer [s]; a block around it is given that time.
 
     A computation that hangs in compiled code holds the interpreter: no Python code could stop
     it. `faulthandler` watches from a thread that needs no interpreter, one deadline at a time.
     """
-    if timeout == np.inf:
-        yield
-        return
-    thread = threading.get_ident()
-    _rearm(thread, time.monotonic() + timeout)
+    thread, begin = threading.get_ident(), time.monotonic()
+    outer = _deadlines.get(thread)
+    _rearm(thread, begin + timeout)
     try:
         yield
     finally:
-        _rearm(thread, None)
+        _rearm(thread, None if outer is None else outer + time.monotonic() - begin)
 
 
 def _rearm(thread: int, deadline: float | None) -> None:
@@ -240,16 +242,26 @@ def _asked(points: Points, states: States) -> Iterator[Question | ModelError]:
 
 
 def _warm_up(kind: Kind, question: Question) -> None:
-    """Load or compile what a kind of point needs: no point's processor time may hold that.
+    """Load or compile what a kind of point needs: no point's time may hold that.
 
-    With a point of that kind, from where it starts: what this raises, the point raises as well.
+    With a point of that kind, where it starts: what this raises, the point raises as well.
     """
     if kind in _warm or kind.solver.engine != "compiled":
         return
-    ensemble, start = Ensemble([question.scene]), np.reshape(question.start, (2, 1))
-    for tangent in (False, True):
-        ensemble.call(np.arange(1), start, np.ones(1, int), np.zeros(1), tangent=tangent)
+    is_watched = threading.get_ident() in _deadlines
+    with _ending_after(WARM_UP_SECONDS) if is_watched else nullcontext():
+        ensemble = Ensemble([replace(question.scene, omega=_NO_TIME)])
+        start = np.reshape(question.start, (2, 1))
+        for tangent in (False, True):
+            ensemble.call(np.arange(1), start, np.ones(1, int), np.zeros(1), tangent=tangent)
     _warm.add(kind)
+
+
+def warm_up(tile: Tile) -> None:
+    """What the first point of a tile needs before its time counts."""
+    asked = next(_asked(tile.points, tile.states))
+    if isinstance(asked, Question):
+        _warm_up(tile.points.kind, asked)
 
 
 def _answered(kind: Kind, questions: list[Question]) -> Responses:
