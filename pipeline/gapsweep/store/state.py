@@ -86,11 +86,12 @@ class RunState:
         try:
             values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             found = cls(**values)
+            is_dead = found.state == RUNNING and not found.is_alive
         except FileNotFoundError:
             raise StoreError(f"{path}: no such file; 'gapsweep run' makes it") from None
         except (OSError, ValueError, TypeError) as error:
             raise StoreError(f"{path}: cannot be read: {error}; run the study again") from None
-        if found.state == RUNNING and not found.is_alive:
+        if is_dead:
             return replace(found, state=DIED, message="its process is gone; run again to resume")
         return found
 
