@@ -209,6 +209,7 @@ class Cache:
         trace: TracebackType | None,
     ) -> None:
         self.db.close()
+        del self._slab  # it holds us: index and slabs would stay until the garbage collector runs
 
     @contextmanager
     def errors(self) -> Iterator[None]:
