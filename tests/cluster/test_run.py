@@ -138,6 +138,17 @@ def test_interrupted_sweep_goes_on_where_it_was(tables, client, tmp_path):
         xr.testing.assert_equal(whole[name], resumed[name])
 
 
+def test_a_sweep_that_goes_on_after_a_failure_says_so(tables, client, tmp_path):
+    block = tables["sweep"][0] | {"representation": ["piecewise"], "initial_condition": "sweep_up"}
+    tables["sweep"] = [block]
+    study, failed = gs.Study.from_dict(tables), gs.Response(status=gs.Status.KILLED)
+    with Cache(tmp_path / "out.sqlite") as cache:
+        commit(cache, study, lambda at: failed if at["omega"] == 0 else None)
+        run(tables, client, tmp_path)
+        said = list(messages(study, cache).values())
+    assert said == ["", "the point before it failed: starts from the last settled one", ""]
+
+
 def test_long_sweep_in_parts_equals_one_in_a_piece(tables, client, tmp_path):
     omega = {"start": 8.0, "stop": 12.0, "num": 37}
     block = tables["sweep"][0] | {"representation": ["piecewise"], "omega": omega}

@@ -271,10 +271,11 @@ class _Execution:
         for at, points in self.study.points(self.plan.cells[rows]):
             firsts = np.flatnonzero(is_first[at])
             lengths = np.diff(firsts, append=len(at))
-            states = np.zeros((len(firsts), 2))
+            states, after_failure = np.zeros((len(firsts), 2)), np.zeros(len(firsts), bool)
             if points.kind.is_sweep:
-                states[:] = [start_of(self.cache, key) for key in previous[at[firsts], None]]
-            tiles.append(Tile(points, keys[at], previous[at], lengths, states))
+                for i, key in enumerate(previous[at[firsts], None]):
+                    states[i], after_failure[i] = start_of(self.cache, key)
+            tiles.append(Tile(points, keys[at], previous[at], lengths, states, after_failure))
         return tiles
 
     # --- receiving -------------------------------------------------------------------------------

@@ -58,6 +58,8 @@ class Tile:
     states : ndarray, shape (m, 2)
         Displacement [m] and velocity [m/s] from which each sweep starts; of no meaning for fixed
         starts, which are among the points' numbers.
+    after_failure : ndarray of bool, shape (m,)
+        Whether the point before each sweep's first one failed.
     """
 
     points: Points
@@ -65,6 +67,7 @@ class Tile:
     previous: NDArray[np.void]
     lengths: NDArray[np.int64]
     states: States
+    after_failure: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.points)
@@ -72,7 +75,8 @@ class Tile:
     @classmethod
     def of_one(cls, points: Points, state: States) -> "Tile":
         """A single point, and where it starts if it is one of a sweep."""
-        return cls(points, np.zeros(1, KEY), np.zeros(1, KEY), np.ones(1, int), state.reshape(1, 2))
+        nothing, state = np.zeros(1, KEY), state.reshape(1, 2)
+        return cls(points, nothing, nothing, np.ones(1, int), state, np.zeros(1, bool))
 
     def slabs(self, responses: Responses, host: str) -> list[Slab]:
         """Responses of all points in the form in which they are stored."""
@@ -175,9 +179,8 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
     ask : callable, optional
         Responses of independent points from states, shape (n, 2); here and all in one call if None.
     """
-    states, lengths = tile.states.copy(), tile.lengths
-    first, after_failure = np.cumsum(lengths) - lengths, np.zeros(len(lengths), bool)
-    order, parts = [], []
+    states, after_failure, lengths = tile.states.copy(), tile.after_failure.copy(), tile.lengths
+    first, order, parts = np.cumsum(lengths) - lengths, [], []
     for position in range(max(lengths, default=0)):
         here = np.flatnonzero(lengths > position)
         rows = first[here] + position
