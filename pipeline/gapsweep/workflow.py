@@ -400,7 +400,7 @@ def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -
 def recomputed_otherwise(
     cache: Cache, sample: int, own_laws: Collection[str] = ()
 ) -> tuple[list[tuple[str, list[str]]], int]:
-    """Compute random rows of the present code again; those that came out otherwise.
+    """Compute random points of the present code again; those that came out otherwise.
 
     A row is data: the code that it names is not run, unless `own_laws` names it too.
 
@@ -409,7 +409,7 @@ def recomputed_otherwise(
     differing : list of (str, list of str)
         Key in hex, and the names of the values that differ; `cpu_time` always may.
     n_skipped : int
-        Rows of laws that are not in `own_laws`.
+        Points of laws that are not in `own_laws`.
     """
     from gapsweep.execution.again import differences
     from gapsweep.execution.alone import Alone
