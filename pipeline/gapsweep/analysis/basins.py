@@ -11,7 +11,7 @@ from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
 from gapsweep.model.contact import ContactLaw, UserLaw
 from gapsweep.model.oscillator import Oscillator, checked
-from gapsweep.response.attractors import attractors, numbers
+from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import Responses, Steady
@@ -95,15 +95,20 @@ def basins(
     else:
         answers = client.gather([client.submit(_answer, part, *settings) for part in parts])
     responses = Responses.concatenated(answers)
-    found = attractors(responses, omega, symmetric=law.gap.is_symmetric)
-    ids = np.reshape(numbers(found, x_0.size), (starts_v.size, starts_x.size))
+    found = attractors_of_scenes(
+        responses, np.zeros(x_0.size, int), omega=[omega], symmetric=law.gap.is_symmetric
+    )
+    columns = responses.take(found.first).columns
     dataset = xr.Dataset(
         {
-            "attractor": (("v_0", "x_0"), ids),
+            "attractor": (
+                ("v_0", "x_0"),
+                found.numbers.reshape(starts_v.size, starts_x.size),
+            ),
             **{
                 name: (
                     "attractor_number",
-                    np.array([getattr(a if hasattr(a, name) else a.response, name) for a in found]),
+                    columns[name] if name in columns else getattr(found, name),
                 )
                 for name in list(_ATTRIBUTES)[1:]
             },

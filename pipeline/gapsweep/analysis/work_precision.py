@@ -46,7 +46,7 @@ from gapsweep.execution.alone import Alone, CallError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import Piecewise
-from gapsweep.response.attractors import attractors
+from gapsweep.response.attractors import NONE, attractors_of_scenes
 from gapsweep.response.ensemble import Scene as Asked
 from gapsweep.response.respond import Question, respond_all
 from gapsweep.response.result import Response, Responses, Steady
@@ -409,8 +409,9 @@ class Bench:
         scene = self.scenes[cell[0]]
         if self.methods[cell[1]].label in scene.without:
             return
-        groups = attractors(Responses.of([found, true]), scene.omega, symmetric=False)
-        self.arrays[f"same_attractor{suffix}"][cell] = any(len(g.members) == 2 for g in groups)
+        pair = Responses.of([found, true])
+        both = attractors_of_scenes(pair, [0, 0], omega=[scene.omega], symmetric=False).of_response
+        self.arrays[f"same_attractor{suffix}"][cell] = both[0] == both[1] != NONE
         error = abs(found.amplitude - true.amplitude) / true.amplitude
         name = f"amplitude{suffix}_error" if suffix else "amplitude_error"
         self.arrays[name][cell] = error
