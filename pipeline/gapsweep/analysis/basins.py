@@ -13,7 +13,7 @@ from gapsweep.model.contact import ContactLaw, UserLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.ensemble import Scene
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import check_kinds, respond_all
 from gapsweep.response.result import Responses, Steady
 
 Array = NDArray[np.float64]
@@ -89,6 +89,7 @@ def basins(
     )
     v_0, x_0 = (each.ravel() for each in np.meshgrid(starts_v, starts_x, indexing="ij"))
     settings = scene, Steady() if steady is None else steady
+    check_kinds(oscillator, settings[1])
     parts = [(x_0[i : i + _PART], v_0[i : i + _PART]) for i in range(0, x_0.size, _PART)]
     if client is None:
         answers = [_answer(part, *settings) for part in parts]
@@ -125,8 +126,7 @@ def basins(
 
 
 def _answer(starts: tuple[Array, Array], scene: Scene, steady: Steady) -> Responses:
-    states = zip(*(each.tolist() for each in starts), strict=True)
-    return respond_all([Question(scene=scene, start=state, steady=steady) for state in states])
+    return respond_all([scene] * len(starts[0]), np.stack(starts, axis=1), steady)
 
 
 def _axis(name: str, values: ArrayLike) -> np.ndarray:

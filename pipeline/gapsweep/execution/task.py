@@ -23,7 +23,7 @@ from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.ensemble import Ensemble, Scene
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
@@ -200,23 +200,25 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
 
 def _together(points: Points, states: States) -> Responses:
     """Responses of independent points, all in one call."""
-    questions, order, refused = [], [], []
-    for row, asked in enumerate(_asked(points, states)):
-        if isinstance(asked, Question):
-            questions.append(asked)
-            order.append(row)
-        else:
-            refused.append((row, failed(asked)))
-    found = _answered(points.kind, questions)
+    asked, starts = list(_scenes(points)), _starts(points, states)
+    refused = {row: one for row, one in enumerate(asked) if isinstance(one, ModelError)}
+    rows = [row for row in range(len(asked)) if row not in refused]
+    found = _answered(points.kind, [one for one in asked if isinstance(one, Scene)], starts[rows])
     if not refused:
         return found
-    order += [row for row, _ in refused]
-    whole = Responses.concatenated([found, Responses.of([response for _, response in refused])])
-    return whole.take(np.argsort(order))
+    whole = Responses.concatenated([found, Responses.of(list(map(failed, refused.values())))])
+    return whole.take(np.argsort([*rows, *refused]))
 
 
-def _asked(points: Points, states: States) -> Iterator[Question | ModelError]:
-    """What is asked for each point, or why it cannot be; neighbours share law and oscillator."""
+def _starts(points: Points, states: States) -> States:
+    """Where points start; `states` are those of sweeps."""
+    if points.kind.is_sweep:
+        return states
+    return points.numbers[:, -2:] + [points.kind.start_jitter, 0.0]
+
+
+def _scenes(points: Points) -> Iterator[Scene | ModelError]:
+    """What moves at each point, or why it cannot; neighbours share law and oscillator."""
     kind = points.kind
 
     @lru_cache(maxsize=256)
@@ -229,22 +231,19 @@ def _asked(points: Points, states: States) -> Iterator[Question | ModelError]:
     def oscillator(*values: float) -> Oscillator:
         return Oscillator(**dict(zip(OSCILLATOR, values, strict=True)))
 
-    for row, state in zip(points.numbers.tolist(), states.tolist(), strict=True):
-        K_c, j_1, j_2, omega, *others, x_0, v_0 = row
-        start = (state[0], state[1]) if kind.is_sweep else (x_0 + kind.start_jitter, v_0)
+    for K_c, j_1, j_2, omega, *others, _, _ in points.numbers.tolist():
         try:
-            scene = Scene(
+            yield Scene(
                 oscillator=oscillator(*others),
                 law=law(K_c, j_1, j_2),
                 omega=omega,
                 solver=kind.solver,
             )
-            yield Question(scene=scene, start=start, steady=kind.steady)
         except ModelError as error:
             yield error
 
 
-def _warm_up(kind: Kind, question: Question) -> None:
+def _warm_up(kind: Kind, scene: Scene, start: States) -> None:
     """Load or compile what a kind of point needs: no point's time may hold that.
 
     With a point of that kind, where it starts: what this raises, the point raises as well.
@@ -253,32 +252,32 @@ def _warm_up(kind: Kind, question: Question) -> None:
         return
     is_watched = threading.get_ident() in _deadlines
     with _ending_after(WARM_UP_SECONDS) if is_watched else nullcontext():
-        ensemble = Ensemble([replace(question.scene, omega=_NO_TIME)])
-        start = np.reshape(question.start, (2, 1))
+        ensemble = Ensemble([replace(scene, omega=_NO_TIME)])
         for tangent in (False, True):
-            ensemble.call(np.arange(1), start, np.ones(1, int), np.zeros(1), tangent=tangent)
+            y, one = start.reshape(2, 1), np.ones(1, int)
+            ensemble.call(np.arange(1), y, one, np.zeros(1), tangent=tangent)
     _warm.add(kind)
 
 
 def warm_up(tile: Tile) -> None:
     """What the first point of a tile needs before its time counts."""
-    asked = next(_asked(tile.points, tile.states))
-    if isinstance(asked, Question):
-        _warm_up(tile.points.kind, asked)
+    scene = next(_scenes(tile.points))
+    if isinstance(scene, Scene):
+        _warm_up(tile.points.kind, scene, _starts(tile.points, tile.states)[0])
 
 
-def _answered(kind: Kind, questions: list[Question]) -> Responses:
+def _answered(kind: Kind, scenes: list[Scene], starts: States) -> Responses:
     """Responses; what a point raises is its own response, the others are asked again."""
-    if not questions:
+    if not scenes:
         return Responses.of(())
     try:
-        _warm_up(kind, questions[0])
-        return respond_all(questions)
+        _warm_up(kind, scenes[0], starts[0])
+        return respond_all(scenes, starts, kind.steady)
     except BaseException as error:  # the task boundary: SystemExit, too, is a point's own result
-        if len(questions) > 1:
-            half = len(questions) // 2
-            halves = questions[:half], questions[half:]
-            return Responses.concatenated([_answered(kind, part) for part in halves])
+        if len(scenes) > 1:
+            halves = slice(len(scenes) // 2), slice(len(scenes) // 2, None)
+            parts = [_answered(kind, scenes[half], starts[half]) for half in halves]
+            return Responses.concatenated(parts)
         return Responses.of([failed(error)])
 
 
