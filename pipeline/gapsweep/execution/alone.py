@@ -18,7 +18,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler  # what a Connection sends with
-from types import TracebackType
 from typing import Any, TypeVar
 
 import psutil
@@ -90,12 +89,7 @@ class Alone:
     def __enter__(self) -> "Alone":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._end()
 
     def __call__(self, function: Callable[..., Result], *arguments: Any) -> Result:
