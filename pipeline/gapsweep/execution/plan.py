@@ -109,7 +109,9 @@ def plan(
     grid = study.grid
     wanted = grid.requested
     if selection is not None:
-        wanted = wanted & selection.mask(grid.shape)
+        selected = np.zeros(grid.shape, bool)
+        selected[np.ix_(*selection)] = True
+        wanted = wanted & selected
     cells, follows = grid.order(wanted)
     keys = np.empty(len(cells), KEY)
     for part in _parts(follows):

@@ -228,7 +228,7 @@ class Study:
         if not self.grid.requested[np.ix_(*found)].any():
             said = ", ".join(f"{name} = {value!r}" for name, value in wanted.items())
             raise StudyError([f"{self.source}: {said}: no block has a point there"])
-        return Selection(tuple(found))
+        return tuple(found)
 
     def points(self, cells: NDArray[np.int64]) -> list[tuple[NDArray[np.intp], Points]]:
         """The sweep points in some cells of the grid, in tables of one kind each.
