@@ -99,7 +99,7 @@ def plan(
     if not path.exists():
         return make_plan(study, selection=selection)
     with Cache(path, read_only=True) as store:
-        return make_plan(study, store.status, selection=selection, retry_failed=retry_failed)
+        return make_plan(study, store, selection=selection, retry_failed=retry_failed)
 
 
 def expected_seconds(plan: Plan, cache: str | Path | None = None, workers: int = 2) -> float | None:
@@ -306,7 +306,7 @@ def query(
     try_out_own_laws(study)
     if path.exists():
         with Cache(path, read_only=True) as store:
-            planned = make_plan(study, store.status, selection=selection)
+            planned = make_plan(study, store, selection=selection)
             if not planned.n_missing:
                 done = Progress(planned.n_points, planned.n_hits)
                 return _exported(study, planned, store, selection, done)
