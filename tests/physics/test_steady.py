@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from tests.oracles import orbit_distance
 from tests.stored import tile_rows
 
 import gapsweep as gs
@@ -16,7 +17,6 @@ from gapsweep.response.result import Responses
 from gapsweep.response.section import (
     cloud_distances,
     converging_multiples,
-    orbit_distance,
     period_multiple,
     period_multiples,
     prime_multiple,

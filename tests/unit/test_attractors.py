@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from tests.oracles import orbit_distance
 
 from gapsweep.response.attractors import NONE, attractors_of_scenes
 from gapsweep.response.result import Response, ResponseClass, Responses
-from gapsweep.response.section import orbit_distance, scaled
+from gapsweep.response.section import scaled
 from gapsweep.status import Status
 
 OMEGA = 7.0
