@@ -152,8 +152,8 @@ def status(folder: Path, as_json: bool) -> int:
         return FINISHED
     click.echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
     click.echo(
-        f"{state.hits + state.computed} of {state.points} points: {state.hits} from the cache, {state.computed} "
-        f"computed, {state.failed} failed"
+        f"{state.hits + state.computed} of {state.points} points: {state.hits} from the cache, "
+        f"{state.computed} computed, {state.failed} failed"
     )
     click.echo(f"started {state.started}, last heard of {state.updated}, on {state.host}")
     return FINISHED
