@@ -20,7 +20,7 @@ from scipy.stats import binomtest
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.response.ensemble import Scene
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Model, advise
 
@@ -62,7 +62,7 @@ def random_scenes(n, seed):
 def questions(scenes, model, rtol, moved=0.0):
     """The scenes with one model: a `Model` by name, or a label."""
     solver = Solver.of("compiled", rtol, 1e-3 * rtol)
-    asked = []
+    asked, starts = [], []
     for oscillator, K_c, gap, omega, (x, v) in scenes:
         if model == "linear":
             oscillator = gs.Oscillator(**{**_fields(oscillator), "alpha": 0.0})
@@ -70,9 +70,9 @@ def questions(scenes, model, rtol, moved=0.0):
             K_c = 0.0
         label = "piecewise" if model in ("exact", "linear", "duffing") else model
         law = gs.contact_law(label, K_c, gap)
-        scene = Scene(oscillator=oscillator, law=law, omega=omega, solver=solver)
-        asked.append(Question(scene=scene, start=(x + moved, v), steady=Steady()))
-    return asked
+        asked.append(Scene(oscillator=oscillator, law=law, omega=omega, solver=solver))
+        starts.append((x + moved, v))
+    return asked, starts
 
 
 def _fields(oscillator):
@@ -81,13 +81,14 @@ def _fields(oscillator):
 
 def amplitudes(asked):
     """Steady amplitudes [m], and whether a wall was reached."""
-    return np.array([respond_all(asked).columns[name] for name in ("amplitude", "n_contacts")])
+    columns = respond_all(*asked, Steady()).columns
+    return np.array([columns[name] for name in ("amplitude", "n_contacts")])
 
 
-def cost(question):
+def cost(scene, start):
     """Processor time [s] of one scene among fifteen like it."""
     began = time.process_time()
-    respond_all([question] * COPIES)
+    respond_all([scene] * COPIES, start, Steady())
     return (time.process_time() - began) / COPIES
 
 
@@ -123,7 +124,7 @@ def main():
     for _ in range(settings.rounds):
         for i in np.flatnonzero(judged):
             for one in (one for one in candidates if errors[one][i] <= limit):
-                costs[one][i] = min(costs[one][i], cost(asked[one][i]))
+                costs[one][i] = min(costs[one][i], cost(*(each[i] for each in asked[one])))
     table = np.array([costs[one] for one in candidates])
     cheapest = np.array(["{}, rtol {:g}".format(*one) for one in candidates])[table.argmin(axis=0)]
     error = np.array([errors[one][i] for i, one in enumerate(advised)])

@@ -18,7 +18,7 @@ import numpy as np
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.response.ensemble import Scene
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Steady
 
 K_C = 1.4e4
@@ -33,16 +33,10 @@ def scan(gap: float) -> tuple[list[tuple[float, float]], list[float]]:
     """Nonlinear ranges and the frequencies of contact below the primary resonance [Hz]."""
     law = gs.Piecewise(K_c=K_C, gap=gs.Gap(1e-3 * gap, 1e-3 * gap))
     solver = Solver.of("compiled", None, None)
-    found = respond_all(
-        [
-            Question(
-                scene=Scene(oscillator=gs.Oscillator(), law=law, omega=float(w), solver=solver),
-                start=(0.0, 0.0),
-                steady=Steady(),
-            )
-            for w in OMEGA
-        ]
-    ).rows()
+    scenes = [
+        Scene(oscillator=gs.Oscillator(), law=law, omega=w, solver=solver) for w in OMEGA.tolist()
+    ]
+    found = respond_all(scenes, (0.0, 0.0), Steady()).rows()
     nonlinear = np.array([r.period_multiple != 1 or r.n_extrema > 2 for r in found])
     touching = np.array([max(r.x_max, -r.x_min) > 1e-3 * gap for r in found])
     low = (OMEGA >= LOWEST) & (OMEGA < PRIMARY)

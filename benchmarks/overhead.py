@@ -74,7 +74,7 @@ def do_nothing() -> None:
         v_end=0.0,
         cpu_time=0.0,
     )
-    task.respond_all = lambda questions: Responses.of([same] * len(questions))
+    task.respond_all = lambda scenes, *more: Responses.of([same] * len(scenes))
     task._warm_up = lambda *kind: None
 
 

@@ -17,7 +17,7 @@ import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import contact_law
 from gapsweep.response.ensemble import Scene
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 
 OSCILLATOR, SECONDS = gs.Oscillator(), 10.0
 CONTACTS = [
@@ -35,12 +35,8 @@ def measured(label, rtol, n_points, rounds):
     solver, steady = Solver.of(rtol=rtol, atol=1e-3 * rtol), gs.Steady()
     laws = [contact_law(label, *contact) for contact in CONTACTS]
     omega = np.linspace(0.1, 30.0, n_points // len(laws))
-    questions = [
-        Question(
-            scene=Scene(oscillator=OSCILLATOR, law=law, omega=each, solver=solver),
-            start=(0.0, 0.0),
-            steady=steady,
-        )
+    scenes = [
+        Scene(oscillator=OSCILLATOR, law=law, omega=each, solver=solver)
         for law in laws
         for each in omega.tolist()
     ]
@@ -50,19 +46,19 @@ def measured(label, rtol, n_points, rounds):
         for law in laws:
             gs.simulate(OSCILLATOR, law, omega, t_end=SECONDS, **tolerances)
 
-    respond_all(questions[:: max(1, n_points // 64)])  # compile, warm up
+    respond_all(scenes[:: max(1, n_points // 64)], (0.0, 0.0), steady)  # compile, warm up
     simulate()
     found = []
     for _ in range(rounds):
-        steady_time, responses = processor_time(lambda: respond_all(questions))
+        steady_time, responses = processor_time(lambda: respond_all(scenes, (0.0, 0.0), steady))
         motion_time, _ = processor_time(simulate)
         simulated = responses.columns["t_simulated"].sum()
         engine = responses.columns["cpu_time"].sum()
-        motion = motion_time / (SECONDS * len(questions))
+        motion = motion_time / (SECONDS * len(scenes))
         found.append((steady_time / simulated, engine / simulated, motion))
     respond, engine, motion = np.median(found, axis=0)
     ratio = np.median([each[0] / each[2] for each in found])
-    return 1e6 * respond, 1e6 * engine, 1e6 * motion, ratio, simulated / len(questions)
+    return 1e6 * respond, 1e6 * engine, 1e6 * motion, ratio, simulated / len(scenes)
 
 
 def main():

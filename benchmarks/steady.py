@@ -14,12 +14,18 @@ plus 64 periods, and whether the attractor is the one that brute force ends on.
 
 import argparse
 import math
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from tests.oracles import orbit_distance
+
 import gapsweep as gs
-from gapsweep.response.section import orbit_distance, period_multiple, scaled
+from gapsweep.response.section import period_multiple, scaled
 
 OSCILLATOR = gs.Oscillator()
 GAPS = (gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3))

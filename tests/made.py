@@ -89,7 +89,7 @@ def datasets(folder, study_tables, answer) -> tuple[xr.Dataset, xr.Dataset]:
             return answer(label, omega, place["initial_condition"])
 
         commit(cache, study, at)
-        planned = plan(study, cache.status)
+        planned = plan(study, cache)
         export(study, planned, cache, folder / "responses.nc", folder / "attractors.nc")
     return tuple(
         xr.load_dataset(folder / f"{name}.nc", engine="netcdf4")

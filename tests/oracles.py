@@ -1,6 +1,11 @@
-"""Independent end states: heyoka where it is installed, scipy's DOP853 elsewhere."""
+"""Independent end states: heyoka where it is installed, scipy's DOP853 elsewhere.
+
+And the distance of two orbits, plainly.
+"""
 
 import math
+
+import numpy as np
 
 import gapsweep as gs
 
@@ -54,3 +59,14 @@ def _heyoka_end_state(oscillator, law, omega, x_0, v_0, t_end):
     )
     ta.propagate_until(t_end)
     return ta.state[0], ta.state[1], len(contacts)
+
+
+def orbit_distance(a, b):
+    """Largest distance of two periodic orbits' section points, modulo a shift in time [m].
+
+    Infinite if they have different numbers of points.
+    """
+    if len(a) != len(b):
+        return float("inf")
+    gaps = (np.roll(a, s) - b for s in range(len(a)))
+    return float(min(max(np.abs(gap.real).max(), np.abs(gap.imag).max()) for gap in gaps))

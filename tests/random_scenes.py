@@ -8,12 +8,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.integrate import quad
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.response.ensemble import Scene
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, ResponseClass
 
 FAR = gs.Gap(1e3, 1e3)  # m: walls that nothing reaches
@@ -28,9 +29,8 @@ class Case:
     law: gs.Piecewise
     omega: float
 
-    def asked(self, solver: Solver, x_0: float = 0.0) -> Question:
-        scene = Scene(oscillator=self.oscillator, law=self.law, omega=self.omega, solver=solver)
-        return Question(scene=scene, start=(x_0, 0.0), steady=gs.Steady())
+    def scene(self, solver: Solver) -> Scene:
+        return Scene(oscillator=self.oscillator, law=self.law, omega=self.omega, solver=solver)
 
     def slowed(self, clock: float) -> "Case":
         """The same motion in the same metres, `clock` times slower."""
@@ -46,8 +46,10 @@ def solver_at(rtol: float) -> Solver:
     return Solver.of("compiled", rtol, 1e-3 * rtol)
 
 
-def responses(cases: list[Case], rtol: float, x_0: float = 0.0) -> list[Response]:
-    return respond_all([case.asked(solver_at(rtol), x_0) for case in cases]).rows()
+def responses(cases: list[Case], rtol: float, x_0: ArrayLike = 0.0) -> list[Response]:
+    starts = np.zeros((len(cases), 2))
+    starts[:, 0] = x_0
+    return respond_all([case.scene(solver_at(rtol)) for case in cases], starts, gs.Steady()).rows()
 
 
 def random_cases(n: int, seed: int) -> Iterator[Case]:
@@ -153,16 +155,11 @@ def rattled(
     solver: Solver, law: gs.model.contact.ContactLaw, frequencies: np.ndarray
 ) -> list[Response]:
     """Responses of the default oscillator from rest."""
-    return respond_all(
-        [
-            Question(
-                scene=Scene(oscillator=gs.Oscillator(), law=law, omega=float(omega), solver=solver),
-                start=(0.0, 0.0),
-                steady=gs.Steady(),
-            )
-            for omega in frequencies
-        ]
-    ).rows()
+    scenes = [
+        Scene(oscillator=gs.Oscillator(), law=law, omega=float(omega), solver=solver)
+        for omega in frequencies
+    ]
+    return respond_all(scenes, (0.0, 0.0), gs.Steady()).rows()
 
 
 def is_taken_for_chaos(found: Response, exact: Response, omega: float, gap: gs.Gap) -> bool:

@@ -93,7 +93,7 @@ def tile_rows(study, representation=0):
     rows = np.flatnonzero(planned.representation(np.arange(planned.n_points)) == representation)
     ((_, table),) = study.points(planned.cells[rows])
     nothing = np.zeros(len(rows), KEY)
-    tile = Tile(table, nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)))
+    tile = Tile(table, nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)), np.zeros(1, bool))
     return respond_to(tile).rows()
 
 

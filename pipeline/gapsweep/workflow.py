@@ -99,7 +99,7 @@ def plan(
     if not path.exists():
         return make_plan(study, selection=selection)
     with Cache(path, read_only=True) as store:
-        return make_plan(study, store.status, selection=selection, retry_failed=retry_failed)
+        return make_plan(study, store, selection=selection, retry_failed=retry_failed)
 
 
 def expected_seconds(plan: Plan, cache: str | Path | None = None, workers: int = 2) -> float | None:
@@ -306,7 +306,7 @@ def query(
     try_out_own_laws(study)
     if path.exists():
         with Cache(path, read_only=True) as store:
-            planned = make_plan(study, store.status, selection=selection)
+            planned = make_plan(study, store, selection=selection)
             if not planned.n_missing:
                 done = Progress(planned.n_points, planned.n_hits)
                 return _exported(study, planned, store, selection, done)
@@ -400,7 +400,7 @@ def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -
 def recomputed_otherwise(
     cache: Cache, sample: int, own_laws: Collection[str] = ()
 ) -> tuple[list[tuple[str, list[str]]], int]:
-    """Compute random rows of the present code again; those that came out otherwise.
+    """Compute random points of the present code again; those that came out otherwise.
 
     A row is data: the code that it names is not run, unless `own_laws` names it too.
 
@@ -409,7 +409,7 @@ def recomputed_otherwise(
     differing : list of (str, list of str)
         Key in hex, and the names of the values that differ; `cpu_time` always may.
     n_skipped : int
-        Rows of laws that are not in `own_laws`.
+        Points of laws that are not in `own_laws`.
     """
     from gapsweep.execution.again import differences
     from gapsweep.execution.alone import Alone

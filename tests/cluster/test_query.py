@@ -75,6 +75,15 @@ def test_what_is_not_in_the_study_is_refused(study, tmp_path, wanted, message):
     assert not (tmp_path / "c.sqlite").exists()
 
 
+def test_what_no_block_asks_for_is_refused(tables, tmp_path):
+    tables["sweep"].append(tables["sweep"][0] | {"representation": ["piecewise"], "omega": [3.0]})
+    study = gs.Study.from_dict(tables)
+    said = r"study: representation = 'tanh-1e4', omega = \[3.0\]: no block has a point there$"
+    with pytest.raises(gs.StudyError, match=said):
+        gs.query(study, cache=tmp_path / "c.sqlite", representation="tanh-1e4", omega=[3.0])
+    assert not (tmp_path / "c.sqlite").exists()
+
+
 @pytest.mark.parametrize("form", ["num", "step"])
 def test_refined_grids_compute_exactly_the_new_points(tables, client, tmp_path, form):
     tables["sweep"][0]["representation"] = ["piecewise"]

@@ -84,6 +84,13 @@ def test_workers_and_batches_do_not_change_a_bit(tables, client, tmp_path):
         )
 
 
+@pytest.mark.parametrize("timeout", [0.5, 5.0, 600.0])
+def test_a_task_aims_at_less_than_the_time_that_a_point_may_take(timeout):
+    costs = execute._Costs("compiled", timeout)
+    costs.add(0, n_points=100, seconds=1.0)
+    assert 1 < costs.room(0) <= 0.5 * timeout * 100
+
+
 def test_points_in_no_block_are_not_requested(tables, client, tmp_path):
     tables["sweep"].append(tables["sweep"][0] | {"representation": ["piecewise"], "omega": [3.0]})
     status = run(tables, client, tmp_path)["status"].sel(omega=3.0).squeeze()
@@ -129,6 +136,17 @@ def test_interrupted_sweep_goes_on_where_it_was(tables, client, tmp_path):
     resumed = run(tables, client, tmp_path, "part")
     for name in ("x_max", "x_min", "n_steps", "extrema"):
         xr.testing.assert_equal(whole[name], resumed[name])
+
+
+def test_a_sweep_that_goes_on_after_a_failure_says_so(tables, client, tmp_path):
+    block = tables["sweep"][0] | {"representation": ["piecewise"], "initial_condition": "sweep_up"}
+    tables["sweep"] = [block]
+    study, failed = gs.Study.from_dict(tables), gs.Response(status=gs.Status.KILLED)
+    with Cache(tmp_path / "out.sqlite") as cache:
+        commit(cache, study, lambda at: failed if at["omega"] == 0 else None)
+        run(tables, client, tmp_path)
+        said = list(messages(study, cache).values())
+    assert said == ["", "the point before it failed: starts from the last settled one", ""]
 
 
 def test_long_sweep_in_parts_equals_one_in_a_piece(tables, client, tmp_path):

@@ -1,5 +1,6 @@
 """Calls in a child process: whatever they do to it, the caller gets its own answer or an error."""
 
+import math
 import time
 from pathlib import Path
 
@@ -60,6 +61,12 @@ def test_a_process_that_does_not_start_is_an_error_of_the_call(monkeypatch, code
     monkeypatch.setattr(module, "_START_SECONDS", 1.0)
     with Alone(10.0) as alone:
         assert lost(alone, calls.same, 1) == expected
+
+
+@pytest.mark.parametrize("timeout", [math.inf, 1e12])
+def test_a_call_may_take_any_time(timeout):
+    with Alone(timeout) as alone:
+        assert alone(calls.same, 3) == 3
 
 
 def test_an_error_that_cannot_be_told_is_named():

@@ -5,13 +5,18 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
-from tests.stored import commit, stored
+from tests.stored import commit, points, stored
 
 import gapsweep as gs
+from gapsweep.execution import task
+from gapsweep.execution.alone import Alone, response_of
 from gapsweep.execution.cluster import cluster
+from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.runge_kutta import smooth
 from gapsweep.store.cache import Cache
+from gapsweep.study.points import Kind, law_code
 
 LAWS = "tests.laws"
 COMMAND = "from gapsweep.cli import main; main()"
@@ -75,6 +80,38 @@ def test_what_fails_before_the_clock_starts_is_no_secret(one_point, tmp_path):
         own.wait_for_workers(1)
         own.run(break_numba, 1)
         assert run(one_point, tmp_path, own)["status"].item() == gs.Status.ERROR
+
+
+def load_slowly() -> None:
+    """Have machine code take its time when it is first called."""
+    whole, calls = task.Ensemble.call, []
+
+    def call(*arguments, **options):
+        if not calls:
+            calls.append(time.sleep(3.0))
+        return whole(*arguments, **options)
+
+    task.Ensemble.call = call
+
+
+def test_no_point_is_timed_out_for_its_machine_code(one_point, tmp_path):
+    with cluster(workers=1) as own:
+        own.wait_for_workers(1)
+        own.run(load_slowly)
+        before = own.run(os.getpid)
+        assert run(one_point, tmp_path, own, timeout=1.0)["status"].item() == gs.Status.OK
+        assert own.run(os.getpid) == before, "the worker was given up"
+
+
+def test_no_point_alone_is_timed_out_for_what_it_loads(tmp_path, monkeypatch):
+    (tmp_path / "slow_to_load.py").write_text("import time\ntime.sleep(3)\ndef law(x): return x\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    label = "slow_to_load:law"
+    code, solver = law_code(label), Solver.of("scipy", 1e-3)
+    kind = Kind(representation=label, solver=solver, steady=gs.Steady(t_max=1.0), law_code=code)
+    with Alone(2.0) as alone:
+        response = response_of(alone, points(1.0, kind=kind), np.zeros(2)).row(0)
+    assert response.status < gs.Status.TIMED_OUT
 
 
 STUDY = """

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ import gapsweep as gs
 from gapsweep import make, workflow
 from gapsweep.execution.execute import _SWEEP_PART
 from gapsweep.store.artefact import alone_in
+from gapsweep.store.state import RunState
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
 STUDY = """
@@ -108,6 +110,7 @@ def test_one_lost_row_of_a_sweep_is_one_point_to_compute(finished):
 
 LEFT = """
 import os, signal, sys, time
+from dataclasses import asdict, replace
 from pathlib import Path
 from gapsweep.store.artefact import replacing
 with replacing(Path(sys.argv[1])) as temporary:
@@ -216,3 +219,23 @@ def test_benchmarks_name_what_they_were_made_from_before_they_began(tables, tmp_
     monkeypatch.setattr(make.netcdf, "write", lambda *given: order.append("written"))
     make.bench(gs.Study.from_dict(tables), tmp_path)
     assert order == ["made from", "analysis", "written"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"host": "elsewhere", "updated": "nonsense"},
+        {"host": "elsewhere", "updated": "2026-01-01T00:00:00"},
+        {"host": "elsewhere", "updated": 3},
+        {"pid": "one"},
+        {"pid": -1},
+    ],
+)
+def test_a_state_that_no_run_has_written_is_one_line(tmp_path, wrong):
+    whole = RunState(state="running", study="s", cache="c", points=1, hits=0)
+    whole.write(tmp_path)
+    assert RunState.read(tmp_path).state == "running"
+    (tmp_path / "run.json").write_text(json.dumps(asdict(replace(whole, **wrong))))
+    with pytest.raises(gs.StoreError, match=r"run\.json: cannot be read: .*run the study again"):
+        RunState.read(tmp_path)
+    assert not whole.is_hidden_in(tmp_path)

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from tests.oracles import orbit_distance
 from tests.stored import tile_rows
 
 import gapsweep as gs
 from gapsweep.report import figures
-from gapsweep.response.attractors import attractors, numbers
+from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.result import Responses
 from gapsweep.response.section import (
     cloud_distances,
     converging_multiples,
-    orbit_distance,
     period_multiple,
     period_multiples,
     prime_multiple,
@@ -118,31 +118,35 @@ def test_exponents_of_the_tangent_and_of_neighbouring_motions_agree():
     assert abs(growth.mean() - response.lyapunov) < 5 * (spread + response.lyapunov_error)
 
 
+def grouped(responses, omega, *, symmetric):
+    one = np.zeros(len(responses), int)
+    return attractors_of_scenes(Responses.of(responses), one, omega=[omega], symmetric=symmetric)
+
+
 def test_mirror_twins_are_named():
     found = box(HARD, SYMMETRIC, 3.0, n=6)
     periodic = found["period_multiple"].values == 1
     assert_allclose(found["x_max"][periodic], -found["x_min"][periodic][::-1], rtol=1e-6)
     law = gs.Piecewise(HARD, SYMMETRIC)
     pair = [gs.respond(gs.Oscillator(), law, 3.0, x) for x in (0.0, 1e-4, 2e-4, -1e-4, -3e-4)]
-    groups = attractors(Responses.of(pair), 3.0, symmetric=True)
-    twins = [g for g in groups if g.response.period_multiple == 1]
-    assert len(twins) == 2
-    assert [g.mirror_of for g in twins] == [1, 0]
+    groups = grouped(pair, 3.0, symmetric=True)
+    twins = np.array([pair[i].period_multiple for i in groups.first]) == 1
+    assert groups.mirror_of[twins].tolist() == [1, 0]
 
 
 def test_symmetric_orbit_is_its_own_mirror_image():
     response = gs.respond(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0)
-    (only,) = attractors(Responses.of([response]), 9.0, symmetric=True)
-    assert only.mirror_of == 0
-    assert only.basin_share == 1.0
+    only = grouped([response], 9.0, symmetric=True)
+    assert only.mirror_of.tolist() == [0]
+    assert only.basin_share.tolist() == [1.0]
 
 
 def test_start_order_does_not_change_the_attractors():
     law = gs.Piecewise(HARD, ASYMMETRIC)
     starts = np.linspace(-1e-3, 1e-3, 12)
     found = [gs.respond(gs.Oscillator(), law, 11.0, float(x)) for x in starts]
-    ids = numbers(attractors(Responses.of(found), 11.0, symmetric=False), 12)
-    backwards = numbers(attractors(Responses.of(found[::-1]), 11.0, symmetric=False), 12)
+    ids = grouped(found, 11.0, symmetric=False).numbers.tolist()
+    backwards = grouped(found[::-1], 11.0, symmetric=False).numbers.tolist()
     assert backwards[::-1] == ids
     assert set(ids) == set(range(max(ids) + 1))
 

@@ -14,7 +14,7 @@ import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.runge_kutta import representations
 from gapsweep.response.ensemble import Scene
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
@@ -268,14 +268,9 @@ def test_a_rattled_orbit_has_the_period_about_which_it_rattles():
     paper = Solver.of(rtol=1e-4, atol=1e-7, controller="ode45")
     rattled, exact = (
         respond_all(
-            [
-                Question(
-                    scene=Scene(oscillator=oscillator, law=one, omega=11.0, solver=solver),
-                    start=(x_0, 0.0),
-                    steady=gs.Steady(),
-                )
-                for x_0 in starts
-            ]
+            [Scene(oscillator=oscillator, law=one, omega=11.0, solver=solver)] * len(starts),
+            [(x_0, 0.0) for x_0 in starts],
+            gs.Steady(),
         ).rows()
         for one, solver, starts in (
             (replace(law, located=False), paper, [0.0]),

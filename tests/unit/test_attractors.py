@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from tests.oracles import orbit_distance
 
-from gapsweep.response.attractors import NONE, attractors, attractors_of_scenes, numbers
+from gapsweep.response.attractors import NONE, attractors_of_scenes
 from gapsweep.response.result import Response, ResponseClass, Responses
-from gapsweep.response.section import orbit_distance, scaled
+from gapsweep.response.section import scaled
 from gapsweep.status import Status
 
 OMEGA = 7.0
@@ -126,6 +127,11 @@ def random_response(rng, families):
     )
 
 
+def members(found):
+    """Numbers of the responses on each attractor."""
+    return [tuple(np.flatnonzero(found.of_response == k).tolist()) for k in range(len(found.first))]
+
+
 @pytest.mark.parametrize("seed", range(200))
 def test_scenes_together_and_alone_as_one_by_one(seed):
     rng = np.random.default_rng(seed)
@@ -139,26 +145,22 @@ def test_scenes_together_and_alone_as_one_by_one(seed):
         responses, scene, omega=omega, symmetric=symmetric, counted=counted
     )
     assert np.all(np.diff(together.scene) >= 0)
-    listed = together.listed(responses)
     for s in range(n_scenes):
         here = np.flatnonzero(scene == s)
         its = [rows[i] for i in here]
         expected = straightforward(its, omega[s], symmetric[s], counted[here].tolist())
-        alone = attractors(
-            responses.take(here), omega[s], symmetric=symmetric[s], counted=counted[here].tolist()
-        )
-        assert [(a.members, a.mirror_of, a.n_ending, a.n_starts) for a in alone] == expected
-        assert together.numbers[here].tolist() == numbers(alone, len(here))
+        alone = attractors_of_scenes(
+            responses.take(here), np.zeros(len(here), int),
+            omega=omega[[s]], symmetric=symmetric[[s]], counted=counted[here],
+        )  # fmt: skip
+        columns = (c.tolist() for c in (alone.mirror_of, alone.n_ending, alone.n_starts))
+        assert list(zip(members(alone), *columns, strict=True)) == expected
+        assert together.numbers[here].tolist() == alone.numbers.tolist()
         of_scene = np.flatnonzero(together.scene == s)
-        assert together.number[of_scene].tolist() == list(range(len(alone)))
-        for row, one in zip(of_scene.tolist(), alone, strict=True):
-            assert tuple(here[list(one.members)].tolist()) == listed[row].members
-            assert together.first[row] == here[one.members[0]]
-            assert repr(listed[row].response) == repr(one.response)
-            assert together.mirror_of[row] == listed[row].mirror_of == one.mirror_of
-            for name in ("basin_share", "basin_share_error"):
-                both = getattr(together, name)[row], getattr(one, name)
-                np.testing.assert_array_equal(*both)
+        assert together.number[of_scene].tolist() == alone.number.tolist()
+        assert together.first[of_scene].tolist() == here[alone.first].tolist()
+        for name in ("n_ending", "n_starts", "mirror_of", "basin_share", "basin_share_error"):
+            np.testing.assert_array_equal(getattr(together, name)[of_scene], getattr(alone, name))
 
 
 def test_the_random_sets_hold_what_matters():
@@ -166,12 +168,13 @@ def test_the_random_sets_hold_what_matters():
     rng = np.random.default_rng(0)
     rows = [random_response(rng, orbits(rng, 2)[:8]) for _ in range(10)]
     rows += [random_response(rng, families) for families in [orbits(rng, 2)] for _ in range(300)]
-    found = attractors(Responses.of(rows), OMEGA, symmetric=True)
-    assert sum(len(each.members) > 3 for each in found) > 5
-    images = [each.mirror_of for each in found]
+    responses = Responses.of(rows)
+    found = attractors_of_scenes(responses, np.zeros(len(rows), int), omega=[OMEGA], symmetric=True)
+    assert sum(len(each) > 3 for each in members(found)) > 5
+    images = found.mirror_of.tolist()
     assert any(image not in (NONE, k) for k, image in enumerate(images))
     assert any(image == k for k, image in enumerate(images))
-    assert {each.response.response_class for each in found} == {
+    assert set(responses.columns["response_class"][found.first].tolist()) == {
         ResponseClass.PERIODIC,
         ResponseClass.CHAOTIC,
     }

@@ -1,7 +1,9 @@
 """The point cache: exact round trip, damage, formats, versions."""
 
+import gc
 import math
 import sqlite3
+import weakref
 import zlib
 from dataclasses import replace
 from types import SimpleNamespace
@@ -214,6 +216,36 @@ def test_export_copies_sound_rows_and_refuses_to_replace(tmp_path):
             maintenance.export(path, copy)
     with Cache(copy) as saved:
         assert saved.status(keys(1, 2)).tolist() == [MISSING, gs.Status.OK]
+
+
+@pytest.mark.parametrize("text", ["nothing of a cache", ""])
+def test_export_of_what_is_no_cache_leaves_nothing_behind(tmp_path, text):
+    path, copy = tmp_path / "cache.sqlite", tmp_path / "copy.sqlite"
+    with sqlite3.connect(path) as db:
+        db.execute("PRAGMA user_version = 1")
+    db.close()
+    if text:
+        path.write_text(text)
+    with pytest.raises(gs.StoreError, match=r"cache.sqlite: "):
+        maintenance.export(path, copy)
+    assert [file.name for file in tmp_path.iterdir()] == ["cache.sqlite"]
+    path.unlink()
+    with Cache(path) as cache:
+        cache.commit([row(1)])
+    assert maintenance.export(path, copy) == 1
+
+
+def test_a_closed_cache_is_freed_without_the_garbage_collector(tmp_path):
+    gc.disable()
+    try:
+        with Cache(tmp_path / "cache.sqlite") as cache:
+            cache.commit([row(1)])
+            assert cache.find(keys(1)).at.size
+        freed = weakref.ref(cache)
+        del cache
+        assert freed() is None
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize(("fstype", "journal"), [("nfs4", "delete"), ("ext4", "wal")])

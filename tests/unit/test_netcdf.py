@@ -1,6 +1,7 @@
 """NetCDF files: complete or absent."""
 
 import gc
+from contextlib import suppress
 
 import numpy as np
 import psutil
@@ -50,6 +51,24 @@ def test_torn_file_is_refused_by_name(tmp_path, size):
 def test_missing_file_is_refused_by_name(tmp_path):
     with pytest.raises(gs.StoreError, match=r"none.nc: cannot be read"):
         gs.open(tmp_path / "none.nc")
+
+
+def test_a_file_that_xarray_cannot_open_is_closed_by_the_next_reader(tmp_path, monkeypatch):
+    netcdf.write(small(), tmp_path / "small.nc", {})
+    closed, close = [], xr.backends.NetCDF4DataStore.close
+    monkeypatch.setattr(
+        xr.backends.NetCDF4DataStore, "close", lambda self: closed.append(self) or close(self)
+    )
+
+    def refuse(store):
+        raise ValueError("cannot decode")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(xr, "open_dataset", refuse)
+        with suppress(gs.StoreError):  # which pytest would keep, and with it what it came from
+            pytest.fail(f"opened: {netcdf.read(tmp_path / 'small.nc')}")
+    with netcdf.read(tmp_path / "small.nc"):
+        assert len(closed) == 1
 
 
 def test_files_are_closed_by_the_next_reader_and_not_by_the_garbage_collector(tmp_path):

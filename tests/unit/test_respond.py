@@ -13,7 +13,7 @@ import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.maps import floquet_multipliers, newton_steps
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 from gapsweep.response.section import likely_multiple, period_multiple
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
@@ -130,13 +130,16 @@ def test_a_response_is_the_same_alone_and_in_any_company():
     points = [(gs.Oscillator(), law, omega, (0.0, 0.0)) for omega in (7.0, 14.0) for law in laws]
     points.append((softening, laws[0], 5.0, (5e-3, 0.0)))
     points.append((gs.Oscillator(zeta=0.0), laws[0], 7.3, (0.0, 0.0)))  # without end
-    questions = [
-        Question(scene=Scene(oscillator=oscillator, law=law, omega=omega, solver=Solver.of()),
-                 start=start, steady=steady)
-        for oscillator, law, omega, start in points
-    ]  # fmt: skip
-    together = respond_all(questions[::-1]).rows()[::-1]
-    alone = [respond_all([question]).row(0) for question in questions]
+    scenes = [
+        Scene(oscillator=oscillator, law=law, omega=omega, solver=Solver.of())
+        for oscillator, law, omega, _ in points
+    ]
+    starts = [start for *_, start in points]
+    together = respond_all(scenes[::-1], starts[::-1], steady).rows()[::-1]
+    alone = [
+        respond_all([scene], start, steady).row(0)
+        for scene, start in zip(scenes, starts, strict=True)
+    ]
     assert [repr(replace(r, cpu_time=0.0)) for r in together] == [
         repr(replace(r, cpu_time=0.0)) for r in alone
     ]
@@ -145,15 +148,12 @@ def test_a_response_is_the_same_alone_and_in_any_company():
 
 
 def test_every_point_has_its_own_solver():
-    questions = [
-        Question(
-            scene=Scene(oscillator=gs.Oscillator(), law=gs.Piecewise(1.4e4, SYMMETRIC), omega=9.0,
-                        solver=Solver.of(rtol=rtol, atol=1e-3 * rtol)),
-            start=(0.0, 0.0), steady=gs.Steady(),
-        )
+    scenes = [
+        Scene(oscillator=gs.Oscillator(), law=gs.Piecewise(1.4e4, SYMMETRIC), omega=9.0,
+              solver=Solver.of(rtol=rtol, atol=1e-3 * rtol))
         for rtol in (1e-4, 1e-9)
     ]  # fmt: skip
-    loose, tight = respond_all(questions).rows()
+    loose, tight = respond_all(scenes, (0.0, 0.0), gs.Steady()).rows()
     assert loose.noise > 1e3 * tight.noise
 
 

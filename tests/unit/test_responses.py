@@ -10,7 +10,7 @@ import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.lists import Lists, spans
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import COLUMNS, LISTS, Response, Responses
 
 ASYMMETRIC = gs.Gap(0.0, 0.8e-3)
@@ -29,13 +29,11 @@ def responses():
     points.insert(2, (gs.Oscillator(alpha=-7e8), laws[2], 5.0, 5e-3))
     return respond_all(
         [
-            Question(
-                scene=Scene(oscillator=oscillator, law=law, omega=omega, solver=Solver.of()),
-                start=(x_0, 0.0),
-                steady=steady,
-            )
-            for oscillator, law, omega, x_0 in points
-        ]
+            Scene(oscillator=oscillator, law=law, omega=omega, solver=Solver.of())
+            for oscillator, law, omega, _ in points
+        ],
+        [(x_0, 0.0) for *_, x_0 in points],
+        steady,
     )
 
 
@@ -76,7 +74,8 @@ def test_some_rows_and_several_parts(responses):
     assert [repr(row) for row in some.rows()] == [repr(responses.row(k)) for k in numbers]
     parts = [responses.take(part) for part in ([0, 1, 2], [], range(3, 10))]
     assert_same(Responses.concatenated(parts), responses)
-    assert len(Responses.concatenated([])) == len(Responses.of([])) == len(respond_all([])) == 0
+    nobody = respond_all([], (0.0, 0.0), gs.Steady())
+    assert len(Responses.concatenated([])) == len(Responses.of([])) == len(nobody) == 0
 
 
 def test_one_response_whose_attributes_are_arrays(responses):
@@ -88,19 +87,17 @@ def test_one_response_whose_attributes_are_arrays(responses):
     assert one.status.dtype == one.extremum_kind[0, 0].dtype == np.int64
 
 
-def test_the_order_is_that_of_the_questions():
+def test_the_order_is_that_of_the_scenes():
     laws = [gs.Piecewise(1.4e4, ASYMMETRIC), gs.Tanh(1.4e4, ASYMMETRIC, 1e4)]
-    questions = [
-        Question(
-            scene=Scene(oscillator=gs.Oscillator(), law=law, omega=omega, solver=Solver.of()),
-            start=(0.0, 0.0),
-            steady=gs.Steady(settle_tol=1e-2),
-        )
+    steady = gs.Steady(settle_tol=1e-2)
+    scenes = [
+        Scene(oscillator=gs.Oscillator(), law=law, omega=omega, solver=Solver.of())
         for omega in (6.0, 7.0)
         for law in laws
     ]
-    for question, found in zip(questions, respond_all(questions).rows(), strict=True):
-        alone = respond_all([question]).row(0)
+    together = respond_all(scenes, (0.0, 0.0), steady).rows()
+    for scene, found in zip(scenes, together, strict=True):
+        alone = respond_all([scene], (0.0, 0.0), steady).row(0)
         assert replace(found, cpu_time=0.0) == replace(alone, cpu_time=0.0)
 
 

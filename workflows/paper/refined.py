@@ -13,7 +13,7 @@ from scipy.stats import qmc
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.response.ensemble import Scene
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response
 from gapsweep.study.study import Study
 
@@ -107,17 +107,12 @@ def _responses(
     K_c, gap = scene
     law = contact_law(label, K_c, Gap(*(1e-3 * float(j) for j in gap.split("/"))))
     solver = study.solver(label)
-    points = np.broadcast_arrays(*np.atleast_1d(omega, x_0, v_0))
-    return respond_all(
-        [
-            Question(
-                scene=Scene(oscillator=study.oscillator, law=law, omega=frequency, solver=solver),
-                start=(x, v),
-                steady=study.steady,
-            )
-            for frequency, x, v in zip(*(values.tolist() for values in points), strict=True)
-        ]
-    ).rows()
+    omega, x_0, v_0 = np.broadcast_arrays(*np.atleast_1d(omega, x_0, v_0))
+    scenes = [
+        Scene(oscillator=study.oscillator, law=law, omega=frequency, solver=solver)
+        for frequency in omega.tolist()
+    ]
+    return respond_all(scenes, np.stack([x_0, v_0], axis=1), study.steady).rows()
 
 
 def _peak(study: Study, label: str) -> float:

@@ -11,9 +11,9 @@ from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
 from gapsweep.model.contact import ContactLaw, UserLaw
 from gapsweep.model.oscillator import Oscillator, checked
-from gapsweep.response.attractors import attractors, numbers
+from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.ensemble import Scene
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import check_kinds, respond_all
 from gapsweep.response.result import Responses, Steady
 
 Array = NDArray[np.float64]
@@ -89,21 +89,27 @@ def basins(
     )
     v_0, x_0 = (each.ravel() for each in np.meshgrid(starts_v, starts_x, indexing="ij"))
     settings = scene, Steady() if steady is None else steady
+    check_kinds(oscillator, settings[1])
     parts = [(x_0[i : i + _PART], v_0[i : i + _PART]) for i in range(0, x_0.size, _PART)]
     if client is None:
         answers = [_answer(part, *settings) for part in parts]
     else:
         answers = client.gather([client.submit(_answer, part, *settings) for part in parts])
     responses = Responses.concatenated(answers)
-    found = attractors(responses, omega, symmetric=law.gap.is_symmetric)
-    ids = np.reshape(numbers(found, x_0.size), (starts_v.size, starts_x.size))
+    found = attractors_of_scenes(
+        responses, np.zeros(x_0.size, int), omega=[omega], symmetric=law.gap.is_symmetric
+    )
+    columns = responses.take(found.first).columns
     dataset = xr.Dataset(
         {
-            "attractor": (("v_0", "x_0"), ids),
+            "attractor": (
+                ("v_0", "x_0"),
+                found.numbers.reshape(starts_v.size, starts_x.size),
+            ),
             **{
                 name: (
                     "attractor_number",
-                    np.array([getattr(a if hasattr(a, name) else a.response, name) for a in found]),
+                    columns[name] if name in columns else getattr(found, name),
                 )
                 for name in list(_ATTRIBUTES)[1:]
             },
@@ -120,8 +126,7 @@ def basins(
 
 
 def _answer(starts: tuple[Array, Array], scene: Scene, steady: Steady) -> Responses:
-    states = zip(*(each.tolist() for each in starts), strict=True)
-    return respond_all([Question(scene=scene, start=state, steady=steady) for state in states])
+    return respond_all([scene] * len(starts[0]), np.stack(starts, axis=1), steady)
 
 
 def _axis(name: str, values: ArrayLike) -> np.ndarray:

@@ -46,9 +46,9 @@ from gapsweep.execution.alone import Alone, CallError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import Piecewise
-from gapsweep.response.attractors import attractors
+from gapsweep.response.attractors import NONE, attractors_of_scenes
 from gapsweep.response.ensemble import Scene as Asked
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses, Steady
 from gapsweep.status import Status
 from gapsweep.study.schema import STATUS_FLAGS, Variable
@@ -250,17 +250,14 @@ def responses(
 ) -> list[Response | None]:
     """Steady responses of a law in some scenes; None where it cannot be built."""
     laws = [law_or_none(scene, representation) for scene in scenes]
-    questions = {
-        s: Question(
-            scene=Asked(oscillator=scene.oscillator, law=law, omega=scene.omega, solver=solver),
-            start=(scene.x_0, scene.v_0),
-            steady=steady,
-        )
+    asked = {
+        s: Asked(oscillator=scene.oscillator, law=law, omega=scene.omega, solver=solver)
         for s, (scene, law) in enumerate(zip(scenes, laws, strict=True))
         if law is not None
     }
-    answers = respond_all(list(questions.values())).rows()
-    found = dict(zip(questions, answers, strict=True))
+    starts = np.reshape([(scenes[s].x_0, scenes[s].v_0) for s in asked], (-1, 2))
+    answers = respond_all(list(asked.values()), starts, steady).rows()
+    found = dict(zip(asked, answers, strict=True))
     return [found.get(s) for s in range(len(scenes))]
 
 
@@ -409,8 +406,9 @@ class Bench:
         scene = self.scenes[cell[0]]
         if self.methods[cell[1]].label in scene.without:
             return
-        groups = attractors(Responses.of([found, true]), scene.omega, symmetric=False)
-        self.arrays[f"same_attractor{suffix}"][cell] = any(len(g.members) == 2 for g in groups)
+        pair = Responses.of([found, true])
+        both = attractors_of_scenes(pair, [0, 0], omega=[scene.omega], symmetric=False).of_response
+        self.arrays[f"same_attractor{suffix}"][cell] = both[0] == both[1] != NONE
         error = abs(found.amplitude - true.amplitude) / true.amplitude
         name = f"amplitude{suffix}_error" if suffix else "amplitude_error"
         self.arrays[name][cell] = error

@@ -27,7 +27,7 @@ def differences(cache: Cache, key: NDArray[np.void], alone: Alone) -> list[str]:
     if not _is_current(kind, alone):
         return []
     try:
-        state = start_of(cache, contents.previous[[row]])
+        state, _ = start_of(cache, contents.previous[[row]])
     except StoreError:  # nobody knows where it started
         return []
     again = response_of(alone, Points(kind, contents.numbers[[row]]), state)
@@ -46,14 +46,17 @@ def _is_current(kind: Kind, alone: Alone) -> bool:
         return False
 
 
-def start_of(cache: Cache, previous: NDArray[np.void]) -> States:
-    """Where a sweep that has come to the point of a key goes on; at rest if it has not begun.
+def start_of(cache: Cache, previous: NDArray[np.void]) -> tuple[States, bool]:
+    """Where a sweep that has come to the point of a key goes on, and whether that point failed.
+
+    At rest if it has not begun.
 
     Raises
     ------
     StoreError
         If that point is not stored.
     """
+    failed = False
     while previous != np.zeros(1, KEY):
         place = cache.place(previous)
         if place is None:
@@ -64,9 +67,9 @@ def start_of(cache: Cache, previous: NDArray[np.void]) -> States:
         _, contents, row = place
         response = contents.responses.row(row)
         if response.ended:
-            return np.array([response.x_end, response.v_end])
-        previous = contents.previous[[row]]
-    return np.zeros(2)
+            return np.array([response.x_end, response.v_end]), failed
+        failed, previous = True, contents.previous[[row]]
+    return np.zeros(2), failed
 
 
 def _same(a: Any, b: Any) -> bool:

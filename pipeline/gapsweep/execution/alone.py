@@ -18,13 +18,21 @@ from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler  # what a Connection sends with
-from types import TracebackType
 from typing import Any, TypeVar
 
 import psutil
 
 from gapsweep.errors import ClusterError, ModelError
-from gapsweep.execution.task import States, Task, TaskResult, Tile, failure, respond_to
+from gapsweep.execution.task import (
+    WARM_UP_SECONDS,
+    States,
+    Task,
+    TaskResult,
+    Tile,
+    failure,
+    respond_to,
+    warm_up,
+)
 from gapsweep.model import own_law
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
@@ -33,6 +41,7 @@ from gapsweep.study.software import software
 
 Result = TypeVar("Result")
 
+LONGEST = 1e8  # s: what watches over time limits knows no longer ones
 _START_SECONDS = 120.0
 _LOOK_SECONDS = 0.1
 _LEAVE_SECONDS = 2.0
@@ -74,18 +83,13 @@ class Alone:
     """
 
     def __init__(self, timeout: float) -> None:
-        self.timeout = timeout
+        self.timeout = min(timeout, LONGEST)
         self._child: _Child | None = None
 
     def __enter__(self) -> "Alone":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._end()
 
     def __call__(self, function: Callable[..., Result], *arguments: Any) -> Result:
@@ -98,11 +102,15 @@ class Alone:
         ClusterError
             If the process has other code than the caller.
         """
+        return self.within(self.timeout, function, *arguments)
+
+    def within(self, timeout: float, function: Callable[..., Result], *arguments: Any) -> Result:
+        """A call with a time limit [s] of its own."""
         if self._child is not None and self._child.is_spent:
             self._end()  # that is no fault of this call
         self._child = self._child or _Child()
         try:
-            found = self._child.ask(function, arguments, self.timeout)
+            found = self._child.ask(function, arguments, timeout)
         except BaseException:
             self._end()
             raise
@@ -153,13 +161,15 @@ def compute_alone(task: Task) -> TaskResult:
 
         for tile in task.tiles:
             found += tile.slabs(respond_to(tile, ask), platform.node())
-    return TaskResult(found, 0.0, ours)
+    return TaskResult(found, sum(slab.seconds for slab in found), ours)
 
 
 def response_of(alone: Alone, points: Points, state: States) -> Responses:
     """The response of one point; what became of its process is its status."""
+    tile = Tile.of_one(points, state)
     try:
-        return alone(respond_to, Tile.of_one(points, state))
+        alone.within(WARM_UP_SECONDS, warm_up, tile)
+        return alone(respond_to, tile)
     except CallError as lost:
         return Responses.of([Response(status=lost.status, message=lost.message)])
 

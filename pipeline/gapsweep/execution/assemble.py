@@ -116,7 +116,7 @@ def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.
     number = np.full(plan.shape, -1, np.int32)
     number.flat[plan.cells] = np.arange(plan.n_points)
     if selection is not None:
-        number = number[np.ix_(*selection.positions)]
+        number = number[np.ix_(*selection)]
     return np.where(grid.requested, number, np.int32(-1))
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ClusterError
 from gapsweep.execution.again import start_of
-from gapsweep.execution.alone import compute_alone
+from gapsweep.execution.alone import LONGEST, compute_alone
 from gapsweep.execution.cluster import check_software, check_workers
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
@@ -38,6 +38,8 @@ from gapsweep.study.study import Study
 # Short against a user's patience and against what a kill may cost; until then, the more points
 # share the lanes, the less each costs: half in 4,096 of what it costs in 250.
 _TASK_SECONDS = 4.0
+# A task has the time of one point: it aims at so much of it, for costs differ.
+_PART_OF_TIMEOUT = 0.25
 _MAX_BATCH = 4096
 # A task takes at most this part of a thread's share of what is left, so that all end together.
 _PART_OF_SHARE = 0.5
@@ -52,7 +54,6 @@ _COMMIT_POINTS = 4096
 # Workers that a suspect may lose, before it is taken for guilty although it was alone.
 _MAX_ATTEMPTS = 5
 _WAIT_SECONDS = 0.1
-_LONGEST = 1e8  # s: what watches over time limits knows no longer ones
 _CLUSTER_LOST = "the cluster was lost; run again to resume"
 
 # Numbers of points in the plan, ascending.
@@ -113,7 +114,7 @@ def execute(
     """
     if not timeout > 0.0:
         raise ClusterError(f"timeout = {timeout:g} s: must be > 0")
-    timeout = min(timeout, _LONGEST)
+    timeout = min(timeout, LONGEST)
     check_workers(client)
     with Claims(cache.path, plan.keys.data) as claims:
         run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)
@@ -161,7 +162,7 @@ class _Execution:
         self.arrived: list[Slab] = []
         self.held: list[tuple[int, int]] = []  # claims on the points of those slabs
         self.last_commit = time.monotonic()
-        self.costs = _Costs(study.spec.solver.engine or DEFAULT_ENGINE)
+        self.costs = _Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout)
 
     def finish(self, on_progress: OnProgress | None) -> None:
         completed = as_completed(loop=self.client.loop)
@@ -270,10 +271,11 @@ class _Execution:
         for at, points in self.study.points(self.plan.cells[rows]):
             firsts = np.flatnonzero(is_first[at])
             lengths = np.diff(firsts, append=len(at))
-            states = np.zeros((len(firsts), 2))
+            states, after_failure = np.zeros((len(firsts), 2)), np.zeros(len(firsts), bool)
             if points.kind.is_sweep:
-                states[:] = [start_of(self.cache, key) for key in previous[at[firsts], None]]
-            tiles.append(Tile(points, keys[at], previous[at], lengths, states))
+                for i, key in enumerate(previous[at[firsts], None]):
+                    states[i], after_failure[i] = start_of(self.cache, key)
+            tiles.append(Tile(points, keys[at], previous[at], lengths, states, after_failure))
         return tiles
 
     # --- receiving -------------------------------------------------------------------------------
@@ -377,8 +379,9 @@ def _cut(rows: Rows, follows: NDArray[np.bool_], room: int) -> tuple[Rows, Rows,
 class _Costs:
     """Mean cost of the points of each representation, as far as it is known."""
 
-    def __init__(self, engine: str) -> None:
+    def __init__(self, engine: str, timeout: float) -> None:
         self.unknown = _FIRST_BATCH[engine]
+        self.aim = min(_TASK_SECONDS, _PART_OF_TIMEOUT * timeout)  # s for a task
         self.seconds: dict[int, float] = {}
         self.n_points: dict[int, int] = {}
 
@@ -392,7 +395,7 @@ class _Costs:
         if representation not in self.n_points:
             return self.unknown
         price = self.seconds[representation] / self.n_points[representation]
-        return int(min(max(_TASK_SECONDS / max(price, 1e-9), 1.0), _MAX_BATCH))
+        return int(min(max(self.aim / max(price, 1e-9), 1.0), _MAX_BATCH))
 
 
 def _shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -39,7 +40,7 @@ _ATTRACTORS = 4
 Piece = tuple[slice, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Layout:
     """How the points of a grid lie in the files.
 
@@ -75,14 +76,17 @@ class Layout:
 
     def omega(self, piece: Piece) -> NDArray[np.float64]:
         """Forcing frequency of every scene of a piece [Hz], flat."""
-        return self._over(piece, "omega", np.array(self.grid.omega))
+        return self._over(piece, "omega", self._coordinates["omega"])
 
     def is_symmetric(self, piece: Piece) -> NDArray[np.bool_]:
         """Whether both walls are equally far from the origin, in every scene of a piece, flat."""
-        values = self.grid.coordinates()
         along = coordinates(self.grid.dims)
-        j_1, j_2 = (self._over(piece, along[name], values[name]) for name in ("j_1", "j_2"))
+        j_1, j_2 = (self._over(piece, along[n], self._coordinates[n]) for n in ("j_1", "j_2"))
         return np.asarray(j_1 == j_2)
+
+    @cached_property
+    def _coordinates(self) -> Arrays:
+        return self.grid.coordinates()
 
     def _over(self, piece: Piece, dim: str, values: NDArray[Any]) -> NDArray[Any]:
         """Values along a dimension, for every scene of a piece, flat."""

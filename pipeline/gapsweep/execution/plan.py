@@ -1,6 +1,6 @@
 """What a run has to do: decided here, without doing any of it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,13 +8,11 @@ from numpy.typing import NDArray
 
 from gapsweep.model import own_law
 from gapsweep.status import Status
+from gapsweep.store.cache import Cache
 from gapsweep.store.index import DAMAGED, MISSING
 from gapsweep.study.grid import Selection
 from gapsweep.study.points import KEY
 from gapsweep.study.study import Study
-
-# Stored status of each of the given keys, or `MISSING`, or `DAMAGED`.
-Look = Callable[[NDArray[np.void]], NDArray[np.int8]]
 
 # Points whose numbers are in memory at a time.
 _PART = 65_536
@@ -80,14 +78,9 @@ class Plan:
         return found
 
 
-def nothing_stored(keys: NDArray[np.void]) -> NDArray[np.int8]:
-    """Stored status where there is no cache."""
-    return np.full(len(keys), MISSING, np.int8)
-
-
 def plan(
     study: Study,
-    look: Look = nothing_stored,
+    cache: Cache | None = None,
     *,
     selection: Selection | None = None,
     retry_failed: bool = False,
@@ -97,8 +90,8 @@ def plan(
     Parameters
     ----------
     study : Study
-    look : callable
-        What is stored of the given keys.
+    cache : Cache, optional
+        Nothing is stored if None.
     selection : Selection, optional
         Part of the study that is wanted; all if None. Points of a sweep that lead to a
         selected one are wanted too.
@@ -109,13 +102,15 @@ def plan(
     grid = study.grid
     wanted = grid.requested
     if selection is not None:
-        wanted = wanted & selection.mask(grid.shape)
+        selected = np.zeros(grid.shape, bool)
+        selected[np.ix_(*selection)] = True
+        wanted = wanted & selected
     cells, follows = grid.order(wanted)
     keys = np.empty(len(cells), KEY)
     for part in _parts(follows):
         for rows, points in study.points(cells[part]):
             keys[part.start + rows] = points.keys(follows[part][rows])
-    status = look(keys)
+    status = np.full(len(keys), MISSING, np.int8) if cache is None else cache.status(keys)
     # What lies beyond a lost row of a sweep was computed when it was there, and still holds.
     missing = status < 0
     if retry_failed:

@@ -4,7 +4,6 @@ import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -58,12 +57,7 @@ class Recorder:
         if not state.is_hidden_in(self.folder):
             state.write(self.folder)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         if error is None:
             self._store(replace(self.state, state=FINISHED))
         elif self.written > -np.inf:

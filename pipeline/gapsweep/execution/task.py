@@ -10,8 +10,8 @@ import platform
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -23,7 +23,7 @@ from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.ensemble import Ensemble, Scene
-from gapsweep.response.respond import Question, respond_all
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
@@ -34,6 +34,10 @@ _RESTARTED = "the point before it failed: starts from the last settled one"
 
 # What was computed before has its machine code.
 _warm: set[Kind] = set()
+# To compile it takes half a minute, on a busy machine minutes; what takes longer hangs in a law of
+# the user's own.
+WARM_UP_SECONDS = 600.0
+_NO_TIME = 1e9  # Hz: a period in which nothing moves
 
 States = NDArray[np.float64]
 Ask = Callable[[Points, States], Responses]
@@ -54,6 +58,8 @@ class Tile:
     states : ndarray, shape (m, 2)
         Displacement [m] and velocity [m/s] from which each sweep starts; of no meaning for fixed
         starts, which are among the points' numbers.
+    after_failure : ndarray of bool, shape (m,)
+        Whether the point before each sweep's first one failed.
     """
 
     points: Points
@@ -61,6 +67,7 @@ class Tile:
     previous: NDArray[np.void]
     lengths: NDArray[np.int64]
     states: States
+    after_failure: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.points)
@@ -68,7 +75,8 @@ class Tile:
     @classmethod
     def of_one(cls, points: Points, state: States) -> "Tile":
         """A single point, and where it starts if it is one of a sweep."""
-        return cls(points, np.zeros(1, KEY), np.zeros(1, KEY), np.ones(1, int), state.reshape(1, 2))
+        nothing, state = np.zeros(1, KEY), state.reshape(1, 2)
+        return cls(points, nothing, nothing, np.ones(1, int), state, np.zeros(1, bool))
 
     def slabs(self, responses: Responses, host: str) -> list[Slab]:
         """Responses of all points in the form in which they are stored."""
@@ -108,7 +116,7 @@ def compute(task: Task) -> TaskResult:
     """Body of a Dask task."""
     ours, begin = software(), time.thread_time()  # of what runs now: it may be edited meanwhile
     found, n_warm = [], len(_warm)
-    with _ending_after(task.timeout if task.client != process() else np.inf):
+    with _ending_after(task.timeout) if task.client != process() else nullcontext():
         for tile in task.tiles:
             found += tile.slabs(respond_to(tile), platform.node())
     seconds = time.thread_time() - begin
@@ -128,20 +136,18 @@ _watch = threading.Lock()
 
 @contextmanager
 def _ending_after(timeout: float) -> Iterator[None]:
-    """End this process if the block takes longer [s].
+    """End this process if the block takes longer [s]; a block around it is given that time.
 
     A computation that hangs in compiled code holds the interpreter: no Python code could stop
     it. `faulthandler` watches from a thread that needs no interpreter, one deadline at a time.
     """
-    if timeout == np.inf:
-        yield
-        return
-    thread = threading.get_ident()
-    _rearm(thread, time.monotonic() + timeout)
+    thread, begin = threading.get_ident(), time.monotonic()
+    outer = _deadlines.get(thread)
+    _rearm(thread, begin + timeout)
     try:
         yield
     finally:
-        _rearm(thread, None)
+        _rearm(thread, None if outer is None else outer + time.monotonic() - begin)
 
 
 def _rearm(thread: int, deadline: float | None) -> None:
@@ -173,9 +179,8 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
     ask : callable, optional
         Responses of independent points from states, shape (n, 2); here and all in one call if None.
     """
-    states, lengths = tile.states.copy(), tile.lengths
-    first, after_failure = np.cumsum(lengths) - lengths, np.zeros(len(lengths), bool)
-    order, parts = [], []
+    states, after_failure, lengths = tile.states.copy(), tile.after_failure.copy(), tile.lengths
+    first, order, parts = np.cumsum(lengths) - lengths, [], []
     for position in range(max(lengths, default=0)):
         here = np.flatnonzero(lengths > position)
         rows = first[here] + position
@@ -195,23 +200,25 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
 
 def _together(points: Points, states: States) -> Responses:
     """Responses of independent points, all in one call."""
-    questions, order, refused = [], [], []
-    for row, asked in enumerate(_asked(points, states)):
-        if isinstance(asked, Question):
-            questions.append(asked)
-            order.append(row)
-        else:
-            refused.append((row, failed(asked)))
-    found = _answered(points.kind, questions)
+    asked, starts = list(_scenes(points)), _starts(points, states)
+    refused = {row: one for row, one in enumerate(asked) if isinstance(one, ModelError)}
+    rows = [row for row in range(len(asked)) if row not in refused]
+    found = _answered(points.kind, [one for one in asked if isinstance(one, Scene)], starts[rows])
     if not refused:
         return found
-    order += [row for row, _ in refused]
-    whole = Responses.concatenated([found, Responses.of([response for _, response in refused])])
-    return whole.take(np.argsort(order))
+    whole = Responses.concatenated([found, Responses.of(list(map(failed, refused.values())))])
+    return whole.take(np.argsort([*rows, *refused]))
 
 
-def _asked(points: Points, states: States) -> Iterator[Question | ModelError]:
-    """What is asked for each point, or why it cannot be; neighbours share law and oscillator."""
+def _starts(points: Points, states: States) -> States:
+    """Where points start; `states` are those of sweeps."""
+    if points.kind.is_sweep:
+        return states
+    return points.numbers[:, -2:] + [points.kind.start_jitter, 0.0]
+
+
+def _scenes(points: Points) -> Iterator[Scene | ModelError]:
+    """What moves at each point, or why it cannot; neighbours share law and oscillator."""
     kind = points.kind
 
     @lru_cache(maxsize=256)
@@ -224,46 +231,53 @@ def _asked(points: Points, states: States) -> Iterator[Question | ModelError]:
     def oscillator(*values: float) -> Oscillator:
         return Oscillator(**dict(zip(OSCILLATOR, values, strict=True)))
 
-    for row, state in zip(points.numbers.tolist(), states.tolist(), strict=True):
-        K_c, j_1, j_2, omega, *others, x_0, v_0 = row
-        start = (state[0], state[1]) if kind.is_sweep else (x_0 + kind.start_jitter, v_0)
+    for K_c, j_1, j_2, omega, *others, _, _ in points.numbers.tolist():
         try:
-            scene = Scene(
+            yield Scene(
                 oscillator=oscillator(*others),
                 law=law(K_c, j_1, j_2),
                 omega=omega,
                 solver=kind.solver,
             )
-            yield Question(scene=scene, start=start, steady=kind.steady)
         except ModelError as error:
             yield error
 
 
-def _warm_up(kind: Kind, question: Question) -> None:
-    """Load or compile what a kind of point needs: no point's processor time may hold that.
+def _warm_up(kind: Kind, scene: Scene, start: States) -> None:
+    """Load or compile what a kind of point needs: no point's time may hold that.
 
-    With a point of that kind, from where it starts: what this raises, the point raises as well.
+    With a point of that kind, where it starts: what this raises, the point raises as well.
     """
     if kind in _warm or kind.solver.engine != "compiled":
         return
-    ensemble, start = Ensemble([question.scene]), np.reshape(question.start, (2, 1))
-    for tangent in (False, True):
-        ensemble.call(np.arange(1), start, np.ones(1, int), np.zeros(1), tangent=tangent)
+    is_watched = threading.get_ident() in _deadlines
+    with _ending_after(WARM_UP_SECONDS) if is_watched else nullcontext():
+        ensemble = Ensemble([replace(scene, omega=_NO_TIME)])
+        for tangent in (False, True):
+            y, one = start.reshape(2, 1), np.ones(1, int)
+            ensemble.call(np.arange(1), y, one, np.zeros(1), tangent=tangent)
     _warm.add(kind)
 
 
-def _answered(kind: Kind, questions: list[Question]) -> Responses:
+def warm_up(tile: Tile) -> None:
+    """What the first point of a tile needs before its time counts."""
+    scene = next(_scenes(tile.points))
+    if isinstance(scene, Scene):
+        _warm_up(tile.points.kind, scene, _starts(tile.points, tile.states)[0])
+
+
+def _answered(kind: Kind, scenes: list[Scene], starts: States) -> Responses:
     """Responses; what a point raises is its own response, the others are asked again."""
-    if not questions:
+    if not scenes:
         return Responses.of(())
     try:
-        _warm_up(kind, questions[0])
-        return respond_all(questions)
+        _warm_up(kind, scenes[0], starts[0])
+        return respond_all(scenes, starts, kind.steady)
     except BaseException as error:  # the task boundary: SystemExit, too, is a point's own result
-        if len(questions) > 1:
-            half = len(questions) // 2
-            halves = questions[:half], questions[half:]
-            return Responses.concatenated([_answered(kind, part) for part in halves])
+        if len(scenes) > 1:
+            halves = slice(len(scenes) // 2), slice(len(scenes) // 2, None)
+            parts = [_answered(kind, scenes[half], starts[half]) for half in halves]
+            return Responses.concatenated(parts)
         return Responses.of([failed(error)])
 
 

@@ -6,15 +6,14 @@ a million starts takes as many rounds as it has attractors, and a million scenes
 one.
 """
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.response.lists import spans
-from gapsweep.response.result import Response, ResponseClass, Responses
+from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.response.section import DEVIATIONS, cloud_distances
 
 Array = NDArray[np.float64]
@@ -34,42 +33,6 @@ _DIGITS = 9  # of displacements [m], so that the last bits of twins do not decid
 _BLOCK = 1 << 20  # numbers that are compared at a time
 
 
-@dataclass(frozen=True, slots=True)
-class Attractor:
-    """An attractor and how many of the starts end on it.
-
-    Attributes
-    ----------
-    response : Response
-        The response of the first start that ends on it.
-    members : tuple of int
-        Numbers of the starts that end on it.
-    n_ending, n_starts : int
-        How many of the counted starts end on it, and how many were counted.
-    mirror_of : int
-        Number of the attractor that is its mirror image (its own if it is symmetric), -1 if
-        there is none among those found, or if the gap is not symmetric.
-    """
-
-    response: Response
-    members: tuple[int, ...]
-    n_ending: int
-    n_starts: int
-    mirror_of: int = NONE
-
-    @property
-    def basin_share(self) -> float:
-        """Share of the starts that end on it [-]."""
-        return self.n_ending / self.n_starts if self.n_starts else math.nan
-
-    @property
-    def basin_share_error(self) -> float:
-        """Standard error of the share [-], of a binomial sample."""
-        if not self.n_starts:
-            return math.nan
-        return math.sqrt(self.basin_share * (1.0 - self.basin_share) / self.n_starts)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Attractors:
     """Attractors of many scenes as columns: scene after scene, in each by their peaks.
@@ -82,8 +45,11 @@ class Attractors:
         Number of its scene, and its own within that.
     first : ndarray of int, shape (n,)
         Number of the first response that ends on it.
-    n_ending, n_starts, mirror_of : ndarray of int, shape (n,)
-        As of an `Attractor`.
+    n_ending, n_starts : ndarray of int, shape (n,)
+        How many of the scene's counted starts end on it, and how many were counted.
+    mirror_of : ndarray of int, shape (n,)
+        Number of the attractor that is its mirror image (its own if it is symmetric), `NONE` if
+        there is none among those found, or if the gap is not symmetric.
     """
 
     of_response: Numbers
@@ -112,56 +78,6 @@ class Attractors:
         share, n_starts = self.basin_share, np.maximum(self.n_starts, 1)
         return np.sqrt(share * (1.0 - share) / n_starts)
 
-    def listed(self, responses: Responses) -> list[Attractor]:
-        """One by one, with the responses that they were found among."""
-        order = np.argsort(self.of_response, kind="stable")
-        ends = np.searchsorted(self.of_response[order], np.arange(len(self.first) + 1))
-        columns = (self.n_ending, self.n_starts, self.mirror_of)
-        return [
-            Attractor(response, tuple(order[i:j].tolist()), *counts)
-            for response, i, j, *counts in zip(
-                responses.take(self.first).rows(),
-                ends[:-1].tolist(),
-                ends[1:].tolist(),
-                *(column.tolist() for column in columns),
-                strict=True,
-            )
-        ]
-
-
-def attractors(
-    responses: Responses,
-    omega: float,
-    *,
-    symmetric: bool,
-    counted: Sequence[bool] | None = None,
-) -> list[Attractor]:
-    """Group the responses of different starts in one scene.
-
-    Unresolved and failed responses belong to no attractor; they count among the starts.
-
-    Parameters
-    ----------
-    responses : Responses
-        One per start.
-    omega : float
-        Forcing frequency [Hz].
-    symmetric : bool
-        Whether the gap is symmetric, so that mirror images of attractors are attractors.
-    counted : sequence of bool, optional
-        Which starts are a sample for basin shares; all if None. A sweep's are not.
-
-    Returns
-    -------
-    list of Attractor
-        In the order of their peaks, then troughs and period multiples.
-    """
-    scene = np.zeros(len(responses), np.intp)
-    found = attractors_of_scenes(
-        responses, scene, omega=[omega], symmetric=symmetric, counted=counted
-    )
-    return found.listed(responses)
-
 
 def attractors_of_scenes(
     responses: Responses,
@@ -171,7 +87,10 @@ def attractors_of_scenes(
     symmetric: ArrayLike,
     counted: ArrayLike | None = None,
 ) -> Attractors:
-    """Group the responses in each of many scenes; see `attractors`.
+    """Group the responses of different starts in each of many scenes.
+
+    Unresolved and failed responses belong to no attractor; they count among the starts. A scene's
+    attractors are in the order of their peaks, then troughs and period multiples.
 
     To be called for as many scenes at a time as have all their responses at hand: a scene costs
     a microsecond or two then, and half a millisecond in a call of its own.
@@ -185,7 +104,9 @@ def attractors_of_scenes(
     omega : array_like, shape (n_scenes,)
         Forcing frequencies [Hz].
     symmetric : bool or array_like of bool, shape (n_scenes,)
+        Whether the gap is symmetric, so that mirror images of attractors are attractors.
     counted : array_like of bool, shape (n_responses,), optional
+        Which starts are a sample for basin shares; all if None. A sweep's are not.
     """
     scene, omega = np.asarray(scene, np.intp), np.asarray(omega, float)
     symmetric = np.broadcast_to(symmetric, omega.shape)
@@ -202,15 +123,6 @@ def attractors_of_scenes(
     rows = np.flatnonzero(symmetric[where])
     mirror_of[rows] = _mirrors(rows, responses.take(leaders), where, number)
     return Attractors(of_response, where, number, leaders, n_ending, n_starts, mirror_of)
-
-
-def numbers(found: Sequence[Attractor], n_starts: int) -> list[int]:
-    """Number of the attractor of every start, `NONE` where there is none."""
-    ids = [NONE] * n_starts
-    for number, attractor in enumerate(found):
-        for member in attractor.members:
-            ids[member] = number
-    return ids
 
 
 # --- which are the same ---------------------------------------------------------------------------

@@ -14,7 +14,6 @@ With ζ > 0 every area of the section shrinks by the same factor, so there is no
 """
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,26 +23,9 @@ from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, law_kind
 from gapsweep.integrate.simulate import broadcast
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
-from gapsweep.response.ensemble import Ensemble, Scene, State
+from gapsweep.response.ensemble import Ensemble, Scene
 from gapsweep.response.result import Response, Responses, Steady
 from gapsweep.response.search import Search
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Question:
-    """What a steady response is asked for: the checked arguments of `respond`."""
-
-    scene: Scene
-    start: State
-    steady: Steady
-
-    def __post_init__(self) -> None:
-        for name, value, kind in (
-            ("oscillator", self.scene.oscillator, Oscillator),
-            ("steady", self.steady, Steady),
-        ):
-            if not isinstance(value, kind):
-                raise ModelError(f"{name} = {value!r}: must be a gapsweep.{kind.__name__}")
 
 
 def respond(
@@ -87,38 +69,50 @@ def respond(
     """
     solver, steady = Solver.of(engine, rtol, atol), Steady() if steady is None else steady
     omega, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
-    points = zip(omega.ravel().tolist(), x_0.ravel().tolist(), v_0.ravel().tolist(), strict=True)
-    responses = respond_all(
-        [
-            Question(
-                scene=Scene(oscillator=oscillator, law=law, omega=at, solver=solver),
-                start=(x, v),
-                steady=steady,
-            )
-            for at, x, v in points
-        ]
-    )
+    check_kinds(oscillator, steady)
+    scenes = [
+        Scene(oscillator=oscillator, law=law, omega=at, solver=solver)
+        for at in omega.ravel().tolist()
+    ]
+    responses = respond_all(scenes, np.stack([x_0.ravel(), v_0.ravel()], axis=1), steady)
     return responses.shaped(omega.shape) if omega.shape else responses.row(0)
 
 
-def respond_all(questions: Sequence[Question]) -> Responses:
+def check_kinds(oscillator: Oscillator, steady: Steady) -> None:
+    """Refuse anything else.
+
+    Raises
+    ------
+    ModelError
+        If one of them is something else.
+    """
+    for name, value, kind in (("oscillator", oscillator, Oscillator), ("steady", steady, Steady)):
+        if not isinstance(value, kind):
+            raise ModelError(f"{name} = {value!r}: must be a gapsweep.{kind.__name__}")
+
+
+def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> Responses:
     """Steady responses of many points, those of a kind advanced together; in their order.
 
     No point sees the others: each response is the same to the last bit in any company.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene, length n
+    starts : array_like, shape (n, 2) or (2,)
+        Initial displacements [m] and velocities [m/s].
+    steady : Steady
     """
+    starts = np.broadcast_to(np.asarray(starts, float), (len(scenes), 2))
     groups: dict[Hashable, list[int]] = {}
-    for i, question in enumerate(questions):
-        scene = question.scene
-        # Settings that are equal but not one are a group of their own, which changes no response.
-        kind = law_kind(scene.law), id(scene.solver), id(question.steady)
-        groups.setdefault(kind, []).append(i)
-    found = []
-    for numbers in groups.values():
-        group = [questions[i] for i in numbers]
-        start = np.array([question.start for question in group]).T
-        search = Search(Ensemble([question.scene for question in group]), start, group[0].steady)
-        found.append(search.responses())
+    for i, scene in enumerate(scenes):
+        # Solvers that are equal but not one are a group of their own, which changes no response.
+        groups.setdefault((law_kind(scene.law), id(scene.solver)), []).append(i)
+    found = [
+        Search(Ensemble([scenes[i] for i in group]), starts[group].T, steady).responses()
+        for group in groups.values()
+    ]
     responses = Responses.concatenated(found)
     if len(found) == 1:
         return responses
-    return responses.take(np.argsort([i for numbers in groups.values() for i in numbers]))
+    return responses.take(np.argsort([i for group in groups.values() for i in group]))

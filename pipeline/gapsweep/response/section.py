@@ -198,17 +198,6 @@ def _is_near(p: Any, q: Any, tolerance: Any) -> Any:
     return (abs(apart.real) < tolerance) & (abs(apart.imag) < tolerance)
 
 
-def orbit_distance(a: Section, b: Section) -> float:
-    """Largest distance of two periodic orbits' section points, modulo a shift in time [m].
-
-    Infinite if they have different numbers of points.
-    """
-    if len(a) != len(b):
-        return float("inf")
-    gaps = (np.roll(a, s) - b for s in range(len(a)))
-    return float(min(max(np.abs(gap.real).max(), np.abs(gap.imag).max()) for gap in gaps))
-
-
 def cloud_distances(a: Section, b: Section, share: float = 0.8) -> Array:
     """Partial Hausdorff distances of pairs of point clouds [m].
 

@@ -10,7 +10,6 @@ everything can be claimed.
 import errno
 import hashlib
 from pathlib import Path
-from types import TracebackType
 
 try:
     import fcntl
@@ -39,12 +38,7 @@ class Claims:
     def __enter__(self) -> "Claims":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
     def take(self, first: int, last: int) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 
 from gapsweep.errors import StoreError
 from gapsweep.status import Status
+from gapsweep.store.artefact import replacing
 from gapsweep.store.cache import SCHEMA_VERSION, Cache, DamagedCacheError
 from gapsweep.store.salvage import sound_slabs
 from gapsweep.store.slab import Slab, Stored, stored
@@ -120,17 +121,19 @@ def export(source: Path, target: Path) -> int:
     Raises
     ------
     StoreError
-        If there is a file already, or it cannot be written.
+        If there is a file already, it cannot be written, or nothing is left of the cache.
     """
     if target.exists():
         raise StoreError(f"{target}: exists already; name a new file")
-    with Cache(target) as copy, copy.errors():
+    with replacing(target) as temporary, Cache(temporary) as copy, copy.errors():
         try:
             with Cache(source, read_only=True) as cache, copy.transaction():
                 copy.insert(slab for _, slab in cache.slabs() if slab.is_sound)
         except DamagedCacheError:
+            if not (found := sound_slabs(source)):
+                raise
             with copy.transaction():
-                copy.insert(sound_slabs(source).values())
+                copy.insert(found.values())
         return sum(slab.n_points for _, slab in copy.slabs())
 
 

@@ -36,7 +36,6 @@ _RECORDED_PACKAGES = ("gapsweep", "numpy", "scipy", "numba", "dask", "distribute
 _THREAD_SETTINGS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 CONVENTIONS = "CF-1.11"
 SOURCE = "gapsweep"
-_FORGOTTEN = 2  # references: a name, and the argument of what counts them
 _CHECKED = {"fletcher32": True, "zlib": True, "complevel": 1}
 
 
@@ -168,12 +167,13 @@ def read(path: str | Path) -> "xr.Dataset":
                 "SHA256SUMS beside it); 'gapsweep run' writes it again from the cache"
             )
         store = xr.backends.NetCDF4DataStore.open(os.fspath(path))  # type: ignore[no-untyped-call]  # xarray has no type for it
-        opened = xr.open_dataset(store)
         _opened.append(store)
+        opened = xr.open_dataset(store)
     except StoreError:
         raise
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
+        # As text: the error would hold this frame, and with it what was opened.
+        reason = getattr(error, "strerror", None) or str(error)
         raise StoreError(f"{path}: cannot be read as NetCDF: {reason}") from None
     if intact is None:
         warnings.warn(
@@ -187,6 +187,14 @@ def read(path: str | Path) -> "xr.Dataset":
 _opened: list[Any] = []
 
 
+def _references(held: list[Any]) -> int:
+    """How many there are to the last object of a list."""
+    return sys.getrefcount(held[-1])
+
+
+_FORGOTTEN = _references([object()])  # where nothing else holds it
+
+
 def _close_forgotten() -> None:
     """Close the files whose datasets are gone.
 
@@ -196,8 +204,9 @@ def _close_forgotten() -> None:
     with _LOCK:
         used = []
         while _opened:
+            is_used = _references(_opened) > _FORGOTTEN
             store = _opened.pop()
-            if sys.getrefcount(store) > _FORGOTTEN:
+            if is_used:
                 used.append(store)
             else:
                 store.close()

@@ -70,7 +70,7 @@ class RunState:
     def write(self, folder: Path) -> None:
         """Store the state as of now."""
         with replacing(folder / STATE) as temporary:
-            text = json.dumps(replace(self, updated=_now()).as_dict(), indent=1)
+            text = json.dumps(asdict(replace(self, updated=_now())), indent=1)
             temporary.write_text(text + "\n", encoding="utf-8")
 
     @classmethod
@@ -86,11 +86,12 @@ class RunState:
         try:
             values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             found = cls(**values)
+            is_dead = found.state == RUNNING and not found.is_alive
         except FileNotFoundError:
             raise StoreError(f"{path}: no such file; 'gapsweep run' makes it") from None
         except (OSError, ValueError, TypeError) as error:
             raise StoreError(f"{path}: cannot be read: {error}; run the study again") from None
-        if found.state == RUNNING and not found.is_alive:
+        if is_dead:
             return replace(found, state=DIED, message="its process is gone; run again to resume")
         return found
 
@@ -102,14 +103,6 @@ class RunState:
             return False
         mine = (there.host, there.pid) == (self.host, self.pid)
         return there.study != self.study or (there.state == RUNNING and not mine)
-
-    @property
-    def done(self) -> int:
-        return self.hits + self.computed
-
-    def as_dict(self) -> dict[str, Any]:
-        """All fields, as they are stored."""
-        return asdict(self)
 
     @property
     def is_alive(self) -> bool:

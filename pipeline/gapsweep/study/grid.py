@@ -13,6 +13,8 @@ from gapsweep.study.points import FIXED, SWEEPS, canonical
 START = "initial_condition"
 
 Axes = Mapping[str, Sequence[Any]]
+# Part of a study's grid: the positions wanted along each dimension, ascending.
+Selection = tuple[NDArray[np.intp], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,19 +89,6 @@ class Starts(Sequence[tuple[str, float, float]]):
     def __getitem__(self, number: Any) -> Any:
         """Kind, displacement [m] and velocity [m/s] of a start."""
         return self.KINDS[self.kind[number]], float(self.x_0[number]), float(self.v_0[number])
-
-
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """Part of a study's grid: the positions wanted along each dimension, ascending."""
-
-    positions: tuple[NDArray[np.intp], ...]
-
-    def mask(self, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Which cells of a grid are selected."""
-        wanted = np.zeros(shape, dtype=bool)
-        wanted[np.ix_(*self.positions)] = True
-        return wanted
 
 
 @dataclass(frozen=True)
@@ -177,9 +166,9 @@ class Grid:
         """The selected part, as a grid of its own."""
         axes = {
             name: axis.take(some) if isinstance(axis, Starts) else tuple(axis[i] for i in some)
-            for (name, axis), some in zip(self.axes.items(), selection.positions, strict=True)
+            for (name, axis), some in zip(self.axes.items(), selection, strict=True)
         }
-        return Grid(axes, self.requested[np.ix_(*selection.positions)])
+        return Grid(axes, self.requested[np.ix_(*selection)])
 
     def order(self, wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """The wanted points in the order in which they are computed.

@@ -209,7 +209,8 @@ class Study:
         Raises
         ------
         StudyError
-            If a name is no dimension, or a value is not among the study's own.
+            If a name is no dimension, a value is not among the study's own, or no block asks for
+            what is selected.
         """
         axes = {name: self.grid.labels(name) for name in self.grid.axes}
         problems = [
@@ -224,7 +225,10 @@ class Study:
                 problems.append(f"{self.source}: {error}")
         if problems:
             raise StudyError(problems)
-        return Selection(tuple(found))
+        if not self.grid.requested[np.ix_(*found)].any():
+            said = ", ".join(f"{name} = {value!r}" for name, value in wanted.items())
+            raise StudyError([f"{self.source}: {said}: no block has a point there"])
+        return tuple(found)
 
     def points(self, cells: NDArray[np.int64]) -> list[tuple[NDArray[np.intp], Points]]:
         """The sweep points in some cells of the grid, in tables of one kind each.
