@@ -7,6 +7,7 @@ import sys
 import textwrap
 import warnings
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -147,12 +148,12 @@ def status(folder: Path, as_json: bool) -> int:
     """
     state = RunState.read(folder)
     if as_json:
-        click.echo(json.dumps(state.as_dict()))
+        click.echo(json.dumps(asdict(state)))
         return FINISHED
     click.echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
     click.echo(
-        f"{state.done} of {state.points} points: {state.hits} from the cache, {state.computed} "
-        f"computed, {state.failed} failed"
+        f"{state.hits + state.computed} of {state.points} points: {state.hits} from the cache, "
+        f"{state.computed} computed, {state.failed} failed"
     )
     click.echo(f"started {state.started}, last heard of {state.updated}, on {state.host}")
     return FINISHED

@@ -70,7 +70,7 @@ class RunState:
     def write(self, folder: Path) -> None:
         """Store the state as of now."""
         with replacing(folder / STATE) as temporary:
-            text = json.dumps(replace(self, updated=_now()).as_dict(), indent=1)
+            text = json.dumps(asdict(replace(self, updated=_now())), indent=1)
             temporary.write_text(text + "\n", encoding="utf-8")
 
     @classmethod
@@ -103,14 +103,6 @@ class RunState:
             return False
         mine = (there.host, there.pid) == (self.host, self.pid)
         return there.study != self.study or (there.state == RUNNING and not mine)
-
-    @property
-    def done(self) -> int:
-        return self.hits + self.computed
-
-    def as_dict(self) -> dict[str, Any]:
-        """All fields, as they are stored."""
-        return asdict(self)
 
     @property
     def is_alive(self) -> bool:
