@@ -14,8 +14,11 @@ from gapsweep.store.index import DAMAGED
 from gapsweep.store.maintenance import contents_of, readable
 from gapsweep.store.slab import Slab, Stored
 from gapsweep.study.grid import Starts
-from gapsweep.study.points import KEY, NUMBERS
+from gapsweep.study.points import NUMBERS, Points
 from gapsweep.study.study import Study
+
+# Fields in which two points differ: what is asked for, and what is stored.
+Differences = dict[str, tuple[str, str]]
 
 # As engineers write them.
 UNITS = {
@@ -36,7 +39,7 @@ class Explanation:
         Stored status, ``"missing"`` or ``"damaged"``.
     host, message : str
         Of a stored result.
-    differences : mapping of str to (str, str)
+    differences : dict of str to (str, str)
         For a missing point, the fields in which the nearest stored one differs: what is asked
         for, and what is stored.
     """
@@ -45,72 +48,47 @@ class Explanation:
     status: str
     host: str = ""
     message: str = ""
-    differences: Mapping[str, tuple[str, str]] | None = None
+    differences: Differences | None = None
 
 
 def explain(study: Study, plan: Plan, cache: Cache, limit: int) -> Iterator[Explanation]:
     """Explain the first points of a plan, at most `limit` of them."""
-    asked = [_Asked.of(study, plan, number) for number in range(min(plan.n_points, limit))]
-    missing = [one for one in asked if plan.status[one.number] < 0]
-    if missing:
+    points = range(min(plan.n_points, limit))
+    nearest: dict[int, Differences] = {}
+    if missing := [point for point in points if plan.status[point] < 0]:
+        asked = [study.points(plan.cells[[point]])[0][1] for point in missing]
+        previous = plan.previous(np.array(missing))
         for slab in readable(cache):
             if (contents := contents_of(slab)) is not None:
-                for one in missing:
-                    one.compare(slab, contents)
-    for one in asked:
-        place = cache.place(plan.keys[[one.number]])
+                for point, one, before in zip(missing, asked, previous[:, None], strict=True):
+                    found = _differing(one, before, slab, contents)
+                    if point not in nearest or len(found) < len(nearest[point]):
+                        nearest[point] = found
+    for point in points:
+        label, place = _label(study, int(plan.cells[point])), cache.place(plan.keys[[point]])
         if place is not None:
             slab, contents, row = place
             response = contents.responses.row(row)
-            yield Explanation(one.label, response.status.label, slab.host, response.message)
+            yield Explanation(label, response.status.label, slab.host, response.message)
         else:
-            status = "damaged" if plan.status[one.number] == DAMAGED else "missing"
-            yield Explanation(one.label, status, differences=one.nearest)
+            status = "damaged" if plan.status[point] == DAMAGED else "missing"
+            yield Explanation(label, status, differences=nearest.get(point))
 
 
-@dataclass(slots=True, eq=False)
-class _Asked:
-    """A point that is asked for, and in what the nearest stored one differs from it.
-
-    Attributes
-    ----------
-    number : int
-        Of the point in the plan.
-    label : str
-    identity : dict of str to str
-        Fields that it shares with others of its kind, by dotted name.
-    numbers : ndarray, shape (11,)
-    previous : bytes
-    nearest : dict of str to (str, str), or None if nothing is stored
-    """
-
-    number: int
-    label: str
-    identity: dict[str, str]
-    numbers: NDArray[np.float64]
-    previous: bytes
-    nearest: dict[str, tuple[str, str]] | None = None
-
-    @classmethod
-    def of(cls, study: Study, plan: Plan, number: int) -> "_Asked":
-        ((_, points),) = study.points(plan.cells[[number]])
-        previous = plan.previous(np.array([number])).tobytes()
-        label = _label(study, int(plan.cells[number]))
-        return cls(number, label, _fields(points.kind.identity), points.numbers[0], previous)
-
-    def compare(self, slab: Slab, contents: Stored) -> None:
-        """Take the point of a slab that differs in the fewest fields, if none so far is nearer."""
-        differing = _differences(self.identity, _fields(slab.identity))
-        unlike = contents.numbers != self.numbers
-        is_other = contents.previous != np.frombuffer(self.previous, KEY)
-        row = int(np.argmin(unlike.sum(axis=1) + is_other))
-        for column in np.flatnonzero(unlike[row]).tolist():
-            both = self.numbers[column].item(), contents.numbers[row, column].item()
-            differing[NUMBERS[column]] = repr(both[0]), repr(both[1])
-        if is_other[row]:
-            differing["previous"] = _hex(self.previous), _hex(contents.previous[row].tobytes())
-        if self.nearest is None or len(differing) < len(self.nearest):
-            self.nearest = differing
+def _differing(
+    asked: Points, previous: NDArray[np.void], slab: Slab, contents: Stored
+) -> Differences:
+    """In what a point differs from the one of a slab that is most like it."""
+    differing = _differences(_fields(asked.kind.identity), _fields(slab.identity))
+    numbers = asked.numbers[0]
+    unlike, is_other = contents.numbers != numbers, contents.previous != previous
+    row = int(np.argmin(unlike.sum(axis=1) + is_other))
+    for column in np.flatnonzero(unlike[row]).tolist():
+        both = numbers[column].item(), contents.numbers[row, column].item()
+        differing[NUMBERS[column]] = repr(both[0]), repr(both[1])
+    if is_other[row]:
+        differing["previous"] = _hex(previous.tobytes()), _hex(contents.previous[row].tobytes())
+    return differing
 
 
 def _hex(key: bytes) -> str:
@@ -151,6 +129,6 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield prefix + name, str(value)
 
 
-def _differences(asked: Mapping[str, str], stored: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+def _differences(asked: Mapping[str, str], stored: Mapping[str, str]) -> Differences:
     names = [name for name in {**asked, **stored} if asked.get(name) != stored.get(name)]
     return {name: (asked.get(name, "-"), stored.get(name, "-")) for name in names}
