@@ -77,7 +77,7 @@ class Slab:
 
     @property
     def kind(self) -> Kind:
-        """The kind of its points; see `Kind.of` for what damage makes it raise."""
+        """The kind of its points; see `Kind.of`."""
         return Kind.of(self.identity)
 
     @property

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
@@ -89,13 +88,16 @@ class Kind:
 
         Raises
         ------
-        ValueError, TypeError, KeyError, AttributeError
+        ValueError
             If it is none.
         """
-        said = {"fit_range": FIT_RANGE, **json.loads(identity)["kind"]}
-        said["law_code"] = _json(said.pop("law"))
-        settings: dict[str, Callable[..., Any]] = {"solver": Solver, "steady": Steady}
-        return cls(**said | {name: make(**said[name]) for name, make in settings.items()})
+        try:
+            said = {"fit_range": FIT_RANGE, **json.loads(identity)["kind"]}
+            said["law_code"] = _json(said.pop("law"))
+            said |= {"solver": Solver(**said["solver"]), "steady": Steady(**said["steady"])}
+            return cls(**said)
+        except (TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise ValueError(f"{type(error).__name__}: {error}") from None
 
 
 # The same few kinds stand in all tables of a study.
