@@ -20,7 +20,7 @@ HEAD = ["contact", "✓ use", "◐ with care", "✗ no", "tanh: one well", "tanh
 NUMBERS = ["law", "verdict", "error, median", "95 %", "attractors found", "cost", "95 % interval"]
 HOW = """\
 Every number is the cost: processor time per forcing period over that of the exact law, on the same
-sweep points, with the solver of the study; above 1 × a law costs *more* than the exact one, ≈ 1 ×
+fixed starts, with the solver of the study; above 1 × a law costs *more* than the exact one, ≈ 1 ×
 cannot be told from it. Another solver has other prices: this one locates contacts inside its steps,
 which makes the exact law cheap. A law that a row does not name was not swept there.
 

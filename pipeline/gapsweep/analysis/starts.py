@@ -101,10 +101,12 @@ def cost_sums(ours: Slab, theirs: Slab) -> dict[str, Array]:
     """Numerators and denominators of cost ratios, shape (n_omega, n_starts, 2 or 4).
 
     Four for a ratio of ratios: ours and the exact law's. Zero where a response is missing, and
-    for times where they come from different machines.
+    for times where they come from different machines, or from sweeps if there are fixed starts.
     """
     both = ours.exists & theirs.exists
+    # The points of a sweep wait for each other: their time is that of calls with few motions.
     timed = both & (ours.host == theirs.host) & (ours.host != NONE)
+    timed &= ours.fixed | ~ours.fixed.any()
     own, exact = ours.costs, theirs.costs
     periods, their_periods = (
         slab.costs["t_simulated"] * slab.omega[:, None] for slab in (ours, theirs)
