@@ -103,8 +103,9 @@ def child(folder: Path, what: str) -> None:
     found = {"whole": end - begin, "behind_the_last_point": end - last["seconds"]}
     if last["computed"]:
         with Cache(cache, read_only=True) as store:
-            slabs = [slab for _, slab in store.slabs()]
-        n_points, cpu = last["computed"], sum(slab.seconds for slab in slabs)
+            sums = [(slab.seconds, listed(slab)) for _, slab in store.slabs()]
+        cpu, n_listed = map(sum, zip(*sums, strict=True))
+        n_points = last["computed"]
         wall = last["seconds"] - begin
         found |= {
             "points": n_points,
@@ -113,17 +114,17 @@ def child(folder: Path, what: str) -> None:
             "wall_workers_over_cpu": WORKERS * wall / cpu if cpu else math.nan,
             "left_after_bound": WORKERS * wall - 1.1 * cpu - 20e-6 * n_points - 30.0,
             "cache_bytes_per_point": cache.stat().st_size / n_points,
-            "list_bytes_per_point": 8 * listed(slabs) / n_points,
+            "list_bytes_per_point": 8 * n_listed / n_points,
         }
     print(json.dumps(found))
 
 
-def listed(slabs) -> int:
+def listed(slab) -> int:
     """Stored extrema and section values."""
     from gapsweep.store.slab import stored
 
-    lists = (stored(slab).responses.lists for slab in slabs)
-    return sum(len(each[name][0]) for each in lists for name in ("extrema", "section"))
+    lists = stored(slab).responses.lists
+    return sum(len(lists[name][0]) for name in ("extrema", "section"))
 
 
 if __name__ == "__main__":
