@@ -33,7 +33,7 @@ from gapsweep.make import (
     update,
 )
 from gapsweep.own_code import check_modules
-from gapsweep.stages import ATTRACTORS, RESPONSES, made_from, reason_to_run, sources, stages_of
+from gapsweep.stages import RESPONSES, made_from, reason_to_run, sources, stages_of
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
@@ -326,8 +326,8 @@ def _exported(
     """A part of a study from the cache, in memory, with where its points came from."""
     counts = {name: getattr(progress, name) for name in ("n_points", "n_hits", "n_computed")}
     with (
-        netcdf.in_memory(ATTRACTORS, {}) as others,
-        netcdf.in_memory(RESPONSES, attributes_of(study)) as dataset,
+        netcdf.passing({}) as others,
+        netcdf.passing(attributes_of(study)) as dataset,
     ):
         fill(dataset, others, study, planned, store, selection)
         return netcdf.loaded(dataset).assign_attrs(counts)

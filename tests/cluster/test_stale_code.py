@@ -228,7 +228,7 @@ def test_an_edited_helper_and_an_edited_kernel_remake_the_files_of_a_run(tmp_pat
     assert "0 from the cache, 1 computed" in run()
     assert made[1][0] != made[0][0]
     # Imported by nothing but a relative import, three modules away from the stage.
-    replaced(copy / "integrate" / "taylor" / "layout.py", '"""\n\n', '"""\n\n_EDITED = True\n')
+    replaced(copy / "integrate" / "taylor" / "record.py", '"""\n\n', '"""\n\n_EDITED = True\n')
     assert "0 from the cache, 1 computed" in run()
     assert made[2][0] == made[1][0]
     assert made[2][1] > made[1][1]

@@ -5,10 +5,12 @@ lock. A file is opened again before it takes its place, and says in `made_from` 
 made from, so that it is made again only when that has changed.
 """
 
+import gc
 import json
 import os
 import platform
 import sys
+import tempfile
 import threading
 import warnings
 from collections.abc import Iterator, Mapping
@@ -48,6 +50,7 @@ def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Datas
     StoreError
         If the file cannot be written, or one that is not ours is in its place.
     """
+    _close_forgotten()
     with _LOCK, recording(path, _is_ours) as temporary, _errors(path):
         with netCDF4.Dataset(temporary, "w", format="NETCDF4") as dataset:
             dataset.setncatts({**attributes, **provenance()})
@@ -58,9 +61,14 @@ def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Datas
 
 
 @contextmanager
-def in_memory(name: str, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
-    """An open netCDF4 dataset that never becomes a file; no two of one name at a time."""
-    with _LOCK, netCDF4.Dataset(f"{name} in memory", "w", diskless=True) as dataset:
+def passing(attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
+    """An open netCDF4 dataset that nobody keeps."""
+    _close_forgotten()
+    with (
+        _LOCK,
+        tempfile.TemporaryDirectory() as folder,
+        netCDF4.Dataset(Path(folder) / "passing.nc", "w") as dataset,
+    ):
         dataset.setncatts({**attributes, **provenance()})
         yield dataset
 
@@ -124,6 +132,7 @@ def _is_ours(path: Path) -> bool:
 
 def attributes(path: Path) -> dict[str, Any]:
     """Attributes of a NetCDF file; none if it cannot be read."""
+    _close_forgotten()
     try:
         with netCDF4.Dataset(path) as dataset:
             return {name: dataset.getncattr(name) for name in dataset.ncattrs()}
@@ -133,6 +142,7 @@ def attributes(path: Path) -> dict[str, Any]:
 
 def values(path: Path, name: str) -> NDArray[Any]:
     """A small variable of a NetCDF file; empty if it cannot be read."""
+    _close_forgotten()
     try:
         with netCDF4.Dataset(path) as dataset:
             return np.asarray(dataset[name][:])
@@ -196,12 +206,15 @@ _FORGOTTEN = _references([object()])  # where nothing else holds it
 
 
 def _close_forgotten() -> None:
-    """Close the files whose datasets are gone.
+    """Close the files whose datasets are gone, before another one is opened.
 
     The garbage collector would, in whichever thread it runs; Dask has one of its own, and two calls
     of the HDF5 library at a time were seen to end the process.
     """
     with _LOCK:
+        xarray = sys.modules.get("xarray")
+        if xarray is not None and xarray.backends.file_manager.FILE_CACHE:
+            gc.collect()  # also those that a user has opened without us, here and now
         used = []
         while _opened:
             is_used = _references(_opened) > _FORGOTTEN
