@@ -12,11 +12,10 @@ from tests.figure_texts import overlaps
 
 import gapsweep as gs
 from gapsweep.analysis import stability as module
+from gapsweep.analysis.closed_forms import closed_form, contact_energy, energy_drift
 from gapsweep.analysis.scenes import scenes
 from gapsweep.analysis.stability import (
     Outcome,
-    closed_form,
-    contact_energy,
     judge,
     observed,
     stability,
@@ -211,7 +210,7 @@ def test_energy_is_conserved_over_ten_thousand_contacts(rtol):
     law = scene.law("piecewise")
     run = motion(scene, law, Solver.of(rtol=rtol, atol=1e-3 * rtol))
     assert run.n_contacts > 10_000
-    drift = np.abs(module.energy_drift(scene, law)(run.section))
+    drift = np.abs(energy_drift(scene, law)(run.section))
     # No more than one tolerance per contact; nothing jumps.
     assert drift.max() < max(1e4 * rtol, 1e-9)
     assert np.abs(np.diff(drift)).max() < max(1e3 * rtol, 1e-10)
