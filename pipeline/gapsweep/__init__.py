@@ -25,12 +25,11 @@ if TYPE_CHECKING:
         ContactLaw,
         LogArctan,
         Piecewise,
-        Polynomial,
-        RationalPolynomial,
         Tanh,
         UserLaw,
         static_error,
     )
+    from gapsweep.model.fitted import Polynomial, RationalPolynomial
     from gapsweep.model.labels import canonical_label, contact_law, law
     from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
     from gapsweep.response.respond import respond
@@ -44,6 +43,7 @@ __version__ = version("gapsweep")
 # numba, Dask, xarray and matplotlib take seconds to import: each comes with what needs it.
 _ON_DEMAND = {
     **dict.fromkeys(("Response", "ResponseClass", "Steady"), "response.result"),
+    **dict.fromkeys(("Polynomial", "RationalPolynomial"), "model.fitted"),
     **dict.fromkeys(("canonical_label", "contact_law", "law"), "model.labels"),
     **dict.fromkeys(
         (
@@ -51,8 +51,6 @@ _ON_DEMAND = {
             "ContactLaw",
             "LogArctan",
             "Piecewise",
-            "Polynomial",
-            "RationalPolynomial",
             "Tanh",
             "UserLaw",
             "static_error",

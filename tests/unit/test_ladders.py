@@ -216,7 +216,7 @@ def test_a_fit_that_cannot_be_made_is_left_out(monkeypatch):
     def no_fit(*args):
         raise gs.ModelError("pole at x = 1 mm")
 
-    monkeypatch.setattr("gapsweep.model.contact.rational_fit", no_fit)
+    monkeypatch.setattr("gapsweep.model.fitted.rational_fit", no_fit)
     monkeypatch.setattr(ladder, "RATIOS", ((3, 2),))
     rung = ladder.rational_ladder(SYMMETRIC, RANGE)
     assert np.isnan(rung["ratpoly_rmse"]).all()

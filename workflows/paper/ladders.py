@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
 from gapsweep.analysis.thresholds import LEAK, smallest_degree, tanh_threshold
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import Arctan, LogArctan, RationalPolynomial, Tanh, static_error
+from gapsweep.model.contact import Arctan, LogArctan, Tanh, static_error
 from gapsweep.model.fit import N_FIT_POINTS, goodness, unit_force
+from gapsweep.model.fitted import RationalPolynomial
 from gapsweep.model.oscillator import Gap
 from gapsweep.study.schema import COORDINATES, Variable
 from gapsweep.study.study import Study

@@ -9,25 +9,18 @@ A law is one class here, with all that the rest of the package asks of it, and o
 """
 
 import math
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import ClassVar
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, described
 from gapsweep.model.fit import (
-    MAX_DEGREE,
-    MAX_RATIONAL_DEGREE,
     N_FIT_POINTS,
-    Fit,
     goodness,
-    polynomial_fit,
-    rational_fit,
     unit_force,
 )
 from gapsweep.model.oscillator import Gap, checked
@@ -166,10 +159,6 @@ class _Sharpened(ContactLaw):
         digits, exponent = f"{value:.11e}".split("e")
         return f"{Decimal(digits).normalize():f}e{int(exponent)}"
 
-    @classmethod
-    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
-        return cls(K_c, gap, float(parameter))  # type: ignore[call-arg]  # of every law of this kind
-
 
 @dataclass(frozen=True)
 class _Switched(_Sharpened):
@@ -185,6 +174,10 @@ class _Switched(_Sharpened):
     @property
     def sharpness(self) -> float:
         return self.epsilon
+
+    @classmethod
+    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
+        return cls(K_c, gap, float(parameter))
 
     def _switch(self, z: Array) -> tuple[Array, Array]:
         """Value and derivative of the switch at scaled distance `z` [-]."""
@@ -265,6 +258,10 @@ class LogArctan(_Sharpened):
     def sharpness(self) -> float:
         return self.gamma
 
+    @classmethod
+    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
+        return cls(K_c, gap, float(parameter))
+
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "gamma", checked("gamma", self.gamma, low=0.0, strict=True))
@@ -284,136 +281,6 @@ class LogArctan(_Sharpened):
         below, above = _penetrations(x, self.gap)
         angles = np.arctan(self.gamma * above) - np.arctan(self.gamma * below)
         return np.asarray(self.K_c * (1.0 + angles / math.pi))
-
-
-@dataclass(frozen=True)
-class Fitted(ContactLaw):
-    """A fit ``K_c N(u)/D(u)`` of the exact force, ``u = x / valid_range``."""
-
-    @property
-    def fit(self) -> Fit:
-        """The fit per unit stiffness (computed once per gap, degrees and range)."""
-        raise NotImplementedError
-
-    @property
-    def coefficients(self) -> tuple[Array, Array]:
-        """Chebyshev coefficients in `u`: numerator [N] and denominator [-], lowest first."""
-        fit = self.fit
-        return self.K_c * np.array(fit.numerator), np.array(fit.denominator)
-
-    @property
-    def rmse(self) -> float:
-        """Root-mean-square force error over the fit points [N]."""
-        return self.K_c * self.fit.rmse
-
-    @property
-    def r_squared(self) -> float:
-        """Coefficient of determination over the fit points [-]; independent of `K_c`."""
-        return self.fit.r_squared
-
-    def force(self, x: ArrayLike) -> Array:
-        u = np.asarray(x, dtype=float) / self.valid_range
-        top, bottom = self.coefficients
-        return np.asarray(chebyshev.chebval(u, top) / chebyshev.chebval(u, bottom))
-
-    def derivative(self, x: ArrayLike) -> Array:
-        u = np.asarray(x, dtype=float) / self.valid_range
-        top, bottom = self.coefficients
-        d_top, d_bottom = chebyshev.chebder(top), chebyshev.chebder(bottom)
-        n, d = chebyshev.chebval(u, top), chebyshev.chebval(u, bottom)
-        slope = chebyshev.chebval(u, d_top) - n / d * chebyshev.chebval(u, d_bottom)
-        return np.asarray(slope / d / self.valid_range)
-
-
-@dataclass(frozen=True)
-class Polynomial(Fitted):
-    """Least-squares polynomial.
-
-    Parameters
-    ----------
-    degree : int
-        Polynomial degree, 1 to 60.
-    fit_range : float
-        Half-width of the fitted range [m], ``> 0``.
-    """
-
-    family: ClassVar[str] = "poly"
-    colour: ClassVar[str] = "#E69F00"
-
-    degree: int
-    fit_range: float = FIT_RANGE
-
-    @classmethod
-    def canonical(cls, label: str, parameter: str) -> str:
-        return str(_degree(label, parameter, MAX_DEGREE))
-
-    @classmethod
-    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
-        return cls(K_c, gap, int(parameter), fit_range)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        value = checked("fit range", self.fit_range, low=0.0, strict=True)
-        object.__setattr__(self, "fit_range", value)
-        _ = self.fit
-
-    @property
-    def valid_range(self) -> float:
-        return self.fit_range
-
-    @property
-    def fit(self) -> Fit:
-        return polynomial_fit(self.gap, self.degree, self.fit_range)
-
-
-@dataclass(frozen=True)
-class RationalPolynomial(Fitted):
-    """Least-squares rational polynomial without a pole in the fitted range.
-
-    Parameters
-    ----------
-    numerator, denominator : int
-        Degrees, 1 to 20.
-    fit_range : float
-        Half-width of the fitted range [m], ``> 0``.
-
-    Raises
-    ------
-    ModelError
-        If the best fit has a pole in the range; the message names it.
-    """
-
-    family: ClassVar[str] = "ratpoly"
-    colour: ClassVar[str] = "#CC79A7"
-
-    numerator: int
-    denominator: int
-    fit_range: float = FIT_RANGE
-
-    @classmethod
-    def canonical(cls, label: str, parameter: str) -> str:
-        top, _, bottom = parameter.partition("/")
-        degrees = (_degree(label, text, MAX_RATIONAL_DEGREE) for text in (top, bottom))
-        return "{}/{}".format(*degrees)
-
-    @classmethod
-    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
-        top, bottom = parameter.split("/")
-        return cls(K_c, gap, int(top), int(bottom), fit_range)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        value = checked("fit range", self.fit_range, low=0.0, strict=True)
-        object.__setattr__(self, "fit_range", value)
-        _ = self.fit
-
-    @property
-    def valid_range(self) -> float:
-        return self.fit_range
-
-    @property
-    def fit(self) -> Fit:
-        return rational_fit(self.gap, self.numerator, self.denominator, self.fit_range)
 
 
 @dataclass(frozen=True)
@@ -462,23 +329,6 @@ class UserLaw(ContactLaw):
         x = np.asarray(x, dtype=float)
         h = SLOPE_STEP * np.maximum(np.abs(x), SLOPE_LENGTH)
         return np.asarray((self.force(x + h) - self.force(x - h)) / (2.0 * h))
-
-
-# Every law that a label names, by its family, in the order of the user guide.
-FAMILIES: dict[str, type[ContactLaw]] = {
-    law.family: law for law in (Piecewise, Polynomial, RationalPolynomial, Tanh, Arctan, LogArctan)
-}
-
-
-def family(label: str) -> type[ContactLaw] | None:
-    """The class of a label's law; None of ``auto`` and of users' laws."""
-    return FAMILIES.get(label.partition("-")[0])
-
-
-def _degree(label: str, text: str, largest: int) -> int:
-    if not re.fullmatch(r"[0-9]{1,3}", text) or not 1 <= int(text) <= largest:
-        raise ModelError(f"{label!r}: degree {text!r} must be a whole number in 1..{largest}")
-    return int(text)
 
 
 def checked_law(law: ContactLaw) -> ContactLaw:

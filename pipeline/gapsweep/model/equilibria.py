@@ -13,7 +13,8 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
-from gapsweep.model.contact import ContactLaw, Polynomial, RationalPolynomial
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.fitted import Polynomial, RationalPolynomial
 from gapsweep.model.oscillator import Oscillator
 
 Array = NDArray[np.float64]

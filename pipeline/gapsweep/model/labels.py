@@ -17,7 +17,16 @@ from collections.abc import Callable
 
 from gapsweep.errors import ModelError
 from gapsweep.model import own_law
-from gapsweep.model.contact import FIT_RANGE, ContactLaw, Fitted, UserLaw, family
+from gapsweep.model.contact import (
+    FIT_RANGE,
+    Arctan,
+    ContactLaw,
+    LogArctan,
+    Piecewise,
+    Tanh,
+    UserLaw,
+)
+from gapsweep.model.fitted import Fitted, Polynomial, RationalPolynomial
 from gapsweep.model.oscillator import Gap
 
 AUTO = "auto"
@@ -25,6 +34,17 @@ EXAMPLES = (
     "piecewise, piecewise-noevents, poly-13, ratpoly-5/3, tanh-1e4, arctan-1e4, logarctan-1e4"
 )
 _FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+# Every law that a label names, by its family, in the order of the user guide.
+FAMILIES: dict[str, type[ContactLaw]] = {
+    law.family: law for law in (Piecewise, Polynomial, RationalPolynomial, Tanh, Arctan, LogArctan)
+}
+
+
+def family(label: str) -> type[ContactLaw] | None:
+    """The class of a label's law; None of ``auto`` and of users' laws."""
+    return FAMILIES.get(label.partition("-")[0])
 
 
 def canonical_label(label: str) -> str:

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-from gapsweep.model.contact import ContactLaw, Piecewise, family
+from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.labels import family
 
 _NOEVENTS = "#999999"  # the exact law, like one that is not
 # What is not periodic is red in every figure; pale is what is most common.

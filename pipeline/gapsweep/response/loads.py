@@ -15,11 +15,10 @@ from gapsweep.model.contact import (
     ContactLaw,
     LogArctan,
     Piecewise,
-    Polynomial,
-    RationalPolynomial,
     Tanh,
 )
 from gapsweep.model.equilibria import search_points, sign_changes
+from gapsweep.model.fitted import Polynomial, RationalPolynomial
 from gapsweep.response.ensemble import Call
 
 Array = NDArray[np.float64]

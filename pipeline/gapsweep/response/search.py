@@ -7,7 +7,6 @@ Arithmetic and decisions are on columns: none of them sees another point's row.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import wraps
 from typing import Any
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from gapsweep.response.answers import Found, answers
 from gapsweep.response.ensemble import Ensemble
+from gapsweep.response.limits import Limits
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
     DEVIATIONS,
@@ -48,8 +48,6 @@ def _for_some(method: Answer) -> Answer:
 
 
 _FIRST_WINDOW = 5
-# The next look comes when disturbances have shrunk to this share.
-_LOOK = 0.25
 # Shooting is worth a try when section points repeat within this share of the reach.
 _CLOSE = 0.1
 # Newton may move this share of the response's reach; from farther away it leads anywhere.
@@ -62,7 +60,6 @@ _CLOSER = 0.5
 _INSIDE = 1.0 - 1e-6
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
 _SURE = 3.0  # standard errors, beyond which an exponent is positive
-_ENDLESS = 1e7  # forcing periods that no motion is watched for
 
 
 class Phase(IntEnum):
@@ -95,7 +92,7 @@ class Search:
         self._ensemble, self._steady = ensemble, steady
         self._omega, self._omega_rad = ensemble.omega, 2.0 * math.pi * ensemble.omega
         self._walks, self._shots, self._growths = Walks(ensemble, start), Shots(n), Growths(n)
-        self._limits = _Limits.of(ensemble, steady)
+        self._limits = Limits.of(ensemble, steady)
         self._phase = np.full(n, int(Phase.PAUSE))
         self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
         self._settled = np.zeros(n, bool)
@@ -426,33 +423,3 @@ class Search:
 
 def _parts(z: NDArray[np.complex128]) -> tuple[Array, Array]:
     return z.real, z.imag
-
-
-@dataclass(frozen=True, slots=True)
-class _Limits:
-    """How many forcing periods motions are given: between looks, to settle, and at most."""
-
-    pause: Counts
-    settled: Counts
-    last: Counts
-
-    @classmethod
-    def of(cls, ensemble: Ensemble, steady: Steady) -> "_Limits":
-        rate, omega = ensemble.settling_rate, ensemble.omega
-        # Without damping nothing settles: what does not repeat at once never will.
-        with np.errstate(over="ignore"):
-            decay_periods = np.divide(omega, rate, out=np.zeros(len(rate)), where=rate > 0.0)
-        pause, settled, longest = (
-            np.ceil(np.minimum(times * decay_periods, _ENDLESS)).astype(np.int64)
-            for times in (
-                math.log(1.0 / _LOOK),
-                math.log(1.0 / steady.settle_tol),
-                steady.max_decay_times,
-            )
-        )
-        # A full window more: slow forcing leaves no period between settling and the end.
-        last = np.maximum(settled, np.minimum(longest, steady.max_periods)) + steady.n_periods
-        if steady.t_max is not None:
-            bound = np.floor(np.minimum(last, np.maximum(1.0, steady.t_max * omega)))
-            last = bound.astype(np.int64)
-        return cls(np.maximum(1, np.minimum(pause, last)), settled, last)

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import FAMILIES, ContactLaw, Piecewise
-from gapsweep.model.labels import contact_law
+from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.labels import FAMILIES, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 
 Array = NDArray[np.float64]
