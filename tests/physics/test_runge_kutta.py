@@ -13,7 +13,7 @@ from numba import njit
 from scipy.integrate import solve_ivp
 from tests.conftest import golden
 
-from gapsweep.integrate.runge_kutta import interpolant, smooth, tableaux
+from gapsweep.integrate.runge_kutta import interpolant, loop, tableaux
 from gapsweep.integrate.runge_kutta import lanes as ln
 from gapsweep.integrate.runge_kutta import representations as rp
 from gapsweep.integrate.runge_kutta.smooth import integrate
@@ -409,7 +409,7 @@ def test_full_buffers_are_drained(monkeypatch):
         "dense_output": True,
     }
     large = integrate(law, **points)
-    monkeypatch.setattr(smooth, "_BUFFER_ROWS", 1)
+    monkeypatch.setattr(loop, "_BUFFER_ROWS", 1)
     assert np.array_equal(integrate(law, **points).records, large.records)
 
 

@@ -20,11 +20,10 @@ from gapsweep.model.contact import (
     ContactLaw,
     LogArctan,
     Piecewise,
-    Polynomial,
-    RationalPolynomial,
     Tanh,
     UserLaw,
 )
+from gapsweep.model.fitted import Polynomial, RationalPolynomial
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

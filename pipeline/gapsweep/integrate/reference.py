@@ -300,6 +300,18 @@ def _exits(modes: Modes) -> list[tuple[int, int]]:
     return [(contact, side) for contact, both in enumerate(sides) for side in both]
 
 
+class _Stop:
+    """Terminal event, as `solve_ivp` takes it: where a function of time and state is zero."""
+
+    terminal = True
+
+    def __init__(self, distance: Event, direction: float = 0.0) -> None:
+        self.distance, self.direction = distance, direction
+
+    def __call__(self, t: float, y: Sequence[float]) -> float:
+        return self.distance(t, y)
+
+
 def _contact_event(
     scene: Scene,
     modes: Modes,
@@ -308,7 +320,7 @@ def _contact_event(
     t_start: float,
     y_start: State,
     on_wall: int | None,
-) -> Event:
+) -> _Stop:
     """Terminal event at a wall: the distance beyond it, blind to a root at its own start."""
     assert modes is not None, "without modes nothing is located"
     wall, at_start = scene.wall(contact, side), scene.gap(contact, y_start)
@@ -325,19 +337,13 @@ def _contact_event(
         beyond = side * (scene.gap(contact, y) - at_start)
         return float(beyond / (t - t_start)) if t > t_start else sign
 
-    event.terminal = True  # type: ignore[attr-defined]  # how scipy takes event options
-    event.direction = -sign  # type: ignore[attr-defined]  # how scipy takes event options
-    return event
+    return _Stop(event, direction=-sign)
 
 
-def _divergence(n: int) -> Event:
+def _divergence(n: int) -> _Stop:
     """Terminal event where a coordinate of n leaves all bounds."""
 
-    def diverged(t: float, y: Sequence[float]) -> float:
-        return max(map(abs, y[:n])) - DIVERGED_AT
-
-    diverged.terminal = True  # type: ignore[attr-defined]  # how scipy takes event options
-    return diverged
+    return _Stop(lambda t, y: max(map(abs, y[:n])) - DIVERGED_AT)
 
 
 def _gap_of(scene: Scene, motion: PPoly, contact: int) -> PPoly:

@@ -25,7 +25,6 @@ WIDTH = 16
 attempt and point against 42 ns with 8 lanes)."""
 
 _VEC = ir.VectorType(F64, WIDTH)
-_IVEC = ir.VectorType(I64, WIDTH)
 _MASK = ir.VectorType(ir.IntType(1), WIDTH)
 
 
@@ -135,6 +134,8 @@ absolute = _of_one(vectors.absolute)
 floor = _of_one(vectors.round_down)
 nearest = _of_one(vectors.nearest_integer)
 splat = _of_one(lambda a: a)
+as_float_bits = _of_one(vectors.power_of_two)
+exponent_of = _of_one(vectors.exponent)
 minimum = _of_two(vectors.minimum)
 maximum = _of_two(vectors.maximum)
 copysign = _of_two(vectors.copysign)
@@ -150,28 +151,6 @@ def bits(typingctx, condition):
         return Mask(builder, args[0]).bits()
 
     return types.int64(mask), codegen
-
-
-@intrinsic
-def as_float_bits(typingctx, whole):
-    """2.0 ** whole, for whole numbers in [-1022, 1023] held as doubles."""
-
-    def codegen(context, builder, sig, args):
-        exponent = builder.add(builder.fptosi(args[0], _IVEC), ir.Constant(_IVEC, [1023] * WIDTH))
-        return builder.bitcast(builder.shl(exponent, ir.Constant(_IVEC, [52] * WIDTH)), _VEC)
-
-    return vec(vec), codegen
-
-
-@intrinsic
-def exponent_of(typingctx, a):
-    """Floor of log2 of a positive normal number, as a double."""
-
-    def codegen(context, builder, sig, args):
-        raw = builder.lshr(builder.bitcast(args[0], _IVEC), ir.Constant(_IVEC, [52] * WIDTH))
-        return builder.sitofp(builder.sub(raw, ir.Constant(_IVEC, [1023] * WIDTH)), _VEC)
-
-    return vec(vec), codegen
 
 
 def _row_pointer(context, builder, array_type, array, row):

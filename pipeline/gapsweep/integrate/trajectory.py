@@ -16,6 +16,11 @@ from gapsweep.status import Status
 Array = NDArray[np.float64]
 
 
+def _of_motions(column: Callable[[Motions], NDArray[Any]]) -> Any:
+    """An attribute that is a column of the motions, found when it is first asked for."""
+    return cached_property(lambda run: run._shaped(column(run._motions)))
+
+
 class Trajectory:
     """One simulated motion, or an array of them: its end, its events, its cost.
 
@@ -64,33 +69,13 @@ class Trajectory:
     def _n(self) -> int:
         return math.prod(self.shape)
 
-    @cached_property
-    def t(self) -> Any:
-        return self._shaped(self._motions.t)
-
-    @cached_property
-    def x(self) -> Any:
-        return self._shaped(self._motions.state[:, 0])
-
-    @cached_property
-    def v(self) -> Any:
-        return self._shaped(self._motions.state[:, 1])
-
-    @cached_property
-    def n_contacts(self) -> Any:
-        return self._shaped(self._motions.n_contacts)
-
-    @cached_property
-    def n_steps(self) -> Any:
-        return self._shaped(self._motions.n_steps)
-
-    @cached_property
-    def n_rejected(self) -> Any:
-        return self._shaped(self._motions.n_rejected)
-
-    @cached_property
-    def nfev(self) -> Any:
-        return self._shaped(self._motions.nfev)
+    t = _of_motions(lambda motions: motions.t)
+    x = _of_motions(lambda motions: motions.state[:, 0])
+    v = _of_motions(lambda motions: motions.state[:, 1])
+    n_contacts = _of_motions(lambda motions: motions.n_contacts)
+    n_steps = _of_motions(lambda motions: motions.n_steps)
+    n_rejected = _of_motions(lambda motions: motions.n_rejected)
+    nfev = _of_motions(lambda motions: motions.nfev)
 
     @cached_property
     def status(self) -> Any:

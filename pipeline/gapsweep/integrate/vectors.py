@@ -21,14 +21,20 @@ F64 = ir.DoubleType()
 I64 = ir.IntType(64)
 
 
-class Vec:
-    """A vector of doubles, one per lane, inside the function under construction."""
+class _Lanes:
+    """A value per lane, inside the function under construction."""
 
     __slots__ = ("builder", "value")
 
     def __init__(self, builder, value):
         self.builder = builder
         self.value = value
+
+
+class Vec(_Lanes):
+    """A double per lane."""
+
+    __slots__ = ()
 
     def constant(self, number):
         """The same number in every lane."""
@@ -83,14 +89,10 @@ class Vec:
         return self._compare("==", other)
 
 
-class Mask:
-    """One truth value per lane."""
+class Mask(_Lanes):
+    """A truth value per lane."""
 
-    __slots__ = ("builder", "value")
-
-    def __init__(self, builder, value):
-        self.builder = builder
-        self.value = value
+    __slots__ = ()
 
     def __and__(self, other):
         return Mask(self.builder, self.builder.and_(self.value, other.value))
@@ -168,6 +170,25 @@ def round_down(a):
 def copysign(magnitude, sign):
     """`magnitude` with the sign of `sign`."""
     return _call("copysign", magnitude, sign)
+
+
+_EXPONENT_BIAS, _FRACTION_BITS = 1023, 52  # of a double
+
+
+def power_of_two(a):
+    """``2.0 ** a`` for whole numbers in [-1022, 1023]."""
+    builder, integers = a.builder, ir.VectorType(I64, a.value.type.count)
+    exponent = builder.add(builder.fptosi(a.value, integers), _integers(a, _EXPONENT_BIAS))
+    bits = builder.shl(exponent, _integers(a, _FRACTION_BITS))
+    return Vec(builder, builder.bitcast(bits, a.value.type))
+
+
+def exponent(a):
+    """Floor of the base-2 logarithm of positive normal numbers."""
+    builder, integers = a.builder, ir.VectorType(I64, a.value.type.count)
+    raw = builder.lshr(builder.bitcast(a.value, integers), _integers(a, _FRACTION_BITS))
+    whole = builder.sub(raw, _integers(a, _EXPONENT_BIAS))
+    return Vec(builder, builder.sitofp(whole, a.value.type))
 
 
 # 2**52 as a double: its low 52 bits hold an integer, so adding it converts a small integer

@@ -10,6 +10,7 @@ What differs from point to point sits in the rows of a parameter block `q`, shap
 WIDTH); what a batch shares (fit coefficients) sits in the named tuple.
 """
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +44,20 @@ TANH_SATURATION = 19.0625
 # itself,
 # which the error estimate sees.
 ARCTAN_LAYER = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """A law with its numbers, ready for the loop; see the constructors in `representations`."""
+
+    kind: Any
+    q: NDArray[np.float64]
+
+    def rows(self, mass: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+        """Parameter rows of n points, stiffness over mass, shape (n, N_PARAMETERS)."""
+        rows = np.array(np.broadcast_to(self.q, (n, N_PARAMETERS)))
+        rows[:, STIFFNESS] /= mass
+        return rows
 
 
 class Tanh(NamedTuple):

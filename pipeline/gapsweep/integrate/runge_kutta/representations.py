@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gapsweep.model.contact import SLOPE_LENGTH, SLOPE_STEP
 
 from . import laws
-from .smooth import ContactLaw
+from .laws import Law
 
 
 def _rows(K_c, j_1, j_2, **extra):
@@ -28,7 +28,7 @@ def _rows(K_c, j_1, j_2, **extra):
     return q.reshape(-1, laws.N_PARAMETERS) if q.ndim > 1 else q, values[3:]
 
 
-def tanh(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike) -> ContactLaw:
+def tanh(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike) -> Law:
     """Freeplay smoothed with tanh; K_c [N/m], j_1, j_2 [m], epsilon [1/m]."""
     q, (epsilon,) = _rows(K_c, j_1, j_2, epsilon=epsilon)
     epsilon = epsilon.ravel() if q.ndim > 1 else epsilon
@@ -37,18 +37,18 @@ def tanh(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike) -> 
     q[..., laws.CENTRE] = 0.5 * (q[..., laws.WALL_HIGH] + q[..., laws.WALL_LOW])
     q[..., laws.DECAY] = np.exp(-4.0 * epsilon * half_gap)
     q[..., laws.LAYER] = q[..., laws.SATURATION] = laws.TANH_SATURATION / epsilon
-    return ContactLaw(laws.Tanh(), q)
+    return Law(laws.Tanh(), q)
 
 
-def arctan(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike) -> ContactLaw:
+def arctan(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike) -> Law:
     """Freeplay smoothed with (2/pi) arctan; epsilon [1/m]."""
     q, (epsilon,) = _rows(K_c, j_1, j_2, epsilon=epsilon)
     q[..., laws.SHARPNESS] = epsilon.ravel() if q.ndim > 1 else epsilon
     q[..., laws.LAYER] = laws.ARCTAN_LAYER / q[..., laws.SHARPNESS]
-    return ContactLaw(laws.Arctan(), q)
+    return Law(laws.Arctan(), q)
 
 
-def log_arctan(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, gamma: ArrayLike) -> ContactLaw:
+def log_arctan(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, gamma: ArrayLike) -> Law:
     """Integral of the arctan-smoothed stiffness, anchored at F_c(0) = 0; gamma [1/m]."""
     q, (gamma,) = _rows(K_c, j_1, j_2, gamma=gamma)
     gamma = gamma.ravel() if q.ndim > 1 else gamma
@@ -61,36 +61,34 @@ def log_arctan(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, gamma: ArrayLike)
     )
     q[..., laws.SHARPNESS], q[..., laws.OFFSET] = gamma, -at_zero
     q[..., laws.LAYER] = laws.ARCTAN_LAYER / gamma
-    return ContactLaw(laws.LogArctan(), q)
+    return Law(laws.LogArctan(), q)
 
 
-def piecewise(
-    K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, *, restart: bool = False
-) -> ContactLaw:
+def piecewise(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, *, restart: bool = False) -> Law:
     """Exact freeplay without event location, or (`restart`) located with a fresh start at every
     contact.
     """
     q, _ = _rows(K_c, j_1, j_2)
-    return ContactLaw(laws.Located() if restart else laws.Piecewise(), q)
+    return Law(laws.Located() if restart else laws.Piecewise(), q)
 
 
-def polynomial(coefficients: ArrayLike, fit_range: float, j_1: float, j_2: float) -> ContactLaw:
+def polynomial(coefficients: ArrayLike, fit_range: float, j_1: float, j_2: float) -> Law:
     """Chebyshev coefficients [N] in x / fit_range; the walls only serve to count passings."""
     q, _ = _rows(1.0, j_1, j_2)
     q[laws.RANGE] = fit_range
-    return ContactLaw(laws.Polynomial(np.ascontiguousarray(coefficients, dtype=float)), q)
+    return Law(laws.Polynomial(np.ascontiguousarray(coefficients, dtype=float)), q)
 
 
 def rational_polynomial(
     numerator: ArrayLike, denominator: ArrayLike, fit_range: float, j_1: float, j_2: float
-) -> ContactLaw:
+) -> Law:
     """Quotient of Chebyshev series in x / fit_range, numerator in N."""
     q, _ = _rows(1.0, j_1, j_2)
     q[laws.RANGE] = fit_range
     top, bottom = np.array(numerator, dtype=float), np.array(denominator, dtype=float)
     # The loop takes a denominator that is not positive for a pole passed.
     sign = np.sign(np.polynomial.chebyshev.chebval(0.0, bottom))
-    return ContactLaw(laws.RationalPolynomial(sign * top, sign * bottom), q)
+    return Law(laws.RationalPolynomial(sign * top, sign * bottom), q)
 
 
 def user(
@@ -98,13 +96,13 @@ def user(
     j_1: float = np.inf,
     j_2: float = np.inf,
     slope: Callable[[float], float] | None = None,
-) -> ContactLaw:
+) -> Law:
     """A scalar function F(x) [N] that numba can compile; compiled once in every process.
 
     Without `slope` the tangent equations use central differences.
     """
     q, _ = _rows(1.0, j_1, j_2)
-    return ContactLaw(_user_kind(function, slope), q)
+    return Law(_user_kind(function, slope), q)
 
 
 @njit

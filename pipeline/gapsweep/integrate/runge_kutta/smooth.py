@@ -11,117 +11,15 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
-
-from gapsweep.integrate import simd
-from gapsweep.integrate.jit import entry
 
 from . import lanes as ln
 from . import laws, tableaux
-from .attempt import attempt
-from .lanes import load_first_points, load_point, unload_point
-from .probing import new_scratch
-from .recording import attend
+from .laws import Law
+from .loop import drained
 
-# Attempts per call: keyboard interrupts are seen between calls.
-_ATTEMPTS_PER_CALL = 2_000_000
-# Rows of the record buffer; a full buffer is drained and the loop entered again.
-_BUFFER_ROWS = 65536
-_DONE, _PAUSED = 0, 1
-# At this tolerance and tighter the order-8 method is the cheaper one (see bench_smooth.py).
+# At this tolerance and tighter the order-8 method is the cheaper one on the benchmark's scenes.
 _HIGH_ORDER_FROM = 1e-2
-
-
-def _advance(
-    law,
-    tableau,
-    lane,
-    lane_int,
-    q,
-    k,
-    k_tangent,
-    probes,
-    scratch,
-    events,
-    counters,
-    table,
-    queue,
-    results,
-    settings,
-):
-    """Run lanes until all points are done or the event buffer could overflow.
-
-    All state is in the arguments, so calling again goes on where this call left off.
-    """
-    is_located = laws.is_located(law)
-    all_lanes = (np.int64(1) << simd.WIDTH) - 1
-    watched = all_lanes  # lanes that are not simply stepping
-    for _ in range(_ATTEMPTS_PER_CALL):
-        if counters[ln.N_EVENTS] > events.shape[0] - 3 * simd.WIDTH:
-            return _PAUSED
-        outcome = attempt(law, q, lane, tableau, k, k_tangent, settings)
-        attention = (
-            watched
-            | outcome.ended
-            | outcome.failed
-            | outcome.stopped
-            | outcome.recorded
-            | outcome.dipped
-        )
-        if attention == 0:
-            continue
-        n_idle = 0
-        watched = 0
-        for i in range(simd.WIDTH):
-            if (attention >> i) & 1 and lane_int[ln.MODE, i] != ln.IDLE:
-                status = attend(
-                    lane,
-                    lane_int,
-                    q,
-                    probes,
-                    scratch,
-                    events,
-                    counters,
-                    settings,
-                    outcome,
-                    is_located,
-                    i,
-                )
-                if status >= 0:
-                    unload_point(lane, lane_int, results, status, tableau.c.size - 1, i)
-                    if counters[ln.NEXT_POINT] < table.shape[0]:
-                        load_point(lane, lane_int, q, table, queue[counters[ln.NEXT_POINT]], i)
-                        counters[ln.NEXT_POINT] += 1
-            n_idle += lane_int[ln.MODE, i] == ln.IDLE
-            # An idle lane repeats attempts of length zero; nobody looks at it any more.
-            if lane_int[ln.MODE, i] != ln.STEPPING and lane_int[ln.MODE, i] != ln.IDLE:
-                watched |= np.int64(1) << i
-        if n_idle == simd.WIDTH:
-            return _DONE
-    return _PAUSED
-
-
-# One function, one specialisation per law type. A user's law is a type that exists in this process
-# only,
-# so it goes through a second dispatcher that leaves the disk cache alone.
-_advance_cached = entry(_advance)
-_advance_user = njit(nogil=True)(_advance)
-
-
-@dataclass(frozen=True, slots=True)
-class ContactLaw:
-    """A law with its numbers, ready for the loop; see the constructors in `representations`."""
-
-    kind: Any
-    q: NDArray[np.float64]
-    divided_by_mass: bool = True
-
-    def rows(self, mass: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-        """Parameter rows of n points, stiffness over mass, shape (n, N_PARAMETERS)."""
-        rows = np.array(np.broadcast_to(self.q, (n, laws.N_PARAMETERS)))
-        rows[:, laws.STIFFNESS] /= mass
-        return rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,56 +110,8 @@ def _replay_steps(replay, point, steps, t):
     off = [ln.S_ODE45, ln.S_STOP_AT_LAYER, ln.S_TANGENT, ln.S_DENSE, ln.S_CONTACTS]
     settings[off] = 0.0
     settings[ln.S_FIRST_STEP] = 1e100
-    results, _ = _drained(replay["law"], replay["tableau"], table, np.arange(n), settings)
+    results, _ = drained(replay["law"], replay["tableau"], table, np.arange(n), settings)
     return results[:, ln.R_X], results[:, ln.R_V]
-
-
-def _drained(law, tableau, table, queue, settings):
-    """Result table and records of a point table; the queue says in which order they are loaded."""
-    width, n_stages = simd.WIDTH, tableau.c.size
-    lane, q = ln.aligned(ln.N_ROWS, width), ln.aligned(laws.N_PARAMETERS, width)
-    lane_int = np.zeros((ln.N_INT_ROWS, width), np.int64)
-    k, k_tangent = ln.aligned(n_stages, width), ln.aligned(2 * n_stages + 4, width)
-    probes, scratch = np.zeros((2 * ln.MAX_PROBES, width)), new_scratch()
-    records_on = settings[ln.S_DENSE] > 0.0 or bool(np.any(np.isfinite(table[:, ln.P_RECORD])))
-    rows = max(
-        _BUFFER_ROWS if records_on else 0, 4 * width
-    )  # one attempt writes up to 3 rows per lane
-    events = np.empty((rows, ln.N_EVENT_COLUMNS))
-    counters = np.zeros(2, np.int64)
-    results = np.zeros((len(table), ln.N_RESULTS))
-    lane[ln.EXACT] = 1.0
-    lane[ln.PERIOD] = 1.0
-    counters[ln.NEXT_POINT] = load_first_points(lane, lane_int, q, table, queue)
-    # An idle lane computes along with length zero; harmless numbers keep it off the slow paths.
-    q[:, len(table) :] = q[:, :1]
-    advance = _advance_user if isinstance(law, laws.User) else _advance_cached
-    drained, state = [], _PAUSED
-    while state != _DONE:
-        state = advance(
-            law,
-            tableau,
-            lane,
-            lane_int,
-            q,
-            k,
-            k_tangent,
-            probes,
-            scratch,
-            events,
-            counters,
-            table,
-            queue,
-            results,
-            settings,
-        )
-        if counters[ln.N_EVENTS]:
-            drained.append(events[: counters[ln.N_EVENTS]].copy())
-            counters[ln.N_EVENTS] = 0
-    if not drained:
-        return results, np.empty((0, ln.N_EVENT_COLUMNS))
-    records = np.concatenate(drained)
-    return results, records.take(np.argsort(records[:, ln.E_POINT], kind="stable"), axis=0)
 
 
 def _split_turns(start_phase, span, frequency):
@@ -310,7 +160,7 @@ class Scenes:
 
 
 def integrate(
-    law: ContactLaw,
+    law: Law,
     *,
     omega: ArrayLike,
     t_end: ArrayLike,
@@ -360,7 +210,7 @@ def integrate(
 
 
 def scenes(
-    law: ContactLaw,
+    law: Law,
     zeta: NDArray[np.float64],
     omega_n: NDArray[np.float64],
     mass: NDArray[np.float64],
@@ -380,7 +230,7 @@ def scenes(
 
     Parameters
     ----------
-    law : ContactLaw
+    law : Law
         From `representations`; its parameters may be arrays, shape (n,).
     zeta, mass, alpha, forcing : ndarray, shape (n,)
         Damping ratio [-], mass [kg], cubic stiffness [N/m^3], forcing amplitude [N].
@@ -478,7 +328,7 @@ def run(
     settings[ln.S_TANGENT], settings[ln.S_DENSE] = tangent, dense_output
     settings[ln.S_CONTACTS], settings[ln.S_SECTION_ONLY] = contacts, section_only
     queue = np.arange(len(which)) if queue is None else queue
-    results, records = _drained(prepared.kind, prepared.method, table, queue, settings)
+    results, records = drained(prepared.kind, prepared.method, table, queue, settings)
     return _result(prepared.kind, prepared.method, table, settings, results, records, t_0, t_end)
 
 

@@ -162,7 +162,7 @@ class Modes:
 
     Attributes
     ----------
-    above, below, touching : list of Mask
+    touching : list of Mask
     wall : list of Vec
         The wall that is touched; 0 if none is: a wall at infinity is never touched.
     lo, hi : list of Vec
@@ -172,15 +172,10 @@ class Modes:
     """
 
     def __init__(self, lanes):
-        names = ("above", "below", "touching", "wall", "lo", "hi", "stiffness")
-        self.above, self.below, self.touching, self.wall, self.lo, self.hi, self.stiffness = (
-            [] for _ in names
-        )
+        self.touching, self.wall, self.lo, self.hi, self.stiffness = [], [], [], [], []
         blocks = (lanes.rows(name) for name in ("mode", "lower", "upper", "contact"))
         for mode, lower, upper, contact in zip(*blocks, strict=True):
             above, below = mode > 0.0, mode < 0.0
-            self.above.append(above)
-            self.below.append(below)
             self.touching.append(above | below)
             self.stiffness.append(where(above | below, contact, 0.0))
             self.wall.append(where(above, upper, where(below, lower, 0.0)))

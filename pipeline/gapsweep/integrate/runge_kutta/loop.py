@@ -1,0 +1,143 @@
+"""The stepping loop of the Runge-Kutta methods: lanes that each take the next point when done."""
+
+import numpy as np
+from numba import njit
+
+from gapsweep.integrate import simd
+from gapsweep.integrate.jit import entry
+
+from . import lanes as ln
+from . import laws
+from .attempt import attempt
+from .lanes import load_first_points, load_point, unload_point
+from .probing import new_scratch
+from .recording import attend
+
+# Attempts per call: keyboard interrupts are seen between calls.
+_ATTEMPTS_PER_CALL = 2_000_000
+# Rows of the record buffer; a full buffer is drained and the loop entered again.
+_BUFFER_ROWS = 65536
+_DONE, _PAUSED = 0, 1
+
+
+def _advance(
+    law,
+    tableau,
+    lane,
+    lane_int,
+    q,
+    k,
+    k_tangent,
+    probes,
+    scratch,
+    events,
+    counters,
+    table,
+    queue,
+    results,
+    settings,
+):
+    """Run lanes until all points are done or the event buffer could overflow.
+
+    All state is in the arguments, so calling again goes on where this call left off.
+    """
+    is_located = laws.is_located(law)
+    all_lanes = (np.int64(1) << simd.WIDTH) - 1
+    watched = all_lanes  # lanes that are not simply stepping
+    for _ in range(_ATTEMPTS_PER_CALL):
+        if counters[ln.N_EVENTS] > events.shape[0] - 3 * simd.WIDTH:
+            return _PAUSED
+        outcome = attempt(law, q, lane, tableau, k, k_tangent, settings)
+        attention = (
+            watched
+            | outcome.ended
+            | outcome.failed
+            | outcome.stopped
+            | outcome.recorded
+            | outcome.dipped
+        )
+        if attention == 0:
+            continue
+        n_idle = 0
+        watched = 0
+        for i in range(simd.WIDTH):
+            if (attention >> i) & 1 and lane_int[ln.MODE, i] != ln.IDLE:
+                status = attend(
+                    lane,
+                    lane_int,
+                    q,
+                    probes,
+                    scratch,
+                    events,
+                    counters,
+                    settings,
+                    outcome,
+                    is_located,
+                    i,
+                )
+                if status >= 0:
+                    unload_point(lane, lane_int, results, status, tableau.c.size - 1, i)
+                    if counters[ln.NEXT_POINT] < table.shape[0]:
+                        load_point(lane, lane_int, q, table, queue[counters[ln.NEXT_POINT]], i)
+                        counters[ln.NEXT_POINT] += 1
+            n_idle += lane_int[ln.MODE, i] == ln.IDLE
+            # An idle lane repeats attempts of length zero; nobody looks at it any more.
+            if lane_int[ln.MODE, i] != ln.STEPPING and lane_int[ln.MODE, i] != ln.IDLE:
+                watched |= np.int64(1) << i
+        if n_idle == simd.WIDTH:
+            return _DONE
+    return _PAUSED
+
+
+# One function, one specialisation per law type. A user's law is a type that exists in this process
+# only, so it goes through a second dispatcher that leaves the disk cache alone.
+_advance_cached = entry(_advance)
+_advance_user = njit(nogil=True)(_advance)
+
+
+def drained(law, tableau, table, queue, settings):
+    """Result table and records of a point table; the queue says in which order they are loaded."""
+    width, n_stages = simd.WIDTH, tableau.c.size
+    lane, q = ln.aligned(ln.N_ROWS, width), ln.aligned(laws.N_PARAMETERS, width)
+    lane_int = np.zeros((ln.N_INT_ROWS, width), np.int64)
+    k, k_tangent = ln.aligned(n_stages, width), ln.aligned(2 * n_stages + 4, width)
+    probes, scratch = np.zeros((2 * ln.MAX_PROBES, width)), new_scratch()
+    records_on = settings[ln.S_DENSE] > 0.0 or bool(np.any(np.isfinite(table[:, ln.P_RECORD])))
+    rows = max(
+        _BUFFER_ROWS if records_on else 0, 4 * width
+    )  # one attempt writes up to 3 rows per lane
+    events = np.empty((rows, ln.N_EVENT_COLUMNS))
+    counters = np.zeros(2, np.int64)
+    results = np.zeros((len(table), ln.N_RESULTS))
+    lane[ln.EXACT] = 1.0
+    lane[ln.PERIOD] = 1.0
+    counters[ln.NEXT_POINT] = load_first_points(lane, lane_int, q, table, queue)
+    # An idle lane computes along with length zero; harmless numbers keep it off the slow paths.
+    q[:, len(table) :] = q[:, :1]
+    advance = _advance_user if isinstance(law, laws.User) else _advance_cached
+    parts, state = [], _PAUSED
+    while state != _DONE:
+        state = advance(
+            law,
+            tableau,
+            lane,
+            lane_int,
+            q,
+            k,
+            k_tangent,
+            probes,
+            scratch,
+            events,
+            counters,
+            table,
+            queue,
+            results,
+            settings,
+        )
+        if counters[ln.N_EVENTS]:
+            parts.append(events[: counters[ln.N_EVENTS]].copy())
+            counters[ln.N_EVENTS] = 0
+    if not parts:
+        return results, np.empty((0, ln.N_EVENT_COLUMNS))
+    records = np.concatenate(parts)
+    return results, records.take(np.argsort(records[:, ln.E_POINT], kind="stable"), axis=0)
