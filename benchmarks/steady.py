@@ -23,9 +23,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests.oracles import orbit_distance
+from tests.section_points import complex_points, parts
 
 import gapsweep as gs
-from gapsweep.response.section import period_multiple, scaled
+from gapsweep.response.section import period_multiple
 
 OSCILLATOR = gs.Oscillator()
 GAPS = (gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3))
@@ -52,9 +53,9 @@ def brute_force(law, omega, x_0, v_0, rtol=1e-12):
     window = gs.simulate(
         OSCILLATOR, law, omega, settled.x, settled.v, t_end=N_SECTION / omega, **tight
     )
-    section = scaled(window.section, omega)
+    section = complex_points(window.section, omega)
     reach = np.abs(section.view(float)).max()
-    return period_multiple(section, 1e-7 * reach, 32), section
+    return period_multiple(parts(section), 1e-7 * reach, 32), section
 
 
 def main():
@@ -80,7 +81,7 @@ def main():
             saved.append((FIXED_TRANSIENT + N_SECTION / omega) / response.t_simulated)
         if agrees and n:
             n_periodic += 1
-            own = scaled(np.reshape(response.section, (-1, 2)), omega)
+            own = complex_points(response.section, omega)
             distance = orbit_distance(own, section[:n])
             same_attractor += distance < 1e-4 * np.abs(section.view(float)).max()
         if not agrees:

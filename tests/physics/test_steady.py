@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from tests.oracles import orbit_distance
+from tests.section_points import parts
 from tests.stored import tile_rows
 
 import gapsweep as gs
@@ -20,6 +21,7 @@ from gapsweep.response.section import (
     period_multiple,
     period_multiples,
     prime_multiple,
+    unit_of,
 )
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
@@ -120,7 +122,9 @@ def test_exponents_of_the_tangent_and_of_neighbouring_motions_agree():
 
 def grouped(responses, omega, *, symmetric):
     one = np.zeros(len(responses), int)
-    return attractors_of_scenes(Responses.of(responses), one, omega=[omega], symmetric=symmetric)
+    return attractors_of_scenes(
+        Responses.of(responses), one, unit=unit_of(omega), symmetric=symmetric
+    )
 
 
 def test_mirror_twins_are_named():
@@ -207,8 +211,8 @@ def test_loose_tolerances_still_find_the_period():
     assert response.multiplier_abs == pytest.approx(0.9006, abs=0.02)
 
 
-parts = st.floats(-1, 1)
-orbits = st.lists(st.builds(complex, parts, parts), min_size=1, max_size=6)
+part = st.floats(-1, 1)
+orbits = st.lists(st.builds(complex, part, part), min_size=1, max_size=6)
 
 
 @given(orbits, st.integers(0, 5))
@@ -225,9 +229,9 @@ def test_orbits_of_different_period_are_infinitely_apart():
 
 @given(orbits, st.integers(1, 4))
 def test_prime_multiple_undoes_repetition(orbit, times):
-    prime = prime_multiple(orbit, 1e-12)
+    prime = prime_multiple(parts(orbit), 1e-12)
     assert len(orbit) % prime == 0
-    assert prime_multiple(orbit * times, 1e-12) == prime
+    assert prime_multiple(parts(orbit * times), 1e-12) == prime
 
 
 def test_contraction_is_told_from_drift_and_growth():
@@ -236,7 +240,7 @@ def test_contraction_is_told_from_drift_and_growth():
         sections = np.full((2, len(section) + 9), 1e9 + 0j)
         sections[0, : len(section)] = section
         lengths, both = np.array([len(section), len(section) + 9]), np.full(2, closeness)
-        return converging_multiples(sections, lengths, both, largest).tolist()[0]
+        return converging_multiples(parts(sections), lengths, both, largest).tolist()[0]
 
     k = np.arange(12.0)
     towards = 0.8**k + 0j
@@ -258,8 +262,8 @@ def test_many_sections_repeat_as_each_does(given, tolerance, times):
     for row, section in zip(table, sections, strict=True):
         row[: len(section)] = section
     some = np.arange(len(sections))[::-1]
-    found = period_multiples(table, lengths, some, np.full(len(some), tolerance), 8)
-    alone = [period_multiple(sections[i].tolist(), tolerance, 8) for i in some]
+    found = period_multiples(parts(table), lengths, some, np.full(len(some), tolerance), 8)
+    alone = [period_multiple(parts(sections[i]), tolerance, 8) for i in some]
     assert found.tolist() == alone
 
 
@@ -267,8 +271,9 @@ def test_one_outlier_does_not_separate_two_clouds():
     rng = np.random.default_rng(3)
     cloud = rng.normal(size=40) + 1j * rng.normal(size=40)
     other = np.append(cloud[1:], 100.0)
-    assert cloud_distances(cloud[None], other[None])[0] < 1.0
-    assert cloud_distances(cloud[None], cloud[None] + 100.0)[0] > 90.0
+    cloud, other, away = (parts(each[None]) for each in (cloud, other, cloud + 100.0))
+    assert cloud_distances(cloud, other)[0] < 1.0
+    assert cloud_distances(cloud, away)[0] > 90.0
 
 
 @pytest.mark.parametrize(

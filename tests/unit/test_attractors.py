@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 from tests.oracles import orbit_distance
+from tests.section_points import complex_points
 
 from gapsweep.response.attractors import NONE, attractors_of_scenes
 from gapsweep.response.result import Response, ResponseClass, Responses
-from gapsweep.response.section import scaled
+from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 
 OMEGA = 7.0
@@ -18,7 +19,7 @@ OMEGA = 7.0
 
 
 def points(response, omega):
-    return scaled(np.reshape(response.section, (-1, 2)), omega)
+    return complex_points(response.section, omega)
 
 
 def same(a, b, omega):
@@ -142,7 +143,7 @@ def test_scenes_together_and_alone_as_one_by_one(seed):
     counted, symmetric = rng.random(n) < 0.7, rng.random(n_scenes) < 0.7
     omega = OMEGA * (1.0 + 1e-5 * np.arange(n_scenes))
     together = attractors_of_scenes(
-        responses, scene, omega=omega, symmetric=symmetric, counted=counted
+        responses, scene, unit=unit_of(omega), symmetric=symmetric, counted=counted
     )
     assert np.all(np.diff(together.scene) >= 0)
     for s in range(n_scenes):
@@ -151,7 +152,7 @@ def test_scenes_together_and_alone_as_one_by_one(seed):
         expected = straightforward(its, omega[s], symmetric[s], counted[here].tolist())
         alone = attractors_of_scenes(
             responses.take(here), np.zeros(len(here), int),
-            omega=omega[[s]], symmetric=symmetric[[s]], counted=counted[here],
+            unit=unit_of(omega[s]), symmetric=symmetric[[s]], counted=counted[here],
         )  # fmt: skip
         columns = (c.tolist() for c in (alone.mirror_of, alone.n_ending, alone.n_starts))
         assert list(zip(members(alone), *columns, strict=True)) == expected
@@ -169,7 +170,8 @@ def test_the_random_sets_hold_what_matters():
     rows = [random_response(rng, orbits(rng, 2)[:8]) for _ in range(10)]
     rows += [random_response(rng, families) for families in [orbits(rng, 2)] for _ in range(300)]
     responses = Responses.of(rows)
-    found = attractors_of_scenes(responses, np.zeros(len(rows), int), omega=[OMEGA], symmetric=True)
+    one = np.zeros(len(rows), int)
+    found = attractors_of_scenes(responses, one, unit=unit_of(OMEGA), symmetric=True)
     assert sum(len(each) > 3 for each in members(found)) > 5
     images = found.mirror_of.tolist()
     assert any(image not in (NONE, k) for k, image in enumerate(images))

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from tests.section_points import parts
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
@@ -282,9 +283,9 @@ def test_scatter_beyond_its_bound_has_no_multiple():
     rng = np.random.default_rng(0)
     section = np.tile([0.0, 1.0j], 32) + 1e-3 * rng.normal(size=64)
     distance = 1e-3 * math.sqrt(2.0)
-    assert likely_multiple(section.tolist(), 0.1, 8) == 2
-    assert likely_multiple(section.tolist(), 0.1, 8, scatter=1.5 * distance) == 2
-    assert likely_multiple(section.tolist(), 0.1, 8, scatter=0.5 * distance) == 0
+    assert likely_multiple(parts(section), 0.1, 8) == 2
+    assert likely_multiple(parts(section), 0.1, 8, scatter=1.5 * distance) == 2
+    assert likely_multiple(parts(section), 0.1, 8, scatter=0.5 * distance) == 0
 
 
 def test_an_orbit_that_is_not_approached_leaves_no_gap_in_the_window():
@@ -322,15 +323,15 @@ def test_an_exponent_that_nothing_is_left_of_is_not_invented():
 def test_period_multiple_is_the_smallest_repeat():
     one = [1.0 + 0.0j] * 16
     three = [1.0 + 0.0j, 2.0 + 0.0j, 1.0 + 3.0j] * 6
-    assert period_multiple(one, 1e-9, 8) == 1
-    assert period_multiple(three, 1e-9, 8) == 3
-    assert period_multiple(three, 1e-9, 2) == 0
-    assert period_multiple(three[:5], 1e-9, 8) == 0, "two whole repeats are needed"
+    assert period_multiple(parts(one), 1e-9, 8) == 1
+    assert period_multiple(parts(three), 1e-9, 8) == 3
+    assert period_multiple(parts(three), 1e-9, 2) == 0
+    assert period_multiple(parts(three[:5]), 1e-9, 8) == 0, "two whole repeats are needed"
 
 
 def test_slow_drift_is_no_period():
     drifting = [1e-3 * k + 0.0j for k in range(16)]
-    assert period_multiple(drifting, 1e-4, 8) == 0
+    assert period_multiple(parts(drifting), 1e-4, 8) == 0
 
 
 @pytest.mark.parametrize(

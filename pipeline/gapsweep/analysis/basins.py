@@ -15,6 +15,7 @@ from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import check_kinds, respond_all
 from gapsweep.response.result import Responses, Steady
+from gapsweep.response.section import unit_of
 
 Array = NDArray[np.float64]
 
@@ -97,7 +98,10 @@ def basins(
         answers = client.gather([client.submit(_answer, part, *settings) for part in parts])
     responses = Responses.concatenated(answers)
     found = attractors_of_scenes(
-        responses, np.zeros(x_0.size, int), omega=[omega], symmetric=law.gap.is_symmetric
+        responses,
+        np.zeros(x_0.size, int),
+        unit=unit_of(scene.omega),
+        symmetric=law.gap.is_symmetric,
     )
     columns = responses.take(found.first).columns
     dataset = xr.Dataset(

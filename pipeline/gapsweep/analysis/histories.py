@@ -21,7 +21,7 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.simulate import simulate
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
-from gapsweep.response.section import period_multiple, scaled
+from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import canonical
@@ -250,7 +250,7 @@ def _motion(asked: _Asked) -> Mapping[str, Any]:
         "v": v,
         "spectrum": spectrum(x[-1]),
         "period_multiple": period_multiple(
-            scaled(steady, asked.omega).tolist(), same, len(steady) // 2
+            scaled(steady, unit_of(asked.omega)), same, len(steady) // 2
         ),
         "status": motion.status,
     }

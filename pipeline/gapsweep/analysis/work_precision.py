@@ -50,6 +50,7 @@ from gapsweep.response.attractors import NONE, attractors_of_scenes
 from gapsweep.response.ensemble import Scene as Asked
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses, Steady
+from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 from gapsweep.study.schema import STATUS_FLAGS, Variable
 from gapsweep.study.study import Study
@@ -407,7 +408,9 @@ class Bench:
         if self.methods[cell[1]].label in scene.without:
             return
         pair = Responses.of([found, true])
-        both = attractors_of_scenes(pair, [0, 0], omega=[scene.omega], symmetric=False).of_response
+        both = attractors_of_scenes(
+            pair, [0, 0], unit=unit_of(scene.omega), symmetric=False
+        ).of_response
         self.arrays[f"same_attractor{suffix}"][cell] = both[0] == both[1] != NONE
         error = abs(found.amplitude - true.amplitude) / true.amplitude
         name = f"amplitude{suffix}_error" if suffix else "amplitude_error"

@@ -19,6 +19,7 @@ from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attr
 from gapsweep.execution.plan import Plan
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.result import COLUMNS, ResponseClass, Responses
+from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
@@ -166,7 +167,7 @@ def _group(
     found = attractors_of_scenes(
         responses,
         np.ravel_multi_index(tuple(at[:-1]), shape),
-        omega=layout.omega(piece),
+        unit=unit_of(layout.omega(piece)),
         symmetric=layout.is_symmetric(piece),
         counted=layout.grid.starts.is_fixed[at[-1]],
     )

@@ -19,9 +19,10 @@ class Events:
     Attributes
     ----------
     t_extrema, extrema : ndarray, shape (sum of n_extrema,)
-        Times [s] and values [m] of all zero-velocity points of coordinates after the start.
+        Times [s] and values [m] of all zero-velocity points after the start: of coordinates, and
+        of the gaps of a system's contacts.
     extrema_of : ndarray of int, shape (sum of n_extrema,)
-        The coordinate of each.
+        The coordinate of each; of a gap, its contact after all coordinates.
     t_contacts : ndarray, shape (sum of n_contacts,)
         Times [s] at which a contact crossed a wall, in or out.
     contacts_of : ndarray of int, shape (sum of n_contacts,)

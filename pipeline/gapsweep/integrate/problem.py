@@ -75,6 +75,19 @@ def law_kind(law: ContactLaw) -> Hashable:
     return law
 
 
+def kind(model: Oscillator | System, law: Any) -> Hashable:
+    """What models have in common that an engine can take together; `law` as in `Models`.
+
+    Raises
+    ------
+    ModelError
+        If a law is none.
+    """
+    if isinstance(model, System):
+        return model.sizes, tuple(map(law_kind, law))
+    return law_kind(law)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problems:
     """Initial value problems, m of them, that an engine solves in one call.

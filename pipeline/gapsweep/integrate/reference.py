@@ -175,9 +175,9 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
     with np.errstate(all="ignore"):
         t, y = (_located if scene.located else _plain)(scene, run, start, t_end - t_0)
     motion, since = _joined(run.pieces), float(problems.record_from[i]) - t_0
-    n, turns = scene.n_states, [_extrema(motion, i, scene.n) for i in range(scene.n)]
+    n, turns = scene.n_states, [_extrema(each) for each in _turning(scene, motion)]
     t_extrema, extrema = (np.concatenate([turn[k] for turn in turns]) for k in (0, 1))
-    of = np.repeat(range(scene.n), [len(turn[0]) for turn in turns])
+    of = np.repeat(range(len(turns)), [len(turn[0]) for turn in turns])
     is_late, contacts = t_extrema >= since, np.array(run.contacts).reshape(-1, 2)
     contacts = contacts[contacts[:, 0] >= since]
     return _Run(
@@ -426,10 +426,20 @@ def _roots(motion: PPoly, component: int, value: float) -> Array:
     return np.asarray(roots[after_start])
 
 
-def _extrema(motion: PPoly, coordinate: int, n: int) -> tuple[Array, Array]:
-    """Times and values of the zero-velocity points of one of n coordinates."""
-    t = _roots(motion, n + coordinate, 0.0)
-    return t, motion(t)[:, coordinate] if t.size else t
+def _turning(scene: Scene, motion: PPoly) -> list[PPoly]:
+    """What extrema are recorded of, each with its rate: coordinates, a system's gaps."""
+    n = scene.n
+    coordinates = [
+        PPoly.construct_fast(motion.c[:, :, i : n + i + 1 : n], motion.x) for i in range(n)
+    ]
+    gaps = [] if isinstance(scene, OscillatorScene) else range(len(scene.laws))
+    return coordinates + [_gap_of(scene, motion, contact) for contact in gaps]
+
+
+def _extrema(motion: PPoly) -> tuple[Array, Array]:
+    """Times and values of the points where a motion of value and rate has no rate."""
+    t = _roots(motion, 1, 0.0)
+    return t, motion(t)[:, 0] if t.size else t
 
 
 def _section(motion: PPoly, scene: Scene, since: float, t_end: float) -> Array:

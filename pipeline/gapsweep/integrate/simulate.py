@@ -16,6 +16,8 @@ from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
 from gapsweep.model.system import System, fastest_mode
 
+Array = NDArray[np.float64]
+
 # Largest resolution of the clock, as a share of the natural period.
 _CLOCK_SHARE = 1e-9
 _ENGINES = {"compiled": compiled.prepared, "scipy": reference.prepared}
@@ -84,15 +86,7 @@ def simulate(
     t_0, t_end = checked("t_0", t_0), checked("t_end", t_end)
     if t_end <= t_0:
         raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
-    if isinstance(oscillator, System):
-        _zero("x_0", x_0, "a System starts from q_0, v_0 and z_0")
-        frequency, start = _system_starts(oscillator, omega, q_0, v_0, z_0)
-        laws: Any = _laws(oscillator, law)
-    else:
-        for name, value in (("q_0", q_0), ("z_0", z_0)):
-            _zero(name, value, "an Oscillator starts from x_0 and v_0")
-        frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
-        laws, start = law, np.stack([x_0, v_0], axis=-1)
+    frequency, start, laws = starts(oscillator, law, omega, x_0, v_0, q_0, z_0)
     n = frequency.size
     models = Models(systems=[oscillator] * n, laws=[laws] * n, omega=frequency.ravel())
     _check_clock(oscillator, frequency, t_0)
@@ -118,6 +112,44 @@ def simulate(
     return Trajectory(solve, t_0, frequency.shape, dense_output)
 
 
+def starts(
+    oscillator: Oscillator | System,
+    law: ContactLaw | Mapping[str, ContactLaw],
+    omega: ArrayLike | None,
+    x_0: ArrayLike,
+    v_0: ArrayLike,
+    q_0: ArrayLike,
+    z_0: ArrayLike,
+) -> tuple[Array, Array, Any]:
+    """Forcing frequencies, the states to start from, and the law, as `Models` has it.
+
+    Parameters
+    ----------
+    oscillator, law, omega, x_0, v_0, q_0, z_0
+        As in `simulate`.
+
+    Returns
+    -------
+    omega : ndarray
+        In the shape that all have together [Hz]; zero where nothing is forced.
+    start : ndarray, shape (..., n_states)
+        Displacements [m], velocities [m/s] and first-order states.
+    law : ContactLaw or tuple of ContactLaw
+
+    Raises
+    ------
+    ModelError
+        If an argument is out of range, or not one of such a model.
+    """
+    if isinstance(oscillator, System):
+        _zero("x_0", x_0, "a System starts from q_0, v_0 and z_0")
+        return *_system_starts(oscillator, omega, q_0, v_0, z_0), _laws(oscillator, law)
+    for name, value in (("q_0", q_0), ("z_0", z_0)):
+        _zero(name, value, "an Oscillator starts from x_0 and v_0")
+    frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
+    return frequency, np.stack([x_0, v_0], axis=-1), law
+
+
 def _zero(name: str, value: ArrayLike, remedy: str) -> None:
     """Refuse a start that a model of this kind does not have."""
     (given,) = broadcast(**{name: value})
@@ -136,7 +168,7 @@ def _laws(system: System, law: ContactLaw | Mapping[str, ContactLaw]) -> tuple[C
 
 def _system_starts(
     system: System, omega: ArrayLike | None, q_0: ArrayLike, v_0: ArrayLike, z_0: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Forcing frequencies, zero where nothing is forced, and states along the last axis."""
     if (omega is None) == system.is_forced:
         said = "missing; this System is forced" if system.is_forced else "this System is not forced"

@@ -10,7 +10,7 @@ A system's arrays are its identity: nothing else enters what is computed for it.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,6 +23,7 @@ from gapsweep.model.oscillator import LARGEST, SMALLEST, checked, whole
 Array = NDArray[np.float64]
 
 MAX_COORDINATES, MAX_LAGS, MAX_CONTACTS, MAX_HARMONIC = 16, 16, 8, 1000
+_STILL = 1e-12  # of the fastest rate: what changes as slowly does not change
 
 
 def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -237,6 +238,63 @@ class System:
     def is_forced(self) -> bool:
         """Whether anything in it repeats with the forcing's period."""
         return any(self.modulation.values()) or any(load.k > 0 for load in self.forcing)
+
+    @property
+    def n_states(self) -> int:
+        """Length of a state (q, v, z)."""
+        return 2 * self.n + self.n_lags
+
+    @property
+    def sizes(self) -> Hashable:
+        """What systems have in common that an engine can take together."""
+        harmonics = tuple((load.k, load.phase) for load in self.forcing)
+        terms = tuple(map(len, self.modulation.values()))
+        return self.n, self.n_lags, len(self.contacts), len(self.cubic), harmonics, terms
+
+    @property
+    def directions(self) -> Array:
+        """Directions of the contacts, shape (n_contacts, n)."""
+        return np.array([*self.contacts.values()]).reshape(-1, self.n)
+
+    @property
+    def decay_rate(self) -> float:
+        """Rate [1/s] at which a volume of states shrinks, whatever the forces, per state."""
+        return -float(np.trace(first_order(self))) / self.n_states
+
+    @property
+    def settling_rate(self) -> float:
+        """Rate [1/s] at which the last of a free motion out of contact decays; 0: it never does.
+
+        What neither decays nor grows there, for nothing but contacts holds it, does not count:
+        in contact it decays as the volume does.
+        """
+        rates = -np.linalg.eigvals(first_order(self)).real
+        decaying: list[float] = rates[rates > _STILL * np.abs(rates).max()].tolist()
+        return max(0.0, min([self.decay_rate, *decaying]))
+
+    def unit(self, omega_rad: float) -> Array:
+        """What is as large as one metre of the lightest coordinate, for every state.
+
+        Coordinates and velocities are measured by their kinetic energy, first-order states by what
+        such a motion makes of them.
+
+        Parameters
+        ----------
+        omega_rad : float
+            Angular frequency of the motion [rad/s].
+
+        Returns
+        -------
+        ndarray, shape (n_states,)
+        """
+        masses = np.diag(self.mass)
+        place = np.sqrt(masses.min() / masses)
+        if self.lags is None:
+            return np.concatenate([place, omega_rad * place])
+        driven = np.abs(self.lags.of_place) + omega_rad * np.abs(self.lags.of_speed)
+        rate = max(omega_rad, float(np.abs(np.linalg.eigvals(self.lags.of_lags)).max()))
+        lags = (driven * place).max(axis=1) / rate
+        return np.concatenate([place, omega_rad * place, np.where(lags > 0.0, lags, 1.0)])
 
 
 def _check_mass(mass: Array) -> None:

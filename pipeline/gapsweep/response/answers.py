@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.ensemble import Call, Ensemble
+from gapsweep.response.ensemble import Call, Ensemble, acceleration
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares, largest_forces
 from gapsweep.response.maps import NOTHING
@@ -21,6 +21,7 @@ from gapsweep.response.result import (
     Steady,
     missing,
 )
+from gapsweep.response.section import reach_of
 from gapsweep.response.shooting import Shots
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
@@ -59,10 +60,15 @@ def answers(
     read["t_settled"] = t_settled[points]
     lists["multipliers"] = _multipliers(points, shots, found)
     lists["section"] = section, counts = _section(points, walks, found, states, steady)
-    ends = np.cumsum(counts)
-    read["x_end"], read["v_end"] = section[ends - 2], section[ends - 1]
+    end = section[(np.cumsum(counts) - len(walks.y))[:, None] + np.arange(len(walks.y))]
+    n_q = ensemble.n_coordinates
+    read["x_end"], read["v_end"] = end[:, :n_q], end[:, n_q : 2 * n_q]
     columns = missing(n)
     for name, values in read.items():
+        if values.ndim > 1 and ensemble.is_plain:
+            values = values[:, 0]  # its only coordinate, its only contact
+        if values.ndim > 1:
+            columns[name] = np.repeat(columns[name][:, None], values.shape[1], axis=1)
         columns[name][points] = values
     columns["status"][failures], messages = _failures(failures, ensemble, walks)
     columns |= ensemble.costs()
@@ -79,12 +85,18 @@ def _failures(
     failures: Numbers, ensemble: Ensemble, walks: Walks
 ) -> tuple[list[Status], dict[int, str]]:
     """Status of the points that failed, and what to say of it by point."""
+    y = walks.y[:, failures]
+    gaps = ensemble.gaps(ensemble.turning(failures, y))
+    is_inside = np.abs(gaps) <= ensemble.valid_range[:, failures]
+    has_left = np.asarray(~is_inside.all(axis=0))
     statuses, messages = [], {}
-    for point in failures.tolist():
-        x, reached = float(walks.y[0, point]), Status(walks.status[point])
-        left_range = not abs(x) <= ensemble.valid_range[point]
-        statuses.append(Status.OUT_OF_FIT_RANGE if left_range else reached)
-        messages[point] = f"{reached.label} before t = {walks.t[point]:.6g} s at x = {x:.3g} m"
+    for k, point in enumerate(failures.tolist()):
+        reached = Status(walks.status[point])
+        statuses.append(Status.OUT_OF_FIT_RANGE if has_left[k] else reached)
+        model = ensemble.scenes[point].oscillator
+        names = ("x",) if ensemble.is_plain else model.coordinates
+        places = ", ".join(f"{name} = {q:.3g} m" for name, q in zip(names, y[:, k], strict=False))
+        messages[point] = f"{reached.label} before t = {walks.t[point]:.6g} s at {places}"
     return statuses, messages
 
 
@@ -125,12 +137,12 @@ def _stability(
 
 def _multipliers(points: Numbers, shots: Shots, found: Found) -> tuple[Array, Counts]:
     """Floquet multipliers of the orbits among some points, real part and imaginary part in turn."""
-    is_orbit = found.is_periodic[points]
-    return shots.multipliers[points[is_orbit]].view(float).ravel(), np.where(is_orbit, 4, 0)
+    is_orbit, size = found.is_periodic[points], 2 * shots.multipliers.shape[1]
+    return shots.multipliers[points[is_orbit]].view(float).ravel(), np.where(is_orbit, size, 0)
 
 
 def _record(orbits: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots) -> Lists:
-    """States ``x, v, x, v, ...`` [m], [m/s] of orbits after each forcing period of a whole period.
+    """States (q, v, z) of orbits after each forcing period of a whole period, one after the other.
 
     Their extrema and contacts join those of the last windows of other motions.
     """
@@ -139,10 +151,9 @@ def _record(orbits: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots) -> 
         y, n = shots.y[:, orbits], shots.n[orbits]
         call = ensemble.call(orbits, y, n, np.zeros(len(orbits)), section_only=False)
         walks.y[:, orbits], walks.status[orbits] = y, call.status
-        walks.extrema.put(orbits, *_whole_period(ensemble, orbits, y, call))
-        walls = ensemble.walls[:, orbits]
-        walks.contact_share[orbits] = contact_shares(call, y[0], walls, closed=True)
-        states.put(orbits, call.events.section.ravel(), 2 * call.events.n_section)
+        walks.extrema.put(walks.rows(orbits), *_whole_period(walks, orbits, y, call))
+        walks.contact_share[:, orbits] = contact_shares(ensemble, orbits, y, call, closed=True)
+        states.put(orbits, call.events.section.ravel(), len(y) * call.events.n_section)
     return states
 
 
@@ -151,12 +162,13 @@ def _section(
 ) -> tuple[Array, Counts]:
     """States of some points: of orbits as recorded, of other motions the last of their windows."""
     others = points[~found.is_periodic[points]]
-    length, width = walks.length[others], walks.section.shape[1]
+    n_states, _, width = walks.section.shape
+    length = walks.length[others]
     counts = np.minimum(length, steady.max_period_multiple)
-    window = walks.section.ravel()[spans(others * width + length - counts, counts)]
-    omega_rad = np.repeat(2.0 * math.pi * walks.ensemble.omega[others], counts)
-    last = np.stack((window.real, window.imag * omega_rad), axis=1)
-    states.put(others, last.ravel(), 2 * counts)
+    last = spans(others * width + length - counts, counts)
+    window = walks.section.reshape(n_states, -1)[:, last]
+    window = window * np.repeat(walks.ensemble.unit[:, others], counts, axis=1)
+    states.put(others, window.T.ravel(), n_states * counts)
     return states.of(points)
 
 
@@ -164,56 +176,71 @@ def _read_off(
     points: Numbers, ensemble: Ensemble, walks: Walks, found: Found, steady: Steady
 ) -> tuple[dict[str, Array | Counts], dict[str, tuple[Array | Counts, Counts]]]:
     """Columns and lists that are read off the recorded extrema of some points."""
-    is_orbit, y = found.is_periodic[points], walks.y[:, points]
-    x, counts = walks.extrema.of(points)
-    kinds, first = _kinds(x, counts, is_orbit), np.cumsum(counts) - counts
-    # A response without a turning point in its window still has a position.
-    x_max, x_min, seen = y[0].copy(), y[0].copy(), np.flatnonzero(counts)
+    is_orbit, place = found.is_periodic[points], ensemble.turning(points, walks.y[:, points])
+    n_q = ensemble.n_coordinates
+    x, counts = walks.extrema.of(walks.rows(points))
+    first = np.cumsum(counts) - counts
+    kinds = _kinds(x, counts, np.repeat(is_orbit, walks.n_turning))
+    # What has no turning point in its window still has a place.
+    largest: Array = place.T.flatten()
+    smallest = largest.copy()
+    seen = np.flatnonzero(counts)
     if seen.size:
-        x_max[seen] = np.maximum.reduceat(x, first[seen])
-        x_min[seen] = np.minimum.reduceat(x, first[seen])
-    walks.reach[points] = np.maximum(np.abs(x_max), np.abs(x_min))
-    has_left = walks.reach[points] > ensemble.valid_range[points]
+        largest[seen] = np.maximum.reduceat(x, first[seen])
+        smallest[seen] = np.minimum.reduceat(x, first[seen])
+    # One row a point, one column for every coordinate, then for every gap.
+    shape = -1, walks.n_turning
+    largest, smallest = largest.reshape(shape), smallest.reshape(shape)
+    counts, first = counts.reshape(shape), first.reshape(shape)
+    x_max, x_min = largest[:, :n_q], smallest[:, :n_q]
+    reach = np.maximum(np.abs(x_max), np.abs(x_min))
+    walks.reach[points] = reach_of(reach.T, ensemble.unit[:, points])
+    gap_max, gap_min = (ensemble.gaps(each.T) for each in (largest, smallest))
+    has_left = np.maximum(np.abs(gap_max), np.abs(gap_min)) > ensemble.valid_range[:, points]
     is_known = is_orbit | found.is_chaotic[points]
     status = np.where(is_known, Status.OK, Status.UNRESOLVED)
-    status[has_left] = Status.OUT_OF_FIT_RANGE
-    laws = [ensemble.scenes[point].law for point in points.tolist()]
-    n_shown = np.minimum(counts, steady.max_extrema)
-    shown = spans(first, n_shown)
+    status[has_left.any(axis=0)] = Status.OUT_OF_FIT_RANGE
+    laws = zip(*(ensemble.scenes[point].laws for point in points.tolist()), strict=True)
+    forces = [largest_forces(*each) for each in zip(laws, gap_min, gap_max, strict=False)]
+    n_shown = np.minimum(counts[:, :n_q], steady.max_extrema)
+    shown = spans(first[:, :n_q].ravel(), n_shown.ravel())
     columns = {
         "status": status,
-        "n_extrema": counts,
+        "n_extrema": counts[:, :n_q],
         "x_max": x_max,
         "x_min": x_min,
         "amplitude": 0.5 * (x_max - x_min),
-        "force_max": largest_forces(laws, x_min, x_max),
-        "contact_share": walks.contact_share[points],
+        "force_max": np.array(forces).reshape(len(ensemble.valid_range), len(points)).T,
+        "contact_share": walks.contact_share[:, points].T,
     }
-    return columns, {"extrema": (x[shown], n_shown), "extremum_kind": (kinds[shown], n_shown)}
+    n_items = n_shown.sum(axis=1)
+    return columns, {"extrema": (x[shown], n_items), "extremum_kind": (kinds[shown], n_items)}
 
 
-def _whole_period(
-    ensemble: Ensemble, orbits: Numbers, y: Array, call: Call
-) -> tuple[Array, Counts]:
-    """Displacements [m] of the extrema of orbits, and how many are each one's.
+def _whole_period(walks: Walks, orbits: Numbers, y: Array, call: Call) -> tuple[Array, Counts]:
+    """Extrema [m] of orbits, and how many are each row's.
 
     The end of an orbit does not meet its start to the last bit. A turn just there would be missed,
     or counted at both: then the velocities have opposite signs, and the acceleration says which it
     is.
     """
-    x, counts = call.events.extrema, call.events.n_extrema
+    ensemble, n_q = walks.ensemble, walks.ensemble.n_coordinates
+    x, counts = walks.extrema_of(call)
+    counts = counts.ravel()
     ends = np.cumsum(counts)
-    missed, doubled = np.zeros(len(orbits), bool), np.zeros(len(orbits), bool)
-    (_, v_start), (x_end, v_end) = y, call.y
-    for k in np.flatnonzero(v_start * v_end < 0.0).tolist():
-        scene, at = ensemble.scenes[orbits[k]], float(x_end[k])
-        o, force = scene.oscillator, float(scene.law.force(at))
-        springs = o.mass * o.omega_n_rad**2 * at + o.alpha * at**3 + force
-        missed[k] = (v_start[k] - v_end[k]) * (o.forcing - springs) > 0.0
-        doubled[k] = not missed[k] and counts[k] > 0
+    missed, doubled = np.zeros(len(counts), bool), np.zeros(len(counts), bool)
+    at = ensemble.turning(orbits, call.y).T.ravel()
+    v_start, v_end = (ensemble.turning(orbits, each[n_q:]).T.ravel() for each in (y, call.y))
+    for row in np.flatnonzero(v_start * v_end < 0.0).tolist():
+        k, which = divmod(row, walks.n_turning)
+        orbit = orbits[[k]]
+        a = acceleration(ensemble.scenes[orbits[k]], call.y[:, k])
+        a_turning = ensemble.turning(orbit, a[:, None])[which, 0]
+        missed[row] = (v_start[row] - v_end[row]) * a_turning > 0.0
+        doubled[row] = not missed[row] and counts[row] > 0
     x = np.delete(x, (ends - counts)[doubled])
     counts = counts - doubled
-    x = np.insert(x, np.cumsum(counts)[missed], x_end[missed])
+    x = np.insert(x, np.cumsum(counts)[missed], at[missed])
     return x, counts + missed
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.response.lists import spans
 from gapsweep.response.result import ResponseClass, Responses
-from gapsweep.response.section import DEVIATIONS, cloud_distances
+from gapsweep.response.section import DEVIATIONS, cloud_distances, reach_of, scaled
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -83,7 +83,7 @@ def attractors_of_scenes(
     responses: Responses,
     scene: ArrayLike,
     *,
-    omega: ArrayLike,
+    unit: Array,
     symmetric: ArrayLike,
     counted: ArrayLike | None = None,
 ) -> Attractors:
@@ -101,26 +101,27 @@ def attractors_of_scenes(
         Of all scenes, in any order.
     scene : array_like of int, shape (n_responses,)
         Number of each response's scene, from 0 on.
-    omega : array_like, shape (n_scenes,)
-        Forcing frequencies [Hz].
+    unit : ndarray, shape (n_states, n_scenes)
+        What one metre of the section is in each component of a state.
     symmetric : bool or array_like of bool, shape (n_scenes,)
-        Whether the gap is symmetric, so that mirror images of attractors are attractors.
+        Whether the gap is symmetric, so that mirror images of attractors are attractors. Of
+        systems they are not looked for.
     counted : array_like of bool, shape (n_responses,), optional
         Which starts are a sample for basin shares; all if None. A sweep's are not.
     """
-    scene, omega = np.asarray(scene, np.intp), np.asarray(omega, float)
-    symmetric = np.broadcast_to(symmetric, omega.shape)
+    scene, n_scenes = np.asarray(scene, np.intp), unit.shape[1]
+    symmetric = np.broadcast_to(symmetric, n_scenes)
     sample = np.ones(len(scene), bool) if counted is None else np.asarray(counted, bool)
-    first = _firsts(responses, scene, omega)
+    first = _firsts(responses, scene, unit)
     leaders, place = _ordered(np.unique(first[first >= 0]), responses, scene)
     of_response = np.full(len(scene), NONE, np.intp)
     of_response[first >= 0] = place[first[first >= 0]]
     where = scene[leaders]
     number = np.arange(len(leaders)) - np.searchsorted(where, where)
     n_ending = np.bincount(of_response[sample & (first >= 0)], minlength=len(leaders))
-    n_starts = np.bincount(scene[sample], minlength=len(omega))[where]
+    n_starts = np.bincount(scene[sample], minlength=n_scenes)[where]
     mirror_of = np.full(len(leaders), NONE, np.intp)
-    rows = np.flatnonzero(symmetric[where])
+    rows = np.flatnonzero(symmetric[where] & (len(unit) == 2))
     mirror_of[rows] = _mirrors(rows, responses.take(leaders), where, number)
     return Attractors(of_response, where, number, leaders, n_ending, n_starts, mirror_of)
 
@@ -128,21 +129,29 @@ def attractors_of_scenes(
 # --- which are the same ---------------------------------------------------------------------------
 
 
-def _firsts(responses: Responses, scene: Numbers, omega: Array) -> Numbers:
+def _firsts(responses: Responses, scene: Numbers, unit: Array) -> Numbers:
     """Number of the first response on each response's attractor, `NONE` if it is on none."""
     kind = responses.columns["response_class"]
     states, lengths = responses.lists["section"]
-    n_points, begin = lengths // 2, (np.cumsum(lengths) - lengths) // 2
-    x, v = states[::2], states[1::2] / (2.0 * np.pi * np.repeat(omega[scene], n_points))
+    n_states = len(unit)
+    n_points, begin = lengths // n_states, (np.cumsum(lengths) - lengths) // n_states
+    points = scaled(states.reshape(-1, n_states), unit[:, np.repeat(scene, n_points)])
     first = np.full(len(scene), NONE, np.intp)
     is_orbit = (kind == ResponseClass.PERIODIC) & (n_points > 0)
+    reach = _reach(responses, unit[:, scene])
     for n in np.unique(n_points[is_orbit]).tolist():
         rows = np.flatnonzero(is_orbit & (n_points == n))
-        first[rows] = _led(rows, scene, _same_orbits(responses, x, v, begin, n))
+        first[rows] = _led(rows, scene, _same_orbits(responses, reach, points, begin, n))
     rows = np.flatnonzero((kind == ResponseClass.CHAOTIC) & (n_points > 0))
     if rows.size:
-        first[rows] = _led(rows, scene, _same_clouds(x, v, begin, n_points))
+        first[rows] = _led(rows, scene, _same_clouds(points, begin, n_points))
     return first
+
+
+def _reach(responses: Responses, unit: Array) -> Array:
+    """Largest moduli of displacements [m], as section points'."""
+    x_max, x_min = (np.atleast_2d(responses.columns[name].T) for name in ("x_max", "x_min"))
+    return reach_of(np.maximum(np.abs(x_max), np.abs(x_min)), unit)
 
 
 def _led(rows: Numbers, scene: Numbers, same: Same) -> Numbers:
@@ -162,10 +171,9 @@ def _led(rows: Numbers, scene: Numbers, same: Same) -> Numbers:
     return led
 
 
-def _same_orbits(responses: Responses, x: Array, v: Array, begin: Numbers, n: int) -> Same:
+def _same_orbits(responses: Responses, reach: Array, points: Array, begin: Numbers, n: int) -> Same:
     """Comparison of periodic orbits of n points."""
     columns = responses.columns
-    reach = np.maximum(np.abs(columns["x_max"]), np.abs(columns["x_min"]))
     error = columns["lyapunov_error"]
     noise = np.where(np.isfinite(columns["noise"]), columns["noise"], 0.0)
 
@@ -179,7 +187,7 @@ def _same_orbits(responses: Responses, x: Array, v: Array, begin: Numbers, n: in
             left = np.flatnonzero(~found)
             for k in range(n):
                 i, j = begin[a[left]] + (k - shift) % n, begin[b[left]] + k
-                apart = np.maximum(np.abs(x[i] - x[j]), np.abs(v[i] - v[j]))
+                apart = np.max([np.abs(part[i] - part[j]) for part in points], axis=0)
                 left = left[apart <= allowed[left]]
             found[left] = True
         return found
@@ -187,10 +195,8 @@ def _same_orbits(responses: Responses, x: Array, v: Array, begin: Numbers, n: in
     return same
 
 
-def _same_clouds(x: Array, v: Array, begin: Numbers, n_points: Numbers) -> Same:
+def _same_clouds(points: Array, begin: Numbers, n_points: Numbers) -> Same:
     """Comparison of samples of chaotic motions."""
-    points = np.empty(len(x), complex)
-    points.real, points.imag = x, v
 
     def same(a: Numbers, b: Numbers) -> Mask:
         found = np.empty(len(a), bool)
@@ -199,10 +205,9 @@ def _same_clouds(x: Array, v: Array, begin: Numbers, n_points: Numbers) -> Same:
             pairs = np.flatnonzero(sizes == size)
             n_a, n_b = (n_points[each[pairs[0]]] for each in (a, b))
             for some in _blocks(pairs, int(n_a * n_b)):
-                p = points[begin[a[some], None] + np.arange(n_a)]
-                q = points[begin[b[some], None] + np.arange(n_b)]
-                parts = p.real, p.imag, q.real, q.imag
-                extent = np.max([np.ptp(part, axis=1) for part in parts], axis=0)
+                p = points[:, begin[a[some], None] + np.arange(n_a)]
+                q = points[:, begin[b[some], None] + np.arange(n_b)]
+                extent = np.max([np.ptp(each, axis=2) for each in (p, q)], axis=(0, 1))
                 found[some] = cloud_distances(p, q) <= _SAME_CLOUD * extent
         return found
 
@@ -226,7 +231,8 @@ def _ordered(leaders: Numbers, responses: Responses, scene: Numbers) -> tuple[Nu
     several = np.flatnonzero(counts[where] > 1)
     keys = np.zeros((3, len(leaders)))
     for key, name in zip(keys, ("x_max", "x_min", "period_multiple"), strict=True):
-        values = responses.columns[name][leaders[several]].tolist()
+        # Of a system its first coordinate's.
+        values = np.atleast_2d(responses.columns[name].T)[0, leaders[several]].tolist()
         key[several] = [round(value, _DIGITS) for value in values]
     x_max, x_min, n = keys
     leaders = leaders[np.lexsort((leaders, n, x_min, x_max, where))]

@@ -5,7 +5,7 @@ No result depends on the others that share a call.
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.motion import Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
+from gapsweep.integrate.reference_scenes import OscillatorScene, SystemScene
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.oscillator import Oscillator
-from gapsweep.response.section import scaled
+from gapsweep.model.system import System
+from gapsweep.response.section import norm, reach_of, scaled, unit_of
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
-State = tuple[float, float]
 
 _COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 # A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
@@ -36,15 +37,28 @@ _UNSOUND, _ROUNDING = 1e-2, 1e-3
 class Scene:
     """What moves: the model, its forcing frequency [Hz] and the solver."""
 
-    oscillator: Oscillator
-    law: ContactLaw
+    oscillator: Oscillator | System
+    law: Any  # of a system a tuple, in the order of its contacts
     omega: float
     solver: Solver
 
     @property
-    def tangent_law(self) -> ContactLaw:
+    def laws(self) -> tuple[ContactLaw, ...]:
+        """The law of every contact."""
+        return self.law if isinstance(self.oscillator, System) else (self.law,)
+
+    @property
+    def is_located(self) -> bool:
+        """Whether all contacts are."""
+        return all(isinstance(law, Piecewise) and law.located for law in self.laws)
+
+    @property
+    def tangent_law(self) -> Any:
         """The same force, its kinks located if they can be."""
-        return replace(self.law, located=True) if isinstance(self.law, Piecewise) else self.law
+        laws = tuple(
+            replace(law, located=True) if isinstance(law, Piecewise) else law for law in self.laws
+        )
+        return laws if isinstance(self.oscillator, System) else laws[0]
 
     @property
     def tangent_solver(self) -> Solver:
@@ -54,8 +68,8 @@ class Scene:
         tangent makes there: at loose tolerances its growth would be the solver's own invention.
         """
         solver = self.solver
-        is_located = isinstance(self.law, Piecewise) and self.law.located
-        if is_located or (solver.rtol <= _TANGENT_RTOL and not isinstance(self.law, Piecewise)):
+        has_kinks = any(isinstance(law, Piecewise) for law in self.laws)
+        if self.is_located or (solver.rtol <= _TANGENT_RTOL and not has_kinks):
             return solver
         rtol = min(solver.rtol, _TANGENT_RTOL)
         return Solver.of(solver.engine, rtol, solver.atol / solver.rtol * rtol)
@@ -71,13 +85,15 @@ class Call:
 
     Attributes
     ----------
-    y : ndarray, shape (2, n)
-        Their ends [m], [m/s].
+    y : ndarray, shape (n_states, n)
+        Their ends: displacements [m], velocities [m/s], first-order states.
+    unit : ndarray, shape (n_states, n)
+        What one metre of the section is in each component of a state.
     status : ndarray of int, shape (n,)
         `Status` values.
     n_steps : ndarray of int, shape (n,)
     reach : ndarray, shape (n,)
-        Largest modulus of the displacement at the ends of steps [m].
+        Largest modulus of a displacement at the ends of steps, as a section point's [m].
     t_end : ndarray, shape (n,)
         How long they are [s].
     """
@@ -85,17 +101,17 @@ class Call:
     def __init__(
         self,
         found: Motions,
-        omega: Array,
+        unit: Array,
         t_end: Array,
-        area_rate: Array,
+        volume_rate: Array,
         monodromy: Array | None,
         tangent_end: Array,
     ) -> None:
-        self._omega, self._monodromy, self._read = omega, monodromy, found.events
-        self._area_rate, self.t_end = area_rate, t_end
+        self.unit, self._monodromy, self._read = unit, monodromy, found.events
+        self._volume_rate, self.t_end = volume_rate, t_end
         self.y, self._tangent_end = found.state.T, tangent_end
         self.status = found.status
-        self.n_steps, self.reach = found.n_steps, found.reach[:, 0]
+        self.n_steps, self.reach = found.n_steps, reach_of(found.reach.T, unit)
         if self.status.any():
             # A fit that was left on the way but did not run away goes on; where its steady
             # response lies decides in the end.
@@ -104,23 +120,13 @@ class Call:
             self.status = np.where(excused, Status.OK, found.status)
 
     @property
-    def omega_rad(self) -> Array:
-        """Their angular forcing frequencies [rad/s]."""
-        return 2.0 * math.pi * self._omega
-
-    @property
     def is_ok(self) -> NDArray[np.bool_]:
         """Which motions did not fail."""
         return np.equal(self.status, Status.OK)
 
-    @property
-    def unit(self) -> Array:
-        """What one metre of the section is in each component of a state, shape (2, n)."""
-        return np.stack((np.ones_like(self._omega), self.omega_rad))
-
     @cached_property
     def monodromy(self) -> Array:
-        """Derivatives of the ends by the starts, as section points; shape (n, 2, 2).
+        """Derivatives of the ends by the starts, as section points; shape (n, n_states, n_states).
 
         With the tangent only. Without units, no arithmetic on them sees how fast clocks run.
         """
@@ -134,25 +140,25 @@ class Call:
 
         These start where they do, and their kinks are located.
         """
-        return np.asarray(np.hypot(*(self.y - self._tangent_end) / self.unit))
+        return norm((self.y - self._tangent_end) / self.unit)
 
     @cached_property
     def shrinkage(self) -> Array:
-        """Shares [-] of an area of the section that damping leaves, whatever the force."""
+        """Shares [-] of a volume of the section that damping leaves, whatever the forces."""
         # numpy's own exponential is another one on another processor.
-        return np.fromiter(map(math.exp, (-self._area_rate * self.t_end).tolist()), float)
+        return np.fromiter(map(math.exp, (-self._volume_rate * self.t_end).tolist()), float)
 
     @property
     def is_sound(self) -> NDArray[np.bool_]:
-        """Where the tangent shrinks areas as damping says, whatever the force.
+        """Where the tangent shrinks volumes as damping says, whatever the forces.
 
-        Its two directions shrink so differently that the determinant is known to no better than
-        rounding of its size squared.
+        Its directions shrink so differently that the determinant is known to no better than
+        rounding of as many factors of its size.
         """
         with np.errstate(all="ignore"):  # of motions that failed
             size = np.square(self.monodromy).sum(axis=(1, 2))
             missed = np.abs(np.linalg.det(self.monodromy) - self.shrinkage)
-            allowed = np.maximum(self.shrinkage, _ROUNDING * size)
+            allowed = np.maximum(self.shrinkage, _ROUNDING * size ** (0.5 * len(self.unit)))
         return np.asarray(missed <= _UNSOUND * allowed)
 
     @cached_property
@@ -163,9 +169,9 @@ class Call:
         return events
 
     @cached_property
-    def section(self) -> NDArray[np.complex128]:
-        """All section points [m], motion by motion."""
-        return scaled(self.events.section, np.repeat(self._omega, self.events.n_section))
+    def section(self) -> Array:
+        """All section points [m], motion by motion; shape (n_states, sum of n_section)."""
+        return scaled(self.events.section, np.repeat(self.unit, self.events.n_section, axis=1))
 
     @cached_property
     def period_ends(self) -> NDArray[np.int64]:
@@ -174,7 +180,7 @@ class Call:
 
 
 class Ensemble:
-    """Scenes of one solver and one kind of law: one call of the engine can take them all.
+    """Scenes of one solver and one kind of model: one call of the engine can take them all.
 
     Attributes
     ----------
@@ -183,11 +189,14 @@ class Ensemble:
     omega : ndarray, shape (n,)
         Forcing frequencies [Hz].
     decay_rate, settling_rate : ndarray, shape (n,)
-        As of an `Oscillator` [1/s].
-    valid_range : ndarray, shape (n,)
+        As of an `Oscillator` or a `System` [1/s].
+    unit : ndarray, shape (n_states, n)
+        As of a `Call`.
+    n_coordinates : int
+    valid_range : ndarray, shape (n_contacts, n)
         Of the laws [m].
-    walls : ndarray, shape (2, n)
-        Displacements of the lower and of the upper wall [m].
+    walls : ndarray, shape (2, n_contacts, n)
+        Places of the lower and of the upper walls in the contacts' gaps [m].
     has_own_tangent : bool
         As of a `Scene`.
     """
@@ -195,26 +204,55 @@ class Ensemble:
     def __init__(self, scenes: Sequence[Scene]) -> None:
         self.scenes, self.solver = scenes, scenes[0].solver
         self.omega = np.array([scene.omega for scene in scenes])
-        self.decay_rate = np.array([scene.oscillator.decay_rate for scene in scenes])
-        self.settling_rate = np.array([scene.oscillator.settling_rate for scene in scenes])
-        self.valid_range = np.array([scene.law.valid_range for scene in scenes])
-        gaps = [scene.law.gap for scene in scenes]
-        self.walls = np.array([[-gap.j_1 for gap in gaps], [gap.j_2 for gap in gaps]])
+        models: list[Any] = [scene.oscillator for scene in scenes]
+        self.is_plain = isinstance(models[0], Oscillator)
+        self.n_coordinates = 1 if self.is_plain else models[0].n
+        self.decay_rate = _of_models(models, lambda model: model.decay_rate)
+        self.settling_rate = _of_models(models, lambda model: model.settling_rate)
+        self.unit = unit_of(self.omega) if self.is_plain else _units(models, self.omega)
+        laws = [scene.laws for scene in scenes]
+        self.valid_range = np.array([[law.valid_range for law in each] for each in laws]).T
+        walls = [(-law.gap.j_1, law.gap.j_2) for each in laws for law in each]
+        self.walls = np.array(walls).reshape(len(laws), len(laws[0]), 2).T
+        self._directions: Array | None = None
+        if not self.is_plain:
+            self._directions = _of_models(models, lambda model: model.directions)
         self.has_own_tangent = scenes[0].has_own_tangent
-        models = Models(
-            systems=[scene.oscillator for scene in scenes],
-            laws=[scene.law for scene in scenes],
-            omega=self.omega,
+        prepared_models = Models(
+            systems=models, laws=[scene.law for scene in scenes], omega=self.omega
         )
-        self._integrate = prepared(models, self.solver)
+        self._integrate = prepared(prepared_models, self.solver)
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
-            models = replace(models, laws=[scene.tangent_law for scene in scenes])
-            self._integrate_tangent = prepared(models, scenes[0].tangent_solver)
+            located = replace(prepared_models, laws=[scene.tangent_law for scene in scenes])
+            self._integrate_tangent = prepared(located, scenes[0].tangent_solver)
         # Steps that a forcing period took last; about a first guess only their ratio matters.
         self._pace = 1.0 / self.omega
         # Of every call, by motion: number of the scene, then what it has cost.
         self._costs: list[tuple[NDArray[Any], ...]] = []
+
+    def turning(self, scenes: NDArray[np.intp], parts: Array) -> Array:
+        """What extrema are recorded of: coordinates, then a system's gaps.
+
+        Parameters
+        ----------
+        scenes : ndarray of int, shape (m,)
+        parts : ndarray, shape (n_states or fewer, m)
+            States, whose displacements are taken, or velocities, or accelerations.
+
+        Returns
+        -------
+        ndarray, shape (n_turning, m)
+        """
+        q = parts[: self.n_coordinates]
+        if self._directions is None:
+            return q
+        gaps = np.einsum("skj,js->ks", self._directions[scenes], q)
+        return np.concatenate([q, gaps])
+
+    def gaps(self, turning: Array) -> Array:
+        """Rows of the contacts' gaps among those of `turning`."""
+        return turning[0 if self.is_plain else self.n_coordinates :]
 
     def call(
         self,
@@ -232,8 +270,8 @@ class Ensemble:
         ----------
         scenes : ndarray of int, shape (n,)
             Their numbers, no number twice.
-        y : ndarray, shape (2, n)
-            States to start from [m], [m/s].
+        y : ndarray, shape (n_states, n)
+            States to start from.
         n_periods : ndarray of int, shape (n,)
         record_from : ndarray, shape (n,)
             Time [s] from which events are wanted; infinity: never.
@@ -263,7 +301,8 @@ class Ensemble:
             problems = replace(problems, record_from=never, tangent=True)
             exact = self._solved(self._integrate_tangent, problems, n_periods)
             monodromy, end = exact.monodromy, exact.state.T
-        return Call(found, omega, t_end, 2.0 * self.decay_rate[scenes], monodromy, end)
+        volume_rate = len(y) * self.decay_rate[scenes]
+        return Call(found, self.unit[:, scenes], t_end, volume_rate, monodromy, end)
 
     def _solved(
         self, integrate: Integrate, problems: Problems, n_periods: NDArray[np.int64]
@@ -283,3 +322,32 @@ class Ensemble:
         *counts, n_periods, seconds = (np.bincount(scenes, column, n) for column in columns)
         found = {name: count.astype(np.int64) for name, count in zip(_COUNTS, counts, strict=True)}
         return found | {"t_simulated": n_periods / self.omega, "cpu_time": seconds}
+
+
+def acceleration(scene: Scene, y: Array) -> Array:
+    """Accelerations [m/s²] of the coordinates in a state at forcing phase zero."""
+    form = SystemScene if isinstance(scene.oscillator, System) else OscillatorScene
+    solver = scene.solver
+    motion = form(
+        scene.oscillator, scene.laws, scene.omega, 0.0, solver.rtol, solver.atol, tangent=False
+    )
+    return np.asarray(motion.rhs(None)(0.0, y))[motion.n : 2 * motion.n]
+
+
+def _of_models(models: Sequence[Any], value: Callable[[Any], Any]) -> NDArray[Any]:
+    """A value of each model; the same object again and again costs nothing."""
+    known: dict[int, Any] = {}
+    for model in models:
+        if id(model) not in known:
+            known[id(model)] = value(model)
+    return np.array([known[id(model)] for model in models])
+
+
+def _units(systems: Sequence[System], omega: Array) -> Array:
+    """What one metre of the section is in each component of systems' states."""
+    known: dict[tuple[int, float], Array] = {}
+    keys = [(id(system), at) for system, at in zip(systems, omega.tolist(), strict=True)]
+    for key, system in zip(keys, systems, strict=True):
+        if key not in known:
+            known[key] = system.unit(2.0 * math.pi * key[1])
+    return np.stack([known[key] for key in keys], axis=1)

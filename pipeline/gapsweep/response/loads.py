@@ -19,9 +19,11 @@ from gapsweep.model.contact import (
 )
 from gapsweep.model.equilibria import search_points, sign_changes
 from gapsweep.model.fitted import Polynomial, RationalPolynomial
-from gapsweep.response.ensemble import Call
+from gapsweep.response.ensemble import Call, Ensemble
 
 Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Numbers = NDArray[np.intp]
 
 _HALVINGS = 60  # to the last digits of a double
 # A start this close to a wall, as a share of its displacement, is on it: not even the time of a
@@ -151,51 +153,108 @@ def _tolerant(function: Any, x: Any) -> Any:
 # --- time -----------------------------------------------------------------------------------------
 
 
-def contact_shares(call: Call, x_0: Array, walls: Array, *, closed: bool) -> Array:
-    """Shares [-] of their time that motions spend beyond the walls.
+def contact_shares(
+    ensemble: Ensemble, scenes: Numbers, y_0: Array, call: Call, *, closed: bool = False
+) -> Array:
+    """Shares [-] of their time that motions spend beyond the walls of each contact.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    scenes : ndarray of int, shape (n,)
+        Whose motions they are.
+    y_0 : ndarray, shape (n_states, n)
+        Where they start.
+    call : Call
+        Recorded from the start, with all events.
+    closed : bool
+        Whether each motion ends where it starts.
+
+    Returns
+    -------
+    ndarray, shape (n_contacts, n)
+    """
+    events, walls = call.events, ensemble.walls[:, :, scenes]
+    ends = [ensemble.gaps(ensemble.turning(scenes, y)) for y in (y_0, call.y)]
+    first_gap = 0 if ensemble.is_plain else ensemble.n_coordinates
+    found = []
+    for k in range(walls.shape[1]):
+        passings = _of_one(events.t_contacts, events.contacts_of, events.n_contacts, k)
+        turns, n_turns = _of_one(
+            np.stack([events.t_extrema, events.extrema], axis=1),
+            events.extrema_of,
+            events.n_extrema,
+            first_gap + k,
+        )
+        gap_ends = [end[k] for end in ends]
+        found.append(
+            _shares(passings, (*turns.T, n_turns), call.t_end, gap_ends, walls[:, k], closed)
+        )
+    return np.array(found).reshape(walls.shape[1:])
+
+
+def _of_one(values: Array, owners: Counts, counts: Counts, which: int) -> tuple[Array, Counts]:
+    """Events of one contact, or gap, of each motion; and how many there are."""
+    is_its = owners == which
+    motions = np.repeat(np.arange(len(counts)), counts)
+    return values[is_its], np.bincount(motions[is_its], minlength=len(counts))
+
+
+def _shares(
+    passings: tuple[Array, Counts],
+    turns: tuple[Array, Array, Counts],
+    t_end: Array,
+    ends: Sequence[Array],
+    walls: Array,
+    closed: bool,
+) -> Array:
+    """Shares [-] of their time that motions spend beyond two walls.
 
     Contacts divide a motion into stretches. Each that lies beyond a wall turns back there: its
     extremum tells it from the others.
 
     Parameters
     ----------
-    call : Call
-        Recorded from the start, with all events.
-    x_0 : ndarray, shape (n,)
-        Where they start [m].
+    passings : tuple of ndarray, shape (number of contacts,), and ndarray of int, shape (n,)
+        When walls are passed [s], motion by motion, and how many times in each.
+    turns : tuple of ndarray, shape (number of turns,), twice, and ndarray of int, shape (n,)
+        When the gap turns [s], how wide it is then [m], and how many times it does.
+    t_end : ndarray, shape (n,)
+    ends : sequence of ndarray, shape (n,), two
+        Gap [m] at the start and at the end.
     walls : ndarray, shape (2, n)
-        Displacements of the lower and of the upper wall [m].
     closed : bool
-        Whether each motion ends where it starts.
+        As of `contact_shares`.
     """
-    events, t_end = call.events, call.t_end
-    n_stretches = events.n_contacts + 1
+    t_contacts, n_contacts = passings
+    t_turns, turn, n_turns = turns
+    n_stretches = n_contacts + 1
     last = np.cumsum(n_stretches) - 1
-    first = last - events.n_contacts
+    first = last - n_contacts
     begin, end = np.zeros(n_stretches.sum()), np.empty(n_stretches.sum())
     inner = np.ones(len(begin), bool)
     inner[first] = False
-    begin[inner] = events.t_contacts
+    begin[inner] = t_contacts
     inner[first], inner[last] = True, False
-    end[inner], end[last] = events.t_contacts, t_end
+    end[inner], end[last] = t_contacts, t_end
 
-    def beyond(x: Array, motion: NDArray[np.intp], slack: Array | float = 0.0) -> Any:
+    def beyond(x: Array, motion: Numbers, slack: Array | float = 0.0) -> Any:
         low, high = walls[:, motion]
         return (x > high + slack) | (x < low - slack)
 
     motions = np.arange(len(t_end))
-    of_contact, of_turn = (np.repeat(motions, n) for n in (events.n_contacts, events.n_extrema))
+    of_contact, of_turn = (np.repeat(motions, n) for n in (n_contacts, n_turns))
     # Motion by motion on one clock: a unit for each.
-    contact = of_contact + np.minimum(events.t_contacts / t_end[of_contact], 1.0)
-    outside = np.flatnonzero(beyond(events.extrema, of_turn))
+    contact = of_contact + np.minimum(t_contacts / t_end[of_contact], 1.0)
+    outside = np.flatnonzero(beyond(turn, of_turn))
     of_turn = of_turn[outside]
-    turn = of_turn + np.minimum(events.t_extrema[outside] / t_end[of_turn], 1.0)
+    turned = of_turn + np.minimum(t_turns[outside] / t_end[of_turn], 1.0)
     is_beyond = np.zeros(len(begin), bool)
-    is_beyond[np.searchsorted(contact, turn) + of_turn] = True
-    slack = _ON_WALL * np.abs(x_0)
+    is_beyond[np.searchsorted(contact, turned) + of_turn] = True
+    slack = _ON_WALL * np.abs(ends[0])
     with np.errstate(invalid="ignore"):  # of motions that failed
-        is_beyond[first] |= beyond(x_0, motions, slack)
-        is_beyond[last] |= beyond(call.y[0], motions, slack)
+        is_beyond[first] |= beyond(ends[0], motions, slack)
+        is_beyond[last] |= beyond(ends[1], motions, slack)
     if closed:
         is_beyond[first] = is_beyond[last] = is_beyond[first] | is_beyond[last]
     lengths = np.where(is_beyond, end - begin, 0.0)

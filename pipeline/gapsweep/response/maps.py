@@ -1,6 +1,6 @@
 """The map over whole forcing periods, linearised: Newton steps and Floquet multipliers.
 
-Of many motions at once, because arithmetic on one 2 x 2 matrix costs numpy more than the kernel
+Of many motions at once, because arithmetic on one small matrix costs numpy more than the kernel
 needs for its motion. No result depends on the others.
 """
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NOTHING = 1e-290  # below it doubles lose digits
-_IDENTITY = np.eye(2)
 
 
 def newton_steps(monodromy: Array, moved: Array) -> Array:
@@ -18,16 +17,16 @@ def newton_steps(monodromy: Array, moved: Array) -> Array:
 
     Parameters
     ----------
-    monodromy : ndarray, shape (n, 2, 2)
+    monodromy : ndarray, shape (n, n_states, n_states)
         Derivatives of the ends by the starts, as section points.
-    moved : ndarray, shape (n, 2)
+    moved : ndarray, shape (n, n_states)
         Ends minus starts, as section points [m].
 
     Returns
     -------
-    ndarray, shape (n, 2)
+    ndarray, shape (n, n_states)
     """
-    matrices = _IDENTITY - monodromy
+    matrices = np.eye(moved.shape[1]) - monodromy
     try:
         return np.asarray(np.linalg.solve(matrices, moved[:, :, None])[:, :, 0])
     except np.linalg.LinAlgError:
@@ -38,26 +37,43 @@ def _solution(matrix: Array, right: Array) -> Array:
     try:
         return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
-        return np.full(2, np.inf)
+        return np.full(len(right), np.inf)
 
 
 def floquet_multipliers(monodromy: Array, determinant: Array) -> NDArray[np.complex128]:
     """Eigenvalues of monodromy matrices, largest modulus first; NaN where the tangent overflowed.
 
-    They follow from the trace and from the determinant, which damping fixes: computed from the
+    Two follow from the trace and from the determinant, which damping fixes: computed from the
     matrix it is lost in rounding where the two shrink differently, and with it the smaller one.
-    Those that shrank to nothing are zero.
+    Of more than two those are lost that rounding of the largest hides. What shrank to nothing is
+    zero.
 
     Parameters
     ----------
-    monodromy : ndarray, shape (n, 2, 2)
+    monodromy : ndarray, shape (n, n_states, n_states)
     determinant : ndarray, shape (n,)
         What the determinants are without error, >= 0.
 
     Returns
     -------
-    ndarray of complex, shape (n, 2)
+    ndarray of complex, shape (n, n_states)
     """
+    is_finite = np.asarray(np.isfinite(monodromy).all(axis=(1, 2)))
+    if monodromy.shape[1] == 2:
+        found = _pairs(monodromy, determinant)
+    else:
+        found = np.linalg.eigvals(np.where(is_finite[:, None, None], monodromy, 0.0)).astype(
+            complex
+        )
+        order = np.argsort(-np.abs(found), axis=1, kind="stable")
+        found = np.take_along_axis(found, order, axis=1)
+    found[np.abs(found) < NOTHING] = 0.0
+    found[~is_finite] = complex(np.nan, np.nan)
+    return found
+
+
+def _pairs(monodromy: Array, determinant: Array) -> NDArray[np.complex128]:
+    """Eigenvalues of 2 x 2 matrices, the larger first."""
     with np.errstate(all="ignore"):  # of tangents that overflowed or shrank to nothing
         half = 0.5 * np.trace(monodromy, axis1=1, axis2=2)
         # Where the trace is zero the two are imaginary.
@@ -69,6 +85,4 @@ def floquet_multipliers(monodromy: Array, determinant: Array) -> NDArray[np.comp
     found = np.empty((len(half), 2), complex)
     found.real = np.where(is_real, (larger, smaller), half).T
     found.imag = np.where(is_real, 0.0, (height, -height)).T
-    found[np.abs(found) < NOTHING] = 0.0
-    found[~np.isfinite(monodromy).all(axis=(1, 2))] = complex(np.nan, np.nan)
     return found

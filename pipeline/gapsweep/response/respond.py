@@ -13,28 +13,31 @@ that its solver rattles, if it scatters no more than the solver strays. Anything
 With ζ > 0 every area of the section shrinks by the same factor, so there is no third kind.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, law_kind
-from gapsweep.integrate.simulate import broadcast
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, kind
+from gapsweep.integrate.simulate import starts
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.system import System
 from gapsweep.response.ensemble import Ensemble, Scene
 from gapsweep.response.result import Response, Responses, Steady
 from gapsweep.response.search import Search
 
 
 def respond(
-    oscillator: Oscillator,
-    law: ContactLaw,
+    oscillator: Oscillator | System,
+    law: ContactLaw | Mapping[str, ContactLaw],
     omega: ArrayLike,
     x_0: ArrayLike = 0.0,
     v_0: ArrayLike = 0.0,
     *,
+    q_0: ArrayLike = 0.0,
+    z_0: ArrayLike = 0.0,
     engine: str = DEFAULT_ENGINE,
     rtol: float | None = None,
     atol: float | None = None,
@@ -44,13 +47,17 @@ def respond(
 
     Parameters
     ----------
-    oscillator : Oscillator
-    law : ContactLaw
+    oscillator : Oscillator or System
+        A system must be forced.
+    law : ContactLaw or mapping of str to ContactLaw
+        One law for all contacts, or that of each contact of a system, by its name.
     omega : float or array_like
         Forcing frequency [Hz], ``> 0``.
     x_0, v_0 : float or array_like
         Initial displacement [m] and velocity [m/s], at forcing phase zero; broadcast against
         `omega`. Sixty points in one call cost a quarter of what they cost one by one.
+    q_0, z_0 : float or array_like
+        Coordinates [m] and first-order states of a system, along the last axis, as is its `v_0`.
     engine, rtol, atol
         As in `gapsweep.simulate`.
     steady : Steady, optional
@@ -59,7 +66,7 @@ def respond(
     Returns
     -------
     Response
-        Its attributes are arrays if any of `omega`, `x_0`, `v_0` is one: of their shape; of
+        Its attributes are arrays if any of `omega` and the starts is one: of their shape; of
         `extrema`, `extremum_kind`, `multipliers` and `section` an array of arrays.
 
     Raises
@@ -68,17 +75,19 @@ def respond(
         If an argument is out of range. A numerical failure is no error but a `status`.
     """
     solver, steady = Solver.of(engine, rtol, atol), Steady() if steady is None else steady
-    omega, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
     check_kinds(oscillator, steady)
+    frequency, start, laws = starts(oscillator, law, omega, x_0, v_0, q_0, z_0)
+    if not frequency.all():
+        raise ModelError("oscillator: this System is not forced; its motions are `simulate`d")
     scenes = [
-        Scene(oscillator=oscillator, law=law, omega=at, solver=solver)
-        for at in omega.ravel().tolist()
+        Scene(oscillator=oscillator, law=laws, omega=at, solver=solver)
+        for at in frequency.ravel().tolist()
     ]
-    responses = respond_all(scenes, np.stack([x_0.ravel(), v_0.ravel()], axis=1), steady)
-    return responses.shaped(omega.shape) if omega.shape else responses.row(0)
+    responses = respond_all(scenes, start.reshape(len(scenes), -1), steady)
+    return responses.shaped(frequency.shape) if frequency.shape else responses.row(0)
 
 
-def check_kinds(oscillator: Oscillator, steady: Steady) -> None:
+def check_kinds(oscillator: Oscillator | System, steady: Steady) -> None:
     """Refuse anything else.
 
     Raises
@@ -86,9 +95,12 @@ def check_kinds(oscillator: Oscillator, steady: Steady) -> None:
     ModelError
         If one of them is something else.
     """
-    for name, value, kind in (("oscillator", oscillator, Oscillator), ("steady", steady, Steady)):
-        if not isinstance(value, kind):
-            raise ModelError(f"{name} = {value!r}: must be a gapsweep.{kind.__name__}")
+    if not isinstance(oscillator, Oscillator | System):
+        raise ModelError(
+            f"oscillator = {oscillator!r}: must be a gapsweep.Oscillator or a gapsweep.System"
+        )
+    if not isinstance(steady, Steady):
+        raise ModelError(f"steady = {steady!r}: must be a gapsweep.Steady")
 
 
 def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> Responses:
@@ -99,15 +111,18 @@ def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> R
     Parameters
     ----------
     scenes : sequence of Scene, length n
-    starts : array_like, shape (n, 2) or (2,)
-        Initial displacements [m] and velocities [m/s].
+        All oscillators, or systems of one size.
+    starts : array_like, shape (n, n_states) or (n_states,)
+        Initial displacements [m], velocities [m/s] and first-order states.
     steady : Steady
     """
-    starts = np.broadcast_to(np.asarray(starts, float), (len(scenes), 2))
+    starts = np.asarray(starts, float)
+    starts = np.broadcast_to(starts, (len(scenes), starts.shape[-1]))
     groups: dict[Hashable, list[int]] = {}
     for i, scene in enumerate(scenes):
         # Solvers that are equal but not one are a group of their own, which changes no response.
-        groups.setdefault((law_kind(scene.law), id(scene.solver)), []).append(i)
+        together = kind(scene.oscillator, scene.law), id(scene.solver)
+        groups.setdefault(together, []).append(i)
     found = [
         Search(Ensemble([scenes[i] for i in group]), starts[group].T, steady).responses()
         for group in groups.values()

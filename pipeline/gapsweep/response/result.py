@@ -121,7 +121,9 @@ class Steady:
 class Response:
     """Steady response of one sweep point, or of an array of them.
 
-    It has an attribute for every dataset variable: a plain value, or an array of values.
+    It has an attribute for every dataset variable: a plain value, or an array of values. Of a
+    `System` those of displacements are arrays, their last axis that of its coordinates, or of its
+    contacts where a force or a share of time is meant.
 
     Attributes
     ----------
@@ -131,7 +133,8 @@ class Response:
         n of a period-n response, 0 if none was found.
     extrema : tuple of float
         Steady zero-velocity displacements [m] in order of time: over n periods if periodic,
-        else over the last window; at most `max_extrema`.
+        else over the last window; at most `max_extrema`. Of a system those of its first coordinate,
+        then of the second, and so on, as `n_extrema` says.
     extremum_kind : tuple of int
         `ExtremumKind` of each.
     n_extrema : int
@@ -144,8 +147,8 @@ class Response:
         Share of the time [-] spent beyond the walls, ``x < -j_1`` or ``x > j_2``: of a whole
         period if periodic, else of the last window.
     multipliers : tuple of float
-        Real and imaginary parts of the two Floquet multipliers over n periods, largest modulus
-        first; empty if not periodic.
+        Real and imaginary parts of the Floquet multipliers over n periods, largest modulus first;
+        empty if not periodic.
     multiplier_abs : float
         Largest modulus [-]; NaN if not periodic.
     lyapunov, lyapunov_error : float
@@ -153,8 +156,8 @@ class Response:
         multipliers, if periodic, unless the solver rattles the motion about its orbit. NaN where
         it could not be told.
     section : tuple of float
-        Section points ``x, v, x, v, ...`` [m], [m/s]: the n of a periodic response, else the
-        last `max_period_multiple` of the window.
+        Section points ``x, v, x, v, ...`` [m], [m/s], of a system ``q, v, z, q, v, z, ...``: the n
+        of a periodic response, else the last `max_period_multiple` of the window.
     n_contacts, n_steps, n_rejected, nfev : int
         Cost of the whole point, settling included.
     t_settled : float
@@ -222,7 +225,8 @@ class Responses:
     Attributes
     ----------
     columns : dict of str to ndarray, shape (n,)
-        Those of `COLUMNS`, named as in a `Response`; enumerations as their numbers.
+        Those of `COLUMNS`, named as in a `Response`; enumerations as their numbers. Of systems
+        some have a second axis.
     lists : dict of str to (ndarray, ndarray of int, shape (n,))
         Those of `LISTS`: the items of all rows, row after row, and how many are each row's.
     messages : dict of int to str
@@ -256,9 +260,9 @@ class Responses:
     @classmethod
     def concatenated(cls, parts: "Sequence[Responses]") -> "Responses":
         """The rows of all parts, part after part."""
+        parts = parts or [cls.of(())]
         if len(parts) == 1:
             return parts[0]
-        parts = [cls.of(()), *parts]  # of no part, too, all columns are there
         firsts = np.cumsum([0, *map(len, parts)]).tolist()
         return cls(
             {name: np.concatenate([part.columns[name] for part in parts]) for name in COLUMNS},
@@ -297,7 +301,10 @@ class Responses:
 
     def rows(self) -> list[Response]:
         """All responses as plain values."""
-        values: dict[str, list[Any]] = {n: column.tolist() for n, column in self.columns.items()}
+        values: dict[str, list[Any]] = {
+            name: list(column) if column.ndim > 1 else column.tolist()
+            for name, column in self.columns.items()
+        }
         values["status"] = [Status(each) for each in values["status"]]
         values["response_class"] = [ResponseClass(each) for each in values["response_class"]]
         values |= {name: list(map(tuple, self._split(name))) for name in LISTS}
@@ -318,7 +325,9 @@ class Responses:
             values[name] = np.empty(len(self), dtype=object)
             values[name][:] = [np.array(items, plain) for items in self._split(name)]
         values["message"] = np.array([self.messages.get(k, "") for k in range(len(self))], object)
-        return Response(**{name: value.reshape(shape) for name, value in values.items()})
+        return Response(
+            **{name: value.reshape(*shape, *value.shape[1:]) for name, value in values.items()}
+        )
 
     def _split(self, name: str) -> list[list[Any]]:
         """The lists of one name, row by row."""

@@ -22,6 +22,7 @@ from gapsweep.response.section import (
     DEVIATIONS,
     converging_multiples,
     likely_multiple,
+    norm,
     period_multiples,
     prime_multiple,
 )
@@ -82,16 +83,16 @@ class Search:
     Parameters
     ----------
     ensemble : Ensemble
-    start : ndarray, shape (2, n)
-        States to start from [m], [m/s].
+    start : ndarray, shape (n_states, n)
+        States to start from.
     steady : Steady
     """
 
     def __init__(self, ensemble: Ensemble, start: Array, steady: Steady) -> None:
         n = len(ensemble.omega)
         self._ensemble, self._steady = ensemble, steady
-        self._omega, self._omega_rad = ensemble.omega, 2.0 * math.pi * ensemble.omega
-        self._walks, self._shots, self._growths = Walks(ensemble, start), Shots(n), Growths(n)
+        self._omega, self._walks = ensemble.omega, Walks(ensemble, start)
+        self._shots, self._growths = Shots(len(start), n), Growths(len(start), n)
         self._limits = Limits.of(ensemble, steady)
         self._phase = np.full(n, int(Phase.PAUSE))
         self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
@@ -172,7 +173,7 @@ class Search:
         """Shoot where the window contracts to a repeat."""
         reach, same = self._walks.reach[points], self._walks.same[points]
         n = converging_multiples(
-            self._walks.section[points],
+            self._walks.section[:, points],
             self._walks.length[points],
             np.maximum(_CLOSE * reach, same),
             self._steady.max_period_multiple,
@@ -262,9 +263,10 @@ class Search:
         same, near = walks.same[points], _NEAR * walks.reach[points]
         before = self._distance(points)
         last = walks.length[points] - 1
-        x, v = self._shots.y[:, points]
-        first = walks.section[points, last % n]
-        first = np.hypot(first.real - x, first.imag - v / self._omega_rad[points])
+        first = norm(
+            walks.section[:, points, last % n]
+            - self._shots.y[:, points] / self._ensemble.unit[:, points]
+        )
         is_own = before <= np.maximum(same, np.minimum(near, _CLOSER * first))
         goal = np.maximum(np.minimum(_CLOSER * before, near), same)
         modulus = np.hypot(*_parts(self._shots.multipliers[points, 0]))
@@ -275,7 +277,7 @@ class Search:
         waits = np.zeros(len(points), bool)
         for k in np.flatnonzero(~is_own).tolist():
             shrinks = max(float(modulus[k]), 1e-12)
-            # One factor of two more: the state's two directions do not shrink as one.
+            # One factor of two more: a state's directions do not shrink as one.
             repeats = math.ceil(math.log(0.5 * goal[k] / before[k]) / math.log(shrinks))
             stretch = max(1, repeats) * int(n[k])
             if stretch > n_left[k]:
@@ -303,8 +305,8 @@ class Search:
 
     def _distance(self, points: Numbers) -> Array:
         """Distances of motions, at whole periods of their orbits, from these' starts [m]."""
-        x, v = self._walks.y[:, points] - self._shots.y[:, points]
-        return np.asarray(np.hypot(x, v / self._omega_rad[points]))
+        apart = self._walks.y[:, points] - self._shots.y[:, points]
+        return norm(apart / self._ensemble.unit[:, points])
 
     # --- the end of a look -----------------------------------------------------------------------
 
@@ -321,8 +323,8 @@ class Search:
         self._end_look(points[found == 0])
         for point, n in zip(points[found > 0].tolist(), found[found > 0].tolist(), strict=True):
             # So coarse that it also repeats sooner?
-            section = walks.window(point).tolist()
-            n = prime_multiple(section[-n:], same[point] * math.sqrt(n))
+            section = walks.window(point)
+            n = prime_multiple(section[:, -n:], same[point] * math.sqrt(n))
             if not self._ensemble.has_own_tangent:
                 # A kink that is passed unlocated scatters more than that.
                 sooner = likely_multiple(section, _CLOSE * walks.reach[point], n)
@@ -361,7 +363,7 @@ class Search:
         wanted = block(rate[grows], self._omega[late], self._limits.last[late])
         self._growths.begin(late, self._walks.y[:, late], wanted)
         self._phase[late] = Phase.GROW
-        is_recorded = self._walks.extrema.counts[points] >= 0
+        is_recorded = self._walks.has_extrema(points)
         self._record_last(points[~grows & ~is_recorded])
         for point in points[~grows & is_recorded].tolist():
             self._rattle(point)
@@ -387,7 +389,7 @@ class Search:
         n, found, reach = 0, self._found, self._walks.reach[point]
         contracts = found.lyapunov[point] < -_SURE * found.lyapunov_error[point]
         if contracts and not self._ensemble.has_own_tangent:
-            window, largest = self._walks.window(point).tolist(), self._steady.max_period_multiple
+            window, largest = self._walks.window(point), self._steady.max_period_multiple
             scatter = self._growths.scatter(point, float(self._omega[point]), found.lyapunov[point])
             n = likely_multiple(window, _CLOSE * reach, largest, DEVIATIONS * scatter)
         if n:

@@ -1,11 +1,11 @@
 """The stroboscopic section: repeats, contraction, and distances of orbits.
 
-A section point is the complex number ``x + i v / (2π ω)`` [m]: the modulus of a difference is the
-distance of two states.
+A section point is a state in metres: each of its components divided by what one metre is in it
+(`gapsweep.response.ensemble.Ensemble.unit`). Components stand along the first axis. Points are the
+same if no component differs.
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,29 +15,61 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Numbers = NDArray[np.intp]
-Section = NDArray[np.complex128]
 
 DEVIATIONS = 4.0  # of the predicted scatter, within which two points are the same
 _AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
 
-def scaled(states: ArrayLike, omega: ArrayLike) -> Section:
+def unit_of(omega: ArrayLike) -> Array:
+    """What one metre of the section is in displacement and velocity of an oscillator.
+
+    Parameters
+    ----------
+    omega : float or array_like, shape (n,)
+        Forcing frequency [Hz].
+
+    Returns
+    -------
+    ndarray, shape (2, n)
+    """
+    omega_rad = 2.0 * np.pi * np.atleast_1d(np.asarray(omega, dtype=float))
+    return np.stack((np.ones_like(omega_rad), omega_rad))
+
+
+def scaled(states: ArrayLike, unit: Array) -> Array:
     """Section points of states.
 
     Parameters
     ----------
-    states : array_like, shape (n, 2)
-        Displacements [m] and velocities [m/s].
-    omega : float or array_like, shape (n,)
-        Forcing frequency [Hz].
+    states : array_like, shape (n, n_states)
+        Displacements [m], velocities [m/s], first-order states.
+    unit : ndarray, shape (n_states, n) or (n_states, 1)
+
+    Returns
+    -------
+    ndarray, shape (n_states, n)
+        In metres.
     """
-    states = np.asarray(states, dtype=float)
-    section = np.empty(len(states), complex)
-    section.real, section.imag = states[:, 0], states[:, 1] / (2.0 * np.pi * np.asarray(omega))
-    return section
+    return np.asarray(np.asarray(states, dtype=float).T / unit)
 
 
-def period_multiple(section: Sequence[complex], tolerance: float, largest: int) -> int:
+def norm(parts: Array) -> Array:
+    """Lengths of vectors whose components stand along the first axis."""
+    return np.asarray(np.sqrt(np.square(parts).sum(axis=0)))
+
+
+def reach_of(q: Array, unit: Array) -> Array:
+    """Largest moduli [m] of displacements, as section points', shape (n,).
+
+    Parameters
+    ----------
+    q : ndarray, shape (n_coordinates, n)
+    unit : ndarray, shape (n_states, n)
+    """
+    return np.asarray((np.abs(q) / unit[: len(q)]).max(axis=0))
+
+
+def period_multiple(section: Array, tolerance: float, largest: int) -> int:
     """Smallest n for which the section repeats every n forcing periods; 0 if none does.
 
     All points n, 2n, ... periods apart must be the same: a motion that still creeps along repeats
@@ -45,33 +77,35 @@ def period_multiple(section: Sequence[complex], tolerance: float, largest: int) 
 
     Parameters
     ----------
-    section : sequence of complex, length n_periods
+    section : ndarray, shape (n_states, n_periods)
         Section points [m], one per forcing period.
     tolerance : float
-        Largest distance [m] of two points one forcing period apart, in either component, taken for
+        Largest distance [m] of two points one forcing period apart, in any component, taken for
         the same. It grows with the root of n, as random errors do.
     largest : int
         Largest n tried; at least 2 n points are needed to find n.
     """
-    last = len(section) - 1
-    for n in range(1, min(largest, len(section) // 2) + 1):
-        allowed = tolerance * math.sqrt(n)
-        # Mostly the last point alone decides.
-        if _is_near(section[last], section[last - n], allowed) and all(
-            _is_near(section[k], section[last - (last - k) % n], allowed) for k in range(last)
-        ):
-            return n
+    n_points = section.shape[1]
+    n = np.arange(1, min(largest, n_points // 2) + 1)
+    allowed = tolerance * np.sqrt(n)
+    # Mostly the last point alone decides.
+    may = _are_near(section[:, -1:], section[:, n_points - 1 - n], allowed)
+    before_last = n_points - 1 - np.arange(n_points)
+    for k in np.flatnonzero(may).tolist():
+        latest = section[:, n_points - 1 - before_last % n[k]]
+        if _are_near(section, latest, allowed[k]).all():
+            return int(n[k])
     return 0
 
 
 def likely_multiple(
-    section: Sequence[complex], closeness: float, largest: int, scatter: float = math.inf
+    section: Array, closeness: float, largest: int, scatter: float = math.inf
 ) -> int:
     """Smallest n after which a rattled section repeats as well as after any; 0 if none is close.
 
     Parameters
     ----------
-    section : sequence of complex, length n_periods
+    section : ndarray, shape (n_states, n_periods)
         Section points [m].
     closeness : float
         Largest distance [m] of a point from the one n periods before.
@@ -80,30 +114,30 @@ def likely_multiple(
     scatter : float
         Largest root of these distances' mean square [m].
     """
-    points = np.array(section)
+    n_points = section.shape[1]
     distances = [
-        np.abs(points[n:] - points[:-n]) for n in range(1, min(largest, len(points) // 2) + 1)
+        norm(section[:, n:] - section[:, :-n]) for n in range(1, min(largest, n_points // 2) + 1)
     ]
     spreads = [float(np.sqrt(np.mean(each**2))) for each in distances]
     for n, (distance, spread) in enumerate(zip(distances, spreads, strict=True), start=1):
         # A disturbance that turns as it decays repeats better after some periods than others, ...
         if distance.max() < closeness and spread <= min(_AS_WELL * min(spreads), scatter):
             # ... though the points scatter about fewer places.
-            phases = points[len(points) % n :].reshape(-1, n)
-            places = phases.mean(axis=0)
-            scatter = float(np.sqrt(np.mean(np.abs(phases - places) ** 2)))
-            return prime_multiple(places.tolist(), _AS_WELL * scatter / math.sqrt(len(phases)))
+            phases = section[:, n_points % n :].reshape(len(section), -1, n)
+            places = phases.mean(axis=1)
+            scatter = float(np.sqrt(np.mean(norm(phases - places[:, None]) ** 2)))
+            return prime_multiple(places, _AS_WELL * scatter / math.sqrt(phases.shape[1]))
     return 0
 
 
 def period_multiples(
-    sections: Section, lengths: Counts, points: Numbers, tolerance: Array, largest: int
+    sections: Array, lengths: Counts, points: Numbers, tolerance: Array, largest: int
 ) -> Counts:
     """`period_multiple` of some rows of `sections`, with only so many points in each.
 
     Parameters
     ----------
-    sections : ndarray, shape (n, longest)
+    sections : ndarray, shape (n_states, n, longest)
     lengths : ndarray of int, shape (n,)
     points : ndarray of int, shape (m,)
         Numbers of the rows.
@@ -114,19 +148,19 @@ def period_multiples(
     -------
     ndarray of int, shape (m,)
     """
-    latest = _latest(sections[points], lengths[points], largest)
+    latest = _latest(sections[:, points], lengths[points], largest)
     allowed = tolerance[:, None] * np.sqrt(np.arange(1, largest + 1))
     with np.errstate(invalid="ignore"):
-        may = _is_near(latest[:, 1:], latest[:, :1], allowed)  # mostly this alone decides
+        may = _are_near(latest[..., 1:], latest[..., :1], allowed)  # mostly this alone decides
     found = np.zeros(len(points), np.int64)
     for k in np.flatnonzero(may.any(axis=1)).tolist():
-        section = sections[points[k], : lengths[points[k]]].tolist()
+        section = sections[:, points[k], : lengths[points[k]]]
         found[k] = period_multiple(section, float(tolerance[k]), largest)
     return found
 
 
 def converging_multiples(
-    sections: Section, lengths: Counts, closeness: Array, largest: int
+    sections: Array, lengths: Counts, closeness: Array, largest: int
 ) -> Counts:
     """Smallest n towards whose repeat each section is contracting; 0 if it does not.
 
@@ -135,7 +169,7 @@ def converging_multiples(
 
     Parameters
     ----------
-    sections : ndarray, shape (m, longest)
+    sections : ndarray, shape (n_states, m, longest)
         Section points [m].
     lengths : ndarray of int, shape (m,)
         How many there are in each row.
@@ -152,53 +186,55 @@ def converging_multiples(
     longest = int(lengths.max(initial=0))
     latest = _latest(sections, lengths, max(3, min(largest + 3, longest - 1)))
     # From the last one backwards; where there are too few points, NaN.
-    earlier = sliding_window_view(latest, 4, axis=1)[:, 1:]
+    earlier = sliding_window_view(latest, 4, axis=2)[:, :, 1:]
     with np.errstate(invalid="ignore"):
-        may = _is_near(latest[:, :1], earlier[:, :, 0], closeness[:, None])
+        may = _are_near(latest[..., :1], earlier[..., 0], closeness[:, None])
     # Mostly the last point alone decides. In the order of the sections, then of n.
     section, before = np.nonzero(may)
-    apart = latest[section, :4] - earlier[section, before]
-    steps = np.hypot(apart.real, apart.imag)
+    steps = norm(latest[:, section, :4] - earlier[:, section, before])
     contracts = steps[:, :2].max(axis=1) <= steps[:, 2:].max(axis=1)
     converging = (steps.max(axis=1) < closeness[section]) & contracts
-    found = np.zeros(len(sections), np.int64)
+    found = np.zeros(len(lengths), np.int64)
     hits, first = np.unique(section[converging], return_index=True)
     found[hits] = before[converging][first] + 1
     return found
 
 
-def _latest(sections: Section, lengths: Counts, n: int) -> Section:
+def _latest(sections: Array, lengths: Counts, n: int) -> Array:
     """The last n + 1 points of each row, the last one first; NaN where there are fewer."""
     column = lengths[:, None] - 1 - np.arange(n + 1)
     inside = column >= 0
-    rows = np.arange(len(sections))[:, None]
-    return np.where(inside, sections[rows, np.where(inside, column, 0)], complex(np.nan, np.nan))
+    rows = np.arange(len(lengths))[:, None]
+    return np.where(inside, sections[:, rows, np.where(inside, column, 0)], np.nan)
 
 
-def prime_multiple(orbit: Sequence[complex], tolerance: float) -> int:
+def prime_multiple(orbit: Array, tolerance: float) -> int:
     """Smallest divisor of its length after which a closed orbit repeats itself.
 
     Parameters
     ----------
-    orbit : sequence of complex, length n
+    orbit : ndarray, shape (n_states, n)
         Section points of one whole period of n forcing periods [m].
     tolerance : float
-        Largest distance [m] of two points, in either component, taken for the same.
+        Largest distance [m] of two points, in any component, taken for the same.
     """
-    n = len(orbit)
+    n = int(orbit.shape[1])
     for d in range(1, n):
-        if n % d == 0 and all(_is_near(orbit[k], orbit[k - d], tolerance) for k in range(n)):
+        if n % d == 0 and _are_near(orbit, np.roll(orbit, d, axis=1), tolerance).all():
             return d
     return n
 
 
-def _is_near(p: Any, q: Any, tolerance: Any) -> Any:
-    """Whether section points are the same in either component; numbers or arrays."""
-    apart = p - q
-    return (abs(apart.real) < tolerance) & (abs(apart.imag) < tolerance)
+def _are_near(p: Array, q: Array, tolerance: Any) -> NDArray[np.bool_]:
+    """Whether section points are the same in every component."""
+    # Component by component: several times as fast as a reduction along the first axis.
+    near = np.abs(p[0] - q[0]) < tolerance
+    for a, b in zip(p[1:], q[1:], strict=True):
+        near &= np.abs(a - b) < tolerance
+    return np.asarray(near)
 
 
-def cloud_distances(a: Section, b: Section, share: float = 0.8) -> Array:
+def cloud_distances(a: Array, b: Array, share: float = 0.8) -> Array:
     """Partial Hausdorff distances of pairs of point clouds [m].
 
     The distance below which `share` of either cloud's points have a neighbour in the other:
@@ -206,12 +242,12 @@ def cloud_distances(a: Section, b: Section, share: float = 0.8) -> Array:
 
     Parameters
     ----------
-    a, b : ndarray of complex, shape (m, n_a), (m, n_b)
+    a, b : ndarray, shape (n_states, m, n_a), (n_states, m, n_b)
 
     Returns
     -------
     ndarray, shape (m,)
     """
-    distances = np.abs(a[:, :, None] - b[:, None, :])
+    distances = norm(a[..., :, None] - b[..., None, :])
     nearest = [np.quantile(distances.min(axis=axis), share, axis=1) for axis in (1, 2)]
     return np.asarray(np.maximum(*nearest))

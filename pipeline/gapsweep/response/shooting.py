@@ -1,9 +1,10 @@
 """Periodic orbits by shooting, their Floquet multipliers, and Lyapunov exponents.
 
 The tangent equations carry the monodromy matrix along with the motion. The contact force is
-continuous, so nothing jumps at a contact. Two facts hold for every force that depends on x
-alone and check all of it: the product of the multipliers over n periods T is
-``exp(-2 ζ ω_n n T)``, and the two Lyapunov exponents add up to ``-2 ζ ω_n``.
+continuous, so nothing jumps at a contact. Two facts hold for all forces that depend on places
+alone and check all of it: the product of the multipliers over n periods T is ``exp(-r n T)``, and
+the Lyapunov exponents add up to ``-r``; r is ``2 ζ ω_n`` for an oscillator, for a system
+``tr(M⁻¹C) - tr H``.
 
 `Shots` and `Growths` are columns, a row per point. Both take what a call with the tangent found,
 so that points which look for an orbit and points which ask for an exponent share it.
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from gapsweep.response.ensemble import Call
 from gapsweep.response.maps import floquet_multipliers, newton_steps
+from gapsweep.response.section import norm
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -39,22 +41,22 @@ class Shots:
 
     Attributes
     ----------
-    y : ndarray, shape (2, n_points)
-        The states [m], [m/s]: of an orbit where one is found.
+    y : ndarray, shape (n_states, n_points)
+        The states: of an orbit where one is found.
     n : ndarray of int, shape (n_points,)
         Forcing periods of the orbits.
-    multipliers : ndarray of complex, shape (n_points, 2)
+    multipliers : ndarray of complex, shape (n_points, n_states)
         Floquet multipliers over n periods of an orbit that was found, largest modulus first.
-    section : list of list of complex, length n_points
+    section : list of ndarray, shape (n_states, n)
         Section points [m] of an orbit that was found.
     """
 
-    def __init__(self, n_points: int) -> None:
-        self.y = np.empty((2, n_points))
+    def __init__(self, n_states: int, n_points: int) -> None:
+        self.y = np.empty((n_states, n_points))
         self.n = np.zeros(n_points, np.int64)
-        self.multipliers = np.empty((n_points, 2), complex)
-        self.section: list[list[complex]] = [[]] * n_points
-        self._moved, self._tries = np.zeros((2, n_points)), np.zeros(n_points, np.int64)
+        self.multipliers = np.empty((n_points, n_states), complex)
+        self.section = [np.empty((n_states, 0))] * n_points
+        self._moved, self._tries = np.zeros_like(self.y), np.zeros(n_points, np.int64)
         self._last = np.zeros(n_points)  # length of the last step
         self._goal, self._furthest = np.zeros(n_points), np.zeros(n_points)
 
@@ -64,7 +66,7 @@ class Shots:
         Parameters
         ----------
         points : ndarray of int, shape (m,)
-        y : ndarray, shape (2, m)
+        y : ndarray, shape (n_states, m)
         n : ndarray of int, shape (m,)
         goal : ndarray, shape (m,)
             Distance [m] from the orbit at which it is found. Where the solver's noise lets no step
@@ -99,15 +101,15 @@ class Shots:
         with np.errstate(over="ignore", invalid="ignore"):  # of motions that failed
             missed = (call.y[:, motions] - y) / unit
             step = newton_steps(call.monodromy[motions], missed.T).T
-            length = np.hypot(*step)
+            length = norm(step)
             # Ends that meet are not enough: weakly contracting, the orbit is much farther away.
-            is_at_best = (np.hypot(*missed) <= goal) & (length >= _SHORTENS * self._last[points])
+            is_at_best = (norm(missed) <= goal) & (length >= _SHORTENS * self._last[points])
             is_found = is_ok & call.is_sound[motions] & ((length <= goal) | is_at_best)
             self._keep(points[is_found], motions[is_found], call)
             self._tries[points], self._last[points] = self._tries[points] + 1, length
             moved = self._moved[:, points] + step
             goes_on = is_ok & ~is_found & (self._tries[points] < _MAX_NEWTON)
-            goes_on &= np.hypot(*moved) <= self._furthest[points]
+            goes_on &= norm(moved) <= self._furthest[points]
         left = points[goes_on]
         self._moved[:, left] = moved[:, goes_on]
         self.y[:, left] = (y + step * unit)[:, goes_on]
@@ -121,7 +123,7 @@ class Shots:
         )
         first, last = call.period_ends[motions], call.period_ends[motions + 1]
         for point, i, j in zip(points.tolist(), first.tolist(), last.tolist(), strict=True):
-            self.section[point] = call.section[i:j].tolist()
+            self.section[point] = call.section[:, i:j]
 
 
 class Growths:
@@ -129,8 +131,8 @@ class Growths:
 
     Attributes
     ----------
-    y : ndarray, shape (2, n_points)
-        Where the motions are [m], [m/s].
+    y : ndarray, shape (n_states, n_points)
+        Where the motions are.
     n_periods : ndarray of int, shape (n_points,)
         Forcing periods in each of a motion's blocks.
     n_blocks : ndarray of int, shape (n_points,)
@@ -139,15 +141,17 @@ class Growths:
         How far [m] the solver strayed in a block: root of the mean square.
     """
 
-    def __init__(self, n_points: int) -> None:
-        self.y = np.empty((2, n_points))
+    def __init__(self, n_states: int, n_points: int) -> None:
+        self.y = np.empty((n_states, n_points))
         self.n_periods, self.n_blocks = np.zeros(n_points, np.int64), np.zeros(n_points, np.int64)
-        self._direction, self.strayed = np.empty((n_points, 2)), np.zeros(n_points)
+        self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
         self._factors: dict[int, list[float]] = {}
 
     def begin(self, points: Numbers, y: Array, wanted: Array) -> None:
         """Begin at states, with blocks of at least so many forcing periods."""
-        self.y[:, points], self._direction[points], self.n_blocks[points] = y, (1.0, 0.0), 0
+        # No coordinate may be left out: another one's growth may never reach it.
+        start = np.linspace(1.0, 0.0, len(y))
+        self.y[:, points], self._direction[points], self.n_blocks[points] = y, start, 0
         self.n_periods[points] = np.maximum(1, np.ceil(wanted))
         self._factors |= {point: [] for point in points.tolist()}
 
@@ -165,7 +169,7 @@ class Growths:
         is_ok = status == Status.OK
         with np.errstate(all="ignore"):  # of motions that failed
             direction = np.matmul(call.monodromy[motions], self._direction[points][:, :, None])
-            length = np.hypot(direction[:, 0, 0], direction[:, 1, 0])
+            length = norm(direction[:, :, 0].T)
             self._direction[points] = direction[:, :, 0] / length[:, None]
         length[~call.is_sound[motions]] = np.nan
         self.y[:, points] = call.y[:, motions]
@@ -181,8 +185,7 @@ class Growths:
     def exponent(self, point: int, omega: float) -> tuple[float, float]:
         """Largest Lyapunov exponent [1/s] of a motion that has all its blocks; its standard error.
 
-        The second exponent is ``-2 ζ ω_n`` minus the first. The error is that of batch means.
-        NaN where the tangent was unsound.
+        The error is that of batch means. NaN where the tangent was unsound.
         """
         # The first block turns the vector into the direction of growth.
         rates = [

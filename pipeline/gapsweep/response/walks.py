@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from gapsweep.response.ensemble import Call, Ensemble
 from gapsweep.response.lists import Lists
 from gapsweep.response.loads import contact_shares
-from gapsweep.response.section import DEVIATIONS
+from gapsweep.response.section import DEVIATIONS, reach_of
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -21,21 +21,23 @@ class Walks:
 
     Attributes
     ----------
-    y : ndarray, shape (2, n)
-        States [m], [m/s], at forcing phase zero.
+    y : ndarray, shape (n_states, n)
+        States at forcing phase zero.
     status : ndarray of int, shape (n,)
         `Status` values.
     n_periods : ndarray of int, shape (n,)
         Forcing periods since the start.
-    section : ndarray of complex, shape (n, longest window so far)
+    section : ndarray, shape (n_states, n, longest window so far)
         Section points of the windows [m], the first `length` of each row.
     length : ndarray of int, shape (n,)
     reach : ndarray, shape (n,)
-        Largest displacements of the windows [m].
+        Largest displacements of the windows, as section points [m].
+    n_turning : int
+        How much extrema are recorded of: coordinates, then a system's gaps.
     extrema : Lists
-        Displacements [m] of the zero-velocity points of a window recorded with all events.
-    contact_share : ndarray, shape (n,)
-        Share of that window's time spent beyond the walls [-].
+        Zero-velocity points [m] of a window recorded with all events; `n_turning` lists a scene.
+    contact_share : ndarray, shape (n_contacts, n)
+        Share of that window's time spent beyond each contact's walls [-].
     """
 
     def __init__(self, ensemble: Ensemble, y: Array) -> None:
@@ -44,9 +46,11 @@ class Walks:
         self.status = np.full(n, int(Status.OK))
         self.n_periods, self.length = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._steps_per_period, self._extent = np.ones(n), np.zeros(n)
-        self.section = np.empty((n, 0), complex)
-        self.reach = np.abs(y[0])
-        self.extrema, self.contact_share = Lists(n), np.full(n, np.nan)
+        self.section = np.empty((len(y), n, 0))
+        self.reach = self._place(np.arange(n))
+        self.n_turning = len(ensemble.turning(np.arange(n), y))
+        self.extrema = Lists(n * self.n_turning)
+        self.contact_share = np.full(ensemble.valid_range.shape, np.nan)
 
     @property
     def t(self) -> Array:
@@ -72,14 +76,27 @@ class Walks:
         """Distances [m] below which two states are the same to this solver."""
         return DEVIATIONS * self.noise()
 
-    def window(self, point: int) -> NDArray[np.complex128]:
-        """Section points [m] of one window."""
-        return self.section[point, : self.length[point]]
+    def _place(self, points: Numbers) -> Array:
+        """How far [m] from the origin they are."""
+        unit = self.ensemble.unit[:, points]
+        return reach_of(self.y[: self.ensemble.n_coordinates, points], unit)
+
+    def rows(self, points: Numbers) -> Numbers:
+        """Numbers of the lists of extrema of some scenes, one scene's after the other's."""
+        return (points[:, None] * self.n_turning + np.arange(self.n_turning)).ravel()
+
+    def has_extrema(self, points: Numbers) -> NDArray[np.bool_]:
+        """Whether a window of scenes was recorded with all events."""
+        return np.asarray(self.extrema.counts[points * self.n_turning] >= 0)
+
+    def window(self, point: int) -> Array:
+        """Section points [m] of one window, shape (n_states, length)."""
+        return self.section[:, point, : self.length[point]]
 
     def forget(self, points: Numbers) -> None:
         """Start empty windows here."""
         self.length[points], self._extent[points] = 0, 0.0
-        self.reach[points] = np.abs(self.y[0, points])
+        self.reach[points] = self._place(points)
 
     def advance(
         self,
@@ -94,30 +111,45 @@ class Walks:
         y = self.y[:, points]
         call = self.ensemble.call(points, y, n_periods, record_from, section_only=section_only)
         if not section_only:
-            self.extrema.put(points, call.events.extrema, call.events.n_extrema)
-            walls = self.ensemble.walls[:, points]
-            self.contact_share[points] = contact_shares(call, y[0], walls, closed=False)
+            extrema, counts = self.extrema_of(call)
+            self.extrema.put(self.rows(points), extrema, counts.ravel())
+            self.contact_share[:, points] = contact_shares(self.ensemble, points, y, call)
         self._steps_per_period[points] = np.maximum(call.n_steps / n_periods, 1.0)
         if recorded.any():
             self._add(points[recorded], np.flatnonzero(recorded), call)
         self.arrive(points, call.y, call.status, n_periods)
 
+    def extrema_of(self, call: Call) -> tuple[Array, Counts]:
+        """Zero-velocity points [m] of a call, and how many there are of each motion's quantities.
+
+        Returns
+        -------
+        extrema : ndarray
+            Those of the first motion, of each in order of time, then of the next motion.
+        counts : ndarray of int, shape (n, n_turning)
+        """
+        events, n = call.events, self.n_turning
+        if n == 1:
+            return events.extrema, events.n_extrema[:, None]
+        row = np.repeat(np.arange(len(events.n_extrema)), events.n_extrema) * n + events.extrema_of
+        counts = np.bincount(row, minlength=len(events.n_extrema) * n).reshape(-1, n)
+        return events.extrema[np.lexsort((events.t_extrema, row))], counts
+
     def _add(self, points: Numbers, motions: Numbers, call: Call) -> None:
         """Add recorded motions of a call to the windows of their points."""
         self._extent[points] = np.maximum(self._extent[points], call.reach[motions])
         new = np.diff(call.period_ends)[motions]
-        room = int((self.length[points] + new).max()) - self.section.shape[1]
+        room = int((self.length[points] + new).max()) - self.section.shape[2]
         if room > 0:
-            self.section = np.pad(self.section, ((0, 0), (0, room)))
+            self.section = np.pad(self.section, ((0, 0), (0, 0), (0, room)))
         # Events stand motion by motion, and motions that were not recorded have none.
         column = np.arange(new.sum()) - np.repeat(np.cumsum(new) - new, new)
-        self.section[np.repeat(points, new), np.repeat(self.length[points], new) + column] = (
-            call.section
-        )
+        rows, columns = np.repeat(points, new), np.repeat(self.length[points], new) + column
+        self.section[:, rows, columns] = call.section
         self.length[points] += new
 
     def arrive(self, points: Numbers, y: Array, status: Counts, n_periods: Counts) -> None:
         """Be at states that whole periods of motion led to."""
         self.y[:, points], self.status[points] = y, status
         self.n_periods[points] += n_periods
-        self.reach[points] = np.maximum(self._extent[points], np.abs(y[0]))
+        self.reach[points] = np.maximum(self._extent[points], self._place(points))

@@ -45,7 +45,7 @@ _ONE = (
     "min_step",  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
     *("n_steps", "n_contacts", "n_short"),
     # what the recording of the last step found: when it began [s], zero of a velocity, section
-    *("start_time", "turn_time", "turn_x", "section_time"),
+    *("start_time", "turn_time", "turn_x", "turn_v", "section_time"),
 )
 
 
@@ -115,6 +115,11 @@ class Layout:
     def first_gap(self) -> int:
         """Number of the first contact's series; of a plain oscillator, that of the coordinate."""
         return 0 if self.is_plain else self.n + self.m
+
+    @property
+    def n_turning(self) -> int:
+        """What extrema are recorded of: coordinates, then the gaps of contacts."""
+        return 1 if self.is_plain else self.n + self.contacts
 
     @cached_property
     def blocks(self) -> dict[str, int]:

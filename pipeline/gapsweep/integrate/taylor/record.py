@@ -1,11 +1,12 @@
 """What a step leaves behind when recording is on: extrema, section points, contacts, the series.
 
 Each record is a row (point, kind, t, which, q, v, z) of one log that all points share; a point's
-rows are in the order of time within each kind. `which` is the coordinate of an extremum, whose
-value stands first, or the contact; all others hold the whole state.
+rows are in the order of time within each kind and `which`. That is the contact; of an extremum,
+whose value stands first, it is the coordinate, or a contact's gap after all coordinates. All others
+hold the whole state.
 
 Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
-at once, that there is none or one, and finds it (`find_turns`). That leaves one step in some
+at once, that there is none or one, and finds it (`turns`). That leaves one step in some
 hundreds: its zeros are isolated by the same rule on parts of the step (`roots`).
 """
 
@@ -19,7 +20,6 @@ from gapsweep.integrate.jit import internal
 from gapsweep.integrate.vectors import (
     I64,
     absolute,
-    copysign,
     is_nonzero,
     lowest_bit,
     minimum,
@@ -27,8 +27,9 @@ from gapsweep.integrate.vectors import (
 )
 
 from .roots import DOUBLE, SIMPLE, isolate, polynomial
-from .series import Lanes
+from .series import Lanes, pointers
 from .step import CLOCK_SLACK, value_and_slope
+from .turns import TOUCH, find_coordinate_turns, find_gap_turns
 
 MINIMUM, MAXIMUM, INFLECTION, SECTION = 0, 1, 2, 3
 ENTER_UPPER, LEAVE_UPPER, ENTER_LOWER, LEAVE_LOWER = 4, 5, 6, 7
@@ -38,16 +39,13 @@ DENSE_HEAD = 3  # point, start time, length; then the coefficients of q and z
 # A turn and its return that differ by less than this part of the displacement are rounding's
 # picture of one inflection (v = 0 and a = 0).
 _SAME_DISPLACEMENT = 4e-16
-_TOUCH = 1e-12  # of the velocity: a closer approach to zero is a touch, by the same measure
 _FLANK = 1e-5  # of the step
-_NEWTON_STEPS = 4
-_CLOSE = 1e-7  # of the step: largest last correction; the error left is about its square
 
 
 @internal
 def rows_per_step(at):
     """Most rows that a step of all lanes writes to the log."""
-    return at.width * (at.n * (at.order + 1) + 2 * at.contacts + 1)
+    return at.width * (at.n_turning * (at.order + 1) + 2 * at.contacts + 1)
 
 
 @internal
@@ -61,8 +59,8 @@ def _begin_row(run, point, kind, t, which):
 
 
 @internal
-def _write_turn(run, point, kind, t, coordinate, value):
-    i = _begin_row(run, point, kind, t, coordinate)
+def _write_turn(run, point, kind, t, which, value):
+    i = _begin_row(run, point, kind, t, which)
     run.log[i, STATE:] = 0.0
     run.log[i, STATE] = value
 
@@ -89,7 +87,7 @@ def _noise(degree, step, work):
     for n in range(degree + 1):
         size += abs(work.reduced[n]) * power
         power *= step
-    return _TOUCH * size
+    return TOUCH * size
 
 
 @internal
@@ -138,11 +136,11 @@ def _velocity_roots(step, v_1, work):
 
 
 @internal
-def _record_extrema(at, run, k, coordinate):
-    """The zeros of a velocity within a step that `find_turns` left unclear."""
+def _record_extrema(at, run, k, which, first):
+    """The zeros of a velocity within a step that `_found_turns` left unclear."""
     lanes, work, point = run.lanes, run.work, run.lane_point[k]
-    load_series(run.coefficients, coordinate * at.n_terms, k, work.series)
-    n_roots = _velocity_roots(lanes[at.step, k], lanes[at.v + coordinate, k], work)
+    load_series(run.coefficients, first, k, work.series)
+    n_roots = _velocity_roots(lanes[at.step, k], lanes[at.turn_v, k], work)
     if n_roots == 0:
         return
     start = lanes[at.start_time, k]
@@ -171,7 +169,7 @@ def _record_extrema(at, run, k, coordinate):
             is_again = abs(x - halt) <= _SAME_DISPLACEMENT * abs(x)
             halt = x
         if t >= first and not is_again:
-            _write_turn(run, point, kind, start + t, coordinate, x)
+            _write_turn(run, point, kind, start + t, which, x)
         i += 1
 
 
@@ -199,92 +197,6 @@ def _record_dense(at, run, k):
     dense[i, 2] = lanes[at.step, k]
     load_series(run.coefficients, 0, k, dense[i, DENSE_HEAD:])
     run.fill[1] += 1
-
-
-def _velocity_terms(series, h):
-    """Coefficients of v in powers of t / h, with the sign that makes v_0 positive; that sign."""
-    sign = copysign(h.constant(1.0), series[1])
-    terms, power = [], sign
-    for n in range(1, len(series)):
-        terms.append(series[n] * power * float(n))
-        power = power * h
-    return terms, sign
-
-
-def _bernstein_form(terms):
-    """Bernstein coefficients on [0, 1] of ``sum(terms[n] s**n)``."""
-    degree = len(terms) - 1
-    b = [a * (1.0 / math.comb(degree, n)) for n, a in enumerate(terms)]
-    for k in range(degree - 1, -1, -1):
-        for j in range(k, degree):
-            b[j + 1] = b[j + 1] + b[j]
-    return b
-
-
-def _sign_change(bernstein, noise):
-    """What Descartes' rule proves about the zeros on (0, 1) of a polynomial positive at 0.
-
-    Its end values are exact; an inner coefficient within `noise` may have either sign.
-
-    Returns
-    -------
-    is_single, is_none : Mask
-        Proved: exactly one zero; no zero and no value within `noise`.
-    crossing : Vec
-        Where the control polygon crosses zero, for a single zero.
-    """
-    degree, first, end = len(bernstein) - 1, bernstein[0], bernstein[-1]
-    # One zero: positive up to some coefficient, the next one anything, negative from there on.
-    is_positive, has_turned = first > 0.0, first < 0.0
-    last, following, index = first, end, 0.0 * first
-    for j, b in enumerate(bernstein[1:-1], start=1):
-        following = where(is_positive, b, following)
-        has_turned = (has_turned & (b < -noise)) | is_positive
-        is_positive = is_positive & (b > noise)
-        last, index = where(is_positive, b, last), where(is_positive, b.constant(j), index)
-    following = where(is_positive, end, following)
-    is_single = (has_turned | is_positive) & (end < 0.0)
-    is_none = is_positive & (first > noise) & (end > noise)
-    return is_single, is_none, (index + last / (last - following)) * (1.0 / degree)
-
-
-def _emit_turns(builder, series, h, v_1, among):
-    """Zeros of the velocity on (0, h].
-
-    Returns
-    -------
-    is_single, is_none : Mask
-        Proved: exactly one zero, and found; none at all. Lanes outside the bits `among` do not
-        matter.
-    t, x : Vec
-        Time of the single one within the step, and displacement there.
-    """
-    terms, sign = _velocity_terms(series, h)
-    size = absolute(terms[0])
-    for term in terms[1:]:
-        size = size + absolute(term)
-    bernstein = _bernstein_form(terms)
-    # The next step starts from this very number: no zero is seen twice or never.
-    bernstein[-1] = v_1 * sign
-    is_single, is_none, part = _sign_change(bernstein, size * _TOUCH)
-    before = builder.block
-    with builder.if_then(is_nonzero(builder, builder.and_(is_single.bits(), among))):
-        for _ in range(_NEWTON_STEPS):
-            value, slope = value_and_slope(terms, part)
-            correction = value / slope
-            part = part - correction
-        is_found = is_single & (part > 0.0) & (part <= 1.0) & (absolute(correction) <= _CLOSE)
-        t = part * h
-        x, _ = value_and_slope(series, t)
-        inside = builder.block
-    results = []
-    for skipped, computed in ((is_single, is_found), (h, t), (h, x)):
-        phi = builder.phi(computed.value.type)
-        phi.add_incoming(skipped.value, before)
-        phi.add_incoming(computed.value, inside)
-        results.append(type(computed)(builder, phi))
-    is_found, t, x = results
-    return is_found, is_none, t, x
 
 
 def _emit_section(builder, lanes, coefficients, is_section, among):
@@ -328,14 +240,6 @@ def _emit_passed(builder, lanes, coefficients, among):
     return packed
 
 
-def _pointers(context, builder, signature, args):
-    """Where the arrays `lanes` and `coefficients` begin."""
-    return [
-        context.make_array(t)(context, builder, a).data
-        for t, a in zip(signature.args[1:3], args[1:3], strict=True)
-    ]
-
-
 @intrinsic
 def find_passed(typingctx, at, lanes, coefficients, among):
     """What was passed within the last step of the lanes in `among`, for all lanes at once.
@@ -357,67 +261,28 @@ def find_passed(typingctx, at, lanes, coefficients, among):
     signature = types.int64(at, lanes, coefficients, types.int64)
 
     def codegen(context, builder, signature, args):
-        arrays = [
-            Lanes(builder, p, at.layout) for p in _pointers(context, builder, signature, args)
-        ]
+        arrays = [Lanes(builder, p, at.layout) for p in pointers(context, builder, signature, args)]
         return _emit_passed(builder, *arrays, args[3])
 
     return signature, codegen
 
 
-@intrinsic
-def find_turns(typingctx, at, lanes, coefficients, coordinate, among):
-    """Zeros of the velocity of a coordinate within the last step of the lanes in `among`.
-
-    Parameters
-    ----------
-    at, lanes, coefficients, among
-        As `find_passed`, after it. `turn_time` and `turn_x` are set.
-    coordinate : int64
-
-    Returns
-    -------
-    int64
-        Two masks of `at.width` bits, lowest first: lanes with a single zero; lanes whose zeros need
-        `isolate`.
-    """
-    layout = at.layout
-    signature = types.int64(at, lanes, coefficients, types.int64, types.int64)
-
-    def codegen(context, builder, signature, args):
-        state, series = (
-            Lanes(builder, p, layout) for p in _pointers(context, builder, signature, args)
-        )
-        _, _, _, coordinate, among = args
-        terms = series.below(coordinate, layout.n_terms)
-        v_1 = state.below(coordinate, 1)[layout.v]
-        x = [terms[n] for n in range(layout.n_terms)]
-        is_single, is_none, t, turn = _emit_turns(builder, x, state["step"], v_1, among)
-        # recording may begin within the step
-        begun = (state["event_clock"] - (state["cycle_0"] + state["tau_0"])) * state["period"]
-        state["turn_time"], state["turn_x"] = state["start_time"] + t, turn
-        single, unclear = is_single & (t >= begun), ~(is_single | is_none)
-        masks = [builder.and_(mask.bits(), among) for mask in (single, unclear)]
-        return builder.or_(masks[0], builder.shl(masks[1], ir.Constant(I64, layout.width)))
-
-    return signature, codegen
-
-
 @internal
-def _record_turns(at, among, run, coordinate):
-    events = find_turns(at, run.lanes, run.coefficients, coordinate, among)
+def _write_turns(at, run, events, which, series):
+    """Rows of what `find_coordinate_turns` or `find_gap_turns` found."""
+    first = series * at.n_terms
     turns = events & at.all_lanes
     unclear = (events >> at.width) & at.all_lanes
     while turns != 0:
         k = lowest_bit(turns)
         turns &= turns - 1
-        slope = run.coefficients[coordinate * at.n_terms + 1, k]
+        slope = run.coefficients[first + 1, k]
         t, x = run.lanes[at.turn_time, k], run.lanes[at.turn_x, k]
-        _write_turn(run, run.lane_point[k], MAXIMUM if slope > 0.0 else MINIMUM, t, coordinate, x)
+        _write_turn(run, run.lane_point[k], MAXIMUM if slope > 0.0 else MINIMUM, t, which, x)
     while unclear != 0:
         k = lowest_bit(unclear)
         unclear &= unclear - 1
-        _record_extrema(at, run, k, coordinate)
+        _record_extrema(at, run, k, which, first)
 
 
 @internal
@@ -428,8 +293,13 @@ def record_steps(at, among, run):
     contacts = (passed >> at.width) & at.all_lanes
     all_events = (passed >> 2 * at.width) & at.all_lanes
     if all_events != 0 and run.turns:
-        for coordinate in range(at.n):
-            _record_turns(at, all_events, run, coordinate)
+        for i in range(at.n):
+            events = find_coordinate_turns(at, run.lanes, run.coefficients, i, i, all_events)
+            _write_turns(at, run, events, i, i)
+        for i in range(at.n_turning - at.n):
+            series = at.first_gap + i
+            events = find_gap_turns(at, run.lanes, run.coefficients, i, series, all_events)
+            _write_turns(at, run, events, at.n + i, series)
     while sections != 0:
         k = lowest_bit(sections)
         sections &= sections - 1

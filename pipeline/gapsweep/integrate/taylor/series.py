@@ -63,6 +63,14 @@ class Lanes:
         return [rows[i * n : (i + 1) * n] for i in range(n_rows)]
 
 
+def pointers(context, builder, signature, args):
+    """Where the first arrays, `lanes` and `coefficients`, begin."""
+    return [
+        context.make_array(t)(context, builder, a).data
+        for t, a in zip(signature.args[1:3], args[1:3], strict=True)
+    ]
+
+
 def dot(factors, values, total):
     """Sum of products, added to `total`."""
     for a, b in zip(factors, values, strict=True):

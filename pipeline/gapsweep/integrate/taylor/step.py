@@ -34,7 +34,7 @@ from gapsweep.integrate.vectors import (
     where,
 )
 
-from .series import Equation, Lanes, Modes, Motion, dot, variation
+from .series import Equation, Lanes, Modes, Motion, dot, pointers, variation
 from .step_size import Sizes, step_size
 
 # A step spans at most this part of a forcing period, so that it holds at most one section point.
@@ -283,9 +283,9 @@ def _emit_tangents(lanes, coefficients, motion, step, is_unclear):
             lanes[first + i] = where(is_unclear, start, end)
 
 
-def _emit_step(builder, layout, pointers, scalars):
+def _emit_step(builder, layout, arrays, scalars):
     """Emit the whole step; returns the packed masks (see `taylor_step`)."""
-    lanes, coefficients = (Lanes(builder, pointer, layout) for pointer in pointers)
+    lanes, coefficients = (Lanes(builder, pointer, layout) for pointer in arrays)
     rtol, x_bound, max_short = (splat(builder, s, layout.width) for s in scalars)
 
     # 1. series and step size
@@ -374,10 +374,7 @@ def taylor_step(typingctx, at, lanes, coefficients, rtol, x_bound, max_short):
     signature = types.int64(at, lanes, coefficients, rtol, x_bound, max_short)
 
     def codegen(context, builder, signature, args):
-        pointers = [
-            context.make_array(t)(context, builder, a).data
-            for t, a in zip(signature.args[1:3], args[1:3], strict=True)
-        ]
-        return _emit_step(builder, at.layout, pointers, args[3:])
+        arrays = pointers(context, builder, signature, args)
+        return _emit_step(builder, at.layout, arrays, args[3:])
 
     return signature, codegen

@@ -1,0 +1,164 @@
+"""Extrema within a step, found for all lanes at once, as vector code.
+
+Descartes' rule proves that a velocity has no zero there or one, which Newton's method then finds.
+"""
+
+import math
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from gapsweep.integrate.vectors import I64, absolute, copysign, is_nonzero, where
+
+from .series import Lanes, dot, pointers
+from .step import value_and_slope
+
+TOUCH = 1e-12  # of the velocity: a closer approach to zero is a touch, by the same measure
+_NEWTON_STEPS = 4
+_CLOSE = 1e-7  # of the step: largest last correction; the error left is about its square
+
+
+def _velocity_terms(series, h):
+    """Coefficients of v in powers of t / h, with the sign that makes v_0 positive; that sign."""
+    sign = copysign(h.constant(1.0), series[1])
+    terms, power = [], sign
+    for n in range(1, len(series)):
+        terms.append(series[n] * power * float(n))
+        power = power * h
+    return terms, sign
+
+
+def _bernstein_form(terms):
+    """Bernstein coefficients on [0, 1] of ``sum(terms[n] s**n)``."""
+    degree = len(terms) - 1
+    b = [a * (1.0 / math.comb(degree, n)) for n, a in enumerate(terms)]
+    for k in range(degree - 1, -1, -1):
+        for j in range(k, degree):
+            b[j + 1] = b[j + 1] + b[j]
+    return b
+
+
+def _sign_change(bernstein, noise):
+    """What Descartes' rule proves about the zeros on (0, 1) of a polynomial positive at 0.
+
+    Its end values are exact; an inner coefficient within `noise` may have either sign.
+
+    Returns
+    -------
+    is_single, is_none : Mask
+        Proved: exactly one zero; no zero and no value within `noise`.
+    crossing : Vec
+        Where the control polygon crosses zero, for a single zero.
+    """
+    degree, first, end = len(bernstein) - 1, bernstein[0], bernstein[-1]
+    # One zero: positive up to some coefficient, the next one anything, negative from there on.
+    is_positive, has_turned = first > 0.0, first < 0.0
+    last, following, index = first, end, 0.0 * first
+    for j, b in enumerate(bernstein[1:-1], start=1):
+        following = where(is_positive, b, following)
+        has_turned = (has_turned & (b < -noise)) | is_positive
+        is_positive = is_positive & (b > noise)
+        last, index = where(is_positive, b, last), where(is_positive, b.constant(j), index)
+    following = where(is_positive, end, following)
+    is_single = (has_turned | is_positive) & (end < 0.0)
+    is_none = is_positive & (first > noise) & (end > noise)
+    return is_single, is_none, (index + last / (last - following)) * (1.0 / degree)
+
+
+def _emit_turns(builder, series, h, v_1, among):
+    """Zeros of the velocity on (0, h].
+
+    Returns
+    -------
+    is_single, is_none : Mask
+        Proved: exactly one zero, and found; none at all. Lanes outside the bits `among` do not
+        matter.
+    t, x : Vec
+        Time of the single one within the step, and displacement there.
+    """
+    terms, sign = _velocity_terms(series, h)
+    size = absolute(terms[0])
+    for term in terms[1:]:
+        size = size + absolute(term)
+    bernstein = _bernstein_form(terms)
+    # The next step starts from this very number: no zero is seen twice or never.
+    bernstein[-1] = v_1 * sign
+    is_single, is_none, part = _sign_change(bernstein, size * TOUCH)
+    before = builder.block
+    with builder.if_then(is_nonzero(builder, builder.and_(is_single.bits(), among))):
+        for _ in range(_NEWTON_STEPS):
+            value, slope = value_and_slope(terms, part)
+            correction = value / slope
+            part = part - correction
+        is_found = is_single & (part > 0.0) & (part <= 1.0) & (absolute(correction) <= _CLOSE)
+        t = part * h
+        x, _ = value_and_slope(series, t)
+        inside = builder.block
+    results = []
+    for skipped, computed in ((is_single, is_found), (h, t), (h, x)):
+        phi = builder.phi(computed.value.type)
+        phi.add_incoming(skipped.value, before)
+        phi.add_incoming(computed.value, inside)
+        results.append(type(computed)(builder, phi))
+    is_found, t, x = results
+    return is_found, is_none, t, x
+
+
+def _turns_of(speed):
+    """An intrinsic that finds the zeros of a velocity within the last step of some lanes.
+
+    Parameters
+    ----------
+    speed : callable
+        The velocity at the end of the step, of the lanes and of `number`.
+
+    Returns
+    -------
+    intrinsic
+        Of ``at, lanes, coefficients, number, series, among``: as `find_passed`, after it, with the
+        number of the velocity and that of its series. Sets `turn_time`, `turn_x` and `turn_v`.
+        Returns two masks of `at.width` bits, lowest first: lanes with a single zero; lanes whose
+        zeros need `isolate`.
+    """
+
+    def find_turns(typingctx, at, lanes, coefficients, number, series, among):
+        layout = at.layout
+        signature = types.int64(at, lanes, coefficients, types.int64, types.int64, types.int64)
+
+        def codegen(context, builder, signature, args):
+            state, kept = (
+                Lanes(builder, p, layout) for p in pointers(context, builder, signature, args)
+            )
+            number, series, among = args[3:]
+            terms = kept.below(series, layout.n_terms)
+            v_1 = speed(state, number)
+            if v_1 is None:
+                return ir.Constant(I64, 0)
+            x = [terms[n] for n in range(layout.n_terms)]
+            is_single, is_none, t, turn = _emit_turns(builder, x, state["step"], v_1, among)
+            # recording may begin within the step
+            begun = (state["event_clock"] - (state["cycle_0"] + state["tau_0"])) * state["period"]
+            state["turn_time"], state["turn_x"] = state["start_time"] + t, turn
+            state["turn_v"] = v_1
+            single, unclear = is_single & (t >= begun), ~(is_single | is_none)
+            masks = [builder.and_(mask.bits(), among) for mask in (single, unclear)]
+            return builder.or_(masks[0], builder.shl(masks[1], ir.Constant(I64, layout.width)))
+
+        return signature, codegen
+
+    return intrinsic(find_turns)
+
+
+def _gap_speed(state, contact):
+    """Rate of a contact's gap, just as the next step's series begins with it."""
+    layout = state.layout
+    if layout.is_plain:
+        return None  # its gap is its coordinate
+    direction = state.below(contact, layout.n)
+    rows = [direction[layout.direction + i] for i in range(layout.n)]
+    return dot(rows, state.rows("v"), state["tau"].constant(0.0))
+
+
+find_coordinate_turns = _turns_of(lambda state, i: state.below(i, 1)[state.layout.v])
+find_gap_turns = _turns_of(_gap_speed)
