@@ -385,13 +385,16 @@ def _cut(
     straddles = distance(t_before) * distance(t_beyond) < 0.0
     t = float(brentq(distance, t_before, t_beyond, xtol=1e-15)) if straddles else t_before
     last = int(np.searchsorted(segment.motion.x, t, side="left"))
+    if not last:  # at once
+        start = _resting(t, segment.motion(t))
+        return _Segment(t, _on_wall(scene, tuple(start(t)), contact, wall), start, (contact, wall))
     breaks = np.append(segment.motion.x[:last], t)
     motion = PPoly.construct_fast(segment.motion.c[:, : breaks.size - 1], breaks)
     return _Segment(t, _on_wall(scene, tuple(motion(t)), contact, wall), motion, (contact, wall))
 
 
 def _resting(t: float, y: Array) -> PPoly:
-    """A motion that ends where it starts, because its first step has failed."""
+    """A motion that ends where it starts."""
     powers = np.zeros((_DEGREE + 1, 1, len(y)))
     powers[-1] = y
     return PPoly.construct_fast(powers, np.array([t, np.nextafter(t, math.inf)]))

@@ -1,0 +1,232 @@
+"""Steady responses of systems: against oscillators, brute force, other coordinates, scipy."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import trapezoid
+
+import gapsweep as gs
+
+GAP = gs.Gap(4e-4, 6e-4)
+# Damped so that each scene has one attractor: which one a start ends on is another question.
+OSCILLATORS = (
+    gs.Oscillator(zeta=0.2, alpha=0.0),
+    gs.Oscillator(zeta=0.25, omega_n=7.0, mass=1.2, alpha=0.0, forcing=2.0),
+)
+LAWS = (gs.Piecewise(1.2e4, GAP), gs.Piecewise(6e3, gs.Gap(3e-4, 3e-4)))
+BY_NAME = dict(zip(("stop 0", "stop 1"), LAWS, strict=True))
+
+
+def joined(*oscillators, change=None):
+    """Oscillators side by side as one system, in coordinates p with q = change @ p."""
+    n = len(oscillators)
+    change = np.eye(n) if change is None else np.asarray(change)
+    mass = np.diag([o.mass for o in oscillators])
+    damping = np.diag([2.0 * o.mass * o.decay_rate for o in oscillators])
+    stiffness = np.diag([o.mass * o.omega_n_rad**2 for o in oscillators])
+    return gs.System(
+        mass=change.T @ mass @ change,
+        damping=change.T @ damping @ change,
+        stiffness=change.T @ stiffness @ change,
+        contacts={f"stop {i}": row for i, row in enumerate(change)},
+        cubic=[
+            gs.Cubic(along=row, alpha=o.alpha)
+            for row, o in zip(change, oscillators, strict=True)
+            if o.alpha
+        ],
+        forcing=[gs.Harmonic(amplitude=change.T @ [o.forcing for o in oscillators])],
+    )
+
+
+def coupled(K_c=2e3, coupling=150.0):
+    """Two masses with a stop between them and a wall for the second."""
+    system = gs.System(
+        mass=np.diag([1.0, 0.5]),
+        damping=[[0.8, -0.2], [-0.2, 0.5]],
+        stiffness=[[400.0, -coupling], [-coupling, 300.0]],
+        contacts={"stop": [1.0, -1.0], "wall": [0.0, 1.0]},
+        forcing=[gs.Harmonic(amplitude=[3.0, 1.0])],
+    )
+    law = {
+        "stop": gs.Piecewise(K_c, gs.Gap(1e-3, 2e-3)),
+        "wall": gs.Piecewise(K_c, gs.Gap(5e-3, 5e-3)),
+    }
+    return system, law
+
+
+def test_a_system_of_one_coordinate_responds_as_its_oscillator():
+    oscillator, law, omega = gs.Oscillator(), LAWS[0], np.linspace(4.0, 30.0, 60)
+    same = gs.respond(joined(oscillator), law, omega, q_0=[1e-4])
+    # From where it ends: which attractor a start is led to, rounding may decide.
+    one = gs.respond(oscillator, law, omega, same.x_end[:, 0], same.v_end[:, 0])
+    periodic = one.response_class == gs.ResponseClass.PERIODIC
+    assert periodic.sum() > 40
+    assert np.array_equal(one.response_class, same.response_class)
+    assert np.array_equal(one.period_multiple, same.period_multiple)
+    for name in ("x_max", "x_min", "force_max"):
+        found = getattr(same, name)[..., 0]
+        assert_allclose(found[periodic], getattr(one, name)[periodic], rtol=1e-6)
+    found = same.contact_share[..., 0]
+    assert_allclose(found[periodic], one.contact_share[periodic], atol=1e-6)
+    assert_allclose(same.multiplier_abs[periodic], one.multiplier_abs[periodic], atol=1e-6)
+
+
+def test_uncoupled_oscillators_respond_each_as_alone():
+    omega = np.linspace(4.0, 14.0, 30)
+    together = gs.respond(
+        joined(*OSCILLATORS), dict(zip(("stop 0", "stop 1"), LAWS, strict=True)), omega
+    )
+    alone = [gs.respond(o, law, omega) for o, law in zip(OSCILLATORS, LAWS, strict=True)]
+    periodic = np.all([r.response_class == gs.ResponseClass.PERIODIC for r in alone], axis=0)
+    assert periodic.sum() > 15
+    assert np.all(together.response_class[periodic] == gs.ResponseClass.PERIODIC)
+    multiple = np.lcm(*(r.period_multiple for r in alone))
+    assert np.array_equal(together.period_multiple[periodic], multiple[periodic])
+    for name in ("x_max", "x_min", "amplitude", "force_max"):
+        expected = np.stack([getattr(r, name) for r in alone], axis=-1)
+        assert_allclose(getattr(together, name)[periodic], expected[periodic], rtol=1e-5)
+    shares = np.stack([r.contact_share for r in alone], axis=-1)
+    assert_allclose(together.contact_share[periodic], shares[periodic], atol=1e-5)
+
+
+def test_other_coordinates_change_no_answer():
+    change = np.array([[1.0, 0.4], [-0.3, 0.8]])
+    omega = np.linspace(4.0, 14.0, 20)
+    plain = gs.respond(joined(*OSCILLATORS), BY_NAME, omega)
+    turned = gs.respond(joined(*OSCILLATORS, change=change), BY_NAME, omega)
+    periodic = plain.response_class == gs.ResponseClass.PERIODIC
+    assert periodic.sum() > 10
+    assert np.array_equal(plain.response_class[periodic], turned.response_class[periodic])
+    assert np.array_equal(plain.period_multiple[periodic], turned.period_multiple[periodic])
+    # The contacts' gaps do not know of coordinates.
+    assert_allclose(turned.force_max[periodic], plain.force_max[periodic], rtol=1e-5)
+    assert_allclose(turned.contact_share[periodic], plain.contact_share[periodic], atol=1e-5)
+    assert_allclose(turned.multiplier_abs[periodic], plain.multiplier_abs[periodic], atol=1e-5)
+
+
+def test_orbits_of_coupled_masses_are_where_brute_force_settles():
+    system, law = coupled()
+    omega = np.linspace(1.0, 8.0, 25)
+    found = gs.respond(system, law, omega)
+    n_checked = 0
+    for k in np.flatnonzero(found.response_class == gs.ResponseClass.PERIODIC):
+        n = int(found.period_multiple[k])
+        settled = gs.simulate(system, law, omega[k], t_end=600.0 / omega[k])
+        run = gs.simulate(
+            system,
+            law,
+            omega[k],
+            q_0=settled.q,
+            v_0=settled.v,
+            t_end=n / omega[k],
+            dense_output=True,
+        )
+        q = run.sample(t := np.linspace(0.0, n / omega[k], 20001))[0]
+        if np.abs(q[-1] - q[0]).max() > 1e-7:
+            continue  # settles later than that
+        n_checked += 1
+        assert_allclose(found.x_max[k], q.max(axis=0), atol=1e-7)
+        assert_allclose(found.x_min[k], q.min(axis=0), atol=1e-7)
+        gaps = q @ np.array([*system.contacts.values()]).T
+        for i, each in enumerate(law.values()):
+            assert_allclose(found.force_max[k, i], np.abs(each.force(gaps[:, i])).max(), rtol=1e-4)
+            beyond = (gaps[:, i] > each.gap.j_2) | (gaps[:, i] < -each.gap.j_1)
+            share = trapezoid(beyond.astype(float), t) / t[-1]
+            assert_allclose(found.contact_share[k, i], share, atol=2e-3)
+        # No orbit can do without the energy that damping takes.
+        states = np.reshape(found.section[k], (-1, 4))
+        assert np.abs(states - np.concatenate([run.q, run.v])).max(axis=1).min() < 1e-5
+    assert n_checked > 10
+
+
+def test_the_multipliers_shrink_volumes_as_damping_does():
+    system, law = coupled()
+    omega = np.linspace(1.0, 8.0, 25)
+    found = gs.respond(system, law, omega)
+    rate = np.trace(np.linalg.solve(system.mass, system.damping))
+    for k in np.flatnonzero(found.response_class == gs.ResponseClass.PERIODIC):
+        multipliers = np.reshape(found.multipliers[k], (-1, 2)) @ [1.0, 1j]
+        assert np.all(np.diff(np.abs(multipliers)) <= 1e-12), "largest first"
+        shrinkage = math.exp(-rate * found.period_multiple[k] / omega[k])
+        assert_allclose(np.prod(multipliers), shrinkage, rtol=1e-5, atol=1e-12)
+
+
+def test_scipy_finds_the_same_response():
+    system, law = coupled()
+    exact = gs.respond(system, law, 3.5)
+    assert exact.response_class == gs.ResponseClass.PERIODIC
+    start = {"q_0": exact.x_end, "v_0": exact.v_end}
+    other = gs.respond(system, law, 3.5, **start, engine="scipy", rtol=1e-7, atol=1e-10)
+    assert other.response_class == gs.ResponseClass.PERIODIC
+    assert exact.period_multiple == other.period_multiple
+    for name in ("x_max", "x_min", "force_max", "contact_share"):
+        assert_allclose(getattr(exact, name), getattr(other, name), rtol=1e-3)
+
+
+def test_a_linear_system_responds_as_its_transfer_function():
+    system = gs.System(
+        mass=np.diag([1.0, 0.5]),
+        damping=[[0.8, -0.2], [-0.2, 0.5]],
+        stiffness=[[400.0, -150.0], [-150.0, 300.0]],
+        forcing=[gs.Harmonic(amplitude=[3.0, 1.0])],
+    )
+    found = gs.respond(system, {}, 3.0)
+    w = 2.0 * math.pi * 3.0
+    transfer = system.stiffness - w**2 * system.mass + 1j * w * system.damping
+    amplitude = np.abs(np.linalg.solve(transfer, [3.0, 1.0]))
+    assert_allclose(found.x_max, amplitude, rtol=1e-7)
+    assert found.force_max.shape == found.contact_share.shape == (0,)
+
+
+def test_lags_are_part_of_the_state():
+    system = gs.System(
+        mass=[[1.0]],
+        damping=[[0.5]],
+        stiffness=[[400.0]],
+        contacts={"stop": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[2.0])],
+        lags=gs.Lags([[30.0]], [[0.0]], [[1.0]], [[-8.0]]),
+    )
+    law, omega = gs.Piecewise(3e3, gs.Gap(1e-3, 1e-3)), np.linspace(1.0, 8.0, 10)
+    found = gs.respond(system, law, omega)
+    orbits = np.flatnonzero(found.response_class == gs.ResponseClass.PERIODIC)
+    assert len(orbits) > 4
+    for k in orbits:
+        q, v, z = np.reshape(found.section[k], (-1, 3))[-1]
+        t_end = found.period_multiple[k] / omega[k]
+        end = gs.simulate(system, law, omega[k], q_0=[q], v_0=[v], z_0=[z], t_end=t_end)
+        assert_allclose([*end.q, *end.v, *end.z], [q, v, z], rtol=1e-6, atol=1e-9)
+
+
+def test_company_changes_no_bit():
+    system, law = coupled()
+    omega = np.linspace(1.0, 8.0, 11)
+    together = gs.respond(system, law, omega)
+    for k in (0, 4, 10):
+        alone = gs.respond(system, law, omega[k])
+        assert np.array_equal(alone.x_max, together.x_max[k])
+        assert alone.multipliers == tuple(together.multipliers[k])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"x_0": 1e-3}, "x_0 = 0.001: a System starts from q_0, v_0 and z_0"),
+        ({"omega": None}, "omega: missing; this System is forced"),
+        ({"q_0": [0.0, 0.0, 0.0]}, "q_0: has the shape"),
+        ({"law": {"stop": LAWS[0]}}, "law: of .* must name"),
+        ({"law": gs.Tanh(1e4, GAP, 1e4)}, "use engine='scipy'"),
+    ],
+)
+def test_mistakes_are_named(arguments, message):
+    system, law = coupled()
+    with pytest.raises(gs.ModelError, match=message):
+        gs.respond(system, **({"law": law, "omega": 3.0} | arguments))
+
+
+def test_a_system_that_is_not_forced_is_refused():
+    system = gs.System(mass=[[1.0]], stiffness=[[1.0]])
+    with pytest.raises(gs.ModelError, match="not forced"):
+        gs.respond(system, {}, None)
