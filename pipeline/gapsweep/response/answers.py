@@ -33,17 +33,18 @@ Numbers = NDArray[np.intp]
 
 
 class Found:
-    """What motions turned out to be, n of them; one that is neither is unresolved, or failed.
+    """What motions turned out to be, n of them; one that is nothing is unresolved, or failed.
 
     Attributes
     ----------
-    is_periodic, is_chaotic : ndarray of bool, shape (n,)
+    is_periodic, is_chaotic, is_quasiperiodic : ndarray of bool, shape (n,)
     lyapunov, lyapunov_error : ndarray, shape (n,)
         Largest Lyapunov exponent [1/s] and its standard error, where it was measured.
     """
 
     def __init__(self, n: int) -> None:
         self.is_periodic, self.is_chaotic = np.zeros(n, bool), np.zeros(n, bool)
+        self.is_quasiperiodic = np.zeros(n, bool)
         self.lyapunov, self.lyapunov_error = np.full(n, np.nan), np.full(n, np.nan)
 
 
@@ -104,7 +105,7 @@ def _stability(
     points: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots, found: Found
 ) -> dict[str, Array | Counts]:
     """Columns that say what the responses of some points are, and how sure that is."""
-    is_orbit, is_chaotic = found.is_periodic[points], found.is_chaotic[points]
+    is_orbit = found.is_periodic[points]
     n, omega = shots.n[points], ensemble.omega[points]
     lyapunov, error = found.lyapunov[points], found.lyapunov_error[points]
     modulus = np.full(len(points), np.nan)
@@ -120,11 +121,10 @@ def _stability(
     # numpy's own logarithm is another one on another processor.
     logarithms = np.fromiter(map(math.log, modulus[shrinks].tolist()), float)
     lyapunov[shrinks] = logarithms * omega[shrinks] / n[shrinks]
-    kinds = np.where(
-        is_orbit,
-        ResponseClass.PERIODIC,
-        np.where(is_chaotic, ResponseClass.CHAOTIC, ResponseClass.UNRESOLVED),
-    )
+    kinds = np.full(len(points), ResponseClass.UNRESOLVED)
+    kinds[is_orbit] = ResponseClass.PERIODIC
+    kinds[found.is_chaotic[points]] = ResponseClass.CHAOTIC
+    kinds[found.is_quasiperiodic[points]] = ResponseClass.QUASIPERIODIC
     return {
         "response_class": kinds,
         "period_multiple": np.where(is_orbit, n, 0),
@@ -197,7 +197,7 @@ def _read_off(
     walks.reach[points] = reach_of(reach.T, ensemble.unit[:, points])
     gap_max, gap_min = (ensemble.gaps(each.T) for each in (largest, smallest))
     has_left = np.maximum(np.abs(gap_max), np.abs(gap_min)) > ensemble.valid_range[:, points]
-    is_known = is_orbit | found.is_chaotic[points]
+    is_known = (found.is_periodic | found.is_chaotic | found.is_quasiperiodic)[points]
     status = np.where(is_known, Status.OK, Status.UNRESOLVED)
     status[has_left.any(axis=0)] = Status.OUT_OF_FIT_RANGE
     laws = zip(*(ensemble.scenes[point].laws for point in points.tolist()), strict=True)

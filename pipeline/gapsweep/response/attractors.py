@@ -142,9 +142,10 @@ def _firsts(responses: Responses, scene: Numbers, unit: Array) -> Numbers:
     for n in np.unique(n_points[is_orbit]).tolist():
         rows = np.flatnonzero(is_orbit & (n_points == n))
         first[rows] = _led(rows, scene, _same_orbits(responses, reach, points, begin, n))
-    rows = np.flatnonzero((kind == ResponseClass.CHAOTIC) & (n_points > 0))
-    if rows.size:
-        first[rows] = _led(rows, scene, _same_clouds(points, begin, n_points))
+    for cloud in (ResponseClass.CHAOTIC, ResponseClass.QUASIPERIODIC):
+        rows = np.flatnonzero((kind == cloud) & (n_points > 0))
+        if rows.size:
+            first[rows] = _led(rows, scene, _same_clouds(points, begin, n_points))
     return first
 
 

@@ -10,7 +10,9 @@ exponent, and looked at for a last time: if it still finds none, positive beyond
 errors is chaotic. Negative beyond three, a motion that passes kinks unlocated is a periodic one
 that its solver rattles, if it scatters no more than the solver strays. Anything else is
 `unresolved`.
-With ζ > 0 every area of the section shrinks by the same factor, so there is no third kind.
+Of an oscillator with ζ > 0 every area of the section shrinks by the same factor, so there is no
+third kind. A system's motion may also run round a torus: its exponent is zero within three standard
+errors, and its section lies on a curve.
 """
 
 from collections.abc import Hashable, Mapping, Sequence

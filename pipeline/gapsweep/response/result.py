@@ -50,6 +50,7 @@ class ResponseClass(IntEnum):
     CHAOTIC = 1
     UNRESOLVED = 2
     FAILED = 3
+    QUASIPERIODIC = 4
 
 
 class ExtremumKind(IntEnum):

@@ -21,6 +21,7 @@ from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
     DEVIATIONS,
     converging_multiples,
+    is_quasiperiodic,
     likely_multiple,
     norm,
     period_multiples,
@@ -60,7 +61,10 @@ _CLOSER = 0.5
 # A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
 _INSIDE = 1.0 - 1e-6
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
-_SURE = 3.0  # standard errors, beyond which an exponent is positive
+_SURE = 3.0  # standard errors, beyond which an exponent is not zero
+# Forcing periods in which a motion runs round its torus often enough to tell; near a locked one it
+# runs slowly.
+_CURVES = (1 << 10, 1 << 13)
 
 
 class Phase(IntEnum):
@@ -365,8 +369,7 @@ class Search:
         self._phase[late] = Phase.GROW
         is_recorded = self._walks.has_extrema(points)
         self._record_last(points[~grows & ~is_recorded])
-        for point in points[~grows & is_recorded].tolist():
-            self._rattle(point)
+        self._tell(points[~grows & is_recorded])
 
     @_for_some
     def _grown(self, points: Numbers, status: Counts) -> None:
@@ -378,6 +381,30 @@ class Search:
             exponent, error = self._growths.exponent(point, float(self._omega[point]))
             self._found.lyapunov[point], self._found.lyapunov_error[point] = exponent, error
         self._record_last(points[is_ok])
+
+    @_for_some
+    def _tell(self, points: Numbers) -> None:
+        """What motions without a period are: those whose exponent is zero may circle for ever."""
+        exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
+        may = (np.abs(exponent) <= _SURE * error) & (len(self._walks.y) > 2)
+        self._circle(points[may])
+        for point in points[~self._found.is_quasiperiodic[points]].tolist():
+            self._rattle(point)
+
+    @_for_some
+    def _circle(self, points: Numbers) -> None:
+        """Watch motions for so long that they run round a torus, if they are on one."""
+        y, quasiperiodic = self._walks.y, self._found.is_quasiperiodic
+        for n_periods in _CURVES:
+            left = points[~quasiperiodic[points]]
+            if not left.size:
+                break
+            n = np.full(len(left), n_periods)
+            call = self._ensemble.call(left, y[:, left], n, np.zeros(len(left)))
+            for k in np.flatnonzero(call.is_ok).tolist():
+                section = call.section[:, call.period_ends[k] : call.period_ends[k + 1]]
+                quasiperiodic[left[k]] = is_quasiperiodic(section)
+        self._phase[points[quasiperiodic[points]]] = Phase.ENDED
 
     def _rattle(self, point: int) -> None:
         """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.

@@ -17,6 +17,9 @@ Counts = NDArray[np.int64]
 Numbers = NDArray[np.intp]
 
 DEVIATIONS = 4.0  # of the predicted scatter, within which two points are the same
+# Faded means of two halves differ by less than this share of the scatter: a sample's of some
+# hundred points by some hundredths, a curve's by a millionth.
+_SAME_MEAN = 1e-3
 _AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
 
@@ -206,6 +209,29 @@ def _latest(sections: Array, lengths: Counts, n: int) -> Array:
     inside = column >= 0
     rows = np.arange(len(lengths))[:, None]
     return np.where(inside, sections[:, rows, np.where(inside, column, 0)], np.nan)
+
+
+def is_quasiperiodic(section: Array) -> bool:
+    """Whether a section without a period lies on a closed curve, or on a torus.
+
+    There, means over time whose ends are faded out converge faster than any power of it, so that
+    two halves have the same; over chaos they scatter as a sample does, and what creeps or shrinks
+    has different ones. Das et al., Nonlinearity 30 (2017) 4111, doi 10.1088/1361-6544/aa84c2.
+
+    Parameters
+    ----------
+    section : ndarray, shape (n_states, n_periods)
+        Section points [m], some hundreds or more.
+    """
+    half = section.shape[1] // 2
+    t = (np.arange(half) + 0.5) / half
+    weights = np.exp(-1.0 / (t * (1.0 - t)))
+    centred = section - section.mean(axis=1, keepdims=True)
+    # Means tell what drifts, those of squares what shrinks.
+    seen = np.concatenate([centred, np.square(centred)])
+    means = [each @ weights / weights.sum() for each in (seen[:, :half], seen[:, -half:])]
+    spread = seen.std(axis=1)
+    return bool((np.abs(means[0] - means[1]) <= _SAME_MEAN * spread).all() and spread.any())
 
 
 def prime_multiple(orbit: Array, tolerance: float) -> int:

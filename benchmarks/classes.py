@@ -1,0 +1,109 @@
+"""Classes of steady responses of random systems against brute force.
+
+Two coordinates, driven, with a stop; by circulatory springs some of them flutter, so that they run
+round a torus where the drive does not lock them. Brute force knows nothing of tangents or shooting:
+after a long transient a motion is periodic if its section repeats itself. If not, neighbours 1e-9
+apart say what it is, two sets of them: those of a chaotic motion part, those of a quasi-periodic
+one stay. Where the two sets disagree, brute force has no answer.
+
+    python benchmarks/classes.py [--scenes 300] [--seed 0]
+"""
+
+import argparse
+import math
+from collections import Counter
+
+import numpy as np
+
+import gapsweep as gs
+
+TIGHT = {"rtol": 1e-12, "atol": 1e-15}
+TRANSIENT, WINDOW, WATCHED = 3000, 256, 150  # forcing periods
+APART, N_NEIGHBOURS, EVERY = 1e-9, 6, 20
+PARTED, STAYED = 1e4, 1e2  # growths of distances within WATCHED periods
+
+
+def random_scene(rng):
+    """A system, its law and a forcing frequency [Hz]."""
+    flutter = rng.choice([0.0, 1.0]) * rng.uniform(8.0, 30.0)
+    loss = rng.uniform(0.2, 0.8)
+    system = gs.System(
+        mass=np.diag(rng.uniform(0.5, 2.0, 2)),
+        damping=loss * np.eye(2),
+        stiffness=[[rng.uniform(80, 120), flutter], [-flutter, rng.uniform(80, 120)]],
+        cubic=[
+            gs.Cubic(along=along, alpha=10 ** rng.uniform(3.5, 4.7)) for along in ([1, 0], [0, 1])
+        ],
+        contacts={"stop": rng.uniform(-1.0, 1.0, 2)},
+        forcing=[gs.Harmonic(amplitude=10 ** rng.uniform(-1.5, 0.3) * rng.uniform(-1, 1, 2))],
+    )
+    law = gs.Piecewise(10 ** rng.uniform(2.5, 4.0), gs.Gap(*rng.uniform(2e-3, 2e-2, 2)))
+    return system, law, rng.uniform(0.7, 3.0)
+
+
+def run(system, law, omega, state, n_periods, **options):
+    state = np.asarray(state)
+    return gs.simulate(
+        system, law, np.full(state.shape[:-1], omega), q_0=state[..., :2], v_0=state[..., 2:],
+        t_end=n_periods / omega, **TIGHT, **options,
+    )  # fmt: skip
+
+
+def growth(system, law, omega, states, rng):
+    """Median growth of the distance of neighbours."""
+    away = rng.normal(size=states.shape)
+    away *= APART / np.linalg.norm(away, axis=1, keepdims=True)
+    both = run(system, law, omega, np.concatenate([states, states + away]), WATCHED)
+    q, v = (part[: len(states)] - part[len(states) :] for part in (both.q, both.v))
+    return float(np.median(np.linalg.norm(np.concatenate([q, v], axis=1), axis=1))) / APART
+
+
+def brute_force(system, law, omega, state, rng):
+    """``periodic``, ``chaotic``, ``quasiperiodic``, or None where it has no answer."""
+    settled = run(system, law, omega, state, TRANSIENT)
+    window = run(system, law, omega, np.concatenate([settled.q, settled.v]), WINDOW)
+    section = np.asarray(window.section)
+    reach = np.abs(section).max(axis=0)
+    for n in range(1, 65):
+        if (np.abs(section[n:] - section[:-n]) < 1e-6 * reach).all():
+            return "periodic" if n <= 32 else None
+    sets = section[: 2 * N_NEIGHBOURS * EVERY : EVERY].reshape(2, -1, 4)
+    factors = [growth(system, law, omega, each, rng) for each in sets]
+    if min(factors) > PARTED:
+        return "chaotic"
+    if max(factors) < STAYED:
+        # What shrinks is on its way to a period.
+        return "quasiperiodic" if min(factors) > 1e-2 else None
+    return None
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    asked = parser.parse_args()
+    rng = np.random.default_rng(asked.seed)
+    pairs = Counter()
+    for k in range(asked.scenes):
+        system, law, omega = random_scene(rng)
+        found = gs.respond(system, law, omega, q_0=[1e-3, -1e-3])
+        if found.response_class == gs.ResponseClass.FAILED:
+            pairs["failed", "-"] += 1
+            continue
+        state = np.concatenate([found.x_end, found.v_end])
+        truth = brute_force(system, law, omega, state, rng)
+        name = found.response_class.name.lower()
+        pairs[name, truth] += 1
+        if truth is not None and truth != name:
+            print(f"scene {k}: {name}, brute force {truth}; lyapunov {found.lyapunov:.3g} "
+                  f"± {found.lyapunov_error:.2g}", flush=True)  # fmt: skip
+    told = sum(n for (_, truth), n in pairs.items() if truth not in (None, "-"))
+    right = sum(n for (name, truth), n in pairs.items() if name == truth)
+    for (name, truth), n in sorted(pairs.items(), key=str):
+        print(f"{n:5d}  {name:14s} brute force: {truth}")
+    error = math.sqrt(max(right * (told - right), 0) / max(told, 1) ** 3)
+    print(f"{right} of {told} as brute force: {right / max(told, 1):.1%} ± {error:.1%}")
+
+
+if __name__ == "__main__":
+    main()
