@@ -395,8 +395,9 @@ class Search:
     def _circle(self, points: Numbers) -> None:
         """Watch motions for so long that they run round a torus, if they are on one."""
         y, quasiperiodic = self._walks.y, self._found.is_quasiperiodic
+        longest = math.inf if self._steady.t_max is None else self._steady.t_max
         for n_periods in _CURVES:
-            left = points[~quasiperiodic[points]]
+            left = points[~quasiperiodic[points] & (n_periods / self._omega[points] <= longest)]
             if not left.size:
                 break
             n = np.full(len(left), n_periods)
