@@ -220,16 +220,24 @@ def test_samples_sections_and_contacts_lie_on_the_motion(case):
         assert len(times) == sum(c.contact == number for c in case.truth.crossings)
 
 
-def test_what_is_not_forced_has_no_section(case):
+def test_what_is_not_forced_passes_its_section_at_maxima_of_its_first_coordinate(case):
     system, laws = as_gapsweep(rest(case).system)
     free = replace(system, forcing=[gs.Harmonic(amplitude=np.zeros(3), k=0)] * 3)
     tight = {"rtol": 1e-12, "atol": 1e-15, "tangent": True}
-    run = gs.simulate(free, laws, q_0=case.q_0, v_0=case.v_0, t_end=case.t_end, **tight)
-    assert run.n_contacts > 0
-    assert run.section.shape == (0, 8)
     starts = np.stack([case.q_0, -case.q_0])
     many = gs.simulate(free, laws, q_0=starts, v_0=case.v_0, t_end=case.t_end, **tight)
-    assert [points.shape for points in many.section] == [(0, 8), (0, 8)]
+    assert (many.n_contacts > 0).all()
+    for section, extrema in zip(many.section, many.extrema, strict=True):
+        assert (section[:, 3] == 0.0).all()
+        # Every other extremum is a maximum.
+        both = [extrema["q_1"][k::2] for k in (0, 1)]
+        largest = max(both, key=lambda values: values.mean())
+        np.testing.assert_allclose(section[:, 0], largest, atol=1e-13)
+    run = gs.simulate(
+        free, laws, q_0=case.q_0, v_0=case.v_0, t_end=case.t_end, dense_output=True, **tight
+    )
+    t = run.t_extrema["q_1"][np.isin(run.extrema["q_1"], many.section[0][:, 0])]
+    np.testing.assert_allclose(np.hstack(run.sample(t)), many.section[0], atol=1e-9)
 
 
 def test_extrema_of_every_coordinate_are_complete(case):

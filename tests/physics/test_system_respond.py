@@ -224,9 +224,3 @@ def test_mistakes_are_named(arguments, message):
     system, law = coupled()
     with pytest.raises(gs.ModelError, match=message):
         gs.respond(system, **({"law": law, "omega": 3.0} | arguments))
-
-
-def test_a_system_that_is_not_forced_is_refused():
-    system = gs.System(mass=[[1.0]], stiffness=[[1.0]])
-    with pytest.raises(gs.ModelError, match="not forced"):
-        gs.respond(system, {}, None)

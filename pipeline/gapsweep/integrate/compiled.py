@@ -206,6 +206,7 @@ def _events(
         extrema_of=which[extrema].astype(np.int64),
         t_contacts=t[contacts],
         contacts_of=which[contacts].astype(np.int64),
+        t_section=t[section],
         section=state[section],
         n_extrema=np.bincount(number[extrema], minlength=n),
         n_contacts=np.bincount(number[contacts], minlength=n),

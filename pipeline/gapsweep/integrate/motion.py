@@ -27,8 +27,11 @@ class Events:
         Times [s] at which a contact crossed a wall, in or out.
     contacts_of : ndarray of int, shape (sum of n_contacts,)
         The contact of each.
+    t_section : ndarray, shape (sum of n_section,)
+        Times [s] of section points.
     section : ndarray, shape (sum of n_section, n_states)
-        Stroboscopic section: the state at every whole forcing period after the start.
+        Stroboscopic section: the state at every whole forcing period after the start; where nothing
+        forces the motion, at every maximum of its first coordinate.
     n_extrema, n_contacts, n_section : ndarray of int, shape (n,)
         How many of them belong to each motion.
     """
@@ -38,6 +41,7 @@ class Events:
     extrema_of: Counts
     t_contacts: Array
     contacts_of: Counts
+    t_section: Array
     section: Array
     n_extrema: Counts
     n_contacts: Counts

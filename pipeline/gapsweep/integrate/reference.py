@@ -133,6 +133,7 @@ class _Run:
     extrema_of: NDArray[np.int64]
     t_contacts: Array
     contacts_of: NDArray[np.int64]
+    t_section: Array
     section: Array
     motion: PPoly
 
@@ -142,7 +143,17 @@ class _Run:
 
 
 def _events(runs: Sequence[_Run]) -> Events:
-    names = ("t_extrema", "extrema", "extrema_of", "t_contacts", "contacts_of", "section")
+    names = (
+        *(
+            "t_extrema",
+            "extrema",
+            "extrema_of",
+            "t_contacts",
+            "contacts_of",
+            "t_section",
+            "section",
+        ),
+    )
     lists = {name: [getattr(run, name) for run in runs] for name in names}
     return Events(
         **{name: np.concatenate(arrays) for name, arrays in lists.items()},
@@ -180,6 +191,7 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
     of = np.repeat(range(len(turns)), [len(turn[0]) for turn in turns])
     is_late, contacts = t_extrema >= since, np.array(run.contacts).reshape(-1, 2)
     contacts = contacts[contacts[:, 0] >= since]
+    t_section, section = _section(motion, scene, since, t)
     return _Run(
         t=t_end if run.status is Status.OK else t_0 + t,
         state=y[:n],
@@ -196,7 +208,8 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
         extrema_of=of[is_late],
         t_contacts=t_0 + contacts[:, 0],
         contacts_of=contacts[:, 1].astype(np.int64),
-        section=_section(motion, scene, since, t),
+        t_section=t_0 + t_section,
+        section=section,
         motion=motion,
     )
 
@@ -445,11 +458,17 @@ def _extrema(motion: PPoly) -> tuple[Array, Array]:
     return t, motion(t)[:, 0] if t.size else t
 
 
-def _section(motion: PPoly, scene: Scene, since: float, t_end: float) -> Array:
-    """The state at every whole forcing period after the start, from the time `since` on."""
-    if not scene.omega:
-        return np.empty((0, scene.n_states))
-    phase = scene.theta_0 / (2.0 * math.pi)
-    last = math.floor(scene.omega * t_end + phase + 1e-9)
-    t = (np.arange(math.floor(phase + 1e-9) + 1, last + 1) - phase) / scene.omega
-    return np.asarray(motion(np.minimum(t[t >= since], t_end)))[:, : scene.n_states]
+def _section(motion: PPoly, scene: Scene, since: float, t_end: float) -> tuple[Array, Array]:
+    """Times and states at every whole forcing period after the start, from the time `since` on.
+
+    Where nothing forces the motion, at every maximum of the first coordinate.
+    """
+    if scene.omega:
+        phase = scene.theta_0 / (2.0 * math.pi)
+        last = math.floor(scene.omega * t_end + phase + 1e-9)
+        t = (np.arange(math.floor(phase + 1e-9) + 1, last + 1) - phase) / scene.omega
+    else:
+        t = _roots(motion, scene.n, 0.0)
+        t = t[motion(t, 1)[:, scene.n] < 0.0] if t.size else t
+    t = np.minimum(t[t >= since], t_end)
+    return t, np.asarray(motion(t)).reshape(t.size, motion.c.shape[2])[:, : scene.n_states]

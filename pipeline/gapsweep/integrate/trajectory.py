@@ -220,11 +220,11 @@ class SystemTrajectory(Trajectory):
 
     @property
     def section(self) -> Array:
-        """Section, shape (n_points, 2 n + m), at every whole forcing period; none unforced."""
-        if self.system.is_forced:
-            return super().section
-        none = np.zeros(self._n, dtype=np.int64)  # the clock has a period of its own
-        return self._ragged(self._events.section[:0], none)
+        """Section, shape (n_points, 2 n + m): at every whole forcing period.
+
+        Of a motion that nothing forces, where its first coordinate has a maximum.
+        """
+        return super().section
 
     def _by_name(self, names: Iterable[str], values: str, owners: str, counts: str) -> Any:
         """Recorded values as a dict by name; of an array of motions an array of dicts."""

@@ -272,6 +272,13 @@ class System:
         decaying: list[float] = rates[rates > _STILL * np.abs(rates).max()].tolist()
         return max(0.0, min([self.decay_rate, *decaying]))
 
+    @property
+    def slowest(self) -> float:
+        """Smallest natural frequency of what is held out of contact [Hz], 0 if nothing is."""
+        moduli = np.abs(np.linalg.eigvals(first_order(self)))
+        held = moduli[moduli > _STILL * moduli.max(initial=0.0)]
+        return float(held.min(initial=math.inf)) / (2.0 * math.pi) if held.size else 0.0
+
     def unit(self, omega_rad: float) -> Array:
         """What is as large as one metre of the lightest coordinate, for every state.
 

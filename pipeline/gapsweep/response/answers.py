@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.ensemble import Call, Ensemble, acceleration
+from gapsweep.response.ensemble import Call, Ensemble, rates
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares, largest_forces
 from gapsweep.response.maps import NOTHING
@@ -37,14 +37,14 @@ class Found:
 
     Attributes
     ----------
-    is_periodic, is_chaotic, is_quasiperiodic : ndarray of bool, shape (n,)
+    is_periodic, is_chaotic, is_quasiperiodic, is_at_rest : ndarray of bool, shape (n,)
     lyapunov, lyapunov_error : ndarray, shape (n,)
         Largest Lyapunov exponent [1/s] and its standard error, where it was measured.
     """
 
     def __init__(self, n: int) -> None:
         self.is_periodic, self.is_chaotic = np.zeros(n, bool), np.zeros(n, bool)
-        self.is_quasiperiodic = np.zeros(n, bool)
+        self.is_quasiperiodic, self.is_at_rest = np.zeros(n, bool), np.zeros(n, bool)
         self.lyapunov, self.lyapunov_error = np.full(n, np.nan), np.full(n, np.nan)
 
 
@@ -54,6 +54,7 @@ def answers(
     """Responses of all scenes of an ensemble."""
     n, t_settled = len(ensemble.omega), walks.t
     states = _record(np.flatnonzero(found.is_periodic), ensemble, walks, shots)
+    _rest(np.flatnonzero(found.is_at_rest), walks, states)
     is_ok = walks.status == Status.OK
     points, failures = np.flatnonzero(is_ok), np.flatnonzero(~is_ok)
     read, lists = _read_off(points, ensemble, walks, found, steady)
@@ -65,6 +66,8 @@ def answers(
     n_q = ensemble.n_coordinates
     read["x_end"], read["v_end"] = end[:, :n_q], end[:, n_q : 2 * n_q]
     columns = missing(n)
+    if ensemble.is_free:
+        columns["period"] = np.full(n, np.nan)
     for name, values in read.items():
         if values.ndim > 1 and ensemble.is_plain:
             values = values[:, 0]  # its only coordinate, its only contact
@@ -106,7 +109,7 @@ def _stability(
 ) -> dict[str, Array | Counts]:
     """Columns that say what the responses of some points are, and how sure that is."""
     is_orbit = found.is_periodic[points]
-    n, omega = shots.n[points], ensemble.omega[points]
+    n, omega = shots.n[points], shots.omega[points]
     lyapunov, error = found.lyapunov[points], found.lyapunov_error[points]
     modulus = np.full(len(points), np.nan)
     largest = shots.multipliers[points[is_orbit], 0]
@@ -125,7 +128,9 @@ def _stability(
     kinds[is_orbit] = ResponseClass.PERIODIC
     kinds[found.is_chaotic[points]] = ResponseClass.CHAOTIC
     kinds[found.is_quasiperiodic[points]] = ResponseClass.QUASIPERIODIC
-    return {
+    kinds[found.is_at_rest[points] & (lyapunov <= 0.0)] = ResponseClass.EQUILIBRIUM
+    period = {"period": np.where(is_orbit, n / omega, np.nan)} if ensemble.is_free else {}
+    return period | {
         "response_class": kinds,
         "period_multiple": np.where(is_orbit, n, 0),
         "multiplier_abs": modulus,
@@ -137,8 +142,9 @@ def _stability(
 
 def _multipliers(points: Numbers, shots: Shots, found: Found) -> tuple[Array, Counts]:
     """Floquet multipliers of the orbits among some points, real part and imaginary part in turn."""
-    is_orbit, size = found.is_periodic[points], 2 * shots.multipliers.shape[1]
-    return shots.multipliers[points[is_orbit]].view(float).ravel(), np.where(is_orbit, size, 0)
+    is_orbit, n = found.is_periodic[points], shots.n_multipliers
+    multipliers = np.ascontiguousarray(shots.multipliers[points[is_orbit], :n])
+    return multipliers.view(float).ravel(), np.where(is_orbit, 2 * n, 0)
 
 
 def _record(orbits: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots) -> Lists:
@@ -153,15 +159,29 @@ def _record(orbits: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots) -> 
         walks.y[:, orbits], walks.status[orbits] = y, call.status
         walks.extrema.put(walks.rows(orbits), *_whole_period(walks, orbits, y, call))
         walks.contact_share[:, orbits] = contact_shares(ensemble, orbits, y, call, closed=True)
-        states.put(orbits, call.events.section.ravel(), len(y) * call.events.n_section)
+        section, counts = call.passings
+        states.put(orbits, section.ravel(), len(y) * counts)
     return states
+
+
+def _rest(points: Numbers, walks: Walks, states: Lists) -> None:
+    """What has come to rest stays there: no extrema, one state."""
+    if not points.size:
+        return
+    rows, y = walks.rows(points), walks.y[:, points]
+    walks.extrema.put(rows, np.empty(0), np.zeros(len(rows), np.int64))
+    gaps = walks.ensemble.gaps(walks.ensemble.turning(points, y))
+    low, high = walks.ensemble.walls[:, :, points]
+    walks.contact_share[:, points] = (gaps < low) | (gaps > high)
+    walks.status[points] = Status.OK
+    states.put(points, y.T.ravel(), np.full(len(points), len(y)))
 
 
 def _section(
     points: Numbers, walks: Walks, found: Found, states: Lists, steady: Steady
 ) -> tuple[Array, Counts]:
     """States of some points: of orbits as recorded, of other motions the last of their windows."""
-    others = points[~found.is_periodic[points]]
+    others = points[~(found.is_periodic | found.is_at_rest)[points]]
     n_states, _, width = walks.section.shape
     length = walks.length[others]
     counts = np.minimum(length, steady.max_period_multiple)
@@ -197,7 +217,9 @@ def _read_off(
     walks.reach[points] = reach_of(reach.T, ensemble.unit[:, points])
     gap_max, gap_min = (ensemble.gaps(each.T) for each in (largest, smallest))
     has_left = np.maximum(np.abs(gap_max), np.abs(gap_min)) > ensemble.valid_range[:, points]
-    is_known = (found.is_periodic | found.is_chaotic | found.is_quasiperiodic)[points]
+    stays = found.is_at_rest & (found.lyapunov <= 0.0)  # not so on top of a hill
+    found_out = found.is_chaotic | found.is_quasiperiodic | stays
+    is_known = is_orbit | found_out[points]
     status = np.where(is_known, Status.OK, Status.UNRESOLVED)
     status[has_left.any(axis=0)] = Status.OUT_OF_FIT_RANGE
     laws = zip(*(ensemble.scenes[point].laws for point in points.tolist()), strict=True)
@@ -234,7 +256,7 @@ def _whole_period(walks: Walks, orbits: Numbers, y: Array, call: Call) -> tuple[
     for row in np.flatnonzero(v_start * v_end < 0.0).tolist():
         k, which = divmod(row, walks.n_turning)
         orbit = orbits[[k]]
-        a = acceleration(ensemble.scenes[orbits[k]], call.y[:, k])
+        a = rates(ensemble.scenes[orbits[k]], call.y[:, k])[n_q : 2 * n_q]
         a_turning = ensemble.turning(orbit, a[:, None])[which, 0]
         missed[row] = (v_start[row] - v_end[row]) * a_turning > 0.0
         doubled[row] = not missed[row] and counts[row] > 0

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 _COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 # A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
 _TANGENT_RTOL = 1e-8
+AT_REST = -1  # beside the `Status` values of a call: the motion has come to rest
+_STILL = 1e-10
 # How far a tangent's determinant may be off, and from which share of its size squared on its own
 # rounding shows.
 _UNSOUND, _ROUNDING = 1e-2, 1e-3
@@ -89,6 +91,8 @@ class Call:
         Their ends: displacements [m], velocities [m/s], first-order states.
     unit : ndarray, shape (n_states, n)
         What one metre of the section is in each component of a state.
+    omega : ndarray, shape (n,)
+        Section points per second [Hz].
     status : ndarray of int, shape (n,)
         `Status` values.
     n_steps : ndarray of int, shape (n,)
@@ -102,12 +106,14 @@ class Call:
         self,
         found: Motions,
         unit: Array,
+        omega: Array,
         t_end: Array,
         volume_rate: Array,
         monodromy: Array | None,
         tangent_end: Array,
     ) -> None:
-        self.unit, self._monodromy, self._read = unit, monodromy, found.events
+        self.unit, self.omega, self._monodromy = unit, omega, monodromy
+        self._read = found.events
         self._volume_rate, self.t_end = volume_rate, t_end
         self.y, self._tangent_end = found.state.T, tangent_end
         self.status = found.status
@@ -124,8 +130,18 @@ class Call:
         """Which motions did not fail."""
         return np.equal(self.status, Status.OK)
 
-    @cached_property
+    @property
     def monodromy(self) -> Array:
+        """Derivatives of the map of the section; shape (n, n_states, n_states)."""
+        return self.tangent
+
+    @property
+    def determinant(self) -> Array:
+        """Determinants [-] of the monodromies."""
+        return self.shrinkage
+
+    @cached_property
+    def tangent(self) -> Array:
         """Derivatives of the ends by the starts, as section points; shape (n, n_states, n_states).
 
         With the tangent only. Without units, no arithmetic on them sees how fast clocks run.
@@ -156,8 +172,8 @@ class Call:
         rounding of as many factors of its size.
         """
         with np.errstate(all="ignore"):  # of motions that failed
-            size = np.square(self.monodromy).sum(axis=(1, 2))
-            missed = np.abs(np.linalg.det(self.monodromy) - self.shrinkage)
+            size = np.square(self.tangent).sum(axis=(1, 2))
+            missed = np.abs(np.linalg.det(self.tangent) - self.shrinkage)
             allowed = np.maximum(self.shrinkage, _ROUNDING * size ** (0.5 * len(self.unit)))
         return np.asarray(missed <= _UNSOUND * allowed)
 
@@ -168,15 +184,21 @@ class Call:
         del self._read  # what the engine keeps for it is larger
         return events
 
+    @property
+    def passings(self) -> tuple[Array, NDArray[np.int64]]:
+        """States on the section, motion by motion, and how many each has."""
+        return self.events.section, self.events.n_section
+
     @cached_property
     def section(self) -> Array:
-        """All section points [m], motion by motion; shape (n_states, sum of n_section)."""
-        return scaled(self.events.section, np.repeat(self.unit, self.events.n_section, axis=1))
+        """All section points [m], motion by motion; shape (n_states, sum of those of each)."""
+        states, counts = self.passings
+        return scaled(states, np.repeat(self.unit, counts, axis=1))
 
     @cached_property
     def period_ends(self) -> NDArray[np.int64]:
         """Where each motion's section points end, after a zero; shape (n + 1,)."""
-        return np.concatenate(([0], np.cumsum(self.events.n_section)))
+        return np.concatenate(([0], np.cumsum(self.passings[1])))
 
 
 class Ensemble:
@@ -188,6 +210,8 @@ class Ensemble:
     solver : Solver
     omega : ndarray, shape (n,)
         Forcing frequencies [Hz].
+    is_free : bool
+        Whether nothing forces them.
     decay_rate, settling_rate : ndarray, shape (n,)
         As of an `Oscillator` or a `System` [1/s].
     unit : ndarray, shape (n_states, n)
@@ -203,13 +227,15 @@ class Ensemble:
 
     def __init__(self, scenes: Sequence[Scene]) -> None:
         self.scenes, self.solver = scenes, scenes[0].solver
-        self.omega = np.array([scene.omega for scene in scenes])
         models: list[Any] = [scene.oscillator for scene in scenes]
+        forcing = np.array([scene.omega for scene in scenes])
+        self.is_free = not forcing.any()
+        self.omega = _of_models(models, lambda model: model.slowest) if self.is_free else forcing
         self.is_plain = isinstance(models[0], Oscillator)
         self.n_coordinates = 1 if self.is_plain else models[0].n
         self.decay_rate = _of_models(models, lambda model: model.decay_rate)
         self.settling_rate = _of_models(models, lambda model: model.settling_rate)
-        self.unit = unit_of(self.omega) if self.is_plain else _units(models, self.omega)
+        self.set_clock(self.omega)
         laws = [scene.laws for scene in scenes]
         self.valid_range = np.array([[law.valid_range for law in each] for each in laws]).T
         walls = [(-law.gap.j_1, law.gap.j_2) for each in laws for law in each]
@@ -219,17 +245,23 @@ class Ensemble:
             self._directions = _of_models(models, lambda model: model.directions)
         self.has_own_tangent = scenes[0].has_own_tangent
         prepared_models = Models(
-            systems=models, laws=[scene.law for scene in scenes], omega=self.omega
+            systems=models, laws=[scene.law for scene in scenes], omega=forcing
         )
         self._integrate = prepared(prepared_models, self.solver)
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
             located = replace(prepared_models, laws=[scene.tangent_law for scene in scenes])
             self._integrate_tangent = prepared(located, scenes[0].tangent_solver)
-        # Steps that a forcing period took last; about a first guess only their ratio matters.
-        self._pace = 1.0 / self.omega
         # Of every call, by motion: number of the scene, then what it has cost.
         self._costs: list[tuple[NDArray[Any], ...]] = []
+
+    def set_clock(self, omega: Array) -> None:
+        """Count time in periods of these frequencies [Hz], shape (n,)."""
+        models: list[Any] = [scene.oscillator for scene in self.scenes]
+        self.omega = omega
+        self.unit = unit_of(omega) if self.is_plain else _units(models, omega)
+        # Steps that a period took last; about a first guess only their ratio matters.
+        self._pace = 1.0 / omega
 
     def turning(self, scenes: NDArray[np.intp], parts: Array) -> Array:
         """What extrema are recorded of: coordinates, then a system's gaps.
@@ -282,6 +314,27 @@ class Ensemble:
         """
         omega = self.omega[scenes]
         t_end = n_periods / omega
+        options = {"section_only": section_only, "tangent": tangent}
+        found, tangents = self._run(scenes, y, n_periods, t_end, record_from, **options)
+        given = self.unit[:, scenes], omega, t_end, self._shrinks(scenes)
+        return Call(found, *given, *tangents)
+
+    def _shrinks(self, scenes: NDArray[np.intp]) -> Array:
+        """Rates [1/s] at which volumes of states shrink."""
+        return len(self.unit) * self.decay_rate[scenes]
+
+    def _run(
+        self,
+        scenes: NDArray[np.intp],
+        y: Array,
+        n_periods: NDArray[Any],
+        t_end: Array,
+        record_from: Array,
+        *,
+        section_only: bool,
+        tangent: bool,
+    ) -> tuple[Motions, tuple[Array | None, Array]]:
+        """Integrate scenes for some time: motions, their tangents, and where these lead."""
         problems = Problems(
             which=scenes,
             start=np.ascontiguousarray(y.T),
@@ -295,18 +348,14 @@ class Ensemble:
         )
         found = self._solved(self._integrate, problems, n_periods)
         self._pace[scenes] = found.n_steps / n_periods
-        monodromy, end = found.monodromy, found.state.T
-        if tangent and self._integrate_tangent is not None:
-            never = np.full(len(scenes), math.inf)
-            problems = replace(problems, record_from=never, tangent=True)
-            exact = self._solved(self._integrate_tangent, problems, n_periods)
-            monodromy, end = exact.monodromy, exact.state.T
-        volume_rate = len(y) * self.decay_rate[scenes]
-        return Call(found, self.unit[:, scenes], t_end, volume_rate, monodromy, end)
+        if not tangent or self._integrate_tangent is None:
+            return found, (found.monodromy, found.state.T)
+        never = np.full(len(scenes), math.inf)
+        problems = replace(problems, record_from=never, tangent=True)
+        exact = self._solved(self._integrate_tangent, problems, n_periods)
+        return found, (exact.monodromy, exact.state.T)
 
-    def _solved(
-        self, integrate: Integrate, problems: Problems, n_periods: NDArray[np.int64]
-    ) -> Motions:
+    def _solved(self, integrate: Integrate, problems: Problems, n_periods: NDArray[Any]) -> Motions:
         begin = time.thread_time()
         found = integrate(problems)
         # What ran together shares the processor time in proportion to its steps.
@@ -324,14 +373,30 @@ class Ensemble:
         return found | {"t_simulated": n_periods / self.omega, "cpu_time": seconds}
 
 
-def acceleration(scene: Scene, y: Array) -> Array:
-    """Accelerations [m/s²] of the coordinates in a state at forcing phase zero."""
+def largest_rate(scene: Scene, y: Array) -> float:
+    """Largest real part [1/s] of an eigenvalue of the motion about a state of rest.
+
+    A rate beside which the fastest is so great that rounding makes it is zero.
+    """
+    n = len(y)
+    state = np.concatenate([y, np.eye(n).ravel()])
+    slopes = np.asarray(right_side(scene, tangent=True)(0.0, state))[n:].reshape(n, n)
+    found = np.linalg.eigvals(slopes)
+    largest = float(found.real.max())
+    return 0.0 if abs(largest) <= _STILL * np.abs(found).max() else largest
+
+
+def rates(scene: Scene, y: Array) -> Array:
+    """Derivative of a state by time, at forcing phase zero."""
+    return np.asarray(right_side(scene, tangent=False)(0.0, y))
+
+
+def right_side(scene: Scene, *, tangent: bool) -> Callable[[float, Array], Any]:
+    """The equation of motion, with the laws as they are."""
     form = SystemScene if isinstance(scene.oscillator, System) else OscillatorScene
     solver = scene.solver
-    motion = form(
-        scene.oscillator, scene.laws, scene.omega, 0.0, solver.rtol, solver.atol, tangent=False
-    )
-    return np.asarray(motion.rhs(None)(0.0, y))[motion.n : 2 * motion.n]
+    given = scene.omega, 0.0, solver.rtol, solver.atol
+    return form(scene.oscillator, scene.laws, *given, tangent=tangent).rhs(None)
 
 
 def _of_models(models: Sequence[Any], value: Callable[[Any], Any]) -> NDArray[Any]:

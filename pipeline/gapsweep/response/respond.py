@@ -18,7 +18,7 @@ errors, and its section lies on a curve.
 from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, kind
@@ -28,13 +28,16 @@ from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import System
 from gapsweep.response.ensemble import Ensemble, Scene
 from gapsweep.response.result import Response, Responses, Steady
+from gapsweep.response.returns import Returns
 from gapsweep.response.search import Search
+
+Array = NDArray[np.float64]
 
 
 def respond(
     oscillator: Oscillator | System,
     law: ContactLaw | Mapping[str, ContactLaw],
-    omega: ArrayLike,
+    omega: ArrayLike | None = None,
     x_0: ArrayLike = 0.0,
     v_0: ArrayLike = 0.0,
     *,
@@ -50,11 +53,10 @@ def respond(
     Parameters
     ----------
     oscillator : Oscillator or System
-        A system must be forced.
     law : ContactLaw or mapping of str to ContactLaw
         One law for all contacts, or that of each contact of a system, by its name.
     omega : float or array_like
-        Forcing frequency [Hz], ``> 0``.
+        Forcing frequency [Hz], ``> 0``; None of a system that is not forced.
     x_0, v_0 : float or array_like
         Initial displacement [m] and velocity [m/s], at forcing phase zero; broadcast against
         `omega`. Sixty points in one call cost a quarter of what they cost one by one.
@@ -79,8 +81,6 @@ def respond(
     solver, steady = Solver.of(engine, rtol, atol), Steady() if steady is None else steady
     check_kinds(oscillator, steady)
     frequency, start, laws = starts(oscillator, law, omega, x_0, v_0, q_0, z_0)
-    if not frequency.all():
-        raise ModelError("oscillator: this System is not forced; its motions are `simulate`d")
     scenes = [
         Scene(oscillator=oscillator, law=laws, omega=at, solver=solver)
         for at in frequency.ravel().tolist()
@@ -126,10 +126,14 @@ def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> R
         together = kind(scene.oscillator, scene.law), id(scene.solver)
         groups.setdefault(together, []).append(i)
     found = [
-        Search(Ensemble([scenes[i] for i in group]), starts[group].T, steady).responses()
-        for group in groups.values()
+        _responses([scenes[i] for i in group], starts[group].T, steady) for group in groups.values()
     ]
     responses = Responses.concatenated(found)
     if len(found) == 1:
         return responses
     return responses.take(np.argsort([i for group in groups.values() for i in group]))
+
+
+def _responses(scenes: Sequence[Scene], start: Array, steady: Steady) -> Responses:
+    ensemble = Ensemble(scenes) if scenes[0].omega else Returns(scenes, start)
+    return Search(ensemble, start, steady).responses()

@@ -51,6 +51,7 @@ class ResponseClass(IntEnum):
     UNRESOLVED = 2
     FAILED = 3
     QUASIPERIODIC = 4
+    EQUILIBRIUM = 5
 
 
 class ExtremumKind(IntEnum):
@@ -131,7 +132,8 @@ class Response:
     status : Status
     response_class : ResponseClass
     period_multiple : int
-        n of a period-n response, 0 if none was found.
+        n of a period-n response, 0 if none was found; where nothing forces it, how many maxima its
+        first coordinate has in a period.
     extrema : tuple of float
         Steady zero-velocity displacements [m] in order of time: over n periods if periodic,
         else over the last window; at most `max_extrema`. Of a system those of its first coordinate,
@@ -149,7 +151,8 @@ class Response:
         period if periodic, else of the last window.
     multipliers : tuple of float
         Real and imaginary parts of the Floquet multipliers over n periods, largest modulus first;
-        empty if not periodic.
+        empty if not periodic. Where nothing forces the response, without that along the motion,
+        which is one.
     multiplier_abs : float
         Largest modulus [-]; NaN if not periodic.
     lyapunov, lyapunov_error : float
@@ -168,6 +171,8 @@ class Response:
     noise : float
         Predicted scatter [m] of section points one response period (one forcing period if there
         is none) apart, from the solver's tolerances alone.
+    period : float
+        Period [s] of a periodic response that nothing forces; NaN of others.
     x_end, v_end : float
         Last section point [m], [m/s]: where a sweep's next point starts.
     cpu_time : float
@@ -199,6 +204,7 @@ class Response:
     t_settled: float = math.nan
     t_simulated: float = math.nan
     noise: float = math.nan
+    period: float = math.nan
     x_end: float = math.nan
     v_end: float = math.nan
     cpu_time: float = math.nan

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.answers import Found, answers
-from gapsweep.response.ensemble import Ensemble
+from gapsweep.response.ensemble import AT_REST, Ensemble, largest_rate
 from gapsweep.response.limits import Limits
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
@@ -96,7 +96,9 @@ class Search:
         n = len(ensemble.omega)
         self._ensemble, self._steady = ensemble, steady
         self._omega, self._walks = ensemble.omega, Walks(ensemble, start)
-        self._shots, self._growths = Shots(len(start), n), Growths(len(start), n)
+        n_states = len(start)
+        n_multipliers = n_states - 1 if ensemble.is_free else n_states
+        self._shots, self._growths = Shots(n_states, n, n_multipliers), Growths(n_states, n)
         self._limits = Limits.of(ensemble, steady)
         self._phase = np.full(n, int(Phase.PAUSE))
         self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
@@ -378,7 +380,7 @@ class Search:
         is_ok = status == Status.OK
         self._fail(points[~is_ok])
         for point in points[is_ok].tolist():
-            exponent, error = self._growths.exponent(point, float(self._omega[point]))
+            exponent, error = self._growths.exponent(point)
             self._found.lyapunov[point], self._found.lyapunov_error[point] = exponent, error
         self._record_last(points[is_ok])
 
@@ -449,6 +451,11 @@ class Search:
     @_for_some
     def _fail(self, points: Numbers) -> None:
         self._phase[points] = Phase.ENDED
+        at_rest = points[self._walks.status[points] == AT_REST]
+        self._found.is_at_rest[at_rest] = True
+        for point in at_rest.tolist():
+            exponent = largest_rate(self._ensemble.scenes[point], self._walks.y[:, point])
+            self._found.lyapunov[point], self._found.lyapunov_error[point] = exponent, 0.0
 
 
 def _parts(z: NDArray[np.complex128]) -> tuple[Array, Array]:

@@ -47,14 +47,19 @@ class Shots:
         Forcing periods of the orbits.
     multipliers : ndarray of complex, shape (n_points, n_states)
         Floquet multipliers over n periods of an orbit that was found, largest modulus first.
+    n_multipliers : int
+        How many of them there are; what the map of a section has beyond is zero.
+    omega : ndarray, shape (n_points,)
+        Section points per second [Hz] on an orbit that was found.
     section : list of ndarray, shape (n_states, n)
         Section points [m] of an orbit that was found.
     """
 
-    def __init__(self, n_states: int, n_points: int) -> None:
-        self.y = np.empty((n_states, n_points))
+    def __init__(self, n_states: int, n_points: int, n_multipliers: int) -> None:
+        self.y, self.n_multipliers = np.empty((n_states, n_points)), n_multipliers
         self.n = np.zeros(n_points, np.int64)
         self.multipliers = np.empty((n_points, n_states), complex)
+        self.omega = np.full(n_points, np.nan)
         self.section = [np.empty((n_states, 0))] * n_points
         self._moved, self._tries = np.zeros_like(self.y), np.zeros(n_points, np.int64)
         self._last = np.zeros(n_points)  # length of the last step
@@ -119,8 +124,9 @@ class Shots:
         if not points.size:
             return
         self.multipliers[points] = floquet_multipliers(
-            call.monodromy[motions], call.shrinkage[motions]
+            call.monodromy[motions], call.determinant[motions]
         )
+        self.omega[points] = call.omega[motions]
         first, last = call.period_ends[motions], call.period_ends[motions + 1]
         for point, i, j in zip(points.tolist(), first.tolist(), last.tolist(), strict=True):
             self.section[point] = call.section[:, i:j]
@@ -145,7 +151,8 @@ class Growths:
         self.y = np.empty((n_states, n_points))
         self.n_periods, self.n_blocks = np.zeros(n_points, np.int64), np.zeros(n_points, np.int64)
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
-        self._factors: dict[int, list[float]] = {}
+        # Of every block its factor, and section points per second.
+        self._factors: dict[int, list[tuple[float, float]]] = {}
 
     def begin(self, points: Numbers, y: Array, wanted: Array) -> None:
         """Begin at states, with blocks of at least so many forcing periods."""
@@ -177,12 +184,13 @@ class Growths:
         before, strayed = self.strayed[points], call.strayed[motions]
         mean_square = before**2 + (strayed**2 - before**2) / self.n_blocks[points]
         self.strayed[points] = np.sqrt(mean_square)
-        for point, factor, ok in zip(points.tolist(), length.tolist(), is_ok.tolist(), strict=True):
+        blocks = zip(length.tolist(), call.omega[motions].tolist(), strict=True)
+        for point, block_found, ok in zip(points.tolist(), blocks, is_ok.tolist(), strict=True):
             if ok:
-                self._factors[point].append(factor)
+                self._factors[point].append(block_found)
         return ~is_ok | (self.n_blocks[points] > _N_BLOCKS), status
 
-    def exponent(self, point: int, omega: float) -> tuple[float, float]:
+    def exponent(self, point: int) -> tuple[float, float]:
         """Largest Lyapunov exponent [1/s] of a motion that has all its blocks; its standard error.
 
         The error is that of batch means. NaN where the tangent was unsound.
@@ -190,7 +198,7 @@ class Growths:
         # The first block turns the vector into the direction of growth.
         rates = [
             (math.log(factor) if factor else -math.inf) * omega / int(self.n_periods[point])
-            for factor in self._factors.pop(point)[1:]
+            for factor, omega in self._factors.pop(point)[1:]
         ]
         batches = np.reshape(rates, (-1, _BATCH)).mean(axis=1)
         error = float(batches.std(ddof=1) / math.sqrt(len(batches)))

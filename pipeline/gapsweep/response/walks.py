@@ -49,12 +49,14 @@ class Walks:
         self.section = np.empty((len(y), n, 0))
         self.reach = self._place(np.arange(n))
         self.n_turning = len(ensemble.turning(np.arange(n), y))
-        self.extrema = Lists(n * self.n_turning)
+        self._elapsed, self.extrema = np.zeros(n), Lists(n * self.n_turning)
         self.contact_share = np.full(ensemble.valid_range.shape, np.nan)
 
     @property
     def t(self) -> Array:
         """Times since the start [s]."""
+        if self.ensemble.is_free:  # its returns take what time they take
+            return self._elapsed
         return np.asarray(self.n_periods / self.ensemble.omega)
 
     @property
@@ -117,6 +119,7 @@ class Walks:
         self._steps_per_period[points] = np.maximum(call.n_steps / n_periods, 1.0)
         if recorded.any():
             self._add(points[recorded], np.flatnonzero(recorded), call)
+        self._elapsed[points] += call.t_end
         self.arrive(points, call.y, call.status, n_periods)
 
     def extrema_of(self, call: Call) -> tuple[Array, Counts]:

@@ -66,6 +66,9 @@ class Layout:
         Whether it is an oscillator: one coordinate, which one contact and one cubic spring act on.
     in_step : bool
         Whether the only harmonic has the frequency and the phase of the clock.
+    is_free : bool
+        Whether nothing repeats with the clock: the section is then passed where the first
+        coordinate has a maximum.
     order : int
         Degree of the Taylor polynomial.
     tangent : int
@@ -82,6 +85,7 @@ class Layout:
     modulations: int = 0
     is_plain: bool = True
     in_step: bool = True
+    is_free: bool = False
     order: int = 12
     tangent: int = 0
     width: int = WIDTH

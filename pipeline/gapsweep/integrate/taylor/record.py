@@ -45,7 +45,8 @@ _FLANK = 1e-5  # of the step
 @internal
 def rows_per_step(at):
     """Most rows that a step of all lanes writes to the log."""
-    return at.width * (at.n_turning * (at.order + 1) + 2 * at.contacts + 1)
+    n_turns = (at.n_turning + at.is_free) * (at.order + 1)
+    return at.width * (n_turns + 2 * at.contacts + 1)
 
 
 @internal
@@ -78,6 +79,22 @@ def load_series(coefficients, first, k, series):
     """Copy lane k's coefficients out of the lane-major array, from row `first` on."""
     for n in range(len(series)):
         series[n] = coefficients[first + n, k]
+
+
+@internal
+def _write_return(at, run, k, start, t):
+    """A section point at a maximum of the first coordinate, from the step's own series."""
+    i = _begin_row(run, run.lane_point[k], SECTION, start + t, 0)
+    for j in range(at.n + at.m):
+        value, slope = 0.0, 0.0
+        for term in range(at.order, -1, -1):
+            slope = slope * t + value
+            value = value * t + run.coefficients[j * at.n_terms + term, k]
+        if j < at.n:
+            run.log[i, STATE + j], run.log[i, STATE + at.n + j] = value, slope
+        else:
+            run.log[i, STATE + at.n + j] = value
+    run.log[i, STATE + at.n] = 0.0  # to the last bit: the next motion begins here
 
 
 @internal
@@ -170,6 +187,8 @@ def _record_extrema(at, run, k, which, first):
             halt = x
         if t >= first and not is_again:
             _write_turn(run, point, kind, start + t, which, x)
+            if at.is_free and which == 0 and kind == MAXIMUM:
+                _write_return(at, run, k, start, t)
         i += 1
 
 
@@ -279,6 +298,9 @@ def _write_turns(at, run, events, which, series):
         slope = run.coefficients[first + 1, k]
         t, x = run.lanes[at.turn_time, k], run.lanes[at.turn_x, k]
         _write_turn(run, run.lane_point[k], MAXIMUM if slope > 0.0 else MINIMUM, t, which, x)
+        if at.is_free and which == 0 and slope > 0.0:
+            start = run.lanes[at.start_time, k]
+            _write_return(at, run, k, start, t - start)
     while unclear != 0:
         k = lowest_bit(unclear)
         unclear &= unclear - 1
@@ -292,15 +314,15 @@ def record_steps(at, among, run):
     sections = passed & at.all_lanes
     contacts = (passed >> at.width) & at.all_lanes
     all_events = (passed >> 2 * at.width) & at.all_lanes
-    if all_events != 0 and run.turns:
-        for i in range(at.n):
+    if all_events != 0 and (run.turns or at.is_free):
+        for i in range(at.n if run.turns else 1):
             events = find_coordinate_turns(at, run.lanes, run.coefficients, i, i, all_events)
             _write_turns(at, run, events, i, i)
-        for i in range(at.n_turning - at.n):
+        for i in range(at.n_turning - at.n if run.turns else 0):
             series = at.first_gap + i
             events = find_gap_turns(at, run.lanes, run.coefficients, i, series, all_events)
             _write_turns(at, run, events, at.n + i, series)
-    while sections != 0:
+    while sections != 0 and not at.is_free:
         k = lowest_bit(sections)
         sections &= sections - 1
         _write_state(at, run, k, SECTION, run.lanes[at.section_time, k], 0, at.section)

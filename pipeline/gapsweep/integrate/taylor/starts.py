@@ -63,7 +63,8 @@ def set_starts(at, points, table, which, start, t_0, t_end, record_from, section
             point[at.reach + j] = abs(start[i, j])
         _set_floors(at, point, rtol, atol)
         _set_clocks(at, point, t_0[i], t_end[i], record_from[i])
-        point[at.event_clock] = np.inf if section_only else point[at.record_clock]
+        is_found_by_clock = section_only and not at.is_free
+        point[at.event_clock] = np.inf if is_found_by_clock else point[at.record_clock]
         if _set_modes(at, point):
             outcome = ON_WALL
     return outcome

@@ -47,6 +47,7 @@ def layout_of(system: System) -> Layout:
         modulations=terms,
         is_plain=False,
         in_step=first is not None and (first.k, first.phase) == (1, 0.0),
+        is_free=not system.is_forced,
     )
 
 

@@ -1,0 +1,158 @@
+"""Motions that nothing forces: their section is passed where the first coordinate has a maximum.
+
+What is a forcing period elsewhere is a return to the section here, however long it takes. The map
+of the section has one multiplier less than the motion: that along the motion, which is one.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.integrate.motion import Motions
+from gapsweep.response.ensemble import AT_REST, Call, Ensemble, Scene, rates
+from gapsweep.response.section import norm
+from gapsweep.status import Status
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Numbers = NDArray[np.intp]
+
+# A motion that would swing by no more than this share of what it swung at most is at rest.
+_REST = 1e-8
+# How much longer than expected a motion may take to come round, and how often it is asked again.
+_MARGIN, _LONGER, _TRIES = 1.1, 4.0, 8
+_FIRST = 16  # returns by which their rate is known
+# A state that is so near to the section, as a share of the swing, is on it.
+_ON = 1e-10
+_BEYOND = 1e-10  # of the time, by which the last maximum is passed to be recorded
+
+
+class Return(Call):
+    """What one call of the engine found, up to a return to the section.
+
+    Parameters
+    ----------
+    passings : tuple of ndarray, shape (number of returns, n_states), and ndarray of int, shape (n,)
+    speed : ndarray, shape (n_states, n)
+        Derivatives of the ends by time, as section points [m/s].
+    normal : int
+        The component of a state that is zero on the section.
+    *given
+        As of a `Call`.
+    """
+
+    def __init__(
+        self, passings: tuple[Array, Counts], speed: Array, normal: int, *given: Any
+    ) -> None:
+        super().__init__(*given)
+        self._passings, self._speed, self._normal = passings, speed, normal
+
+    @property
+    def passings(self) -> tuple[Array, Counts]:
+        return self._passings
+
+    @property
+    def monodromy(self) -> Array:
+        # What leads off the section is led on along the motion until it is back on it.
+        across = self.tangent[:, self._normal, :]
+        with np.errstate(all="ignore"):  # of what failed, or is at rest
+            along = (self._speed / self._speed[self._normal]).T
+            return np.asarray(self.tangent - along[:, :, None] * across[:, None, :])
+
+    @property
+    def determinant(self) -> Array:
+        return np.zeros(len(self.t_end))
+
+
+class Returns(Ensemble):
+    """Scenes that nothing forces; a period is a return to the section in all of its methods."""
+
+    def __init__(self, scenes: Sequence[Scene], start: Array) -> None:
+        super().__init__(scenes)
+        self._rate = self.omega.copy()  # returns per second, as seen last
+        self._swing = np.zeros(len(self.omega))  # farthest from the origin so far [m]
+        # Time is counted in returns: as they follow each other, not as the slowest motion would.
+        self._returned(np.arange(len(scenes)), start, np.full(len(scenes), _FIRST))
+        self.set_clock(self._rate)
+
+    def call(
+        self,
+        scenes: Numbers,
+        y: Array,
+        n_periods: Counts,
+        record_from: Array,
+        *,
+        section_only: bool = True,
+        tangent: bool = False,
+    ) -> Call:
+        normal, swing = self.n_coordinates, norm(y / self.unit[:, scenes])
+        off = np.abs(y[normal]) / self.unit[normal, scenes]
+        y = y.copy()
+        y[normal, off <= _ON * swing] = 0.0
+        found, passings = self._returned(scenes, y, n_periods)
+        t_end = found.t
+        tangents: tuple[Array | None, Array] = None, found.state.T
+        if tangent or not section_only:
+            beyond = t_end if tangent else t_end * (1.0 + _BEYOND)
+            options = {"section_only": section_only, "tangent": tangent}
+            n = t_end * self.omega[scenes]
+            again, tangents = self._run(scenes, y, n, beyond, record_from, **options)
+            found = replace(again, t=t_end, state=found.state, status=found.status)
+        states, counts = passings
+        is_recorded = np.isfinite(record_from)
+        passings = states[np.repeat(is_recorded, counts)], np.where(is_recorded, counts, 0)
+        speed = self._speed(scenes, found.state.T)
+        self._settle(scenes, found, speed)
+        given = self.unit[:, scenes], n_periods / t_end, t_end, self._shrinks(scenes), *tangents
+        return Return(passings, speed, normal, found, *given)
+
+    def _returned(
+        self, scenes: Numbers, y: Array, n: Counts
+    ) -> tuple[Motions, tuple[Array, Counts]]:
+        """Motions up to their n-th return, and where they passed the section."""
+        t_end, states = _MARGIN * n / self._rate[scenes], [np.empty((0, len(y)))] * len(scenes)
+        left, columns = np.arange(len(scenes)), dict[str, Any]()
+        for _ in range(_TRIES):
+            which, from_start = scenes[left], np.zeros(len(left))
+            expected = t_end[left] * self.omega[which]
+            run, _ = self._run(
+                which, y[:, left], expected, t_end[left], from_start,
+                section_only=True, tangent=False,
+            )  # fmt: skip
+            events = run.events()
+            first = np.cumsum(events.n_section) - events.n_section
+            is_back = events.n_section >= n[left]
+            last = (first + n[left] - 1)[is_back]
+            run.t[is_back], run.state[is_back] = events.t_section[last], events.section[last]
+            run.status[is_back] = Status.OK
+            for name in ("t", "state", "status", "reach", "n_steps"):
+                values = getattr(run, name)
+                columns.setdefault(name, np.zeros((len(scenes), *values.shape[1:]), values.dtype))
+                columns[name][left] = values
+            for k, motion in enumerate(left.tolist()):
+                count = min(int(events.n_section[k]), int(n[motion]))
+                states[motion] = events.section[first[k] : first[k] + count]
+            self._rate[which[is_back]] = n[left[is_back]] / events.t_section[last]
+            left = left[~is_back & (run.status == Status.OK)]
+            if not left.size:
+                break
+            t_end[left] *= _LONGER
+        counts = np.array(list(map(len, states)))
+        return replace(run, **columns), (np.concatenate(states), counts)
+
+    def _speed(self, scenes: Numbers, y: Array) -> Array:
+        """Derivatives of states by time, as section points [m/s]."""
+        found = [rates(self.scenes[k], y[:, i]) for i, k in enumerate(scenes.tolist())]
+        return np.asarray(np.array(found).T / self.unit[:, scenes])
+
+    def _settle(self, scenes: Numbers, found: Motions, speed: Array) -> None:
+        """Say which motions have come to rest."""
+        reach = (found.reach.T / self.unit[: self.n_coordinates, scenes]).max(axis=0)
+        self._swing[scenes] = np.maximum(self._swing[scenes], reach)
+        swing = norm(speed) / (2.0 * math.pi * self.omega[scenes])
+        rests = (found.status == Status.OK) & (swing <= _REST * self._swing[scenes])
+        found.status[rests] = AT_REST

@@ -1,0 +1,183 @@
+"""Steady motions that nothing forces: limit cycles, rest, and what their return map says."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+
+import gapsweep as gs
+
+PERIODIC, EQUILIBRIUM = gs.ResponseClass.PERIODIC, gs.ResponseClass.EQUILIBRIUM
+LAW = gs.Piecewise(2e3, gs.Gap(5e-3, 6e-3))
+
+
+def fluttering(circulation=25.0, loss=0.3, order=(0, 1)):
+    """Two masses that circulatory springs make flutter; the stop and cubic springs bound it."""
+    stiffness = np.array([[100.0, circulation], [-circulation, 110.0]])
+    along = np.eye(2)[list(order)]
+    turn = np.ix_(order, order)
+    return gs.System(
+        mass=np.eye(2),
+        damping=loss * np.eye(2),
+        stiffness=stiffness[turn],
+        cubic=[gs.Cubic(along=along[:, 0], alpha=4e4), gs.Cubic(along=along[:, 1], alpha=1e4)],
+        contacts={"stop": along[:, 0]},
+    )
+
+
+def by_scipy(system, law, state, t_end):
+    """The motion by an integrator of its own, tight enough not to see kinks."""
+    along, n = np.array([*system.contacts.values()]), system.n
+
+    def f(t, y):
+        q, v = y[:n], y[n:]
+        force = system.damping @ v + system.stiffness @ q
+        for each in system.cubic:
+            force = force + each.alpha * (each.along @ q) ** 3 * each.along
+        return np.concatenate(
+            [v, -np.linalg.solve(system.mass, force + along.T @ law.force(along @ q))]
+        )
+
+    return solve_ivp(
+        f,
+        (0.0, t_end),
+        state,
+        method="DOP853",
+        rtol=1e-11,
+        atol=1e-13,
+        max_step=2e-3,
+        dense_output=True,
+    )
+
+
+def test_a_limit_cycle_is_where_another_integrator_goes():
+    system = fluttering()
+    found = gs.respond(system, LAW, q_0=[1e-3, 0.0])
+    assert found.response_class == PERIODIC
+    state = np.concatenate([found.x_end, found.v_end])
+    run = by_scipy(system, LAW, state, found.period)
+    assert_allclose(run.y[:, -1], state, atol=1e-7)
+    path = run.sol(np.linspace(0.0, found.period, 20001))[:2]
+    assert_allclose(found.x_max, path.max(axis=1), atol=1e-8)
+    assert_allclose(found.x_min, path.min(axis=1), atol=1e-8)
+    assert_allclose(found.force_max, [np.abs(LAW.force(path[0])).max()], rtol=1e-5)
+    beyond = (path[0] > LAW.gap.j_2) | (path[0] < -LAW.gap.j_1)
+    assert_allclose(found.contact_share, [beyond.mean()], atol=1e-3)
+
+
+def test_the_first_coordinate_has_as_many_maxima_as_the_multiple_says():
+    system = fluttering()
+    found = gs.respond(system, LAW, q_0=[1e-3, 0.0])
+    state = np.concatenate([found.x_end, found.v_end])
+    velocity = by_scipy(system, LAW, state, found.period).sol(
+        np.linspace(1e-6, found.period, 20001)
+    )[2]
+    n_maxima = np.sum((velocity[:-1] > 0.0) & (velocity[1:] <= 0.0))
+    assert abs(n_maxima - found.period_multiple) <= 1  # one may lie on the end
+    assert found.n_extrema[0] % 2 == 0
+
+
+def test_multipliers_are_those_of_the_return_map():
+    system = fluttering()
+    found = gs.respond(system, LAW, q_0=[1e-3, 0.0], rtol=1e-12, atol=1e-15)
+    multipliers = np.reshape(found.multipliers, (-1, 2)) @ [1.0, 1j]
+    assert multipliers.shape == (3,), "without that along the motion"
+    rate = np.trace(np.linalg.solve(system.mass, system.damping))
+    assert_allclose(np.prod(multipliers).real, math.exp(-rate * found.period), rtol=1e-6)
+    # From beside the orbit, returns come nearer by the largest of them.
+    state = np.concatenate([found.x_end, found.v_end])
+    beside = gs.simulate(
+        system, LAW, q_0=state[:2] * 1.001, v_0=state[2:], t_end=40 * found.period,
+        rtol=1e-12, atol=1e-15,
+    )  # fmt: skip
+    far = np.abs(beside.section[:: found.period_multiple] - state).max(axis=1)
+    assert_allclose((far[20] / far[5]) ** (1 / 15), found.multiplier_abs, rtol=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("copy", "speed", "largest", "smallest", "hertz"),
+    [
+        ("conner-scaled", 8.0, 2.8149284, -2.8149284, 4.8077082),
+        ("conner-scaled", 12.36842, 3.4291061, -2.4621163, 5.1000493),
+    ],
+)
+def test_the_published_limit_cycles_are_found_at_once(copy, speed, largest, smallest, hertz):
+    section, law = gs.systems.typical_section(speed, copy), gs.systems.typical_section_law(copy)
+    found = gs.respond(section, law, q_0=[0.01, 0.0, 0.0])
+    assert found.response_class == PERIODIC
+    flap = sorted(np.degrees([abs(found.x_max[2]), abs(found.x_min[2])]))
+    assert_allclose(flap, sorted([largest, abs(smallest)]), rtol=1e-5)
+    assert_allclose(1.0 / found.period, hertz, rtol=1e-5)
+    assert_allclose(found.lyapunov, math.log(found.multiplier_abs) / found.period, rtol=1e-9)
+
+
+def test_the_order_of_coordinates_changes_the_section_alone():
+    first, second = (
+        gs.respond(fluttering(order=order), LAW, q_0=q)
+        for order, q in (((0, 1), [1e-3, 0.0]), ((1, 0), [0.0, 1e-3]))
+    )
+    assert first.response_class == second.response_class == PERIODIC
+    assert_allclose(first.period, second.period, rtol=1e-8)
+    assert_allclose(first.x_max, second.x_max[::-1], rtol=1e-7)
+    assert_allclose(first.force_max, second.force_max, rtol=1e-7)
+    assert_allclose(first.multiplier_abs, second.multiplier_abs, rtol=1e-5)
+
+
+def test_scipy_finds_the_same_cycle():
+    system = fluttering()
+    exact = gs.respond(system, LAW, q_0=[1e-3, 0.0])
+    start = {"q_0": exact.x_end, "v_0": exact.v_end}
+    other = gs.respond(system, LAW, **start, engine="scipy", rtol=1e-7, atol=1e-10)
+    assert other.response_class == PERIODIC
+    assert_allclose(other.period, exact.period, rtol=1e-4)
+    assert_allclose(other.x_max, exact.x_max, rtol=1e-4)
+
+
+def test_what_loses_more_than_it_gains_comes_to_rest():
+    system = fluttering(circulation=2.0)
+    found = gs.respond(system, LAW, q_0=[0.01, 0.0])
+    assert found.response_class == EQUILIBRIUM
+    assert found.status == gs.Status.OK
+    assert np.abs(found.x_max).max() < 1e-8
+    matrix = np.block([[np.zeros((2, 2)), np.eye(2)], [-system.stiffness, -system.damping]])
+    assert_allclose(found.lyapunov, np.linalg.eigvals(matrix).real.max(), rtol=1e-9)
+    assert (found.contact_share == 0.0).all()
+    assert (found.force_max == 0.0).all()
+
+
+def test_a_load_holds_a_mass_at_rest_against_its_stop():
+    system = gs.System(
+        mass=[[1.0]], damping=[[2.0]], stiffness=[[100.0]], contacts={"stop": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[30.0], k=0)],
+    )  # fmt: skip
+    found = gs.respond(system, gs.Piecewise(500.0, gs.Gap(0.1, 0.1)))
+    at = (30.0 + 500.0 * 0.1) / 600.0
+    assert found.response_class == EQUILIBRIUM
+    assert_allclose(found.x_max, [at], rtol=1e-6)
+    assert_allclose(found.force_max, [500.0 * (at - 0.1)], rtol=1e-5)
+    assert found.contact_share[0] == 1.0
+
+
+def test_what_creeps_back_has_no_returns_and_comes_to_rest():
+    system = gs.System(
+        mass=[[1.0]], damping=[[50.0]], stiffness=[[100.0]], contacts={"stop": [1.0]}
+    )
+    found = gs.respond(system, LAW, q_0=[[0.002], [0.02]])
+    assert found.response_class.tolist() == [EQUILIBRIUM, EQUILIBRIUM]
+
+
+def test_on_top_of_a_hill_nothing_is_steady():
+    found = gs.respond(fluttering(), LAW)
+    assert found.response_class == gs.ResponseClass.UNRESOLVED
+    assert found.lyapunov > 0.0
+
+
+def test_company_changes_no_bit():
+    q = np.array([[1e-3, 0.0], [0.01, 0.005], [0.0, 0.02]])
+    together = gs.respond(fluttering(), LAW, q_0=q)
+    for k in range(3):
+        alone = gs.respond(fluttering(), LAW, q_0=q[k])
+        assert alone.period == together.period[k]
+        assert np.array_equal(alone.x_max, together.x_max[k])
