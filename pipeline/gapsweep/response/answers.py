@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.ensemble import Call, Ensemble, rates
+from gapsweep.response.found import Found
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares, largest_forces
 from gapsweep.response.maps import NOTHING
@@ -30,22 +31,6 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
-
-
-class Found:
-    """What motions turned out to be, n of them; one that is nothing is unresolved, or failed.
-
-    Attributes
-    ----------
-    is_periodic, is_chaotic, is_quasiperiodic, is_at_rest : ndarray of bool, shape (n,)
-    lyapunov, lyapunov_error : ndarray, shape (n,)
-        Largest Lyapunov exponent [1/s] and its standard error, where it was measured.
-    """
-
-    def __init__(self, n: int) -> None:
-        self.is_periodic, self.is_chaotic = np.zeros(n, bool), np.zeros(n, bool)
-        self.is_quasiperiodic, self.is_at_rest = np.zeros(n, bool), np.zeros(n, bool)
-        self.lyapunov, self.lyapunov_error = np.full(n, np.nan), np.full(n, np.nan)
 
 
 def answers(

@@ -7,15 +7,15 @@ Arithmetic and decisions are on columns: none of them sees another point's row.
 
 import math
 from collections.abc import Callable
-from enum import IntEnum
 from functools import wraps
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.answers import Found, answers
+from gapsweep.response.answers import answers
 from gapsweep.response.ensemble import AT_REST, Ensemble, largest_rate
+from gapsweep.response.found import Found, Phase
 from gapsweep.response.limits import Limits
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
@@ -65,20 +65,6 @@ _SURE = 3.0  # standard errors, beyond which an exponent is not zero
 # Forcing periods in which a motion runs round its torus often enough to tell; near a locked one it
 # runs slowly.
 _CURVES = (1 << 10, 1 << 13)
-
-
-class Phase(IntEnum):
-    """What a point waits for: motion up to `LAST`, then motion with its tangent."""
-
-    PAUSE = 0  # the time until the next look
-    WINDOW = 1  # the next part of a recorded window
-    APPROACH = 2  # time to come near to an orbit that shooting found
-    LAST = 3  # the last window, recorded with all events
-    SHOOT = 4  # an orbit that the window contracts to
-    REPEAT = 5  # the orbit of a settled motion that repeats itself, as it is
-    RATTLE = 6  # the orbit that a motion is rattled about, as it is
-    GROW = 7  # the growth of a disturbance
-    ENDED = 8
 
 
 class Search:

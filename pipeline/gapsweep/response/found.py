@@ -1,0 +1,35 @@
+"""What every point of a search waits for, and what was found of it."""
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Phase(IntEnum):
+    """What a point waits for: motion up to `LAST`, then motion with its tangent."""
+
+    PAUSE = 0  # the time until the next look
+    WINDOW = 1  # the next part of a recorded window
+    APPROACH = 2  # time to come near to an orbit that shooting found
+    LAST = 3  # the last window, recorded with all events
+    SHOOT = 4  # an orbit that the window contracts to
+    REPEAT = 5  # the orbit of a settled motion that repeats itself, as it is
+    RATTLE = 6  # the orbit that a motion is rattled about, as it is
+    GROW = 7  # the growth of a disturbance
+    ENDED = 8
+
+
+class Found:
+    """What motions turned out to be, n of them; one that is nothing is unresolved, or failed.
+
+    Attributes
+    ----------
+    is_periodic, is_chaotic, is_quasiperiodic, is_at_rest : ndarray of bool, shape (n,)
+    lyapunov, lyapunov_error : ndarray, shape (n,)
+        Largest Lyapunov exponent [1/s] and its standard error, where it was measured.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.is_periodic, self.is_chaotic = np.zeros(n, bool), np.zeros(n, bool)
+        self.is_quasiperiodic, self.is_at_rest = np.zeros(n, bool), np.zeros(n, bool)
+        self.lyapunov, self.lyapunov_error = np.full(n, np.nan), np.full(n, np.nan)
