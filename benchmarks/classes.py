@@ -6,7 +6,10 @@ after a long transient a motion is periodic if its section repeats itself. If no
 apart say what it is, two sets of them: those of a chaotic motion part, those of a quasi-periodic
 one stay. Where the two sets disagree, brute force has no answer.
 
-    python benchmarks/classes.py [--scenes 300] [--seed 0]
+With --free nothing drives them: the section is passed at the maxima of the first coordinate, and
+what has stopped moving is at rest.
+
+    python benchmarks/classes.py [--scenes 300] [--seed 0] [--free]
 """
 
 import argparse
@@ -19,13 +22,14 @@ import gapsweep as gs
 
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
 TRANSIENT, WINDOW, WATCHED = 3000, 256, 150  # forcing periods
-APART, N_NEIGHBOURS, EVERY = 1e-9, 6, 20
+APART, N_NEIGHBOURS = 1e-9, 6
+FREE = 1.7  # Hz, about as fast as they swing by themselves
 PARTED, STAYED = 1e4, 1e2  # growths of distances within WATCHED periods
 
 
-def random_scene(rng):
-    """A system, its law and a forcing frequency [Hz]."""
-    flutter = rng.choice([0.0, 1.0]) * rng.uniform(8.0, 30.0)
+def random_scene(rng, *, free):
+    """A system, its law and a forcing frequency [Hz], or None."""
+    flutter = (1.0 if free else rng.choice([0.0, 1.0])) * rng.uniform(8.0, 30.0)
     loss = rng.uniform(0.2, 0.8)
     system = gs.System(
         mass=np.diag(rng.uniform(0.5, 2.0, 2)),
@@ -35,17 +39,23 @@ def random_scene(rng):
             gs.Cubic(along=along, alpha=10 ** rng.uniform(3.5, 4.7)) for along in ([1, 0], [0, 1])
         ],
         contacts={"stop": rng.uniform(-1.0, 1.0, 2)},
-        forcing=[gs.Harmonic(amplitude=10 ** rng.uniform(-1.5, 0.3) * rng.uniform(-1, 1, 2))],
+        forcing=[
+            # Free, a load that the stop may or may not bear.
+            gs.Harmonic(
+                amplitude=10 ** rng.uniform(-1.5, 0.3) * rng.uniform(-1, 1, 2), k=0 if free else 1
+            )
+        ],
     )
     law = gs.Piecewise(10 ** rng.uniform(2.5, 4.0), gs.Gap(*rng.uniform(2e-3, 2e-2, 2)))
-    return system, law, rng.uniform(0.7, 3.0)
+    return system, law, None if free else rng.uniform(0.7, 3.0)
 
 
 def run(system, law, omega, state, n_periods, **options):
     state = np.asarray(state)
+    frequency = None if omega is None else np.full(state.shape[:-1], omega)
     return gs.simulate(
-        system, law, np.full(state.shape[:-1], omega), q_0=state[..., :2], v_0=state[..., 2:],
-        t_end=n_periods / omega, **TIGHT, **options,
+        system, law, frequency, q_0=state[..., :2], v_0=state[..., 2:],
+        t_end=n_periods / (omega or FREE), **TIGHT, **options,
     )  # fmt: skip
 
 
@@ -59,15 +69,18 @@ def growth(system, law, omega, states, rng):
 
 
 def brute_force(system, law, omega, state, rng):
-    """``periodic``, ``chaotic``, ``quasiperiodic``, or None where it has no answer."""
+    """The name of a class, or None where it has no answer."""
     settled = run(system, law, omega, state, TRANSIENT)
+    if omega is None and np.abs(settled.v).max() < 1e-9:
+        return "equilibrium"
     window = run(system, law, omega, np.concatenate([settled.q, settled.v]), WINDOW)
     section = np.asarray(window.section)
     reach = np.abs(section).max(axis=0)
     for n in range(1, 65):
-        if (np.abs(section[n:] - section[:-n]) < 1e-6 * reach).all():
+        if (np.abs(section[n:] - section[:-n]) <= 1e-6 * reach).all():
             return "periodic" if n <= 32 else None
-    sets = section[: 2 * N_NEIGHBOURS * EVERY : EVERY].reshape(2, -1, 4)
+    some = np.linspace(0, len(section) - 1, 2 * N_NEIGHBOURS).astype(int)
+    sets = section[some].reshape(2, -1, 4)
     factors = [growth(system, law, omega, each, rng) for each in sets]
     if min(factors) > PARTED:
         return "chaotic"
@@ -81,11 +94,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--free", action="store_true")
     asked = parser.parse_args()
     rng = np.random.default_rng(asked.seed)
     pairs = Counter()
     for k in range(asked.scenes):
-        system, law, omega = random_scene(rng)
+        system, law, omega = random_scene(rng, free=asked.free)
         found = gs.respond(system, law, omega, q_0=[1e-3, -1e-3])
         if found.response_class == gs.ResponseClass.FAILED:
             pairs["failed", "-"] += 1
