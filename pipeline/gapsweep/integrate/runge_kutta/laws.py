@@ -29,7 +29,9 @@ WALL_LOW, WALL_HIGH = 1, 2  # -j_1 and j_2 [m]
 SHARPNESS = 3  # epsilon or gamma [1/m]
 CENTRE, HALF_GAP, DECAY = 4, 5, 6  # tanh: of the gap [m, m, -]
 OFFSET = 4  # log-arctan: A_c [m]
-ACTIVE_STIFFNESS, ACTIVE_WALL = 3, 4  # located contact: of the present mode
+# Located contact: of the present mode, and the mode itself (1 upper wall, -1 lower wall, 0 none): a
+# wall may have no stiffness or lie at zero, so neither tells whether it is touched.
+ACTIVE_STIFFNESS, ACTIVE_WALL, ACTIVE_MODE = 3, 4, 5
 LAYER = 7  # half-width of the smoothing layer around each wall [m]; 0: none
 RANGE = 8  # fits: |x| up to which the fit holds [m]; 0: no fit
 SATURATION = 9  # tanh: distance from a wall beyond which the law is exactly piecewise [m]
