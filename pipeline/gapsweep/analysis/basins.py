@@ -97,7 +97,7 @@ def basins(
         answers = client.gather([client.submit(_answer, part, *settings) for part in parts])
     responses = Responses.concatenated(answers)
     found = attractors_of_scenes(
-        responses, np.zeros(x_0.size, int), omega=[omega], symmetric=law.gap.is_symmetric
+        responses, np.zeros(x_0.size, int), omega=[omega], symmetric=law.is_symmetric
     )
     columns = responses.take(found.first).columns
     dataset = xr.Dataset(
@@ -118,7 +118,7 @@ def basins(
             "x_0": ("x_0", starts_x, {"units": "m", "long_name": "initial displacement"}),
             "v_0": ("v_0", starts_v, {"units": "m s-1", "long_name": "initial velocity"}),
         },
-        attrs={"omega": omega, "K_c": law.K_c, "gap": law.gap.label},
+        attrs={"omega": omega, "K_c": law.K_c, "K_ratio": law.K_ratio, "gap": law.gap.label},
     )
     for name, (units, long_name) in _ATTRIBUTES.items():
         dataset[name].attrs.update(units=units, long_name=long_name)

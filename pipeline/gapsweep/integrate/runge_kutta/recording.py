@@ -163,7 +163,7 @@ def choose_mode(lane, q, i):
     if x > high or (x == high and heading > 0.0):
         stiffness, wall, mode = q[laws.STIFFNESS, i], high, 1.0
     elif x < low or (x == low and heading < 0.0):
-        stiffness, wall, mode = q[laws.STIFFNESS, i], low, -1.0
+        stiffness, wall, mode = q[laws.RATIO, i] * q[laws.STIFFNESS, i], low, -1.0
     q[laws.ACTIVE_STIFFNESS, i], q[laws.ACTIVE_WALL, i] = stiffness, wall
     q[laws.ACTIVE_MODE, i] = mode
 
