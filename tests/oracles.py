@@ -36,19 +36,19 @@ def _heyoka_end_state(oscillator, law, omega, x_0, v_0, t_end):
     drive = o.forcing / o.mass * hy.cos(2.0 * math.pi * omega * hy.time)
     contacts = []
 
-    def switch(position, inward):
+    def switch(position, inward, contact):
         def callback(ta, sign):
             contacts.append(ta.time)
             inside = sign == inward
-            ta.pars[0] = 0.0 if inside else law.K_c / o.mass
+            ta.pars[0] = 0.0 if inside else contact / o.mass
             ta.pars[1] = position
             return True
 
         return callback
 
     events = [
-        hy.t_event(x - j_2, callback=switch(j_2, -1), cooldown=1e-12),
-        hy.t_event(x + j_1, callback=switch(-j_1, 1), cooldown=1e-12),
+        hy.t_event(x - j_2, callback=switch(j_2, -1, law.K_c), cooldown=1e-12),
+        hy.t_event(x + j_1, callback=switch(-j_1, 1, law.K_ratio * law.K_c), cooldown=1e-12),
     ]
     ta = hy.taylor_adaptive(
         [(x, v), (v, drive - 2.0 * o.decay_rate * v - springs)],

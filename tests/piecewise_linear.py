@@ -45,7 +45,7 @@ _TO_COEFFICIENTS[0] /= 2
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A spring with freeplay: F = K_c (g - j_2) above j_2, K_c (g + j_1) below -j_1, else 0.
+    """A spring with freeplay: F = K_c (g - j_2) above j_2, K_1 (g + j_1) below -j_1, else 0.
 
     Parameters
     ----------
@@ -55,16 +55,24 @@ class Contact:
         Contact stiffness [N/m].
     j_1, j_2 : float
         Distances of the lower and the upper wall from g = 0 [m], >= 0.
+    K_ratio : float
+        K_1 / K_c: stiffness of the lower wall over that of the upper.
     """
 
     b: ArrayLike
     K_c: float
     j_1: float
     j_2: float
+    K_ratio: float = 1.0
+
+    def stiffness(self, mode: int) -> float:
+        """Of the lower wall (-1), the gap (0) or the upper wall (1) [N/m]."""
+        return {-1: self.K_ratio * self.K_c, 0: 0.0, 1: self.K_c}[mode]
 
     def force(self, g: ArrayLike) -> NDArray[np.float64]:
         """Restoring force [N], shape of `g` [m]."""
-        return self.K_c * (np.maximum(g - self.j_2, 0.0) + np.minimum(g + self.j_1, 0.0))
+        above, below = np.maximum(g - self.j_2, 0.0), np.minimum(g + self.j_1, 0.0)
+        return self.K_c * (above + self.K_ratio * below)
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,7 +347,7 @@ class _Flows(dict[tuple[int, ...], "_Flow"]):
         self.phases = np.array([h.phase for h in system.harmonics], Real)
         self.omega = Real(omega)
         closed = np.asarray(system.K, float) + sum(
-            c.K_c * np.outer(c.b, c.b) for c in system.contacts
+            max(c.stiffness(-1), c.K_c) * np.outer(c.b, c.b) for c in system.contacts
         )
         stiffest = np.abs(np.linalg.eigvals(self.compliance.astype(float) @ closed)).max()
         self.rate = max(Real(math.sqrt(stiffest)), 2 * PI * self.omega)
@@ -373,8 +381,9 @@ class _Flows(dict[tuple[int, ...], "_Flow"]):
         for contact, mode in zip(system.contacts, modes, strict=True):
             if mode != 0:
                 b, wall = np.asarray(contact.b, Real), contact.j_2 if mode > 0 else -contact.j_1
-                stiffness = stiffness + Real(contact.K_c) * np.outer(b, b)
-                offset += Real(contact.K_c) * Real(wall) * b
+                spring = Real(contact.stiffness(mode))
+                stiffness = stiffness + spring * np.outer(b, b)
+                offset += spring * Real(wall) * b
         lag_force, by_velocity, by_displacement, by_lag = system.lags(Real)
         q, v, z = slice(0, n), slice(n, 2 * n), slice(2 * n, m)
         matrix = np.zeros((self.size, self.size), Real)

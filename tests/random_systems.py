@@ -100,7 +100,10 @@ def as_gapsweep(system: exact.System) -> tuple[gs.System, dict[str, gs.Piecewise
         forcing=loads,
         lags=lags,
     )
-    laws = {name: gs.Piecewise(c.K_c, gs.Gap(c.j_1, c.j_2)) for name, c in names.items()}
+    laws = {
+        name: gs.Piecewise(c.K_c, gs.Gap(c.j_1, c.j_2), K_ratio=c.K_ratio)
+        for name, c in names.items()
+    }
     return given, laws
 
 

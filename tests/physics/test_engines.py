@@ -43,12 +43,13 @@ def prints_a_number(x):
     omega=st.floats(0.5, 30.0),
     place=st.floats(-0.9, 0.9),
     v_0=st.floats(-0.05, 0.05),
+    K_ratio=st.sampled_from([1.0, 0.2, 5.0]),
 )
 def test_random_scenes_reach_the_end_state_of_an_independent_method(
-    zeta, omega_n, alpha, forcing, stiffness, j_1, j_2, omega, place, v_0
+    zeta, omega_n, alpha, forcing, stiffness, j_1, j_2, omega, place, v_0, K_ratio
 ):
     oscillator = gs.Oscillator(zeta=zeta, omega_n=omega_n, alpha=alpha, forcing=forcing)
-    law = gs.Piecewise(10.0**stiffness, gs.Gap(j_1, j_2))
+    law = gs.Piecewise(10.0**stiffness, gs.Gap(j_1, j_2), K_ratio=K_ratio)
     x_0 = place * (j_2 if place > 0 else j_1)
     run = gs.simulate(oscillator, law, omega, x_0, v_0, t_end=1.0, tangent=True, **TIGHT)
     # A touch that rounding alone decides belongs to no sequence of contacts.
@@ -111,6 +112,13 @@ def test_restart_changes_the_price_not_the_motion(controller):
     assert restarted.n_contacts == located.n_contacts
     assert_allclose(restarted.x, located.x, atol=1e-8)
     assert restarted.nfev > 3 * located.nfev
+
+
+def test_restarts_at_walls_without_stiffness_end():
+    scene = gs.Oscillator(), gs.Piecewise(0.0, SYMMETRIC), 9.0
+    located, restarted = (gs.simulate(*scene, t_end=1.0, restart=r) for r in (False, True))
+    assert restarted.n_contacts == located.n_contacts > 5
+    assert_allclose(restarted.x, located.x, atol=1e-8)
 
 
 def test_ode45_steps_over_contacts_it_does_not_locate():

@@ -140,11 +140,16 @@ def walled(x):
 
 
 GAPS = [gs.Gap(*(1e-3 * np.array(gap))) for gap in ((0.4, 0.4), (0.0, 0.8), (0.01, 0.02), (0, 0))]
+RATIOS = (0.0, 0.2, 1.0, 50.0)
 LAWS = [
     [gs.Piecewise(k, gap) for gap in GAPS for k in (1e3, 1e5)],
     [gs.Arctan(1e4, gap, epsilon) for gap in GAPS for epsilon in (1e3, 1e4, 1e6)],
     [gs.LogArctan(1e4, gap, gamma) for gap in GAPS for gamma in (1e3, 1e4, 1e6)],
     [gs.Tanh(k, gap, epsilon) for gap in GAPS for epsilon in (1e3, 1e4, 1e5) for k in (1e3, 1e5)],
+    [gs.Piecewise(1e4, gap, K_ratio=r) for gap in GAPS for r in RATIOS],
+    [gs.Arctan(1e4, gap, 1e4, K_ratio=r) for gap in GAPS for r in RATIOS],
+    [gs.LogArctan(1e4, gap, 1e4, K_ratio=r) for gap in GAPS for r in RATIOS],
+    [gs.Tanh(1e4, gap, e, K_ratio=r) for gap in GAPS for e in (1e3, 1e5) for r in RATIOS],
     [gs.Polynomial(1e4, GAPS[0], degree=13)],
     [gs.Polynomial(1e4, GAPS[1], degree=4)],
     [gs.Polynomial(0.0, GAPS[1], degree=4)],

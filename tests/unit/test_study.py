@@ -364,7 +364,8 @@ def test_blocks_that_do_not_sweep_a_number_keep_that_of_the_oscillator(tables):
         ),
         ({"zeta": {"start": 0.1, "stop": 1.0, "step": 1e-320}}, "sweep points: must be <="),
         ({"omega": True}, "sweep[0].omega[0] = True: must be a valid number"),
-        ({"K_ratio": 2.0}, "sweep[0].K_ratio = 2.0: unknown key"),
+        ({"K_ratio": [1.0, -2.0]}, "sweep[0].K_ratio[1] = -2.0: must be >= 0"),
+        ({"k_ratio": 2.0}, "sweep[0].k_ratio = 2.0: unknown key"),
         (
             {"initial_condition": {"grid": [1, 5], "x": [0.0, 1.0], "v": [0.0, 1.0]}},
             "sweep[0].initial_condition.grid[0] = 1: must be >= 2",

@@ -95,9 +95,11 @@ def _screened(study: Study, error: float) -> tuple[list[str], dict[str, Any]]:
         axes = {name: grid.axes[name][i] for name, i in here.items()}
         gap = axes["gap"] if "gap" in axes else Gap(axes["j_1"], axes["j_2"])
         forcing = axes.get("forcing", study.oscillator.forcing)
-        least = stand_ins(axes["K_c"], gap, forcing, error=error)
+        K_ratio = axes.get("K_ratio", 1.0)
+        least = stand_ins(axes["K_c"], gap, forcing, error=error, K_ratio=K_ratio)
         rest = [label for label in smooth if label not in {one.label for one in least}]
-        screened[at] = [*least, *_each(rest, axes["K_c"], gap, forcing, study, error)]
+        given = {"error": error, "fit_range": study.spec.fit.range, "K_ratio": K_ratio}
+        screened[at] = [*least, *_each(rest, axes["K_c"], gap, forcing, **given)]
     labels = list(dict.fromkeys(one.label for scene in screened.values() for one in scene))
     force_error = np.full((*asked.shape, len(labels)), np.nan)
     is_adequate = np.full(force_error.shape, -1, "i1")
@@ -108,13 +110,11 @@ def _screened(study: Study, error: float) -> tuple[list[str], dict[str, Any]]:
     return labels, {"force_error": force_error, "is_adequate": is_adequate}
 
 
-def _each(
-    labels: list[str], K_c: float, gap: Gap, forcing: float, study: Study, error: float
-) -> list[StandIn]:
+def _each(labels: list[str], K_c: float, gap: Gap, forcing: float, **given: float) -> list[StandIn]:
     found = []
     for label in labels:
         try:
-            one = stand_in(label, K_c, gap, forcing, error=error, fit_range=study.spec.fit.range)
+            one = stand_in(label, K_c, gap, forcing, **given)
         except ModelError:  # a fit with a pole in its range
             one = StandIn(label=label, force_error=np.inf, is_adequate=False)
         found.append(one)

@@ -35,6 +35,7 @@ from gapsweep.status import Status
 
 _VARIABLES = dict(variables())
 _TINY = 1e-300
+_WALLS = ("j_1", "j_2", "K_ratio")
 
 Tables = dict[str, NDArray[Any]]
 
@@ -74,15 +75,17 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
         if not swept:
             continue
         exact = slab(responses, attractors, {**at, REPRESENTATION: labels.index(REFERENCE)})
-        walls = responses[["j_1", "j_2"]].isel(at, missing_dims="ignore")
+        walls = responses[[name for name in _WALLS if name in responses.coords]]
+        walls = walls.isel(at, missing_dims="ignore")
         j_1, j_2 = float(walls["j_1"]), float(walls["j_2"])
+        is_symmetric = j_1 == j_2 and float(walls.get("K_ratio", 1.0)) == 1.0
         width = _width(j_1 + j_2, exact)
         for r in swept:
             here = {**at, REPRESENTATION: r}
             ours = exact if labels[r] == REFERENCE else slab(responses, attractors, here)
             # Infinity and NaN are what comes of a response that ran away, or of none.
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                for name, values in _compared(ours, exact, width, symmetric=j_1 == j_2):
+                for name, values in _compared(ours, exact, width, symmetric=is_symmetric):
                     place(name, here, values)
     _set_floors(tables, [labels.index(label) for label in floors])
     return _dataset(tables, responses, floors)

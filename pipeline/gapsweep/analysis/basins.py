@@ -101,7 +101,7 @@ def basins(
         responses,
         np.zeros(x_0.size, int),
         unit=unit_of(scene.omega),
-        symmetric=law.gap.is_symmetric,
+        symmetric=law.is_symmetric,
     )
     columns = responses.take(found.first).columns
     dataset = xr.Dataset(
@@ -122,7 +122,7 @@ def basins(
             "x_0": ("x_0", starts_x, {"units": "m", "long_name": "initial displacement"}),
             "v_0": ("v_0", starts_v, {"units": "m s-1", "long_name": "initial velocity"}),
         },
-        attrs={"omega": omega, "K_c": law.K_c, "gap": law.gap.label},
+        attrs={"omega": omega, "K_c": law.K_c, "K_ratio": law.K_ratio, "gap": law.gap.label},
     )
     for name, (units, long_name) in _ATTRIBUTES.items():
         dataset[name].attrs.update(units=units, long_name=long_name)

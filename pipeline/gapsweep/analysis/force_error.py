@@ -7,7 +7,7 @@ resolved errors here are integrals over the range, which no smoothing layer slip
 
 import numpy as np
 
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import panels, search_points, sign_changes
 from gapsweep.model.oscillator import Gap
 
@@ -32,7 +32,7 @@ def resolved_rmse(law: ContactLaw, x_max: float) -> tuple[float, float, float]:
     NaN for a part that does not exist.
     """
     nodes, weights = panels(search_points(law, x_max))
-    error = law.force(nodes) - Piecewise(law.K_c, law.gap).force(nodes)
+    error = law.force(nodes) - law.exact.force(nodes)
     low, high = in_gap(law.gap, x_max)
     # No panel straddles a wall: the walls are search points.
     inside = (nodes[:, 2] > low) & (nodes[:, 2] < high)

@@ -1,10 +1,13 @@
 """The static part of a study: what its contact laws are worth before anything is integrated.
 
-For every representation, stiffness and gap: force curve and force error (A1 of the metrics),
-frequency of small motions in the gap (A2), static equilibria and their barriers (A3); and for every
-stiffness and gap the sharpness from which tanh has no false equilibrium.
+For every representation, stiffness and gap (and every ratio of the walls' stiffnesses, where it is
+swept): force curve and force error (A1 of the metrics), frequency of small motions in the gap (A2),
+static equilibria and their barriers (A3); and for every contact the sharpness from which tanh has
+no false equilibrium.
 """
 
+from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -14,18 +17,17 @@ from numpy.typing import NDArray
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
 from gapsweep.analysis.thresholds import tanh_threshold
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw, Piecewise, static_error
+from gapsweep.model.contact import ContactLaw, static_error
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
 from gapsweep.model.labels import AUTO, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.fingerprint import numerics_fingerprint
-from gapsweep.study.schema import COORDINATES, POINT_DIMS, Variable
+from gapsweep.study.schema import COORDINATES, Variable
 from gapsweep.study.study import Study
 
 Array = NDArray[np.float64]
 Values = dict[str, Any]
 
-SCENE_DIMS = POINT_DIMS[:3]
 EQUILIBRIUM = "equilibrium"
 _N_UNIFORM = 801
 # Distances from a wall [m]: from the layer of tanh-1e9 on, 6 per decade.
@@ -70,7 +72,7 @@ LIST_VARIABLES = {
 
 
 def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
-    """Force, errors, frequencies and equilibria over representation, K_c and gap.
+    """Force, errors, frequencies and equilibria over representation, K_c, gap and swept K_ratio.
 
     A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
 
@@ -90,41 +92,36 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     grid, x_max = study.grid, study.spec.fit.range
     labels = tuple(dict.fromkeys(r.partition("@")[0] for r in grid.representations if r != AUTO))
     x = displacements(grid.gaps, x_max)
-    scenes = {
-        (r, k, g): _measured(study.oscillator, label, K_c, gap, x, x_max)
+    walls: dict[str, Sequence[Any]] = {
+        "K_c": grid.K_c,
+        "gap": grid.gaps,
+        "K_ratio": grid.axes.get("K_ratio", (1.0,)),
+    }
+    contacts = list(product(*walls.values()))
+    dims = tuple(dim for dim in walls if dim != "K_ratio" or dim in grid.axes)
+    shape = (len(labels), *(len(walls[dim]) for dim in dims))
+    scenes: dict[tuple[int, ...], Values] = {
+        at: _measured(study.oscillator, x, x_max, label, *contact)
         if with_own_laws or ":" not in label
         else {"refusal": "a law of the user's own, evaluated by workers only"}
-        for r, label in enumerate(labels)
-        for k, K_c in enumerate(grid.K_c)
-        for g, gap in enumerate(grid.gaps)
+        for at, (label, contact) in zip(np.ndindex(shape), product(labels, contacts), strict=True)
     }
-    shape = (len(labels), len(grid.K_c), len(grid.gaps))
     longest = max([1, *(values.get("n_equilibria", 0) for values in scenes.values())])
     variables: dict[str, Any] = {}
-    for table, dims, size in (
+    for table, more, size in (
         (SCENE_VARIABLES, (), ()),
         (CURVES, ("x",), (x.size,)),
         (LIST_VARIABLES, (EQUILIBRIUM,), (longest,)),
     ):
         for name, variable in table.items():
             filled = _filled(variable, name, scenes, shape + size)
-            variables[name] = ((*SCENE_DIMS, *dims), filled, variable.attributes)
-    axes = {
-        "representation": list(labels),
-        "K_c": list(grid.K_c),
-        "gap": [gap.label for gap in grid.gaps],
-        "j_1": [gap.j_1 for gap in grid.gaps],
-        "j_2": [gap.j_2 for gap in grid.gaps],
-    }
-    coords: dict[str, Any] = {
-        name: (COORDINATES[name][0], axis, COORDINATES[name][1].attributes)
-        for name, axis in axes.items()
-    }
+            variables[name] = (("representation", *dims, *more), filled, variable.attributes)
+    coords = _coordinates(labels, {dim: walls[dim] for dim in dims})
     thresholds = [
-        [tanh_threshold(study.oscillator, K_c, gap, x_max) for gap in grid.gaps] for K_c in grid.K_c
+        tanh_threshold(study.oscillator, K_c, gap, x_max, K_ratio) for K_c, gap, K_ratio in contacts
     ]
     described = CONTACT_VARIABLES["tanh_threshold"].attributes
-    variables["tanh_threshold"] = (SCENE_DIMS[1:], thresholds, described)
+    variables["tanh_threshold"] = (dims, np.reshape(thresholds, shape[1:]), described)
     variables["forcing"] = ((), study.oscillator.forcing, {"units": "N", "long_name": "forcing"})
     coords["x"] = ("x", x, {"units": "m", "long_name": "displacement"})
     attributes = {
@@ -135,6 +132,20 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
         "fit_range": x_max,
     }
     return xr.Dataset(variables, coords, attributes)
+
+
+def _coordinates(labels: Sequence[str], walls: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
+    axes: dict[str, list[Any]] = {
+        "representation": list(labels),
+        **{name: list(axis) for name, axis in walls.items()},
+        "gap": [gap.label for gap in walls["gap"]],
+        "j_1": [gap.j_1 for gap in walls["gap"]],
+        "j_2": [gap.j_2 for gap in walls["gap"]],
+    }
+    return {
+        name: (COORDINATES[name][0], axis, COORDINATES[name][1].attributes)
+        for name, axis in axes.items()
+    }
 
 
 def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
@@ -148,14 +159,20 @@ def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
 
 
 def _measured(
-    oscillator: Oscillator, label: str, K_c: float, gap: Gap, x: Array, x_max: float
+    oscillator: Oscillator,
+    x: Array,
+    x_max: float,
+    label: str,
+    K_c: float,
+    gap: Gap,
+    K_ratio: float,
 ) -> Values:
     try:
-        law = contact_law(label, K_c, gap, x_max)
+        law = contact_law(label, K_c, gap, x_max, K_ratio=K_ratio)
         force = law.force(x)
         return {
             "force": force,
-            "force_error": force - Piecewise(K_c, gap).force(x),
+            "force_error": force - law.exact.force(x),
             **_errors(law, x_max),
             **_in_gap(oscillator, law, x_max),
             **_wells(oscillator, law, x_max),
@@ -223,7 +240,7 @@ def _frequency(oscillator: Oscillator, stiffness: Array) -> Array:
 
 
 def _filled(
-    variable: Variable, name: str, scenes: dict[tuple[int, int, int], Values], shape: Any
+    variable: Variable, name: str, scenes: dict[tuple[int, ...], Values], shape: Any
 ) -> NDArray[Any]:
     """The values of all scenes in one array, padded with the value for missing ones."""
     if variable.dtype == "str":
@@ -233,5 +250,6 @@ def _filled(
     for at, values in scenes.items():
         if name in values:
             value = np.asarray(values[name])
-            array[(*at, slice(value.size)) if value.ndim else at] = value
+            place: tuple[Any, ...] = (*at, slice(value.size)) if value.ndim else at
+            array[place] = value
     return array

@@ -14,7 +14,7 @@ from gapsweep.store.index import DAMAGED
 from gapsweep.store.maintenance import contents_of, readable
 from gapsweep.store.slab import Slab, Stored
 from gapsweep.study.grid import Starts
-from gapsweep.study.points import NUMBERS, Points
+from gapsweep.study.points import UNEQUAL, Points, with_ratio
 from gapsweep.study.study import Study
 
 # Fields in which two points differ: what is asked for, and what is stored.
@@ -80,12 +80,12 @@ def _differing(
 ) -> Differences:
     """In what a point differs from the one of a slab that is most like it."""
     differing = _differences(_fields(asked.kind.identity), _fields(slab.identity))
-    numbers = asked.numbers[0]
-    unlike, is_other = contents.numbers != numbers, contents.previous != previous
+    stored, (numbers,) = with_ratio(contents.numbers), with_ratio(asked.numbers)
+    unlike, is_other = stored != numbers, contents.previous != previous
     row = int(np.argmin(unlike.sum(axis=1) + is_other))
     for column in np.flatnonzero(unlike[row]).tolist():
-        both = numbers[column].item(), contents.numbers[row, column].item()
-        differing[NUMBERS[column]] = repr(both[0]), repr(both[1])
+        both = numbers[column].item(), stored[row, column].item()
+        differing[UNEQUAL[column]] = repr(both[0]), repr(both[1])
     if is_other[row]:
         differing["previous"] = _hex(previous.tobytes()), _hex(contents.previous[row].tobytes())
     return differing

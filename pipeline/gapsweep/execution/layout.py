@@ -79,10 +79,16 @@ class Layout:
         return self._over(piece, "omega", self._coordinates["omega"])
 
     def is_symmetric(self, piece: Piece) -> NDArray[np.bool_]:
-        """Whether both walls are equally far from the origin, in every scene of a piece, flat."""
+        """Whether both walls are equally far from the origin and equally stiff, in every scene of a
+        piece, flat.
+        """
         along = coordinates(self.grid.dims)
-        j_1, j_2 = (self._over(piece, along[n], self._coordinates[n]) for n in ("j_1", "j_2"))
-        return np.asarray(j_1 == j_2)
+        j_1, j_2, *ratio = (
+            self._over(piece, along[name], self._coordinates[name])
+            for name in ("j_1", "j_2", "K_ratio")
+            if name in along
+        )
+        return np.asarray((j_1 == j_2) & (ratio[0] == 1.0 if ratio else True))
 
     @cached_property
     def _coordinates(self) -> Arrays:

@@ -27,7 +27,7 @@ from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
-from gapsweep.study.points import KEY, OSCILLATOR, OURS, Kind, Points
+from gapsweep.study.points import KEY, OSCILLATOR, OURS, Kind, Points, with_ratio
 from gapsweep.study.software import software, versions
 
 _RESTARTED = "the point before it failed: starts from the last settled one"
@@ -222,20 +222,21 @@ def _scenes(points: Points) -> Iterator[Scene | ModelError]:
     kind = points.kind
 
     @lru_cache(maxsize=256)
-    def law(K_c: float, j_1: float, j_2: float) -> ContactLaw:
+    def law(K_c: float, j_1: float, j_2: float, K_ratio: float) -> ContactLaw:
         if kind.law_code != OURS:
             own_law.require(kind.representation, kind.law_code)
-        return contact_law(kind.representation, K_c, Gap(j_1, j_2), kind.fit_range)
+        gap, fit_range = Gap(j_1, j_2), kind.fit_range
+        return contact_law(kind.representation, K_c, gap, fit_range, K_ratio=K_ratio)
 
     @lru_cache(maxsize=256)
     def oscillator(*values: float) -> Oscillator:
         return Oscillator(**dict(zip(OSCILLATOR, values, strict=True)))
 
-    for K_c, j_1, j_2, omega, *others, _, _ in points.numbers.tolist():
+    for K_c, j_1, j_2, omega, *others, K_ratio, _, _ in with_ratio(points.numbers).tolist():
         try:
             yield Scene(
                 oscillator=oscillator(*others),
-                law=law(K_c, j_1, j_2),
+                law=law(K_c, j_1, j_2, K_ratio),
                 omega=omega,
                 solver=kind.solver,
             )

@@ -63,7 +63,8 @@ def _oscillator_arrays(models: Models) -> dict[str, Any]:
 
 def _gap_arrays(laws: Sequence[Any]) -> dict[str, Any]:
     gaps = [law.gap for law in laws]
-    return {"K_c": _column(laws, "K_c"), "j_1": _column(gaps, "j_1"), "j_2": _column(gaps, "j_2")}
+    stiffness = {name: _column(laws, name) for name in ("K_c", "K_ratio")}
+    return stiffness | {name: _column(gaps, name) for name in ("j_1", "j_2")}
 
 
 def _given(problems: Problems) -> dict[str, Any]:
@@ -86,7 +87,7 @@ def _scenes(models: Models, solver: Solver) -> Scenes:
     if models.is_plain:
         return scenes(**_gap_arrays(models.laws), **_oscillator_arrays(models), **tolerances)
     walls = [_gap_arrays(laws) for laws in models.laws]
-    names = ("K_c", "j_1", "j_2")
+    names = ("K_c", "K_ratio", "j_1", "j_2")
     return system_scenes(
         models.systems,
         Walls(*(np.array([each[name] for each in walls], dtype=float) for name in names)),

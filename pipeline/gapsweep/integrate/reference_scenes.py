@@ -79,7 +79,7 @@ class Scene:
             return lambda x: float(law.force(x))
         if not modes[contact]:
             return lambda x: 0.0
-        stiffness, wall = law.K_c, self.wall(contact, modes[contact])
+        stiffness, wall = self.slope(contact, modes)(0.0), self.wall(contact, modes[contact])
         return lambda x: stiffness * (x - wall)
 
     def slope(self, contact: int, modes: Modes) -> Force:
@@ -87,7 +87,7 @@ class Scene:
         law = self.laws[contact]
         if modes is None:
             return lambda x: float(law.derivative(x))
-        stiffness = law.K_c if modes[contact] else 0.0
+        stiffness = (0.0, law.K_c, law.K_ratio * law.K_c)[modes[contact]]
         return lambda x: stiffness
 
     def modes_at(self, t: float, y: State) -> tuple[int, ...]:

@@ -10,9 +10,9 @@ A law is one class here, with all that the rest of the package asks of it, and o
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,9 +40,11 @@ class ContactLaw:
     Parameters
     ----------
     K_c : float
-        Contact stiffness [N/m], ``>= 0``.
+        Contact stiffness [N/m], ``>= 0``; of the upper wall, where the walls differ.
     gap : Gap
         Distances of the two walls from the origin.
+    K_ratio : float
+        Stiffness of the lower wall over that of the upper [-], ``>= 0``.
     """
 
     # What its label begins with, and its colour in every figure (Okabe & Ito, 2008: safe for
@@ -56,6 +58,8 @@ class ContactLaw:
 
     K_c: float
     gap: Gap
+    # By its name alone: of the laws' own numbers some come third, and need no default.
+    K_ratio: float = field(default=1.0, kw_only=True)
 
     @classmethod
     def canonical(cls, label: str, parameter: str) -> str:
@@ -69,9 +73,19 @@ class ContactLaw:
         raise NotImplementedError
 
     @classmethod
-    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
-        """The law of a canonical label, by what follows its family there."""
+    def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
+        """The numbers of the law's own that a canonical label says, by what follows its family."""
         raise NotImplementedError
+
+    @property
+    def exact(self) -> "Piecewise":
+        """The exact law between the same walls."""
+        return Piecewise(self.K_c, self.gap, K_ratio=self.K_ratio)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the contact is its own mirror image: walls equally far and equally stiff."""
+        return self.gap.is_symmetric and self.K_ratio == 1.0
 
     @property
     def layer(self) -> float:
@@ -79,7 +93,8 @@ class ContactLaw:
         return math.nan
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "K_c", checked("K_c", self.K_c, low=0.0))
+        for name in ("K_c", "K_ratio"):
+            object.__setattr__(self, name, checked(name, getattr(self, name), low=0.0))
         if not isinstance(self.gap, Gap):
             raise ModelError(f"gap = {self.gap!r}: must be a gapsweep.Gap(j_1, j_2)")
 
@@ -99,7 +114,7 @@ class ContactLaw:
 
 @dataclass(frozen=True)
 class Piecewise(ContactLaw):
-    """Exact freeplay: zero in the gap, ``K_c`` times the penetration outside.
+    """Exact freeplay: zero in the gap, a wall's stiffness times the penetration outside.
 
     Parameters
     ----------
@@ -121,15 +136,17 @@ class Piecewise(ContactLaw):
         return parameter
 
     @classmethod
-    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
-        return cls(K_c, gap, located=not parameter)
+    def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
+        return {"located": not parameter}
 
     def force(self, x: ArrayLike) -> Array:
-        return np.asarray(self.K_c * unit_force(np.asarray(x, dtype=float), self.gap))
+        x = np.asarray(x, dtype=float)
+        return np.asarray(self.K_c * unit_force(x, self.gap, self.K_ratio))
 
     def derivative(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
-        return np.where((x < -self.gap.j_1) | (x > self.gap.j_2), self.K_c, 0.0)
+        below = np.where(x < -self.gap.j_1, self.K_ratio * self.K_c, 0.0)
+        return np.where(x > self.gap.j_2, self.K_c, below)
 
 
 @dataclass(frozen=True)
@@ -176,8 +193,8 @@ class _Switched(_Sharpened):
         return self.epsilon
 
     @classmethod
-    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
-        return cls(K_c, gap, float(parameter))
+    def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
+        return {"epsilon": float(parameter)}
 
     def _switch(self, z: Array) -> tuple[Array, Array]:
         """Value and derivative of the switch at scaled distance `z` [-]."""
@@ -187,7 +204,7 @@ class _Switched(_Sharpened):
         below, above = _penetrations(x, self.gap)
         s_below, _ = self._switch(self.epsilon * below)
         s_above, _ = self._switch(self.epsilon * above)
-        blend = (1.0 - s_below) * below + (1.0 + s_above) * above
+        blend = self.K_ratio * (1.0 - s_below) * below + (1.0 + s_above) * above
         return np.asarray(0.5 * self.K_c * blend)
 
     def derivative(self, x: ArrayLike) -> Array:
@@ -195,7 +212,7 @@ class _Switched(_Sharpened):
         a, b = self.epsilon * below, self.epsilon * above
         s_below, d_below = self._switch(a)
         s_above, d_above = self._switch(b)
-        slope = (1.0 - s_below) - d_below * a + (1.0 + s_above) + d_above * b
+        slope = self.K_ratio * ((1.0 - s_below) - d_below * a) + (1.0 + s_above) + d_above * b
         return np.asarray(0.5 * self.K_c * slope)
 
 
@@ -245,7 +262,7 @@ class LogArctan(_Sharpened):
 
     Notes
     -----
-    The anchor moves the force of an asymmetric gap by a constant, about
+    The anchor moves the force of an asymmetric contact by a constant, between equal walls about
     ``K_c (1 + ln(γ j_2)) / (π γ)`` for ``j_1 = 0``.
     """
 
@@ -259,8 +276,8 @@ class LogArctan(_Sharpened):
         return self.gamma
 
     @classmethod
-    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
-        return cls(K_c, gap, float(parameter))
+    def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
+        return {"gamma": float(parameter)}
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -269,18 +286,18 @@ class LogArctan(_Sharpened):
     def _integral(self, x: Array) -> Array:
         below, above = _penetrations(x, self.gap)
         a, b = self.gamma * below, self.gamma * above
-        logs = (np.log1p(a * a) - np.log1p(b * b)) / (2.0 * self.gamma)
-        return np.asarray(above * np.arctan(b) - below * np.arctan(a) + logs)
+        logs = (self.K_ratio * np.log1p(a * a) - np.log1p(b * b)) / (2.0 * self.gamma)
+        return np.asarray(above * np.arctan(b) - self.K_ratio * below * np.arctan(a) + logs)
 
     def force(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
         anchored = self._integral(x) - self._integral(np.zeros(()))
-        return np.asarray(self.K_c * (x + anchored / math.pi))
+        return np.asarray(self.K_c * (0.5 * (1.0 + self.K_ratio) * x + anchored / math.pi))
 
     def derivative(self, x: ArrayLike) -> Array:
         below, above = _penetrations(x, self.gap)
-        angles = np.arctan(self.gamma * above) - np.arctan(self.gamma * below)
-        return np.asarray(self.K_c * (1.0 + angles / math.pi))
+        angles = np.arctan(self.gamma * above) - self.K_ratio * np.arctan(self.gamma * below)
+        return np.asarray(self.K_c * (0.5 * (1.0 + self.K_ratio) + angles / math.pi))
 
 
 @dataclass(frozen=True)
@@ -291,8 +308,8 @@ class UserLaw(ContactLaw):
     ----------
     function : callable
         Scalar force [N] as a function of the displacement [m]. It must live in a module
-        that the workers can import. `K_c` and `gap` only label it and place the walls at
-        which contacts are counted.
+        that the workers can import. `K_c`, `K_ratio` and `gap` only label it and place the
+        walls at which contacts are counted.
     """
 
     function: Callable[[float], float]
@@ -343,7 +360,7 @@ def checked_law(law: ContactLaw) -> ContactLaw:
 def static_error(law: ContactLaw, fit_range: float = FIT_RANGE) -> tuple[float, float]:
     """RMSE [N] and R² [-] of any law against the exact force on 8001 uniform points."""
     x = np.linspace(-fit_range, fit_range, N_FIT_POINTS)
-    return goodness(checked_law(law).force(x), law.K_c * unit_force(x, law.gap))
+    return goodness(checked_law(law).force(x), law.exact.force(x))
 
 
 def _penetrations(x: ArrayLike, gap: Gap) -> tuple[Array, Array]:

@@ -1,8 +1,8 @@
 """Least-squares fits of the contact force: polynomial and rational polynomial.
 
-Everything here is per unit contact stiffness. The exact force is proportional to `K_c`
+Everything here is per unit stiffness of the upper wall. The exact force is proportional to `K_c`
 and so is every least-squares fit of it, therefore one fit serves all stiffnesses and its
-R² does not depend on `K_c`.
+R² does not depend on `K_c`. It does depend on `K_ratio`, the stiffness of the lower wall over that.
 
 Both fits use Chebyshev polynomials of ``u = x / fit_range``, which keep the normal
 equations well conditioned at every degree allowed (the monomial basis does not).
@@ -53,11 +53,12 @@ class Fit:
     r_squared: float
 
 
-def unit_force(x: Array, gap: Gap) -> Array:
+def unit_force(x: Array, gap: Gap, K_ratio: float = 1.0) -> Array:
     """Exact contact force per unit stiffness [m]: zero in the gap, linear outside."""
     # x - clip(x) rather than two masked branches: rounding leaves exactly 0.0 inside
     # the gap, so a free step and a contact step agree bit for bit at the wall.
-    return x - np.clip(x, -gap.j_1, gap.j_2)
+    depth = x - np.clip(x, -gap.j_1, gap.j_2)
+    return np.where(depth < 0.0, K_ratio * depth, depth)
 
 
 def goodness(approximation: NDArray[np.floating], exact: Array) -> tuple[float, float]:
@@ -70,12 +71,13 @@ def goodness(approximation: NDArray[np.floating], exact: Array) -> tuple[float, 
 
 
 @lru_cache(maxsize=256)
-def polynomial_fit(gap: Gap, degree: int, fit_range: float) -> Fit:
+def polynomial_fit(gap: Gap, degree: int, fit_range: float, K_ratio: float = 1.0) -> Fit:
     """Unweighted least-squares polynomial over 8001 uniform points of ``±fit_range``."""
     whole("polynomial degree", degree, 1, MAX_DEGREE)
     u = np.linspace(-1.0, 1.0, N_FIT_POINTS)
-    exact = unit_force(u * fit_range, gap)
-    used = _used_degrees(gap, degree, odd=True)
+    exact = unit_force(u * fit_range, gap, K_ratio)
+    degrees = np.arange(degree + 1)
+    used = degrees[degrees % 2 == 1] if _is_odd(gap, K_ratio) else degrees
     numerator = np.zeros(degree + 1)
     columns = chebyshev.chebvander(u, degree)[:, used]
     numerator[used] = np.linalg.lstsq(columns, exact, rcond=None)[0]
@@ -84,7 +86,9 @@ def polynomial_fit(gap: Gap, degree: int, fit_range: float) -> Fit:
 
 
 @lru_cache(maxsize=256)
-def rational_fit(gap: Gap, numerator: int, denominator: int, fit_range: float) -> Fit:
+def rational_fit(
+    gap: Gap, numerator: int, denominator: int, fit_range: float, K_ratio: float = 1.0
+) -> Fit:
     """Best pole-free rational polynomial over 401 uniform points of ``±fit_range``.
 
     The numerator is linear and therefore eliminated (variable projection, Golub & Pereyra
@@ -99,8 +103,9 @@ def rational_fit(gap: Gap, numerator: int, denominator: int, fit_range: float) -
     for name, degree in (("numerator", numerator), ("denominator", denominator)):
         whole(f"{name} degree", degree, 1, MAX_RATIONAL_DEGREE)
     name = f"ratpoly-{numerator}/{denominator} for gap {gap.label} mm"
-    candidates = rational_candidates(gap, numerator, denominator, fit_range)
-    if gap.is_symmetric:
+    name += f", K_ratio = {K_ratio:g}" if K_ratio != 1.0 else ""
+    candidates = rational_candidates(gap, numerator, denominator, fit_range, K_ratio)
+    if _is_odd(gap, K_ratio):
         # The symmetric form first: it wins a tie and is then odd to the last bit.
         odd = rational_candidates(gap, numerator, denominator, fit_range, odd=True)
         candidates = odd + candidates
@@ -132,15 +137,20 @@ def poles(denominator: tuple[float, ...], fit_range: float) -> list[float]:
     return [float(r) * fit_range for r in np.sort(real) if abs(r) <= 1.0]
 
 
-def _used_degrees(gap: Gap, degree: int, *, odd: bool) -> NDArray[np.intp]:
-    """Degrees that may be non-zero: the force of a symmetric gap is odd in x."""
-    degrees = np.arange(degree + 1)
-    return degrees[degrees % 2 == int(odd)] if gap.is_symmetric else degrees
+def _is_odd(gap: Gap, K_ratio: float) -> bool:
+    """Whether the force is odd in x: between equal walls, equally far."""
+    return gap.is_symmetric and K_ratio == 1.0
 
 
 @lru_cache(maxsize=256)
 def rational_candidates(
-    gap: Gap, numerator: int, denominator: int, fit_range: float, *, odd: bool = False
+    gap: Gap,
+    numerator: int,
+    denominator: int,
+    fit_range: float,
+    K_ratio: float = 1.0,
+    *,
+    odd: bool = False,
 ) -> tuple[Fit, ...]:
     """What the search for a rational fit ends on, one fit per start, poles or not.
 
@@ -152,7 +162,7 @@ def rational_candidates(
     top, bottom = np.arange(numerator + 1), np.arange(1, denominator + 1)
     if odd:
         top, bottom = top[top % 2 == 1], bottom[bottom % 2 == 0]
-    problem = _Projection(gap, numerator, denominator, fit_range, top, bottom)
+    problem = _Projection(gap, K_ratio, numerator, denominator, fit_range, top, bottom)
     return tuple(problem.fit(problem.minimise(d)) for d in problem.starts())
 
 
@@ -162,6 +172,7 @@ class _Projection:
     def __init__(
         self,
         gap: Gap,
+        K_ratio: float,
         n: int,
         m: int,
         fit_range: float,
@@ -171,7 +182,7 @@ class _Projection:
         self.n, self.m, self.fit_range = n, m, fit_range
         self.top, self.bottom = top, bottom
         self.u = np.linspace(-1.0, 1.0, N_RATIONAL_POINTS)
-        self.exact = unit_force(self.u * fit_range, gap) / fit_range
+        self.exact = unit_force(self.u * fit_range, gap, K_ratio) / fit_range
         self.numerator_basis = chebyshev.chebvander(self.u, n)[:, top]
         self.denominator_basis = chebyshev.chebvander(self.u, m)[:, bottom]
 

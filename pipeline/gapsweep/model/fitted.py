@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import FIT_RANGE, ContactLaw
 from gapsweep.model.fit import MAX_DEGREE, MAX_RATIONAL_DEGREE, Fit, polynomial_fit, rational_fit
-from gapsweep.model.oscillator import Gap, checked
+from gapsweep.model.oscillator import checked
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ class Fitted(ContactLaw):
 
     @property
     def fit(self) -> Fit:
-        """The fit per unit stiffness (computed once per gap, degrees and range)."""
+        """The fit per unit stiffness (computed once per walls, degrees and range)."""
         raise NotImplementedError
 
     @property
@@ -78,8 +78,8 @@ class Polynomial(Fitted):
         return str(_degree(label, parameter, MAX_DEGREE))
 
     @classmethod
-    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
-        return cls(K_c, gap, int(parameter), fit_range)
+    def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
+        return {"degree": int(parameter), "fit_range": fit_range}
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -93,7 +93,7 @@ class Polynomial(Fitted):
 
     @property
     def fit(self) -> Fit:
-        return polynomial_fit(self.gap, self.degree, self.fit_range)
+        return polynomial_fit(self.gap, self.degree, self.fit_range, self.K_ratio)
 
 
 @dataclass(frozen=True)
@@ -127,9 +127,9 @@ class RationalPolynomial(Fitted):
         return "{}/{}".format(*degrees)
 
     @classmethod
-    def from_label(cls, parameter: str, K_c: float, gap: Gap, fit_range: float) -> "ContactLaw":
-        top, bottom = parameter.split("/")
-        return cls(K_c, gap, int(top), int(bottom), fit_range)
+    def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
+        top, bottom = map(int, parameter.split("/"))
+        return {"numerator": top, "denominator": bottom, "fit_range": fit_range}
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -143,7 +143,8 @@ class RationalPolynomial(Fitted):
 
     @property
     def fit(self) -> Fit:
-        return rational_fit(self.gap, self.numerator, self.denominator, self.fit_range)
+        degrees = self.numerator, self.denominator
+        return rational_fit(self.gap, *degrees, self.fit_range, self.K_ratio)
 
 
 def _degree(label: str, text: str, largest: int) -> int:

@@ -74,7 +74,9 @@ def is_fitted(label: str) -> bool:
     return law is not None and issubclass(law, Fitted)
 
 
-def contact_law(label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE) -> ContactLaw:
+def contact_law(
+    label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE, *, K_ratio: float = 1.0
+) -> ContactLaw:
     """Build a contact law from its label.
 
     Parameters
@@ -82,21 +84,26 @@ def contact_law(label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE) 
     label : str
         See the module's table.
     K_c : float
-        Contact stiffness [N/m], ``>= 0``.
+        Contact stiffness [N/m], ``>= 0``; of the upper wall, where the walls differ.
     gap : Gap
         Distances of the walls from the origin.
     fit_range : float
         Half-width [m] of the range on which polynomials are fitted.
+    K_ratio : float
+        Stiffness of the lower wall over that of the upper [-], ``>= 0``.
     """
     label = canonical_label(label)
     if label == AUTO:
         raise ModelError("'auto' is no law: a study chooses one for every sweep point")
     chosen = family(label)
     if chosen is None:
-        return law(own_law.function(label), K_c, gap)
-    return chosen.from_label(label.partition("-")[2], K_c, gap, fit_range)
+        return law(own_law.function(label), K_c, gap, K_ratio=K_ratio)
+    own = chosen.of_label(label.partition("-")[2], fit_range)
+    return chosen(K_c, gap, K_ratio=K_ratio, **own)
 
 
-def law(function: Callable[[float], float], K_c: float, gap: Gap) -> UserLaw:
+def law(
+    function: Callable[[float], float], K_c: float, gap: Gap, *, K_ratio: float = 1.0
+) -> UserLaw:
     """A user's own contact law from a scalar function of the displacement [m] to newtons."""
-    return UserLaw(K_c, gap, function)
+    return UserLaw(K_c, gap, function, K_ratio=K_ratio)

@@ -12,7 +12,8 @@ from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.selection import listed
 
 _SHOWN_NAMES = 6
-_PLACE = ("K_c", "gap", "j_1", "j_2", "omega", *(field.name for field in fields(Oscillator)))
+_OSCILLATOR = (field.name for field in fields(Oscillator))
+_PLACE = ("K_c", "gap", "j_1", "j_2", "omega", *_OSCILLATOR, "K_ratio")
 _NAMELESS = "response"  # where a selection has dropped the representation's label
 
 

@@ -49,15 +49,35 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
     if not laws:
         return np.empty(0)
     law = laws[0]
-    if isinstance(law, Piecewise | Arctan | LogArctan | Tanh):
-        together = _together(laws)
-        turns = _tanh_turns(together) if isinstance(together, Tanh) else ()
-        return _largest(together, x_min, x_max, turns)
+    if isinstance(law, Tanh):
+        return _largest_of_tanh(laws, x_min, x_max)
+    if isinstance(law, Piecewise | Arctan | LogArctan):
+        return _largest(_together(laws), x_min, x_max, ())
     if isinstance(law, Polynomial | RationalPolynomial):
         return _largest(law, x_min, x_max, _fit_turns(law))
+    return _largest_searched(law, x_min, x_max)
+
+
+def _largest_of_tanh(laws: Sequence[Any], x_min: Array, x_max: Array) -> Array:
+    """Of walls that are equal all together; where they differ, turns have to be searched."""
+    rows: dict[Any, list[int]] = {}
+    for row, law in enumerate(laws):
+        rows.setdefault(None if law.K_ratio == 1.0 else law, []).append(row)
+    found = np.empty(len(laws))
+    for law, here in rows.items():
+        if law is None:
+            one = _together([laws[row] for row in here])
+            found[here] = _largest(one, x_min[here], x_max[here], _tanh_turns(one))
+        else:
+            found[here] = _largest_searched(law, x_min[here], x_max[here])
+    return found
+
+
+def _largest_searched(law: ContactLaw, x_min: Array, x_max: Array) -> Array:
+    """Largest magnitude of the force of any law."""
     # Searched as far as the motion goes, in powers of two: no point's result may depend on others.
     _, power = np.frexp(np.maximum(np.abs(x_min), np.abs(x_max)))
-    found = np.empty(len(laws))
+    found = np.empty(len(power))
     for each in np.unique(power).tolist():
         here = power == each
         found[here] = _largest(law, x_min[here], x_max[here], _searched_turns(law, 2.0**each))
@@ -87,7 +107,8 @@ def _largest(law: ContactLaw, x_min: Array, x_max: Array, turns: Sequence[Any] |
 
 
 def _tanh_turns(law: Tanh) -> tuple[Array, Array]:
-    """Displacements [m] at which the force turns: it dips before each wall, if they are far apart.
+    """Displacements [m] at which the force turns between equal walls: it dips before each of them,
+    if they are far apart.
 
     In ``u = ε (x - middle)`` with walls ``w`` apart its slope is ``h'(u - w/2) + h'(-u - w/2)``,
     ``h'`` that of ``z (1 + tanh z)``. It is negative in the middle, positive at the walls, and

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gapsweep.response.result import COLUMNS, LISTS, Responses
 from gapsweep.status import Status
-from gapsweep.study.points import KEY, NUMBERS, Kind, Points
+from gapsweep.study.points import KEY, Kind, Points
 
 # Few enough that damage costs little, and that picking out a point reads little.
 SLAB = 64
@@ -100,7 +100,7 @@ class Stored:
     ----------
     keys, previous : ndarray of void, shape (n,)
         Content keys of the points, and of those that they start from; zero where there is none.
-    numbers : ndarray, shape (n, 11)
+    numbers : ndarray, shape (n, 11 or 12)
         As of `Points`.
     responses : Responses
     """
@@ -163,7 +163,8 @@ def stored(slab: Slab) -> Stored:
             return found
 
         previous = np.frombuffer(column("i1", KEY.itemsize * n), KEY)
-        numbers = np.stack([column("f8", n) for _ in NUMBERS], axis=1)
+        names = json.loads(slab.identity)["numbers"]
+        numbers = np.stack([column("f8", n) for _ in names], axis=1)
         columns = {name: column(dtype, n) for name, dtype in COLUMNS.items()}
         counts = {name: column("i4", n).astype(np.int64) for name in LISTS}
         lists = {
@@ -174,7 +175,7 @@ def stored(slab: Slab) -> Stored:
             raise ValueError("its columns are of other lengths")
         messages = {int(row): str(text) for row, text in json.loads(slab.messages).items()}
         return Stored(keys, previous, numbers, Responses(columns, lists, messages))
-    except (zlib.error, TypeError, AttributeError, RecursionError) as error:
+    except (zlib.error, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from None
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import FAMILIES, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 
@@ -104,7 +104,7 @@ def advise(
     ----------
     oscillator : Oscillator
     K_c : float
-        Contact stiffness [N/m].
+        Contact stiffness [N/m]; how much stiffer one wall is than the other tells nothing here.
     gap : Gap
     omega : float
         Forcing frequency [Hz].
@@ -153,7 +153,9 @@ def check_error(error: float) -> float:
     return error
 
 
-def stand_ins(K_c: float, gap: Gap, forcing: float, *, error: float) -> list[StandIn]:
+def stand_ins(
+    K_c: float, gap: Gap, forcing: float, *, error: float, K_ratio: float = 1.0
+) -> list[StandIn]:
     """Per family the smooth law with the smallest adequate power of ten as its parameter.
 
     Families without one up to 1e12 /m are left out.
@@ -161,7 +163,8 @@ def stand_ins(K_c: float, gap: Gap, forcing: float, *, error: float) -> list[Sta
     found = []
     for family in _SHARPENED:
         for decade in _DECADES:
-            one = stand_in(f"{family}-1e{decade}", K_c, gap, forcing, error=error)
+            label = f"{family}-1e{decade}"
+            one = stand_in(label, K_c, gap, forcing, error=error, K_ratio=K_ratio)
             if one.is_adequate:
                 found.append(one)
                 break
@@ -169,7 +172,14 @@ def stand_ins(K_c: float, gap: Gap, forcing: float, *, error: float) -> list[Sta
 
 
 def stand_in(
-    label: str, K_c: float, gap: Gap, forcing: float, *, error: float, fit_range: float = 4e-3
+    label: str,
+    K_c: float,
+    gap: Gap,
+    forcing: float,
+    *,
+    error: float,
+    fit_range: float = 4e-3,
+    K_ratio: float = 1.0,
 ) -> StandIn:
     """Static screening of one smooth law.
 
@@ -181,8 +191,10 @@ def stand_in(
         Forcing amplitude [N].
     fit_range : float
         Half-width [m] of the range in which forces are compared, and polynomials fitted.
+    K_ratio : float
+        Stiffness of the lower wall over that of the upper [-].
     """
-    law = contact_law(label, K_c, gap, fit_range)
+    law = contact_law(label, K_c, gap, fit_range, K_ratio=K_ratio)
     largest = _largest_force_error(law, fit_range)
     relative = largest / abs(forcing) if forcing else math.inf
     return StandIn(label=label, force_error=relative, is_adequate=relative <= check_error(error))
@@ -196,7 +208,7 @@ def _largest_force_error(law: ContactLaw, reach: float) -> float:
         [np.linspace(-reach, reach, 2001), *(w + s * steps for w in walls for s in (-1, 1))]
     )
     x = x[np.abs(x) <= reach]
-    return float(np.max(np.abs(law.force(x) - Piecewise(law.K_c, law.gap).force(x))))
+    return float(np.max(np.abs(law.force(x) - law.exact.force(x))))
 
 
 def _linear_motion(

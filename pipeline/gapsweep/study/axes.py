@@ -46,7 +46,8 @@ class OscillatorTable(Table):
     forcing: float = 4.0
 
 
-SWEEPABLE = tuple(OscillatorTable.model_fields)
+# What is a dimension only where it is swept; K_ratio is 1 elsewhere.
+SWEEPABLE = (*OscillatorTable.model_fields, "K_ratio")
 
 
 def canonical_representation(label: str) -> str:

@@ -28,6 +28,8 @@ OURS = "null"  # in place of the code of a user's law
 OSCILLATOR = ("zeta", "omega_n", "mass", "alpha", "forcing")
 # The columns of every table of points: what differs from point to point.
 NUMBERS = ("K_c", "j_1", "j_2", "omega", *OSCILLATOR, "x_0", "v_0")
+# Those of points whose walls differ. Others do without, and have the keys that they always had.
+UNEQUAL = (*NUMBERS[:-2], "K_ratio", *NUMBERS[-2:])
 KEY = np.dtype("V32")  # a content key, as an element of an array
 
 Numbers = NDArray[np.intp]
@@ -62,6 +64,8 @@ class Kind:
         Added to a fixed initial displacement [m], for exact-against-exact floors.
     law_code : str
         Of a user's own law, as JSON; whoever computes the point must have the same.
+    numbers : tuple of str
+        Columns of the table: `NUMBERS`, or `UNEQUAL` if the walls differ.
     """
 
     representation: str
@@ -71,6 +75,7 @@ class Kind:
     start: str = FIXED
     start_jitter: float = 0.0
     law_code: str = OURS
+    numbers: tuple[str, ...] = NUMBERS
 
     @property
     def is_sweep(self) -> bool:
@@ -92,7 +97,8 @@ class Kind:
             If it is none.
         """
         try:
-            said = {"fit_range": FIT_RANGE, **json.loads(identity)["kind"]}
+            whole = json.loads(identity)
+            said = {"fit_range": FIT_RANGE, **whole["kind"], "numbers": tuple(whole["numbers"])}
             said["law_code"] = _json(said.pop("law"))
             said |= {"solver": Solver(**said["solver"]), "steady": Steady(**said["steady"])}
             return cls(**said)
@@ -108,8 +114,8 @@ def _identity(kind: Kind) -> str:
     if not is_fitted(kind.representation):
         del said["fit_range"]
     whole = {
+        "numbers": said.pop("numbers"),
         "kind": said,
-        "numbers": NUMBERS,
         "numerics": numerics_fingerprint(),
         "schema": RESULT_SCHEMA,
         "versions": {
@@ -126,8 +132,8 @@ class Points:
     Attributes
     ----------
     kind : Kind
-    numbers : ndarray, shape (n, 11)
-        Columns as in `NUMBERS`: N/m, m, m, Hz, then the oscillator's, m, m/s.
+    numbers : ndarray, shape (n, 11 or 12)
+        Columns as in `Kind.numbers`: N/m, m, m, Hz, then the oscillator's, m, m/s.
     """
 
     kind: Kind
@@ -137,7 +143,7 @@ class Points:
         return len(self.numbers)
 
     def column(self, name: str) -> NDArray[np.float64]:
-        return self.numbers[:, NUMBERS.index(name)]
+        return self.numbers[:, self.kind.numbers.index(name)]
 
     def take(self, rows: Any) -> "Points":
         """Some of the points."""
@@ -173,6 +179,13 @@ class Points:
         size = self.numbers.shape[1] * 8
         data = np.ascontiguousarray(self.numbers, "<f8").tobytes()
         return [data[at : at + size] for at in range(0, len(data), size)]
+
+
+def with_ratio(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Tables of points with the columns `UNEQUAL`; the ratio of equal walls is 1."""
+    if numbers.shape[1] == len(UNEQUAL):
+        return numbers
+    return np.insert(numbers, UNEQUAL.index("K_ratio"), 1.0, axis=1)
 
 
 def _key(kind: Any, row: bytes, previous: bytes) -> bytes:

@@ -72,6 +72,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "mass": ("mass", Variable("f8", "kg", "mass")),
     "alpha": ("alpha", Variable("f8", "N m-3", "cubic stiffness")),
     "forcing": ("forcing", Variable("f8", "N", "forcing amplitude")),
+    "K_ratio": ("K_ratio", Variable("f8", "1", "stiffness of the lower wall over the upper")),
     "initial_condition": ("initial_condition", Variable("i4", "1", "number of the start")),
     "x_0": ("initial_condition", Variable("f8", "m", "initial displacement")),
     "v_0": ("initial_condition", Variable("f8", "m s-1", "initial velocity")),

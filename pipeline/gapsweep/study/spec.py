@@ -60,6 +60,7 @@ class SweepTable(Table):
     mass: PositiveAxis | None = None
     alpha: AnyAxis | None = None
     forcing: AnyAxis | None = None
+    K_ratio: NonNegativeAxis | None = None
     initial_condition: Starts = Field([[0.0, 0.0]])
 
     @model_validator(mode="after")
@@ -71,7 +72,7 @@ class SweepTable(Table):
 
     @property
     def swept(self) -> tuple[str, ...]:
-        """Parameters of the oscillator that are axes here."""
+        """Parameters of the oscillator, and the ratio of the walls, that are axes here."""
         return tuple(name for name in SWEEPABLE if getattr(self, name) is not None)
 
     @property

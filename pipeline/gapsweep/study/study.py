@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,15 @@ from gapsweep.study.axes import (
     values,
 )
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts, starts_of
-from gapsweep.study.points import NUMBERS, OSCILLATOR, Kind, Points, canonical, law_code
+from gapsweep.study.points import (
+    NUMBERS,
+    OSCILLATOR,
+    UNEQUAL,
+    Kind,
+    Points,
+    canonical,
+    law_code,
+)
 from gapsweep.study.selection import positions
 from gapsweep.study.spec import (
     HistoryTable,
@@ -167,9 +176,9 @@ class Study:
     @cached_property
     def _blocks(self) -> list[Axes]:
         swept = {name for block in self.spec.sweep for name in block.swept}
-        default = self.spec.oscillator
+        default = self.spec.oscillator.model_dump() | {"K_ratio": 1.0}
         return [
-            _expanded(block, {n: getattr(default, n) for n in SWEEPABLE if n in swept})
+            _expanded(block, {n: default[n] for n in SWEEPABLE if n in swept})
             for block in self.spec.sweep
         ]
 
@@ -256,16 +265,21 @@ class Study:
         at = dict(zip(axes, np.unravel_index(cells, self.grid.shape), strict=True))
         numbers = self._numbers(at, len(cells))
         kind = at["representation"] * len(Starts.KINDS) + starts.kind[at[START]]
-        for one in np.unique(kind).tolist():
-            rows = np.flatnonzero(kind == one)
+        differ = numbers[:, UNEQUAL.index("K_ratio")] != 1.0
+        for one, is_unequal in product(np.unique(kind).tolist(), (False, True)):
+            rows = np.flatnonzero((kind == one) & (differ == is_unequal))
+            if not len(rows):
+                continue
             r, start = divmod(one, len(Starts.KINDS))
-            label = axes["representation"][r]
-            yield rows, Points(self._kind(label, Starts.KINDS[start]), numbers[rows]), label
+            label, names = axes["representation"][r], UNEQUAL if is_unequal else NUMBERS
+            table = numbers[rows][:, [UNEQUAL.index(name) for name in names]]
+            yield rows, Points(self._kind(label, Starts.KINDS[start], names), table), label
 
     def _numbers(self, at: Mapping[str, NDArray[np.intp]], n: int) -> NDArray[np.float64]:
-        """The columns of a table of points, from their places on the axes."""
+        """The columns `UNEQUAL` of a table of points, from their places on the axes."""
         axes = self.grid.axes
         columns: dict[str, Any] = {name: getattr(self.oscillator, name) for name in OSCILLATOR}
+        columns["K_ratio"] = 1.0
         for name, axis in axes.items():
             if name == "gap":
                 walls = np.array([(gap.j_1, gap.j_2) for gap in axis])[at[name]]
@@ -274,9 +288,9 @@ class Study:
                 columns["x_0"], columns["v_0"] = axis.x_0[at[name]], axis.v_0[at[name]]
             elif name != "representation":
                 columns[name] = np.array(axis)[at[name]]
-        return np.stack([np.broadcast_to(columns[name], n) for name in NUMBERS], axis=1)
+        return np.stack([np.broadcast_to(columns[name], n) for name in UNEQUAL], axis=1)
 
-    def _kind(self, label: str, start: str) -> Kind:
+    def _kind(self, label: str, start: str, numbers: tuple[str, ...]) -> Kind:
         representation = label.partition("@")[0]
         return Kind(
             representation=representation,
@@ -286,6 +300,7 @@ class Study:
             start=start,
             start_jitter=self.start_jitter(label),
             law_code=law_code(representation),
+            numbers=numbers,
         )
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
@@ -293,8 +308,8 @@ class Study:
         numbers, rtol = table.numbers.copy(), np.empty(len(table))
         for row, least in enumerate(self._advised(table)):
             rtol[row] = least.rtol
-            numbers[row, NUMBERS.index("K_c")] = least.K_c
-            numbers[row, NUMBERS.index("alpha")] = least.oscillator.alpha
+            numbers[row, table.kind.numbers.index("K_c")] = least.K_c
+            numbers[row, table.kind.numbers.index("alpha")] = least.oscillator.alpha
         found = []
         for one in np.unique(rtol).tolist():
             rows = np.flatnonzero(rtol == one)
@@ -320,7 +335,7 @@ class Study:
 
     def _advised(self, table: Points, error: float | None = None) -> Iterator[Advice]:
         for row, numbers in enumerate(table.numbers.tolist()):
-            said = dict(zip(NUMBERS, numbers, strict=True))
+            said = dict(zip(table.kind.numbers, numbers, strict=True))
             yield advise(
                 Oscillator(**{name: said[name] for name in OSCILLATOR}),
                 said["K_c"],
@@ -350,7 +365,7 @@ def _given(table: SolverTable) -> dict[str, Any]:
 def _expanded(block: SweepTable, swept: Mapping[str, float]) -> Axes:
     """A block's values along the dimensions, canonical and without repeats.
 
-    `swept` are the oscillator's numbers that some block sweeps, as they are where none does.
+    `swept` are the further numbers that some block sweeps, as they are where none does.
     """
     axes: dict[str, Any] = {"representation": block.representation, "K_c": values(block.K_c)}
     if block.gap is None:

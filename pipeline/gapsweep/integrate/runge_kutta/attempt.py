@@ -226,7 +226,7 @@ def _layer_control(
 @njit(forceinline=True)
 def _leaves_mode(q, x, hull_low, hull_high):
     """Whether the step's hull leaves the region of the present contact mode."""
-    in_gap = load(q, laws.ACTIVE_STIFFNESS) == 0.0
+    in_gap = load(q, laws.ACTIVE_MODE) == 0.0
     low, high, wall = load(q, laws.WALL_LOW), load(q, laws.WALL_HIGH), load(q, laws.ACTIVE_WALL)
     out_of_gap = (hull_high > high) | (hull_low < low)
     at_high = wall == high

@@ -19,21 +19,24 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
-from gapsweep.integrate.simd import fma, load, select
+from gapsweep.integrate.simd import bits, fma, load, select
 
 from . import vecmath
 
 # Rows of the parameter block.
-STIFFNESS = 0  # K_c / m [1/s^2]; 1 / m for a fit or a user's law
+STIFFNESS = 0  # K_c / m of the upper wall [1/s^2]; 1 / m for a fit or a user's law
 WALL_LOW, WALL_HIGH = 1, 2  # -j_1 and j_2 [m]
 SHARPNESS = 3  # epsilon or gamma [1/m]
 CENTRE, HALF_GAP, DECAY = 4, 5, 6  # tanh: of the gap [m, m, -]
 OFFSET = 4  # log-arctan: A_c [m]
-ACTIVE_STIFFNESS, ACTIVE_WALL = 3, 4  # located contact: of the present mode
+# Located contact: of the present mode, and the mode itself (1 upper wall, -1 lower wall, 0 none): a
+# wall may have no stiffness or lie at zero, so neither tells whether it is touched.
+ACTIVE_STIFFNESS, ACTIVE_WALL, ACTIVE_MODE = 3, 4, 5
 LAYER = 7  # half-width of the smoothing layer around each wall [m]; 0: none
 RANGE = 8  # fits: |x| up to which the fit holds [m]; 0: no fit
 SATURATION = 9  # tanh: distance from a wall beyond which the law is exactly piecewise [m]
-N_PARAMETERS = 10
+RATIO = 10  # stiffness of the lower wall over that of the upper
+N_PARAMETERS = 11
 
 _INV_PI = 0.3183098861837907
 # |epsilon (x - j)| from which tanh is exactly +-1 in double precision, so the force exactly
@@ -147,12 +150,13 @@ def has_range(law):
 
 @njit(forceinline=True)
 def _tanh_parts(q, x):
-    """Side of the gap's centre, distances to both walls, and the two exponentials.
+    """Side of the gap's centre, distances to both walls, their weights, and the two exponentials.
 
     With s = |x - centre|, F/K = sign * ((s - g) / (1 + E) + (s + g) E2 / (1 + E2)) where
     E = exp(-2 eps (s - g)) and E2 = exp(-2 eps (s + g)) = E exp(-4 eps g): one exponential for two
-    walls, and a force that is odd about the centre to the last bit. The clip at 40 > 2 * 19.06
-    only touches arguments where tanh is +-1 in double anyway, and keeps E finite.
+    walls, and a force between equal walls that is odd about the centre to the last bit. The clip at
+    40 > 2 * 19.06 only touches arguments where tanh is +-1 in double anyway, and keeps E finite.
+    The weights are the stiffnesses of the near and of the far wall over that of the upper one.
     """
     y = x - load(q, CENTRE)
     s = simd.absolute(y)
@@ -160,28 +164,31 @@ def _tanh_parts(q, x):
     near, far = s - g, s + g
     z = simd.minimum(simd.maximum(-2.0 * load(q, SHARPNESS) * near, -40.0), 40.0)
     e = vecmath.exp(z)
-    return y, near, far, e, e * load(q, DECAY)
+    ratio, one = load(q, RATIO), simd.splat(1.0)
+    is_below = simd.copysign(one, y) < 0.0  # by the sign that the force gets, also of a zero
+    weights = select(is_below, ratio, one), select(is_below, one, ratio)
+    return y, near, far, weights, e, e * load(q, DECAY)
 
 
 @njit(forceinline=True)
 def _tanh_force(q, x):
-    y, near, far, e, e2 = _tanh_parts(q, x)
+    y, near, far, (w, w2), e, e2 = _tanh_parts(q, x)
     p, p2 = 1.0 + e, 1.0 + e2
-    f = fma(near, p2, far * e2 * p) / (p * p2)
+    f = fma(w * near, p2, w2 * far * e2 * p) / (p * p2)
     # Where tanh is saturated the law *is* the piecewise one, exactly: no leak of e-18 into the gap.
     reach = load(q, SATURATION)
-    f = select(near > reach, near, select((near < -reach) & (far > reach), 0.0, f))
+    f = select(near > reach, w * near, select((near < -reach) & (far > reach), 0.0, f))
     return simd.copysign(load(q, STIFFNESS), y) * f
 
 
 @njit(forceinline=True)
 def _tanh_slope(q, x):
-    _, near, far, e, e2 = _tanh_parts(q, x)
+    _, near, far, (w, w2), e, e2 = _tanh_parts(q, x)
     two_eps = 2.0 * load(q, SHARPNESS)
     s1, s2 = 1.0 / (1.0 + e), e2 / (1.0 + e2)
     t1 = fma(two_eps * near, s1 * (1.0 - s1), s1)
     t2 = fma(-two_eps * far, s2 * (1.0 - s2), s2)
-    return load(q, STIFFNESS) * (t1 + t2)
+    return load(q, STIFFNESS) * (w * t1 + w2 * t2)
 
 
 # --- arctan and log-arctan ----------------------------------------------------------------------
@@ -192,6 +199,7 @@ def _arctan_force(q, x):
     eps = load(q, SHARPNESS)
     below, above = x - load(q, WALL_LOW), x - load(q, WALL_HIGH)
     t_below, t_above = vecmath.arctan(eps * below), vecmath.arctan(eps * above)
+    below = load(q, RATIO) * below
     return load(q, STIFFNESS) * fma(
         0.5, below + above, _INV_PI * (above * t_above - below * t_below)
     )
@@ -199,29 +207,33 @@ def _arctan_force(q, x):
 
 @njit(forceinline=True)
 def _arctan_slope(q, x):
-    eps = load(q, SHARPNESS)
+    eps, ratio = load(q, SHARPNESS), load(q, RATIO)
     z1, z2 = eps * (x - load(q, WALL_LOW)), eps * (x - load(q, WALL_HIGH))
     d1 = vecmath.arctan(z1) + z1 / fma(z1, z1, 1.0)
     d2 = vecmath.arctan(z2) + z2 / fma(z2, z2, 1.0)
-    return load(q, STIFFNESS) * fma(_INV_PI, d2 - d1, 1.0)
+    return load(q, STIFFNESS) * fma(_INV_PI, d2 - ratio * d1, 0.5 + 0.5 * ratio)
 
 
 @njit(forceinline=True)
 def _logarctan_force(q, x):
-    gamma = load(q, SHARPNESS)
+    gamma, ratio = load(q, SHARPNESS), load(q, RATIO)
     below, above = x - load(q, WALL_LOW), x - load(q, WALL_HIGH)
     z1, z2 = gamma * below, gamma * above
     logarithm = vecmath.log(fma(z1, z1, 1.0) / fma(z2, z2, 1.0)) / (2.0 * gamma)
-    arctans = above * vecmath.arctan(z2) - below * vecmath.arctan(z1)
-    return load(q, STIFFNESS) * fma(_INV_PI, arctans + logarithm + load(q, OFFSET), x)
+    more = ratio - 1.0
+    if bits(simd.absolute(more) > 0.0) != 0:  # one more logarithm only for walls that differ
+        logarithm = fma(more, vecmath.log(fma(z1, z1, 1.0)) / (2.0 * gamma), logarithm)
+    arctans = above * vecmath.arctan(z2) - ratio * below * vecmath.arctan(z1)
+    linear = (0.5 + 0.5 * ratio) * x
+    return load(q, STIFFNESS) * fma(_INV_PI, arctans + logarithm + load(q, OFFSET), linear)
 
 
 @njit(forceinline=True)
 def _logarctan_slope(q, x):
-    gamma = load(q, SHARPNESS)
+    gamma, ratio = load(q, SHARPNESS), load(q, RATIO)
     t1 = vecmath.arctan(gamma * (x - load(q, WALL_LOW)))
     t2 = vecmath.arctan(gamma * (x - load(q, WALL_HIGH)))
-    return load(q, STIFFNESS) * fma(_INV_PI, t2 - t1, 1.0)
+    return load(q, STIFFNESS) * fma(_INV_PI, t2 - ratio * t1, 0.5 + 0.5 * ratio)
 
 
 # --- exact --------------------------------------------------------------------------------------
@@ -230,13 +242,14 @@ def _logarctan_slope(q, x):
 @njit(forceinline=True)
 def _piecewise_force(q, x):
     low, high = load(q, WALL_LOW), load(q, WALL_HIGH)
-    excess = select(x > high, x - high, select(x < low, x - low, 0.0))
-    return load(q, STIFFNESS) * excess
+    below = load(q, RATIO) * (x - low)
+    return load(q, STIFFNESS) * select(x > high, x - high, select(x < low, below, 0.0))
 
 
 @njit(forceinline=True)
 def _piecewise_slope(q, x):
-    return select((x > load(q, WALL_HIGH)) | (x < load(q, WALL_LOW)), load(q, STIFFNESS), 0.0)
+    below = select(x < load(q, WALL_LOW), load(q, RATIO), 0.0)
+    return load(q, STIFFNESS) * select(x > load(q, WALL_HIGH), 1.0, below)
 
 
 @njit(forceinline=True)

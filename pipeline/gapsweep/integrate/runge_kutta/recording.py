@@ -79,7 +79,7 @@ def _first_edge(lane, q, scratch, is_located, i):
     best, x = 2.0, lane[ln.OLD_X, i]
     low, high, half = q[laws.WALL_LOW, i], q[laws.WALL_HIGH, i], q[laws.LAYER, i]
     if is_located:
-        if q[laws.ACTIVE_STIFFNESS, i] != 0.0:
+        if q[laws.ACTIVE_MODE, i] != 0.0:
             return _first_root(scratch, q[laws.ACTIVE_WALL, i], best)
         return _first_root(scratch, low, _first_root(scratch, high, best))
     for wall in (low, high):
@@ -120,7 +120,7 @@ def _cut(lane, lane_int, q, scratch, is_located, i):
 @allocating
 def _landing_wall(lane, q, i):
     """The wall that a located landing aims at."""
-    if q[laws.ACTIVE_STIFFNESS, i] != 0.0:
+    if q[laws.ACTIVE_MODE, i] != 0.0:
         return q[laws.ACTIVE_WALL, i]
     low, high = q[laws.WALL_LOW, i], q[laws.WALL_HIGH, i]
     return high if abs(lane[ln.X1, i] - high) < abs(lane[ln.X1, i] - low) else low
@@ -159,11 +159,13 @@ def choose_mode(lane, q, i):
     x = lane[ln.X, i]
     low, high = q[laws.WALL_LOW, i], q[laws.WALL_HIGH, i]
     heading = lane[ln.V, i] if lane[ln.V, i] != 0.0 else lane[ln.A, i]
-    q[laws.ACTIVE_STIFFNESS, i] = q[laws.ACTIVE_WALL, i] = 0.0
+    stiffness, wall, mode = 0.0, 0.0, 0.0
     if x > high or (x == high and heading > 0.0):
-        q[laws.ACTIVE_STIFFNESS, i], q[laws.ACTIVE_WALL, i] = q[laws.STIFFNESS, i], high
+        stiffness, wall, mode = q[laws.STIFFNESS, i], high, 1.0
     elif x < low or (x == low and heading < 0.0):
-        q[laws.ACTIVE_STIFFNESS, i], q[laws.ACTIVE_WALL, i] = q[laws.STIFFNESS, i], low
+        stiffness, wall, mode = q[laws.RATIO, i] * q[laws.STIFFNESS, i], low, -1.0
+    q[laws.ACTIVE_STIFFNESS, i], q[laws.ACTIVE_WALL, i] = stiffness, wall
+    q[laws.ACTIVE_MODE, i] = mode
 
 
 @allocating

@@ -14,23 +14,23 @@ from gapsweep.model.contact import SLOPE_LENGTH, SLOPE_STEP
 from . import laws
 from .laws import Law
 
+_WALLS = laws.STIFFNESS, laws.WALL_LOW, laws.WALL_HIGH, laws.RATIO
 
-def _rows(K_c, j_1, j_2, **extra):
-    values = np.broadcast_arrays(
-        *(np.asarray(a, dtype=float) for a in (K_c, j_1, j_2, *extra.values()))
-    )
+
+def _rows(K_c, j_1, j_2, K_ratio=1.0, **extra):
+    given = K_c, -np.asarray(j_1), j_2, K_ratio, *extra.values()
+    values = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in given))
     q = np.zeros((*values[0].shape, laws.N_PARAMETERS))
-    q[..., laws.STIFFNESS], q[..., laws.WALL_LOW], q[..., laws.WALL_HIGH] = (
-        values[0],
-        -values[1],
-        values[2],
-    )
-    return q.reshape(-1, laws.N_PARAMETERS) if q.ndim > 1 else q, values[3:]
+    for row, value in zip(_WALLS, values, strict=False):
+        q[..., row] = value
+    return q.reshape(-1, laws.N_PARAMETERS) if q.ndim > 1 else q, values[len(_WALLS) :]
 
 
-def tanh(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike) -> Law:
-    """Freeplay smoothed with tanh; K_c [N/m], j_1, j_2 [m], epsilon [1/m]."""
-    q, (epsilon,) = _rows(K_c, j_1, j_2, epsilon=epsilon)
+def tanh(
+    K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike, K_ratio: ArrayLike = 1.0
+) -> Law:
+    """Freeplay smoothed with tanh; K_c [N/m], j_1, j_2 [m], epsilon [1/m], K_ratio [-]."""
+    q, (epsilon,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
     epsilon = epsilon.ravel() if q.ndim > 1 else epsilon
     half_gap = 0.5 * (q[..., laws.WALL_HIGH] - q[..., laws.WALL_LOW])
     q[..., laws.SHARPNESS], q[..., laws.HALF_GAP] = epsilon, half_gap
@@ -40,23 +40,28 @@ def tanh(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike) -> 
     return Law(laws.Tanh(), q)
 
 
-def arctan(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike) -> Law:
+def arctan(
+    K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike, K_ratio: ArrayLike = 1.0
+) -> Law:
     """Freeplay smoothed with (2/pi) arctan; epsilon [1/m]."""
-    q, (epsilon,) = _rows(K_c, j_1, j_2, epsilon=epsilon)
+    q, (epsilon,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
     q[..., laws.SHARPNESS] = epsilon.ravel() if q.ndim > 1 else epsilon
     q[..., laws.LAYER] = laws.ARCTAN_LAYER / q[..., laws.SHARPNESS]
     return Law(laws.Arctan(), q)
 
 
-def log_arctan(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, gamma: ArrayLike) -> Law:
+def log_arctan(
+    K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, gamma: ArrayLike, K_ratio: ArrayLike = 1.0
+) -> Law:
     """Integral of the arctan-smoothed stiffness, anchored at F_c(0) = 0; gamma [1/m]."""
-    q, (gamma,) = _rows(K_c, j_1, j_2, gamma=gamma)
+    q, (gamma,) = _rows(K_c, j_1, j_2, K_ratio, gamma=gamma)
     gamma = gamma.ravel() if q.ndim > 1 else gamma
     below, above = -q[..., laws.WALL_LOW], -q[..., laws.WALL_HIGH]  # x - wall at x = 0
-    logarithm = np.log((1.0 + (gamma * below) ** 2) / (1.0 + (gamma * above) ** 2))
+    ratio, square = q[..., laws.RATIO], 1.0 + (gamma * below) ** 2
+    logarithm = np.log(square / (1.0 + (gamma * above) ** 2)) + (ratio - 1.0) * np.log(square)
     at_zero = (
         above * np.arctan(gamma * above)
-        - below * np.arctan(gamma * below)
+        - ratio * below * np.arctan(gamma * below)
         + logarithm / (2.0 * gamma)
     )
     q[..., laws.SHARPNESS], q[..., laws.OFFSET] = gamma, -at_zero
@@ -64,11 +69,18 @@ def log_arctan(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, gamma: ArrayLike)
     return Law(laws.LogArctan(), q)
 
 
-def piecewise(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, *, restart: bool = False) -> Law:
+def piecewise(
+    K_c: ArrayLike,
+    j_1: ArrayLike,
+    j_2: ArrayLike,
+    K_ratio: ArrayLike = 1.0,
+    *,
+    restart: bool = False,
+) -> Law:
     """Exact freeplay without event location, or (`restart`) located with a fresh start at every
     contact.
     """
-    q, _ = _rows(K_c, j_1, j_2)
+    q, _ = _rows(K_c, j_1, j_2, K_ratio)
     return Law(laws.Located() if restart else laws.Piecewise(), q)
 
 

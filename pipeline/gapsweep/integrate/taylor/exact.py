@@ -126,6 +126,7 @@ def integrate(
     j_1: ArrayLike,
     j_2: ArrayLike,
     omega: ArrayLike,
+    K_ratio: ArrayLike = 1.0,
     x_0: ArrayLike = 0.0,
     v_0: ArrayLike = 0.0,
     t_0: ArrayLike = 0.0,
@@ -142,7 +143,7 @@ def integrate(
 
     Parameters
     ----------
-    zeta, omega_n, mass, alpha, forcing, K_c, j_1, j_2, omega, rtol, atol
+    zeta, omega_n, mass, alpha, forcing, K_c, j_1, j_2, omega, K_ratio, rtol, atol
         As in `scenes`.
     x_0, v_0, t_0, t_end, record_from, **options
         As in `run`.
@@ -151,12 +152,12 @@ def integrate(
     -------
     Exact
     """
-    given = zeta, omega_n, mass, alpha, forcing, K_c, j_1, j_2, omega
+    given = zeta, omega_n, mass, alpha, forcing, K_c, j_1, j_2, omega, K_ratio
     given += x_0, v_0, t_0, t_end, record_from
     arrays = [np.array(a, dtype=float).ravel() for a in np.broadcast_arrays(*np.atleast_1d(*given))]
-    prepared = scenes(*arrays[:9], rtol=rtol, atol=atol)
-    start = np.stack(arrays[9:11], axis=1)
-    return run(prepared, np.arange(arrays[0].size), start, *arrays[11:], **options)
+    prepared = scenes(*arrays[:10], rtol=rtol, atol=atol)
+    start = np.stack(arrays[10:12], axis=1)
+    return run(prepared, np.arange(arrays[0].size), start, *arrays[12:], **options)
 
 
 def run(

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,7 @@ def scenes(
     j_1: FloatArray,
     j_2: FloatArray,
     omega: FloatArray,
+    K_ratio: FloatArray,
     *,
     rtol: float,
     atol: float,
@@ -62,8 +64,9 @@ def scenes(
 
     Parameters
     ----------
-    zeta, mass, alpha, forcing, K_c : ndarray, shape (n,)
-        Damping ratio [-], mass [kg], cubic stiffness [N/m^3], forcing [N], contact stiffness [N/m].
+    zeta, mass, alpha, forcing, K_c, K_ratio : ndarray, shape (n,)
+        Damping ratio [-], mass [kg], cubic stiffness [N/m^3], forcing [N], stiffness of the upper
+        wall [N/m], and that of the lower one over it [-].
     omega_n, omega : ndarray, shape (n,)
         Natural and forcing frequency [Hz], both > 0.
     j_1, j_2 : ndarray, shape (n,)
@@ -76,16 +79,18 @@ def scenes(
     """
     check_tolerances(rtol, atol)
     check(zeta=zeta, omega_n=omega_n, mass=mass, alpha=alpha, forcing=forcing, omega=omega)
-    check(K_c=K_c, j_1=j_1, j_2=j_2)
+    check(K_c=K_c, K_ratio=K_ratio, j_1=j_1, j_2=j_2)
     n_rad = 2 * np.pi * omega_n
     at = Layout(order=order_for(rtol))
     points, table = empty_table(at, len(zeta))
     table[at.stiffness], table[at.damping] = n_rad**2, 2 * zeta * n_rad
-    table[at.cubic], table[at.push], table[at.contact] = alpha / mass, forcing / mass, K_c / mass
+    table[at.cubic], table[at.push] = alpha / mass, forcing / mass
     table[at.lower], table[at.upper] = -j_1, j_2
+    table[at.lower_stiffness], table[at.upper_stiffness] = K_ratio * K_c / mass, K_c / mass
     set_clock(at, table, omega)
-    table[at.floor] = _forced_size(at, table, np.minimum(j_1, j_2))
-    table[at.rate] = np.sqrt(n_rad**2 + K_c / mass) + table[at.omega_rad]
+    stiffnesses = table[at.lower_stiffness], table[at.upper_stiffness]
+    table[at.floor] = np.minimum(*map(partial(_forced_size, at, table), (j_1, j_2), stiffnesses))
+    table[at.rate] = np.sqrt(n_rad**2 + np.maximum(*stiffnesses)) + table[at.omega_rad]
     table[at.min_step] = MIN_STEP / np.maximum(n_rad, table[at.omega_rad])
     return Scenes(at, points, rtol, atol)
 
@@ -114,7 +119,7 @@ def set_clock(at: Layout, table: FloatArray, omega: FloatArray) -> None:
 
 
 _POSITIVE = ("omega_n", "mass", "omega")
-_NOT_NEGATIVE = ("zeta", "K_c", "j_1", "j_2")
+_NOT_NEGATIVE = ("zeta", "K_c", "K_ratio", "j_1", "j_2")
 _MAY_BE_INFINITE = ("j_1", "j_2", "record_from")
 
 
@@ -131,14 +136,16 @@ def check(**values: FloatArray) -> None:
             raise ValueError(f"{name} = {array[is_bad][0]}: must be {rule}")
 
 
-def _forced_size(at: Layout, table: FloatArray, to_wall: FloatArray) -> FloatArray:
-    """Displacement [m] that the forcing keeps up against the springs, and the wall if it is met."""
+def _forced_size(
+    at: Layout, table: FloatArray, to_wall: FloatArray, contact: FloatArray
+) -> FloatArray:
+    """Displacement [m] that the forcing keeps up against the springs, and a wall if it is met."""
     push = np.abs(table[at.push])
     cubic = np.cbrt(np.abs(table[at.cubic]) * push**2)
     springs = table[at.stiffness] + cubic + table[at.omega_rad] ** 2
     free = push / springs
     beyond = np.maximum(free - to_wall, 0.0)
-    return free - beyond * (table[at.contact] / (springs + table[at.contact]))
+    return free - beyond * (contact / (springs + contact))
 
 
 def set_modes_on_walls(at: Layout, points: FloatArray) -> None:
@@ -193,7 +200,8 @@ def _slopes(at: Layout, points: FloatArray, contact: int) -> Iterator[FloatArray
     mode[:, contact] = 0.0
     # finite: a wall at infinity is never touched
     wall = np.select([mode > 0.0, mode < 0.0], [matrix("upper", c), matrix("lower", c)], 0.0)
-    spring = np.where(mode != 0.0, matrix("contact", c), 0.0)
+    stiffnesses = [matrix("upper_stiffness", c), matrix("lower_stiffness", c)]
+    spring = np.select([mode > 0.0, mode < 0.0], stiffnesses, 0.0)
     q, z = [matrix("q", n), matrix("v", n)], [matrix("z", m)]
     yield _along(direction, q[1])[:, contact]
     depths, bends, rates = [], [], []

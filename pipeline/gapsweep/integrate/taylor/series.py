@@ -176,16 +176,16 @@ class Modes:
     lo, hi : list of Vec
         The interval of the gap that the mode allows.
     stiffness : list of Vec
-        K_c where there is contact, else 0.
+        Of the wall that is touched; 0 if none is.
     """
 
     def __init__(self, lanes):
         self.touching, self.wall, self.lo, self.hi, self.stiffness = [], [], [], [], []
-        blocks = (lanes.rows(name) for name in ("mode", "lower", "upper", "contact"))
-        for mode, lower, upper, contact in zip(*blocks, strict=True):
+        names = "mode", "lower", "upper", "lower_stiffness", "upper_stiffness"
+        for mode, lower, upper, *stiffness in zip(*map(lanes.rows, names), strict=True):
             above, below = mode > 0.0, mode < 0.0
             self.touching.append(above | below)
-            self.stiffness.append(where(above | below, contact, 0.0))
+            self.stiffness.append(where(above, stiffness[1], where(below, stiffness[0], 0.0)))
             self.wall.append(where(above, upper, where(below, lower, 0.0)))
             self.lo.append(where(above, upper, where(below, lower.constant(-math.inf), lower)))
             self.hi.append(where(below, lower, where(above, upper.constant(math.inf), upper)))
@@ -259,7 +259,7 @@ class Equation:
         """Coefficient n of the contact forces that `springs` does not hold, of series of depths."""
         if self.rates:
             return [product_term(*pair, n) for pair in zip(self.rates, depths, strict=True)]
-        # At degree 0 K_c (x - wall), not the difference of two large products.
+        # At degree 0 K (x - wall), not the difference of two large products.
         return [] if n else [k * d[0] for k, d in zip(self.contact, depths, strict=True)]
 
     def pulled(self, i, forces, total):

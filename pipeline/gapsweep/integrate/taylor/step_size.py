@@ -10,7 +10,6 @@ from gapsweep.integrate.vectors import (
     minimum,
     rough_exp2,
     rough_log2,
-    where,
 )
 
 from .series import dot
@@ -85,8 +84,8 @@ class Sizes:
             reach = _reach(energy, holding, alpha)
             self.hardening = fma(alpha * softness, reach * reach, self.hardening)
         self.springs = fma(self.hardening, 3.0, lanes["fastest"])
-        for coupling, touching in zip(lanes.rows("coupling"), modes.touching, strict=True):
-            self.springs = self.springs + where(touching, coupling, 0.0)
+        for contact, compliance in zip(modes.stiffness, lanes.rows("compliance"), strict=True):
+            self.springs = self.springs + contact * compliance
         self.damping = lanes["decay"]
 
 

@@ -24,12 +24,15 @@ class Walls:
     Attributes
     ----------
     K_c : ndarray
-        Stiffness [N/m].
+        Stiffness of the upper walls [N/m].
+    K_ratio : ndarray
+        Stiffness of the lower walls over that of the upper ones [-].
     j_1, j_2 : ndarray
         Distances of the walls from the origin [m]; infinity: no wall.
     """
 
     K_c: Array
+    K_ratio: Array
     j_1: Array
     j_2: Array
 
@@ -72,18 +75,20 @@ def system_scenes(
         As of `scenes`: the norm of errors is that of the masses, ``v'Mv``.
     """
     check_tolerances(rtol, atol)
-    check(K_c=walls.K_c, j_1=walls.j_1, j_2=walls.j_2)
+    check(K_c=walls.K_c, K_ratio=walls.K_ratio, j_1=walls.j_1, j_2=walls.j_2)
     of_each = np.array([id(system) for system in systems])
     _, firsts, which = np.unique(of_each, return_index=True, return_inverse=True)
     (layout,) = {layout_of(systems[first]) for first in firsts}
     at = replace(layout, order=order_for(rtol))
     points, table = empty_table(at, len(systems))
+    stiffnesses = walls.K_ratio * walls.K_c, walls.K_c
     for number, first in enumerate(firsts):
         here = np.flatnonzero(which == number)
-        _fill(at, points, here, _Linear(systems[first]), walls.K_c[here], omega[here])
-    k = slice(at.lower, at.lower + at.contacts), slice(at.upper, at.upper + at.contacts)
-    table[k[0]], table[k[1]] = -walls.j_1.T, walls.j_2.T
-    table[at.contact : at.contact + at.contacts] = walls.K_c.T
+        stiffest = np.maximum(*stiffnesses)[here]
+        _fill(at, points, here, _Linear(systems[first]), stiffest, omega[here])
+    blocks = at.lower, at.upper, at.lower_stiffness, at.upper_stiffness
+    for block, values in zip(blocks, (-walls.j_1, walls.j_2, *stiffnesses), strict=True):
+        table[block : block + at.contacts] = values.T
     return Scenes(at, points, rtol, atol)
 
 
@@ -123,9 +128,14 @@ class _Linear:
 
 
 def _fill(
-    at: Layout, points: Array, here: NDArray[np.intp], linear: _Linear, K_c: Array, omega: Array
+    at: Layout,
+    points: Array,
+    here: NDArray[np.intp],
+    linear: _Linear,
+    stiffest: Array,
+    omega: Array,
 ) -> None:
-    """The rows of the points of one system, apart from its walls."""
+    """The rows of the points of one system, apart from its walls; `stiffest` [N/m] of those."""
     system, inverse = linear.system, linear.inverse
     table = np.zeros((at.n_rows, len(here)))
 
@@ -141,7 +151,7 @@ def _fill(
     compliance = np.einsum("ki,ij,kj->k", directions, inverse, directions)
     put("direction", directions)
     put("pull", inverse @ directions.T)
-    put("coupling", K_c.T * compliance[:, None])
+    put("compliance", compliance)
     along = np.array([each.along for each in system.cubic]).reshape(-1, system.n)
     alpha = np.array([each.alpha for each in system.cubic])
     put("along", along)
@@ -159,7 +169,7 @@ def _fill(
     table[at.decay] = linear.decay
     lightest = float(np.sqrt(np.diag(system.mass).min()))
     table[at.slow] = linear.slowest * lightest
-    table[at.rate] = np.sqrt(fastest**2 + (K_c * compliance).sum(axis=1)) + highest
+    table[at.rate] = np.sqrt(fastest**2 + (stiffest * compliance).sum(axis=1)) + highest
     table[at.min_step] = MIN_STEP / np.maximum(fastest, table[at.omega_rad])
     if system.lags is not None:
         _put_lags(put, linear)

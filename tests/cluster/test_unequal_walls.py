@@ -1,0 +1,79 @@
+"""A study that sweeps the ratio of the walls' stiffnesses, from the file to the report."""
+
+import numpy as np
+import pytest
+
+import gapsweep as gs
+from gapsweep.execution.explain import explain
+from gapsweep.execution.plan import plan
+from gapsweep.store.cache import Cache
+from gapsweep.store.maintenance import verify
+
+RATIOS = (0.2, 1.0, 5.0)
+SAME = ("x_max", "x_min", "force_max", "contact_share", "n_contacts", "nfev", "lyapunov")
+
+
+@pytest.fixture
+def swept(tables):
+    starts = [[0.0, 0.0], [1e-3, 0.0], [-1e-3, 0.0]]
+    tables["sweep"][0] |= {"K_ratio": list(RATIOS), "initial_condition": starts}
+    return gs.Study.from_dict(tables)
+
+
+def test_every_ratio_is_what_it_is_by_itself(swept, tables, client, tmp_path):
+    cache = tmp_path / "cache.sqlite"
+    with gs.run(swept, client, out=tmp_path / "out", cache=cache) as ds:
+        found = ds.load()
+    dims = "representation", "K_c", "gap", "omega", "K_ratio", "initial_condition"
+    assert found["x_max"].dims == dims
+    assert found["K_ratio"].values.tolist() == list(RATIOS)
+    assert found["K_ratio"].attrs["units"] == "1"
+    for label in tables["sweep"][0]["representation"]:
+        for K_ratio in RATIOS:
+            law = gs.contact_law(label, 1.4e4, gs.Gap(0.4e-3, 0.4e-3), K_ratio=K_ratio)
+            alone = gs.respond(gs.Oscillator(), law, 12.0, steady=swept.steady)
+            cell = found.sel(representation=label, K_ratio=K_ratio, omega=12.0).squeeze()
+            cell = cell.isel(initial_condition=0)
+            for name in SAME:
+                assert cell[name].item() == getattr(alone, name), (label, K_ratio, name)
+    peaks = found["x_max"].sel(representation="piecewise", omega=12.0).isel(initial_condition=0)
+    assert len(np.unique(peaks)) == len(RATIOS)
+
+    attractors = gs.open(tmp_path / "out" / "attractors.nc").load()
+    images = attractors["mirror_of"] >= 0
+    assert images.sel(K_ratio=1.0).any()
+    assert not images.sel(K_ratio=[0.2, 5.0]).any()
+    static = gs.open(tmp_path / "out" / "static.nc")
+    assert static["force"].dims == ("representation", "K_c", "gap", "K_ratio", "x")
+    agreement = gs.open(tmp_path / "out" / "agreement.nc")
+    assert agreement["n_attractors"].dims == dims[:-1]
+    page = (tmp_path / "out" / "report" / "index.html").read_text()
+    assert "K_ratio = 0.2" in page
+
+    with Cache(cache) as store:
+        assert verify(store).is_sound
+    del tables["sweep"][0]["K_ratio"]
+    plain = gs.Study.from_dict(tables)
+    with Cache(cache, read_only=True) as store:
+        assert plan(plain, store).n_missing == 0
+        tables["sweep"][0]["K_ratio"] = 0.5
+        other = gs.Study.from_dict(tables)
+        missing = plan(other, store)
+        assert missing.n_missing == missing.n_points
+        said = next(iter(explain(other, missing, store, 1)))
+    assert "K_ratio = 0.5" in said.label
+    assert list(said.differences) == ["K_ratio"]
+    assert said.differences["K_ratio"][0] == "0.5"
+
+
+def test_auto_and_sweeps_take_the_ratio_along(tables, client, tmp_path):
+    block = {"representation": ["auto", "piecewise"], "K_ratio": [0.5, 2.0], "omega": [7.0, 12.0]}
+    tables["sweep"][0] |= block | {"initial_condition": ["sweep_up"]}
+    study = gs.Study.from_dict(tables)
+    with gs.run(study, client, out=tmp_path / "out", cache=tmp_path / "c.sqlite") as ds:
+        found = ds.load()
+    assert (found["status"] == gs.Status.OK).all()
+    auto, exact = (found["x_max"].sel(representation=r).squeeze() for r in block["representation"])
+    np.testing.assert_allclose(auto, exact, rtol=1e-6)
+    apart = exact.diff("K_ratio")
+    assert (abs(apart) > 1e-6).all()
