@@ -20,12 +20,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import OdeSolution, solve_ivp
+from scipy.integrate import solve_ivp
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
 from gapsweep.integrate.motion import SCALARS, Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
+from gapsweep.integrate.reference_motion import (
+    extrema_of,
+    gap_of,
+    joined,
+    polynomial,
+    resting,
+    roots,
+    section_of,
+    turning,
+)
 from gapsweep.integrate.reference_scenes import (
     Modes,
     OscillatorScene,
@@ -47,11 +57,6 @@ _NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it 
 _START_NFEV = 2
 _STEP_NFEV = {"RK45": 6, "DOP853": 12}
 _DENSE_NFEV = {"RK45": 0, "DOP853": 3}
-
-# A polynomial of this degree reproduces the dense output of both methods exactly.
-_DEGREE = 7
-_NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
-_TO_POWERS = np.linalg.inv(np.vander(_NODES, _DEGREE + 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,13 +190,13 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
     # An overflow on the way to divergence is an outcome, not a fault of this code.
     with np.errstate(all="ignore"):
         t, y = (_located if scene.located else _plain)(scene, run, start, t_end - t_0)
-    motion, since = _joined(run.pieces), float(problems.record_from[i]) - t_0
-    n, turns = scene.n_states, [_extrema(each) for each in _turning(scene, motion)]
+    motion, since = joined(run.pieces), float(problems.record_from[i]) - t_0
+    n, turns = scene.n_states, [extrema_of(each) for each in turning(scene, motion)]
     t_extrema, extrema = (np.concatenate([turn[k] for turn in turns]) for k in (0, 1))
     of = np.repeat(range(len(turns)), [len(turn[0]) for turn in turns])
     is_late, contacts = t_extrema >= since, np.array(run.contacts).reshape(-1, 2)
     contacts = contacts[contacts[:, 0] >= since]
-    t_section, section = _section(motion, scene, since, t)
+    t_section, section = section_of(motion, scene, since, t)
     return _Run(
         t=t_end if run.status is Status.OK else t_0 + t,
         state=y[:n],
@@ -218,9 +223,9 @@ def _plain(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[float,
     """One run without stops; wall crossings are read off the motion afterwards."""
     segment = _solve(scene, run, None, 0.0, y_0, t_end, None)
     for contact, law in enumerate(scene.laws):
-        gap = _gap_of(scene, segment.motion, contact)
+        gap = gap_of(scene, segment.motion, contact)
         for wall in (-law.gap.j_1, law.gap.j_2):
-            run.contacts += [(t, contact) for t in _roots(gap, 0, wall).tolist()]
+            run.contacts += [(t, contact) for t in roots(gap, 0, wall).tolist()]
     run.contacts.sort()
     run.pieces.append(segment.motion)
     return segment.t, segment.y
@@ -278,7 +283,7 @@ def _solve(
     )
     run.count(scene, solution.nfev, len(solution.t) - 1)
     moved = len(solution.t) > 1
-    motion = _polynomial(solution.sol) if moved else _resting(t, solution.y[:, 0])
+    motion = polynomial(solution.sol) if moved else resting(t, solution.y[:, 0])
     end = tuple(solution.y[:, -1].tolist())
     *contacts, diverged = solution.t_events
     if diverged.size or not all(map(math.isfinite, end)):
@@ -359,19 +364,12 @@ def _divergence(n: int) -> _Stop:
     return _Stop(lambda t, y: max(map(abs, y[:n])) - DIVERGED_AT)
 
 
-def _gap_of(scene: Scene, motion: PPoly, contact: int) -> PPoly:
-    """A contact's gap and its rate along a motion."""
-    n, direction = scene.n, scene.directions[contact]
-    parts = [motion.c[:, :, i * n : (i + 1) * n] @ direction for i in (0, 1)]
-    return PPoly.construct_fast(np.stack(parts, axis=-1), motion.x)
-
-
 def _cut_at_missed_contact(scene: Scene, modes: tuple[int, ...], segment: _Segment) -> _Segment:
     """End a segment at the contact that two step ends straddle unseen, if there is one."""
     missed = []
     for contact, side in _exits(modes):
-        gap, wall = _gap_of(scene, segment.motion, contact), scene.wall(contact, side)
-        turns = _roots(gap, 1, 0.0)
+        gap, wall = gap_of(scene, segment.motion, contact), scene.wall(contact, side)
+        turns = roots(gap, 1, 0.0)
         if not turns.size:
             continue
         walls = scene.laws[contact].gap
@@ -399,76 +397,8 @@ def _cut(
     t = float(brentq(distance, t_before, t_beyond, xtol=1e-15)) if straddles else t_before
     last = int(np.searchsorted(segment.motion.x, t, side="left"))
     if not last:  # at once
-        start = _resting(t, segment.motion(t))
+        start = resting(t, segment.motion(t))
         return _Segment(t, _on_wall(scene, tuple(start(t)), contact, wall), start, (contact, wall))
     breaks = np.append(segment.motion.x[:last], t)
     motion = PPoly.construct_fast(segment.motion.c[:, : breaks.size - 1], breaks)
     return _Segment(t, _on_wall(scene, tuple(motion(t)), contact, wall), motion, (contact, wall))
-
-
-def _resting(t: float, y: Array) -> PPoly:
-    """A motion that ends where it starts."""
-    powers = np.zeros((_DEGREE + 1, 1, len(y)))
-    powers[-1] = y
-    return PPoly.construct_fast(powers, np.array([t, np.nextafter(t, math.inf)]))
-
-
-def _polynomial(solution: OdeSolution) -> PPoly:
-    """The dense output of `solve_ivp` as one piecewise polynomial of the state."""
-    breaks = np.asarray(solution.ts)
-    h = np.diff(breaks)
-    nodes = breaks[:-1, None] + h[:, None] * _NODES
-    # Shared step ends belong to the step on their left or right: both give the same value.
-    values = solution(nodes.ravel()).reshape(-1, h.size, _DEGREE + 1)
-    powers = np.einsum("pn,ysn->psy", _TO_POWERS, values)
-    powers /= h[None, :, None] ** np.arange(_DEGREE, -1, -1)[:, None, None]
-    return PPoly.construct_fast(powers, breaks)
-
-
-def _joined(pieces: list[PPoly]) -> PPoly:
-    coefficients = np.concatenate([piece.c for piece in pieces], axis=1)
-    breaks = np.concatenate([pieces[0].x[:1], *(piece.x[1:] for piece in pieces)])
-    return PPoly.construct_fast(coefficients, breaks)
-
-
-def _roots(motion: PPoly, component: int, value: float) -> Array:
-    """Times after the start at which a component of a motion takes a value."""
-    single = PPoly.construct_fast(np.ascontiguousarray(motion.c[:, :, component]), motion.x)
-    roots = np.sort(single.solve(value, discontinuity=False, extrapolate=False))
-    roots = roots[np.isfinite(roots)]
-    # A root on a step end is reported by both steps, the one at the start belongs to before.
-    resolution = 1e-9 * float(np.min(np.diff(motion.x)))
-    after_start = np.diff(roots, prepend=motion.x[0]) > resolution
-    return np.asarray(roots[after_start])
-
-
-def _turning(scene: Scene, motion: PPoly) -> list[PPoly]:
-    """What extrema are recorded of, each with its rate: coordinates, a system's gaps."""
-    n = scene.n
-    coordinates = [
-        PPoly.construct_fast(motion.c[:, :, i : n + i + 1 : n], motion.x) for i in range(n)
-    ]
-    gaps = [] if isinstance(scene, OscillatorScene) else range(len(scene.laws))
-    return coordinates + [_gap_of(scene, motion, contact) for contact in gaps]
-
-
-def _extrema(motion: PPoly) -> tuple[Array, Array]:
-    """Times and values of the points where a motion of value and rate has no rate."""
-    t = _roots(motion, 1, 0.0)
-    return t, motion(t)[:, 0] if t.size else t
-
-
-def _section(motion: PPoly, scene: Scene, since: float, t_end: float) -> tuple[Array, Array]:
-    """Times and states at every whole forcing period after the start, from the time `since` on.
-
-    Where nothing forces the motion, at every maximum of the first coordinate.
-    """
-    if scene.omega:
-        phase = scene.theta_0 / (2.0 * math.pi)
-        last = math.floor(scene.omega * t_end + phase + 1e-9)
-        t = (np.arange(math.floor(phase + 1e-9) + 1, last + 1) - phase) / scene.omega
-    else:
-        t = _roots(motion, scene.n, 0.0)
-        t = t[motion(t, 1)[:, scene.n] < 0.0] if t.size else t
-    t = np.minimum(t[t >= since], t_end)
-    return t, np.asarray(motion(t)).reshape(t.size, motion.c.shape[2])[:, : scene.n_states]

@@ -1,0 +1,92 @@
+"""Motions of the reference engine as piecewise polynomials, and what is read off them."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import OdeSolution
+from scipy.interpolate import PPoly
+
+from gapsweep.integrate.reference_scenes import OscillatorScene, Scene
+
+Array = NDArray[np.float64]
+
+# A polynomial of this degree reproduces the dense output of both methods exactly.
+_DEGREE = 7
+_NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
+_TO_POWERS = np.linalg.inv(np.vander(_NODES, _DEGREE + 1))
+
+
+def gap_of(scene: Scene, motion: PPoly, contact: int) -> PPoly:
+    """A contact's gap and its rate along a motion."""
+    n, direction = scene.n, scene.directions[contact]
+    parts = [motion.c[:, :, i * n : (i + 1) * n] @ direction for i in (0, 1)]
+    return PPoly.construct_fast(np.stack(parts, axis=-1), motion.x)
+
+
+def resting(t: float, y: Array) -> PPoly:
+    """A motion that ends where it starts."""
+    powers = np.zeros((_DEGREE + 1, 1, len(y)))
+    powers[-1] = y
+    return PPoly.construct_fast(powers, np.array([t, np.nextafter(t, math.inf)]))
+
+
+def polynomial(solution: OdeSolution) -> PPoly:
+    """The dense output of `solve_ivp` as one piecewise polynomial of the state."""
+    breaks = np.asarray(solution.ts)
+    h = np.diff(breaks)
+    nodes = breaks[:-1, None] + h[:, None] * _NODES
+    # Shared step ends belong to the step on their left or right: both give the same value.
+    values = solution(nodes.ravel()).reshape(-1, h.size, _DEGREE + 1)
+    powers = np.einsum("pn,ysn->psy", _TO_POWERS, values)
+    powers /= h[None, :, None] ** np.arange(_DEGREE, -1, -1)[:, None, None]
+    return PPoly.construct_fast(powers, breaks)
+
+
+def joined(pieces: list[PPoly]) -> PPoly:
+    coefficients = np.concatenate([piece.c for piece in pieces], axis=1)
+    breaks = np.concatenate([pieces[0].x[:1], *(piece.x[1:] for piece in pieces)])
+    return PPoly.construct_fast(coefficients, breaks)
+
+
+def roots(motion: PPoly, component: int, value: float) -> Array:
+    """Times after the start at which a component of a motion takes a value."""
+    single = PPoly.construct_fast(np.ascontiguousarray(motion.c[:, :, component]), motion.x)
+    roots = np.sort(single.solve(value, discontinuity=False, extrapolate=False))
+    roots = roots[np.isfinite(roots)]
+    # A root on a step end is reported by both steps, the one at the start belongs to before.
+    resolution = 1e-9 * float(np.min(np.diff(motion.x)))
+    after_start = np.diff(roots, prepend=motion.x[0]) > resolution
+    return np.asarray(roots[after_start])
+
+
+def turning(scene: Scene, motion: PPoly) -> list[PPoly]:
+    """What extrema are recorded of, each with its rate: coordinates, a system's gaps."""
+    n = scene.n
+    coordinates = [
+        PPoly.construct_fast(motion.c[:, :, i : n + i + 1 : n], motion.x) for i in range(n)
+    ]
+    gaps = [] if isinstance(scene, OscillatorScene) else range(len(scene.laws))
+    return coordinates + [gap_of(scene, motion, contact) for contact in gaps]
+
+
+def extrema_of(motion: PPoly) -> tuple[Array, Array]:
+    """Times and values of the points where a motion of value and rate has no rate."""
+    t = roots(motion, 1, 0.0)
+    return t, motion(t)[:, 0] if t.size else t
+
+
+def section_of(motion: PPoly, scene: Scene, since: float, t_end: float) -> tuple[Array, Array]:
+    """Times and states at every whole forcing period after the start, from the time `since` on.
+
+    Where nothing forces the motion, at every maximum of the first coordinate.
+    """
+    if scene.omega:
+        phase = scene.theta_0 / (2.0 * math.pi)
+        last = math.floor(scene.omega * t_end + phase + 1e-9)
+        t = (np.arange(math.floor(phase + 1e-9) + 1, last + 1) - phase) / scene.omega
+    else:
+        t = roots(motion, scene.n, 0.0)
+        t = t[motion(t, 1)[:, scene.n] < 0.0] if t.size else t
+    t = np.minimum(t[t >= since], t_end)
+    return t, np.asarray(motion(t)).reshape(t.size, motion.c.shape[2])[:, : scene.n_states]
