@@ -181,3 +181,48 @@ def test_company_changes_no_bit():
         alone = gs.respond(fluttering(), LAW, q_0=q[k])
         assert alone.period == together.period[k]
         assert np.array_equal(alone.x_max, together.x_max[k])
+
+
+# --- where the first coordinate says nothing -----------------------------------------------------
+
+WIDE = gs.Piecewise(3.0, gs.Gap(1.0, 1.0))
+
+
+def beside(coupling=0.0, stiffness=1.7, loss=0.3):
+    """A coordinate beside a pair that flutters between walls; its period is 5.5236733 s."""
+    springs = np.array([[stiffness, 0, -coupling], [0, 1.0, 0.3], [0, -0.3, 1.3]])
+    damping = np.diag([loss, 0.05, 0.05])
+    stop = {"stop": [0, 0, 1]}
+    return gs.System(mass=np.eye(3), stiffness=springs, damping=damping, contacts=stop)
+
+
+def test_a_coordinate_that_follows_faintly_still_tells():
+    found = gs.respond(beside(coupling=1e-6), WIDE, q_0=[0.3, 0.5, 0.0])
+    assert found.response_class == PERIODIC
+    assert_allclose(found.period, 5.5236733, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "q_0", [[0.3, 0.5, 0.0], [0.0, 0.5, 0.0], [[0.0, 0.5, 0.0], [0.3, 0.5, 0.0]]]
+)
+def test_a_coordinate_that_dies_out_tells_nothing(q_0):
+    found = gs.respond(beside(), WIDE, q_0=q_0)
+    assert np.all(found.response_class == gs.ResponseClass.UNRESOLVED)
+    assert "another coordinate should come first" in np.ravel(found.message)[0]
+
+
+def test_rest_on_a_wall_has_a_class_but_no_exponent():
+    system = gs.System(
+        mass=np.eye(2), stiffness=[[1.0, 0.3], [-0.3, 1.3]], damping=0.05 * np.eye(2),
+        contacts={"stop": [0, 1]},
+    )  # fmt: skip
+    starts = np.random.default_rng(0).uniform(-1, 1, (12, 2))
+    found = gs.respond(system, gs.Piecewise(3.0, gs.Gap(1.0, 0.0)), q_0=starts)
+    assert (found.response_class == EQUILIBRIUM).all()
+    assert np.isnan(found.lyapunov).all()
+
+
+def test_what_nothing_holds_is_refused():
+    system = gs.System(mass=np.eye(2), stiffness=np.zeros((2, 2)), contacts={"stop": [0, 1]})
+    with pytest.raises(gs.ModelError, match="a time of its own"):
+        gs.respond(system, WIDE, q_0=[0.3, -0.1])

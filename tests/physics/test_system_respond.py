@@ -224,3 +224,48 @@ def test_mistakes_are_named(arguments, message):
     system, law = coupled()
     with pytest.raises(gs.ModelError, match=message):
         gs.respond(system, **({"law": law, "omega": 3.0} | arguments))
+
+
+def test_a_part_too_light_to_be_seen_is_not_judged():
+    # Uncoupled parts, so that the heavy one cannot matter: the light one alone is chaotic.
+    small, w = 1e-5, 0.9
+
+    def both(amplitude):
+        push = amplitude * 1e3 * abs(0.09 - w * w + 0.06j * w)
+        return gs.System(
+            mass=np.diag([1e3, 1e-3]), stiffness=np.diag([90.0, 1e-3]),
+            damping=np.diag([60.0, 2e-5]), contacts={"stop": [0.0, 1.0]},
+            forcing=[gs.Harmonic(amplitude=[push, 0.9 * 0.64 / 1.26 * 1e-3 * small])],
+        )  # fmt: skip
+
+    law, omega = gs.Piecewise(0.029, gs.Gap(1e6 * small, small)), w / (2.0 * math.pi)
+    start = {"q_0": [0.0, 0.5 * small]}
+    for amplitude in (0.0, 1e-3):
+        found = gs.respond(both(amplitude), law, omega, **start)
+        assert found.response_class == gs.ResponseClass.CHAOTIC
+    found = gs.respond(both(0.1), law, omega, **start)
+    assert found.response_class == gs.ResponseClass.UNRESOLVED
+    assert "too little to be told" in found.message
+
+
+def test_a_torus_beside_a_part_that_repeats_is_found():
+    # Without loss the first coordinate keeps its own frequency for ever; no contact is reached.
+    system = gs.System(
+        mass=np.eye(2), stiffness=np.diag([1.0, 2.0]), damping=np.diag([0.0, 0.2]),
+        contacts={"stop": [0, 1]}, forcing=[gs.Harmonic(amplitude=[0.1, 0.1])],
+    )  # fmt: skip
+    found = gs.respond(
+        system, gs.Piecewise(3.0, gs.Gap(1.0, 1.0)), 0.777 / (2 * math.pi), q_0=[0.3, 0]
+    )
+    assert found.response_class == gs.ResponseClass.QUASIPERIODIC
+
+
+def test_the_largest_force_of_a_stiffness_that_changes_is_not_said():
+    system = gs.System(
+        mass=[[1.0]], stiffness=[[0.0]], damping=[[0.1]], contacts={"mesh": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[0.1], k=0), gs.Harmonic(amplitude=[0.05], k=2)],
+        modulation={"mesh": [gs.Modulation(depth=-0.2, k=1)]},
+    )  # fmt: skip
+    found = gs.respond(system, gs.Piecewise(1.0, gs.Gap(1.0, 1.0)), 1.6 / (2 * math.pi), q_0=[1.2])
+    assert found.status == gs.Status.OK
+    assert np.isnan(found.force_max).all()

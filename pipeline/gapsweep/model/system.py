@@ -257,6 +257,11 @@ class System:
         return np.array([*self.contacts.values()]).reshape(-1, self.n)
 
     @property
+    def is_modulated(self) -> NDArray[np.bool_]:
+        """Whether the stiffness of a contact changes with time, shape (n_contacts,)."""
+        return np.array([bool(self.modulation.get(name)) for name in self.contacts], bool)
+
+    @property
     def decay_rate(self) -> float:
         """Rate [1/s] at which a volume of states shrinks, whatever the forces, per state."""
         return -float(np.trace(first_order(self))) / self.n_states

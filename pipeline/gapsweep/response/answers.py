@@ -9,11 +9,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.ensemble import Call, Ensemble, rates
+from gapsweep.response.ensemble import Call, Ensemble
 from gapsweep.response.found import Found
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares, largest_forces
 from gapsweep.response.maps import NOTHING
+from gapsweep.response.rates import rates
 from gapsweep.response.result import (
     LISTS,
     ExtremumKind,
@@ -33,13 +34,28 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 
+_ASTRAY = (
+    "never comes back to its section, the maxima of the first coordinate: it creeps, or another "
+    "coordinate should come first"
+)
+
+
+_HIDDEN = (
+    "a contact moves by less than 1e-5 of what all moves, by kinetic energy: too little to be told "
+    "from errors of the rest; simulate its part alone"
+)
+# So little of the whole motion a contact may move. From 1e-6 on, chaos of a part was seen to be
+# taken for a period; down to 1e-5 all was right.
+_FAINT = 1e-5
+
+
 def answers(
     ensemble: Ensemble, walks: Walks, shots: Shots, found: Found, steady: Steady
 ) -> Responses:
     """Responses of all scenes of an ensemble."""
     n, t_settled = len(ensemble.omega), walks.t
     states = _record(np.flatnonzero(found.is_periodic), ensemble, walks, shots)
-    _rest(np.flatnonzero(found.is_at_rest), walks, states)
+    _rest(np.flatnonzero(found.is_at_rest | found.is_astray), walks, states)
     is_ok = walks.status == Status.OK
     points, failures = np.flatnonzero(is_ok), np.flatnonzero(~is_ok)
     read, lists = _read_off(points, ensemble, walks, found, steady)
@@ -60,6 +76,8 @@ def answers(
             columns[name] = np.repeat(columns[name][:, None], values.shape[1], axis=1)
         columns[name][points] = values
     columns["status"][failures], messages = _failures(failures, ensemble, walks)
+    for is_so, message in ((found.is_astray, _ASTRAY), (found.is_hidden, _HIDDEN)):
+        messages |= dict.fromkeys(np.flatnonzero(is_so).tolist(), message)
     columns |= ensemble.costs()
     of_all = {}
     for name, dtype in LISTS.items():
@@ -113,7 +131,7 @@ def _stability(
     kinds[is_orbit] = ResponseClass.PERIODIC
     kinds[found.is_chaotic[points]] = ResponseClass.CHAOTIC
     kinds[found.is_quasiperiodic[points]] = ResponseClass.QUASIPERIODIC
-    kinds[found.is_at_rest[points] & (lyapunov <= 0.0)] = ResponseClass.EQUILIBRIUM
+    kinds[found.is_at_rest[points] & ~(lyapunov > 0.0)] = ResponseClass.EQUILIBRIUM
     period = {"period": np.where(is_orbit, n / omega, np.nan)} if ensemble.is_free else {}
     return period | {
         "response_class": kinds,
@@ -150,7 +168,7 @@ def _record(orbits: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots) -> 
 
 
 def _rest(points: Numbers, walks: Walks, states: Lists) -> None:
-    """What has come to rest stays there: no extrema, one state."""
+    """What has come to rest stays there: no extrema, one state. So it is with what was given up."""
     if not points.size:
         return
     rows, y = walks.rows(points), walks.y[:, points]
@@ -166,7 +184,7 @@ def _section(
     points: Numbers, walks: Walks, found: Found, states: Lists, steady: Steady
 ) -> tuple[Array, Counts]:
     """States of some points: of orbits as recorded, of other motions the last of their windows."""
-    others = points[~(found.is_periodic | found.is_at_rest)[points]]
+    others = points[~(found.is_periodic | found.is_at_rest | found.is_astray)[points]]
     n_states, _, width = walks.section.shape
     length = walks.length[others]
     counts = np.minimum(length, steady.max_period_multiple)
@@ -202,13 +220,19 @@ def _read_off(
     walks.reach[points] = reach_of(reach.T, ensemble.unit[:, points])
     gap_max, gap_min = (ensemble.gaps(each.T) for each in (largest, smallest))
     has_left = np.maximum(np.abs(gap_max), np.abs(gap_min)) > ensemble.valid_range[:, points]
-    stays = found.is_at_rest & (found.lyapunov <= 0.0)  # not so on top of a hill
+    stays = found.is_at_rest & ~(found.lyapunov > 0.0)  # not so on top of a hill
     found_out = found.is_chaotic | found.is_quasiperiodic | stays
-    is_known = is_orbit | found_out[points]
+    share = walks.contact_share[:, points]
+    faint = 0.5 * (gap_max - gap_min) < _FAINT * ensemble.gap_units(points) * walks.reach[points]
+    hidden = (faint & (share > 0.0) & (share < 1.0)).any(axis=0)
+    found.hide(points[hidden])
+    is_known = (is_orbit | found_out[points]) & ~hidden
     status = np.where(is_known, Status.OK, Status.UNRESOLVED)
     status[has_left.any(axis=0)] = Status.OUT_OF_FIT_RANGE
     laws = zip(*(ensemble.scenes[point].laws for point in points.tolist()), strict=True)
     forces = [largest_forces(*each) for each in zip(laws, gap_min, gap_max, strict=False)]
+    force_max = np.array(forces).reshape(len(ensemble.valid_range), len(points)).T
+    force_max[ensemble.is_modulated[:, points].T] = np.nan
     n_shown = np.minimum(counts[:, :n_q], steady.max_extrema)
     shown = spans(first[:, :n_q].ravel(), n_shown.ravel())
     columns = {
@@ -217,8 +241,8 @@ def _read_off(
         "x_max": x_max,
         "x_min": x_min,
         "amplitude": 0.5 * (x_max - x_min),
-        "force_max": np.array(forces).reshape(len(ensemble.valid_range), len(points)).T,
-        "contact_share": walks.contact_share[:, points].T,
+        "force_max": force_max,
+        "contact_share": share.T,
     }
     n_items = n_shown.sum(axis=1)
     return columns, {"extrema": (x[shown], n_items), "extremum_kind": (kinds[shown], n_items)}

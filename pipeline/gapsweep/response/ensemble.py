@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
-from gapsweep.integrate.reference_scenes import OscillatorScene, SystemScene
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.oscillator import Oscillator
@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 _COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 # A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
 _TANGENT_RTOL = 1e-8
-AT_REST = -1  # beside the `Status` values of a call: the motion has come to rest
-_STILL = 1e-10
+# Beside the `Status` values of a call: the motion has come to rest, or never comes back.
+AT_REST, ASTRAY = -1, -2
 # How far a tangent's determinant may be off, and from which share of its size squared on its own
 # rounding shows.
 _UNSOUND, _ROUNDING = 1e-2, 1e-3
@@ -221,6 +221,8 @@ class Ensemble:
         Of the laws [m].
     walls : ndarray, shape (2, n_contacts, n)
         Places of the lower and of the upper walls in the contacts' gaps [m].
+    is_modulated : ndarray of bool, shape (n_contacts, n)
+        Whether the force of a contact changes with time.
     has_own_tangent : bool
         As of a `Scene`.
     """
@@ -241,8 +243,10 @@ class Ensemble:
         walls = [(-law.gap.j_1, law.gap.j_2) for each in laws for law in each]
         self.walls = np.array(walls).reshape(len(laws), len(laws[0]), 2).T
         self._directions: Array | None = None
+        self.is_modulated = np.zeros(self.valid_range.shape, bool)
         if not self.is_plain:
             self._directions = _of_models(models, lambda model: model.directions)
+            self.is_modulated = _of_models(models, lambda model: model.is_modulated).T
         self.has_own_tangent = scenes[0].has_own_tangent
         prepared_models = Models(
             systems=models, laws=[scene.law for scene in scenes], omega=forcing
@@ -256,7 +260,18 @@ class Ensemble:
         self._costs: list[tuple[NDArray[Any], ...]] = []
 
     def set_clock(self, omega: Array) -> None:
-        """Count time in periods of these frequencies [Hz], shape (n,)."""
+        """Count time in periods of these frequencies [Hz], shape (n,).
+
+        Raises
+        ------
+        ModelError
+            If one is zero.
+        """
+        if not omega.all():
+            raise ModelError(
+                "oscillator: neither springs nor damping nor lags give this System a time of its "
+                "own; `simulate` it"
+            )
         models: list[Any] = [scene.oscillator for scene in self.scenes]
         self.omega = omega
         self.unit = unit_of(omega) if self.is_plain else _units(models, omega)
@@ -281,6 +296,13 @@ class Ensemble:
             return q
         gaps = np.einsum("skj,js->ks", self._directions[scenes], q)
         return np.concatenate([q, gaps])
+
+    def gap_units(self, scenes: NDArray[np.intp]) -> Array:
+        """What one metre of the section is in the contacts' gaps, shape (n_contacts, m)."""
+        unit = self.unit[: self.n_coordinates, scenes]
+        if self._directions is None:
+            return unit
+        return np.asarray(np.sqrt(np.einsum("skj,js->ks", self._directions[scenes] ** 2, unit**2)))
 
     def gaps(self, turning: Array) -> Array:
         """Rows of the contacts' gaps among those of `turning`."""
@@ -371,32 +393,6 @@ class Ensemble:
         *counts, n_periods, seconds = (np.bincount(scenes, column, n) for column in columns)
         found = {name: count.astype(np.int64) for name, count in zip(_COUNTS, counts, strict=True)}
         return found | {"t_simulated": n_periods / self.omega, "cpu_time": seconds}
-
-
-def largest_rate(scene: Scene, y: Array) -> float:
-    """Largest real part [1/s] of an eigenvalue of the motion about a state of rest.
-
-    A rate beside which the fastest is so great that rounding makes it is zero.
-    """
-    n = len(y)
-    state = np.concatenate([y, np.eye(n).ravel()])
-    slopes = np.asarray(right_side(scene, tangent=True)(0.0, state))[n:].reshape(n, n)
-    found = np.linalg.eigvals(slopes)
-    largest = float(found.real.max())
-    return 0.0 if abs(largest) <= _STILL * np.abs(found).max() else largest
-
-
-def rates(scene: Scene, y: Array) -> Array:
-    """Derivative of a state by time, at forcing phase zero."""
-    return np.asarray(right_side(scene, tangent=False)(0.0, y))
-
-
-def right_side(scene: Scene, *, tangent: bool) -> Callable[[float, Array], Any]:
-    """The equation of motion, with the laws as they are."""
-    form = SystemScene if isinstance(scene.oscillator, System) else OscillatorScene
-    solver = scene.solver
-    given = scene.omega, 0.0, solver.rtol, solver.atol
-    return form(scene.oscillator, scene.laws, *given, tangent=tangent).rhs(None)
 
 
 def _of_models(models: Sequence[Any], value: Callable[[Any], Any]) -> NDArray[Any]:

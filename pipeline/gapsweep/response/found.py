@@ -3,6 +3,7 @@
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 class Phase(IntEnum):
@@ -25,6 +26,10 @@ class Found:
     Attributes
     ----------
     is_periodic, is_chaotic, is_quasiperiodic, is_at_rest : ndarray of bool, shape (n,)
+    is_astray : ndarray of bool, shape (n,)
+        Never came back to the section.
+    is_hidden : ndarray of bool, shape (n,)
+        A contact moves too little beside the rest.
     lyapunov, lyapunov_error : ndarray, shape (n,)
         Largest Lyapunov exponent [1/s] and its standard error, where it was measured.
     """
@@ -32,4 +37,11 @@ class Found:
     def __init__(self, n: int) -> None:
         self.is_periodic, self.is_chaotic = np.zeros(n, bool), np.zeros(n, bool)
         self.is_quasiperiodic, self.is_at_rest = np.zeros(n, bool), np.zeros(n, bool)
+        self.is_astray, self.is_hidden = np.zeros(n, bool), np.zeros(n, bool)
         self.lyapunov, self.lyapunov_error = np.full(n, np.nan), np.full(n, np.nan)
+
+    def hide(self, points: NDArray[np.intp]) -> None:
+        """Take back what was found of points where a contact moves too little."""
+        self.is_hidden[points] = True
+        for found in (self.is_periodic, self.is_chaotic, self.is_quasiperiodic):
+            found[points] = False

@@ -145,7 +145,8 @@ class Response:
     x_max, x_min, amplitude : float
         Peak, trough and half their difference [m]; NaN if the point failed.
     force_max : float
-        Largest magnitude of the contact force [N] between peak and trough.
+        Largest magnitude of the contact force [N] between peak and trough; NaN of a contact whose
+        stiffness changes with time.
     contact_share : float
         Share of the time [-] spent beyond the walls, ``x < -j_1`` or ``x > j_2``: of a whole
         period if periodic, else of the last window.

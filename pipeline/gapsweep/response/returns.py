@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.motion import Motions
-from gapsweep.response.ensemble import AT_REST, Call, Ensemble, Scene, rates
-from gapsweep.response.section import norm
+from gapsweep.response.ensemble import ASTRAY, AT_REST, Call, Ensemble, Scene
+from gapsweep.response.rates import rates
+from gapsweep.response.section import norm, reach_of
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -24,7 +25,9 @@ Numbers = NDArray[np.intp]
 # A motion that would swing by no more than this share of what it swung at most is at rest.
 _REST = 1e-8
 # How much longer than expected a motion may take to come round, and how often it is asked again.
-_MARGIN, _LONGER, _TRIES = 1.1, 4.0, 8
+_MARGIN, _LONGER, _TRIES = 1.1, 4.0, 5
+# Maxima of a coordinate that swings by less than this share of the motion say nothing of it.
+_FAINT = 1e-10
 _FIRST = 16  # returns by which their rate is known
 # A state that is so near to the section, as a share of the swing, is on it.
 _ON = 1e-10
@@ -76,8 +79,10 @@ class Returns(Ensemble):
         self._rate = self.omega.copy()  # returns per second, as seen last
         self._swing = np.zeros(len(self.omega))  # farthest from the origin so far [m]
         # Time is counted in returns: as they follow each other, not as the slowest motion would.
-        self._returned(np.arange(len(scenes)), start, np.full(len(scenes), _FIRST))
-        self.set_clock(self._rate)
+        n = np.full(len(scenes), _FIRST)
+        found, (_, counts) = self._returned(np.arange(len(scenes)), start, n)
+        self._rate = np.where(counts == _FIRST, n / found.t, self._rate)
+        self.set_clock(self._rate.copy())
 
     def call(
         self,
@@ -94,7 +99,9 @@ class Returns(Ensemble):
         y = y.copy()
         y[normal, off <= _ON * swing] = 0.0
         found, passings = self._returned(scenes, y, n_periods)
-        t_end = found.t
+        is_back, t_end = passings[1] >= n_periods, found.t
+        if not tangent:  # shots may lead anywhere
+            self._rate[scenes[is_back]] = (n_periods / t_end)[is_back]
         tangents: tuple[Array | None, Array] = None, found.state.T
         if tangent or not section_only:
             beyond = t_end if tangent else t_end * (1.0 + _BEYOND)
@@ -106,7 +113,11 @@ class Returns(Ensemble):
         is_recorded = np.isfinite(record_from)
         passings = states[np.repeat(is_recorded, counts)], np.where(is_recorded, counts, 0)
         speed = self._speed(scenes, found.state.T)
-        self._settle(scenes, found, speed)
+        swing = norm(speed) / (2.0 * math.pi * self.omega[scenes])
+        faint = np.abs(speed[normal]) <= _FAINT * norm(speed)
+        is_ok, at_rest = found.status == Status.OK, self._is_at_rest(scenes, found, swing)
+        found.status[is_ok & (faint | ~is_back)] = ASTRAY
+        found.status[is_ok & at_rest] = AT_REST
         given = self.unit[:, scenes], n_periods / t_end, t_end, self._shrinks(scenes), *tangents
         return Return(passings, speed, normal, found, *given)
 
@@ -136,8 +147,9 @@ class Returns(Ensemble):
             for k, motion in enumerate(left.tolist()):
                 count = min(int(events.n_section[k]), int(n[motion]))
                 states[motion] = events.section[first[k] : first[k] + count]
-            self._rate[which[is_back]] = n[left[is_back]] / events.t_section[last]
-            left = left[~is_back & (run.status == Status.OK)]
+            swing = norm(self._speed(which, run.state.T)) / (2.0 * math.pi * self.omega[which])
+            goes_on = (run.status == Status.OK) & ~self._is_at_rest(which, run, swing)
+            left = left[~is_back & goes_on]
             if not left.size:
                 break
             t_end[left] *= _LONGER
@@ -149,10 +161,8 @@ class Returns(Ensemble):
         found = [rates(self.scenes[k], y[:, i]) for i, k in enumerate(scenes.tolist())]
         return np.asarray(np.array(found).T / self.unit[:, scenes])
 
-    def _settle(self, scenes: Numbers, found: Motions, speed: Array) -> None:
-        """Say which motions have come to rest."""
-        reach = (found.reach.T / self.unit[: self.n_coordinates, scenes]).max(axis=0)
+    def _is_at_rest(self, scenes: Numbers, found: Motions, swing: Array) -> NDArray[np.bool_]:
+        """Which motions will hardly swing any more, beside how far [m] they have swung so far."""
+        reach = reach_of(found.reach.T, self.unit[:, scenes])
         self._swing[scenes] = np.maximum(self._swing[scenes], reach)
-        swing = norm(speed) / (2.0 * math.pi * self.omega[scenes])
-        rests = (found.status == Status.OK) & (swing <= _REST * self._swing[scenes])
-        found.status[rests] = AT_REST
+        return np.asarray(swing <= _REST * self._swing[scenes])

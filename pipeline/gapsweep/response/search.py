@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.answers import answers
-from gapsweep.response.ensemble import AT_REST, Ensemble, largest_rate
+from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
 from gapsweep.response.found import Found, Phase
 from gapsweep.response.limits import Limits
+from gapsweep.response.rates import largest_rate
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
     DEVIATIONS,
@@ -209,7 +210,7 @@ class Search:
     @_for_some
     def _hit(self, points: Numbers, phase: Counts) -> None:
         """Shots that found an orbit."""
-        modulus = np.hypot(*_parts(self._shots.multipliers[points, 0]))
+        modulus = np.abs(self._shots.multipliers[points, 0])
         shooting = phase == Phase.SHOOT
         inside = points[shooting & (modulus < _INSIDE)]
         prime = self._primes(inside)
@@ -261,7 +262,7 @@ class Search:
         )
         is_own = before <= np.maximum(same, np.minimum(near, _CLOSER * first))
         goal = np.maximum(np.minimum(_CLOSER * before, near), same)
-        modulus = np.hypot(*_parts(self._shots.multipliers[points, 0]))
+        modulus = np.abs(self._shots.multipliers[points, 0])
         # Transient chaos that has ended late leaves as much time as it took.
         more = np.where(self._growths.n_blocks[points] > 0, self._limits.last[points], 0)
         n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
@@ -437,12 +438,10 @@ class Search:
     @_for_some
     def _fail(self, points: Numbers) -> None:
         self._phase[points] = Phase.ENDED
-        at_rest = points[self._walks.status[points] == AT_REST]
+        status = self._walks.status[points]
+        at_rest = points[status == AT_REST]
         self._found.is_at_rest[at_rest] = True
+        self._found.is_astray[points[status == ASTRAY]] = True
         for point in at_rest.tolist():
             exponent = largest_rate(self._ensemble.scenes[point], self._walks.y[:, point])
             self._found.lyapunov[point], self._found.lyapunov_error[point] = exponent, 0.0
-
-
-def _parts(z: NDArray[np.complex128]) -> tuple[Array, Array]:
-    return z.real, z.imag

@@ -20,6 +20,7 @@ DEVIATIONS = 4.0  # of the predicted scatter, within which two points are the sa
 # Faded means of two halves differ by less than this share of the scatter: a sample's of some
 # hundred points by some hundredths, a curve's by a millionth.
 _SAME_MEAN = 1e-3
+_STILL = 1e-8  # of the largest scatter: a component with less does not move
 _AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
 
@@ -231,7 +232,10 @@ def is_quasiperiodic(section: Array) -> bool:
     seen = np.concatenate([centred, np.square(centred)])
     means = [each @ weights / weights.sum() for each in (seen[:, :half], seen[:, -half:])]
     spread = seen.std(axis=1)
-    return bool((np.abs(means[0] - means[1]) <= _SAME_MEAN * spread).all() and spread.any())
+    # What hardly moves beside the others, as a coordinate of its own that repeats, is rounding.
+    scatter = centred.std(axis=1)
+    moves = np.tile(scatter > _STILL * scatter.max(), 2)
+    return bool((np.abs(means[0] - means[1])[moves] <= _SAME_MEAN * spread[moves]).all())
 
 
 def prime_multiple(orbit: Array, tolerance: float) -> int:
