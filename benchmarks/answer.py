@@ -32,7 +32,7 @@ which makes the exact law cheap. A law that a row does not name was not swept th
 - **tanh: one well**: where tanh has no false static equilibrium. That is needed and not enough:
   beside it stands the least ε of this study that may be used.
 - `piecewise-noevents` is the exact force, contacts not located: no stand-in; it shows what locating
-  them saves.
+  them saves. Nor is `auto` one, which takes the exact law where it must.
 """
 BEHIND = """\
 ## The numbers behind

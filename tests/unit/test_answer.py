@@ -155,8 +155,20 @@ def test_nothing_to_use_is_said():
     assert in_words([contact(bad)]) == ["Take the exact law: no stand-in can be used."]
     said = in_words([contact(bad), contact(judged("tanh-1e4"), gap="0/1")])
     assert "none of those swept for 10000 N/m with 0.4/0.4 mm" in said[1]
-    unlocated = judged("piecewise-noevents", "exact here", price=0.5)
-    assert in_words([contact(unlocated)]) == ["Take the exact law: no stand-in can be used."]
+
+
+@pytest.mark.parametrize("label", ["piecewise-noevents", "auto"])
+def test_what_is_the_exact_law_is_no_stand_in(tmp_path, label):
+    """Neither in the answer and its prices, nor among those that are counted."""
+    exact = judged(label, "exact here", price=0.5)
+    assert in_words([contact(exact)]) == ["Take the exact law: no stand-in can be used."]
+    said = found_in(tmp_path, contact(judged("tanh-1e4"), exact))
+    assert "Of 1 pairs of contact and stand-in" in said
+    assert label not in said
+
+
+def test_a_law_of_ones_own_is_a_stand_in_whatever_its_module_is_called():
+    assert judged("piecewise_fits:spring").is_stand_in
 
 
 def test_prices_have_two_digits():
@@ -178,12 +190,6 @@ def test_closest_is_who_is_closest_in_the_same_contact(tmp_path):
     assert "tanh-1e4 in 1 of 1 contacts with several" in said
     assert "arctan" not in said
     assert "noevents" not in said
-
-
-def test_prices_are_those_of_stand_ins(tmp_path):
-    """The exact force with unlocated contacts is none."""
-    said = found_in(tmp_path, contact(judged("tanh-1e4"), judged("piecewise-noevents")))
-    assert "Of 1 pairs of contact and stand-in" in said
 
 
 def test_overlapping_intervals_and_floors_name_none(tmp_path):

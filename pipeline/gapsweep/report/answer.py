@@ -30,6 +30,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.grid import scene_dims, scenes
+from gapsweep.model.labels import AUTO
 from gapsweep.report.drawing import named
 from gapsweep.report.selection import beside, gap_label
 from gapsweep.report.tables import number
@@ -42,6 +43,7 @@ _SHOWN = {
     "found": "recall_pooled",
 }
 _PRICE = "cpu_time_per_period_ratio"
+_NO_STAND_INS = ("piecewise-noevents", AUTO)
 # Of each number the estimate, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
 Row = dict[str, Any]  # variables of one law in one contact
@@ -63,8 +65,8 @@ class Judged:
 
     @property
     def is_stand_in(self) -> bool:
-        """Unlocated contacts are the exact force, and no stand-in for it."""
-        return not self.law.startswith("piecewise")
+        """Unlocated contacts are the exact force, and ``auto`` chooses it where it is needed."""
+        return self.law not in _NO_STAND_INS
 
     @property
     def column(self) -> str:
