@@ -119,8 +119,8 @@ def judged(law, verdict="use", price=4.0, width=1.1, firm=True, median=0.01):
     return Judged(law, values, 9, verdict, firm, price, price / width, price * width)
 
 
-def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0):
-    return Contact(K_c, gap, {"median": np.full(3, floor)}, list(laws), "any ε")
+def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0, others=""):
+    return Contact(K_c, gap, {"median": np.full(3, floor)}, list(laws), "any ε", others)
 
 
 def test_the_answer_names_what_saves_time():
@@ -132,6 +132,15 @@ def test_the_answer_names_what_saves_time():
     )
     assert said[1].startswith("Elsewhere take the exact law; ")
     assert "tanh-1e4 for 1e6 N/m" in said[1]
+
+
+def test_contacts_of_one_stiffness_and_gap_are_told_apart():
+    """A study that sweeps the forcing has several: one may pay where another does not."""
+    cheap, dear = judged("poly-13", price=0.5), judged("poly-13", price=3.0)
+    said = in_words([contact(cheap, others="p 3 N"), contact(dear, others="p 4 N")])
+    assert said[0].startswith("A stand-in saves time in 1 of 2 contacts: poly-13 for 10000 N/m")
+    assert "at p 3 N" in said[0]
+    assert "at p 4 N" in said[1]
 
 
 def test_prices_that_intervals_do_not_part_stand_together():

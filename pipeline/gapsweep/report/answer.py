@@ -50,7 +50,7 @@ Row = dict[str, Any]  # variables of one law in one contact
 MOST_CONTACTS = 16  # that are told one by one
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Judged:
     """A law in a contact: its numbers, and what follows from them."""
 
@@ -92,7 +92,7 @@ class Judged:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Contact:
     """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in.
 
@@ -118,6 +118,11 @@ class Contact:
         usable = [one for one in self.columns["use"] if one.is_stand_in]
         best = next((one for one in usable if one.is_firm), usable[0] if usable else None)
         return [one for one in usable if best and not one.low > best.high]
+
+    @property
+    def is_paying(self) -> bool:
+        """Whether a stand-in saves time beyond doubt."""
+        return any(one.is_firm and one.high < 1.0 for one in self.picks)
 
     @property
     def least_tanh(self) -> str:
@@ -236,8 +241,8 @@ def in_words(found: Sequence[Contact]) -> list[str]:
 
 
 def _said(found: Sequence[Contact]) -> list[str]:
-    paying = [c for c in found if any(one.is_firm and one.high < 1.0 for one in c.picks)]
-    others = [c for c in found if c not in paying]
+    paying = [c for c in found if c.is_paying]
+    others = [c for c in found if not c.is_paying]
     picks = [one for contact in others for one in contact.picks]
     some = f"{sum(bool(c.picks) for c in found)} of {len(found)} contacts"
     if paying:
