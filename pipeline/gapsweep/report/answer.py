@@ -15,9 +15,11 @@ no
 Nothing is asked that the exact law against itself does not reach. Amplitudes are those of paired
 attractors, because start by start a moved basin boundary would count as a wrong amplitude. The
 price is processor time per forcing period, because totals also count how long each motion took to
-settle; it is other than 1 only beyond its 95 % interval and beyond what the exact law's own times
-differ by. ±: the ends of the intervals lie on both sides of a line between "use", "with care" and
-"no", or the frequencies are too few for intervals.
+settle. The interval of a price covers the choice of frequencies and how far prices repeat: what
+exact against exact is away from 1, over all contacts of the study. A study that does not sweep the
+exact law twice has not measured that: its prices have no interval, and nothing is said to save
+time. ±: the ends of the intervals lie on both sides of a line between "use", "with care" and "no",
+or the frequencies are too few for intervals.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,6 +32,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.grid import scene_dims, scenes
+from gapsweep.analysis.statistics import repeatability, widened
 from gapsweep.model.labels import AUTO
 from gapsweep.report.drawing import named
 from gapsweep.report.selection import beside, gap_label
@@ -155,6 +158,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
     pooled = pooled.transpose("representation", *dims, ...)
     # As arrays: a study may have a thousand contacts.
     tables = {str(name): pooled[name].values for name in pooled}
+    noise = repeatability(tables[_PRICE][[labels.index(label) for label in exact]])
     found = []
     for at in scenes(pooled, dims):
         where = {
@@ -164,8 +168,6 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         if not any(where[law]["n_points"] > 0 for law in laws):
             continue
         floors = _worst([_values(where[label]) for label in exact])
-        spread = np.abs(np.log([where[label][_PRICE] for label in exact]))
-        noise = float(np.exp(np.nanmax(spread, initial=0.0)))
         judged = [
             _judged(law, where[law], floors, noise) for law in laws if where[law]["n_points"] > 0
         ]
@@ -214,9 +216,8 @@ def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
     said, *ends = verdict(values, floors)
     is_firm = len({end.replace("exact here", "use") for end in ends}) == 1
     unknown = any(np.isnan(v[1:]).any() and np.isfinite(v[0]) for v in values.values())
-    price, (low, high) = float(row[_PRICE]), row[f"{_PRICE}_ci"]
-    # NaN, where there is no interval, comes first: it is kept.
-    low, high = min(float(low), price / noise), max(float(high), price * noise)
+    price = float(row[_PRICE])
+    low, high = widened(price, row[f"{_PRICE}_ci"], noise)
     return Judged(
         label, values, int(row["n_exact"]), said, is_firm and not unknown, price, low, high
     )
