@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.oscillator import LARGEST, SMALLEST, checked, whole
+from gapsweep.model.oscillator import LARGEST, SMALLEST, checked, is_number, whole
 
 Array = NDArray[np.float64]
 
@@ -38,13 +38,25 @@ def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def _numbers(name: str, value: ArrayLike) -> Array:
-    """A copy of `value` as an array of floats."""
+    """A copy of `value` as an array of floats, or a `ModelError` that names it."""
     try:
-        if not np.iscomplexobj(value):
-            return np.array(value, dtype=float)
+        return floats(value)
     except (TypeError, ValueError, OverflowError):
-        pass
-    raise ModelError(f"{name} = {value!r}: must be an array of numbers")
+        raise ModelError(f"{name} = {value!r}: must be an array of numbers") from None
+
+
+def floats(value: ArrayLike) -> Array:
+    """A copy of `value` as an array of floats.
+
+    Raises
+    ------
+    TypeError, ValueError, OverflowError
+        If it holds anything but numbers; text and truth values, which numpy would take, are none.
+    """
+    is_plain = getattr(getattr(value, "dtype", None), "kind", "O") != "O"  # one kind for all
+    if not all(map(is_number, [value] if is_plain else np.asarray(value, dtype=object).flat)):
+        raise TypeError("text or truth values among the numbers")
+    return np.array(value, dtype=float)
 
 
 def _all_of(name: str, value: Any, kind: type) -> tuple[Any, ...]:
