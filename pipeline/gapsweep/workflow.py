@@ -26,7 +26,7 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.recorder import Recorder
-from gapsweep.folder import check_owner, check_writable, run_folder
+from gapsweep.folder import changed_since, check_owner, check_writable, run_folder
 from gapsweep.make import (
     failed_motions,
     try_out_own_laws,
@@ -239,6 +239,12 @@ def carry_out(
     folder = run_folder(study, out)
     check_writable(folder)
     check_owner(study, folder)
+    if changed := changed_since(study, folder):
+        warnings.warn(
+            f"{folder}: replaces the datasets of an earlier {study.name!r}, as "
+            f"{', '.join(changed)} changed; --out takes another folder",
+            stacklevel=3,
+        )
     planned = plan(study, cache, retry_failed=retry_failed)
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
