@@ -11,7 +11,7 @@ A system's arrays are its identity: nothing else enters what is computed for it.
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -81,20 +81,30 @@ class Harmonic:
     Parameters
     ----------
     amplitude : array_like, shape (n,)
-        Generalised forces [N].
+        Generalised forces [N]; if `inertial`, of mass times length [kg m].
     k : int
         Multiple of the forcing frequency, 0 to 1000.
     phase : float
         [rad]: the load is ``amplitude * cos(2 pi k omega t + phase)``.
+    inertial : bool
+        Whether it grows with frequency, as of an unbalance or of a base that moves: times
+        ``(2 pi k omega)²``.
     """
 
     amplitude: Any
     k: int = 1
     phase: float = 0.0
+    inertial: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", whole("k", self.k, 0, MAX_HARMONIC))
         object.__setattr__(self, "phase", checked("phase", self.phase))
+        if self.inertial and not self.k:
+            raise ModelError("inertial: a constant load (k = 0) has none")
+
+    def growth(self, omega_rad: Any) -> Any:
+        """What the amplitude is multiplied by at an angular frequency, or at several [rad/s]."""
+        return (self.k * omega_rad) ** 2 if self.inertial else 1.0 + 0.0 * omega_rad
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -351,7 +361,7 @@ def _along(cubic: Cubic, n: int) -> Cubic:
 
 def _loaded(load: Harmonic, n: int) -> Harmonic:
     amplitude = array("forcing: amplitude", load.amplitude, (n,))
-    return Harmonic(amplitude=amplitude, k=load.k, phase=load.phase)
+    return replace(load, amplitude=amplitude)
 
 
 def _lags(lags: Any, n: int) -> Lags:

@@ -267,7 +267,7 @@ def two_masses_law() -> Piecewise:
 
 
 def gear_pair(
-    omega: float,
+    *,
     zeta: float = 0.05,
     mean_load: float = 0.1,
     errors: tuple[float, ...] = (0.01, 0.004, 0.002),
@@ -280,13 +280,11 @@ def gear_pair(
         x'' + 2 zeta x' + (1 + sum depths_k cos(k W t)) F(x)
             = mean_load + sum errors_k (k W)² cos(k W t),       W = 2 pi omega
 
-    The inertial load grows with W²: a system is that of its `omega`, which is to be given to
-    `gapsweep.simulate` as well.
+    The mesh frequency is the `omega` of `gapsweep.simulate`; the source's range of W is about 0.4
+    to 2.
 
     Parameters
     ----------
-    omega : float
-        Mesh frequency, ``> 0``; the source's range of W is about 0.4 to 2.
     zeta : float
         Damping ratio [-], ``>= 0``.
     mean_load : float
@@ -304,10 +302,9 @@ def gear_pair(
     ModelError
         If an argument is out of range.
     """
-    rate = 2.0 * math.pi * checked("omega", omega, low=0.0, strict=True)
     loads = [Harmonic(amplitude=[checked("mean_load", mean_load)], k=0)]
     for k, error in enumerate(errors, 1):
-        loads.append(Harmonic(amplitude=[checked("errors", error) * (k * rate) ** 2], k=k))
+        loads.append(Harmonic(amplitude=[checked("errors", error)], k=k, inertial=True))
     return System(
         mass=[[1.0]],
         damping=[[2.0 * checked("zeta", zeta, low=0.0)]],
