@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ class Study:
     source: str = "study"
 
     @classmethod
-    def load(cls, path: str | Path) -> "Study":
+    def load(cls, path: str | PathLike[str]) -> "Study":
         """Read and check a study file.
 
         Raises
@@ -84,6 +85,17 @@ class Study:
     def from_dict(cls, tables: dict[str, Any], source: str = "study") -> "Study":
         """Check a study given as the tables of its TOML file."""
         return cls(check(tables, source), source)._checked()
+
+    @classmethod
+    def of(cls, study: "Study | str | PathLike[str]") -> "Study":
+        """The study itself, or that of a file, as `load` reads it."""
+        if isinstance(study, str | PathLike):
+            return cls.load(study)
+        if not isinstance(study, Study):
+            raise StudyError(
+                [f"study = {study!r:.80}: must be a gapsweep.Study, or the path of a study file"]
+            )
+        return study
 
     def _checked(self) -> "Study":
         try:
