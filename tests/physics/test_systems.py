@@ -434,6 +434,14 @@ def test_motions_of_the_gear_pair(rate, n_contacts, end):
     assert np.linalg.det(motion.monodromy) == pytest.approx(math.exp(-0.1 * 200.0), rel=1e-6)
 
 
+def test_the_module_shows_machines_and_their_laws():
+    shown = {name for name in dir(gs.systems) if name.islower()}
+    assert shown == {n for n in shown if n.endswith("_law")} | {
+        "gear_pair", "soft_impact_oscillator", "two_masses", "typical_section",
+    }  # fmt: skip
+    assert all(f"{name}_law" in shown for name in shown if not name.endswith("_law"))
+
+
 @pytest.mark.parametrize(
     ("call", "said"),
     [

@@ -17,6 +17,19 @@ from gapsweep.model.contact import Piecewise
 from gapsweep.model.oscillator import Gap, checked
 from gapsweep.model.system import Harmonic, Lags, Modulation, System
 
+__all__ = [
+    "FAR",
+    "FREEPLAY",
+    "gear_pair",
+    "gear_pair_law",
+    "soft_impact_oscillator",
+    "soft_impact_oscillator_law",
+    "two_masses",
+    "two_masses_law",
+    "typical_section",
+    "typical_section_law",
+]
+
 Array = NDArray[np.float64]
 
 # A one-sided stop has its other wall here, in gaps: a motion counts as diverged long before.
@@ -87,6 +100,10 @@ _COPIES = {
     "conner": _Section(m=1.5666, m_t=3.39298),
     "conner-scaled": _from_ratios(m=1.5666, m_t=3.39298),
 }
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225) -> System:
