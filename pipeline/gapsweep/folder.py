@@ -89,4 +89,7 @@ def check_writable(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
-        raise StoreError(f"{folder}: cannot be written: {existing}: {error.strerror}") from None
+        raise StoreError(
+            f"{folder}: cannot be written: {existing}: {error.strerror}; name another folder with "
+            "--out"
+        ) from None

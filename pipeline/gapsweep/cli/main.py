@@ -193,14 +193,18 @@ def query(
       gapsweep query workflows/quick.toml --sel representation=piecewise \\
           --to nc --output exact.nc
     """
-    from gapsweep.cli.table import written
+    from gapsweep.cli.table import check_output, written
 
     if form == "nc" and output is None:
         raise click.UsageError("--to nc needs --output FILE")
+    if output is not None:
+        check_output(output)
     loaded = options.loaded(study, engine)
     with progress_bar() as observer:
         found = workflow.query(loaded, on_progress=observer, **how, **options.selected(wanted))
-    click.echo(f"{found.attrs['n_points']} points, {found.attrs['n_hits']} hits", err=True)
+    click.echo(
+        f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True
+    )
     written(found, form, output)
     return FINISHED
 
