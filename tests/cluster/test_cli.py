@@ -271,6 +271,14 @@ def test_impossible_request_is_one_clear_line(folder, arguments, message):
     assert sorted(p.name for p in folder.iterdir()) == ["tiny.toml"]
 
 
+def test_a_gap_in_millimetres_is_noticed(folder):
+    """It is a thousand times too wide: no motion reaches its walls."""
+    (folder / "tiny.toml").write_text(QUICK.replace("[[0.4e-3, 0.4e-3]]", "[[0.4, 0.4]]"))
+    done = gapsweep(folder, "run", "tiny.toml")
+    assert done.returncode == 0, done.stderr
+    assert "no motion has reached a wall; gaps are in metres, as 4e-4" in done.stderr
+
+
 def test_wrong_command_line_is_clicks_own(folder):
     assert gapsweep(folder, "run").returncode == 2
     assert gapsweep(folder, "run", "tiny.toml", "--workers", "0").returncode == 2
