@@ -21,8 +21,10 @@ NUMBERS = ["law", "verdict", "error, median", "95 %", "attractors found", "cost"
 HOW = """\
 Every number is the cost: processor time per forcing period over that of the exact law, on the same
 fixed starts, with the solver of the study; above 1 × a law costs *more* than the exact one, ≈ 1 ×
-cannot be told from it. Another solver has other prices: this one locates contacts inside its steps,
-which makes the exact law cheap. A law that a row does not name was not swept there.
+cannot be told from it: its 95 % interval covers the choice of frequencies and how far prices of
+exact against exact are from 1, in all contacts together. Another solver has other prices: this one
+locates contacts inside its steps, which makes the exact law cheap. A law that a row does not name
+was not swept there.
 
 - **use**: 95 % of the amplitudes lie within 5 %, the thickness of a plotted line, and 95 % of the
   exact law's attractors are found; or both as often as by the exact law against itself, under
@@ -32,7 +34,7 @@ which makes the exact law cheap. A law that a row does not name was not swept th
 - **tanh: one well**: where tanh has no false static equilibrium. That is needed and not enough:
   beside it stands the least ε of this study that may be used.
 - `piecewise-noevents` is the exact force, contacts not located: no stand-in; it shows what locating
-  them saves.
+  them saves. Nor is `auto` one, which takes the exact law where it must.
 """
 BEHIND = """\
 ## The numbers behind

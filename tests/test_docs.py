@@ -46,6 +46,12 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda p: p.name)
+def test_links_lead_somewhere_in_a_clone(page):
+    links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", BLOCK.sub("", page.read_text()))
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
 @pages
 def test_every_block_is_of_a_kind_that_is_tested(page):
     text = page.read_text()

@@ -29,7 +29,7 @@ def progress_bar() -> Iterator[OnProgress]:
         BarColumn(bar_width=None),
         MofNCompleteColumn(),
         TextColumn("{task.fields[rate]:.1f}/s"),
-        TextColumn("{task.fields[hits]} hits"),
+        TextColumn("{task.fields[hits]} from the cache"),
         TextColumn("{task.fields[failed]} failed"),
         TimeRemainingColumn(),
     )
@@ -85,10 +85,13 @@ def _now_and_then(write: OnProgress, seconds: float) -> OnProgress:
 
 
 def _sentence(progress: Progress) -> str:
-    left = (progress.n_points - progress.n_done) / progress.rate if progress.rate else 0.0
+    missing = progress.n_points - progress.n_done
+    left = (
+        duration(missing / progress.rate) if progress.rate else "unknown" if missing else "0:00:00"
+    )
     return (
         f"{progress.n_done}/{progress.n_points} points, {progress.rate:.1f}/s, "
-        f"{progress.n_hits} hits, {progress.n_failed} failed, {duration(left)} left"
+        f"{progress.n_hits} from the cache, {progress.n_failed} failed, {left} left"
     )
 
 

@@ -1,20 +1,24 @@
 """The folder of a run: whose it is, who may write there."""
 
+import json
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from gapsweep.errors import StoreError
+from gapsweep.errors import StoreError, StudyError
 from gapsweep.stages import RESPONSES, STABILITY, WORK_PRECISION
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
 from gapsweep.store.state import RunState
+from gapsweep.study.spec import check
 from gapsweep.study.study import Study
 
 RUNS = Path("data/runs")
 # The files by which one sees whose folder it is.
 _OWNED = (RESPONSES, WORK_PRECISION, STABILITY)
+# Tables of a study that every response rests on.
+_SETTINGS = ("oscillator", "solver", "protocol", "steady", "fit", "auto")
 
 
 def run_folder(study: Study, out: str | Path | None = None) -> Path:
@@ -55,6 +59,29 @@ def check_owner(study: Study, folder: Path) -> None:
         )
 
 
+def changed_since(study: Study, folder: Path) -> list[str]:
+    """What an earlier run of the same name has in the folder, and this study no longer asks for.
+
+    Tables and keys whose values differ, and axes that have lost values: a grid that only grew is no
+    change. Empty if there is no earlier run.
+    """
+    stored = netcdf.attributes(folder / RESPONSES).get("study_json")
+    if stored is None or stored == study.json:
+        return []
+    before, now = json.loads(stored), json.loads(study.json)
+    changed = [
+        f"{table}.{key}"
+        for table in _SETTINGS
+        for key in sorted({*before.get(table, {}), *now.get(table, {})})
+        if before.get(table, {}).get(key) != now.get(table, {}).get(key)
+    ]
+    try:
+        axes = Study(check(before, str(folder))).grid.axes
+    except StudyError:  # of a version that asked for other things
+        return [*changed, "sweep"]
+    return changed + [n for n, old in axes.items() if {*old} - {*study.grid.axes.get(n, ())}]
+
+
 def check_writable(folder: Path) -> None:
     """Fail before anything is computed if the results could not be stored."""
     existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
@@ -62,4 +89,7 @@ def check_writable(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
-        raise StoreError(f"{folder}: cannot be written: {existing}: {error.strerror}") from None
+        raise StoreError(
+            f"{folder}: cannot be written: {existing}: {error.strerror}; name another folder with "
+            "--out"
+        ) from None

@@ -26,7 +26,7 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.recorder import Recorder
-from gapsweep.folder import check_owner, check_writable, run_folder
+from gapsweep.folder import changed_since, check_owner, check_writable, run_folder
 from gapsweep.make import (
     failed_motions,
     try_out_own_laws,
@@ -144,7 +144,7 @@ def stage_reasons(
 
 
 def run(
-    study: Study,
+    study: Study | str | os.PathLike[str],
     client: "Client | None" = None,
     *,
     out: str | Path | None = None,
@@ -162,7 +162,8 @@ def run(
 
     Parameters
     ----------
-    study : Study
+    study : Study or path
+        A study, or the path of its file.
     client : distributed.Client, optional
         A Dask cluster to use; None starts a local one, or joins `scheduler`.
     out : path, optional
@@ -193,7 +194,7 @@ def run(
         If the cluster, the cache or the output folder cannot be used.
     """
     outcome = carry_out(
-        study,
+        Study.of(study),
         client,
         out=out,
         cache=cache,
@@ -239,6 +240,12 @@ def carry_out(
     folder = run_folder(study, out)
     check_writable(folder)
     check_owner(study, folder)
+    if changed := changed_since(study, folder):
+        warnings.warn(
+            f"{folder}: replaces the datasets of an earlier {study.name!r}, as "
+            f"{', '.join(changed)} changed; --out takes another folder",
+            stacklevel=3,
+        )
     planned = plan(study, cache, retry_failed=retry_failed)
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
@@ -266,7 +273,7 @@ def carry_out(
 
 @_salvaging
 def query(
-    study: Study,
+    study: Study | str | os.PathLike[str],
     client: "Client | None" = None,
     *,
     cache: str | Path | None = None,
@@ -281,7 +288,8 @@ def query(
 
     Parameters
     ----------
-    study : Study
+    study : Study or path
+        A study, or the path of its file.
     client, cache, workers, scheduler
         As for `run`.
     on_progress : callable, optional
@@ -302,6 +310,7 @@ def query(
     GapsweepError
         If a value is not among the study's own, or cluster or cache cannot be used.
     """
+    study = Study.of(study)
     selection, path = study.select(**wanted), cache_path(cache)
     try_out_own_laws(study)
     if path.exists():
@@ -383,7 +392,11 @@ def _computed(
                     "slower; a local disk (--cache) is better",
                     stacklevel=3,
                 )
-            return execute(study, planned, store, connected, on_progress=on_progress, **how)
+            try:
+                return execute(study, planned, store, connected, on_progress=on_progress, **how)
+            except KeyboardInterrupt as interrupt:
+                interrupt.add_note(f"{store.path} keeps what was computed: run again to resume")
+                raise
 
 
 def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -> list[Explanation]:

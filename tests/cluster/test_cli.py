@@ -144,7 +144,7 @@ def test_query_prints_what_was_selected_and_computes_only_the_rest(finished):
     text = (finished / "tiny.toml").read_text()
     (finished / "more.toml").write_text(text.replace("20.0]", "20.0, 25.0]"))
     done = gapsweep(finished, "query", "more.toml", "--sel", "omega=12:20", "--to", "csv")
-    assert done.stderr == "4 points, 4 hits\n"
+    assert done.stderr == "4 points, 4 from the cache\n"
     rows = list(csv.DictReader(io.StringIO(done.stdout)))
     assert {(r["representation"], float(r["omega"])) for r in rows} == {
         (label, omega) for label in ("piecewise", "tanh-1e4") for omega in (12.0, 20.0)
@@ -152,7 +152,7 @@ def test_query_prints_what_was_selected_and_computes_only_the_rest(finished):
     assert {r["status"] for r in rows} == {"ok"}
     one = ["--sel", "omega=25", "--sel", "representation=piecewise", "--to", "json"]
     done = gapsweep(finished, "query", "more.toml", *one)
-    assert done.stderr.endswith("1 points, 0 hits\n")
+    assert done.stderr.endswith("1 points, 0 from the cache\n")
     assert json.loads(done.stdout)["omega"] == 25.0
     assert plan(finished, "more.toml")["missing"] == 1
 
@@ -254,6 +254,13 @@ def test_bad_study_is_one_clear_line(folder, change, message):
         (("query", "tiny.toml", "--sel", "omega=13"), "omega = 13.0: not in the study"),
         (("query", "tiny.toml", "--sel", "omega=30:40"), "omega = 30 to 40: nothing there"),
         (("query", "tiny.toml", "--sel", "speed=1"), "speed: no dimension of the study"),
+        (
+            ("query", "tiny.toml", "--sel", "initial_condition=sweep_up"),
+            "initial_condition = 'sweep_up': not in the study, which has 0: 0 is [0, 0]",
+        ),
+        (("query", "tiny.toml", "--output", "no/a.csv"), "no/a.csv: there is no folder no"),
+        (("query", "tiny.toml", "--output", "tiny.toml"), "tiny.toml: exists already"),
+        (("run", "tiny.toml", "--out", "/proc/out"), "name another folder with --out"),
     ],
 )
 def test_impossible_request_is_one_clear_line(folder, arguments, message):
@@ -262,6 +269,14 @@ def test_impossible_request_is_one_clear_line(folder, arguments, message):
     assert "Traceback" not in done.stderr
     assert [message in line for line in done.stderr.splitlines()] == [True], done.stderr
     assert sorted(p.name for p in folder.iterdir()) == ["tiny.toml"]
+
+
+def test_a_gap_in_millimetres_is_noticed(folder):
+    """It is a thousand times too wide: no motion reaches its walls."""
+    (folder / "tiny.toml").write_text(QUICK.replace("[[0.4e-3, 0.4e-3]]", "[[0.4, 0.4]]"))
+    done = gapsweep(folder, "run", "tiny.toml")
+    assert done.returncode == 0, done.stderr
+    assert "no motion has reached a wall; gaps are in metres, as 4e-4" in done.stderr
 
 
 def test_wrong_command_line_is_clicks_own(folder):

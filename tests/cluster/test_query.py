@@ -1,5 +1,8 @@
 """Querying a study larger than what was run."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -7,6 +10,20 @@ import xarray as xr
 import gapsweep as gs
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
+
+TOML = """
+[study]
+name = "small"
+[[sweep]]
+representation = ["piecewise", "tanh-1e4"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = [7.0, 12.0]
+[steady]
+settle_tol = 1e-2
+n_periods = 16
+max_period_multiple = 8
+"""
 
 
 @pytest.fixture
@@ -82,6 +99,49 @@ def test_what_no_block_asks_for_is_refused(tables, tmp_path):
     with pytest.raises(gs.StudyError, match=said):
         gs.query(study, cache=tmp_path / "c.sqlite", representation="tanh-1e4", omega=[3.0])
     assert not (tmp_path / "c.sqlite").exists()
+
+
+SCRIPT = """
+import sys
+import gapsweep as gs
+
+print("begun")
+ds = gs.query(sys.argv[1], cache=sys.argv[2], representation="piecewise", omega=7.0)
+print(ds.attrs["n_computed"], "computed")
+"""
+
+
+def test_scripts_need_no_guard(tmp_path):
+    """Workers do not run the script that has started them, and a path will do for a study."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    (tmp_path / "study.toml").write_text(TOML)
+    done = subprocess.run(
+        [sys.executable, "script.py", "study.toml", "c.sqlite"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split("\n") == ["begun", "1 computed", ""]
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("given", [None, {"study": {"name": "small"}}, 3])
+@pytest.mark.parametrize("ask", [gs.run, gs.query])
+def test_what_is_no_study_is_refused(ask, given):
+    with pytest.raises(gs.StudyError, match=r"must be a gapsweep\.Study, or the path of a study"):
+        ask(given)
+
+
+def test_an_interrupt_says_that_what_was_computed_is_kept(study, client, tmp_path):
+    def press(progress):
+        if progress.n_computed:
+            raise KeyboardInterrupt
+
+    path = tmp_path / "c.sqlite"
+    with pytest.raises(KeyboardInterrupt) as interrupted:
+        gs.query(study, client, cache=path, on_progress=press)
+    assert interrupted.value.__notes__ == [f"{path} keeps what was computed: run again to resume"]
+    with Cache(path) as cache:
+        assert verify(cache).n_points > 0
 
 
 @pytest.mark.parametrize("form", ["num", "step"])

@@ -320,6 +320,20 @@ LAWS = {
 T_END = 1.7
 
 
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+def test_inertial_loads_grow_with_the_square_of_their_frequency(engine):
+    """One system at several frequencies, as systems made for each."""
+    omega, k, tolerance = np.array([1.5, 2.0]), 2, {"rtol": 1e-10, "atol": 1e-12}
+    how = {"engine": engine, "t_end": 0.5, "q_0": [2e-3, 0.0], **tolerance}
+    load = gs.Harmonic(amplitude=1e-3 * LOAD, k=k, phase=0.4, inertial=True)
+    inertial = gs.simulate(replace(SYSTEM, forcing=[load]), LAWS, omega, **how)
+    for i, rate in enumerate(2.0 * np.pi * k * omega):
+        plain = gs.Harmonic(amplitude=1e-3 * LOAD * rate**2, k=k, phase=0.4)
+        alone = gs.simulate(replace(SYSTEM, forcing=[plain]), LAWS, omega[i], **how)
+        np.testing.assert_allclose(inertial.q[i], alone.q, rtol=0, atol=1e-10)
+        assert inertial.n_contacts[i] == alone.n_contacts > 0
+
+
 def by_runge_kutta(q_0, v_0):
     """End state and number of crossings by DOP853, anew from every crossing."""
     inverse, modes = np.linalg.inv(MASS), [0, 0]

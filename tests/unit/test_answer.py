@@ -6,7 +6,16 @@ from numpy.testing import assert_allclose
 from tests.made import datasets, failed, periodic, tables
 
 from gapsweep.analysis.agreement import agreement
-from gapsweep.report.answer import Contact, Judged, contacts, in_words, lines, times, verdict
+from gapsweep.analysis.statistics import repeatability, widened
+from gapsweep.report.answer import (
+    Contact,
+    Judged,
+    contacts,
+    in_words,
+    lines,
+    times,
+    verdict,
+)
 from gapsweep.report.findings import findings
 
 NOTHING = {name: np.full(1, np.nan) for name in ("median", "p95", "found")}
@@ -83,10 +92,10 @@ def test_every_law_has_its_verdict_and_its_price(tmp_path):
     assert found == {
         "tanh-1e4": ("use", True, "4.0\u00a0×"),
         "tanh-1e6": ("use", True, "9.0\u00a0×"),
-        "arctan-1e4": ("use", True, "≈ 1\u00a0×"),  # within what the exact law's times differ by
+        "arctan-1e4": ("use", True, "≈ 1\u00a0×"),  # within how far prices repeat
         "poly-13": ("no", True, "saves 75\u00a0%"),
         "poly-21": ("no", True, "– ?"),
-        "piecewise-noevents": ("exact here", True, "2.0\u00a0×"),
+        "piecewise-noevents": ("exact here", True, "≈ 1\u00a0×"),  # one repeat tells little
     }
     assert contact.least_tanh == "1e4"
     assert_allclose(contact.laws[0].values["median"], 0.004, rtol=1e-9)
@@ -109,9 +118,49 @@ def test_files_of_earlier_versions_answer_nothing(tmp_path):
 
 def test_without_floors_the_rule_is_the_same(tmp_path):
     _, (contact,) = made(tmp_path, {n: v for n, v in LAWS.items() if "@" not in n})
-    said = {one.law: one.verdict for one in contact.laws}
-    assert said["piecewise-noevents"] == said["tanh-1e4"] == "use"
-    assert said["poly-13"] == "no"
+    said = {one.law: (one.verdict, one.cost) for one in contact.laws}
+    assert said["piecewise-noevents"] == ("use", "2.0\u00a0× ?")
+    assert said["tanh-1e4"] == ("use", "4.0\u00a0× ?")
+    assert said["poly-13"] == ("no", "0.2\u00a0× ?")
+
+
+def repeated(prices):
+    """Intervals of the price 0.7 beside these ones of exact against exact."""
+    return widened(0.7, np.array([0.7, 0.7]), repeatability(np.array(prices)))
+
+
+def test_the_interval_of_a_price_holds_how_far_prices_repeat():
+    """Student's t of the logarithms: 95 % of the prices of equal work are within it."""
+    rng = np.random.default_rng(5)
+    inside = []
+    for _ in range(2000):
+        *repeats, price = np.exp(rng.normal(0.0, 0.3, 5))
+        low, high = widened(price, np.full(2, price), repeatability(np.array(repeats)))
+        inside.append(low <= 1.0 <= high)
+    assert 0.93 < np.mean(inside) < 0.97
+    assert repeated([1.01, 1.02, np.nan])[1] < 1.0 < repeated([1.3, 0.9])[1]
+    assert np.isnan(repeated([np.nan])).all()
+
+
+def test_what_the_frequencies_leave_open_is_added():
+    low, high = widened(0.5, np.array([0.4, 0.6]), 0.1)
+    assert_allclose(np.log([0.5 / low, high / 0.5]), np.hypot(np.log([1.25, 1.2]), 0.1), rtol=1e-12)
+    assert np.isnan(widened(0.5, np.full(2, np.nan), 0.1)).all()
+
+
+def test_prices_repeat_as_far_in_one_contact_as_in_another(tmp_path):
+    """Equal work that cost threefold in the soft contact leaves prices in the hard one in doubt."""
+    study = tables(["piecewise", "piecewise@half", "poly-13"], OMEGA, **HALF)
+    study["sweep"][0]["K_c"] = [1.4e3, 1.4e4]
+
+    def answer(label, omega, start):
+        return periodic([(1e-3, 0.0)], omega, cpu_time=0.5 if label == "poly-13" else 1.0)
+
+    compared = agreement(*datasets(tmp_path, study, answer))
+    assert [contact.laws[0].cost for contact in contacts(compared)] == ["saves 50\u00a0%"] * 2
+    soft = {"representation": "piecewise@half", "K_c": 1.4e3}
+    compared["cpu_time_per_period_ratio"].loc[soft] = 3.0
+    assert [contact.laws[0].cost for contact in contacts(compared)] == ["≈ 1\u00a0×"] * 2
 
 
 def judged(law, verdict="use", price=4.0, width=1.1, firm=True, median=0.01):
@@ -119,8 +168,8 @@ def judged(law, verdict="use", price=4.0, width=1.1, firm=True, median=0.01):
     return Judged(law, values, 9, verdict, firm, price, price / width, price * width)
 
 
-def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0):
-    return Contact(K_c, gap, {"median": np.full(3, floor)}, list(laws), "any ε")
+def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0, others=""):
+    return Contact(K_c, gap, {"median": np.full(3, floor)}, list(laws), "any ε", others)
 
 
 def test_the_answer_names_what_saves_time():
@@ -132,6 +181,15 @@ def test_the_answer_names_what_saves_time():
     )
     assert said[1].startswith("Elsewhere take the exact law; ")
     assert "tanh-1e4 for 1e6 N/m" in said[1]
+
+
+def test_contacts_of_one_stiffness_and_gap_are_told_apart():
+    """A study that sweeps the forcing has several: one may pay where another does not."""
+    cheap, dear = judged("poly-13", price=0.5), judged("poly-13", price=3.0)
+    said = in_words([contact(cheap, others="p 3 N"), contact(dear, others="p 4 N")])
+    assert said[0].startswith("A stand-in saves time in 1 of 2 contacts: poly-13 for 10000 N/m")
+    assert "at p 3 N" in said[0]
+    assert "at p 4 N" in said[1]
 
 
 def test_prices_that_intervals_do_not_part_stand_together():
@@ -155,8 +213,20 @@ def test_nothing_to_use_is_said():
     assert in_words([contact(bad)]) == ["Take the exact law: no stand-in can be used."]
     said = in_words([contact(bad), contact(judged("tanh-1e4"), gap="0/1")])
     assert "none of those swept for 10000 N/m with 0.4/0.4 mm" in said[1]
-    unlocated = judged("piecewise-noevents", "exact here", price=0.5)
-    assert in_words([contact(unlocated)]) == ["Take the exact law: no stand-in can be used."]
+
+
+@pytest.mark.parametrize("label", ["piecewise-noevents", "auto"])
+def test_what_is_the_exact_law_is_no_stand_in(tmp_path, label):
+    """Neither in the answer and its prices, nor among those that are counted."""
+    exact = judged(label, "exact here", price=0.5)
+    assert in_words([contact(exact)]) == ["Take the exact law: no stand-in can be used."]
+    said = found_in(tmp_path, contact(judged("tanh-1e4"), exact))
+    assert "Of 1 pairs of contact and stand-in" in said
+    assert label not in said
+
+
+def test_a_law_of_ones_own_is_a_stand_in_whatever_its_module_is_called():
+    assert judged("piecewise_fits:spring").is_stand_in
 
 
 def test_prices_have_two_digits():
@@ -178,12 +248,6 @@ def test_closest_is_who_is_closest_in_the_same_contact(tmp_path):
     assert "tanh-1e4 in 1 of 1 contacts with several" in said
     assert "arctan" not in said
     assert "noevents" not in said
-
-
-def test_prices_are_those_of_stand_ins(tmp_path):
-    """The exact force with unlocated contacts is none."""
-    said = found_in(tmp_path, contact(judged("tanh-1e4"), judged("piecewise-noevents")))
-    assert "Of 1 pairs of contact and stand-in" in said
 
 
 def test_overlapping_intervals_and_floors_name_none(tmp_path):

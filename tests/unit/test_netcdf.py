@@ -16,6 +16,11 @@ def small():
     return xr.Dataset({"x": ("t", np.arange(3.0), {"units": "m", "long_name": "displacement"})})
 
 
+def test_a_folder_is_no_dataset(tmp_path):
+    with pytest.raises(gs.StoreError, match=r"is a folder; name a file in it, as .*responses\.nc$"):
+        gs.open(tmp_path)
+
+
 def test_written_dataset_is_read_back(tmp_path):
     netcdf.write(small(), tmp_path / "sub" / "small.nc", {})
     with gs.open(tmp_path / "sub" / "small.nc") as read:

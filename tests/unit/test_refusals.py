@@ -1,7 +1,10 @@
 """What cannot be used is refused in one line that names the value and what to do."""
 
 import math
+from decimal import Decimal
+from fractions import Fraction
 
+import numpy as np
 import pytest
 
 import gapsweep as gs
@@ -55,6 +58,42 @@ REFUSED = {
         r"x = \['a'\]: must be finite numbers",
     ),
 }
+
+NO_NUMBERS = ["1", "9.0", b"1", True, np.True_, np.array(True), np.str_("1"), 1j]
+NUMBERS = [1, np.float32(1.0), np.int8(1), np.array(1.0), np.array(1), Fraction(1), Decimal(1)]
+TAKE_NUMBERS = {
+    "wall": lambda value: gs.Gap(value, 0.0),
+    "damping": lambda value: gs.Oscillator(zeta=value),
+    "stiffness": lambda value: gs.Piecewise(value, GAP),
+    "frequency": lambda value: simulated(omega=value),
+    "one of some starts": lambda value: simulated(x_0=[value, 0.0]),
+    "one of some objects": lambda value: simulated(x_0=np.array([value, 0.0], dtype=object)),
+    "end": lambda value: simulated(t_end=value),
+    "tolerance": lambda value: simulated(atol=value),
+    "frequency of a response": lambda value: answered(omega=value),
+    "matrix": lambda value: gs.System(mass=[[1.0]], stiffness=[[value]]),
+    "speed": lambda value: gs.systems.typical_section(speed=value),
+    "time of a sample": lambda value: simulated(t_end=1.0, dense_output=True).sample(value),
+}
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS, ids=repr)
+@pytest.mark.parametrize("name", TAKE_NUMBERS)
+def test_text_and_truth_values_are_no_numbers(name, value):
+    with pytest.raises(gs.ModelError, match="must be a"):
+        TAKE_NUMBERS[name](value)
+
+
+@pytest.mark.parametrize("value", NUMBERS, ids=repr)
+@pytest.mark.parametrize("name", TAKE_NUMBERS)
+def test_numbers_of_all_kinds_are_taken(name, value):
+    TAKE_NUMBERS[name](value)
+
+
+@pytest.mark.parametrize("value", [True, np.True_, "2"], ids=repr)
+def test_truth_values_are_no_whole_numbers(value):
+    with pytest.raises(gs.ModelError, match="must be a whole number"):
+        gs.Steady(n_periods=value)
 
 
 @pytest.mark.parametrize("name", REFUSED)

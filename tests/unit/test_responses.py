@@ -119,3 +119,19 @@ def assert_same(a, b):
         for x, y in zip(a.lists[name], b.lists[name], strict=True):
             assert_array_equal(x, y, name)
     assert a.messages == b.messages
+
+
+def test_a_response_is_one_short_line():
+    one = Response(
+        status=gs.Status.OK, response_class=gs.ResponseClass.PERIODIC, period_multiple=3,
+        x_min=-4e-4, x_max=1.234567e-3,
+    )  # fmt: skip
+    assert repr(one) == (
+        "<gapsweep.Response: periodic, period multiple 3, ok, x_min -0.0004, x_max 0.00123457>"
+    )
+    lost = Response(status=gs.Status.DIVERGED)
+    assert repr(lost) == "<gapsweep.Response: failed, diverged, x_min nan, x_max nan>"
+    system = replace(one, x_min=np.array([-1.0, -2.0]), x_max=np.array([1.0, 2.0]))
+    assert repr(system).endswith("x_min -1 -2, x_max 1 2>")
+    several = Responses.of([one, lost, one, one]).shaped((2, 2))
+    assert repr(several) == "<gapsweep.Response of shape (2, 2): 3 periodic, 1 failed>"

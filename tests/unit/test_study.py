@@ -270,10 +270,10 @@ def test_all_problems_are_reported_at_once(tables):
 @pytest.mark.parametrize(
     ("omega", "part"),
     [
-        ([], "at least 1 item"),
+        ([], "sweep[0].omega = []: must have at least one value"),
         ({"start": 3.0, "stop": 1.0, "step": 1.0}, "stop 1 must be >= start 3"),
         ({"start": 1.0, "stop": 3.0, "step": 0.0}, "sweep[0].omega.step = 0.0"),
-        ({"start": 1.0, "stop": 3.0}, "sweep[0].omega.step: Field required"),
+        ({"start": 1.0, "stop": 3.0}, "sweep[0].omega: give step or num"),
         ({"start": 1.0, "stop": 1e9, "step": 1e-3}, "sweep points: must be <= 10000000"),
         ("all", "sweep[0].omega[0] = 'all'"),
     ],
@@ -386,3 +386,51 @@ def test_walls_and_gaps_do_not_mix(tables):
     (block,) = tables["sweep"]
     other = {k: v for k, v in block.items() if k != "gap"} | {"j_1": 0.0, "j_2": 0.0}
     assert "j_1 and j_2 in every block" in problems(tables | {"sweep": [block, other]})[0]
+
+
+def with_(**changes):
+    return lambda tables: tables["sweep"][0].update(changes)
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (
+            with_(gap=4e-4),
+            ".gap = 0.0004: must be the distances of both walls [m], as [4e-4, 4e-4]",
+        ),
+        (with_(gap=["0.4/0.4"]), ".gap[0] = '0.4/0.4': must be the distances of both walls [m]"),
+        (with_(gap=[[4e-4]]), ".gap[0] = [0.0004]: must be the distances of both walls [m]"),
+        (
+            with_(initial_condition=[0.0]),
+            "_condition[0] = 0.0: must be x [m] and v [m/s], as [0.0,",
+        ),
+        (
+            with_(initial_condition=0.0),
+            "_condition = 0.0: must be x [m] and v [m/s], as [0.0, 0.0]",
+        ),
+        (
+            with_(initial_condition={"x": [0.0, 1.0], "v": [0.0, 1.0]}),
+            "sweep[0].initial_condition: give sobol or grid",
+        ),
+        (
+            with_(omega={"start": 1.0, "stop": 2.0, "num": 2, "step": 0.5}),
+            "sweep[0].omega.step = 0.5: give step or num, not both",
+        ),
+        (with_(representation=[]), "sweep[0].representation = []: must have at least one value"),
+        (with_(Kc=1e4), "sweep[0].Kc = 10000.0: unknown key; did you mean K_c?"),
+        (lambda tables: tables.update(solvr={}), "solvr: unknown key; did you mean solver?"),
+        (lambda tables: tables.update(solver={"rtl": 1.0}), "unknown key; did you mean rtol?"),
+        (lambda tables: tables["study"].update(name="a b"), "'a b': must be letters, digits, '.'"),
+        (
+            lambda tables: tables.update(sweep=tables["sweep"][0]),
+            "study: sweep: must be in double brackets: [[sweep]]",
+        ),
+        (lambda tables: tables.pop("sweep"), "study: sweep: missing"),
+        (lambda tables: tables.update(oscillator=3), "oscillator = 3: must be a table"),
+    ],
+)
+def test_problems_say_what_would_do(tables, edit, said):
+    edit(tables)
+    (problem,) = problems(tables)
+    assert said in problem

@@ -11,6 +11,7 @@ from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
 from gapsweep.model.contact import ContactLaw, UserLaw
 from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.model.system import floats
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import check_kinds, respond_all
@@ -135,8 +136,8 @@ def _answer(starts: tuple[Array, Array], scene: Scene, steady: Steady) -> Respon
 
 def _axis(name: str, values: ArrayLike) -> np.ndarray:
     try:
-        axis = np.ravel(np.asarray(values, dtype=float))
-    except (TypeError, ValueError):
+        axis = np.ravel(floats(values))
+    except (TypeError, ValueError, OverflowError):
         axis = np.empty(0)
     if not axis.size or not np.all(np.isfinite(axis)):
         raise ModelError(f"{name} = {values!r}: must be finite numbers, at least one")

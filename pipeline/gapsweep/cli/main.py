@@ -19,6 +19,7 @@ from gapsweep.cli.cache import cache_commands
 from gapsweep.console import duration, progress_bar
 from gapsweep.errors import GapsweepError
 from gapsweep.stages import CLAIMS, REPORT, RESPONSES
+from gapsweep.store import netcdf
 from gapsweep.store.state import RunState
 from gapsweep.study.study import Study
 
@@ -77,6 +78,9 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
         f"{done.n_points} points: {done.n_hits} from the cache, {done.n_computed} computed{shared}"
     )
     click.echo(f"report: {outcome.folder / REPORT}")
+    crossings = netcdf.values(outcome.folder / RESPONSES, "n_contacts")
+    if not (outcome.failures or crossings.any()):
+        click.echo("no motion has reached a wall; gaps are in metres, as 4e-4", err=True)
     if outcome.failures:
         _say_failed("points", outcome.failures, RESPONSES)
     for file, counts in outcome.failed_motions.items():
@@ -193,14 +197,18 @@ def query(
       gapsweep query workflows/quick.toml --sel representation=piecewise \\
           --to nc --output exact.nc
     """
-    from gapsweep.cli.table import written
+    from gapsweep.cli.table import check_output, written
 
     if form == "nc" and output is None:
         raise click.UsageError("--to nc needs --output FILE")
+    if output is not None:
+        check_output(output)
     loaded = options.loaded(study, engine)
     with progress_bar() as observer:
         found = workflow.query(loaded, on_progress=observer, **how, **options.selected(wanted))
-    click.echo(f"{found.attrs['n_points']} points, {found.attrs['n_hits']} hits", err=True)
+    click.echo(
+        f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True
+    )
     written(found, form, output)
     return FINISHED
 
@@ -301,7 +309,6 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
       gapsweep bench workflows/work_precision.toml
     """
     from gapsweep.report.bench import conclusions
-    from gapsweep.store import netcdf
 
     loaded = options.loaded(study, None)
     files = make.bench(loaded, out, lambda text: click.echo(text, err=True), timeout=timeout)

@@ -79,6 +79,8 @@ def _selected(text: str) -> tuple[str, Any]:
         raise click.BadParameter(f"{text!r}: must read KEY=VALUE", param_hint="--sel")
     if key in _LABELLED:
         return key, value.split(",")
+    if key == "initial_condition" and not value.replace(",", "").replace(":", "").isdecimal():
+        return key, value.split(",")  # the study knows its starts, and names them
     number = int if key == "initial_condition" else float
     try:
         if ":" in value:

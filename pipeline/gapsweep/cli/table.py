@@ -12,19 +12,30 @@ from gapsweep.status import Status
 from gapsweep.store.artefact import replacing
 
 
+def check_output(output: Path) -> None:
+    """Refuse a file that is there, or has no folder, before anything is computed for it.
+
+    Raises
+    ------
+    StoreError
+    """
+    if output.exists():
+        raise StoreError(f"{output}: exists already; name a new file")
+    if not output.parent.is_dir():
+        raise StoreError(f"{output}: there is no folder {output.parent}")
+
+
 def written(responses: xr.Dataset, form: str, output: Path | None) -> None:
     """Write a dataset as ``csv`` or ``json`` (one row per sweep point) or ``nc``.
 
     Raises
     ------
     StoreError
-        If the file exists already or cannot be written.
+        If the file cannot be written.
     """
     if output is None:
         click.echo(_text(responses, form), nl=False)
         return
-    if output.exists():
-        raise StoreError(f"{output}: exists already; name a new file")
     with replacing(output) as temporary:
         if form == "nc":
             responses.to_netcdf(temporary, engine="netcdf4", format="NETCDF4")

@@ -5,6 +5,7 @@ import signal
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from multiprocessing import spawn
 from typing import Any
 
 import dask
@@ -14,6 +15,7 @@ from gapsweep.errors import ClusterError
 from gapsweep.study.software import software
 
 _CONNECT_SECONDS = 10
+_WORKER = "Dask Worker process"  # what Dask calls them
 _LOCAL_SETTINGS = {
     # Points of a lost worker are tried again by us, where they can harm nobody.
     "distributed.scheduler.allowed-failures": 0,
@@ -51,7 +53,7 @@ def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
         }
         # What goes wrong on a worker becomes the status of its points; its log only repeats it.
         options["silence_logs"] = logging.CRITICAL
-        with dask.config.set(_LOCAL_SETTINGS):
+        with dask.config.set(_LOCAL_SETTINGS), _without_main():
             with _deaf_to_interrupts():
                 local = LocalCluster(n_workers=workers, **options)
             with local, Client(local) as client:
@@ -82,6 +84,29 @@ def _deaf_to_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, handler)
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Workers started in this block do not run the script that called us once more.
+
+    Python imports it into every process that it spawns: what stands there outside of ``if __name__
+    == "__main__"``, as our caller may, would begin anew. Tasks need nothing of it.
+    """
+    usual = spawn.get_preparation_data
+
+    def prepared(name: str) -> dict[str, Any]:
+        data = usual(name)
+        if name.startswith(_WORKER):
+            for key in ("init_main_from_name", "init_main_from_path"):
+                data.pop(key, None)
+        return data
+
+    spawn.get_preparation_data = prepared
+    try:
+        yield
+    finally:
+        spawn.get_preparation_data = usual
 
 
 def check_workers(client: Client) -> None:

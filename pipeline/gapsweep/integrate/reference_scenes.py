@@ -176,7 +176,6 @@ class SystemScene(Scene):
         system, n, n_states = self.system, self.system.n, self.n_states
         linear, directions = first_order(system), self.directions
         inverse = np.linalg.inv(system.mass)
-        loads = [(inverse @ h.amplitude, h.k, h.phase) for h in system.forcing]
         cubics = [(c.along, inverse @ c.along * c.alpha) for c in system.cubic]
         pull = inverse @ directions.T
         contacts = range(len(self.laws))
@@ -184,6 +183,9 @@ class SystemScene(Scene):
         slopes = [self.slope(k, modes) for k in contacts]
         terms = [system.modulation.get(name, ()) for name in system.contacts]
         omega_rad = 2.0 * math.pi * self.omega
+        loads = [
+            (h.growth(omega_rad) * (inverse @ h.amplitude), h.k, h.phase) for h in system.forcing
+        ]
 
         def rates(theta: float) -> list[float]:
             return [

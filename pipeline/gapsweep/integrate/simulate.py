@@ -14,7 +14,7 @@ from gapsweep.integrate.problem import DEFAULT_ENGINE, Integrate, Models, Proble
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
-from gapsweep.model.system import System, fastest_mode
+from gapsweep.model.system import System, fastest_mode, floats
 
 Array = NDArray[np.float64]
 
@@ -227,7 +227,7 @@ def broadcast(**values: ArrayLike | None) -> list[NDArray[np.float64]]:
     arrays = []
     for name, value in values.items():
         try:
-            array = np.asarray([] if value is None else value, dtype=float)
+            array = floats([] if value is None else value)
         except (TypeError, ValueError, OverflowError):
             raise ModelError(f"{name} = {value!r}: must be a number or numbers") from None
         if array.size == 0:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Counts, Events, Motions
-from gapsweep.model.system import System
+from gapsweep.model.system import System, floats
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -127,8 +127,8 @@ class Trajectory:
         if not self._has_dense_output:
             raise ModelError("no dense output was asked for: simulate with dense_output=True")
         try:
-            t = np.asarray(t, dtype=float)
-        except (TypeError, ValueError):
+            t = floats(t)
+        except (TypeError, ValueError, OverflowError):
             raise ModelError(f"t = {t!r}: must be a time or times [s]") from None
         first = float(np.min(t, initial=math.inf))
         motions = self._dense_from(first) if self.t_0 <= first < math.inf else self._motions

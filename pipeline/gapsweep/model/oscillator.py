@@ -8,12 +8,19 @@ The equation of motion, with `F_c` the contact force of `gapsweep.model.contact`
 import math
 from dataclasses import dataclass, fields
 from operator import index
+from typing import Any
 
 from gapsweep.errors import ModelError
 
 # Within these bounds no product or quotient that a model is prepared with overflows, not even the
 # frequencies' squares times its ratios; no machine comes near them.
 SMALLEST, LARGEST = 1e-50, 1e50
+
+
+def is_number(value: Any) -> bool:
+    """Whether it may be taken for a number: Python makes one of text and of truth values too."""
+    kind: str = getattr(getattr(value, "dtype", None), "kind", "O")
+    return kind in "iufO" and not isinstance(value, str | bytes | bool)
 
 
 def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = False) -> float:
@@ -23,9 +30,11 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
     larger than `LARGEST`.
     """
     try:
-        number = float(value)
+        number = float(value) if is_number(value) else None
     except (TypeError, ValueError, OverflowError):
-        raise ModelError(f"{name} = {value!r}: must be a number") from None
+        number = None
+    if number is None:
+        raise ModelError(f"{name} = {value!r}: must be a number")
     if not math.isfinite(number):
         raise ModelError(f"{name} = {number}: must be finite")
     if number < low or (strict and number == low):
@@ -40,7 +49,7 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
 def whole(name: str, value: int, low: int, high: int) -> int:
     """`value` as an int in ``low..high``, or a `ModelError` that names it."""
     try:
-        number = index(value)
+        number = index(value) if is_number(value) else low - 1
     except TypeError:
         number = low - 1
     if not low <= number <= high:

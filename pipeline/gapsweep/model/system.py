@@ -11,14 +11,14 @@ A system's arrays are its identity: nothing else enters what is computed for it.
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.oscillator import LARGEST, SMALLEST, checked, whole
+from gapsweep.model.oscillator import LARGEST, SMALLEST, checked, is_number, whole
 
 Array = NDArray[np.float64]
 
@@ -38,13 +38,25 @@ def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def _numbers(name: str, value: ArrayLike) -> Array:
-    """A copy of `value` as an array of floats."""
+    """A copy of `value` as an array of floats, or a `ModelError` that names it."""
     try:
-        if not np.iscomplexobj(value):
-            return np.array(value, dtype=float)
+        return floats(value)
     except (TypeError, ValueError, OverflowError):
-        pass
-    raise ModelError(f"{name} = {value!r}: must be an array of numbers")
+        raise ModelError(f"{name} = {value!r}: must be an array of numbers") from None
+
+
+def floats(value: ArrayLike) -> Array:
+    """A copy of `value` as an array of floats.
+
+    Raises
+    ------
+    TypeError, ValueError, OverflowError
+        If it holds anything but numbers; text and truth values, which numpy would take, are none.
+    """
+    is_plain = getattr(getattr(value, "dtype", None), "kind", "O") != "O"  # one kind for all
+    if not all(map(is_number, [value] if is_plain else np.asarray(value, dtype=object).flat)):
+        raise TypeError("text or truth values among the numbers")
+    return np.array(value, dtype=float)
 
 
 def _all_of(name: str, value: Any, kind: type) -> tuple[Any, ...]:
@@ -69,20 +81,30 @@ class Harmonic:
     Parameters
     ----------
     amplitude : array_like, shape (n,)
-        Generalised forces [N].
+        Generalised forces [N]; if `inertial`, of mass times length [kg m].
     k : int
         Multiple of the forcing frequency, 0 to 1000.
     phase : float
         [rad]: the load is ``amplitude * cos(2 pi k omega t + phase)``.
+    inertial : bool
+        Whether it grows with frequency, as of an unbalance or of a base that moves: times
+        ``(2 pi k omega)²``.
     """
 
     amplitude: Any
     k: int = 1
     phase: float = 0.0
+    inertial: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", whole("k", self.k, 0, MAX_HARMONIC))
         object.__setattr__(self, "phase", checked("phase", self.phase))
+        if self.inertial and not self.k:
+            raise ModelError("inertial: a constant load (k = 0) has none")
+
+    def growth(self, omega_rad: Any) -> Any:
+        """What the amplitude is multiplied by at an angular frequency, or at several [rad/s]."""
+        return (self.k * omega_rad) ** 2 if self.inertial else 1.0 + 0.0 * omega_rad
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -344,7 +366,7 @@ def _along(cubic: Cubic, n: int) -> Cubic:
 
 def _loaded(load: Harmonic, n: int) -> Harmonic:
     amplitude = array("forcing: amplitude", load.amplitude, (n,))
-    return Harmonic(amplitude=amplitude, k=load.k, phase=load.phase)
+    return replace(load, amplitude=amplitude)
 
 
 def _lags(lags: Any, n: int) -> Lags:

@@ -17,6 +17,19 @@ from gapsweep.model.contact import Piecewise
 from gapsweep.model.oscillator import Gap, checked
 from gapsweep.model.system import Harmonic, Lags, Modulation, System
 
+__all__ = [
+    "FAR",
+    "FREEPLAY",
+    "gear_pair",
+    "gear_pair_law",
+    "soft_impact_oscillator",
+    "soft_impact_oscillator_law",
+    "two_masses",
+    "two_masses_law",
+    "typical_section",
+    "typical_section_law",
+]
+
 Array = NDArray[np.float64]
 
 # A one-sided stop has its other wall here, in gaps: a motion counts as diverged long before.
@@ -87,6 +100,10 @@ _COPIES = {
     "conner": _Section(m=1.5666, m_t=3.39298),
     "conner-scaled": _from_ratios(m=1.5666, m_t=3.39298),
 }
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225) -> System:
@@ -267,7 +284,7 @@ def two_masses_law() -> Piecewise:
 
 
 def gear_pair(
-    omega: float,
+    *,
     zeta: float = 0.05,
     mean_load: float = 0.1,
     errors: tuple[float, ...] = (0.01, 0.004, 0.002),
@@ -280,13 +297,11 @@ def gear_pair(
         x'' + 2 zeta x' + (1 + sum depths_k cos(k W t)) F(x)
             = mean_load + sum errors_k (k W)² cos(k W t),       W = 2 pi omega
 
-    The inertial load grows with W²: a system is that of its `omega`, which is to be given to
-    `gapsweep.simulate` as well.
+    The mesh frequency is the `omega` of `gapsweep.simulate`; the source's range of W is about 0.4
+    to 2.
 
     Parameters
     ----------
-    omega : float
-        Mesh frequency, ``> 0``; the source's range of W is about 0.4 to 2.
     zeta : float
         Damping ratio [-], ``>= 0``.
     mean_load : float
@@ -304,10 +319,9 @@ def gear_pair(
     ModelError
         If an argument is out of range.
     """
-    rate = 2.0 * math.pi * checked("omega", omega, low=0.0, strict=True)
     loads = [Harmonic(amplitude=[checked("mean_load", mean_load)], k=0)]
     for k, error in enumerate(errors, 1):
-        loads.append(Harmonic(amplitude=[checked("errors", error) * (k * rate) ** 2], k=k))
+        loads.append(Harmonic(amplitude=[checked("errors", error)], k=k, inertial=True))
     return System(
         mass=[[1.0]],
         damping=[[2.0 * checked("zeta", zeta, low=0.0)]],

@@ -15,9 +15,11 @@ no
 Nothing is asked that the exact law against itself does not reach. Amplitudes are those of paired
 attractors, because start by start a moved basin boundary would count as a wrong amplitude. The
 price is processor time per forcing period, because totals also count how long each motion took to
-settle; it is other than 1 only beyond its 95 % interval and beyond what the exact law's own times
-differ by. ±: the ends of the intervals lie on both sides of a line between "use", "with care" and
-"no", or the frequencies are too few for intervals.
+settle. The interval of a price covers the choice of frequencies and how far prices repeat: what
+exact against exact is away from 1, over all contacts of the study. A study that does not sweep the
+exact law twice has not measured that: its prices have no interval, and nothing is said to save
+time. ±: the ends of the intervals lie on both sides of a line between "use", "with care" and "no",
+or the frequencies are too few for intervals.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,6 +32,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.grid import scene_dims, scenes
+from gapsweep.analysis.statistics import repeatability, widened
+from gapsweep.model.labels import AUTO
 from gapsweep.report.drawing import named
 from gapsweep.report.selection import beside, gap_label
 from gapsweep.report.tables import number
@@ -42,13 +46,14 @@ _SHOWN = {
     "found": "recall_pooled",
 }
 _PRICE = "cpu_time_per_period_ratio"
+_NO_STAND_INS = ("piecewise-noevents", AUTO)
 # Of each number the estimate, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
 Row = dict[str, Any]  # variables of one law in one contact
 MOST_CONTACTS = 16  # that are told one by one
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Judged:
     """A law in a contact: its numbers, and what follows from them."""
 
@@ -63,8 +68,8 @@ class Judged:
 
     @property
     def is_stand_in(self) -> bool:
-        """Unlocated contacts are the exact force, and no stand-in for it."""
-        return not self.law.startswith("piecewise")
+        """Unlocated contacts are the exact force, and ``auto`` chooses it where it is needed."""
+        return self.law not in _NO_STAND_INS
 
     @property
     def column(self) -> str:
@@ -90,7 +95,7 @@ class Judged:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Contact:
     """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in.
 
@@ -116,6 +121,11 @@ class Contact:
         usable = [one for one in self.columns["use"] if one.is_stand_in]
         best = next((one for one in usable if one.is_firm), usable[0] if usable else None)
         return [one for one in usable if best and not one.low > best.high]
+
+    @property
+    def is_paying(self) -> bool:
+        """Whether a stand-in saves time beyond doubt."""
+        return any(one.is_firm and one.high < 1.0 for one in self.picks)
 
     @property
     def least_tanh(self) -> str:
@@ -148,6 +158,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
     pooled = pooled.transpose("representation", *dims, ...)
     # As arrays: a study may have a thousand contacts.
     tables = {str(name): pooled[name].values for name in pooled}
+    noise = repeatability(tables[_PRICE][[labels.index(label) for label in exact]])
     found = []
     for at in scenes(pooled, dims):
         where = {
@@ -157,8 +168,6 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         if not any(where[law]["n_points"] > 0 for law in laws):
             continue
         floors = _worst([_values(where[label]) for label in exact])
-        spread = np.abs(np.log([where[label][_PRICE] for label in exact]))
-        noise = float(np.exp(np.nanmax(spread, initial=0.0)))
         judged = [
             _judged(law, where[law], floors, noise) for law in laws if where[law]["n_points"] > 0
         ]
@@ -207,9 +216,8 @@ def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
     said, *ends = verdict(values, floors)
     is_firm = len({end.replace("exact here", "use") for end in ends}) == 1
     unknown = any(np.isnan(v[1:]).any() and np.isfinite(v[0]) for v in values.values())
-    price, (low, high) = float(row[_PRICE]), row[f"{_PRICE}_ci"]
-    # NaN, where there is no interval, comes first: it is kept.
-    low, high = min(float(low), price / noise), max(float(high), price * noise)
+    price = float(row[_PRICE])
+    low, high = widened(price, row[f"{_PRICE}_ci"], noise)
     return Judged(
         label, values, int(row["n_exact"]), said, is_firm and not unknown, price, low, high
     )
@@ -234,8 +242,8 @@ def in_words(found: Sequence[Contact]) -> list[str]:
 
 
 def _said(found: Sequence[Contact]) -> list[str]:
-    paying = [c for c in found if any(one.is_firm and one.high < 1.0 for one in c.picks)]
-    others = [c for c in found if c not in paying]
+    paying = [c for c in found if c.is_paying]
+    others = [c for c in found if not c.is_paying]
     picks = [one for contact in others for one in contact.picks]
     some = f"{sum(bool(c.picks) for c in found)} of {len(found)} contacts"
     if paying:

@@ -119,7 +119,7 @@ class Steady:
             )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Response:
     """Steady response of one sweep point, or of an array of them.
 
@@ -210,6 +210,20 @@ class Response:
     v_end: float = math.nan
     cpu_time: float = math.nan
     message: str = ""
+
+    def __repr__(self) -> str:
+        kinds, counts = np.unique(self.response_class, return_counts=True)
+        said = [ResponseClass(kind).name.lower() for kind in kinds]
+        if shape := np.shape(self.status):
+            listed = [f"{n} {kind}" for n, kind in zip(counts, said, strict=True)]
+            return f"<gapsweep.Response of shape {shape}: {', '.join(listed)}>"
+        if self.period_multiple:
+            said.append(f"period multiple {self.period_multiple}")
+        said.append(Status(self.status).label)
+        for name in ("x_min", "x_max"):
+            values = np.atleast_1d(getattr(self, name)).tolist()
+            said.append(f"{name} {' '.join(f'{value:.6g}' for value in values)}")
+        return f"<gapsweep.Response: {', '.join(said)}>"
 
     @property
     def ended(self) -> Any:

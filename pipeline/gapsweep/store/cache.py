@@ -134,7 +134,10 @@ class Cache:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise StoreError(f"{self.path.parent}: cannot be created: {error.strerror}") from None
+            remedy = _REMEDIES[sqlite3.SQLITE_CANTOPEN]
+            raise StoreError(
+                f"{self.path.parent}: cannot be created: {error.strerror}{remedy}"
+            ) from None
         return sqlite3.connect(self.path, timeout=60.0, isolation_level=None)
 
     def _connected_to_read(self) -> sqlite3.Connection:

@@ -168,6 +168,8 @@ def read(path: str | Path) -> "xr.Dataset":
     import xarray as xr  # half a second to import, which a run without anything to do can spare
 
     path = Path(path)
+    if path.is_dir():
+        raise StoreError(f"{path}: is a folder; name a file in it, as {path / 'responses.nc'}")
     try:
         _close_forgotten()
         intact = is_intact(path)

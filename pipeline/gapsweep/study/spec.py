@@ -36,6 +36,7 @@ from gapsweep.study.axes import (
     several,
 )
 from gapsweep.study.bench import BenchTable
+from gapsweep.study.problems import problems
 
 # Of a time history; its dense output is kept in memory.
 MAX_HISTORY_PERIODS = 10_000
@@ -198,28 +199,28 @@ class StudySpec(Table):
         scenes = self.bench.scene if self.bench else []
         labels += [method.label for method in self.bench.method] if self.bench else []
         used = {x.partition("@")[2] for x in labels if "@" in x}
-        problems = [
+        wrong = [
             f"protocol {name!r} is used by a label but there is no [protocol.{name}]"
             for name in sorted(used - set(self.protocol))
         ]
         if any(label.startswith(f"{AUTO}@") for label in labels):
-            problems.append("'auto' chooses its solver settings itself: it takes no protocol")
+            wrong.append("'auto' chooses its solver settings itself: it takes no protocol")
         if any(AUTO in table.representation for table in self.history):
-            problems.append("'auto' has no time histories: name the representation")
+            wrong.append("'auto' has no time histories: name the representation")
         if self.bench and any(method.label == AUTO for method in self.bench.method):
-            problems.append("bench: 'auto' is no method: name the representation")
+            wrong.append("bench: 'auto' is no method: name the representation")
         if len({block.gap is None for block in self.sweep}) > 1:
-            problems.append("sweep: give gap in every block, or j_1 and j_2 in every block")
+            wrong.append("sweep: give gap in every block, or j_1 and j_2 in every block")
         n_points = sum(block.count for block in self.sweep)
         if n_points > MAX_POINTS:
-            problems.append(f"{n_points} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
-        problems += [
+            wrong.append(f"{n_points} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
+        wrong += [
             f"bench.scene {scene.name!r}: {problem}"
             for scene in scenes
             for problem in scene.contradictions(self.oscillator)
         ]
-        if problems:
-            raise ValueError("; ".join(problems))
+        if wrong:
+            raise ValueError("; ".join(wrong))
         return self
 
 
@@ -243,41 +244,4 @@ def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:
-        raise StudyError([_problem(source, e) for e in error.errors()]) from None
-
-
-_BOUNDS = {
-    "greater_than": ("gt", ">"),
-    "greater_than_equal": ("ge", ">="),
-    "less_than_equal": ("le", "<="),
-}
-
-
-def _problem(source: str, error: Any) -> str:
-    """One line: where, the offending value, what is allowed."""
-    message = error["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
-    if error["type"] in _BOUNDS:
-        name, sign = _BOUNDS[error["type"]]
-        message = f"must be {sign} {error['ctx'][name]:g}"
-    elif error["type"] == "extra_forbidden":
-        message = "unknown key"
-    elif error["type"] == "union_tag_invalid":
-        message = "must be { sobol = ... }, 'sweep_up' or 'sweep_down'"
-    where = _path(error["loc"])
-    value = error["input"]
-    shown = "" if error["type"] == "missing" or isinstance(value, dict) else f" = {value!r:.80}"
-    return f"{source}: {where}{shown}: {message}" if where else f"{source}: {message}"
-
-
-# The tags of unions: ours, not the user's.
-_TAGS = {"list", "step", "num", "sobol", "grid", "sweep", "several"}
-
-
-def _path(loc: tuple[str | int, ...]) -> str:
-    """``("sweep", 0, "omega", "step", "step")`` as ``sweep[0].omega.step``."""
-    text, was_tag = "", False
-    for i, part in enumerate(loc):
-        was_tag = part in _TAGS and not was_tag and i > 2
-        if not was_tag:
-            text += f"[{part}]" if isinstance(part, int) else f".{part}"
-    return text.lstrip(".")
+        raise StudyError(problems(source, error, StudySpec)) from None

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +29,14 @@ from gapsweep.study.grid import START, Axes, Grid, Selection, Starts, starts_of
 from gapsweep.study.points import (
     NUMBERS,
     OSCILLATOR,
+    SWEEPS,
     UNEQUAL,
     Kind,
     Points,
     canonical,
     law_code,
 )
-from gapsweep.study.selection import positions
+from gapsweep.study.selection import listed, positions
 from gapsweep.study.spec import (
     HistoryTable,
     ModuleTable,
@@ -63,7 +65,7 @@ class Study:
     source: str = "study"
 
     @classmethod
-    def load(cls, path: str | Path) -> "Study":
+    def load(cls, path: str | PathLike[str]) -> "Study":
         """Read and check a study file.
 
         Raises
@@ -84,6 +86,17 @@ class Study:
     def from_dict(cls, tables: dict[str, Any], source: str = "study") -> "Study":
         """Check a study given as the tables of its TOML file."""
         return cls(check(tables, source), source)._checked()
+
+    @classmethod
+    def of(cls, study: "Study | str | PathLike[str]") -> "Study":
+        """The study itself, or that of a file, as `load` reads it."""
+        if isinstance(study, str | PathLike):
+            return cls.load(study)
+        if not isinstance(study, Study):
+            raise StudyError(
+                [f"study = {study!r:.80}: must be a gapsweep.Study, or the path of a study file"]
+            )
+        return study
 
     def _checked(self) -> "Study":
         try:
@@ -231,13 +244,19 @@ class Study:
             try:
                 found.append(positions(name, axis, wanted.get(name, slice(None)), "the study"))
             except ValueError as error:
-                problems.append(f"{self.source}: {error}")
+                named = f": {self._starts_in_words()}" if name == START else ""
+                problems.append(f"{self.source}: {error}{named}")
         if problems:
             raise StudyError(problems)
         if not self.grid.requested[np.ix_(*found)].any():
             said = ", ".join(f"{name} = {value!r}" for name, value in wanted.items())
             raise StudyError([f"{self.source}: {said}: no block has a point there"])
         return tuple(found)
+
+    def _starts_in_words(self) -> str:
+        """What the numbers of the starts stand for."""
+        states = [kind if kind in SWEEPS else f"[{x:g}, {v:g}]" for kind, x, v in self.grid.starts]
+        return listed([f"{number} is {state}" for number, state in enumerate(states)])
 
     def points(self, cells: NDArray[np.int64]) -> list[tuple[NDArray[np.intp], Points]]:
         """The sweep points in some cells of the grid, in tables of one kind each.

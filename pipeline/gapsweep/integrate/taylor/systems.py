@@ -181,11 +181,13 @@ def _fill(
 def _put_loads(at: Layout, table: Array, put, linear: _Linear) -> None:
     """Forcing, periodic stiffness, and the speed that the forcing keeps up."""
     system = linear.system
-    put("push", np.array([linear.inverse @ load.amplitude for load in system.forcing]))
-    speed = np.zeros(table.shape[1])
+    omega_rad, speed, push = table[at.omega_rad], np.zeros(table.shape[1]), []
     for load in system.forcing:
+        growth = load.growth(omega_rad)
+        push.append(np.outer(linear.inverse @ load.amplitude, growth))
         force = float(np.linalg.norm(linear.unroot.T @ load.amplitude))
-        speed += force / (load.k * table[at.omega_rad] + linear.slowest)
+        speed += force * growth / (load.k * omega_rad + linear.slowest)
+    put("push", np.array(push))
     table[at.floor] = speed
     if not at.in_step:
         put("multiple", np.array([float(load.k) for load in system.forcing]))
