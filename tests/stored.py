@@ -47,6 +47,9 @@ def commit(cache, study, answer, host="here"):
         here = rows[kept]
         responses = Responses.of([answers[i] for i in kept])
         previous = planned.previous(here)
+        for row, one in enumerate(answers[i] for i in kept[:-1]):
+            if not one.ended and previous[row + 1] == planned.keys[here[row]]:
+                previous[row + 1] = previous[row]  # it started from where that did
         cache.commit(
             list(slabs(table.take(kept), planned.keys[here], previous, responses, host, ""))
         )
@@ -93,7 +96,7 @@ def tile_rows(study, representation=0):
     rows = np.flatnonzero(planned.representation(np.arange(planned.n_points)) == representation)
     ((_, table),) = study.points(planned.cells[rows])
     nothing = np.zeros(len(rows), KEY)
-    tile = Tile(table, nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)), np.zeros(1, bool))
+    tile = Tile(table, nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)), nothing[:1])
     return respond_to(tile).rows()
 
 

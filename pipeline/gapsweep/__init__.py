@@ -1,6 +1,7 @@
 """gapsweep: distributed parameter studies of oscillators with freeplay."""
 
 import importlib
+import time
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,8 @@ from gapsweep.errors import (
 )
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.status import Status
+
+LOADED = time.time()  # of the source, what is newer than this is not what this process runs
 
 if TYPE_CHECKING:
     from gapsweep.analysis.basins import basins

@@ -149,6 +149,24 @@ def test_a_sweep_that_goes_on_after_a_failure_says_so(tables, client, tmp_path):
     assert said == ["", "the point before it failed: starts from the last settled one", ""]
 
 
+def test_what_started_elsewhere_counts_no_more_once_the_failure_is_repaired(
+    tables, client, tmp_path
+):
+    block = tables["sweep"][0] | {"representation": ["piecewise"], "initial_condition": "sweep_up"}
+    tables["sweep"] = [block]
+    study, failed = gs.Study.from_dict(tables), gs.Response(status=gs.Status.KILLED)
+    calm = run(tables, client, tmp_path, "calm")
+    with Cache(tmp_path / "out.sqlite") as cache:
+        commit(cache, study, lambda at: failed if at["omega"] == 0 else None)
+    run(tables, client, tmp_path)
+    first = tables | {"sweep": [block | {"omega": block["omega"][:1]}]}
+    options = {"cache": tmp_path / "out.sqlite", "retry_failed": True}
+    gs.run(gs.Study.from_dict(first), client, out=tmp_path / "first", **options).close()
+    assert workflow.plan(study, tmp_path / "out.sqlite").n_missing == 2
+    xr.testing.assert_equal(run(tables, client, tmp_path)["x_max"], calm["x_max"])
+    assert workflow.plan(study, tmp_path / "out.sqlite").n_missing == 0
+
+
 def test_long_sweep_in_parts_equals_one_in_a_piece(tables, client, tmp_path):
     omega = {"start": 8.0, "stop": 12.0, "num": 37}
     block = tables["sweep"][0] | {"representation": ["piecewise"], "omega": omega}

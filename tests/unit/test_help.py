@@ -8,6 +8,7 @@ import click
 import pytest
 
 from gapsweep.cli.main import commands
+from gapsweep.cli.options import selected
 
 WIDTH = 80
 
@@ -81,3 +82,8 @@ def test_shell_completion_offers_what_fits(words, offered):
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True
     )
     assert done.stdout.split() == [offered]
+
+
+def test_a_key_of_a_selection_is_given_once():
+    with pytest.raises(click.BadParameter, match="'omega' is given 2 times: write omega=A,B"):
+        selected(("omega=2", "K_c=1e4", "omega=20"))

@@ -160,12 +160,14 @@ def test_fit_range_changes_only_the_keys_of_fits(tables):
     assert changed == {2}, "only poly-13 is fitted"
 
 
-def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path):
+@pytest.mark.parametrize("place", ["model/helper.py", "study/points.py", "execution/task.py"])
+def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path, place):
     source = 'def f(x):\n    """Doc."""\n    return x * 2.0  # twice\n'
-    for folder in ("model", "integrate", "response"):
+    for folder in ("model", "integrate", "response", "study", "execution"):
         (tmp_path / folder).mkdir()
-    (tmp_path / "status.py").write_text("")
-    module = tmp_path / "model" / "helper.py"
+    for name in ("status.py", "study/points.py", "execution/task.py", "execution/again.py"):
+        (tmp_path / name).write_text("")
+    module = tmp_path / place
     prints = {}
     for name, text in {
         "first": source,
@@ -178,6 +180,15 @@ def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path):
         prints[name] = fingerprint.numerics_fingerprint(tmp_path)
     fingerprint.numerics_fingerprint.cache_clear()
     assert prints["first"] == prints["cosmetic"] != prints["changed"]
+
+
+def test_source_edited_after_it_was_loaded_has_no_fingerprint(monkeypatch):
+    newest = max(path.stat().st_mtime for path in Path(gs.__file__).parent.rglob("*.py"))
+    monkeypatch.setattr(gs, "LOADED", newest - 1e9)
+    with pytest.raises(gs.ClusterError, match="edited after this process loaded gapsweep"):
+        fingerprint.numerics_fingerprint.__wrapped__()
+    monkeypatch.setattr(gs, "LOADED", newest)
+    fingerprint.numerics_fingerprint.__wrapped__()
 
 
 LOADED = """

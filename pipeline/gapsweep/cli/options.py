@@ -70,7 +70,13 @@ def loaded(path: Path, engine: str | None) -> Study:
 
 def selected(wanted: tuple[str, ...]) -> dict[str, Any]:
     """``KEY=VALUE`` texts as arguments of `Study.select`."""
-    return dict(_selected(text) for text in wanted)
+    found = [_selected(text) for text in wanted]
+    keys = [key for key, _ in found]
+    for key in keys:
+        if keys.count(key) > 1:
+            message = f"{key!r} is given {keys.count(key)} times: write {key}=A,B"
+            raise click.BadParameter(message, param_hint="--sel")
+    return dict(found)
 
 
 def _selected(text: str) -> tuple[str, Any]:

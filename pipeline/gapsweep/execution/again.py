@@ -46,17 +46,16 @@ def _is_current(kind: Kind, alone: Alone) -> bool:
         return False
 
 
-def start_of(cache: Cache, previous: NDArray[np.void]) -> tuple[States, bool]:
-    """Where a sweep that has come to the point of a key goes on, and whether that point failed.
+def start_of(cache: Cache, previous: NDArray[np.void]) -> tuple[States, NDArray[np.void]]:
+    """Where a sweep that has come to the point of a key goes on, and the key of whose end that is.
 
-    At rest if it has not begun.
+    At rest, and zero, if it has not begun.
 
     Raises
     ------
     StoreError
         If that point is not stored.
     """
-    failed = False
     while previous != np.zeros(1, KEY):
         place = cache.place(previous)
         if place is None:
@@ -67,9 +66,9 @@ def start_of(cache: Cache, previous: NDArray[np.void]) -> tuple[States, bool]:
         _, contents, row = place
         response = contents.responses.row(row)
         if response.ended:
-            return np.array([response.x_end, response.v_end]), failed
-        failed, previous = True, contents.previous[[row]]
-    return np.zeros(2), failed
+            return np.array([response.x_end, response.v_end]), previous
+        previous = contents.previous[[row]]
+    return np.zeros(2), previous
 
 
 def _same(a: Any, b: Any) -> bool:

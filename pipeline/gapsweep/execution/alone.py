@@ -108,7 +108,9 @@ class Alone:
         """A call with a time limit [s] of its own."""
         if self._child is not None and self._child.is_spent:
             self._end()  # that is no fault of this call
-        self._child = self._child or _Child()
+        if self._child is None:
+            self._child = _Child()
+            self._check()
         try:
             found = self._child.ask(function, arguments, timeout)
         except BaseException:
@@ -118,6 +120,13 @@ class Alone:
             raise found
         result: Result = found
         return result
+
+    def _check(self) -> None:
+        """Refuse a process that has loaded other code: it was edited since this one did."""
+        theirs = self.within(_START_SECONDS, software)
+        if theirs != software():
+            self._end()
+            raise ClusterError("gapsweep's source was edited during the run: start it again")
 
     def with_law(
         self, representation: str, function: Callable[..., Result], *arguments: Any

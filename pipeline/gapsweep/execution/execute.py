@@ -32,6 +32,7 @@ from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 from gapsweep.store.claims import Claims
 from gapsweep.store.slab import Slab
+from gapsweep.study.points import KEY
 from gapsweep.study.software import software
 from gapsweep.study.study import Study
 
@@ -271,11 +272,11 @@ class _Execution:
         for at, points in self.study.points(self.plan.cells[rows]):
             firsts = np.flatnonzero(is_first[at])
             lengths = np.diff(firsts, append=len(at))
-            states, after_failure = np.zeros((len(firsts), 2)), np.zeros(len(firsts), bool)
+            states, origins = np.zeros((len(firsts), 2)), np.zeros(len(firsts), KEY)
             if points.kind.is_sweep:
                 for i, key in enumerate(previous[at[firsts], None]):
-                    states[i], after_failure[i] = start_of(self.cache, key)
-            tiles.append(Tile(points, keys[at], previous[at], lengths, states, after_failure))
+                    states[i], origins[[i]] = start_of(self.cache, key)
+            tiles.append(Tile(points, keys[at], previous[at], lengths, states, origins))
         return tiles
 
     # --- receiving -------------------------------------------------------------------------------

@@ -111,8 +111,11 @@ def plan(
         for rows, points in study.points(cells[part]):
             keys[part.start + rows] = points.keys(follows[part][rows])
     status = np.full(len(keys), MISSING, np.int8) if cache is None else cache.status(keys)
-    # What lies beyond a lost row of a sweep was computed when it was there, and still holds.
+    # What lies beyond a lost row of a sweep was computed when it was there, and still holds. But
+    # what started elsewhere, since a point before it had failed that has a result now, does not.
     missing = status < 0
+    if cache is not None:
+        missing |= _after(_started_elsewhere(cache, keys, status, follows), follows)
     if retry_failed:
         missing |= _after(status > Status.OUT_OF_FIT_RANGE, follows)
     return Plan(cells, follows, keys, status, missing, grid.shape)
@@ -124,6 +127,22 @@ def _parts(follows: NDArray[np.bool_]) -> Iterator[slice]:
     at = np.unique(np.searchsorted(starts, range(0, len(follows), _PART)))
     firsts = [*starts[at[at < len(starts)]].tolist(), len(follows)]
     yield from map(slice, firsts[:-1], firsts[1:])
+
+
+def _started_elsewhere(
+    cache: Cache, keys: NDArray[np.void], status: NDArray[np.int8], follows: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which stored points did not start from the last point before them that has not failed."""
+    numbers = np.arange(len(keys))
+    first = np.maximum.accumulate(np.where(follows, 0, numbers))
+    settled = np.maximum.accumulate(np.where(status > Status.OUT_OF_FIT_RANGE, -1, numbers))
+    rows = np.flatnonzero(follows & (status >= 0))
+    origin = settled[rows - 1]
+    expected = keys[np.maximum(origin, 0)]
+    expected[origin < first[rows]] = np.zeros(1, KEY)
+    found = np.zeros(len(keys), bool)
+    found[rows] = cache.origins(keys[rows]) != expected
+    return found
 
 
 def _after(failed: NDArray[np.bool_], follows: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -58,8 +58,9 @@ class Tile:
     states : ndarray, shape (m, 2)
         Displacement [m] and velocity [m/s] from which each sweep starts; of no meaning for fixed
         starts, which are among the points' numbers.
-    after_failure : ndarray of bool, shape (m,)
-        Whether the point before each sweep's first one failed.
+    origins : ndarray of void, shape (m,)
+        Keys of the points whose ends those states are; zero at rest. After failures it is the last
+        point before them that settled.
     """
 
     points: Points
@@ -67,7 +68,7 @@ class Tile:
     previous: NDArray[np.void]
     lengths: NDArray[np.int64]
     states: States
-    after_failure: NDArray[np.bool_]
+    origins: NDArray[np.void]
 
     def __len__(self) -> int:
         return len(self.points)
@@ -76,12 +77,25 @@ class Tile:
     def of_one(cls, points: Points, state: States) -> "Tile":
         """A single point, and where it starts if it is one of a sweep."""
         nothing, state = np.zeros(1, KEY), state.reshape(1, 2)
-        return cls(points, nothing, nothing, np.ones(1, int), state, np.zeros(1, bool))
+        return cls(points, nothing, nothing, np.ones(1, int), state, nothing)
+
+    @property
+    def firsts(self) -> NDArray[np.int64]:
+        """Number of the first point of each sweep."""
+        return np.cumsum(self.lengths) - self.lengths
 
     def slabs(self, responses: Responses, host: str) -> list[Slab]:
         """Responses of all points in the form in which they are stored."""
         said = ", ".join(f"{name} {number}" for name, number in versions().items())
-        return list(slabs(self.points, self.keys, self.previous, responses, host, said))
+        return list(slabs(self.points, self.keys, self._started(responses), responses, host, said))
+
+    def _started(self, responses: Responses) -> NDArray[np.void]:
+        """Keys of the points that each one really started from."""
+        found, is_first = self.previous.copy(), np.zeros(len(self), bool)
+        found[self.firsts], is_first[self.firsts] = self.origins, True
+        for row in np.flatnonzero(~_ended(responses)[:-1] & ~is_first[1:]).tolist():
+            found[row + 1] = found[row]
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,8 +193,8 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
     ask : callable, optional
         Responses of independent points from states, shape (n, 2); here and all in one call if None.
     """
-    states, after_failure, lengths = tile.states.copy(), tile.after_failure.copy(), tile.lengths
-    first, order, parts = np.cumsum(lengths) - lengths, [], []
+    states, first, lengths = tile.states.copy(), tile.firsts, tile.lengths
+    after_failure, order, parts = tile.origins != tile.previous[first], [], []
     for position in range(max(lengths, default=0)):
         here = np.flatnonzero(lengths > position)
         rows = first[here] + position
@@ -188,14 +202,20 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
         for row in np.flatnonzero(after_failure[here]).tolist():
             found.messages.setdefault(row, _RESTARTED)
         after_failure[here] = found.columns["status"] > Status.OUT_OF_FIT_RANGE
+        ended = _ended(found)
         ends = np.stack([found.columns[name] for name in ("x_end", "v_end")], axis=1)
-        ended = np.isfinite(ends).all(axis=1)
         states[here[ended]] = ends[ended]
         parts.append(found)
         order.append(rows)
     if len(parts) == 1:
         return parts[0]
     return Responses.concatenated(parts).take(np.argsort(np.concatenate(order)))
+
+
+def _ended(responses: Responses) -> NDArray[np.bool_]:
+    """Which motions have an end that another can start from."""
+    ends = [np.isfinite(responses.columns[name]) for name in ("x_end", "v_end")]
+    return np.asarray(np.logical_and(*ends))
 
 
 def _together(points: Points, states: States) -> Responses:

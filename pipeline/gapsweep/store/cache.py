@@ -23,6 +23,7 @@ from gapsweep.response.result import Responses
 from gapsweep.store.filesystem import is_on_network
 from gapsweep.store.index import DAMAGED, Index
 from gapsweep.store.slab import Slab, Stored, stored
+from gapsweep.study.points import KEY
 
 SCHEMA_VERSION = 4
 
@@ -275,6 +276,16 @@ class Cache:
         held = index.find(key)
         found = self._slab(index.ids[held.slab[0]]) if held.slab[0] >= 0 else None
         return None if found is None else (*found, int(held.row[0]))
+
+    def origins(self, keys: NDArray[np.void]) -> NDArray[np.void]:
+        """Keys of the points that stored results started from; zero of those not stored."""
+        index = self._refreshed()
+        held, origins = index.find(keys), np.zeros(len(keys), KEY)
+        for number, asked in _grouped(held.slab):
+            found = self._slab(index.ids[number])
+            if found is not None:
+                origins[asked] = found[1].previous[held.row[asked]]
+        return origins
 
     def seconds(self, keys: NDArray[np.void]) -> NDArray[np.float64]:
         """Processor time [s] of each key's result, as its slab's mean; NaN if it is not stored."""

@@ -6,22 +6,43 @@ Both are taken once per process: an edit during a run changes nothing in it.
 """
 
 import hashlib
+import time
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
 import gapsweep.model
+from gapsweep.errors import ClusterError
 from gapsweep.source import Source, read, with_parents
 
 _PACKAGE = Path(gapsweep.model.__file__).parents[1]
-NUMERICS = ("status.py", "model", "integrate", "response")
+# What decides a result, from a point's numbers to its response.
+NUMERICS = (
+    *("status.py", "model", "integrate", "response"),
+    *("study/points.py", "execution/task.py", "execution/again.py"),
+)
 
 
 @cache
 def numerics_fingerprint(package: Path = _PACKAGE) -> str:
-    """SHA-256 (16 hex digits) of the modules in `NUMERICS`."""
+    """SHA-256 (16 hex digits) of the modules in `NUMERICS`.
+
+    Raises
+    ------
+    ClusterError
+        If one was edited since this process has begun to load the package: it may run either.
+    """
     paths = (package / name for name in NUMERICS)
-    return _digest(package, (m for p in paths for m in (p.rglob("*.py") if p.is_dir() else [p])))
+    files = [m for p in paths for m in (p.rglob("*.py") if p.is_dir() else [p])]
+    if package == _PACKAGE:
+        now = time.time()
+        for file in files:
+            # A clock that is ahead on another machine is no edit.
+            if gapsweep.LOADED < file.stat().st_mtime <= now:
+                raise ClusterError(
+                    f"{file}: edited after this process loaded gapsweep: start it again"
+                )
+    return _digest(package, files)
 
 
 @cache
