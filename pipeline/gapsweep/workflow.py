@@ -11,9 +11,8 @@ import warnings
 from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,9 +36,9 @@ from gapsweep.stages import RESPONSES, made_from, reason_to_run, sources, stages
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
-from gapsweep.store.cache import Cache, DamagedCacheError
+from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import contents_of, numerics_of, representation_of
-from gapsweep.store.salvage import salvage
+from gapsweep.store.salvage import salvaging
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.grid import Selection
 from gapsweep.study.points import KEY
@@ -49,8 +48,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-Given = ParamSpec("Given")
-Result = TypeVar("Result")
 
 DEFAULT_CACHE = Path("data/cache.sqlite")
 
@@ -193,8 +190,9 @@ def run(
     GapsweepError
         If the cluster, the cache or the output folder cannot be used.
     """
+    study = Study.of(study)
     outcome = carry_out(
-        Study.of(study),
+        study,
         client,
         out=out,
         cache=cache,
@@ -205,26 +203,17 @@ def run(
         retry_failed=retry_failed,
         on_progress=on_progress,
     )
-    return netcdf.read(outcome.folder / RESPONSES)
+    found = netcdf.read(outcome.folder / RESPONSES)
+    if found.attrs["study_json"] != study.json:  # since the folder was let go
+        found.close()
+        raise StoreError(
+            f"{outcome.folder}: another run has put a study of the same name there: name another "
+            "folder with out="
+        )
+    return found
 
 
-def _salvaging(work: Callable[Given, Result]) -> Callable[Given, Result]:
-    """The function, going on after a damaged cache that stopped it has been salvaged."""
-
-    @wraps(work)
-    def salvaged(*arguments: Given.args, **named: Given.kwargs) -> Result:
-        try:
-            return work(*arguments, **named)
-        except DamagedCacheError as error:
-            done = salvage(error.path)
-        if done is not None:
-            warnings.warn(done, stacklevel=2)
-        return work(*arguments, **named)
-
-    return salvaged
-
-
-@_salvaging
+@salvaging
 def carry_out(
     study: Study,
     client: "Client | None" = None,
@@ -271,7 +260,7 @@ def carry_out(
     return Outcome(folder, progress, _failures(planned), failed)
 
 
-@_salvaging
+@salvaging
 def query(
     study: Study | str | os.PathLike[str],
     client: "Client | None" = None,

@@ -17,7 +17,7 @@ from tests.stored import keys, made, point
 
 import gapsweep as gs
 from gapsweep.store.cache import Cache, DamagedCacheError
-from gapsweep.store.maintenance import verify
+from gapsweep.store.maintenance import export, verify
 from gapsweep.store.salvage import salvage, sound_slabs
 from gapsweep.store.slab import sealed
 
@@ -279,3 +279,46 @@ def test_a_row_that_no_run_has_written_is_one_line_and_can_be_deleted(tmp_path):
         assert "'gapsweep cache gc --apply' deletes it" in done.stderr
     assert "1 points deleted" in gapsweep(tmp_path, "cache", "gc", "--apply").stdout
     assert gapsweep(tmp_path, "plan", "tiny.toml").returncode == 0
+
+
+def logged(path, n_rows):
+    """A cache whose rows are in its log alone, as a killed process leaves it."""
+    with Cache(path.with_name("live.sqlite")) as live:
+        live.db.execute("PRAGMA wal_autocheckpoint = 0")
+        live.commit([row(n) for n in range(n_rows)])
+        shutil.copy(f"{live.path}-wal", f"{path}-wal")
+        shutil.copy(live.path, path)
+
+
+def test_an_empty_file_beside_its_log_is_damage(tmp_path):
+    path = tmp_path / "c.sqlite"
+    logged(path, 9)
+    path.write_bytes(b"")
+    for read_only in (True, False):
+        with pytest.raises(DamagedCacheError, match="it is empty, but its log is not"):
+            Cache(path, read_only=read_only)
+    assert "9 sound results saved" in salvage(path)
+    with Cache(path) as cache:
+        assert len(list(cache.slabs())) == 9
+
+
+def test_a_link_is_salvaged_where_the_file_lies(tmp_path):
+    (tmp_path / "disk").mkdir()
+    path, link = tmp_path / "disk" / "c.sqlite", tmp_path / "c.sqlite"
+    logged(path, 9)
+    path.write_bytes(b"")
+    link.symlink_to(path)
+    assert "9 sound results saved" in salvage(link)
+    assert link.is_symlink()
+    with Cache(link) as cache:
+        assert len(list(cache.slabs())) == 9
+
+
+def test_a_copy_is_not_put_beside_the_log_of_another(whole, tmp_path):
+    target = tmp_path / "copy.sqlite"
+    logged(target, 1)
+    target.unlink()
+    with pytest.raises(gs.StoreError, match="log of a cache that has gone: remove it"):
+        export(whole, target)
+    target.with_name("copy.sqlite-wal").unlink()
+    assert export(whole, target) == N_ROWS

@@ -114,6 +114,7 @@ class Cache:
         self._damaged: set[int] = set()  # rows that were met so far
         self._slab = lru_cache(maxsize=_KEPT)(self._read_slab)
         with self.errors():
+            self._check_log()
             self.db = self._connected_to_read() if read_only else self._connected()
             try:
                 # Whatever bytes damage has left in a text: its checksum will tell.
@@ -130,6 +131,15 @@ class Cache:
     @property
     def on_network(self) -> bool:
         return is_on_network(self.path.parent)
+
+    def _check_log(self) -> None:
+        """Refuse a file that is empty beside a log that is not: SQLite would remove the log."""
+        file = self.path.resolve()
+        log = file.with_name(f"{file.name}-wal")
+        if all(map(Path.is_file, (file, log))) and not file.stat().st_size and log.stat().st_size:
+            raise DamagedCacheError(
+                self.path, sqlite3.DatabaseError("it is empty, but its log is not")
+            )
 
     def _connected(self) -> sqlite3.Connection:
         try:

@@ -125,6 +125,9 @@ def export(source: Path, target: Path) -> int:
     """
     if target.exists():
         raise StoreError(f"{target}: exists already; name a new file")
+    for log in (target.with_name(f"{target.name}{end}") for end in ("-wal", "-journal")):
+        if log.exists():  # SQLite would play it back over the copy
+            raise StoreError(f"{log}: the log of a cache that has gone: remove it")
     with replacing(target) as temporary, Cache(temporary) as copy, copy.errors():
         try:
             with Cache(source, read_only=True) as cache, copy.transaction():

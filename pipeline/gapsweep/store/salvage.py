@@ -8,10 +8,12 @@ leads to any more; the checksum of every row tells what is one. File format: sql
 import mmap
 import re
 import struct
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from gapsweep.errors import StoreError
 from gapsweep.store.artefact import alone_in
@@ -19,6 +21,8 @@ from gapsweep.store.cache import Cache, DamagedCacheError
 from gapsweep.store.slab import Slab
 
 Buffer = mmap.mmap | bytes
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 _PAGE = 4096  # SQLite's own choice, where the file does not say
 _WAL_HEAD, _FRAME_HEAD = 32, 24
@@ -45,6 +49,7 @@ def salvage(path: Path) -> str | None:
     StoreError
         If the file cannot be told to be a cache of ours; it is left alone then.
     """
+    path = path.resolve()  # its log lies beside the file, not beside a link to it
     with alone_in(path.parent):
         if _is_whole(path):
             return None
@@ -71,6 +76,22 @@ def salvage(path: Path) -> str | None:
     return f"{path}: damaged; {n_points} sound results saved, the damaged file is now {aside}"
 
 
+def salvaging(work: Callable[Given, Result]) -> Callable[Given, Result]:
+    """The function, going on after a damaged cache that stopped it has been salvaged."""
+
+    @wraps(work)
+    def salvaged(*arguments: Given.args, **named: Given.kwargs) -> Result:
+        try:
+            return work(*arguments, **named)
+        except DamagedCacheError as error:
+            done = salvage(error.path)
+        if done is not None:
+            warnings.warn(done, stacklevel=2)
+        return work(*arguments, **named)
+
+    return salvaged
+
+
 def _is_whole(path: Path) -> bool:
     try:
         with Cache(path, read_only=True) as cache, cache.errors():
@@ -87,6 +108,7 @@ def _unused(path: Path) -> Path:
 def sound_slabs(path: Path) -> dict[bytes, Slab]:
     """All rows that can be found in a cache file and its write-ahead log, by checksum."""
     found: dict[bytes, Slab] = {}
+    path = path.resolve()
     with ExitStack() as files:
         main = _mapped(path, files)
         log = _mapped(path.with_name(f"{path.name}-wal"), files)
