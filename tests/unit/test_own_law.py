@@ -135,6 +135,28 @@ def test_numbers_read_when_the_module_is_imported_are_in_its_code(own, tmp_path,
     assert before[0] != after[0]
 
 
+def test_numbers_read_by_a_module_that_only_the_law_imports_are_in_its_code(own, tmp_path):
+    file = tmp_path / "table.txt"
+    file.write_text("1.0\n2.0\n")
+    own(
+        laws="def spring(x):\n    from .tables import K\n    return K * x\n",
+        tables=f"import numpy as np\nK = float(np.loadtxt({str(file)!r})[0])\n",
+    )
+    before = code(), force()
+    file.write_text("4.0\n2.0\n")
+    after = code(), force()
+    assert (before[1], after[1]) == (1.0, 4.0)
+    assert before[0] != after[0]
+
+
+def test_a_module_that_cannot_be_imported_and_is_not_needed_stands_in_nobodys_way(own):
+    own(
+        laws="def spring(x):\n    return x\ndef never():\n    from . import broken\n",
+        broken="raise RuntimeError('not here')\n",
+    )
+    assert force(2.0) == 2.0
+
+
 # Of `X`, which the environment decides.
 SOFT_AND_HARD = "def soft(x):\n    return x\n\ndef hard(x):\n    return 3 * x\n\n"
 LOCAL = "def made(k):\n    return lambda x: k * x\n\n"

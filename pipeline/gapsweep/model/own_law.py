@@ -184,6 +184,9 @@ def _imported(label: str) -> _Sources:
         with _compiled_apart(sources), _imported_anew(sources):
             importlib.import_module(module)
             for name in sources.files:
+                # What only a function imports has values, too; what cannot be imported fails that.
+                with suppress(Exception):
+                    importlib.import_module(name)
                 _check(label, name, sources)
     except (ModelError, KeyboardInterrupt):
         raise

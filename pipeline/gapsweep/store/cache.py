@@ -189,8 +189,9 @@ class Cache:
         StoreError
             If there is something else than a cache of this format.
         """
-        (version,) = self.db.execute("PRAGMA user_version").fetchone()
-        (n_tables,) = self.db.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        # In one statement: another process may make the table between two.
+        both = "SELECT user_version, (SELECT count(*) FROM sqlite_master) FROM pragma_user_version"
+        version, n_tables = self.db.execute(both).fetchone()
         if version == 0 and n_tables == 0:
             return True
         if version != SCHEMA_VERSION:
