@@ -3,8 +3,10 @@
 import gc
 import math
 import sqlite3
+import threading
 import weakref
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -326,3 +328,16 @@ def test_rows_that_no_run_has_written_are_one_line(tmp_path, slab, identity):
         assert maintenance.verify(cache).damaged == (keys(1)[0].tobytes().hex(),)
         assert maintenance.info(cache, NOW)["points"] == 2
         assert maintenance.removable(cache, NOW) == {2}
+
+
+def test_several_open_a_new_cache_at_once(tmp_path):
+    def opened(path):
+        with Cache(path) as cache:
+            cache.commit(made([float(threading.get_ident())], [result()]))
+
+    with ThreadPoolExecutor(6) as pool:
+        for trial in range(30):
+            path = tmp_path / f"{trial}.sqlite"
+            list(pool.map(opened, [path] * 6))
+            with Cache(path) as cache:
+                assert len(list(cache.slabs())) == 6

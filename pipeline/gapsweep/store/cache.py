@@ -8,6 +8,7 @@ stands in a later one, and the number of one that was deleted is not given to an
 """
 
 import sqlite3
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
@@ -44,6 +45,7 @@ CREATE TABLE slabs (
 """
 _COLUMNS = ", ".join(field.name for field in fields(Slab))
 _ROWS = 16_384  # whose keys are read at a time: a million
+_PATIENCE = 60.0  # s, that another process may keep the file to itself
 _KEPT = 64  # decoded slabs: neighbouring points are read together
 
 
@@ -149,7 +151,7 @@ class Cache:
             raise StoreError(
                 f"{self.path.parent}: cannot be created: {error.strerror}{remedy}"
             ) from None
-        return sqlite3.connect(self.path, timeout=60.0, isolation_level=None)
+        return sqlite3.connect(self.path, timeout=_PATIENCE, isolation_level=None)
 
     def _connected_to_read(self) -> sqlite3.Connection:
         """A connection for reading, also where SQLite cannot put its log beside the file."""
@@ -173,7 +175,7 @@ class Cache:
 
     def _at(self, mode: str) -> sqlite3.Connection:
         place = f"{self.path.absolute().as_uri()}?{mode}"
-        return sqlite3.connect(place, uri=True, timeout=60.0, isolation_level=None)
+        return sqlite3.connect(place, uri=True, timeout=_PATIENCE, isolation_level=None)
 
     def _check(self) -> None:
         """Whether the cache can be read as it is."""
@@ -191,7 +193,7 @@ class Cache:
         """
         # In one statement: another process may make the table between two.
         both = "SELECT user_version, (SELECT count(*) FROM sqlite_master) FROM pragma_user_version"
-        version, n_tables = self.db.execute(both).fetchone()
+        ((version, n_tables),) = self.db.execute(both).fetchall()  # which ends the reading
         if version == 0 and n_tables == 0:
             return True
         if version != SCHEMA_VERSION:
@@ -203,8 +205,7 @@ class Cache:
 
     def _prepare(self) -> None:
         is_new = self._is_new()
-        mode = "DELETE" if self.on_network else "WAL"
-        self.db.execute(f"PRAGMA journal_mode = {mode}")
+        self._set_journal("DELETE" if self.on_network else "WAL")
         # A commit survives the death of the process; power loss may cost the last ones.
         self.db.execute(f"PRAGMA synchronous = {'FULL' if self.on_network else 'NORMAL'}")
         if is_new:
@@ -212,6 +213,18 @@ class Cache:
                 if self._is_new():  # another process may have come first
                     self.db.execute(_TABLE)
                     self.db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+    def _set_journal(self, mode: str) -> None:
+        """Wait for others, as SQLite does not where it changes from one way to the other."""
+        deadline = time.monotonic() + _PATIENCE
+        while True:
+            try:
+                self.db.execute(f"PRAGMA journal_mode = {mode}").fetchall()
+                return
+            except sqlite3.OperationalError as error:
+                if _code(error) != sqlite3.SQLITE_BUSY or time.monotonic() > deadline:
+                    raise
+                time.sleep(0.01)
 
     def __enter__(self) -> "Cache":
         return self
