@@ -3,10 +3,10 @@
 import gc
 import math
 import sqlite3
-import threading
+import subprocess
+import sys
 import weakref
 import zlib
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -330,14 +330,27 @@ def test_rows_that_no_run_has_written_are_one_line(tmp_path, slab, identity):
         assert maintenance.removable(cache, NOW) == {2}
 
 
-def test_several_open_a_new_cache_at_once(tmp_path):
-    def opened(path):
-        with Cache(path) as cache:
-            cache.commit(made([float(threading.get_ident())], [result()]))
+OPENING = """
+import sys
+from gapsweep.store.cache import Cache
+for path in map(str.strip, sys.stdin):
+    try:
+        with Cache(path):
+            print("opened", flush=True)
+    except Exception as error:
+        print(error, flush=True)
+"""
 
-    with ThreadPoolExecutor(6) as pool:
-        for trial in range(30):
-            path = tmp_path / f"{trial}.sqlite"
-            list(pool.map(opened, [path] * 6))
-            with Cache(path) as cache:
-                assert len(list(cache.slabs())) == 6
+
+def test_several_processes_open_a_new_cache_at_once(tmp_path):
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    openers = [subprocess.Popen([sys.executable, "-c", OPENING], **pipes) for _ in range(4)]
+    answers = []
+    for trial in range(60):
+        for opener in openers:
+            opener.stdin.write(f"{tmp_path / str(trial)}.sqlite\n")
+            opener.stdin.flush()
+        answers += [opener.stdout.readline().strip() for opener in openers]
+    for opener in openers:
+        opener.communicate()
+    assert set(answers) == {"opened"}
