@@ -89,4 +89,7 @@ def section_of(motion: PPoly, scene: Scene, since: float, t_end: float) -> tuple
         t = roots(motion, scene.n, 0.0)
         t = t[motion(t, 1)[:, scene.n] < 0.0] if t.size else t
     t = np.minimum(t[t >= since], t_end)
-    return t, np.asarray(motion(t)).reshape(t.size, motion.c.shape[2])[:, : scene.n_states]
+    states = np.asarray(motion(t)).reshape(t.size, motion.c.shape[2])[:, : scene.n_states]
+    if not scene.omega:
+        states[:, scene.n] = 0.0  # to the last bit: the next motion begins here
+    return t, states

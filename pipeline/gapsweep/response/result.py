@@ -347,6 +347,7 @@ class Responses:
             values[name] = np.empty(len(self), dtype=object)
             values[name][:] = [np.array(items, plain) for items in self._split(name)]
         values["message"] = np.array([self.messages.get(k, "") for k in range(len(self))], object)
+        values.setdefault("period", np.full(len(self), math.nan))
         return Response(
             **{name: value.reshape(*shape, *value.shape[1:]) for name, value in values.items()}
         )

@@ -56,7 +56,11 @@ class Variable:
 
 STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
 KIND_FLAGS = (("none", -9), *((k.name.lower(), int(k)) for k in ExtremumKind))
-CLASS_FLAGS = (("none", -1), *((c.name.lower(), int(c)) for c in ResponseClass))
+# Of an oscillator that loses energy and is forced; others there are of systems alone.
+CLASS_FLAGS = (
+    ("none", -1),
+    *((c.name.lower(), int(c)) for c in ResponseClass if c <= ResponseClass.FAILED),
+)
 
 # Of every coordinate the dimension it lies along, and what it is. Walls that are swept one by one
 # have dimensions of their own.
