@@ -269,3 +269,9 @@ def test_the_largest_force_of_a_stiffness_that_changes_is_not_said():
     found = gs.respond(system, gs.Piecewise(1.0, gs.Gap(1.0, 1.0)), 1.6 / (2 * math.pi), q_0=[1.2])
     assert found.status == gs.Status.OK
     assert np.isnan(found.force_max).all()
+
+
+def test_basins_of_a_system_are_refused():
+    system, law = coupled()
+    with pytest.raises(gs.ModelError, match=r"ask gapsweep\.respond for an array of starts"):
+        gs.basins(system, law["wall"], 3.0, x=[0.0], v=[0.0])

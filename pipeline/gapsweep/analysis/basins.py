@@ -92,15 +92,25 @@ def basins(
     v_0, x_0 = (each.ravel() for each in np.meshgrid(starts_v, starts_x, indexing="ij"))
     settings = scene, Steady() if steady is None else steady
     check_kinds(oscillator, settings[1])
+    if not isinstance(oscillator, Oscillator):
+        raise ModelError(
+            "oscillator: basins lie over x and v of a gapsweep.Oscillator; of a System ask "
+            "gapsweep.respond for an array of starts"
+        )
     parts = [(x_0[i : i + _PART], v_0[i : i + _PART]) for i in range(0, x_0.size, _PART)]
     if client is None:
         answers = [_answer(part, *settings) for part in parts]
     else:
         answers = client.gather([client.submit(_answer, part, *settings) for part in parts])
-    responses = Responses.concatenated(answers)
+    return _dataset(Responses.concatenated(answers), scene, starts_x, starts_v)
+
+
+def _dataset(responses: Responses, scene: Scene, starts_x: Array, starts_v: Array) -> xr.Dataset:
+    """What `basins` returns, from the responses of all starts."""
+    law = scene.law
     found = attractors_of_scenes(
         responses,
-        np.zeros(x_0.size, int),
+        np.zeros(len(responses), int),
         unit=unit_of(scene.omega),
         symmetric=law.is_symmetric,
     )
@@ -123,7 +133,7 @@ def basins(
             "x_0": ("x_0", starts_x, {"units": "m", "long_name": "initial displacement"}),
             "v_0": ("v_0", starts_v, {"units": "m s-1", "long_name": "initial velocity"}),
         },
-        attrs={"omega": omega, "K_c": law.K_c, "K_ratio": law.K_ratio, "gap": law.gap.label},
+        attrs={"omega": scene.omega, "K_c": law.K_c, "K_ratio": law.K_ratio, "gap": law.gap.label},
     )
     for name, (units, long_name) in _ATTRIBUTES.items():
         dataset[name].attrs.update(units=units, long_name=long_name)
