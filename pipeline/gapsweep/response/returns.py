@@ -24,6 +24,8 @@ Numbers = NDArray[np.intp]
 
 # A motion that would swing by no more than this share of what it swung at most is at rest.
 _REST = 1e-8
+# Tolerances within which a shot may close, where little is lost in a period.
+_NOISY = 1000.0
 # How much longer than expected a motion may take to come round, and how often it is asked again.
 _MARGIN, _LONGER, _TRIES = 1.1, 4.0, 5
 # Maxima of a coordinate that swings by less than this share of the motion say nothing of it.
@@ -116,6 +118,8 @@ class Returns(Ensemble):
         swing = norm(speed) / (2.0 * math.pi * self.omega[scenes])
         faint = np.abs(speed[normal]) <= _FAINT * norm(speed)
         is_ok, at_rest = found.status == Status.OK, self._is_at_rest(scenes, found, swing)
+        if tangent:  # about a rest, Newton's orbits shrink until they close within the noise
+            at_rest |= swing <= _NOISY * self.solver.rtol * self._swing[scenes]
         found.status[is_ok & (faint | ~is_back)] = ASTRAY
         found.status[is_ok & at_rest] = AT_REST
         given = self.unit[:, scenes], n_periods / t_end, t_end, self._shrinks(scenes), *tangents
