@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from tests.labels import LABELS
 from tests.oracles import exact_end_state
 
 import gapsweep as gs
@@ -17,15 +18,6 @@ from gapsweep.integrate.simulate import prepared
 
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
-LABELS = (
-    "piecewise",
-    "piecewise-noevents",
-    "poly-13",
-    "ratpoly-5/3",
-    "tanh-1e4",
-    "arctan-1e4",
-    "logarctan-1e4",
-)
 
 
 def prints_a_number(x):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from tests.labels import LABELS
 from tests.oracles import orbit_distance
 from tests.section_points import parts
 from tests.stored import tile_rows
@@ -26,15 +27,6 @@ from gapsweep.response.section import (
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
 SOFT, HARD = 1.4e4, 1.4e6
-LABELS = (
-    "piecewise",
-    "piecewise-noevents",
-    "poly-13",
-    "ratpoly-5/3",
-    "tanh-1e4",
-    "arctan-1e4",
-    "logarctan-1e4",
-)
 
 
 def box(K_c, gap, omega, n=9):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from tests import piecewise_linear as exact
+from tests.labels import LABELS
 from tests.random_systems import random_case
 
 import gapsweep as gs
@@ -18,15 +19,6 @@ GAP = gs.Gap(0.2e-3, 0.5e-3)
 SYMMETRIC, CLOSED = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.0)
 TIGHT = {"rtol": 1e-11, "atol": 1e-14}
 LINEAR = gs.Oscillator(alpha=0.0)
-LABELS = (
-    "piecewise",
-    "piecewise-noevents",
-    "poly-13",
-    "ratpoly-5/3",
-    "tanh-1e4",
-    "arctan-1e4",
-    "logarctan-1e4",
-)
 
 
 def mirrored(law):

@@ -335,8 +335,7 @@ class _Execution:
         self.last_commit = time.monotonic()
 
     def cancel(self) -> None:
-        # The cluster may be gone already; nothing of ours runs on it then.
-        with suppress(Exception):
+        with suppress(Exception):  # Dask may raise anything if the cluster has gone already
             self.client.cancel(list(self.in_flight))
         self.in_flight.clear()
 

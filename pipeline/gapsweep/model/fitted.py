@@ -20,6 +20,21 @@ Array = NDArray[np.float64]
 class Fitted(ContactLaw):
     """A fit ``K_c N(u)/D(u)`` of the exact force, ``u = x / valid_range``."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        value = checked("fit range", self.fit_range, low=0.0, strict=True)
+        object.__setattr__(self, "fit_range", value)
+        _ = self.fit
+
+    @property
+    def valid_range(self) -> float:
+        return self.fit_range
+
+    @property
+    def fit_range(self) -> float:
+        """Half-width of the fitted range [m]: a field of every fit, after its degrees."""
+        raise NotImplementedError
+
     @property
     def fit(self) -> Fit:
         """The fit per unit stiffness (computed once per walls, degrees and range)."""
@@ -81,16 +96,6 @@ class Polynomial(Fitted):
     def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
         return {"degree": int(parameter), "fit_range": fit_range}
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        value = checked("fit range", self.fit_range, low=0.0, strict=True)
-        object.__setattr__(self, "fit_range", value)
-        _ = self.fit
-
-    @property
-    def valid_range(self) -> float:
-        return self.fit_range
-
     @property
     def fit(self) -> Fit:
         return polynomial_fit(self.gap, self.degree, self.fit_range, self.K_ratio)
@@ -130,16 +135,6 @@ class RationalPolynomial(Fitted):
     def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
         top, bottom = map(int, parameter.split("/"))
         return {"numerator": top, "denominator": bottom, "fit_range": fit_range}
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        value = checked("fit range", self.fit_range, low=0.0, strict=True)
-        object.__setattr__(self, "fit_range", value)
-        _ = self.fit
-
-    @property
-    def valid_range(self) -> float:
-        return self.fit_range
 
     @property
     def fit(self) -> Fit:

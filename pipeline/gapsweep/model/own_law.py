@@ -184,8 +184,8 @@ def _imported(label: str) -> _Sources:
         with _compiled_apart(sources), _imported_anew(sources):
             importlib.import_module(module)
             for name in sources.files:
-                # What only a function imports has values, too; what cannot be imported fails that.
-                with suppress(Exception):
+                # What only a function imports has values, too.
+                with suppress(Exception):  # what the user's code raises here, the function raises
                     importlib.import_module(name)
                 _check(label, name, sources)
     except (ModelError, KeyboardInterrupt):

@@ -17,11 +17,7 @@ from pathlib import Path
 import psutil
 
 from gapsweep.errors import GapsweepError, StoreError
-
-try:
-    import fcntl
-except ImportError:  # not a POSIX system
-    fcntl = None  # type: ignore[assignment]  # a module that is not there is tested for below
+from gapsweep.store.filesystem import fcntl
 
 SUMS = "SHA256SUMS"
 

@@ -11,10 +11,7 @@ import errno
 import hashlib
 from pathlib import Path
 
-try:
-    import fcntl
-except ImportError:  # not a POSIX system
-    fcntl = None  # type: ignore[assignment]  # a module that is not there is tested for below
+from gapsweep.store.filesystem import fcntl
 
 _HELD_BY_OTHERS = {errno.EAGAIN, errno.EACCES}
 _ROOM = 2**24  # numbers that a study has; places in a file have 63 bits

@@ -1,8 +1,13 @@
-"""What the file system below a path is: not all of them can be shared alike."""
+"""What the file system below a path is, and locks on files: not all can be shared alike."""
 
 from pathlib import Path
 
 import psutil
+
+try:
+    import fcntl as fcntl
+except ImportError:  # not a POSIX system
+    fcntl = None  # type: ignore[assignment]  # who locks tests for a module that is not there
 
 # Types of file systems that several machines may share, as the operating systems name them.
 _NETWORK = {
