@@ -47,8 +47,8 @@ def commit(cache, study, answer, host="here"):
         here = rows[kept]
         responses = Responses.of([answers[i] for i in kept])
         previous = planned.previous(here)
-        for row, one in enumerate(answers[i] for i in kept[:-1]):
-            if not one.ended and previous[row + 1] == planned.keys[here[row]]:
+        for row, has_ended in enumerate(np.isfinite(responses.ends).all(axis=1)[:-1]):
+            if not has_ended and previous[row + 1] == planned.keys[here[row]]:
                 previous[row + 1] = previous[row]  # it started from where that did
         cache.commit(
             list(slabs(table.take(kept), planned.keys[here], previous, responses, host, ""))

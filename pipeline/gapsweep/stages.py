@@ -141,7 +141,7 @@ def stages_of(study: Study) -> list[Stage]:
     labels, bench = study.grid.representations, study.spec.bench
     stated = [scene.expected is not None for scene in bench.scene] if bench else []
     left_out = {
-        STATIC: labels == (AUTO,),
+        STATIC: labels == (AUTO,) or study.systems is not None,  # it is of one displacement
         AGREEMENT: _EXACT not in labels or len(labels) == 1,
         ADVICE: AUTO not in labels,
         HISTORIES: not study.spec.history,

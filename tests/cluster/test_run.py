@@ -18,7 +18,7 @@ from gapsweep.execution.cluster import cluster
 from gapsweep.execution.plan import plan
 from gapsweep.model.labels import contact_law
 from gapsweep.store.cache import Cache
-from gapsweep.study.schema import COORDINATES, POINT_DIMS, VARIABLES, coordinates
+from gapsweep.study.schema import POINT_DIMS, VARIABLES, coordinates
 from gapsweep.study.software import versions
 
 
@@ -42,9 +42,8 @@ def test_dataset_has_every_dimension_unit_and_flag(responses):
         if variable.dtype.startswith("i"):
             assert responses[name].dtype.kind == "i"
             assert "_FillValue" not in responses[name].encoding
-    for name, dimension in coordinates(POINT_DIMS).items():
-        variable = COORDINATES[name][1]
-        assert responses.coords[name].dims == (dimension,)
+    for name, (along, variable) in coordinates(POINT_DIMS).items():
+        assert responses.coords[name].dims == along
         assert responses[name].attrs["units"] == variable.units
     meanings = responses["status"].attrs["flag_meanings"].split()
     assert meanings == [status.label for status in gs.Status]

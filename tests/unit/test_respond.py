@@ -168,11 +168,11 @@ def test_arrays_of_points_give_arrays_of_what_each_gives_alone():
         alone = gs.respond(gs.Oscillator(), law, omega[i, 0], x_0[j], steady=steady)
         for field in fields(gs.Response):
             value = getattr(together, field.name)
-            assert value.shape == (3, 2), field.name
+            assert value.shape[:2] == (3, 2), field.name
             if field.name != "cpu_time":
                 assert_array_equal(value[i, j], getattr(alone, field.name), field.name)
     assert together.status.dtype.kind == together.period_multiple.dtype.kind == "i"
-    assert together.ended.all()
+    assert np.isfinite([together.x_end, together.v_end]).all()
     assert gs.respond(gs.Oscillator(), law, [9.0], steady=steady).x_max.shape == (1,)
 
 

@@ -91,7 +91,7 @@ def test_sobol_starts_are_reproducible_and_inside_their_box(tables):
     starts = gs.Study.from_dict(tables).grid.starts
     assert list(starts) == list(gs.Study.from_dict(tables).grid.starts)
     assert len(set(starts)) == 12
-    assert all(abs(x_0) <= 2e-3 and abs(v_0) <= 0.05 for _, x_0, v_0 in starts)
+    assert all(abs(x_0) <= 2e-3 and abs(v_0) <= 0.05 for _, (x_0, v_0) in starts)
 
 
 def test_sweeps_are_chains_in_their_own_direction(tables):

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.errors import ModelError
+from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.labels import AUTO
 from gapsweep.model.oscillator import Gap
 from gapsweep.study.advice import Model, StandIn, stand_in, stand_ins
-from gapsweep.study.schema import COORDINATES, Variable, coordinates
+from gapsweep.study.schema import Variable, coordinates
 from gapsweep.study.study import Study
 
 MODEL_FLAGS = (("none", -1), *((model.name.lower(), int(model)) for model in Model))
@@ -49,6 +49,8 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
         `SCREENED` over the dimensions of scenes and `stand_in`: the study's own smooth laws and,
         per family, the one with the smallest adequate power of ten. Attribute `error`.
     """
+    if study.systems is not None:
+        raise StudyError([f"{study.source}: system: advice rests on bounds for an oscillator"])
     grid = study.grid
     error = study.spec.auto.error if error is None else error
     asked = grid.requested.any(axis=0)
@@ -74,8 +76,8 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
         {
             STAND_IN: (STAND_IN, labels, {"long_name": "smooth law"}),
             **{
-                name: (dim, values[name], COORDINATES[name][1].attributes)
-                for name, dim in coordinates(grid.dims[1:]).items()
+                name: (along, values[name], variable.attributes)
+                for name, (along, variable) in coordinates(grid.dims[1:]).items()
             },
         },
         {"study": study.name, "title": study.title, "error": error},
@@ -84,6 +86,8 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
 
 def _screened(study: Study, error: float) -> tuple[list[str], dict[str, Any]]:
     """The study's smooth laws and the least adequate ones, and how they do in every scene."""
+    if study.systems is not None:
+        raise StudyError([f"{study.source}: system: advice rests on bounds for an oscillator"])
     grid = study.grid
     own = dict.fromkeys(label.partition("@")[0] for label in grid.representations)
     smooth = [r for r in own if r != AUTO and ":" not in r and not r.startswith("piecewise")]

@@ -31,7 +31,9 @@ from gapsweep.analysis.sets import basin_metrics, matching, set_metrics
 from gapsweep.analysis.slab import Slab, slab
 from gapsweep.analysis.starts import start_metrics
 from gapsweep.analysis.summary import summaries
+from gapsweep.analysis.systems import is_of_systems, of_coordinate, section_rate
 from gapsweep.status import Status
+from gapsweep.study.grid import COORDINATE
 
 _VARIABLES = dict(variables())
 _TINY = 1e-300
@@ -56,6 +58,8 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
     labels = [str(label) for label in responses["representation"].values]
     if REFERENCE not in labels:
         return None
+    if COORDINATE in responses.dims:
+        return _of_systems(responses, attractors)
     floors = floor_labels(responses.attrs.get("study_json", ""), labels)
     dims = point_dims(responses)
     own = {REGIME: len(REGIMES), BOUND: len(BOUNDS), **dict.fromkeys(CLASS_DIMS, len(CLASSES))}
@@ -77,9 +81,12 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
         exact = slab(responses, attractors, {**at, REPRESENTATION: labels.index(REFERENCE)})
         walls = responses[[name for name in _WALLS if name in responses.coords]]
         walls = walls.isel(at, missing_dims="ignore")
-        j_1, j_2 = float(walls["j_1"]), float(walls["j_2"])
-        is_symmetric = j_1 == j_2 and float(walls.get("K_ratio", 1.0)) == 1.0
-        width = _width(j_1 + j_2, exact)
+        if is_of_systems(responses):  # its walls bound no coordinate
+            width, is_symmetric = _width(0.0, exact), False
+        else:
+            j_1, j_2 = float(walls["j_1"]), float(walls["j_2"])
+            is_symmetric = j_1 == j_2 and float(walls.get("K_ratio", 1.0)) == 1.0
+            width = _width(j_1 + j_2, exact)
         for r in swept:
             here = {**at, REPRESENTATION: r}
             ours = exact if labels[r] == REFERENCE else slab(responses, attractors, here)
@@ -89,6 +96,18 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
                     place(name, here, values)
     _set_floors(tables, [labels.index(label) for label in floors])
     return _dataset(tables, responses, floors)
+
+
+def _of_systems(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
+    """The comparison of every coordinate of systems, lengths as shares of the response's."""
+    rate = section_rate(responses) if "omega" not in responses.dims else np.nan
+    found = []
+    for i in range(responses.sizes[COORDINATE]):
+        one = agreement(*(of_coordinate(each, i, rate) for each in (responses, attractors)))
+        assert one is not None, "the exact law was swept"
+        found.append(one if "omega" in responses.dims else one.isel(omega=0, drop=True))
+    whole = xr.concat(found, responses[COORDINATE], combine_attrs="override")
+    return whole.transpose(..., COORDINATE)
 
 
 def _width(gap: float, exact: Slab) -> float:

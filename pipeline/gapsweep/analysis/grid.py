@@ -16,6 +16,11 @@ REPRESENTATION, SWEPT = "representation", ("omega", "initial_condition")
 At = Mapping[str, int]
 
 
+def swept(values: xr.DataArray) -> list[str]:
+    """The dimensions that are swept in a scene: nothing that is not forced has frequencies."""
+    return [dim for dim in SWEPT if dim in values.dims]
+
+
 def point_dims(responses: xr.Dataset) -> tuple[str, ...]:
     """Dimensions of a sweep point, in the order of the file."""
     return tuple(str(dim) for dim in responses["status"].dims)

@@ -7,7 +7,7 @@ import xarray as xr
 from scipy.special import stdtrit
 
 from gapsweep.analysis.arrays import Array
-from gapsweep.analysis.grid import SWEPT
+from gapsweep.analysis.grid import swept
 
 
 def quantile(values: xr.DataArray, q: float) -> xr.DataArray:
@@ -15,14 +15,14 @@ def quantile(values: xr.DataArray, q: float) -> xr.DataArray:
     with warnings.catch_warnings():
         # numpy warns where no entry is left: NaN is what we want there.
         warnings.simplefilter("ignore", RuntimeWarning)
-        return values.quantile(q, SWEPT).drop_vars("quantile")
+        return values.quantile(q, swept(values)).drop_vars("quantile")
 
 
 def mean(values: xr.DataArray) -> xr.DataArray:
     """Mean over frequencies and starts; NaN entries do not count."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        return values.mean(SWEPT)
+        return values.mean(swept(values))
 
 
 def repeatability(ratios: Array) -> float:

@@ -10,6 +10,7 @@ import xarray as xr
 from gapsweep.errors import StoreError
 from gapsweep.status import Status
 from gapsweep.store.artefact import replacing
+from gapsweep.study.grid import CONTACT, COORDINATE
 
 
 def check_output(output: Path) -> None:
@@ -44,10 +45,19 @@ def written(responses: xr.Dataset, form: str, output: Path | None) -> None:
 
 
 def _text(responses: xr.Dataset, form: str) -> str:
-    """The variables that have one value per point; flags in words."""
+    """The variables that have one value per point, coordinate or contact; flags in words."""
     points = responses["status"].dims
-    plain = [name for name, v in responses.data_vars.items() if v.dims == points]
-    frame = _in_words(responses[plain]).to_dataframe().reset_index()
+    starts = [name for name, held in responses.coords.items() if held.ndim > 1]
+    responses = responses.drop_vars(starts)
+    columns: dict[str, xr.DataArray] = {}
+    for name, variable in responses.data_vars.items():
+        if variable.dims == points:
+            columns[str(name)] = variable
+        elif variable.dims[:-1] == points and variable.dims[-1] in (COORDINATE, CONTACT):
+            for part in variable.transpose(variable.dims[-1], ...):
+                of = part[variable.dims[-1]].item()
+                columns[f"{name}[{of}]"] = part.drop_vars(variable.dims[-1])
+    frame = _in_words(xr.Dataset(columns)).to_dataframe().reset_index()
     frame = frame[frame["status"] != Status.NOT_REQUESTED.label]
     if form == "csv":
         return str(frame.to_csv(index=False))

@@ -27,7 +27,7 @@ def differences(cache: Cache, key: NDArray[np.void], alone: Alone) -> list[str]:
     if not _is_current(kind, alone):
         return []
     try:
-        state, _ = start_of(cache, contents.previous[[row]])
+        state, _ = start_of(cache, contents.previous[[row]], kind.n_states)
     except StoreError:  # nobody knows where it started
         return []
     again = response_of(alone, Points(kind, contents.numbers[[row]]), state)
@@ -46,10 +46,12 @@ def _is_current(kind: Kind, alone: Alone) -> bool:
         return False
 
 
-def start_of(cache: Cache, previous: NDArray[np.void]) -> tuple[States, NDArray[np.void]]:
+def start_of(
+    cache: Cache, previous: NDArray[np.void], n_states: int
+) -> tuple[States, NDArray[np.void]]:
     """Where a sweep that has come to the point of a key goes on, and the key of whose end that is.
 
-    At rest, and zero, if it has not begun.
+    At rest, a state of `n_states` zeros, and zero, if it has not begun.
 
     Raises
     ------
@@ -64,12 +66,12 @@ def start_of(cache: Cache, previous: NDArray[np.void]) -> tuple[States, NDArray[
                 "again to resume"
             )
         _, contents, row = place
-        response = contents.responses.row(row)
-        if response.ended:
-            return np.array([response.x_end, response.v_end]), previous
+        (end,) = contents.responses.take([row]).ends
+        if np.isfinite(end).all():
+            return end, previous
         previous = contents.previous[[row]]
-    return np.zeros(2), previous
+    return np.zeros(n_states), previous
 
 
 def _same(a: Any, b: Any) -> bool:
-    return bool(a == b) or (a != a and b != b)
+    return np.array_equal(a, b, equal_nan=True)

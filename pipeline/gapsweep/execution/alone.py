@@ -180,7 +180,8 @@ def response_of(alone: Alone, points: Points, state: States) -> Responses:
         alone.within(WARM_UP_SECONDS, warm_up, tile)
         return alone(respond_to, tile)
     except CallError as lost:
-        return Responses.of([Response(status=lost.status, message=lost.message)])
+        lost_one = Response(status=lost.status, message=lost.message)
+        return Responses.of([lost_one], points.kind.structure)
 
 
 class _Child:

@@ -7,7 +7,8 @@ a scene, not of a point: they are grouped here, from all starts of a scene.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +19,14 @@ from numpy.typing import NDArray
 from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attractors, set_flags
 from gapsweep.execution.plan import Plan
 from gapsweep.response.attractors import attractors_of_scenes
-from gapsweep.response.result import COLUMNS, ResponseClass, Responses
+from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
 from gapsweep.study.fingerprint import numerics_fingerprint
-from gapsweep.study.grid import Grid, Selection
-from gapsweep.study.schema import (
-    ATTRACTOR_VARIABLES,
-    LISTS,
-    MULTIPLIERS,
-    SECTION,
-    VARIABLES,
-)
+from gapsweep.study.grid import COORDINATE, Grid, Selection
+from gapsweep.study.schema import EXTREMUM, MULTIPLIERS
 from gapsweep.study.study import Study
 
 
@@ -89,11 +84,11 @@ def fill(
         here = np.nonzero(asked >= 0)
         if not len(here[0]):
             continue
-        found = cache.find(plan.keys[asked[here]])
+        found = cache.find(plan.keys[asked[here]], study.structure)
         at = np.array(here)[:, found.at]  # place of each in the piece
         versions |= found.versions
         hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
-        ids, groups = _group(layout, piece, found.responses, at)
+        ids, groups = _group(study, layout, piece, found.responses, at)
         _write(others, piece[:-1], groups)
         for starts in layout.starts():
             values = _point_arrays(layout, asked >= 0, found, at, ids, hosts, starts)
@@ -136,7 +131,10 @@ def _point_arrays(
     at[-1] -= starts.start
     responses = found.responses.take(here)
     shape = requested.shape
-    values = {name: np.full(shape, v.missing, v.dtype) for name, v in VARIABLES.items()}
+    values = {
+        name: np.full((*shape, *layout.part_shape(name)), v.missing, v.dtype)
+        for name, v in layout.variables.items()
+    }
     # Unless a result follows:
     values["status"][requested] = Status.INTERRUPTED
     values["response_class"][requested] = ResponseClass.FAILED
@@ -145,12 +143,17 @@ def _point_arrays(
     values["attractor"][*at] = ids[here]
     number = {host: i for i, host in enumerate(hosts)}
     values["host"][*at] = [number.get(host, -1) for host in found.host[here].tolist()]
-    lists = {**responses.lists, **_pairs(responses, "section", SECTION)}
-    for name, (dimension, variable) in LISTS.items():
-        full = np.full((*shape, layout.sizes[dimension]), variable.missing, variable.dtype)
-        full[*at] = _ragged(*lists[name], full[*at])
+    lists = _extrema(responses, layout) | _section(responses, layout)
+    for name, (dimension, variable) in layout.lists.items():
+        sizes = layout.sizes[dimension], *layout.part_shape(name)
+        full = np.full((*shape, *sizes), variable.missing, variable.dtype)
+        full[*at] = lists[name](full[*at])
         values[name] = full
     return values
+
+
+# Fills an array that holds what stands where a list has ended.
+Fill = Callable[[NDArray[Any]], NDArray[Any]]
 
 
 def _ragged(items: NDArray[Any], counts: NDArray[np.int64], padding: NDArray[Any]) -> NDArray[Any]:
@@ -159,44 +162,85 @@ def _ragged(items: NDArray[Any], counts: NDArray[np.int64], padding: NDArray[Any
     return padding
 
 
+def _extrema(responses: Responses, layout: Layout) -> dict[str, Fill]:
+    """Extrema and their kinds, of a system those of all coordinates."""
+    n_shown = np.minimum(responses.columns["n_extrema"], layout.sizes[EXTREMUM])
+
+    def filled(items: NDArray[Any], padding: NDArray[Any]) -> NDArray[Any]:
+        if not layout.is_of_systems:
+            return _ragged(items, n_shown, padding)
+        # They stand coordinate by coordinate.
+        turned = np.ascontiguousarray(np.swapaxes(padding, 1, 2))
+        rows = turned.reshape(-1, turned.shape[2])
+        return np.swapaxes(_ragged(items, n_shown.ravel(), rows).reshape(turned.shape), 1, 2)
+
+    names = ("extrema", "extremum_kind")
+    return {name: partial(filled, responses.lists[name][0]) for name in names}
+
+
+def _section(responses: Responses, layout: Layout) -> dict[str, Fill]:
+    """Section points: displacements, velocities and first-order states."""
+    items, counts = responses.lists["section"]
+    points, n = items.reshape(-1, layout.n_states), layout.sizes.get(COORDINATE, 1)
+    parts = dict(zip(layout.section, np.split(points, [n, 2 * n], axis=1), strict=False))
+    if not layout.is_of_systems:
+        parts = {name: part[:, 0] for name, part in parts.items()}
+    n_points = counts // layout.n_states
+    return {name: partial(_ragged, part, n_points) for name, part in parts.items()}
+
+
 def _group(
-    layout: Layout, piece: Piece, responses: Responses, at: NDArray[np.intp]
+    study: Study, layout: Layout, piece: Piece, responses: Responses, at: NDArray[np.intp]
 ) -> tuple[NDArray[np.int32], Arrays]:
     """Number of the attractor of every response, and the attractors of every scene."""
     shape = tuple(part.stop - part.start for part in piece[:-1])
+    scene = np.ravel_multi_index(tuple(at[:-1]), shape)
+    if layout.is_of_systems:
+        unit = study.units(layout.places(piece), _rates(responses, scene, math.prod(shape)))
+    else:
+        unit = unit_of(layout.omega(piece))
     found = attractors_of_scenes(
         responses,
-        np.ravel_multi_index(tuple(at[:-1]), shape),
-        unit=unit_of(layout.omega(piece)),
-        symmetric=layout.is_symmetric(piece),
+        scene,
+        unit=unit,
+        symmetric=False if layout.is_of_systems else layout.is_symmetric(piece),
         counted=layout.grid.starts.is_fixed[at[-1]],
     )
     leaders = responses.take(found.first)
     most = int(found.number.max(initial=0)) + 1
     place = (*np.unravel_index(found.scene, shape), found.number)
     values: Arrays = {
-        name: np.full((*shape, most), v.missing, v.dtype) for name, v in ATTRACTOR_VARIABLES.items()
+        name: np.full((*shape, most, *layout.part_shape(name)), v.missing, v.dtype)
+        for name, v in layout.attractor_variables.items()
     }
     for name, filled in values.items():
-        filled[place] = leaders.columns[name] if name in COLUMNS else getattr(found, name)
-    for name, (parts, counts) in {
-        **_pairs(leaders, "multipliers", MULTIPLIERS),
-        **_pairs(leaders, "section", SECTION),
-    }.items():
-        full = np.full((*shape, most, int(counts.max(initial=0))), np.nan)
-        full[place] = _ragged(parts, counts, full[place])
+        columns = leaders.columns
+        filled[place] = columns[name] if name in columns else getattr(found, name)
+    parts, counts = leaders.lists["multipliers"]
+    lists: dict[str, Fill] = {
+        name: partial(_ragged, parts[i::2], counts // 2) for i, name in enumerate(MULTIPLIERS)
+    }
+    longest = {name: int(counts.max(initial=0)) // 2 for name in MULTIPLIERS}
+    n_section = int(leaders.lists["section"][1].max(initial=0)) // layout.n_states
+    longest |= dict.fromkeys(layout.section, n_section)
+    for name, fill in {**lists, **_section(leaders, layout)}.items():
+        full = np.full((*shape, most, longest[name], *layout.part_shape(name)), np.nan)
+        full[place] = fill(full[place])
         values[name] = full
     counts = np.bincount(found.scene, minlength=math.prod(shape))
     values["n_attractors"] = counts.reshape(shape).astype(np.int32)
     return found.numbers.astype(np.int32), values
 
 
-def _pairs(
-    responses: Responses, name: str, halves: Iterable[str]
-) -> dict[str, tuple[NDArray[Any], NDArray[np.int64]]]:
-    """A list of pairs as two lists, of their first and of their second parts."""
-    items, counts = responses.lists[name]
-    return {half: (items[i::2], counts // 2) for i, half in enumerate(halves)}
+def _rates(responses: Responses, scene: NDArray[np.intp], n_scenes: int) -> NDArray[np.float64]:
+    """How often per second the responses of every scene pass their section; NaN if none is known.
+
+    Of forced ones their scenes say that.
+    """
+    columns, found = responses.columns, np.full(n_scenes, np.nan)
+    some = np.flatnonzero(columns["period"] > 0.0)[::-1]  # in the end the first one's
+    found[scene[some]] = columns["period_multiple"][some] / columns["period"][some]
+    return found
 
 
 def _write(dataset: netCDF4.Dataset, cells: tuple[slice, ...], values: Arrays) -> None:

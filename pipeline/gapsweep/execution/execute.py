@@ -272,10 +272,11 @@ class _Execution:
         for at, points in self.study.points(self.plan.cells[rows]):
             firsts = np.flatnonzero(is_first[at])
             lengths = np.diff(firsts, append=len(at))
-            states, origins = np.zeros((len(firsts), 2)), np.zeros(len(firsts), KEY)
+            states = np.zeros((len(firsts), points.kind.n_states))
+            origins = np.zeros(len(firsts), KEY)
             if points.kind.is_sweep:
                 for i, key in enumerate(previous[at[firsts], None]):
-                    states[i], origins[[i]] = start_of(self.cache, key)
+                    states[i], origins[[i]] = start_of(self.cache, key, states.shape[1])
             tiles.append(Tile(points, keys[at], previous[at], lengths, states, origins))
         return tiles
 
@@ -306,7 +307,11 @@ class _Execution:
         message = "its worker process died" if killed else f"{type(error).__name__}: {error}"
         failed = Response(status=status, message=message)
         slabs = [
-            s for tile in job.tiles for s in tile.slabs(Responses.of([failed] * len(tile)), "")
+            slab
+            for tile in job.tiles
+            for slab in tile.slabs(
+                Responses.of([failed] * len(tile), tile.points.kind.structure), ""
+            )
         ]
         self._keep(job, TaskResult(slabs, 0.0, software()))
 

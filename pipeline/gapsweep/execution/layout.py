@@ -11,21 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.result import Steady
-from gapsweep.study.grid import START, Grid
+from gapsweep.study.grid import COORDINATE, LAG, START, Grid
 from gapsweep.study.schema import (
     ATTRACTOR,
     ATTRACTOR_VARIABLES,
-    COORDINATES,
     EXTREMUM,
     LISTS,
     MULTIPLIER,
     MULTIPLIERS,
     N_ATTRACTORS,
-    SECTION,
+    PERIOD,
     SECTION_POINT,
+    SECTION_Z,
     VARIABLES,
     Variable,
     coordinates,
+    of_systems,
+    parts_of,
 )
 
 Arrays = dict[str, NDArray[Any]]
@@ -48,7 +50,7 @@ class Layout:
     ----------
     grid : Grid
     sizes : dict of str to int
-        Lengths of the padded lists.
+        Lengths of the padded lists, and of the parts of systems.
     """
 
     grid: Grid
@@ -57,7 +59,52 @@ class Layout:
     @classmethod
     def of(cls, grid: Grid, steady: Steady) -> "Layout":
         sizes = {EXTREMUM: steady.max_extrema, SECTION_POINT: steady.max_period_multiple}
-        return cls(grid, sizes)
+        return cls(grid, sizes | {name: len(names) for name, names in grid.parts.items()})
+
+    @property
+    def is_of_systems(self) -> bool:
+        return bool(self.grid.parts)
+
+    @property
+    def n_states(self) -> int:
+        """Length of a state (q, v, z)."""
+        return 2 * self.sizes.get(COORDINATE, 1) + self.sizes.get(LAG, 0)
+
+    @property
+    def variables(self) -> dict[str, Variable]:
+        """Of `responses.nc`, but for its lists."""
+        return self._described(VARIABLES) | ({"period": PERIOD} if self.is_of_systems else {})
+
+    @property
+    def attractor_variables(self) -> dict[str, Variable]:
+        """Of `attractors.nc`, over its attractors."""
+        found = self._described(ATTRACTOR_VARIABLES)
+        return found | ({"period": PERIOD} if self.is_of_systems else {})
+
+    @property
+    def lists(self) -> dict[str, tuple[str, Variable]]:
+        """Lists of a point: their dimension, and what they hold."""
+        described = self._described({name: variable for name, (_, variable) in LISTS.items()})
+        found = {name: (LISTS[name][0], variable) for name, variable in described.items()}
+        return found | ({"section_z": (SECTION_POINT, SECTION_Z)} if LAG in self.sizes else {})
+
+    @property
+    def section(self) -> tuple[str, ...]:
+        """The lists that section points are stored in."""
+        return tuple(name for name, (dim, _) in self.lists.items() if dim == SECTION_POINT)
+
+    def _described(self, variables: dict[str, Variable]) -> dict[str, Variable]:
+        if not self.is_of_systems:
+            return variables
+        return {name: of_systems(variable) for name, variable in variables.items()}
+
+    def parts(self, name: str) -> tuple[str, ...]:
+        """The dimensions within a point that a variable has."""
+        return parts_of(name, self.grid.parts)
+
+    def part_shape(self, name: str) -> tuple[int, ...]:
+        """Their sizes."""
+        return tuple(self.sizes[part] for part in self.parts(name))
 
     @property
     def chunk(self) -> tuple[int, ...]:
@@ -84,7 +131,7 @@ class Layout:
         """
         along = coordinates(self.grid.dims)
         j_1, j_2, *ratio = (
-            self._over(piece, along[name], self._coordinates[name])
+            self._over(piece, along[name][0][0], self._coordinates[name])
             for name in ("j_1", "j_2", "K_ratio")
             if name in along
         )
@@ -93,6 +140,11 @@ class Layout:
     @cached_property
     def _coordinates(self) -> Arrays:
         return self.grid.coordinates()
+
+    def places(self, piece: Piece) -> dict[str, NDArray[np.intp]]:
+        """Where on every axis but the starts' the scenes of a piece lie, flat."""
+        dims = self.grid.dims[:-1]
+        return {dim: self._over(piece, dim, np.arange(len(self.grid.axes[dim]))) for dim in dims}
 
     def _over(self, piece: Piece, dim: str, values: NDArray[Any]) -> NDArray[Any]:
         """Values along a dimension, for every scene of a piece, flat."""
@@ -111,63 +163,71 @@ class Layout:
 def define(dataset: netCDF4.Dataset, layout: Layout) -> None:
     """Dimensions, coordinates and variables of `responses.nc`."""
     dims, chunk = layout.grid.dims, layout.chunk
-    _define_coordinates(dataset, layout.grid, dims)
-    for name, size in layout.sizes.items():
-        dataset.createDimension(name, size)
-    for name, variable in VARIABLES.items():
-        _create(dataset, name, variable, dims, chunk)
-    for name, (dimension, variable) in LISTS.items():
-        _create(dataset, name, variable, (*dims, dimension), (*chunk, layout.sizes[dimension]))
-    _name_auxiliary(dataset, dims)
+    _define_coordinates(dataset, layout, dims)
+    for name in (EXTREMUM, SECTION_POINT):
+        dataset.createDimension(name, layout.sizes[name])
+    for name, variable in layout.variables.items():
+        _create(dataset, layout, name, variable, dims, chunk)
+    for name, (dimension, variable) in layout.lists.items():
+        sizes = *chunk, layout.sizes[dimension]
+        _create(dataset, layout, name, variable, (*dims, dimension), sizes)
+    _name_auxiliary(dataset, layout, dims)
 
 
 def define_attractors(dataset: netCDF4.Dataset, layout: Layout) -> None:
     """Dimensions, coordinates and variables of `attractors.nc`; it grows with their number."""
     scenes, chunk = layout.grid.dims[:-1], layout.chunk[:-1]
-    _define_coordinates(dataset, layout.grid, scenes)
-    sizes = {MULTIPLIER: 2, SECTION_POINT: layout.sizes[SECTION_POINT]}
+    _define_coordinates(dataset, layout, scenes)
+    sizes = {MULTIPLIER: layout.n_states, SECTION_POINT: layout.sizes[SECTION_POINT]}
     for name, size in {ATTRACTOR: None, **sizes}.items():
         dataset.createDimension(name, size)
-    _create(dataset, "n_attractors", N_ATTRACTORS, scenes, chunk)
+    _create(dataset, layout, "n_attractors", N_ATTRACTORS, scenes, chunk)
     dims, chunk = (*scenes, ATTRACTOR), (*chunk, min(len(layout.grid.starts), _ATTRACTORS))
-    for name, variable in ATTRACTOR_VARIABLES.items():
-        _create(dataset, name, variable, dims, chunk)
-    for name, variable in MULTIPLIERS.items():
-        _create(dataset, name, variable, (*dims, MULTIPLIER), (*chunk, 2))
-    for name in SECTION:
-        last, variable = LISTS[name]
-        _create(dataset, name, variable, (*dims, last), (*chunk, sizes[last]))
-    _name_auxiliary(dataset, scenes)
+    for name, variable in layout.attractor_variables.items():
+        _create(dataset, layout, name, variable, dims, chunk)
+    lists = {name: (MULTIPLIER, variable) for name, variable in MULTIPLIERS.items()}
+    lists |= {name: layout.lists[name] for name in layout.section}
+    for name, (last, variable) in lists.items():
+        _create(dataset, layout, name, variable, (*dims, last), (*chunk, sizes[last]))
+    _name_auxiliary(dataset, layout, scenes)
 
 
-def _define_coordinates(dataset: netCDF4.Dataset, grid: Grid, dims: tuple[str, ...]) -> None:
+def _define_coordinates(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[str, ...]) -> None:
+    grid = layout.grid
     for name, size in zip(grid.dims, grid.shape, strict=True):
         if name in dims:
             dataset.createDimension(name, size)
+    for name in grid.parts:
+        dataset.createDimension(name, layout.sizes[name])
     values = grid.coordinates()
-    for name, dimension in coordinates(dims).items():
-        variable = COORDINATES[name][1]
-        _create(dataset, name, variable, (dimension,), None)
+    for name, (along, variable) in coordinates(dims, grid.parts).items():
+        _create(dataset, layout, name, variable, along, None)
         is_text = variable.dtype == "str"
         dataset[name][:] = values[name].astype(object) if is_text else values[name]
 
 
-def _name_auxiliary(dataset: netCDF4.Dataset, dims: tuple[str, ...]) -> None:
-    """CF: data variables name the coordinates that are no dimension."""
-    found = coordinates(dims)
-    auxiliary = " ".join(name for name, dimension in found.items() if name != dimension)
+def _name_auxiliary(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[str, ...]) -> None:
+    """CF: data variables name the coordinates that are no dimension, but lie along theirs."""
+    found = coordinates(dims, layout.grid.parts)
     for name, variable in dataset.variables.items():
         if name not in found:
-            variable.coordinates = auxiliary
+            variable.coordinates = " ".join(
+                other
+                for other, (along, _) in found.items()
+                if along != (other,) and {*along} <= {*variable.dimensions}
+            )
 
 
 def _create(
     dataset: netCDF4.Dataset,
+    layout: Layout,
     name: str,
     variable: Variable,
     dimensions: tuple[str, ...],
     chunk: tuple[int, ...] | None,
 ) -> None:
+    if chunk:
+        dimensions, chunk = dimensions + layout.parts(name), chunk + layout.part_shape(name)
     if variable.dtype == "str":
         created = dataset.createVariable(name, str, dimensions)
     else:
@@ -185,7 +245,9 @@ def _create(
         if chunk:
             # Chunks never written read as missing; without the attribute integers stay integers.
             created.delncattr("_FillValue")
-    created.units, created.long_name = variable.units, variable.long_name
+    if variable.units:
+        created.units = variable.units
+    created.long_name = variable.long_name
     set_flags(created, variable.flags)
 
 

@@ -12,7 +12,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +23,13 @@ from gapsweep.model import own_law
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.system import System
 from gapsweep.response.ensemble import Ensemble, Scene
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
-from gapsweep.study.points import KEY, OSCILLATOR, OURS, Kind, Points, with_ratio
+from gapsweep.study.points import KEY, OF_CONTACT, OSCILLATOR, OURS, Kind, Points, with_ratio
 from gapsweep.study.software import software, versions
 
 _RESTARTED = "the point before it failed: starts from the last settled one"
@@ -55,9 +57,9 @@ class Tile:
     lengths : ndarray of int, shape (m,)
         Number of points of each sweep, that start where the one before them ends; a fixed start
         is a sweep of one.
-    states : ndarray, shape (m, 2)
-        Displacement [m] and velocity [m/s] from which each sweep starts; of no meaning for fixed
-        starts, which are among the points' numbers.
+    states : ndarray, shape (m, n_states)
+        Displacement [m] and velocity [m/s] from which each sweep starts, of a system all of its
+        state; of no meaning for fixed starts, which are among the points' numbers.
     origins : ndarray of void, shape (m,)
         Keys of the points whose ends those states are; zero at rest. After failures it is the last
         point before them that settled.
@@ -76,7 +78,7 @@ class Tile:
     @classmethod
     def of_one(cls, points: Points, state: States) -> "Tile":
         """A single point, and where it starts if it is one of a sweep."""
-        nothing, state = np.zeros(1, KEY), state.reshape(1, 2)
+        nothing, state = np.zeros(1, KEY), state.reshape(1, -1)
         return cls(points, nothing, nothing, np.ones(1, int), state, nothing)
 
     @property
@@ -93,7 +95,7 @@ class Tile:
         """Keys of the points that each one really started from."""
         found, is_first = self.previous.copy(), np.zeros(len(self), bool)
         found[self.firsts], is_first[self.firsts] = self.origins, True
-        for row in np.flatnonzero(~_ended(responses)[:-1] & ~is_first[1:]).tolist():
+        for row in np.flatnonzero(~_ended(responses.ends)[:-1] & ~is_first[1:]).tolist():
             found[row + 1] = found[row]
         return found
 
@@ -191,7 +193,8 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
     ----------
     tile : Tile
     ask : callable, optional
-        Responses of independent points from states, shape (n, 2); here and all in one call if None.
+        Responses of independent points from states, shape (n, n_states); here and all in one call
+        if None.
     """
     states, first, lengths = tile.states.copy(), tile.firsts, tile.lengths
     after_failure, order, parts = tile.origins != tile.previous[first], [], []
@@ -202,8 +205,8 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
         for row in np.flatnonzero(after_failure[here]).tolist():
             found.messages.setdefault(row, _RESTARTED)
         after_failure[here] = found.columns["status"] > Status.OUT_OF_FIT_RANGE
-        ended = _ended(found)
-        ends = np.stack([found.columns[name] for name in ("x_end", "v_end")], axis=1)
+        ends = found.ends
+        ended = _ended(ends)
         states[here[ended]] = ends[ended]
         parts.append(found)
         order.append(rows)
@@ -212,10 +215,9 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
     return Responses.concatenated(parts).take(np.argsort(np.concatenate(order)))
 
 
-def _ended(responses: Responses) -> NDArray[np.bool_]:
+def _ended(ends: States) -> NDArray[np.bool_]:
     """Which motions have an end that another can start from."""
-    ends = [np.isfinite(responses.columns[name]) for name in ("x_end", "v_end")]
-    return np.asarray(np.logical_and(*ends))
+    return np.asarray(np.isfinite(ends).all(axis=1))
 
 
 def _together(points: Points, states: States) -> Responses:
@@ -226,7 +228,8 @@ def _together(points: Points, states: States) -> Responses:
     found = _answered(points.kind, [one for one in asked if isinstance(one, Scene)], starts[rows])
     if not refused:
         return found
-    whole = Responses.concatenated([found, Responses.of(list(map(failed, refused.values())))])
+    others = Responses.of(list(map(failed, refused.values())), points.kind.structure)
+    whole = Responses.concatenated([found, others])
     return whole.take(np.argsort([*rows, *refused]))
 
 
@@ -234,34 +237,75 @@ def _starts(points: Points, states: States) -> States:
     """Where points start; `states` are those of sweeps."""
     if points.kind.is_sweep:
         return states
-    return points.numbers[:, -2:] + [points.kind.start_jitter, 0.0]
+    found = points.numbers[:, -points.kind.n_states :].copy()
+    found[:, 0] += points.kind.start_jitter
+    return found
 
 
 def _scenes(points: Points) -> Iterator[Scene | ModelError]:
-    """What moves at each point, or why it cannot; neighbours share law and oscillator."""
+    """What moves at each point, or why it cannot."""
     kind = points.kind
+    for model in _oscillators(points) if kind.structure is None else _systems(points):
+        try:
+            oscillator, law, omega = model()
+            yield Scene(oscillator=oscillator, law=law, omega=omega, solver=kind.solver)
+        except ModelError as error:
+            yield error
 
-    @lru_cache(maxsize=256)
-    def law(K_c: float, j_1: float, j_2: float, K_ratio: float) -> ContactLaw:
-        if kind.law_code != OURS:
-            own_law.require(kind.representation, kind.law_code)
-        gap, fit_range = Gap(j_1, j_2), kind.fit_range
-        return contact_law(kind.representation, K_c, gap, fit_range, K_ratio=K_ratio)
+
+Model = Callable[[], tuple[Oscillator | System, Any, float]]
+
+
+def _oscillators(points: Points) -> Iterator[Model]:
+    """Oscillator, law and frequency at each point; neighbours share the first two."""
+    kind, law = points.kind, _law_of(points.kind)
 
     @lru_cache(maxsize=256)
     def oscillator(*values: float) -> Oscillator:
         return Oscillator(**dict(zip(OSCILLATOR, values, strict=True)))
 
+    def model(
+        walls: list[float], omega: float, others: list[float]
+    ) -> tuple[Oscillator, ContactLaw, float]:
+        return oscillator(*others), law(kind.representation, *walls), omega
+
     for K_c, j_1, j_2, omega, *others, K_ratio, _, _ in with_ratio(points.numbers).tolist():
-        try:
-            yield Scene(
-                oscillator=oscillator(*others),
-                law=law(K_c, j_1, j_2, K_ratio),
-                omega=omega,
-                solver=kind.solver,
-            )
-        except ModelError as error:
-            yield error
+        yield partial(model, [K_c, j_1, j_2, K_ratio], omega, others)
+
+
+def _systems(points: Points) -> Iterator[Model]:
+    """System, laws of its contacts and frequency at each point; neighbours share the first two."""
+    structure, law = points.kind.structure, _law_of(points.kind)
+    assert structure is not None
+    labels, n = points.kind.contacts, len(points.kind.contacts) * len(OF_CONTACT)
+
+    @lru_cache(maxsize=256)
+    def system(numbers: bytes) -> System:
+        return structure.system(np.frombuffer(numbers))
+
+    @lru_cache(maxsize=256)
+    def laws(numbers: bytes) -> tuple[ContactLaw, ...]:
+        walls = np.frombuffer(numbers).reshape(-1, len(OF_CONTACT)).tolist()
+        return tuple(law(label, *each) for label, each in zip(labels, walls, strict=True))
+
+    def model(row: NDArray[np.float64]) -> tuple[System, tuple[ContactLaw, ...], float]:
+        arrays = row[n + 1 : -structure.n_states]
+        return system(arrays.tobytes()), laws(row[:n].tobytes()), float(row[n])
+
+    for row in points.numbers:
+        yield partial(model, row)
+
+
+def _law_of(kind: Kind) -> Callable[..., ContactLaw]:
+    """The law of a label, stiffness, two distances and a ratio; the same one for the same again."""
+
+    @lru_cache(maxsize=256)
+    def law(label: str, K_c: float, j_1: float, j_2: float, K_ratio: float) -> ContactLaw:
+        if kind.law_code != OURS:
+            own_law.require(kind.representation, kind.law_code)
+        return contact_law(label, K_c, Gap(j_1, j_2), kind.fit_range, K_ratio=K_ratio)
+
+    return law
 
 
 def _warm_up(kind: Kind, scene: Scene, start: States) -> None:
@@ -273,9 +317,9 @@ def _warm_up(kind: Kind, scene: Scene, start: States) -> None:
         return
     is_watched = threading.get_ident() in _deadlines
     with _ending_after(WARM_UP_SECONDS) if is_watched else nullcontext():
-        ensemble = Ensemble([replace(scene, omega=_NO_TIME)])
+        ensemble = Ensemble([replace(scene, omega=_NO_TIME if scene.omega else 0.0)])
         for tangent in (False, True):
-            y, one = start.reshape(2, 1), np.ones(1, int)
+            y, one = start.reshape(-1, 1), np.ones(1, int)
             ensemble.call(np.arange(1), y, one, np.zeros(1), tangent=tangent)
     _warm.add(kind)
 
@@ -290,7 +334,7 @@ def warm_up(tile: Tile) -> None:
 def _answered(kind: Kind, scenes: list[Scene], starts: States) -> Responses:
     """Responses; what a point raises is its own response, the others are asked again."""
     if not scenes:
-        return Responses.of(())
+        return Responses.of((), kind.structure)
     try:
         _warm_up(kind, scenes[0], starts[0])
         return respond_all(scenes, starts, kind.steady)
@@ -299,7 +343,7 @@ def _answered(kind: Kind, scenes: list[Scene], starts: States) -> Responses:
             halves = slice(len(scenes) // 2), slice(len(scenes) // 2, None)
             parts = [_answered(kind, scenes[half], starts[half]) for half in halves]
             return Responses.concatenated(parts)
-        return Responses.of([failed(error)])
+        return Responses.of([failed(error)], kind.structure)
 
 
 def failed(error: BaseException) -> Response:

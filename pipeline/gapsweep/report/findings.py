@@ -43,6 +43,9 @@ def findings(
     return sentences
 
 
+_OF_SYSTEMS = {ResponseClass.QUASIPERIODIC: "quasiperiodic", ResponseClass.EQUILIBRIUM: "at rest"}
+
+
 def outcomes(responses: xr.Dataset) -> str:
     """How many sweep points came out how, and why some did not."""
     status, kind = (responses[n].values for n in ("status", "response_class"))
@@ -51,8 +54,11 @@ def outcomes(responses: xr.Dataset) -> str:
     why = _counted(status[asked & (kind == ResponseClass.FAILED)])
     reasons = ", ".join(f"{n} {Status(s).label.replace('_', ' ')}" for s, n in sorted(why.items()))
     left = int(((status == Status.OUT_OF_FIT_RANGE) & (kind != ResponseClass.FAILED)).sum())
+    others = "".join(
+        f"{counts[kind]} {words}, " for kind, words in _OF_SYSTEMS.items() if counts[kind]
+    )
     return (
-        f"Of {asked.sum()} sweep points {counts[ResponseClass.PERIODIC]} are periodic, "
+        f"Of {asked.sum()} sweep points {counts[ResponseClass.PERIODIC]} are periodic, {others}"
         f"{counts[ResponseClass.CHAOTIC]} chaotic, {counts[ResponseClass.UNRESOLVED]} unresolved "
         f"and {counts[ResponseClass.FAILED]} without a steady response"
         f"{f' ({reasons})' if reasons else ''}"

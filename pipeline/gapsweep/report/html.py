@@ -15,6 +15,7 @@ from markupsafe import Markup
 
 from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.grid import scenes as all_scenes
+from gapsweep.analysis.systems import is_of_systems
 from gapsweep.report.answer import MOST_CONTACTS, SIGNS, contacts, in_words, times
 from gapsweep.report.bench import bench_parts
 from gapsweep.report.drawing import named
@@ -110,7 +111,9 @@ def write_report(
             sections = list(_sections(responses, Scenes(responses), agreement, timing, attractors))
     parts = [*own_parts, *rendered(ours)]
     environment.filters.update(number=number, percent=percent, times=times)
-    found = [] if agreement is None else contacts(agreement, static)
+    # Its rules are those of one displacement between two walls.
+    is_judged = not is_of_systems(responses)
+    found = contacts(agreement, static) if agreement is not None and is_judged else []
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.classes import CLASSES, UNRESOLVED, class_numbers
+from gapsweep.analysis.classes import CHAOTIC, CLASSES, class_numbers
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import drawing
@@ -256,7 +256,7 @@ def _picture(shown: xr.Dataset, variable: str, x: str, y: str) -> Picture:
 
 def _mark_periods(made: Picture, numbers: NDArray[np.int64]) -> None:
     """Periods and other classes, each in its colour."""
-    shades = sequence(UNRESOLVED - 1)
+    shades = sequence(CHAOTIC)
     for number in np.unique(numbers[numbers >= 0]).tolist():
         name = CLASSES[number]
         made.mark(numbers == number, name, CLASS_COLOURS.get(name) or shades[number])

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.grid import REPRESENTATION, SWEPT, scene_dims
+from gapsweep.analysis.grid import REPRESENTATION, SWEPT, scene_dims, swept
+from gapsweep.analysis.systems import coordinates, is_of_systems
 from gapsweep.errors import DatasetError
 from gapsweep.report.drawing import named
 from gapsweep.report.figures import attractors as attractors_figure
@@ -19,11 +20,13 @@ from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.selection import places
 from gapsweep.report.tables import agreement_rows, timing_rows
 from gapsweep.status import Status
+from gapsweep.study.grid import COORDINATE
 
 MOST_SCENES, MOST_POINTS = 16, 200_000
 _TOLD_APART = ("K_c", "gap")  # by these alone scenes have always had a figure each
 _START = SWEPT[1]
 _STATE = ("x_0", "v_0")
+_WALLS = ("j_1", "j_2")
 _FEW_STARTS = 500
 _AGREEMENT = {
     "representation": "Representation",
@@ -57,9 +60,10 @@ def is_wide(responses: xr.Dataset) -> bool:
     asked = responses["status"].load() != Status.NOT_REQUESTED
     dims = scene_dims(asked.dims)
     return (
-        any(asked.sizes[dim] > 1 for dim in dims if dim not in _TOLD_APART)
-        or int(asked.any(SWEPT).sum(dims).max()) > MOST_SCENES
-        or int(asked.sum([*dims, *SWEPT]).max()) > MOST_POINTS
+        is_of_systems(responses)
+        or any(asked.sizes[dim] > 1 for dim in dims if dim not in _TOLD_APART)
+        or int(asked.any(swept(asked)).sum(dims).max()) > MOST_SCENES
+        or int(asked.sum([*dims, *swept(asked)]).max()) > MOST_POINTS
     )
 
 
@@ -79,7 +83,7 @@ def overview(
     asked = responses["status"].load() != Status.NOT_REQUESTED
     n_points = asked.sum([dim for dim in asked.dims if dim != REPRESENTATION])
     labels = [str(label) for label in asked[REPRESENTATION].values[n_points.values > 0]]
-    n_scenes = int(asked.any((REPRESENTATION, *SWEPT)).sum())
+    n_scenes = int(asked.any((REPRESENTATION, *swept(asked))).sum())
     axes = _axes(responses)
     names = [str(responses[axis].attrs.get("long_name", axis)) for axis in axes]
     sentence = (
@@ -88,7 +92,10 @@ def overview(
         "each scene. ds.gapsweep.map() and bifurcation() draw any other."
     )
     rows = {
-        "Agreement with the exact law": (_AGREEMENT, _agreement_rows(agreement, labels)),
+        **{
+            f"Agreement with the exact law{suffix}": (_AGREEMENT, _agreement_rows(part, labels))
+            for part, suffix in _coordinates(agreement)
+        },
         "Cost per sweep point (medians)": (_TIMING, list(timing_rows(timing, labels))),
     }
     over = f", median over {n_scenes} scenes" if n_scenes > 1 else ""
@@ -111,6 +118,16 @@ def overview(
     )
 
 
+def _coordinates(dataset: xr.Dataset | None) -> Iterator[tuple[xr.Dataset | None, str]]:
+    """A dataset of systems coordinate by coordinate, and what to say of which; others whole."""
+    if dataset is None or COORDINATE not in dataset.dims:
+        yield dataset, ""
+        return
+    for i, name in enumerate(coordinates(dataset)):
+        # Walls bound the contact's gap, whatever coordinates that is made of.
+        yield dataset.isel({COORDINATE: i}).drop_vars(_WALLS, errors="ignore"), f", {name}"
+
+
 def _agreement_rows(agreement: xr.Dataset | None, labels: list[str]) -> list[dict[str, str]]:
     if agreement is None or agreement.attrs["reference"] not in labels:
         return []
@@ -120,7 +137,7 @@ def _agreement_rows(agreement: xr.Dataset | None, labels: list[str]) -> list[dic
 def _axes(responses: xr.Dataset) -> list[str]:
     """The two longest axes, frequency the horizontal one; states that many starts form, if none."""
     axes = numeric_axes(responses["status"].to_dataset())[:2]
-    if len(axes) < 2 and responses.sizes[_START] > _FEW_STARTS:
+    if len(axes) < 2 and responses.sizes[_START] > _FEW_STARTS and "x_0" in responses.coords:
         starts = responses[list(_STATE)].reset_coords()
         try:
             return [str(dim) for dim in on_grid(starts.set_coords(_STATE)).dims][::-1]
@@ -141,6 +158,23 @@ def _figures(
     here = responses.isel(at)
     found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
     where = f"{label}, {_where(responses, here)}"
+    for part, suffix in _coordinates(here):
+        assert part is not None
+        of_part = found if COORDINATE not in here.dims else _of(found, part)
+        yield from _pictures(part, of_part, axes, f"{where}{suffix}")
+
+
+def _of(found: xr.Dataset | None, part: xr.Dataset) -> xr.Dataset | None:
+    """The attractors of a coordinate."""
+    if found is None:
+        return None
+    names = {COORDINATE: part[COORDINATE].values}
+    return found.sel(names).drop_vars(_WALLS, errors="ignore")
+
+
+def _pictures(
+    here: xr.Dataset, found: xr.Dataset | None, axes: list[str], where: str
+) -> Iterator[Figured]:
     if len(axes) == 1:
         yield from _curves(here, found, axes[0], where)
         return

@@ -9,6 +9,7 @@ import xarray as xr
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.study.schema import PARAMETER
 from gapsweep.study.selection import listed
 
 _SHOWN_NAMES = 6
@@ -67,7 +68,13 @@ def places(dataset: xr.Dataset) -> list[str]:
     """Coordinates that say where a dataset's points are, representation and start apart."""
     # The label of a gap holds both distances.
     walls = ("j_1", "j_2") if "gap" in dataset.coords else ()
-    return [name for name in _PLACE if name in dataset.coords and name not in walls]
+    ours = [name for name in _PLACE if name in dataset.coords and name not in walls]
+    return ours + [str(name) for name, held in dataset.coords.items() if _is_parameter(held)]
+
+
+def _is_parameter(coordinate: xr.DataArray) -> bool:
+    """Whether a coordinate is a parameter of a user's system."""
+    return str(coordinate.attrs.get("long_name", "")).startswith(f"{PARAMETER} ")
 
 
 def beside(scene: xr.Dataset) -> list[str]:

@@ -12,6 +12,8 @@ NOT_PERIODIC, BLANK = "#c00000", "#ffffff"
 CLASS_COLOURS = {
     "periodic": "#9ecae1",
     "chaotic": NOT_PERIODIC,
+    "quasiperiodic": "#762a83",
+    "equilibrium": "#d9d9d9",
     "unresolved": "#E69F00",
     "failed": "#555555",
 }

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.report.selection import places
-from gapsweep.study.schema import CLASS_FLAGS, STATUS_FLAGS
+from gapsweep.study.schema import STATUS_FLAGS
 from gapsweep.study.selection import is_numeric, listed
 
 _FEW = 6  # values that are named one by one
@@ -49,16 +49,20 @@ def _facts(dataset: xr.Dataset) -> Iterator[tuple[str, str]]:
     elif "status" in dataset:
         asked = dataset["status"].values != dict(STATUS_FLAGS)[_NOT_REQUESTED]
         yield "points", str(int(asked.sum()))
-    for name, flags in (("status", STATUS_FLAGS), ("response_class", CLASS_FLAGS)):
+    for name in ("status", "response_class"):
         if name in dataset:
-            yield name.replace("_", " "), _counts(dataset[name].values, flags)
+            yield name.replace("_", " "), _counts(dataset[name])
     for name in ("representation", *places(dataset), "initial_condition"):
         if name in dataset.coords:
             yield name.replace("initial_condition", "initial condition"), _values(dataset[name])
 
 
-def _counts(values: np.ndarray, flags: tuple[tuple[str, int], ...]) -> str:
-    counts = {label: int((values == value).sum()) for label, value in flags}
+def _counts(variable: xr.DataArray) -> str:
+    meanings = str(variable.attrs["flag_meanings"]).split()
+    counts = {
+        label: int((variable.values == value).sum())
+        for label, value in zip(meanings, variable.attrs["flag_values"], strict=True)
+    }
     shown = (f"{n} {label}" for label, n in counts.items() if n and label not in _PADDING)
     return ", ".join(label.replace("_", " ") for label in shown)
 

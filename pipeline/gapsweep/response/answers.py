@@ -66,15 +66,12 @@ def answers(
     end = section[(np.cumsum(counts) - len(walks.y))[:, None] + np.arange(len(walks.y))]
     n_q = ensemble.n_coordinates
     read["x_end"], read["v_end"] = end[:, :n_q], end[:, n_q : 2 * n_q]
-    columns = missing(n)
-    if ensemble.is_free:
-        columns["period"] = np.full(n, np.nan)
+    if not ensemble.is_plain:
+        read["z_end"] = end[:, 2 * n_q :]
+    columns = missing(n, ensemble.structure)
     for name, values in read.items():
-        if values.ndim > 1 and ensemble.is_plain:
-            values = values[:, 0]  # its only coordinate, its only contact
-        if values.ndim > 1:
-            columns[name] = np.repeat(columns[name][:, None], values.shape[1], axis=1)
-        columns[name][points] = values
+        # An oscillator's only coordinate, its only contact.
+        columns[name][points] = values[:, 0] if values.ndim > 1 and ensemble.is_plain else values
     columns["status"][failures], messages = _failures(failures, ensemble, walks)
     for is_so, message in ((found.is_astray, _ASTRAY), (found.is_hidden, _HIDDEN)):
         messages |= dict.fromkeys(np.flatnonzero(is_so).tolist(), message)

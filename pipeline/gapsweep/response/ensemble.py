@@ -19,6 +19,7 @@ from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.structure import Structure
 from gapsweep.model.system import System
 from gapsweep.response.section import norm, reach_of, scaled, unit_of
 from gapsweep.status import Status
@@ -216,6 +217,8 @@ class Ensemble:
         As of an `Oscillator` or a `System` [1/s].
     unit : ndarray, shape (n_states, n)
         As of a `Call`.
+    structure : Structure or None
+        Of systems.
     n_coordinates : int
     valid_range : ndarray, shape (n_contacts, n)
         Of the laws [m].
@@ -234,6 +237,7 @@ class Ensemble:
         self.is_free = not forcing.any()
         self.omega = _of_models(models, lambda model: model.slowest) if self.is_free else forcing
         self.is_plain = isinstance(models[0], Oscillator)
+        self.structure = None if self.is_plain else Structure.of(models[0])
         self.n_coordinates = 1 if self.is_plain else models[0].n
         self.decay_rate = _of_models(models, lambda model: model.decay_rate)
         self.settling_rate = _of_models(models, lambda model: model.settling_rate)

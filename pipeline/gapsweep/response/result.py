@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import checked, whole
+from gapsweep.model.structure import Structure
 from gapsweep.response.lists import spans
 from gapsweep.status import Status
 
@@ -41,6 +42,33 @@ COLUMNS = {
     "cpu_time": "f8",
 }
 LISTS = {"extrema": "f8", "extremum_kind": "i1", "multipliers": "f8", "section": "f8"}
+# What systems have besides.
+_OF_SYSTEMS = {"period": "f8", "z_end": "f8"}
+# Of what systems have several values: of every coordinate, of every contact, of every lag.
+OF_COORDINATES = ("n_extrema", "x_max", "x_min", "amplitude", "x_end", "v_end")
+OF_CONTACTS = ("force_max", "contact_share")
+OF_LAGS = ("z_end",)
+
+
+def columns_of(structure: Structure | None) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Columns of responses of oscillators (None), or of systems.
+
+    Returns
+    -------
+    dict of str to (str, tuple of int)
+        NumPy type code, and the shape of one point's value.
+    """
+    if structure is None:
+        return {name: (dtype, ()) for name, dtype in COLUMNS.items()}
+    sizes = {
+        **dict.fromkeys(OF_COORDINATES, structure.n),
+        **dict.fromkeys(OF_CONTACTS, len(structure.contacts)),
+        **dict.fromkeys(OF_LAGS, structure.m),
+    }
+    return {
+        name: (dtype, (sizes[name],) if name in sizes else ())
+        for name, dtype in {**COLUMNS, **_OF_SYSTEMS}.items()
+    }
 
 
 class ResponseClass(IntEnum):
@@ -176,6 +204,8 @@ class Response:
         Period [s] of a periodic response that nothing forces; NaN of others.
     x_end, v_end : float
         Last section point [m], [m/s]: where a sweep's next point starts.
+    z_end : tuple of float
+        First-order states there, of a system that has some.
     cpu_time : float
         Processor time of the integration [s].
     message : str
@@ -208,6 +238,7 @@ class Response:
     period: float = math.nan
     x_end: float = math.nan
     v_end: float = math.nan
+    z_end: tuple[float, ...] = ()
     cpu_time: float = math.nan
     message: str = ""
 
@@ -225,16 +256,12 @@ class Response:
             said.append(f"{name} {' '.join(f'{value:.6g}' for value in values)}")
         return f"<gapsweep.Response: {', '.join(said)}>"
 
-    @property
-    def ended(self) -> Any:
-        """Whether the motion has an end that another can start from."""
-        return np.isfinite(self.x_end) & np.isfinite(self.v_end)
 
-
-def missing(n: int) -> dict[str, NDArray[Any]]:
-    """`COLUMNS` of n points without a response."""
+def missing(n: int, structure: Structure | None = None) -> dict[str, NDArray[Any]]:
+    """Columns of n points without a response."""
     columns: dict[str, NDArray[Any]] = {
-        name: np.full(n, np.nan if dtype == "f8" else 0, dtype) for name, dtype in COLUMNS.items()
+        name: np.full((n, *shape), np.nan if dtype == "f8" else 0, dtype)
+        for name, (dtype, shape) in columns_of(structure).items()
     }
     columns["response_class"][:] = ResponseClass.FAILED
     return columns
@@ -263,21 +290,19 @@ class Responses:
         return len(self.columns["status"])
 
     @classmethod
-    def of(cls, responses: Sequence[Response]) -> "Responses":
-        """Columns of single responses."""
+    def of(cls, responses: Sequence[Response], structure: Structure | None = None) -> "Responses":
+        """Columns of single responses, of oscillators or of systems."""
+        columns = missing(len(responses), structure)
+        for name, column in columns.items():
+            for row, response in enumerate(responses):
+                column[row] = getattr(response, name)
         lists = {}
         for name, dtype in LISTS.items():
             rows = [getattr(response, name) for response in responses]
             items = np.array([item for row in rows for item in row], dtype)
             lists[name] = items, np.array(list(map(len, rows)), np.int64)
-        return cls(
-            {
-                name: np.array([getattr(response, name) for response in responses], dtype)
-                for name, dtype in COLUMNS.items()
-            },
-            lists,
-            {k: response.message for k, response in enumerate(responses) if response.message},
-        )
+        messages = {k: response.message for k, response in enumerate(responses)}
+        return cls(columns, lists, {k: text for k, text in messages.items() if text})
 
     @classmethod
     def concatenated(cls, parts: "Sequence[Responses]") -> "Responses":
@@ -287,7 +312,10 @@ class Responses:
             return parts[0]
         firsts = np.cumsum([0, *map(len, parts)]).tolist()
         return cls(
-            {name: np.concatenate([part.columns[name] for part in parts]) for name in COLUMNS},
+            {
+                name: np.concatenate([part.columns[name] for part in parts])
+                for name in parts[0].columns
+            },
             {
                 name: (
                     np.concatenate([part.lists[name][0] for part in parts]),
@@ -316,6 +344,12 @@ class Responses:
         return Responses(
             {name: column[rows] for name, column in self.columns.items()}, lists, messages
         )
+
+    @property
+    def ends(self) -> NDArray[np.float64]:
+        """States that another motion can start from, NaN where there is none; (n, n_states)."""
+        names = [name for name in ("x_end", "v_end", "z_end") if name in self.columns]
+        return np.column_stack([self.columns[name] for name in names])
 
     def row(self, k: int) -> Response:
         """One response as plain values."""
@@ -348,6 +382,7 @@ class Responses:
             values[name][:] = [np.array(items, plain) for items in self._split(name)]
         values["message"] = np.array([self.messages.get(k, "") for k in range(len(self))], object)
         values.setdefault("period", np.full(len(self), math.nan))
+        values.setdefault("z_end", np.empty((len(self), 0)))
         return Response(
             **{name: value.reshape(*shape, *value.shape[1:]) for name, value in values.items()}
         )

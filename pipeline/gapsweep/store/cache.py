@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import StoreError
+from gapsweep.model.structure import Structure
 from gapsweep.response.result import Responses
 from gapsweep.store.filesystem import is_on_network
 from gapsweep.store.index import DAMAGED, Index
@@ -266,8 +267,8 @@ class Cache:
         held.status[np.isin(held.slab, damaged)] = DAMAGED
         return held.status
 
-    def find(self, keys: NDArray[np.void]) -> Found:
-        """Stored results; damaged ones are left out, as if missing.
+    def find(self, keys: NDArray[np.void], structure: Structure | None = None) -> Found:
+        """Stored results, of oscillators or of systems; damaged ones are left out, as if missing.
 
         Raises
         ------
@@ -285,7 +286,8 @@ class Cache:
                 hosts.append(np.full(len(asked), found[0].host))
                 versions.add(found[0].versions)
         if not at:
-            return Found(np.empty(0, np.intp), Responses.of(()), np.empty(0, str), frozenset())
+            nothing = Responses.of((), structure)
+            return Found(np.empty(0, np.intp), nothing, np.empty(0, str), frozenset())
         order = np.argsort(np.concatenate(at), kind="stable")
         return Found(
             np.concatenate(at)[order],

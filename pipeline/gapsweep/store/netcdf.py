@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import GapsweepError, StoreError
 from gapsweep.store.artefact import digests, is_intact, recording
-from gapsweep.study.schema import COORDINATES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -82,7 +81,9 @@ def loaded(dataset: netCDF4.Dataset) -> "xr.Dataset":
         name: xr.Variable(variable.dimensions, _plain(variable[:]), _attributes(variable))
         for name, variable in dataset.variables.items()
     }
-    coords = {name: variables.pop(name) for name in COORDINATES if name in variables}
+    named = [getattr(each, "coordinates", "").split() for each in dataset.variables.values()]
+    names = dict.fromkeys([*dataset.dimensions, *(name for each in named for name in each)])
+    coords = {name: variables.pop(name) for name in names if name in variables}
     return xr.Dataset(variables, coords, _attributes(dataset))
 
 

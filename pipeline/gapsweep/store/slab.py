@@ -7,6 +7,7 @@ compression makes their last digits shorter, and it takes its time. A checksum c
 
 import hashlib
 import json
+import math
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
@@ -16,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.result import COLUMNS, LISTS, Responses
+from gapsweep.model.structure import Structure
+from gapsweep.response.result import LISTS, Responses, columns_of
 from gapsweep.status import Status
 from gapsweep.study.points import KEY, Kind, Points
 
@@ -100,7 +102,7 @@ class Stored:
     ----------
     keys, previous : ndarray of void, shape (n,)
         Content keys of the points, and of those that they start from; zero where there is none.
-    numbers : ndarray, shape (n, 11 or 12)
+    numbers : ndarray, shape (n, number of columns)
         As of `Points`.
     responses : Responses
     """
@@ -165,7 +167,10 @@ def stored(slab: Slab) -> Stored:
         previous = np.frombuffer(column("i1", KEY.itemsize * n), KEY)
         names = json.loads(slab.identity)["numbers"]
         numbers = np.stack([column("f8", n) for _ in names], axis=1)
-        columns = {name: column(dtype, n) for name, dtype in COLUMNS.items()}
+        columns = {
+            name: column(dtype, n * math.prod(shape)).reshape(n, *shape)
+            for name, (dtype, shape) in columns_of(structure_of(slab)).items()
+        }
         counts = {name: column("i4", n).astype(np.int64) for name in LISTS}
         lists = {
             name: (column(LISTS[name], int(counts[name].sum())), counts[name])
@@ -177,6 +182,12 @@ def stored(slab: Slab) -> Stored:
         return Stored(keys, previous, numbers, Responses(columns, lists, messages))
     except (zlib.error, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from None
+
+
+def structure_of(slab: Slab) -> Structure | None:
+    """Of the systems of its points; None of oscillators."""
+    said = json.loads(slab.identity)["kind"].get("structure")
+    return Structure.read(said) if said else None
 
 
 def _is_plausible(
@@ -194,7 +205,7 @@ def _packed(
     previous: NDArray[np.void], numbers: NDArray[np.float64], responses: Responses
 ) -> bytes:
     parts: list[NDArray[Any]] = [previous, numbers.T.astype("<f8")]
-    parts += [responses.columns[name].astype(_little(dtype)) for name, dtype in COLUMNS.items()]
+    parts += [column.astype(_little(column.dtype.str[1:])) for column in responses.columns.values()]
     parts += [responses.lists[name][1].astype("<i4") for name in LISTS]
     whole, real = (
         [responses.lists[name][0].astype(_little(LISTS[name])) for name in names]

@@ -1,5 +1,6 @@
 """What may stand for an axis of a sweep in a study file: one value, a list, or a grid."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
@@ -186,13 +187,48 @@ class SobolStarts(_Box):
         return self.sobol
 
     def states(self) -> NDArray[np.float64]:
-        from scipy.stats import qmc  # a second to import, and few studies need it
+        return spread([self.x, self.v], self.sobol, self.seed)
 
-        # Sobol points are balanced in powers of two; the first ones of the next power.
-        exponent = (self.sobol - 1).bit_length()
-        unit = qmc.Sobol(d=2, scramble=True, rng=self.seed).random_base2(exponent)[: self.sobol]
-        low, high = np.array((self.x, self.v)).T
-        return np.asarray(low + unit * (high - low))
+
+def spread(box: Sequence[Sequence[float]], n: int, seed: int) -> NDArray[np.float64]:
+    """The first Sobol points in a box, shape (n, number of its ranges)."""
+    from scipy.stats import qmc  # a second to import, and few studies need it
+
+    # Sobol points are balanced in powers of two; the first ones of the next power.
+    sobol = qmc.Sobol(d=len(box), scramble=True, rng=seed)
+    low, high = np.array(box).T
+    return np.asarray(low + sobol.random_base2((n - 1).bit_length())[:n] * (high - low))
+
+
+class SystemStarts(Table):
+    """Starts of a system spread evenly over a box of coordinates q and velocities v.
+
+    First-order states start at zero.
+    """
+
+    sobol: Annotated[int, Field(ge=1, le=65536)]
+    q: Annotated[list[Range], Field(min_length=1)]
+    v: Annotated[list[Range], Field(min_length=1)]
+    seed: Annotated[int, Field(ge=0)] = 1
+
+    @model_validator(mode="after")
+    def _ranges(self) -> "SystemStarts":
+        for name, ranges in (("q", self.q), ("v", self.v)):
+            for i, (low, high) in enumerate(ranges):
+                if not low <= high:
+                    raise ValueError(f"{name}[{i}] = [{low:g}, {high:g}] must ascend")
+                if not max(-low, high) <= _LARGEST:
+                    raise ValueError(f"{name}[{i}] = [{low:g}, {high:g}]: within {_LARGEST:g}")
+        if len(self.q) != len(self.v):
+            raise ValueError(f"q has {len(self.q)} ranges and v {len(self.v)}: must be as many")
+        return self
+
+    @property
+    def count(self) -> int:
+        return self.sobol
+
+    def states(self) -> NDArray[np.float64]:
+        return spread([*self.q, *self.v], self.sobol, self.seed)
 
 
 class GridStarts(_Box):
@@ -220,16 +256,36 @@ def _start_form(value: Any) -> str:
     return "grid" if is_grid else "sobol"
 
 
+def _one_state(value: Any) -> Any:
+    """A state of numbers as a list of one."""
+    is_state = (
+        isinstance(value, list)
+        and value
+        and not any(isinstance(each, list | dict | str | BaseModel) for each in value)
+    )
+    return [value] if is_state else value
+
+
 _Box_ = Annotated[SobolStarts, Tag("sobol")] | Annotated[GridStarts, Tag("grid")]
+_SystemBox = Annotated[SystemStarts, Tag("sobol")]
 _Sweep = Annotated[Literal["sweep_up", "sweep_down"], Tag("sweep")]
-Starts = Annotated[
-    Annotated[list[Range], Field(min_length=1), Tag("list")]
-    | Annotated[list[Annotated[_Box_ | _Sweep, Discriminator(_start_form)]], Tag("several")]
-    | _Box_
-    | _Sweep,
-    Discriminator(_start_form),
-    BeforeValidator(_one_pair),
-]
+State = Annotated[list[float], Field(min_length=2)]
+
+
+def _starts(state: Any, box: Any, one: Any) -> Any:
+    """The type of starts of states and boxes of some types, where one state may stand alone."""
+    return Annotated[
+        Annotated[list[state], Field(min_length=1), Tag("list")]
+        | Annotated[list[Annotated[box | _Sweep, Discriminator(_start_form)]], Tag("several")]
+        | box
+        | _Sweep,
+        Discriminator(_start_form),
+        BeforeValidator(one),
+    ]
+
+
+Starts = _starts(Range, _Box_, _one_pair)
+StartsOfSystems = _starts(State, _SystemBox, _one_state)
 
 
 def forms(starts: Any) -> list[Any]:

@@ -1,7 +1,7 @@
 """The labelled grid of a study: its axes, and which of its cells are sweep points."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,6 +11,7 @@ from gapsweep.model.oscillator import Gap
 from gapsweep.study.points import FIXED, SWEEPS, canonical
 
 START = "initial_condition"
+COORDINATE, CONTACT, LAG = "coordinate", "contact", "lag"
 
 Axes = Mapping[str, Sequence[Any]]
 # Part of a study's grid: the positions wanted along each dimension, ascending.
@@ -18,7 +19,7 @@ Selection = tuple[NDArray[np.intp], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Starts(Sequence[tuple[str, float, float]]):
+class Starts(Sequence[tuple[str, tuple[float, ...]]]):
     """Initial conditions, n of them: fixed states, and sweeps, which begin at rest.
 
     Attributes
@@ -27,47 +28,43 @@ class Starts(Sequence[tuple[str, float, float]]):
         Position in `KINDS`.
     number : ndarray of int, shape (n,)
         Number of each in its study.
-    x_0, v_0 : ndarray, shape (n,)
-        Displacement [m] and velocity [m/s]; zero of a sweep.
+    states : ndarray, shape (n, n_states)
+        Displacements [m], velocities [m/s] and first-order states; zero of a sweep.
     """
 
     KINDS: ClassVar[tuple[str, ...]] = (FIXED, *SWEEPS)
 
     kind: NDArray[np.int8]
-    x_0: NDArray[np.float64]
-    v_0: NDArray[np.float64]
+    states: NDArray[np.float64]
     number: NDArray[np.int32]
 
     @classmethod
     def fixed(cls, states: ArrayLike) -> "Starts":
-        """Fixed states, shape (n, 2), made canonical."""
-        x_0, v_0 = np.array([[canonical(v) for v in row] for row in np.asarray(states).T.tolist()])
-        return cls(np.zeros(len(x_0), np.int8), x_0, v_0, np.arange(len(x_0), dtype=np.int32))
+        """Fixed states, shape (n, n_states), made canonical."""
+        found = np.asarray(states, float)
+        found = np.reshape([canonical(value) for value in found.ravel().tolist()], found.shape)
+        return cls(np.zeros(len(found), np.int8), found, np.arange(len(found), dtype=np.int32))
 
     @classmethod
-    def sweep(cls, kind: str) -> "Starts":
+    def sweep(cls, kind: str, n_states: int) -> "Starts":
         """A sweep, by its name."""
-        nothing = np.zeros(1)
-        return cls(
-            np.array([cls.KINDS.index(kind)], np.int8), nothing, nothing, np.zeros(1, np.int32)
-        )
+        number = np.array([cls.KINDS.index(kind)], np.int8)
+        return cls(number, np.zeros((1, n_states)), np.zeros(1, np.int32))
 
     @classmethod
     def union(cls, several: Iterable["Starts"]) -> "Starts":
         """All starts of several, each once, in order of first appearance."""
-        columns = zip(*((s.kind, s.x_0, s.v_0, s.number) for s in several), strict=True)
+        columns = zip(*((s.kind, s.states, s.number) for s in several), strict=True)
         whole = cls(*map(np.concatenate, columns))
-        _, first = np.unique(whole._states, return_index=True)
+        _, first = np.unique(whole._rows, return_index=True)
         number = np.arange(len(first), dtype=np.int32)
         return replace(whole.take(np.sort(first)), number=number)
 
     @property
-    def _states(self) -> NDArray[np.complex128]:
-        """Each start as one number, no two the same; such numbers can be sorted."""
-        states = np.empty(len(self), complex)
-        states.real = np.where(self.is_fixed, self.x_0, np.inf)
-        states.imag = np.where(self.is_fixed, self.v_0, self.kind)
-        return states
+    def _rows(self) -> NDArray[np.void]:
+        """Each start as one value, no two the same; such values can be sorted."""
+        rows = np.column_stack([self.kind, self.states])
+        return rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel()
 
     @property
     def is_fixed(self) -> NDArray[np.bool_]:
@@ -75,20 +72,20 @@ class Starts(Sequence[tuple[str, float, float]]):
 
     def places(self, some: "Starts") -> NDArray[np.intp]:
         """Where some of these starts are."""
-        states = self._states
-        order = np.argsort(states)
-        return order[np.searchsorted(states[order], some._states)]
+        rows = self._rows
+        order = np.argsort(rows)
+        return order[np.searchsorted(rows[order], some._rows)]
 
     def take(self, numbers: Any) -> "Starts":
-        columns = (self.kind, self.x_0, self.v_0, self.number)
+        columns = (self.kind, self.states, self.number)
         return Starts(*(column[numbers] for column in columns))
 
     def __len__(self) -> int:
         return len(self.kind)
 
     def __getitem__(self, number: Any) -> Any:
-        """Kind, displacement [m] and velocity [m/s] of a start."""
-        return self.KINDS[self.kind[number]], float(self.x_0[number]), float(self.v_0[number])
+        """Kind and state of a start."""
+        return self.KINDS[self.kind[number]], tuple(self.states[number].tolist())
 
 
 @dataclass(frozen=True)
@@ -102,10 +99,13 @@ class Grid:
         stiffnesses [N/m]; gaps, or distances of both walls [m]; frequencies [Hz]; what else is
         swept; `Starts`. Numbers ascend, others come in order of first appearance.
     requested : ndarray of bool, of the axes' lengths
+    parts : mapping of str to tuple of str
+        Of systems the dimensions within a point: names of coordinates, contacts and lags.
     """
 
     axes: Axes
     requested: NDArray[np.bool_]
+    parts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -157,9 +157,13 @@ class Grid:
             walls = np.array([(gap.j_1, gap.j_2) for gap in self.axes["gap"]])
             found["j_1"], found["j_2"] = walls.T
         starts = self.starts
-        found["x_0"], found["v_0"] = (
-            np.where(starts.is_fixed, state, np.nan) for state in (starts.x_0, starts.v_0)
-        )
+        states = np.where(starts.is_fixed[:, None], starts.states, np.nan)
+        if self.parts:
+            n = len(self.parts[COORDINATE])
+            found["q_0"], found["v_0"], found["z_0"] = np.split(states, [n, 2 * n], axis=1)
+            found |= {name: np.array(names) for name, names in self.parts.items()}
+        else:
+            found["x_0"], found["v_0"] = states.T
         return found | {"start": np.array(Starts.KINDS)[starts.kind]}
 
     def cut(self, selection: Selection) -> "Grid":
@@ -168,7 +172,7 @@ class Grid:
             name: axis.take(some) if isinstance(axis, Starts) else tuple(axis[i] for i in some)
             for (name, axis), some in zip(self.axes.items(), selection, strict=True)
         }
-        return Grid(axes, self.requested[np.ix_(*selection)])
+        return Grid(axes, self.requested[np.ix_(*selection)], self.parts)
 
     def order(self, wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """The wanted points in the order in which they are computed.
@@ -187,9 +191,10 @@ class Grid:
         follows : ndarray of bool, shape (n,)
             Which points start where the one before them ends.
         """
-        omega, n_omega = self.dims.index("omega"), len(self.axes["omega"])
-        cells = np.moveaxis(np.arange(self.requested.size).reshape(self.shape), omega, -1)
-        asked, requested = (np.moveaxis(some, omega, -1) for some in (wanted, self.requested))
+        n_omega, cells = len(self.axes.get("omega", "-")), np.arange(self.requested.size)
+        cells, asked, requested = map(
+            self._along_omega, (cells.reshape(self.shape), wanted, self.requested)
+        )
         kind = self.starts.kind
         if kind.any():
             cells, asked, requested = cells.copy(), asked.copy(), requested.copy()
@@ -205,6 +210,12 @@ class Grid:
         follows = np.zeros(len(at), bool)
         follows[1:] = is_sweep[1:] & (chain[1:] == chain[:-1])
         return cells[asked], follows
+
+    def _along_omega(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values over the grid, their last axis that of the frequencies."""
+        if "omega" not in self.dims:  # nothing forces the systems
+            return values[..., None]
+        return np.moveaxis(values, self.dims.index("omega"), -1)
 
 
 def starts_of(axes: Axes) -> Starts:

@@ -14,6 +14,7 @@ from gapsweep.model import own_law
 from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.labels import contact_law, is_fitted
 from gapsweep.model.oscillator import Gap
+from gapsweep.model.structure import Structure
 from gapsweep.response.result import Steady
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.software import deciding, versions
@@ -30,6 +31,8 @@ OSCILLATOR = ("zeta", "omega_n", "mass", "alpha", "forcing")
 NUMBERS = ("K_c", "j_1", "j_2", "omega", *OSCILLATOR, "x_0", "v_0")
 # Those of points whose walls differ. Others do without, and have the keys that they always had.
 UNEQUAL = (*NUMBERS[:-2], "K_ratio", *NUMBERS[-2:])
+# Those of every contact of a system, which come first there.
+OF_CONTACT = ("K_c", "j_1", "j_2", "K_ratio")
 KEY = np.dtype("V32")  # a content key, as an element of an array
 
 Numbers = NDArray[np.intp]
@@ -65,7 +68,11 @@ class Kind:
     law_code : str
         Of a user's own law, as JSON; whoever computes the point must have the same.
     numbers : tuple of str
-        Columns of the table: `NUMBERS`, or `UNEQUAL` if the walls differ.
+        Columns of the table: `NUMBERS`, or `UNEQUAL` if the walls differ, or `of_systems`.
+    structure : Structure, optional
+        Of systems; their arrays are among the numbers.
+    contacts : tuple of str
+        Of systems the label of every contact's law.
     """
 
     representation: str
@@ -76,6 +83,13 @@ class Kind:
     start_jitter: float = 0.0
     law_code: str = OURS
     numbers: tuple[str, ...] = NUMBERS
+    structure: Structure | None = None
+    contacts: tuple[str, ...] = ()
+
+    @property
+    def n_states(self) -> int:
+        """Length of a start."""
+        return 2 if self.structure is None else self.structure.n_states
 
     @property
     def is_sweep(self) -> bool:
@@ -101,6 +115,9 @@ class Kind:
             said = {"fit_range": FIT_RANGE, **whole["kind"], "numbers": tuple(whole["numbers"])}
             said["law_code"] = _json(said.pop("law"))
             said |= {"solver": Solver(**said["solver"]), "steady": Steady(**said["steady"])}
+            if said.get("structure"):
+                said["structure"] = Structure.read(said["structure"])
+                said["contacts"] = tuple(said["contacts"])
             return cls(**said)
         except (TypeError, KeyError, AttributeError, RecursionError) as error:
             raise ValueError(f"{type(error).__name__}: {error}") from None
@@ -111,8 +128,10 @@ class Kind:
 def _identity(kind: Kind) -> str:
     said = asdict(kind)
     said["law"] = json.loads(said.pop("law_code"))
-    if not is_fitted(kind.representation):
+    if not any(map(is_fitted, (kind.representation, *kind.contacts))):
         del said["fit_range"]
+    if kind.structure is None:  # an oscillator's key says nothing of systems
+        del said["structure"], said["contacts"]
     whole = {
         "numbers": said.pop("numbers"),
         "kind": said,
@@ -132,7 +151,7 @@ class Points:
     Attributes
     ----------
     kind : Kind
-    numbers : ndarray, shape (n, 11 or 12)
+    numbers : ndarray, shape (n, number of columns)
         Columns as in `Kind.numbers`: N/m, m, m, Hz, then the oscillator's, m, m/s.
     """
 
@@ -181,9 +200,20 @@ class Points:
         return [data[at : at + size] for at in range(0, len(data), size)]
 
 
+def of_systems(structure: Structure) -> tuple[str, ...]:
+    """The columns of tables of points of systems.
+
+    Those of all contacts, then the frequency (0 where nothing is forced), the arrays, the start.
+    """
+    contacts = [f"{name}[{i}]" for i in range(len(structure.contacts)) for name in OF_CONTACT]
+    sizes = {"q_0": structure.n, "v_0": structure.n, "z_0": structure.m}
+    start = [f"{name}[{i}]" for name, size in sizes.items() for i in range(size)]
+    return (*contacts, "omega", *structure.names, *start)
+
+
 def with_ratio(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
     """Tables of points with the columns `UNEQUAL`; the ratio of equal walls is 1."""
-    if numbers.shape[1] == len(UNEQUAL):
+    if numbers.shape[1] != len(NUMBERS):
         return numbers
     return np.insert(numbers, UNEQUAL.index("K_ratio"), 1.0, axis=1)
 

@@ -28,6 +28,7 @@ _SHAPES = ("list_type", "model_type", "too_short", "too_long")
 _EITHER = {"step": "give step or num", "sobol": "give sobol or grid"}
 # The tags of unions: ours, not the user's.
 _TAGS = {"list", "step", "num", "sobol", "grid", "sweep", "several"}
+_OF_WHAT = {"oscillator", "system"}  # of which a block of points is: the tag behind its number
 
 Loc = tuple[str | int, ...]
 
@@ -88,6 +89,8 @@ def _keys(annotation: Any) -> set[str]:
 def _path(loc: Loc) -> str:
     """``("sweep", 0, "omega", "step", "step")`` as ``sweep[0].omega.step``."""
     text, was_tag = "", False
+    if loc[:1] == ("sweep",) and loc[2:3] and loc[2] in _OF_WHAT:
+        loc = (*loc[:2], *loc[3:])
     for i, part in enumerate(loc):
         was_tag = part in _TAGS and not was_tag and i > 2
         if not was_tag:

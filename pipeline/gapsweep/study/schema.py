@@ -4,13 +4,19 @@ Written down once, here; the writer, the analyses and the documentation read thi
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from gapsweep.response.result import ExtremumKind, ResponseClass
+from gapsweep.response.result import (
+    OF_CONTACTS,
+    OF_COORDINATES,
+    ExtremumKind,
+    ResponseClass,
+)
 from gapsweep.status import Status
+from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START
 
 # Of a study that sweeps nothing else; each further number swept has a dimension after omega.
 POINT_DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
@@ -29,7 +35,7 @@ class Variable:
     dtype : str
         NumPy type code, or ``"str"``.
     units : str
-        UDUNITS text, ``"1"`` if nondimensional.
+        UDUNITS text, ``"1"`` if nondimensional; empty if its user alone knows.
     long_name : str
     missing : float
         Value in cells that are no sweep point.
@@ -46,7 +52,8 @@ class Variable:
     @property
     def attributes(self) -> dict[str, Any]:
         """Attributes of the variable in a file."""
-        attributes: dict[str, Any] = {"units": self.units, "long_name": self.long_name}
+        attributes: dict[str, Any] = {"units": self.units} if self.units else {}
+        attributes["long_name"] = self.long_name
         if self.flags:
             names, values = zip(*self.flags, strict=True)
             attributes["flag_values"] = np.array(values, dtype=self.dtype)
@@ -61,6 +68,10 @@ CLASS_FLAGS = (
     ("none", -1),
     *((c.name.lower(), int(c)) for c in ResponseClass if c <= ResponseClass.FAILED),
 )
+
+_ALL_CLASSES = (("none", -1), *((c.name.lower(), int(c)) for c in ResponseClass))
+# Units that do not depend on what a coordinate is.
+_OWN_UNITS = {"1", "s", "s-1", "Hz"}
 
 # Of every coordinate the dimension it lies along, and what it is. Walls that are swept one by one
 # have dimensions of their own.
@@ -84,10 +95,67 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
 }
 
 
-def coordinates(dims: Collection[str]) -> dict[str, str]:
-    """The coordinates that dimensions bring along, and the dimension of each."""
-    found = {n: n if n in dims else dim for n, (dim, _) in COORDINATES.items()}
-    return {name: dim for name, dim in found.items() if dim in dims}
+PARAMETER = "parameter"  # of a system: what its coordinate's long name begins with
+# Of systems in place of x_0 and v_0.
+_STARTS_OF_SYSTEMS = {
+    "q_0": (COORDINATE, Variable("f8", "", "initial coordinates")),
+    "v_0": (COORDINATE, Variable("f8", "", "initial velocities")),
+    "z_0": (LAG, Variable("f8", "", "initial first-order states")),
+}
+_PARTS = {
+    COORDINATE: Variable("str", "1", "coordinate of the system"),
+    CONTACT: Variable("str", "1", "contact of the system"),
+    LAG: Variable("str", "1", "first-order state of the system"),
+}
+
+
+Found = dict[str, tuple[tuple[str, ...], Variable]]
+
+
+def coordinates(dims: Collection[str], parts: Collection[str] = ()) -> Found:
+    """The coordinates that dimensions bring along: the dimensions of each, and what it is.
+
+    Parameters
+    ----------
+    dims : collection of str
+    parts : collection of str
+        Of systems the dimensions within a point.
+    """
+    along = {name: name if name in dims else dim for name, (dim, _) in COORDINATES.items()}
+    found: Found = {
+        name: ((dim,), COORDINATES[name][1]) for name, dim in along.items() if dim in dims
+    }
+    if not parts:
+        return found
+    named: Found = {
+        name: ((name,), Variable("f8", "", f"{PARAMETER} {name}"))
+        for name in dims
+        if name not in COORDINATES
+    }
+    starts: Found = {
+        name: ((START, part), variable)
+        for name, (part, variable) in _STARTS_OF_SYSTEMS.items()
+        if START in dims and part in parts
+    }
+    others: Found = {
+        name: (along, of_systems(variable))
+        for name, (along, variable) in found.items()
+        if name not in ("x_0", "v_0")
+    }
+    names: Found = {name: ((name,), _PARTS[name]) for name in parts}
+    return others | named | starts | names
+
+
+def of_systems(variable: Variable) -> Variable:
+    """A variable of systems: whether lengths or angles are meant, their user alone knows."""
+    if variable.flags == CLASS_FLAGS:
+        return replace(variable, flags=_ALL_CLASSES)
+    return variable if variable.units in _OWN_UNITS else replace(variable, units="")
+
+
+def parts_of(name: str, parts: Collection[str]) -> tuple[str, ...]:
+    """The dimensions within a point that a variable has."""
+    return (_PART_OF[name],) if _PART_OF.get(name) in parts else ()
 
 
 VARIABLES: dict[str, Variable] = {
@@ -124,6 +192,14 @@ LISTS: dict[str, tuple[str, Variable]] = {
 }
 
 SECTION = ("section_x", "section_v")
+# What systems have besides: variables, and the last part of their section points.
+PERIOD = Variable("f8", "s", "period of a response that nothing forces")
+SECTION_Z = Variable("f8", "", "first-order states of the section")
+_PART_OF = {
+    **dict.fromkeys((*OF_COORDINATES, "extrema", "extremum_kind", *SECTION), COORDINATE),
+    **dict.fromkeys(OF_CONTACTS, CONTACT),
+    "section_z": LAG,
+}
 
 # `attractors.nc`: over the scenes and `attractor`; names as in `responses.nc` where they are one.
 ATTRACTOR_VARIABLES: dict[str, Variable] = {
@@ -148,3 +224,15 @@ MULTIPLIERS: dict[str, Variable] = {
     "multiplier_imag": Variable("f8", "1", "imaginary part of the Floquet multipliers"),
 }
 N_ATTRACTORS = Variable("i4", "1", "number of attractors found", 0)
+
+# Names that a parameter of a system cannot have: they mean something else in files and selections.
+TAKEN = {
+    *COORDINATES,
+    *VARIABLES,
+    *LISTS,
+    *ATTRACTOR_VARIABLES,
+    *MULTIPLIERS,
+    *_STARTS_OF_SYSTEMS,
+    *_PARTS,
+    *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "section_z", "period", "n_attractors"),
+}

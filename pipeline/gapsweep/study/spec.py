@@ -7,10 +7,19 @@ the plain immutable values that the rest of the package works with.
 
 import math
 import tomllib
+from collections.abc import Collection
 from pathlib import PurePath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
 
 from gapsweep.errors import StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
@@ -30,6 +39,7 @@ from gapsweep.study.axes import (
     PositiveAxis,
     Range,
     Starts,
+    StartsOfSystems,
     Table,
     count,
     n_starts,
@@ -37,6 +47,8 @@ from gapsweep.study.axes import (
 )
 from gapsweep.study.bench import BenchTable
 from gapsweep.study.problems import problems
+from gapsweep.study.schema import TAKEN
+from gapsweep.study.system_tables import ContactTable, SystemTable
 
 # Of a time history; its dense output is kept in memory.
 MAX_HISTORY_PERIODS = 10_000
@@ -47,44 +59,84 @@ class StudyTable(Table):
     title: Annotated[str, Field(max_length=10_000)] = ""
 
 
-class SweepTable(Table):
+class _Block(Table):
     """A block of points: every combination of its axes."""
 
     representation: Annotated[list[Label], Field(min_length=1), BeforeValidator(several)]
-    K_c: NonNegativeAxis
+    K_c: NonNegativeAxis | None = None
     gap: Pairs | None = None
     j_1: NonNegativeAxis | None = None
     j_2: NonNegativeAxis | None = None
+    omega: PositiveAxis | None = None
+    K_ratio: NonNegativeAxis | None = None
+
+    @model_validator(mode="after")
+    def _walls(self) -> "_Block":
+        given = [name for name in ("gap", "j_1", "j_2") if getattr(self, name) is not None]
+        if given not in self._forms:
+            raise ValueError("give gap, or both j_1 and j_2 in its place")
+        return self
+
+    _forms: ClassVar[tuple[list[str], ...]] = (["gap"], ["j_1", "j_2"])
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Axes of what moves, and of the ratio of the walls, that are swept here."""
+        raise NotImplementedError
+
+    @property
+    def starts(self) -> Any:
+        """Where motions start; None: at rest."""
+        raise NotImplementedError
+
+    @property
+    def count(self) -> int:
+        """Sweep points, without making them."""
+        axes = [self.K_c, self.j_1, self.j_2, self.omega, *self.parameters.values()]
+        sizes = [count(axis) for axis in axes if axis is not None]
+        n_gaps = 1 if self.gap is None else len(self.gap)
+        n_all_starts = 1 if self.starts is None else n_starts(self.starts)
+        return math.prod((*sizes, len(self.representation), n_gaps, n_all_starts))
+
+
+class SweepTable(_Block):
+    """A block of an oscillator's points."""
+
+    K_c: NonNegativeAxis
     omega: PositiveAxis
     zeta: NonNegativeAxis | None = None
     omega_n: PositiveAxis | None = None
     mass: PositiveAxis | None = None
     alpha: AnyAxis | None = None
     forcing: AnyAxis | None = None
-    K_ratio: NonNegativeAxis | None = None
     initial_condition: Starts = Field([[0.0, 0.0]])
 
-    @model_validator(mode="after")
-    def _walls(self) -> "SweepTable":
-        given = [name for name in ("gap", "j_1", "j_2") if getattr(self, name) is not None]
-        if given not in (["gap"], ["j_1", "j_2"]):
-            raise ValueError("give gap, or both j_1 and j_2 in its place")
-        return self
+    @property
+    def parameters(self) -> dict[str, Any]:
+        found = {name: getattr(self, name) for name in SWEEPABLE}
+        return {name: axis for name, axis in found.items() if axis is not None}
 
     @property
-    def swept(self) -> tuple[str, ...]:
-        """Parameters of the oscillator, and the ratio of the walls, that are axes here."""
-        return tuple(name for name in SWEEPABLE if getattr(self, name) is not None)
+    def starts(self) -> Any:
+        return self.initial_condition
+
+
+class SystemSweepTable(_Block):
+    """A block of a system's points: any of its parameters is an axis if it is given."""
+
+    parameter: dict[str, AnyAxis] = Field({})
+    initial_condition: StartsOfSystems | None = None
+
+    _forms: ClassVar[tuple[list[str], ...]] = (*_Block._forms, [])
 
     @property
-    def count(self) -> int:
-        """Sweep points, without making them."""
-        numeric = ("K_c", "j_1", "j_2", "omega", *SWEEPABLE)
-        sizes = [count(axis) for name in numeric if (axis := getattr(self, name)) is not None]
-        n_gaps = 1 if self.gap is None else len(self.gap)
-        return math.prod(
-            (*sizes, len(self.representation), n_gaps, n_starts(self.initial_condition))
-        )
+    def parameters(self) -> dict[str, Any]:
+        ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
+        return {**self.parameter, **ratio}
+
+    @property
+    def starts(self) -> Any:
+        return self.initial_condition
 
 
 class SolverTable(Table):
@@ -178,10 +230,26 @@ class ReportTable(ModuleTable):
     """Presence asks for sections of the study's own in the report."""
 
 
+def _of_what(block: Any) -> str:
+    is_of_system = isinstance(block, dict) and "parameter" in block
+    return "system" if is_of_system or isinstance(block, SystemSweepTable) else "oscillator"
+
+
+Sweep = Annotated[
+    Annotated[SweepTable, Tag("oscillator")] | Annotated[SystemSweepTable, Tag("system")],
+    Discriminator(_of_what),
+]
+# What studies of oscillators have and those of systems do not.
+_OF_OSCILLATORS = ("oscillator", "auto", "history", "bench")
+
+
 class StudySpec(Table):
     study: StudyTable
     oscillator: OscillatorTable = OscillatorTable()
-    sweep: Annotated[list[SweepTable], Field(min_length=1)]
+    system: SystemTable | None = None
+    parameters: dict[str, float] = Field({})
+    contact: dict[str, ContactTable] = Field({})
+    sweep: Annotated[list[Sweep], Field(min_length=1)]
     solver: SolverTable = SolverTable()
     protocol: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")], SolverTable] = Field({})
     steady: SteadyTable = SteadyTable()
@@ -192,9 +260,48 @@ class StudySpec(Table):
     claims: ClaimsTable | None = None
     report: ReportTable | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _sweeps_of_system(cls, given: Any) -> Any:
+        """Have what a sweep of a system says of its parameters in a table of its own."""
+        if not isinstance(given, dict) or "system" not in given:
+            return given
+        wrong = [f"{name}: not beside [system]" for name in _OF_OSCILLATORS if given.get(name)]
+        names = given.get("parameters") or {}
+        wrong += [
+            f"parameters: {name!r} has a meaning of its own in studies: choose another name"
+            for name in names
+            if name in TAKEN
+        ]
+        wrong += [
+            f"parameters: {name!r}: must be a name of letters, digits and '_'"
+            for name in names
+            if not name.isidentifier()
+        ]
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        blocks = given.get("sweep")
+        if not isinstance(blocks, list) or not isinstance(names, dict):
+            return given
+        return given | {"sweep": [_parted(block, names) for block in blocks]}
+
+    @property
+    def tables(self) -> dict[str, Any]:
+        """The checked study, defaults filled in, as the tables of its file."""
+        left_out = _OF_OSCILLATORS if self.system else ("parameters", "contact")
+        tables = self.model_dump(exclude_none=True)
+        return {name: table for name, table in tables.items() if name not in left_out}
+
+    @model_validator(mode="after")
+    def _of_one_thing(self) -> "StudySpec":
+        given = [name for name in ("parameters", "contact") if getattr(self, name)]
+        if self.system is None and given:
+            raise ValueError(f"{given[0]}: belongs to a [system], and there is none")
+        return self
+
     @model_validator(mode="after")
     def _consistent(self) -> "StudySpec":
-        tables: list[SweepTable | HistoryTable] = [*self.sweep, *self.history]
+        tables: list[Sweep | HistoryTable] = [*self.sweep, *self.history]
         labels = [label for table in tables for label in table.representation]
         scenes = self.bench.scene if self.bench else []
         labels += [method.label for method in self.bench.method] if self.bench else []
@@ -209,8 +316,11 @@ class StudySpec(Table):
             wrong.append("'auto' has no time histories: name the representation")
         if self.bench and any(method.label == AUTO for method in self.bench.method):
             wrong.append("bench: 'auto' is no method: name the representation")
-        if len({block.gap is None for block in self.sweep}) > 1:
+        if len({(block.gap is None, block.j_1 is None) for block in self.sweep}) > 1:
             wrong.append("sweep: give gap in every block, or j_1 and j_2 in every block")
+        for name in ("K_c", "omega"):
+            if len({getattr(block, name) is None for block in self.sweep}) > 1:
+                wrong.append(f"sweep: give {name} in every block, or in none")
         n_points = sum(block.count for block in self.sweep)
         if n_points > MAX_POINTS:
             wrong.append(f"{n_points} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
@@ -222,6 +332,15 @@ class StudySpec(Table):
         if wrong:
             raise ValueError("; ".join(wrong))
         return self
+
+
+def _parted(block: Any, parameters: Collection[str]) -> Any:
+    """A block of a system's points with its parameters in a table of their own."""
+    if not isinstance(block, dict):
+        return block
+    apart = {name: axis for name, axis in block.items() if name in parameters}
+    rest = {name: axis for name, axis in block.items() if name not in parameters}
+    return rest | {"parameter": apart | rest.get("parameter", {})}
 
 
 def parse(text: str, source: str = "study") -> StudySpec:

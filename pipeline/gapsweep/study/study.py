@@ -5,7 +5,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,11 +16,11 @@ from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import AUTO
 from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.structure import Structure
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advise
 from gapsweep.study.axes import (
     MAX_POINTS,
-    SWEEPABLE,
     forms,
     values,
 )
@@ -35,6 +34,7 @@ from gapsweep.study.points import (
     Points,
     canonical,
     law_code,
+    of_systems,
 )
 from gapsweep.study.selection import listed, positions
 from gapsweep.study.spec import (
@@ -42,10 +42,11 @@ from gapsweep.study.spec import (
     ModuleTable,
     SolverTable,
     StudySpec,
-    SweepTable,
+    Sweep,
     check,
     parse,
 )
+from gapsweep.study.systems import Systems
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,8 @@ class Study:
         except ModelError as error:
             raise StudyError([f"{self.source}: solver: {error}"]) from None
         self._check_modules()
+        if self.systems is not None:
+            self.systems.check()
         cells = math.prod(map(len, self._axes.values()))
         if cells > MAX_POINTS:
             raise StudyError(
@@ -139,7 +142,7 @@ class Study:
     @property
     def json(self) -> str:
         """The checked study, defaults filled in, as JSON."""
-        return json.dumps(self.spec.model_dump(exclude_none=True), sort_keys=True)
+        return json.dumps(self.spec.tables, sort_keys=True)
 
     @property
     def claims_module(self) -> Path | None:
@@ -159,13 +162,23 @@ class Study:
         return Oscillator(**self.spec.oscillator.model_dump())
 
     @cached_property
+    def systems(self) -> Systems | None:
+        """What moves instead, in a study with ``[system]``."""
+        return None if self.spec.system is None else Systems(self.spec, self.source)
+
+    @property
+    def structure(self) -> Structure | None:
+        """Of the systems; None of oscillators."""
+        return None if self.systems is None else self.systems.structure
+
+    @cached_property
     def steady(self) -> Steady:
         return Steady(**self.spec.steady.model_dump())
 
     @property
     def own_laws(self) -> tuple[str, ...]:
         """The code that the study names: laws of the user's own, as ``module:function``."""
-        tables: list[SweepTable | HistoryTable] = [*self.spec.sweep, *self.spec.history]
+        tables: list[Sweep | HistoryTable] = [*self.spec.sweep, *self.spec.history]
         labels = [label for table in tables for label in table.representation]
         labels += [method.label for method in self.spec.bench.method] if self.spec.bench else []
         return tuple(dict.fromkeys(x.partition("@")[0] for x in labels if ":" in x))
@@ -188,12 +201,27 @@ class Study:
 
     @cached_property
     def _blocks(self) -> list[Axes]:
-        swept = {name for block in self.spec.sweep for name in block.swept}
-        default = self.spec.oscillator.model_dump() | {"K_ratio": 1.0}
+        swept = {name for block in self.spec.sweep for name in block.parameters}
+        model = self.spec.parameters if self.systems else self.spec.oscillator.model_dump()
+        default = {n: value for n, value in {**model, "K_ratio": 1.0}.items() if n in swept}
         return [
-            _expanded(block, {n: default[n] for n in SWEEPABLE if n in swept})
+            _expanded(block, default) | {START: self._starts(block.starts)}
             for block in self.spec.sweep
         ]
+
+    def _starts(self, given: Any) -> Starts:
+        systems = self.systems
+        n_states = 2 if systems is None else systems.structure.n_states
+
+        def starts(form: Any) -> Starts:
+            if isinstance(form, str):
+                return Starts.sweep(form, n_states)
+            states = form if isinstance(form, list) else form.states()
+            return Starts.fixed(states if systems is None else systems.starts(states))
+
+        if systems is not None and given is None:
+            return Starts.fixed(systems.starts(None))
+        return Starts.union(map(starts, forms(given)))
 
     @cached_property
     def _axes(self) -> Axes:
@@ -215,7 +243,7 @@ class Study:
         for block in self._blocks:
             at = [_places(axis, block[name]) for name, axis in self._axes.items()]
             requested[np.ix_(*at)] = True
-        return Grid(self._axes, requested)
+        return Grid(self._axes, requested, self.systems.parts if self.systems else {})
 
     def select(self, **wanted: Any) -> Selection:
         """Select among the study's own coordinates.
@@ -255,7 +283,10 @@ class Study:
 
     def _starts_in_words(self) -> str:
         """What the numbers of the starts stand for."""
-        states = [kind if kind in SWEEPS else f"[{x:g}, {v:g}]" for kind, x, v in self.grid.starts]
+        states = [
+            kind if kind in SWEEPS else f"[{', '.join(f'{value:g}' for value in state)}]"
+            for kind, state in self.grid.starts
+        ]
         return listed([f"{number} is {state}" for number, state in enumerate(states)])
 
     def points(self, cells: NDArray[np.int64]) -> list[tuple[NDArray[np.intp], Points]]:
@@ -282,17 +313,29 @@ class Study:
         """The points in some cells as they are asked for, with their label."""
         axes, starts = self.grid.axes, self.grid.starts
         at = dict(zip(axes, np.unravel_index(cells, self.grid.shape), strict=True))
-        numbers = self._numbers(at, len(cells))
         kind = at["representation"] * len(Starts.KINDS) + starts.kind[at[START]]
-        differ = numbers[:, UNEQUAL.index("K_ratio")] != 1.0
-        for one, is_unequal in product(np.unique(kind).tolist(), (False, True)):
-            rows = np.flatnonzero((kind == one) & (differ == is_unequal))
-            if not len(rows):
-                continue
+        for one in np.unique(kind).tolist():
+            rows = np.flatnonzero(kind == one)
             r, start = divmod(one, len(Starts.KINDS))
-            label, names = axes["representation"][r], UNEQUAL if is_unequal else NUMBERS
-            table = numbers[rows][:, [UNEQUAL.index(name) for name in names]]
-            yield rows, Points(self._kind(label, Starts.KINDS[start], names), table), label
+            label, here = axes["representation"][r], {name: of[rows] for name, of in at.items()}
+            for some, names, table in self._tables(here, len(rows)):
+                kind_of_all = self._kind(label, Starts.KINDS[start], names)
+                yield rows[some], Points(kind_of_all, table), label
+
+    def _tables(
+        self, at: Mapping[str, NDArray[np.intp]], n: int
+    ) -> Iterator[tuple[NDArray[np.intp], tuple[str, ...], NDArray[np.float64]]]:
+        """Tables of n points from their places on the axes: rows, columns and numbers of each."""
+        if self.systems is not None:
+            names = of_systems(self.systems.structure)
+            yield np.arange(n), names, self.systems.numbers(self.grid.axes, at, n)
+            return
+        numbers = self._numbers(at, n)
+        differ = numbers[:, UNEQUAL.index("K_ratio")] != 1.0
+        for names, is_so in ((NUMBERS, ~differ), (UNEQUAL, differ)):
+            if is_so.any():
+                rows = np.flatnonzero(is_so)
+                yield rows, names, numbers[rows][:, [UNEQUAL.index(name) for name in names]]
 
     def _numbers(self, at: Mapping[str, NDArray[np.intp]], n: int) -> NDArray[np.float64]:
         """The columns `UNEQUAL` of a table of points, from their places on the axes."""
@@ -304,7 +347,7 @@ class Study:
                 walls = np.array([(gap.j_1, gap.j_2) for gap in axis])[at[name]]
                 columns["j_1"], columns["j_2"] = walls.T
             elif isinstance(axis, Starts):
-                columns["x_0"], columns["v_0"] = axis.x_0[at[name]], axis.v_0[at[name]]
+                columns["x_0"], columns["v_0"] = axis.states[at[name]].T
             elif name != "representation":
                 columns[name] = np.array(axis)[at[name]]
         return np.stack([np.broadcast_to(columns[name], n) for name in UNEQUAL], axis=1)
@@ -320,7 +363,16 @@ class Study:
             start_jitter=self.start_jitter(label),
             law_code=law_code(representation),
             numbers=numbers,
+            structure=self.structure,
+            contacts=() if self.systems is None else self.systems.labels(representation),
         )
+
+    def units(
+        self, places: Mapping[str, NDArray[np.intp]], rate: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Of systems at some places on the axes; as `Systems.units`."""
+        assert self.systems is not None
+        return self.systems.units(self.grid.axes, places, rate)
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
         """What ``auto`` chooses for each point, in tables of one tolerance each."""
@@ -381,31 +433,26 @@ def _given(table: SolverTable) -> dict[str, Any]:
     return {k: v for k, v in table.model_dump(exclude_unset=True).items() if v is not None}
 
 
-def _expanded(block: SweepTable, swept: Mapping[str, float]) -> Axes:
-    """A block's values along the dimensions, canonical and without repeats.
+def _expanded(block: Sweep, swept: Mapping[str, float]) -> dict[str, Any]:
+    """A block's values along the dimensions but the starts, canonical and without repeats.
 
     `swept` are the further numbers that some block sweeps, as they are where none does.
     """
-    axes: dict[str, Any] = {"representation": block.representation, "K_c": values(block.K_c)}
-    if block.gap is None:
-        axes |= {name: values(getattr(block, name)) for name in ("j_1", "j_2")}
-    else:
+    axes: dict[str, Any] = {"representation": block.representation}
+    if block.K_c is not None:
+        axes["K_c"] = values(block.K_c)
+    if block.gap is not None:
         axes["gap"] = [Gap(canonical(j_1), canonical(j_2)) for j_1, j_2 in block.gap]
-    axes["omega"] = values(block.omega)
+    for name in ("j_1", "j_2", "omega"):
+        if (axis := getattr(block, name)) is not None:
+            axes[name] = values(axis)
     for name, default in swept.items():
-        axis = getattr(block, name)
+        axis = block.parameters.get(name)
         axes[name] = [default] if axis is None else values(axis)
     for name, axis in axes.items():
         is_number = name not in ("representation", "gap")
         axes[name] = tuple(dict.fromkeys(map(canonical, axis) if is_number else axis))
-    axes[START] = Starts.union(map(_starts, forms(block.initial_condition)))
     return axes
-
-
-def _starts(form: Any) -> Starts:
-    if isinstance(form, str):
-        return Starts.sweep(form)
-    return Starts.fixed(form if isinstance(form, list) else form.states())
 
 
 def _places(axis: Sequence[Any], some: Sequence[Any]) -> Sequence[int] | NDArray[np.intp]:

@@ -1,0 +1,140 @@
+"""Systems as rows of a table: what many have in common, and the numbers in which they differ.
+
+A system's arrays are its identity, not the names in it: one that was made of a row has contacts
+``"0"``, ``"1"``, ... and coordinates ``q_1``, ``q_2``, ...
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate, pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """What is not a number of a system.
+
+    Attributes
+    ----------
+    n, m : int
+        Coordinates and first-order states.
+    n_cubic : int
+        Cubic springs.
+    loads : tuple of (int, bool)
+        Of every load the multiple of the forcing frequency, and whether it is inertial.
+    contacts : tuple of tuple of int
+        Of every contact the multiples of the frequency in its periodic stiffness.
+    """
+
+    n: int
+    m: int
+    n_cubic: int
+    loads: tuple[tuple[int, bool], ...]
+    contacts: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, system: System) -> "Structure":
+        return cls(
+            n=system.n,
+            m=system.n_lags,
+            n_cubic=len(system.cubic),
+            loads=tuple((load.k, load.inertial) for load in system.forcing),
+            contacts=tuple(
+                tuple(term.k for term in system.modulation.get(name, ()))
+                for name in system.contacts
+            ),
+        )
+
+    @classmethod
+    def read(cls, said: Mapping[str, Any]) -> "Structure":
+        """The structure whose fields are these, as JSON gives them back."""
+        loads = tuple((int(k), bool(inertial)) for k, inertial in said["loads"])
+        contacts = tuple(tuple(map(int, each)) for each in said["contacts"])
+        sizes = {name: int(said[name]) for name in ("n", "m", "n_cubic")}
+        return cls(**sizes, loads=loads, contacts=contacts)
+
+    @property
+    def n_states(self) -> int:
+        """Length of a state (q, v, z)."""
+        return 2 * self.n + self.m
+
+    @cached_property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the arrays whose numbers stand one after the other in a row."""
+        n, m, n_terms = self.n, self.m, sum(map(len, self.contacts))
+        return {
+            **dict.fromkeys(("mass", "damping", "stiffness"), (n, n)),
+            "contact": (len(self.contacts), n),
+            **{"cubic": (self.n_cubic, n), "alpha": (self.n_cubic,)},
+            **{"load": (len(self.loads), n), "load_phase": (len(self.loads),)},
+            **{"depth": (n_terms,), "depth_phase": (n_terms,)},
+            **{"lags_force": (n, m), "lags_of_speed": (m, n), "lags_of_place": (m, n)},
+            "lags_of_lags": (m, m),
+        }
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the numbers of a row, as ``mass[0,1]``."""
+        return tuple(
+            f"{name}[{','.join(map(str, at))}]"
+            for name, shape in self.shapes.items()
+            for at in np.ndindex(shape)
+        )
+
+    def row(self, system: System) -> Array:
+        """The numbers of a system of this structure."""
+        terms = [term for name in system.contacts for term in system.modulation.get(name, ())]
+        lags = system.lags
+        parts: Sequence[Any] = (
+            *(system.mass, system.damping, system.stiffness, system.directions),
+            *([spring.along for spring in system.cubic], [spring.alpha for spring in system.cubic]),
+            *([load.amplitude for load in system.forcing], [load.phase for load in system.forcing]),
+            *([term.depth for term in terms], [term.phase for term in terms]),
+            *((lags.force, lags.of_speed, lags.of_place, lags.of_lags) if lags else ()),
+        )
+        return np.concatenate([np.ravel(np.asarray(part, float)) for part in parts])
+
+    def system(self, row: Array) -> System:
+        """The system that has these numbers."""
+        sizes = map(math.prod, self.shapes.values())
+        ends = pairwise(accumulate(sizes, initial=0))
+        parts: dict[str, Any] = {
+            name: row[begin:end].reshape(shape)
+            for (name, shape), (begin, end) in zip(self.shapes.items(), ends, strict=True)
+        }
+        lags = [parts[f"lags_{name}"] for name in ("force", "of_speed", "of_place", "of_lags")]
+        terms = iter(zip(parts["depth"].tolist(), parts["depth_phase"].tolist(), strict=True))
+        return System(
+            mass=parts["mass"],
+            damping=parts["damping"],
+            stiffness=parts["stiffness"],
+            contacts={str(i): along for i, along in enumerate(parts["contact"])},
+            cubic=[
+                Cubic(along=along, alpha=alpha)
+                for along, alpha in zip(parts["cubic"], parts["alpha"].tolist(), strict=True)
+            ],
+            forcing=[
+                Harmonic(amplitude=amplitude, k=k, phase=phase, inertial=inertial)
+                for (k, inertial), amplitude, phase in zip(
+                    self.loads, parts["load"], parts["load_phase"].tolist(), strict=True
+                )
+            ],
+            modulation={
+                str(i): [
+                    Modulation(k=k, **dict(zip(("depth", "phase"), next(terms), strict=True)))
+                    for k in multiples
+                ]
+                for i, multiples in enumerate(self.contacts)
+                if multiples
+            },
+            lags=Lags(*lags) if self.m else None,
+        )

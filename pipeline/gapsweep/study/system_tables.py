@@ -1,0 +1,146 @@
+"""The tables of a study file that describe a system: matrices, or a function of named numbers."""
+
+import re
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from gapsweep.errors import ModelError, StudyError, described
+from gapsweep.model import own_law, systems
+from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
+from gapsweep.study.axes import Label, NonNegative, Pair, Table
+
+Vector = Annotated[list[float], Field(min_length=1)]
+Matrix = Annotated[list[Vector], Field(min_length=1)]
+
+# The functions of `gapsweep.systems`: each has one beside it that returns its law.
+READY_MADE = tuple(name for name in systems.__all__ if f"{name}_law" in systems.__all__)
+_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+class CubicTable(Table):
+    along: Vector
+    alpha: float
+
+
+class HarmonicTable(Table):
+    amplitude: Vector
+    k: int = 1
+    phase: float = 0.0
+    inertial: bool = False
+
+
+class ModulationTable(Table):
+    depth: float
+    k: int = 1
+    phase: float = 0.0
+
+
+class LagsTable(Table):
+    force: Matrix
+    of_speed: Matrix
+    of_place: Matrix
+    of_lags: Matrix
+
+
+class SystemTable(Table):
+    """`function`, a ready-made system or ``module:function``, or the arguments of a `System`."""
+
+    function: str | None = None
+    mass: Matrix | None = None
+    stiffness: Matrix | None = None
+    damping: Matrix | None = None
+    contacts: dict[str, Vector] = Field({})
+    cubic: list[CubicTable] = Field([])
+    forcing: list[HarmonicTable] = Field([])
+    modulation: dict[str, list[ModulationTable]] = Field({})
+    lags: LagsTable | None = None
+    coordinates: list[str] = Field([])
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> "SystemTable":
+        others = self.model_dump(exclude={"function"}, exclude_none=True)
+        if self.function is not None and any(others.values()):
+            raise ValueError("give function, or mass, stiffness and so on, not both")
+        if self.function is None and (self.mass is None or self.stiffness is None):
+            raise ValueError("give mass and stiffness, or function")
+        if self.function is not None and not (
+            self.function in READY_MADE or _FUNCTION.fullmatch(self.function)
+        ):
+            raise ValueError(
+                f"function = {self.function!r}: must be module:function, or one of "
+                f"{', '.join(READY_MADE)}"
+            )
+        return self
+
+
+class ContactTable(Table):
+    """What one contact has of its own; the sweep decides the rest."""
+
+    representation: Label | None = None
+    K_c: NonNegative | None = None
+    gap: Pair | None = None
+    K_ratio: NonNegative | None = None
+
+    @model_validator(mode="after")
+    def _no_code(self) -> "ContactTable":
+        label = self.representation or ""
+        if ":" in label or "@" in label or label == "auto":
+            raise ValueError(
+                f"representation = {label!r}: must be a law of gapsweep's, without a protocol; "
+                "what holds for all contacts stands in the sweep"
+            )
+        return self
+
+
+def system_of(table: SystemTable, parameters: Mapping[str, float], source: str) -> System:
+    """The system of a study's tables at some values of its parameters.
+
+    Raises
+    ------
+    StudyError
+        If there is none.
+    """
+    try:
+        if table.function is None:
+            return _of_matrices(table)
+        code = "" if table.function in READY_MADE else own_law.code(table.function)
+        return _made(table.function, code, tuple(parameters.items()))
+    except ModelError as error:
+        said = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
+        at = f" at {said}" if said else ""
+        raise StudyError([f"{source}: system{at}: {error}"]) from None
+
+
+@lru_cache(maxsize=65536)
+def _made(function: str, code: str, parameters: tuple[tuple[str, float], ...]) -> System:
+    """What a function of that code makes of named numbers."""
+    made: Any = getattr(systems, function) if not code else own_law.function(function)
+    try:
+        found = made(**dict(parameters))
+    except ModelError:
+        raise
+    except Exception as error:  # the user's code may raise anything
+        raise ModelError(f"{function}: {described(error)}") from None
+    if not isinstance(found, System):
+        raise ModelError(f"{function}: must return a gapsweep.System, not {found!r:.80}")
+    return found
+
+
+def _of_matrices(table: SystemTable) -> System:
+    return System(
+        mass=table.mass,
+        stiffness=table.stiffness,
+        damping=table.damping,
+        contacts=table.contacts,
+        cubic=[Cubic(**each.model_dump()) for each in table.cubic],
+        forcing=[Harmonic(**each.model_dump()) for each in table.forcing],
+        modulation={
+            name: [Modulation(**each.model_dump()) for each in terms]
+            for name, terms in table.modulation.items()
+        },
+        lags=None if table.lags is None else Lags(**table.lags.model_dump()),
+        coordinates=table.coordinates,
+    )

@@ -1,0 +1,200 @@
+"""The systems of a study: one structure, and numbers that differ from point to point."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gapsweep.errors import StudyError
+from gapsweep.model.structure import Structure
+from gapsweep.model.system import System
+from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Axes, starts_of
+from gapsweep.study.points import OF_CONTACT, SWEEPS
+from gapsweep.study.spec import StudySpec, SystemSweepTable
+from gapsweep.study.system_tables import system_of
+
+Array = NDArray[np.float64]
+Places = Mapping[str, NDArray[np.intp]]
+
+
+@dataclass(frozen=True)
+class Systems:
+    """What a study with ``[system]`` makes of its tables.
+
+    Attributes
+    ----------
+    spec : StudySpec
+    source : str
+        For messages.
+    """
+
+    spec: StudySpec
+    source: str
+
+    @cached_property
+    def system(self) -> System:
+        """The system at the default values of its parameters."""
+        return self._at({})
+
+    @cached_property
+    def structure(self) -> Structure:
+        return Structure.of(self.system)
+
+    @property
+    def parts(self) -> dict[str, tuple[str, ...]]:
+        """Dimensions within a point, and the names along them."""
+        system, m = self.system, self.structure.m
+        lags = tuple(f"z_{i + 1}" for i in range(m))
+        found = {COORDINATE: system.coordinates, CONTACT: tuple(system.contacts), LAG: lags}
+        return {name: tuple(names) for name, names in found.items() if names}
+
+    def labels(self, representation: str) -> tuple[str, ...]:
+        """Of every contact the label of its law, where all others have this one."""
+        return tuple(
+            ((own := self.spec.contact.get(name)) and own.representation) or representation
+            for name in self.system.contacts
+        )
+
+    def numbers(self, axes: Axes, places: Places, n: int) -> Array:
+        """The columns of a table of n points, from their places on the axes."""
+        omega = np.asarray(axes["omega"])[places["omega"]] if "omega" in axes else np.zeros(n)
+        parts = [self._walls(axes, places, n), omega[:, None], self._arrays(axes, places, n)]
+        return np.concatenate([*parts, starts_of(axes).states[places[START]]], axis=1)
+
+    def units(self, axes: Axes, places: Places, rate: Array) -> Array:
+        """What one metre of the section is in each component of a state, shape (n_states, n).
+
+        Parameters
+        ----------
+        rate : ndarray, shape (n,)
+            Section points per second; where NaN, that of the forcing, or else of the slowest mode.
+        """
+        number, systems = self._systems(axes, places, len(rate))
+        slowest = np.array([system.slowest for system in systems])[number]
+        other = np.asarray(axes["omega"])[places["omega"]] if "omega" in axes else slowest
+        omega = np.where(rate > 0.0, rate, other)
+        found = [
+            systems[i].unit(2.0 * math.pi * (at or 1.0))
+            for i, at in zip(number.tolist(), omega.tolist(), strict=True)
+        ]
+        return np.stack(found, axis=1)
+
+    def starts(self, states: ArrayLike | None) -> Array:
+        """States with as many components as the system's; what is not given is zero."""
+        n, n_states = self.structure.n, self.structure.n_states
+        if states is None:
+            return np.zeros((1, n_states))
+        found = []
+        for state in np.asarray(states, dtype=object):
+            if len(state) not in (2 * n, n_states):
+                allowed = " or ".join(map(str, sorted({2 * n, n_states})))
+                raise StudyError(
+                    [
+                        f"{self.source}: initial_condition: {len(state)} numbers: must be "
+                        f"{allowed}: coordinates {', '.join(self.system.coordinates)}, their "
+                        "velocities, and first-order states if they are not zero"
+                    ]
+                )
+            found.append([*map(float, state), *[0.0] * (n_states - len(state))])
+        return np.array(found)
+
+    def check(self) -> None:
+        """Refuse tables that do not fit the system.
+
+        Raises
+        ------
+        StudyError
+            One line per problem.
+        """
+        spec, names = self.spec, list(self.system.contacts)
+        wrong = [
+            f"contact: {name!r} is none of the system: {', '.join(names) or 'it has none'}"
+            for name in spec.contact
+            if name not in names
+        ]
+        for i, block in enumerate(spec.sweep):
+            assert isinstance(block, SystemSweepTable)
+            wrong += [f"sweep[{i}].{problem}" for problem in self._problems(block)]
+        if wrong:
+            raise StudyError([f"{self.source}: {problem}" for problem in wrong])
+
+    def _problems(self, block: SystemSweepTable) -> list[str]:
+        found = []
+        for name in ("K_c", "gap"):
+            is_given = getattr(block, name) is not None or (name == "gap" and block.j_1 is not None)
+            takes = [c for c in self.system.contacts if self._own(c, name) is None]
+            if takes and not is_given:
+                found.append(f"{name}: missing; contact {takes[0]!r} has none of its own")
+            if is_given and not takes:
+                found.append(f"{name}: no contact takes it")
+        if (block.omega is not None) != self.system.is_forced:
+            words = "missing: the system is forced"
+            found.append(f"omega: {'nothing forces the system' if block.omega else words}")
+        forms = block.starts if isinstance(block.starts, list) else [block.starts]
+        if not self.system.is_forced and any(form in SWEEPS for form in forms if form):
+            found.append("initial_condition: sweeps follow the frequency; the system has none")
+        if any(label.partition("@")[0] == "auto" for label in block.representation):
+            found.append("representation: 'auto' chooses for oscillators; name the representation")
+        return found
+
+    def _own(self, contact: str, name: str) -> Any:
+        table = self.spec.contact.get(contact)
+        return None if table is None else getattr(table, name)
+
+    def _walls(self, axes: Axes, places: Places, n: int) -> Array:
+        """Stiffness, distances and ratio of every contact."""
+        swept: dict[str, Any] = {"K_ratio": 1.0}
+        for name in ("K_c", "j_1", "j_2", "K_ratio"):
+            if name in axes:
+                swept[name] = np.asarray(axes[name])[places[name]]
+        if "gap" in axes:
+            gaps = np.array([(gap.j_1, gap.j_2) for gap in axes["gap"]])[places["gap"]]
+            swept["j_1"], swept["j_2"] = gaps.T
+        columns = []
+        for contact in self.system.contacts:
+            own = {name: self._own(contact, name) for name in ("K_c", "K_ratio")}
+            own["j_1"], own["j_2"] = self._own(contact, "gap") or (None, None)
+            columns += [swept[n] if own[n] is None else own[n] for n in OF_CONTACT]
+        table = [np.broadcast_to(np.asarray(column, float), n) for column in columns]
+        return np.stack(table, axis=1) if table else np.empty((n, 0))
+
+    def _arrays(self, axes: Axes, places: Places, n: int) -> Array:
+        number, systems = self._systems(axes, places, n)
+        return np.array([self.structure.row(system) for system in systems])[number]
+
+    def _systems(self, axes: Axes, places: Places, n: int) -> tuple[NDArray[np.intp], list[System]]:
+        """Which system each point has, and the systems."""
+        names = [name for name in self.spec.parameters if name in axes]
+        if not names:
+            return np.zeros(n, np.intp), [self.system]
+        at = np.stack([places[name] for name in names])
+        several, number = np.unique(at, axis=1, return_inverse=True)
+        values = [
+            {name: axes[name][i] for name, i in zip(names, one, strict=True)}
+            for one in several.T.tolist()
+        ]
+        return number.reshape(-1), [self._at(some) for some in values]
+
+    def _at(self, some: Mapping[str, float]) -> System:
+        """The system where some parameters have these values, others their own."""
+        assert self.spec.system is not None
+        values = {**self.spec.parameters, **some}
+        made = system_of(self.spec.system, values, self.source)
+        if some:
+            same = (made.coordinates, tuple(made.contacts)) == (
+                self.system.coordinates,
+                tuple(self.system.contacts),
+            )
+            if not same or Structure.of(made) != self.structure:
+                said = ", ".join(f"{name} = {value:g}" for name, value in some.items())
+                raise StudyError(
+                    [
+                        f"{self.source}: system at {said}: has other coordinates, contacts or "
+                        "loads than at the values in [parameters]: write a study of its own"
+                    ]
+                )
+        return made

@@ -1,0 +1,220 @@
+"""Studies of systems on real workers: every number is that of `gapsweep.respond`."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_array_equal
+from tests.unit.test_system_tables import SECTION, TWO_MASSES, changed
+
+import gapsweep as gs
+from gapsweep import workflow
+from gapsweep.execution.assemble import export
+from gapsweep.execution.plan import plan
+from gapsweep.response.result import ResponseClass
+from gapsweep.store.cache import Cache
+from gapsweep.store.maintenance import verify
+
+STEADY = {"settle_tol": 1e-3, "n_periods": 16, "max_period_multiple": 8}
+FORCED = changed(
+    TWO_MASSES,
+    sweep__0__omega=[0.3, 0.45, 0.8],
+    sweep__0__initial_condition=[
+        "sweep_up",
+        {"sobol": 3, "q": [[-0.3, 0.3], [-0.3, 0.3]], "v": [[-1.0, 1.0], [-1.0, 1.0]]},
+    ],
+    sweep__0__representation=["piecewise", "piecewise@loose"],
+    protocol={"loose": {"rtol": 1e-5}},
+    solver={"rtol": 1e-8},
+    steady=STEADY,
+)
+FREE = changed(
+    SECTION,
+    sweep__0__speed=[6.0, 12.0, 18.0, 60.0],
+    sweep__0__initial_condition={
+        "sobol": 4,
+        "q": [[-0.01, 0.01], [-0.05, 0.05], [-0.1, 0.1]],
+        "v": [[0.0, 0.0]] * 3,
+    },
+    solver={"rtol": 1e-7},
+)
+OF_COORDINATES = ("x_max", "x_min", "amplitude", "n_extrema")
+OF_CONTACTS = ("force_max", "contact_share")
+PLAIN = ("status", "response_class", "period_multiple", "lyapunov", "n_steps", "t_settled")
+
+
+@pytest.fixture(scope="module", params=["forced", "free"])
+def made(request, client, tmp_path_factory):
+    """A study, its folder and its responses."""
+    folder = tmp_path_factory.mktemp(request.param)
+    study = gs.Study.from_dict({"forced": FORCED, "free": FREE}[request.param])
+    with gs.run(study, client, out=folder / "out", cache=folder / "c.sqlite") as responses:
+        return study, folder, responses.load()
+
+
+def at(responses, **where):
+    return responses.isel(representation=0, K_c=-1, gap=0, **where)
+
+
+def direct(study, responses):
+    """What `respond` says of all fixed starts of the first scene, in order."""
+    here = at(responses, initial_condition=np.isfinite(responses["q_0"][:, 0].values))
+    q_0, v_0 = here["q_0"].values, here["v_0"].values
+    rtol = study.solver("piecewise").rtol
+    if study.name == "section":
+        law = gs.Piecewise(3.9, gs.Gap(0.03, 0.03))
+        for i, speed in enumerate(responses["speed"].values.tolist()):
+            system = gs.systems.typical_section(speed, density=1.2)
+            found = gs.respond(system, law, q_0=q_0, v_0=v_0, rtol=rtol)
+            yield here.isel(speed=i), found
+        return
+    tables = TWO_MASSES["system"]
+    system = gs.System(
+        **{name: tables[name] for name in ("mass", "stiffness", "damping", "contacts")},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
+    )
+    laws = {
+        "stop": gs.Piecewise(100.0, gs.Gap(0.1, 0.2)),
+        "between": gs.Piecewise(50.0, gs.Gap(0.5, 0.4), K_ratio=2.0),
+    }
+    steady = gs.Steady(**STEADY)
+    for i, omega in enumerate(responses["omega"].values.tolist()):
+        found = gs.respond(system, laws, omega, q_0=q_0, v_0=v_0, rtol=rtol, steady=steady)
+        yield here.isel(omega=i), found
+
+
+def test_every_number_is_that_of_respond(made):
+    study, _, responses = made
+    for here, found in direct(study, responses):
+        for name in (*PLAIN, *OF_COORDINATES, *OF_CONTACTS, "period"):
+            assert_array_equal(here[name].values, getattr(found, name), name)
+        n, extrema = here["n_extrema"].values, here["extrema"].values
+        for point in np.flatnonzero(found.status == 0).tolist():
+            shown = [extrema[point, : n[point, i], i] for i in range(n.shape[1])]
+            assert_array_equal(np.concatenate(shown), found.extrema[point])
+            names = [x for x in ("section_x", "section_v", "section_z") if x in here]
+            section = np.concatenate([here[name].values[point] for name in names], axis=1)
+            section = section[np.isfinite(section).all(axis=1)]
+            assert_array_equal(section.ravel(), found.section[point])
+
+
+def test_a_failure_is_data_of_the_same_shape(made):
+    study, _, responses = made
+    if study.name == "section":  # beyond its flutter speed nothing bounds it
+        lost = at(responses, speed=-1)
+        assert (lost["status"].values == gs.Status.DIVERGED).all()
+        assert (lost["response_class"].values == ResponseClass.FAILED).all()
+        assert lost["x_max"].shape == (4, 3)
+        assert np.isnan(lost["x_max"].values).all()
+
+
+def test_datasets_have_the_dimensions_and_names_of_the_system(made):
+    study, folder, responses = made
+    parts = study.grid.parts
+    for name, names in parts.items():
+        assert responses[name].values.tolist() == list(names)
+    assert responses["x_max"].dims == (*study.grid.dims, "coordinate")
+    assert responses["force_max"].dims == (*study.grid.dims, "contact")
+    assert responses["extrema"].dims == (*study.grid.dims, "extremum", "coordinate")
+    assert {"x_0", "v_0"} & {*responses.coords} == {"v_0"}
+    assert responses["q_0"].dims == ("initial_condition", "coordinate")
+    assert "units" not in responses["x_max"].attrs  # whether lengths or angles: the user knows
+    meanings = responses["response_class"].attrs["flag_meanings"].split()
+    assert meanings[1:] == [kind.name.lower() for kind in ResponseClass]
+    for name, variable in responses.data_vars.items():
+        for other in variable.coords:
+            assert {*responses[other].dims} <= {*variable.dims}, (name, other)
+    with xr.open_dataset(folder / "out" / "attractors.nc") as attractors:
+        states = 2 * len(parts["coordinate"]) + len(parts.get("lag", ()))
+        assert attractors.sizes["multiplier"] == states
+        assert attractors["x_max"].dims[-2:] == ("attractor", "coordinate")
+
+
+def test_starts_that_end_alike_share_an_attractor(made):
+    _study, folder, responses = made
+    with xr.open_dataset(folder / "out" / "attractors.nc") as attractors:
+        ids = responses["attractor"].values
+        ok = responses["response_class"].values == ResponseClass.PERIODIC
+        assert (ids[ok] >= 0).all()
+        peaks = attractors["x_max"].load()
+        for place in np.argwhere(ok).tolist():
+            *scene, _ = place
+            there = peaks.values[*scene, ids[*place]]
+            ours = responses["x_max"].values[*place]
+            assert np.allclose(there, ours, rtol=2e-3, atol=1e-5)
+
+
+def test_a_sweep_goes_on_from_state_to_state(made):
+    study, _, responses = made
+    if "omega" not in responses.dims:
+        return
+    up = responses["start"].values.tolist().index("sweep_up")
+    laws = {
+        "stop": gs.Piecewise(100.0, gs.Gap(0.1, 0.2)),
+        "between": gs.Piecewise(50.0, gs.Gap(0.5, 0.4), K_ratio=2.0),
+    }
+    system = study.systems.system
+    q, v = np.zeros(2), np.zeros(2)
+    for i, omega in enumerate(responses["omega"].values.tolist()):
+        found = gs.respond(system, laws, omega, q_0=q, v_0=v, rtol=1e-8, steady=gs.Steady(**STEADY))
+        here = at(responses, omega=i, initial_condition=up)
+        assert_array_equal(here["x_max"].values, found.x_max)
+        q, v = found.x_end, found.v_end
+
+
+def test_nothing_is_computed_twice_and_all_is_sound(made):
+    study, folder, _ = made
+    planned = workflow.plan(study, folder / "c.sqlite")
+    assert planned.n_missing == 0
+    with Cache(folder / "c.sqlite") as store:
+        assert verify(store).is_sound
+        differing, n_skipped = workflow.recomputed_otherwise(store, 5)
+    assert not differing
+    assert not n_skipped
+
+
+def test_the_report_shows_every_coordinate(made):
+    study, folder, _ = made
+    page = (folder / "out" / "report" / "index.html").read_text()
+    for name in study.grid.parts["coordinate"]:
+        assert f", {name}" in page
+
+
+def test_laws_are_compared_coordinate_by_coordinate(made):
+    study, folder, _ = made
+    path = folder / "out" / "agreement.nc"
+    assert path.exists() == (len(study.grid.representations) > 1)
+    if path.exists():
+        with xr.open_dataset(path) as agreement:
+            assert agreement["amplitude_error_median"].dims[-1] == "coordinate"
+            loose = agreement.sel(representation="piecewise@loose", regime="all")
+            assert float(loose["amplitude_error_median"].max()) < 1e-3
+            assert (loose["n_points"] > 0).all()
+
+
+def test_query_has_a_column_for_every_coordinate(made, capsys):
+    from gapsweep.cli.table import written
+
+    study, _folder, responses = made
+    written(at(responses).expand_dims(["representation", "K_c", "gap"]), "csv", None)
+    header = capsys.readouterr().out.splitlines()[0].split(",")
+    assert {f"x_max[{name}]" for name in study.grid.parts["coordinate"]} <= {*header}
+
+
+def test_what_needs_one_displacement_is_left_out_with_a_word(made):
+    study, folder, _ = made
+    assert not (folder / "out" / "static.nc").exists()
+    from gapsweep.analysis.advice import advice
+
+    with pytest.raises(gs.StudyError, match="advice rests on bounds for an oscillator"):
+        advice(study)
+
+
+def test_what_is_not_stored_yet_is_interrupted_in_the_shape_of_the_rest(made, tmp_path):
+    study, _, responses = made
+    with Cache(tmp_path / "empty.sqlite") as store:
+        files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
+        export(study, plan(study, store), store, *files)
+    with xr.open_dataset(files[0]) as empty:
+        assert empty["x_max"].shape == responses["x_max"].shape
+        assert (empty["status"] == gs.Status.INTERRUPTED).all()
+        assert np.isnan(empty["section_x"]).all()

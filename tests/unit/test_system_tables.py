@@ -1,0 +1,238 @@
+"""Study files with [system]: what they mean, and what they refuse."""
+
+import json
+from copy import deepcopy
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+from tests.random_systems import as_gapsweep, random_case
+
+import gapsweep as gs
+from gapsweep.model.structure import Structure
+from gapsweep.study.points import Kind
+
+TWO_MASSES = {
+    "study": {"name": "masses"},
+    "system": {
+        "mass": [[1.0, 0.0], [0.0, 2.0]],
+        "stiffness": [[30.0, -10.0], [-10.0, 20.0]],
+        "damping": [[0.3, -0.1], [-0.1, 0.2]],
+        "contacts": {"stop": [1.0, 0.0], "between": [1.0, -1.0]},
+        "forcing": [{"amplitude": [1.0, 0.0]}],
+    },
+    "contact": {"between": {"K_c": 50.0, "gap": [0.5, 0.4], "K_ratio": 2.0}},
+    "sweep": [
+        {
+            "representation": "piecewise",
+            "K_c": [10.0, 100.0],
+            "gap": [0.1, 0.2],
+            "omega": [0.3, 0.5],
+            "initial_condition": [[0.1, 0.2, 0.3, 0.4], [0.0, 0.0, 0.0, 0.0]],
+        }
+    ],
+}
+SECTION = {
+    "study": {"name": "section"},
+    "system": {"function": "typical_section"},
+    "parameters": {"speed": 12.0, "density": 1.2},
+    "sweep": [
+        {"representation": "piecewise", "K_c": 3.9, "gap": [0.03, 0.03], "speed": [8.0, 10.0]}
+    ],
+}
+
+
+def changed(tables, **changes):
+    """Tables with keys, as ``sweep__0__omega``, set to values; None takes them away."""
+    found = deepcopy(tables)
+    for path, value in changes.items():
+        *parents, last = (int(key) if key.isdigit() else key for key in path.split("__"))
+        table = found
+        for key in parents:
+            table = table.setdefault(key, {}) if isinstance(table, dict) else table[key]
+        if value is None:
+            del table[last]
+        else:
+            table[last] = value
+    return found
+
+
+def points_of(tables):
+    """All points of a study, with the cells that they belong to."""
+    study = gs.Study.from_dict(tables)
+    ((rows, table),) = study.points(np.flatnonzero(study.grid.requested))
+    return study, rows, table
+
+
+@given(seed=st.integers(0, 10**6))
+def test_a_system_is_what_its_row_says(seed):
+    n = 1 + seed % 4
+    system, _ = as_gapsweep(random_case([seed], n, seed % (n + 1)).system)
+    structure = Structure.of(system)
+    row = structure.row(system)
+    again = structure.system(row)
+    assert len(row) == len(structure.names) == len(set(structure.names))
+    assert_array_equal(structure.row(again), row)
+    for name in ("mass", "damping", "stiffness", "directions"):
+        assert_array_equal(getattr(again, name), getattr(system, name))
+    assert again.sizes == system.sizes
+
+
+def test_rows_hold_loads_modulation_and_lags():
+    systems = [gs.systems.gear_pair(), gs.systems.typical_section(15.0), gs.systems.two_masses()]
+    for system in systems:
+        structure = Structure.of(system)
+        again = structure.system(structure.row(system))
+        assert again.sizes == system.sizes
+        assert Structure.read(json.loads(json.dumps(vars_of(structure)))) == structure
+        for ours, theirs in zip(again.forcing, system.forcing, strict=True):
+            assert_array_equal(ours.amplitude, theirs.amplitude)
+            assert (ours.k, ours.phase, ours.inertial) == (theirs.k, theirs.phase, theirs.inertial)
+        terms = [*again.modulation.values()], [*system.modulation.values()]
+        assert [[vars_of(t) for t in each] for each in terms[0] if each] == [
+            [vars_of(t) for t in each] for each in terms[1] if each
+        ]
+        if system.lags is not None:
+            for name in ("force", "of_speed", "of_place", "of_lags"):
+                assert_array_equal(getattr(again.lags, name), getattr(system.lags, name))
+
+
+def vars_of(value):
+    return {name: getattr(value, name) for name in value.__dataclass_fields__}
+
+
+def test_points_have_their_walls_their_frequency_and_their_start():
+    study, rows, table = points_of(TWO_MASSES)
+    assert study.grid.dims == ("representation", "K_c", "gap", "omega", "initial_condition")
+    assert study.grid.parts == {"coordinate": ("q_1", "q_2"), "contact": ("stop", "between")}
+    at = np.transpose(np.unravel_index(rows, study.grid.shape)).tolist()
+    for place, point in zip(at, range(len(table)), strict=True):
+        _, k, _, w, s = place
+        value = {name: table.column(name)[point] for name in table.kind.numbers}
+        walls = [value[f"{name}[0]"] for name in ("K_c", "j_1", "j_2", "K_ratio")]
+        assert walls == [[10.0, 100.0][k], 0.1, 0.2, 1.0]
+        assert [value[f"{n}[1]"] for n in ("K_c", "j_1", "j_2", "K_ratio")] == [50.0, 0.5, 0.4, 2.0]
+        assert value["omega"] == [0.3, 0.5][w]
+        start = [value[n] for n in ("q_0[0]", "q_0[1]", "v_0[0]", "v_0[1]")]
+        assert start == TWO_MASSES["sweep"][0]["initial_condition"][s]
+
+
+def test_parameters_are_dimensions_where_they_are_swept():
+    study, _rows, table = points_of(SECTION)
+    assert study.grid.dims == ("representation", "K_c", "gap", "speed", "initial_condition")
+    assert study.grid.parts["lag"] == ("z_1", "z_2")
+    for speed, point in zip((8.0, 10.0), range(2), strict=True):
+        system = gs.systems.typical_section(speed, density=1.2)
+        structure = Structure.of(system)
+        first = table.kind.numbers.index("mass[0,0]")
+        assert_array_equal(
+            table.numbers[point, first : first + len(structure.names)], structure.row(system)
+        )
+    assert not table.column("omega").any()
+
+
+def test_arrays_are_the_identity(tmp_path, monkeypatch):
+    """The same matrices from a function, with other names in them, have the same keys."""
+    (tmp_path / "masses.py").write_text(
+        "import gapsweep as gs\n"
+        "def masses(k):\n"
+        "    return gs.System(mass=[[1, 0], [0, 2]], stiffness=[[k, -10], [-10, 20]],\n"
+        "        damping=[[.3, -.1], [-.1, .2]], contacts={'a': [1, 0], 'b': [1, -1]},\n"
+        "        forcing=[gs.Harmonic(amplitude=[1, 0])], coordinates=('left', 'right'))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    function = changed(
+        TWO_MASSES,
+        system={"function": "masses:masses"},
+        parameters={"k": 30.0},
+        contact={"b": TWO_MASSES["contact"]["between"]},
+    )
+    ours, theirs = (points_of(tables)[2].keys() for tables in (TWO_MASSES, function))
+    assert_array_equal(ours, theirs)
+    other = changed(function, parameters__k=31.0)
+    assert not set(points_of(other)[2].keys().tolist()) & set(ours.tolist())
+
+
+def test_kinds_of_systems_are_read_back():
+    for tables in (TWO_MASSES, SECTION):
+        kind = points_of(tables)[2].kind
+        assert Kind.of(kind.identity) == kind
+
+
+def test_the_study_in_a_dataset_is_the_study():
+    for tables in (TWO_MASSES, SECTION):
+        study = gs.Study.from_dict(tables)
+        assert gs.Study.from_dict(json.loads(study.json)).spec == study.spec
+
+
+def test_sobol_starts_of_systems_fill_their_box():
+    box = {"sobol": 33, "q": [[-1.0, 1.0], [0.5, 0.5]], "v": [[0.0, 2.0], [-3.0, 0.0]]}
+    starts = gs.Study.from_dict(changed(TWO_MASSES, sweep__0__initial_condition=box)).grid.starts
+    low, high = np.array([*box["q"], *box["v"]]).T
+    assert starts.states.shape == (33, 4)
+    assert np.all((starts.states >= low) & (starts.states <= high))
+    assert len({*map(tuple, starts.states.tolist())}) == 33
+
+
+REFUSED = {
+    "both forms": (TWO_MASSES, {"system__function": "two_masses"}, "not both"),
+    "no stiffness": (TWO_MASSES, {"system__stiffness": None}, "give mass and stiffness"),
+    "other function": (SECTION, {"system__function": "wing"}, "module:function, or one of"),
+    "absent module": (SECTION, {"system__function": "nowhere:wing"}, "nowhere"),
+    "argument": (SECTION, {"parameters__chord": 1.0}, "chord"),
+    "taken name": (SECTION, {"parameters__omega": 1.0}, "choose another name"),
+    "oscillator": (SECTION, {"oscillator": {"zeta": 0.1}}, "oscillator: not beside [system]"),
+    "bad matrix": (TWO_MASSES, {"system__mass": [[1.0, 2.0]]}, "mass"),
+    "contact": (TWO_MASSES, {"contact__stopp": {"K_c": 1.0}}, "'stopp' is none of the system"),
+    "own law": (TWO_MASSES, {"contact__stop": {"representation": "a:b"}}, "stands in the sweep"),
+    "no K_c": (TWO_MASSES, {"sweep__0__K_c": None}, "K_c: missing"),
+    "no gap": (TWO_MASSES, {"sweep__0__gap": None}, "gap: missing"),
+    "no omega": (TWO_MASSES, {"sweep__0__omega": None}, "omega: missing"),
+    "omega": (SECTION, {"sweep__0__omega": 3.0}, "nothing forces the system"),
+    "sweep": (SECTION, {"sweep__0__initial_condition": "sweep_up"}, "follow the frequency"),
+    "start": (TWO_MASSES, {"sweep__0__initial_condition": [0.1, 0.2]}, "must be 4"),
+    "auto": (TWO_MASSES, {"sweep__0__representation": "auto"}, "name the representation"),
+    "unknown": (SECTION, {"sweep__0__sped": [1.0]}, "unknown key"),
+    "zeta": (TWO_MASSES, {"sweep__0__zeta": [0.1]}, "unknown key"),
+    "box": (
+        TWO_MASSES,
+        {"sweep__0__initial_condition": {"sobol": 4, "q": [[0.0, 1.0]], "v": [[0.0, 1.0]]}},
+        "must be 4",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_does_not_fit_is_refused_in_words(name):
+    tables, changes, said = REFUSED[name]
+    with pytest.raises(gs.StudyError) as refused:
+        gs.Study.from_dict(changed(tables, **changes))
+    assert said in str(refused.value)
+    assert "Traceback" not in str(refused.value)
+
+
+def test_tables_of_systems_need_one():
+    for name in ("parameters", "contact"):
+        tables = {n: t for n, t in SECTION.items() if n != "system"} | {name: {"a": 1.0}}
+        with pytest.raises(gs.StudyError):
+            gs.Study.from_dict(tables)
+
+
+def test_a_system_must_keep_its_structure(tmp_path, monkeypatch):
+    (tmp_path / "growing.py").write_text(
+        "import numpy as np, gapsweep as gs\n"
+        "def growing(size):\n"
+        "    return gs.System(mass=np.eye(int(size)), stiffness=np.eye(int(size)))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    tables = {
+        "study": {"name": "growing"},
+        "system": {"function": "growing:growing"},
+        "parameters": {"size": 1.0},
+        "sweep": [{"representation": "piecewise", "size": [1.0, 2.0]}],
+    }
+    study = gs.Study.from_dict(tables)
+    with pytest.raises(gs.StudyError, match="size = 2: has other coordinates"):
+        study.points(np.arange(2))
