@@ -275,3 +275,20 @@ def test_basins_of_a_system_are_refused():
     system, law = coupled()
     with pytest.raises(gs.ModelError, match=r"ask gapsweep\.respond for an array of starts"):
         gs.basins(system, law["wall"], 3.0, x=[0.0], v=[0.0])
+
+
+def test_what_leaves_an_orbit_slowly_is_not_chaotic():
+    """Beside a period doubling: a tiny, steady growth that a sweep comes upon."""
+    system, law = gs.systems.two_masses(), gs.systems.two_masses_law()
+    q, v = [0.46824958473702544, 0.4997710354331705], [0.6422515990315049, 0.9849925555462388]
+    found = gs.respond(system, law, 0.1176, q_0=q, v_0=v)
+    assert found.response_class in (gs.ResponseClass.PERIODIC, gs.ResponseClass.UNRESOLVED)
+    settled = gs.respond(system, law, 0.1176, q_0=[0.9, 0.2])
+    assert (settled.response_class, settled.period_multiple) == (gs.ResponseClass.PERIODIC, 2)
+
+
+def test_beyond_its_torus_the_two_masses_are_chaotic():
+    system, law = gs.systems.two_masses(), gs.systems.two_masses_law()
+    found = gs.respond(system, law, 0.0966, q_0=[0.5, 0.1])
+    assert found.response_class == gs.ResponseClass.CHAOTIC
+    assert found.lyapunov > 5.0 * found.lyapunov_error

@@ -62,6 +62,9 @@ _CLOSER = 0.5
 # A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
 _INSIDE = 1.0 - 1e-6
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
+# What repeats itself to this share of its reach cannot be told from a periodic motion, as two orbits
+# so close are taken for one.
+_ALIKE = 1e-3
 _SURE = 3.0  # standard errors, beyond which an exponent is not zero
 # Forcing periods in which a motion runs round its torus often enough to tell; near a locked one it
 # runs slowly.
@@ -428,10 +431,11 @@ class Search:
     def _aperiodic(self, point: int) -> None:
         self._phase[point] = Phase.ENDED
         walks, largest = self._walks, self._steady.max_period_multiple
-        # On an unstable orbit a disturbance grows too; but there the motion repeats itself.
+        # On an unstable orbit a disturbance grows too, and beside a bifurcation so slowly that the
+        # motion stays near: but there it repeats itself.
         one = np.array([point])
-        error = walks.step_error[one]
-        repeats = period_multiples(walks.section, walks.length, one, error, largest)[0]
+        alike = np.maximum(walks.step_error, _ALIKE * walks.reach)[one]
+        repeats = period_multiples(walks.section, walks.length, one, alike, largest)[0]
         grows = self._found.lyapunov[point] > _SURE * self._found.lyapunov_error[point]
         self._found.is_chaotic[point] = grows and not repeats
 
