@@ -62,8 +62,8 @@ _CLOSER = 0.5
 # A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
 _INSIDE = 1.0 - 1e-6
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
-# What repeats itself to this share of its reach cannot be told from a periodic motion, as two orbits
-# so close are taken for one.
+# What repeats itself to this share of its reach cannot be told from a periodic motion: two orbits
+# so close are taken for one, too.
 _ALIKE = 1e-3
 _SURE = 3.0  # standard errors, beyond which an exponent is not zero
 # Forcing periods in which a motion runs round its torus often enough to tell; near a locked one it
