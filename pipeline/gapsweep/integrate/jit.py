@@ -4,17 +4,25 @@ numba compiles an entry point together with all it calls and keeps the result on
 that a file has changed only for the file that holds the entry point: after an edit in a module
 that this one imports, a new process would load old machine code and return old numbers. Hence
 the folder of compiled code carries a hash of all sources in its name.
+
+Machine code may also have come with the package (``tools/machine_code.py``), for a level of x86-64
+that many processors have in common: it is what numba makes of the same sources for that level, and
+gives the same bits. Where none fits, by processor, Python, numba or sources, it is compiled here.
 """
 
 import hashlib
 import os
+import sys
+import sysconfig
 import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from llvmlite.binding import get_host_cpu_features
 from numba import config, njit
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 # Called from compiled code alone: without the wrappers for Python and C, which take longer to
 # compile than a small function itself.
@@ -26,13 +34,75 @@ allocating = njit(**_BARE)
 internal = njit(**_BARE, _nrt=False)
 
 
+# Levels of x86-64, the best first, and what a processor of each has beyond the next. Below these,
+# without fused multiply-add, the bits would be others.
+_LEVELS = {
+    "x86-64-v4": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
+    "x86-64-v3": {"avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"},
+}
+SHIPPED = Path(__file__).parents[1] / "machine_code"
+# Where code that is made to be shipped is written to, by the variable's name in the environment.
+SHIP_TO = "GAPSWEEP_SHIP_TO"
+
+
+class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
+    """The machine code of a function on disk; what came with the package stands first."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._came = [_file(SHIPPED / folder, function) for folder in shipped_for()]
+        target = os.environ.get(SHIP_TO)
+        self._made = _file(Path(target), function) if target else None
+
+    def _load_overload(self, signature: Any, target: Any) -> Any:
+        for file in self._came:
+            data = file.load(signature)
+            if data is not None:
+                return self._impl.rebuild(target, data)
+        return super()._load_overload(signature, target)
+
+    def _save_overload(self, signature: Any, data: Any) -> None:
+        super()._save_overload(signature, data)
+        if self._made is not None:
+            self._made.save(signature, self._impl.reduce(data))
+
+
+def _file(folder: Path, function: Callable[..., Any]) -> IndexDataCacheFile:
+    name = f"{function.__module__}.{function.__qualname__}"
+    return IndexDataCacheFile(str(folder), name, source_fingerprint())
+
+
+@cache
+def shipped_for() -> tuple[str, ...]:
+    """Names of the folders whose machine code runs here, the best first.
+
+    None if numba was told what to compile for.
+    """
+    if config.CPU_NAME or config.CPU_FEATURES is not None:
+        return ()
+    features = {name for name, has in get_host_cpu_features().items() if has}
+    several, fit = list(_LEVELS), []
+    for i, level in enumerate(several):
+        if set().union(*(_LEVELS[each] for each in several[i:])) <= features:
+            fit.append(folder_of(level))
+    return tuple(fit)
+
+
+def folder_of(level: str) -> str:
+    """Name of the folder of the machine code for a level, for this Python and operating system."""
+    version = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    return f"{level}-{version}-{sysconfig.get_platform()}"
+
+
 def entry(function: Callable[..., Any]) -> Any:
     """Compile a function that Python calls, and keep the machine code on disk."""
     users_choice = config.CACHE_DIR
     # numba looks at the setting when it decorates, so the user's own functions never see ours.
     config.CACHE_DIR = str(code_folder())
     try:
-        return njit(cache=True, nogil=True)(function)
+        found = njit(nogil=True)(function)
+        found._cache = _Cache(function)
+        return found
     finally:
         config.CACHE_DIR = users_choice
 
@@ -58,6 +128,7 @@ def code_folder() -> Path:
     raise OSError("no folder for compiled code can be written: set NUMBA_CACHE_DIR to one")
 
 
+@cache
 def source_fingerprint() -> str:
     """Hash (16 hex digits) of all sources below this module's folder, names included."""
     here = Path(__file__).parent
