@@ -16,6 +16,7 @@ import click
 from gapsweep import __version__, make, own_code, workflow
 from gapsweep.cli import options
 from gapsweep.cli.cache import cache_commands
+from gapsweep.cli.init import init
 from gapsweep.console import duration, progress_bar
 from gapsweep.errors import GapsweepError
 from gapsweep.stages import CLAIMS, REPORT, RESPONSES
@@ -36,14 +37,15 @@ def commands() -> None:
 
     \b
     Examples:
-      gapsweep run workflows/quick.toml
-      gapsweep plan workflows/quick.toml
-      gapsweep query workflows/quick.toml --sel omega=10:12 --to csv
+      gapsweep init quick
+      gapsweep run quick.toml
+      gapsweep query quick.toml --sel omega=10:12 --to csv
       gapsweep status data/runs/quick
     """
 
 
 commands.add_command(cache_commands)
+commands.add_command(init)
 
 
 @commands.command()
@@ -65,9 +67,9 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
 
     \b
     Examples:
-      gapsweep run workflows/quick.toml
-      gapsweep run workflows/quick.toml --out /tmp/quick --workers 4
-      gapsweep run workflows/quick.toml --scheduler tcp://host:8786
+      gapsweep run quick.toml
+      gapsweep run quick.toml --out /tmp/quick --workers 4
+      gapsweep run quick.toml --scheduler tcp://host:8786
     """
     loaded = options.loaded(study, engine)
     with progress_bar() as observer:
@@ -114,8 +116,8 @@ def plan(
 
     \b
     Examples:
-      gapsweep plan workflows/quick.toml
-      gapsweep plan workflows/quick.toml --json
+      gapsweep plan quick.toml
+      gapsweep plan quick.toml --json
     """
     loaded = options.loaded(study, engine)
     planned = workflow.plan(loaded, cache, retry_failed=retry_failed)
@@ -193,8 +195,8 @@ def query(
 
     \b
     Examples:
-      gapsweep query workflows/quick.toml --sel omega=10:12
-      gapsweep query workflows/quick.toml --sel representation=piecewise \\
+      gapsweep query quick.toml --sel omega=10:12
+      gapsweep query quick.toml --sel representation=piecewise \\
           --to nc --output exact.nc
     """
     from gapsweep.cli.table import check_output, written
@@ -234,7 +236,7 @@ def explain(
 
     \b
     Example:
-      gapsweep explain workflows/quick.toml --sel omega=10
+      gapsweep explain quick.toml --sel omega=10
     """
     loaded = options.loaded(study, engine)
     for point in workflow.explain(loaded, cache, limit, **options.selected(wanted)):
@@ -265,7 +267,7 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
 
     \b
     Example:
-      gapsweep advise workflows/quick.toml --error 1e-2
+      gapsweep advise quick.toml --error 1e-2
     """
     from gapsweep.analysis.advice import advice, sentences
 
@@ -306,7 +308,7 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
 
     \b
     Example:
-      gapsweep bench workflows/work_precision.toml
+      gapsweep bench study.toml
     """
     from gapsweep.report.bench import conclusions
 
@@ -344,7 +346,7 @@ def report(folder: Path, study: Path | None) -> int:
     \b
     Examples:
       gapsweep report data/runs/quick
-      gapsweep report data/runs/paper --study workflows/paper/study.toml
+      gapsweep report data/runs/paper --study paper/study.toml
     """
     shown = make.report(folder, Study.load(study) if study else None)
     click.echo(f"report: {shown}")
@@ -364,7 +366,7 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     \b
     Examples:
       gapsweep claims data/runs/paper
-      gapsweep claims data/runs/paper --study workflows/paper/study.toml
+      gapsweep claims data/runs/paper --study paper/study.toml
     """
     decided = own_code.claims(folder, Study.load(study) if study else None)
     if as_json:
