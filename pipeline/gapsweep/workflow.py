@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 
 
 DEFAULT_CACHE = Path("data/cache.sqlite")
+# Walls so many times as far away as any motion leads: their distances must be of another unit.
+_FAR = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,9 +257,26 @@ def carry_out(
             with alone_in(folder):
                 check_owner(study, folder)
                 update(study, planned, store, folder, timeout=timeout, retry_failed=retry_failed)
+    if said := _far_walls(folder / RESPONSES):
+        warnings.warn(said, stacklevel=3)
     motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, _failures(planned), failed)
+
+
+def _far_walls(responses: Path) -> str:
+    """That no motion comes near a wall, as where a gap is given in millimetres; else nothing."""
+    x, walls = (
+        np.abs(np.concatenate([netcdf.values(responses, name).ravel() for name in names]))
+        for names in (("x_min", "x_max"), ("j_1", "j_2"))
+    )
+    largest = np.max(x, initial=0.0, where=np.isfinite(x))
+    if not (walls.size and 0.0 < _FAR * largest < walls.min()):
+        return ""
+    return (
+        f"no motion comes near a wall: the largest displacement is {1e3 * largest:.3g} mm, the "
+        f"nearest wall stands at {1e3 * walls.min():.3g} mm; gaps are in metres, as 4e-4"
+    )
 
 
 @salvaging

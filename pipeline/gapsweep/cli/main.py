@@ -80,9 +80,6 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
         f"{done.n_points} points: {done.n_hits} from the cache, {done.n_computed} computed{shared}"
     )
     click.echo(f"report: {outcome.folder / REPORT}")
-    crossings = netcdf.values(outcome.folder / RESPONSES, "n_contacts")
-    if not (outcome.failures or crossings.any()):
-        click.echo("no motion has reached a wall; gaps are in metres, as 4e-4", err=True)
     if outcome.failures:
         _say_failed("points", outcome.failures, RESPONSES)
     for file, counts in outcome.failed_motions.items():
