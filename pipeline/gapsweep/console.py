@@ -1,18 +1,60 @@
-"""Progress of a run: a bar on a terminal or in a notebook, elsewhere a line now and then."""
+"""What a terminal shows: tables that fit it, and the progress of a run.
+
+Progress is a bar on a terminal or in a notebook, elsewhere a line now and then.
+"""
 
 import sys
+import textwrap
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
+from rich.table import Table
 
 from gapsweep.execution.progress import OnProgress, Progress
 
 _LINE_SECONDS = 10.0
 _NOTEBOOK_SECONDS = 0.2
+
+
+def print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table, as wide as the terminal at most, or as 80 columns where there is none.
+
+    Numbers stand on the right; texts that are too long go on in the next line.
+    """
+    texts = list(rows)
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for i, title in enumerate(head):
+        is_text = any(not _is_number(row[i]) for row in texts)
+        table.add_column(title, justify="left" if is_text else "right", overflow="fold")
+    for row in texts:
+        table.add_row(*row)
+    _plain().print(table)
+
+
+def print_text(text: str, indent: str = "") -> None:
+    """Print a paragraph as wide as the terminal, broken between words."""
+    filled = textwrap.fill(
+        text, _plain().width, initial_indent=indent, subsequent_indent=indent + "  ",
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip
+    print(filled)
+
+
+def _plain() -> Console:
+    # What is printed are names and numbers, in which no markup is meant.
+    return Console(markup=False, highlight=False, emoji=False)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return not text
+    return True
 
 
 @contextmanager

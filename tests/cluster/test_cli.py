@@ -157,6 +157,20 @@ def test_query_prints_what_was_selected_and_computes_only_the_rest(finished):
     assert plan(finished, "more.toml")["missing"] == 1
 
 
+def test_query_prints_the_columns_and_digits_asked_for(finished):
+    given = ("--sel", "representation=piecewise", "--columns", "x_max,status", "--digits", "3")
+    rows = list(
+        csv.DictReader(io.StringIO(gapsweep(finished, "query", "tiny.toml", *given).stdout))
+    )
+    assert [float(row["x_max"]) for row in rows] == [
+        float(f"{float(r['x_max']):.3g}") for r in rows
+    ]
+    assert list(rows[0])[-2:] == ["x_max", "status"]
+    table = gapsweep(finished, "query", "tiny.toml", "--to", "table").stdout
+    assert max(map(len, table.splitlines())) <= 80
+    assert table.count("piecewise") == 2
+
+
 def test_explain_names_the_field_that_differs(finished):
     text = (finished / "tiny.toml").read_text()
     (finished / "more.toml").write_text(text.replace("20.0]", "20.0, 25.0]"))

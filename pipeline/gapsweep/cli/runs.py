@@ -1,8 +1,6 @@
 """Commands on what runs have left."""
 
 import json
-import shutil
-import textwrap
 from dataclasses import asdict
 from pathlib import Path
 
@@ -75,6 +73,7 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
       gapsweep claims data/runs/paper --study paper/study.toml
     """
     from gapsweep import own_code
+    from gapsweep.console import print_table
     from gapsweep.stages import CLAIMS
     from gapsweep.study.study import Study
 
@@ -82,11 +81,11 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED
-    width, margin = shutil.get_terminal_size().columns, " " * 5
-    for claim in decided["claims"]:
-        stated = f"{claim['id']:>3}  {claim['verdict']:<11}  {claim['place']}: {claim['claim']}"
-        for text, indent in ((stated, ""), (claim["sentence"], margin)):
-            click.echo(textwrap.fill(text, width, initial_indent=indent, subsequent_indent=margin))
+    told = [
+        (str(one["id"]), one["verdict"], f"{one['place']}: {one['claim']}\n{one['sentence']}")
+        for one in decided["claims"]
+    ]
+    print_table(("id", "verdict", "claim, and what was found"), told)
     counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
     click.echo(f"{len(decided['claims'])} claims: {counts}")
     if study:

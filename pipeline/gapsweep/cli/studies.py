@@ -87,7 +87,7 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import workflow
-    from gapsweep.console import duration
+    from gapsweep.console import duration, print_table
 
     loaded = options.loaded(study, engine)
     planned = workflow.plan(loaded, cache, retry_failed=retry_failed)
@@ -106,9 +106,11 @@ def plan(
         return FINISHED
     for name, value in numbers.items():
         click.echo(f"{name:>8}  {value}")
-    click.echo(f"expected  {'unknown' if expected is None else duration(expected)}")
-    for file, reason in stages.items():
-        click.echo(f"{file}: {f'to be made: {reason}' if reason else 'up to date'}")
+    unknown = "unknown, for nothing like it is stored"
+    click.echo(f"expected  {unknown if expected is None else f'{duration(expected)} (h:mm:ss)'}")
+    states = {file: f"to be made: {why}" if why else "up to date" for file, why in stages.items()}
+    click.echo()
+    print_table(("file", "state"), states.items())
     return FINISHED
 
 
@@ -122,10 +124,19 @@ def plan(
 @click.option(
     "--to",
     "form",
-    type=click.Choice(["csv", "json", "nc"]),
-    default="csv",
-    show_default=True,
-    help="A row per point (csv), a JSON object per line (json), NetCDF (nc).",
+    type=click.Choice(["table", "csv", "json", "nc"]),
+    help="A table to read; a row per point (csv), a JSON object per line (json), NetCDF (nc).  "
+    "[default: table on a terminal, else csv]",
+)
+@click.option(
+    "--columns",
+    metavar="NAME,...",
+    help="Variables to print.  [default: the motion in a table, else all]",
+)
+@click.option(
+    "--digits",
+    type=click.IntRange(1, 17),
+    help="Significant digits.  [default: 4 in a table, else all]",
 )
 @click.option(
     "--output", type=click.Path(path_type=Path, dir_okay=False), help="New file.  [default: stdout]"
@@ -134,7 +145,9 @@ def query(
     study: Path,
     wanted: tuple[str, ...],
     engine: str | None,
-    form: str,
+    form: str | None,
+    columns: str | None,
+    digits: int | None,
     output: Path | None,
     **how: Any,
 ) -> int:
@@ -143,15 +156,15 @@ def query(
     \b
     Examples:
       gapsweep query quick.toml --sel omega=10:12
+      gapsweep query quick.toml --sel K_c=14000 --columns x_max,status --digits 6
       gapsweep query quick.toml --sel representation=piecewise \\
           --to nc --output exact.nc
     """
     from gapsweep import workflow
-    from gapsweep.cli.table import check_output, written
+    from gapsweep.cli.table import Form, check_output, written
     from gapsweep.console import progress_bar
 
-    if form == "nc" and output is None:
-        raise click.UsageError("--to nc needs --output FILE")
+    shown = Form.of(form, columns, digits, output)
     if output is not None:
         check_output(output)
     loaded = options.loaded(study, engine)
@@ -160,7 +173,7 @@ def query(
     click.echo(
         f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True
     )
-    written(found, form, output)
+    written(found, shown, output)
     return FINISHED
 
 
@@ -221,6 +234,7 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
       gapsweep advise quick.toml --error 1e-2
     """
     from gapsweep.analysis.advice import advice, sentences
+    from gapsweep.console import print_table, print_text
     from gapsweep.study.study import Study
 
     found = advice(Study.load(study), error)
@@ -228,16 +242,21 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps({"error": found.attrs["error"], "scenes": scenes}))
         return FINISHED
-    click.echo(f"for an error of the steady amplitude of {found.attrs['error']:g}:")
+    print_text(f"for an error of the steady amplitude of {found.attrs['error']:g}:")
     for scene in scenes:
-        click.echo(_scene(scene))
+        print_text(_scene(scene))
         for one in scene["starts"]:
-            click.echo(f"  from {one['start']}:")
-            for part in one["advice"]:
-                hertz = f"{part['from']:g} to {part['to']:g} Hz"
-                model = f"{part['model']}, rtol {part['rtol']:g}"
-                click.echo(f"    {hertz:<16} {model:<22} {part['reason']}")
-        click.echo(f"  {scene['stand_ins']}")
+            click.echo(f"\nfrom {one['start']}:")
+            print_table(
+                ("from [Hz]", "to [Hz]", "least model", "rtol", "for"),
+                [
+                    (*(f"{part[end]:g}" for end in ("from", "to")), part["model"],
+                     f"{part['rtol']:g}", part["reason"])
+                    for part in one["advice"]
+                ],
+            )  # fmt: skip
+        click.echo()
+        print_text(scene["stand_ins"])
     return FINISHED
 
 
