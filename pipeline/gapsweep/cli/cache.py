@@ -87,13 +87,14 @@ def verify(cache: Path | None, sample: int, study: Path | None) -> int:
       gapsweep cache verify --sample 20
       gapsweep cache verify --sample 20 --study own.toml
     """
+    from gapsweep.console import busy
     from gapsweep.store import maintenance
     from gapsweep.workflow import recomputed_otherwise
 
     own_laws = options.loaded(study, None).own_laws if study else ()
     differing: list[tuple[str, list[str]]] = []
     n_skipped = 0
-    with _existing(cache) as store:
+    with busy("reading every point"), _existing(cache) as store:
         verdict = maintenance.verify(store)
         if sample:
             differing, n_skipped = recomputed_otherwise(store, sample, own_laws)

@@ -50,9 +50,11 @@ def report(folder: Path, study: Path | None) -> int:
       gapsweep report data/runs/paper --study paper/study.toml
     """
     from gapsweep import make
+    from gapsweep.console import busy
     from gapsweep.study.study import Study
 
-    shown = make.report(folder, Study.load(study) if study else None)
+    with busy("making the report"):
+        shown = make.report(folder, Study.load(study) if study else None)
     click.echo(f"report: {shown}")
     return FINISHED
 
@@ -73,11 +75,12 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
       gapsweep claims data/runs/paper --study paper/study.toml
     """
     from gapsweep import own_code
-    from gapsweep.console import print_table
+    from gapsweep.console import busy, print_table
     from gapsweep.stages import CLAIMS
     from gapsweep.study.study import Study
 
-    decided = own_code.claims(folder, Study.load(study) if study else None)
+    with busy("deciding the claims"):
+        decided = own_code.claims(folder, Study.load(study) if study else None)
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED

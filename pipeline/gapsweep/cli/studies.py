@@ -87,12 +87,13 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import workflow
-    from gapsweep.console import duration, print_table
+    from gapsweep.console import busy, duration, print_table
 
     loaded = options.loaded(study, engine)
-    planned = workflow.plan(loaded, cache, retry_failed=retry_failed)
-    expected = workflow.expected_seconds(planned, cache, workers)
-    stages = workflow.stage_reasons(loaded, planned, out, cache)
+    with busy("looking up what is stored"):
+        planned = workflow.plan(loaded, cache, retry_failed=retry_failed)
+        expected = workflow.expected_seconds(planned, cache, workers)
+        stages = workflow.stage_reasons(loaded, planned, out, cache)
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,
