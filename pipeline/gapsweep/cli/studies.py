@@ -224,7 +224,8 @@ def _short(text: str) -> str:
 @click.option(
     "--error",
     type=float,
-    help="Error of the steady amplitude to meet.  [default: [auto] of the study, else 1e-3]",
+    help="Relative error of the steady amplitude to meet, 1e-9 to 0.1.  "
+    "[default: [auto] of the study, else 1e-3]",
 )
 @options.as_json
 def advise(study: Path, error: float | None, as_json: bool) -> int:
