@@ -8,7 +8,11 @@ import click
 from gapsweep.errors import StoreError
 
 # What is written, and the study file in it.
-STUDIES = {"quick": ("quick.toml", "quick.toml"), "paper": ("paper", "paper/study.toml")}
+STUDIES = {
+    "quick": ("quick.toml", "quick.toml"),
+    "two-masses": ("two_masses.toml", "two_masses.toml"),
+    "paper": ("paper", "paper/study.toml"),
+}
 
 
 @click.command()
@@ -16,8 +20,9 @@ STUDIES = {"quick": ("quick.toml", "quick.toml"), "paper": ("paper", "paper/stud
 def init(name: str) -> None:
     """Write a study to start from into the current folder.
 
-    quick: one file with a few laws and frequencies, seconds to compute; the default. paper: the
-    folder of a whole paper's study, with its claims and figures, minutes.
+    quick: one file with a few laws and frequencies, seconds to compute; the default. two-masses: a
+    machine with two coordinates and a one-sided stop. paper: the folder of a whole paper's study,
+    with its claims and figures, minutes.
 
     \b
     Examples:
