@@ -268,7 +268,7 @@ def carry_out(
                     retry_failed=retry_failed,
                     say=partial(_tell, recorder, progress),
                 )
-    if said := _far_walls(folder / RESPONSES):
+    if study.spec.system is None and (said := _far_walls(folder / RESPONSES)):
         warnings.warn(said, stacklevel=3)
     motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
     failed = {file: counts for file, counts in motions.items() if counts}

@@ -116,6 +116,17 @@ def test_columns_and_digits_of_rows(responses, capsys):
     assert "0.00123456789," in capsys.readouterr().out
 
 
+def test_a_variable_of_several_coordinates_has_a_column_for_each(responses, capsys):
+    per_mass = responses["x_max"].expand_dims(coordinate=["x_1", "x_2"], axis=-1)
+    machine = responses.drop_vars("amplitude").assign(amplitude=per_mass)
+    written(machine, Form("csv", ("amplitude",), 3), None)
+    assert capsys.readouterr().out.startswith(
+        "representation,K_c,omega,amplitude[x_1],amplitude[x_2]\npiecewise,14000.0,10.12345,0.00123"
+    )
+    written(machine, Form("table", ("amplitude[x_2]", "status"), 3), None)
+    assert "amplitude[x_1]" not in shown(capsys)
+
+
 def test_an_unknown_column_is_refused_with_the_nearest(responses):
     with pytest.raises(click.BadParameter, match="'xmax': did you mean x_max"):
         written(responses, Form("csv", ("xmax",)), None)

@@ -109,6 +109,8 @@ def _message(error: Any, spec: type[BaseModel]) -> str:
 
 
 def _in_units(loc: Loc) -> str:
+    if "system" in loc[:3]:  # whose coordinates may be angles
+        return ""
     return next((f", in {_UNITS[part]}" for part in reversed(loc) if part in _UNITS), "")
 
 
@@ -129,7 +131,8 @@ def _form_at(loc: Loc) -> str:
 
 def _likely(loc: Loc, spec: type[BaseModel]) -> str:
     """Which key of the same table is meant, if one is alike, else all of them."""
-    known = list(dict.fromkeys(key for t in _tables(loc[:-1], spec) for key in t.model_fields))
+    keys = (key for table in _tables(loc[:-1], spec) for key in table.model_fields)
+    known = [key for key in dict.fromkeys(keys) if key != loc[-1]]  # another form may have it
     alike = difflib.get_close_matches(str(loc[-1]), known, n=1)
     return f"; did you mean {alike[0]}?" if alike else f"; there are {', '.join(known)}"
 
