@@ -22,7 +22,7 @@ from gapsweep.execution.progress import OnProgress, Progress
 
 _LINE_SECONDS = 10.0
 # The first line comes so soon, and those of stages as soon after they have begun.
-_TICK_SECONDS = 1.5
+_TICK_SECONDS = 1.0
 _NOTEBOOK_SECONDS = 0.2
 _RECENT_SECONDS = 30.0
 _NO_POINT_YET = "loading machine code, or compiling it once per machine"
