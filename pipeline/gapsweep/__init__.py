@@ -2,7 +2,6 @@
 
 import importlib
 import time
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from gapsweep.errors import (
@@ -40,8 +39,6 @@ if TYPE_CHECKING:
     from gapsweep.store.netcdf import read as open
     from gapsweep.study.study import Study
     from gapsweep.workflow import query, run
-
-__version__ = version("gapsweep")
 
 # numba, Dask, xarray and matplotlib take seconds to import: each comes with what needs it.
 _ON_DEMAND = {
@@ -120,6 +117,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("gapsweep")
     if name not in _ON_DEMAND:
         raise AttributeError(f"module 'gapsweep' has no attribute {name!r}")
     if name in _RETURN_DATASETS:

@@ -63,6 +63,7 @@ def update(
     *,
     timeout: float = DEFAULT_TIMEOUT,
     retry_failed: bool = False,
+    say: Callable[[str], None] = lambda text: None,
 ) -> None:
     """Make every file of a run that is not up to date.
 
@@ -72,6 +73,8 @@ def update(
         Time [s] that a motion with a law of the user's own may take.
     retry_failed : bool
         Whether files with failed motions are made again.
+    say : callable
+        Told what is made next.
     """
     given = sources(study, planned, store)
     for stage in stages_of(study):
@@ -85,6 +88,7 @@ def update(
                 f"{folder / stage.file}: damaged or changed since it was written, made again",
                 stacklevel=2,
             )
+        say(f"making {stage.file}")
         if stage.file in (RESPONSES, ATTRACTORS):
             files = folder / RESPONSES, folder / ATTRACTORS
             export(study, planned, store, *files, made_from=as_text(now))
@@ -95,7 +99,7 @@ def update(
         elif stage.file == REPORT:
             _report(folder)
         else:
-            _analyse(stage, study, folder, now, timeout)
+            _analyse(stage, study, folder, now, timeout, say)
 
 
 def _analyse(

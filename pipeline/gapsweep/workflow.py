@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
 
 
 DEFAULT_CACHE = Path("data/cache.sqlite")
+# Walls so many times as far away as any motion leads: their distances must be of another unit.
+_FAR = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +181,7 @@ def run(
     retry_failed : bool
         Compute points again whose stored outcome is a failure.
     on_progress : callable, optional
-        Observer of the `Progress`.
+        Observer of the `Progress`; None shows a bar.
 
     Returns
     -------
@@ -191,18 +194,19 @@ def run(
         If the cluster, the cache or the output folder cannot be used.
     """
     study = Study.of(study)
-    outcome = carry_out(
-        study,
-        client,
-        out=out,
-        cache=cache,
-        workers=workers,
-        scheduler=scheduler,
-        batch=batch,
-        timeout=timeout,
-        retry_failed=retry_failed,
-        on_progress=on_progress,
-    )
+    with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
+        outcome = carry_out(
+            study,
+            client,
+            out=out,
+            cache=cache,
+            workers=workers,
+            scheduler=scheduler,
+            batch=batch,
+            timeout=timeout,
+            retry_failed=retry_failed,
+            on_progress=observer,
+        )
     found = netcdf.read(outcome.folder / RESPONSES)
     if found.attrs["study_json"] != study.json:  # since the folder was let go
         found.close()
@@ -235,6 +239,7 @@ def carry_out(
             f"{', '.join(changed)} changed; --out takes another folder",
             stacklevel=3,
         )
+    _tell(on_progress, Progress(0, 0), "looking up what is stored")
     planned = plan(study, cache, retry_failed=retry_failed)
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
@@ -254,10 +259,35 @@ def carry_out(
             recorder.write()
             with alone_in(folder):
                 check_owner(study, folder)
-                update(study, planned, store, folder, timeout=timeout, retry_failed=retry_failed)
+                update(
+                    study,
+                    planned,
+                    store,
+                    folder,
+                    timeout=timeout,
+                    retry_failed=retry_failed,
+                    say=partial(_tell, recorder, progress),
+                )
+    if study.spec.system is None and (said := _far_walls(folder / RESPONSES)):
+        warnings.warn(said, stacklevel=3)
     motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, _failures(planned), failed)
+
+
+def _far_walls(responses: Path) -> str:
+    """That no motion comes near a wall, as where a gap is given in millimetres; else nothing."""
+    x, walls = (
+        np.abs(np.concatenate([netcdf.values(responses, name).ravel() for name in names]))
+        for names in (("x_min", "x_max"), ("j_1", "j_2"))
+    )
+    largest = np.max(x, initial=0.0, where=np.isfinite(x))
+    if not (walls.size and 0.0 < _FAR * largest < walls.min()):
+        return ""
+    return (
+        f"no motion comes near a wall: the largest displacement is {1e3 * largest:.3g} mm, the "
+        f"nearest wall stands at {1e3 * walls.min():.3g} mm; gaps are in metres, as 4e-4"
+    )
 
 
 @salvaging
@@ -367,6 +397,9 @@ def _computed(
         if begin is not None:
             begin()
         return Progress(planned.n_points, planned.n_hits)
+    before = Progress(planned.n_points, planned.n_hits)
+    if client is None:
+        _tell(on_progress, before, f"joining {scheduler}" if scheduler else "starting the workers")
     from gapsweep.execution.cluster import cluster
     from gapsweep.execution.execute import execute
 
@@ -382,10 +415,20 @@ def _computed(
                     stacklevel=3,
                 )
             try:
-                return execute(study, planned, store, connected, on_progress=on_progress, **how)
+                done = execute(study, planned, store, connected, on_progress=on_progress, **how)
             except KeyboardInterrupt as interrupt:
+                _tell(on_progress, before, "interrupted, stopping")
                 interrupt.add_note(f"{store.path} keeps what was computed: run again to resume")
                 raise
+        if client is None and not scheduler:
+            _tell(on_progress, done, "stopping the workers")
+    return done
+
+
+def _tell(on_progress: OnProgress | None, progress: Progress, stage: str) -> None:
+    """Say what begins now, with the counts so far."""
+    if on_progress is not None:
+        on_progress(replace(progress, stage=stage))
 
 
 def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -> list[Explanation]:

@@ -192,10 +192,10 @@ def test_laws_are_compared_coordinate_by_coordinate(made):
 
 
 def test_query_has_a_column_for_every_coordinate(made, capsys):
-    from gapsweep.cli.table import written
+    from gapsweep.cli.table import Form, written
 
     study, _folder, responses = made
-    written(at(responses).expand_dims(["representation", "K_c", "gap"]), "csv", None)
+    written(at(responses).expand_dims(["representation", "K_c", "gap"]), Form("csv"), None)
     header = capsys.readouterr().out.splitlines()[0].split(",")
     assert {f"x_max[{name}]" for name in study.grid.parts["coordinate"]} <= {*header}
 

@@ -8,7 +8,8 @@ import click
 import pytest
 
 from gapsweep.cli.main import commands
-from gapsweep.cli.options import selected
+from gapsweep.cli.options import ENGINES, selected
+from gapsweep.integrate import problem
 
 WIDTH = 80
 
@@ -82,6 +83,25 @@ def test_shell_completion_offers_what_fits(words, offered):
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True
     )
     assert done.stdout.split() == [offered]
+
+
+def test_help_waits_for_nothing():
+    """A fifth of a second of processor time, in which no library that computes is imported."""
+    code = (
+        "import atexit, sys, time\n"
+        "from gapsweep.cli import main\n"
+        "atexit.register(lambda: print(time.process_time(), *sys.modules, file=sys.stderr))\n"
+        "main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True)
+    seconds, *modules = done.stderr.split()
+    assert "gapsweep.cli.studies" in modules
+    assert not {"numpy", "pydantic", "rich", "importlib.metadata"} & set(modules)
+    assert float(seconds) < 0.2
+
+
+def test_engines_are_those_of_the_solver():
+    assert ENGINES == problem.ENGINES
 
 
 def test_a_key_of_a_selection_is_given_once():

@@ -265,7 +265,7 @@ def test_all_problems_are_reported_at_once(tables):
         "study.name = '../up'",
         "study.colour = 'red': unknown key",
         "oscillator.zeta = -1.0: must be >= 0",
-        "oscillator.mass = '3': must be a valid number",
+        "oscillator.mass = '3': must be a number, in kg",
         "solver.engine = 'magic'",
         "solver.rtol = 1e-20: must be >= 1e-13",
         "sweep[0].representation[0] = 'tan-1e4': unknown representation",
@@ -368,13 +368,13 @@ def test_blocks_that_do_not_sweep_a_number_keep_that_of_the_oscillator(tables):
         ({"forcing": []}, "sweep[0].forcing"),
         ({"mass": [0.0]}, "sweep[0].mass[0] = 0.0: must be > 0"),
         ({"zeta": {"start": -0.1, "stop": 1.0, "num": 3}}, "sweep[0].zeta.start = -0.1: must be"),
-        ({"alpha": "stiff"}, "sweep[0].alpha[0] = 'stiff': must be a valid number"),
+        ({"alpha": "stiff"}, "sweep[0].alpha[0] = 'stiff': must be a number, in N/m³"),
         (
             {"forcing": {"start": -1e308, "stop": 1e308, "num": 3}},
             "stop 1e+308 must be within 1e+100 of start",
         ),
         ({"zeta": {"start": 0.1, "stop": 1.0, "step": 1e-320}}, "sweep points: must be <="),
-        ({"omega": True}, "sweep[0].omega[0] = True: must be a valid number"),
+        ({"omega": True}, "sweep[0].omega[0] = True: must be a number, in Hz"),
         ({"K_ratio": [1.0, -2.0]}, "sweep[0].K_ratio[1] = -2.0: must be >= 0"),
         ({"k_ratio": 2.0}, "sweep[0].k_ratio = 2.0: unknown key"),
         (
@@ -435,7 +435,7 @@ def with_(**changes):
         (lambda tables: tables["study"].update(name="a b"), "'a b': must be letters, digits, '.'"),
         (
             lambda tables: tables.update(sweep=tables["sweep"][0]),
-            "study: sweep: must be in double brackets: [[sweep]]",
+            "study: sweep: write [[sweep]], in double brackets",
         ),
         (lambda tables: tables.pop("sweep"), "study: sweep: missing"),
         (lambda tables: tables.update(oscillator=3), "oscillator = 3: must be a table"),

@@ -208,4 +208,5 @@ def _stand_ins(here: xr.Dataset) -> str:
     good = ", ".join(f"{label} ({value:.2g})" for label, value, yes in rows if yes)
     bad = ", ".join(f"{label} ({value:.2g})" for label, value, yes in rows if not yes)
     text = f"adequate where contacts cannot be located: {good or 'none'}"
-    return f"{text}; not adequate: {bad}" if bad else text
+    text = f"{text}; not adequate: {bad}" if bad else text
+    return f"{text}; in brackets the largest force error over the forcing" if rows else text

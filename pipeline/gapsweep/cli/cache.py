@@ -2,15 +2,15 @@
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from gapsweep import workflow
 from gapsweep.cli import options
 from gapsweep.errors import StoreError
-from gapsweep.store import maintenance
-from gapsweep.store.cache import Cache
-from gapsweep.study.fingerprint import numerics_fingerprint
+
+if TYPE_CHECKING:
+    from gapsweep.store.cache import Cache
 
 
 @click.group("cache")
@@ -24,12 +24,16 @@ def cache_commands() -> None:
     """
 
 
-def _existing(cache: Path | None, *, read_only: bool = True) -> Cache:
+def _existing(cache: Path | None, *, read_only: bool = True) -> "Cache":
+    from gapsweep.store.cache import Cache
+
     return Cache(_path(cache), read_only=read_only)
 
 
 def _path(cache: Path | None) -> Path:
-    path = workflow.cache_path(cache)
+    from gapsweep.workflow import cache_path
+
+    path = cache_path(cache)
     if not path.exists():
         raise StoreError(f"{path}: no such file; 'gapsweep run' makes it")
     return path
@@ -45,6 +49,9 @@ def info(cache: Path | None, as_json: bool) -> None:
     Example:
       gapsweep cache info --json
     """
+    from gapsweep.store import maintenance
+    from gapsweep.study.fingerprint import numerics_fingerprint
+
     with _existing(cache) as store:
         found = maintenance.info(store, numerics_fingerprint())
     if as_json:
@@ -80,13 +87,17 @@ def verify(cache: Path | None, sample: int, study: Path | None) -> int:
       gapsweep cache verify --sample 20
       gapsweep cache verify --sample 20 --study own.toml
     """
+    from gapsweep.console import busy
+    from gapsweep.store import maintenance
+    from gapsweep.workflow import recomputed_otherwise
+
     own_laws = options.loaded(study, None).own_laws if study else ()
     differing: list[tuple[str, list[str]]] = []
     n_skipped = 0
-    with _existing(cache) as store:
+    with busy("reading every point"), _existing(cache) as store:
         verdict = maintenance.verify(store)
         if sample:
-            differing, n_skipped = workflow.recomputed_otherwise(store, sample, own_laws)
+            differing, n_skipped = recomputed_otherwise(store, sample, own_laws)
     for fault in verdict.faults:
         click.echo(f"file: {fault}", err=True)
     for key in verdict.damaged:
@@ -117,6 +128,9 @@ def gc(cache: Path | None, apply: bool) -> None:
       gapsweep cache gc
       gapsweep cache gc --apply
     """
+    from gapsweep.store import maintenance
+    from gapsweep.study.fingerprint import numerics_fingerprint
+
     with _existing(cache, read_only=False) as store:
         rows = maintenance.removable(store, numerics_fingerprint())
         n_points = sum(slab.n_points for number, slab in store.slabs() if number in rows)
@@ -136,5 +150,7 @@ def export(file: Path, cache: Path | None) -> None:
     Example:
       gapsweep cache export copy.sqlite
     """
+    from gapsweep.store import maintenance
+
     n_points = maintenance.export(_path(cache), file)
     click.echo(f"{n_points} points in {file}")

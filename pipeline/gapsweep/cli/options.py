@@ -1,15 +1,22 @@
-"""Arguments and options that several commands share."""
+"""Arguments, options and exit codes that several commands share.
+
+Nothing is imported here that takes time: whoever asks for help shall not wait.
+"""
 
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
-from gapsweep.integrate.problem import ENGINES
-from gapsweep.study.study import Study
+
+if TYPE_CHECKING:
+    from gapsweep.study.study import Study
+
+FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
+ENGINES = ("compiled", "scipy")  # those of gapsweep.integrate.problem, without its imports
 
 study = click.argument("study", type=click.Path(path_type=Path))
 cache = click.option(
@@ -57,11 +64,13 @@ selection = click.option(
 _LABELLED = ("representation", "gap")
 
 
-def loaded(path: Path, engine: str | None) -> Study:
+def loaded(path: Path, engine: str | None) -> "Study":
     """The study in a file, on the engine asked for.
 
     If it names code, that is looked up in the current folder too, after all libraries.
     """
+    from gapsweep.study.study import Study
+
     found = Study.load(path)
     if found.own_laws:
         sys.path.append(os.getcwd())

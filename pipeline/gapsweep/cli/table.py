@@ -1,16 +1,65 @@
 """A dataset of responses as a table."""
 
+import difflib
 import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 import xarray as xr
 
+from gapsweep.console import print_table, print_text
 from gapsweep.errors import StoreError
 from gapsweep.status import Status
 from gapsweep.store.artefact import replacing
 from gapsweep.study.grid import CONTACT, COORDINATE
+
+# What fits a terminal beside the dimensions: how the motion is, and whether it is one.
+_COLUMNS = ("amplitude", "period_multiple", "response_class", "status")
+_DIGITS = 4
+# A longer name has two lines above its column.
+_LONG = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """How responses are written.
+
+    Attributes
+    ----------
+    kind : str
+        ``table``, ``csv``, ``json`` or ``nc``.
+    columns : sequence of str
+        Variables, beside the dimensions; all if empty.
+    digits : int, optional
+        Significant digits; all if None.
+    """
+
+    kind: str
+    columns: Sequence[str] = ()
+    digits: int | None = None
+
+    @classmethod
+    def of(
+        cls, kind: str | None, columns: str | None, digits: int | None, output: Path | None
+    ) -> "Form":
+        """What a command line asks for; a table is for whom sits at a terminal."""
+        if kind is None:
+            kind = "table" if output is None and sys.stdout.isatty() else "csv"
+        if kind == "nc" and output is None:
+            raise click.UsageError("--to nc needs --output FILE")
+        if kind == "nc" and (columns or digits):
+            raise click.UsageError("--to nc holds every variable to its last digit")
+        if kind == "table" and output is not None:
+            raise click.UsageError("--to table is for the terminal; --output takes csv, json or nc")
+        named = tuple(columns.split(",")) if columns else ()
+        if kind == "table":
+            return cls(kind, named or _COLUMNS, digits or _DIGITS)
+        return cls(kind, named, digits)
 
 
 def check_output(output: Path) -> None:
@@ -26,43 +75,106 @@ def check_output(output: Path) -> None:
         raise StoreError(f"{output}: there is no folder {output.parent}")
 
 
-def written(responses: xr.Dataset, form: str, output: Path | None) -> None:
-    """Write a dataset as ``csv`` or ``json`` (one row per sweep point) or ``nc``.
+def written(responses: xr.Dataset, form: Form, output: Path | None) -> None:
+    """Write a dataset, one row per sweep point or, as ``nc``, whole.
 
     Raises
     ------
     StoreError
         If the file cannot be written.
     """
-    if output is None:
+    if form.kind == "table":
+        _print(responses, form)
+    elif output is None:
         click.echo(_text(responses, form), nl=False)
-        return
-    with replacing(output) as temporary:
-        if form == "nc":
-            responses.to_netcdf(temporary, engine="netcdf4", format="NETCDF4")
-        else:
-            temporary.write_text(_text(responses, form), encoding="utf-8")
+    else:
+        with replacing(output) as temporary:
+            if form.kind == "nc":
+                responses.to_netcdf(temporary, engine="netcdf4", format="NETCDF4")
+            else:
+                temporary.write_text(_text(responses, form), encoding="utf-8")
 
 
-def _text(responses: xr.Dataset, form: str) -> str:
-    """The variables that have one value per point, coordinate or contact; flags in words."""
+def _text(responses: xr.Dataset, form: Form) -> str:
+    frame = _frame(responses, form)
+    if form.kind == "csv":
+        return str(frame.to_csv(index=False))
+    rows = json.loads(frame.to_json(orient="records", double_precision=15))
+    return "".join(json.dumps(row) + "\n" for row in rows)
+
+
+def _print(responses: xr.Dataset, form: Form) -> None:
+    """A table for the eye: what all rows have in common stands above it, once."""
+    frame = _frame(responses, form)
+    dims = [str(dim) for dim in responses["status"].dims]
+    same = [dim for dim in dims if frame[dim].nunique() == 1 and dim not in form.columns]
+    if same:
+        said = [f"{dim} {_word(frame[dim].iloc[0])}{_units(responses, dim)}" for dim in same]
+        print_text(", ".join(said))
+    names = [name for name in frame.columns if name not in same]
+    rows = [[_word(value) for value in row] for row in frame[names].itertuples(index=False)]
+    print_table([_head(responses, name) for name in names], rows)
+
+
+def _word(value: Any) -> str:
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+def _units(responses: xr.Dataset, name: str) -> str:
+    units = responses[_base(name)].attrs.get("units", "1")
+    return "" if units == "1" else f" {units}"
+
+
+def _head(responses: xr.Dataset, name: str) -> str:
+    title = name.replace("_", "_\n", 1) if len(name) > _LONG else name
+    units = _units(responses, name)
+    return f"{title}\n[{units.strip()}]" if units else title
+
+
+def _frame(responses: xr.Dataset, form: Form) -> Any:
+    """A row per sweep point, with the variables asked for; flags in words."""
+    points = responses["status"].dims
+    frame = _in_words(xr.Dataset(_plain(responses))).to_dataframe().reset_index()
+    frame = frame[frame["status"] != Status.NOT_REQUESTED.label]
+    if form.columns:
+        frame = frame[list(dict.fromkeys([*points, *_chosen(form.columns, frame.columns)]))]
+    if form.digits is not None:
+        floats = frame.select_dtypes("floating").columns.difference(points)
+        frame[floats] = frame[floats].map(lambda value: float(f"{value:.{form.digits}g}"))
+    return frame
+
+
+def _plain(responses: xr.Dataset) -> dict[str, xr.DataArray]:
+    """The variables that have one value per point, and those per coordinate or contact apart."""
     points = responses["status"].dims
     starts = [name for name, held in responses.coords.items() if held.ndim > 1]
-    responses = responses.drop_vars(starts)
     columns: dict[str, xr.DataArray] = {}
-    for name, variable in responses.data_vars.items():
+    for name, variable in responses.drop_vars(starts).data_vars.items():
         if variable.dims == points:
             columns[str(name)] = variable
         elif variable.dims[:-1] == points and variable.dims[-1] in (COORDINATE, CONTACT):
             for part in variable.transpose(variable.dims[-1], ...):
                 of = part[variable.dims[-1]].item()
                 columns[f"{name}[{of}]"] = part.drop_vars(variable.dims[-1])
-    frame = _in_words(xr.Dataset(columns)).to_dataframe().reset_index()
-    frame = frame[frame["status"] != Status.NOT_REQUESTED.label]
-    if form == "csv":
-        return str(frame.to_csv(index=False))
-    rows = json.loads(frame.to_json(orient="records", double_precision=15))
-    return "".join(json.dumps(row) + "\n" for row in rows)
+    return columns
+
+
+def _chosen(wanted: Sequence[str], known: Sequence[str]) -> list[str]:
+    """The columns that are asked for: of a variable those of all its coordinates or contacts."""
+    bases = [_base(name) for name in known]
+    found = []
+    for name in wanted:
+        if name not in (*known, *bases):
+            alike = difflib.get_close_matches(name, [*known, *bases], n=1)
+            likely = f"did you mean {alike[0]}? " if alike else ""
+            message = f"{name!r}: {likely}Choose from {', '.join(dict.fromkeys(bases))}"
+            raise click.BadParameter(message, param_hint="--columns")
+        found += [one for one, base in zip(known, bases, strict=True) if name in (one, base)]
+    return found
+
+
+def _base(name: str) -> str:
+    return name.partition("[")[0]
 
 
 def _in_words(dataset: xr.Dataset) -> xr.Dataset:

@@ -2,10 +2,9 @@
 
 import logging
 import signal
-import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from multiprocessing import spawn
+from contextlib import ExitStack, contextmanager
+from multiprocessing import resource_tracker, spawn
 from typing import Any
 
 import dask
@@ -53,11 +52,10 @@ def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
         }
         # What goes wrong on a worker becomes the status of its points; its log only repeats it.
         options["silence_logs"] = logging.CRITICAL
-        with dask.config.set(_LOCAL_SETTINGS), _without_main():
+        with dask.config.set(_LOCAL_SETTINGS), _without_main(), ExitStack() as opened:
             with _deaf_to_interrupts():
-                local = LocalCluster(n_workers=workers, **options)
-            with local, Client(local) as client:
-                yield client
+                local = opened.enter_context(LocalCluster(n_workers=workers, **options))
+            yield opened.enter_context(Client(local))
         return
     try:
         client = Client(scheduler, timeout=_CONNECT_SECONDS)
@@ -72,18 +70,20 @@ def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes started in this block ignore Ctrl-C, which a terminal sends to all of them.
+    """Processes started in this block never hear of Ctrl-C, which a terminal sends to all of them.
 
-    The client alone decides how a run ends; workers that die on their own only print.
+    The client alone decides how a run ends; workers that die on their own only print. What is
+    blocked is inherited, by threads and processes; here it arrives when the block ends.
     """
-    if threading.current_thread() is not threading.main_thread():
+    if not hasattr(signal, "pthread_sigmask"):  # not a POSIX system
         yield
         return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource_tracker.ensure_running()  # which lifts every block once it is started
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -11,7 +11,10 @@ OnProgress = Callable[["Progress"], None]
 
 @dataclass(slots=True)
 class Progress:
-    """Counts of a run so far; handed to the observer after every task."""
+    """Counts of a run so far; handed to the observer after every task, and as stages begin.
+
+    `stage` names what is done before or after the points; it is empty while they are computed.
+    """
 
     n_points: int
     n_hits: int
@@ -19,6 +22,7 @@ class Progress:
     n_failed: int = 0
     n_shared: int = 0  # computed meanwhile by another run on the same cache
     started: float = field(default_factory=time.monotonic)
+    stage: str = ""
 
     @property
     def n_done(self) -> int:

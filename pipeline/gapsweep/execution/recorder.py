@@ -41,9 +41,11 @@ class Recorder:
         return self
 
     def __call__(self, progress: Progress) -> None:
-        self.state = replace(self.state, computed=progress.n_computed, failed=progress.n_failed)
-        if time.monotonic() - self.written > _STATE_SECONDS:
-            self.write()
+        if not progress.stage:  # before and after the points nothing is counted
+            n_computed, n_failed = progress.n_computed, progress.n_failed
+            self.state = replace(self.state, computed=n_computed, failed=n_failed)
+            if time.monotonic() - self.written > _STATE_SECONDS:
+                self.write()
         if self.on_progress is not None:
             self.on_progress(progress)
 

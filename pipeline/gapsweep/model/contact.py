@@ -319,7 +319,7 @@ class UserLaw(ContactLaw):
         if not callable(self.function):
             raise ModelError(
                 f"function = {self.function!r}: must be a function of x; "
-                "for the law of a label use gapsweep.contact_law"
+                "for the law of a label use gapsweep.contact_law(label, K_c, gap)"
             )
         try:
             value = float(self.function(0.0))
@@ -351,8 +351,9 @@ class UserLaw(ContactLaw):
 def checked_law(law: ContactLaw) -> ContactLaw:
     """`law`, or a `ModelError` if it is none."""
     if not isinstance(law, ContactLaw):
+        label = law if isinstance(law, str) else "tanh-1e4"
         raise ModelError(
-            f"law = {law!r}: must be a contact law, as gapsweep.contact_law(label, K_c, gap) is"
+            f"law = {law!r}: must be a contact law, as gapsweep.contact_law({label!r}, K_c, gap) is"
         )
     return law
 

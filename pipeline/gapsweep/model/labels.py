@@ -12,6 +12,7 @@
 ========================= ==========================================================
 """
 
+import difflib
 import re
 from collections.abc import Callable
 
@@ -63,9 +64,17 @@ def canonical_label(label: str) -> str:
     law = family(label)
     if law is None:
         raise ModelError(
-            f"unknown representation {label!r}: use one of {EXAMPLES} or module:function"
+            f"unknown representation {label!r}: {_likely(label)}use one of {EXAMPLES} or "
+            "module:function"
         )
     return f"{name}{dash}{law.canonical(label, parameter)}"
+
+
+def _likely(label: str) -> str:
+    """The label that is meant, as a question, if a family is alike."""
+    word, parameter = re.findall(r"([A-Za-z]*)-?(.*)", label)[0]
+    alike = difflib.get_close_matches(word.lower(), FAMILIES, n=1)
+    return f"did you mean {'-'.join(filter(None, [alike[0], parameter]))}? Or " if alike else ""
 
 
 def is_fitted(label: str) -> bool:

@@ -12,10 +12,44 @@ _BOUNDS = {
 }
 _WORDS = {
     "model_type": "must be a table",
-    "missing": "missing",
+    "dict_type": "must be a table",
+    "list_type": "must be a list",
+    "string_type": "must be text, in quotes",
+    "bool_type": "must be true or false",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
     "union_tag_invalid": "must be { sobol = ... }, 'sweep_up' or 'sweep_down'",
     "string_pattern_mismatch": "must be letters, digits, '.', '_' and '-', without spaces; 64 at "
     "most, a letter or digit first",
+}
+# Of numbers, in what they are.
+_UNITS = {
+    "K_c": "N/m",
+    "j_1": "m",
+    "j_2": "m",
+    "omega": "Hz",
+    "omega_n": "Hz",
+    "mass": "kg",
+    "alpha": "N/m³",
+    "forcing": "N",
+    "t_end": "s",
+    "t_max": "s",
+    "range": "m",
+}
+# What to write where it is missing.
+_EXAMPLES = {
+    "study": '[study] with name = "my-study"',
+    "sweep": "[[sweep]] with representation, K_c, gap and omega",
+    "name": 'name = "my-study"',
+    "representation": 'representation = ["piecewise", "tanh-1e4"]',
+    "K_c": "K_c = 1.4e4, in N/m",
+    "gap": "gap = [4e-4, 4e-4], in m",
+    "omega": "omega = { start = 1.0, stop = 30.0, step = 0.5 }, in Hz",
+    "t_end": "t_end = 20.0, in s",
+    "start": "start = 1.0",
+    "stop": "stop = 30.0",
+    "x": "x = [-2e-3, 2e-3], in m",
+    "v": "v = [-0.05, 0.05], in m/s",
 }
 # What stands for these as a whole; what is wrong inside of it has words of its own.
 _FORMS = {
@@ -40,28 +74,53 @@ def problems(source: str, error: ValidationError, spec: type[BaseModel]) -> list
 
 def _problem(source: str, error: Any, spec: type[BaseModel]) -> str:
     kind, loc, value = error["type"], error["loc"], error["input"]
-    message = error["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
-    if kind in _SHAPES and (field := _form_at(loc)):
-        message = _FORMS[field]
-    elif kind == "list_type" and isinstance(value, dict):
-        message = f"must be in double brackets: [[{_path(loc)}]]"
-    elif kind in ("too_short", "too_long"):
-        n = error["ctx"]["min_length" if kind == "too_short" else "max_length"]
-        message = f"must have {'at least one value' if n == 1 else f'{n} values'}"
-    elif kind in _BOUNDS:
-        name, sign = _BOUNDS[kind]
-        message = f"must be {sign} {error['ctx'][name]:g}"
-    elif kind == "extra_forbidden" and loc[-2:] == ("num", "step"):
-        message = "give step or num, not both"
-    elif kind == "extra_forbidden":
-        message = f"unknown key{_likely(loc, spec)}"
-    elif kind == "missing" and loc[-1] in _EITHER and loc[-1] in loc[:-1]:
+    if kind == "missing" and loc[-1] in _EITHER and loc[-1] in loc[:-1]:
         message, loc = _EITHER[loc[-1]], loc[:-1]
     else:
-        message = _WORDS.get(kind, message)
+        message = _message(error, spec)
     where = _path(loc)
     shown = "" if kind == "missing" or isinstance(value, dict) else f" = {value!r:.80}"
     return f"{source}: {where}{shown}: {message}" if where else f"{source}: {message}"
+
+
+def _message(error: Any, spec: type[BaseModel]) -> str:
+    """What is wrong with a value, and what would do."""
+    kind, loc, value = error["type"], error["loc"], error["input"]
+    if kind in _SHAPES and (field := _form_at(loc)):
+        return _FORMS[field]
+    if kind == "list_type" and isinstance(value, dict) and _tables(loc, spec):
+        return f"write [[{_path(loc)}]], in double brackets"
+    if kind in ("too_short", "too_long"):
+        n = error["ctx"]["min_length" if kind == "too_short" else "max_length"]
+        return f"must have {'at least one value' if n == 1 else f'{n} values'}"
+    if kind in _BOUNDS:
+        name, sign = _BOUNDS[kind]
+        return f"must be {sign} {error['ctx'][name]:g}"
+    if kind == "extra_forbidden" and loc[-2:] == ("num", "step"):
+        return "give step or num, not both"
+    if kind == "extra_forbidden":
+        return f"unknown key{_likely(loc, spec)}"
+    if kind == "missing":
+        return f"missing; write {_EXAMPLES[loc[-1]]}" if loc[-1] in _EXAMPLES else "missing"
+    if kind == "float_type":
+        return f"must be a number{_in_units(loc)}{_instead(loc, value)}"
+    said = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
+    return _WORDS.get(kind, said.removeprefix(f"{value!r}: "))
+
+
+def _in_units(loc: Loc) -> str:
+    if "system" in loc[:3]:  # whose coordinates may be angles
+        return ""
+    return next((f", in {_UNITS[part]}" for part in reversed(loc) if part in _UNITS), "")
+
+
+def _instead(loc: Loc, value: Any) -> str:
+    """How to write what must have been meant by what is no number."""
+    if loc[0] == "oscillator" and isinstance(value, list | dict):
+        return "; what is swept stands in [[sweep]]"
+    if isinstance(value, str) and ":" in value:
+        return "; a range is { start = ..., stop = ..., step = ... }"
+    return ""
 
 
 def _form_at(loc: Loc) -> str:
@@ -71,19 +130,28 @@ def _form_at(loc: Loc) -> str:
 
 
 def _likely(loc: Loc, spec: type[BaseModel]) -> str:
-    """Which key of the same table is meant, if one is alike."""
-    first, last = str(loc[0]), str(loc[-1])
-    known = set(spec.model_fields) if len(loc) == 1 else _keys(spec.model_fields[first].annotation)
-    alike = difflib.get_close_matches(last, known, n=1)
-    return f"; did you mean {alike[0]}?" if alike else ""
+    """Which key of the same table is meant, if one is alike, else all of them."""
+    keys = (key for table in _tables(loc[:-1], spec) for key in table.model_fields)
+    known = [key for key in dict.fromkeys(keys) if key != loc[-1]]  # another form may have it
+    alike = difflib.get_close_matches(str(loc[-1]), known, n=1)
+    return f"; did you mean {alike[0]}?" if alike else f"; there are {', '.join(known)}"
 
 
-def _keys(annotation: Any) -> set[str]:
-    """Names of all fields of the tables in an annotation."""
+def _tables(loc: Loc, spec: type[BaseModel]) -> list[type[BaseModel]]:
+    """The tables that may stand in a place; none where none may."""
+    found = [spec]
+    for i, part in enumerate(loc):
+        fields = [table.model_fields[part] for table in found if part in table.model_fields]
+        if fields and not (part in _TAGS and i > 2):  # nor do numbers and protocols lead further in
+            found = [table for field in fields for table in _of(field.annotation)]
+    return found
+
+
+def _of(annotation: Any) -> list[type[BaseModel]]:
+    """The tables in an annotation, without those inside of them."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        fields = annotation.model_fields
-        return set(fields).union(*(_keys(field.annotation) for field in fields.values()))
-    return set().union(*map(_keys, get_args(annotation)))
+        return [annotation]
+    return [table for part in get_args(annotation) for table in _of(part)]
 
 
 def _path(loc: Loc) -> str:

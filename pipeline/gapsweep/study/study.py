@@ -48,6 +48,8 @@ from gapsweep.study.spec import (
 )
 from gapsweep.study.systems import Systems
 
+_REMEDY = "name a study file, as that which 'gapsweep init' writes"
+
 
 @dataclass(frozen=True)
 class Study:
@@ -78,7 +80,7 @@ class Study:
         try:
             text = path.read_text(encoding="utf-8")
         except OSError as error:
-            raise StudyError([f"{path}: cannot be read: {error.strerror}"]) from None
+            raise StudyError([f"{path}: cannot be read: {error.strerror}; {_REMEDY}"]) from None
         except UnicodeDecodeError:
             raise StudyError([f"{path}: not valid TOML: must be UTF-8 text"]) from None
         return cls(parse(text, str(path)), str(path))._checked()

@@ -1,0 +1,59 @@
+"""Studies to start from: those of the repository's ``workflows/``, which the wheel carries."""
+
+import shutil
+from pathlib import Path
+
+import click
+
+from gapsweep.errors import StoreError
+
+# What is written, and the study file in it.
+STUDIES = {
+    "quick": ("quick.toml", "quick.toml"),
+    "two-masses": ("two_masses.toml", "two_masses.toml"),
+    "paper": ("paper", "paper/study.toml"),
+}
+
+
+@click.command()
+@click.argument("name", type=click.Choice(tuple(STUDIES)), default="quick")
+def init(name: str) -> None:
+    """Write a study to start from into the current folder.
+
+    quick: one file with a few laws and frequencies, seconds to compute; the default. two-masses: a
+    machine with two coordinates and a one-sided stop. paper: the folder of a whole paper's study,
+    with its claims and figures, minutes.
+
+    \b
+    Examples:
+      gapsweep init quick
+      gapsweep init paper
+    """
+    carried, study = STUDIES[name]
+    _copy(_carried(carried), Path(carried))
+    click.echo(f"written: {carried}")
+    click.echo(f"next:    gapsweep plan {study}   says what it would compute")
+    click.echo(f"         gapsweep run {study}    computes it, datasets and a report")
+
+
+def _carried(name: str) -> Path:
+    """Where a study of ours stands: in the installed package, or beside it in a clone."""
+    package = Path(__file__).parents[1]
+    installed = package / "workflows" / name
+    return installed if installed.exists() else package.parents[1] / "workflows" / name
+
+
+def _copy(source: Path, target: Path) -> None:
+    try:
+        if source.is_dir():
+            shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            with target.open("xb") as file:
+                file.write(source.read_bytes())
+    except FileExistsError:
+        raise StoreError(
+            f"{target}: exists already and is left as it is; move it, or go to another folder"
+        ) from None
+    except (OSError, shutil.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise StoreError(f"{target}: cannot be written: {reason}; go to another folder") from None

@@ -1,0 +1,96 @@
+"""Commands on what runs have left."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from gapsweep.cli import options
+from gapsweep.cli.options import FINISHED
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@options.as_json
+def status(folder: Path, as_json: bool) -> int:
+    """Tell how a run is doing, or how it ended, from any shell.
+
+    \b
+    Example:
+      gapsweep status data/runs/quick
+    """
+    from gapsweep.store.state import RunState
+
+    state = RunState.read(folder)
+    if as_json:
+        click.echo(json.dumps(asdict(state)))
+        return FINISHED
+    click.echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
+    click.echo(
+        f"{state.hits + state.computed} of {state.points} points: {state.hits} from the cache, "
+        f"{state.computed} computed, {state.failed} failed"
+    )
+    click.echo(f"started {state.started}, last heard of {state.updated}, on {state.host}")
+    return FINISHED
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@options.beside
+def report(folder: Path, study: Path | None) -> int:
+    """Rebuild the report of a run from its files alone.
+
+    Sections that a study makes itself ([report] module) are shown as they are stored, or made
+    anew with --study. No file in DIR is executed.
+
+    \b
+    Examples:
+      gapsweep report data/runs/quick
+      gapsweep report data/runs/paper --study paper/study.toml
+    """
+    from gapsweep import make
+    from gapsweep.console import busy
+    from gapsweep.study.study import Study
+
+    with busy("making the report"):
+        shown = make.report(folder, Study.load(study) if study else None)
+    click.echo(f"report: {shown}")
+    return FINISHED
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@options.beside
+@options.as_json
+def claims(folder: Path, study: Path | None, as_json: bool) -> int:
+    """Show the verdicts of a run, or decide its claims anew.
+
+    With --study, the claims of that study ([claims] module) are decided from the datasets in DIR
+    and written to claims.json there. No file in DIR is executed.
+
+    \b
+    Examples:
+      gapsweep claims data/runs/paper
+      gapsweep claims data/runs/paper --study paper/study.toml
+    """
+    from gapsweep import own_code
+    from gapsweep.console import busy, print_table
+    from gapsweep.stages import CLAIMS
+    from gapsweep.study.study import Study
+
+    with busy("deciding the claims"):
+        decided = own_code.claims(folder, Study.load(study) if study else None)
+    if as_json:
+        click.echo(json.dumps(decided, ensure_ascii=False))
+        return FINISHED
+    told = [
+        (str(one["id"]), one["verdict"], f"{one['place']}: {one['claim']}\n{one['sentence']}")
+        for one in decided["claims"]
+    ]
+    print_table(("id", "verdict", "claim, and what was found"), told)
+    counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
+    click.echo(f"{len(decided['claims'])} claims: {counts}")
+    if study:
+        click.echo(f"written: {folder / CLAIMS}")
+    return FINISHED

@@ -1,0 +1,310 @@
+"""Commands on studies.
+
+What computes takes seconds to import: each command imports what it needs.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gapsweep.cli import options
+from gapsweep.cli.options import FINISHED, SOME_FAILED
+
+
+@click.command()
+@options.study
+@options.out
+@options.workers
+@options.scheduler
+@options.engine
+@options.cache
+@click.option(
+    "--batch",
+    type=click.IntRange(min=1),
+    help="Sweep points per task.  [default: chosen from measured cost]",
+)
+@options.timeout
+@options.retry_failed
+def run(study: Path, engine: str | None, **how: Any) -> int:
+    """Compute a study, its datasets and its report; resumes by itself.
+
+    \b
+    Examples:
+      gapsweep run quick.toml
+      gapsweep run quick.toml --out /tmp/quick --workers 4
+      gapsweep run quick.toml --scheduler tcp://host:8786
+    """
+    from gapsweep import workflow
+    from gapsweep.console import progress_bar
+    from gapsweep.stages import REPORT, RESPONSES
+
+    loaded = options.loaded(study, engine)
+    with progress_bar() as observer:
+        outcome = workflow.carry_out(loaded, on_progress=observer, **how)
+    done = outcome.progress
+    shared = f", {done.n_shared} by another run" if done.n_shared else ""
+    click.echo(
+        f"{done.n_points} points: {done.n_hits} from the cache, {done.n_computed} computed{shared}"
+    )
+    click.echo(f"report: {outcome.folder / REPORT}")
+    if outcome.failures:
+        _say_failed("points", outcome.failures, RESPONSES)
+    for file, counts in outcome.failed_motions.items():
+        _say_failed("motions", counts, file)
+    return SOME_FAILED if outcome.failures or outcome.failed_motions else FINISHED
+
+
+def _say_failed(what: str, counts: Mapping[str, int], file: str) -> None:
+    listed = ", ".join(f"{n} {label}" for label, n in sorted(counts.items()))
+    click.echo(f"failed {what}: {listed}; see 'status' in {file}", err=True)
+
+
+@click.command()
+@options.study
+@options.cache
+@options.out
+@options.engine
+@options.workers
+@options.retry_failed
+@options.as_json
+def plan(
+    study: Path,
+    cache: Path | None,
+    out: Path | None,
+    engine: str | None,
+    workers: int,
+    retry_failed: bool,
+    as_json: bool,
+) -> int:
+    """Say what a run would compute and make, without doing it.
+
+    \b
+    Examples:
+      gapsweep plan quick.toml
+      gapsweep plan quick.toml --json
+    """
+    from gapsweep import workflow
+    from gapsweep.console import busy, duration, print_table
+
+    loaded = options.loaded(study, engine)
+    with busy("looking up what is stored"):
+        planned = workflow.plan(loaded, cache, retry_failed=retry_failed)
+        expected = workflow.expected_seconds(planned, cache, workers)
+        stages = workflow.stage_reasons(loaded, planned, out, cache)
+    numbers = {
+        "points": planned.n_points,
+        "hits": planned.n_hits,
+        "missing": planned.n_missing,
+        "failed": planned.n_failed,
+        "damaged": planned.n_damaged,
+    }
+    if as_json:
+        rounded = None if expected is None else round(expected, 3)
+        click.echo(json.dumps(numbers | {"expected_s": rounded, "stages": stages}))
+        return FINISHED
+    for name, value in numbers.items():
+        click.echo(f"{name:>8}  {value}")
+    unknown = "unknown, for nothing like it is stored"
+    click.echo(f"expected  {unknown if expected is None else f'{duration(expected)} (h:mm:ss)'}")
+    states = {file: f"to be made: {why}" if why else "up to date" for file, why in stages.items()}
+    click.echo()
+    print_table(("file", "state"), states.items())
+    return FINISHED
+
+
+@click.command()
+@options.study
+@options.selection
+@options.cache
+@options.engine
+@options.workers
+@options.scheduler
+@click.option(
+    "--to",
+    "form",
+    type=click.Choice(["table", "csv", "json", "nc"]),
+    help="A table to read; a row per point (csv), a JSON object per line (json), NetCDF (nc).  "
+    "[default: table on a terminal, else csv]",
+)
+@click.option(
+    "--columns",
+    metavar="NAME,...",
+    help="Variables to print.  [default: the motion in a table, else all]",
+)
+@click.option(
+    "--digits",
+    type=click.IntRange(1, 17),
+    help="Significant digits.  [default: 4 in a table, else all]",
+)
+@click.option(
+    "--output", type=click.Path(path_type=Path, dir_okay=False), help="New file.  [default: stdout]"
+)
+def query(
+    study: Path,
+    wanted: tuple[str, ...],
+    engine: str | None,
+    form: str | None,
+    columns: str | None,
+    digits: int | None,
+    output: Path | None,
+    **how: Any,
+) -> int:
+    """Print a table of responses; computes only what is missing.
+
+    \b
+    Examples:
+      gapsweep query quick.toml --sel omega=10:12
+      gapsweep query quick.toml --sel K_c=14000 --columns x_max,status --digits 6
+      gapsweep query quick.toml --sel representation=piecewise \\
+          --to nc --output exact.nc
+    """
+    from gapsweep import workflow
+    from gapsweep.cli.table import Form, check_output, written
+    from gapsweep.console import progress_bar
+
+    shown = Form.of(form, columns, digits, output)
+    if output is not None:
+        check_output(output)
+    loaded = options.loaded(study, engine)
+    with progress_bar() as observer:
+        found = workflow.query(loaded, on_progress=observer, **how, **options.selected(wanted))
+    click.echo(
+        f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True
+    )
+    written(found, shown, output)
+    return FINISHED
+
+
+@click.command()
+@options.study
+@options.selection
+@options.cache
+@options.engine
+@click.option(
+    "--limit",
+    type=click.IntRange(min=1),
+    default=10,
+    show_default=True,
+    help="Points to explain.",
+)
+def explain(
+    study: Path, wanted: tuple[str, ...], cache: Path | None, engine: str | None, limit: int
+) -> int:
+    """Say why points are in the cache or not.
+
+    The key of each point, field by field, is set against the nearest one that is stored.
+
+    \b
+    Example:
+      gapsweep explain quick.toml --sel omega=10
+    """
+    from gapsweep import workflow
+
+    loaded = options.loaded(study, engine)
+    for point in workflow.explain(loaded, cache, limit, **options.selected(wanted)):
+        click.echo(f"{point.label}: {point.status}{f' on {point.host}' if point.host else ''}")
+        if point.message:
+            click.echo(f"  {point.message}")
+        if point.differences is None and point.status in ("missing", "damaged"):
+            click.echo("  nothing is stored")
+        for name, (asked, stored) in (point.differences or {}).items():
+            click.echo(f"  {name}: asked {_short(asked)}, nearest stored {_short(stored)}")
+    return FINISHED
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 40 else f"{text[:18]}...{text[-18:]}"
+
+
+@click.command()
+@options.study
+@click.option(
+    "--error",
+    type=float,
+    help="Relative error of the steady amplitude to meet, 1e-9 to 0.1.  "
+    "[default: [auto] of the study, else 1e-3]",
+)
+@options.as_json
+def advise(study: Path, error: float | None, as_json: bool) -> int:
+    """Name the least model that each scene needs.
+
+    \b
+    Example:
+      gapsweep advise quick.toml --error 1e-2
+    """
+    from gapsweep.analysis.advice import advice, sentences
+    from gapsweep.console import print_table, print_text
+    from gapsweep.study.study import Study
+
+    found = advice(Study.load(study), error)
+    scenes = sentences(found)
+    if as_json:
+        click.echo(json.dumps({"error": found.attrs["error"], "scenes": scenes}))
+        return FINISHED
+    print_text(f"for an error of the steady amplitude of {found.attrs['error']:g}:")
+    for scene in scenes:
+        print_text(_scene(scene))
+        for one in scene["starts"]:
+            click.echo(f"\nfrom {one['start']}:")
+            print_table(
+                ("from [Hz]", "to [Hz]", "least model", "rtol", "for"),
+                [
+                    (*(f"{part[end]:g}" for end in ("from", "to")), part["model"],
+                     f"{part['rtol']:g}", part["reason"])
+                    for part in one["advice"]
+                ],
+            )  # fmt: skip
+        click.echo()
+        print_text(scene["stand_ins"])
+    return FINISHED
+
+
+def _scene(scene: dict[str, Any]) -> str:
+    words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
+    swept = scene.keys() - {"K_c", "gap", "starts", "stand_ins", "j_1", "j_2"}
+    return ", ".join(words + [f"{name} = {scene[name]:g}" for name in sorted(swept)])
+
+
+@click.command()
+@options.study
+@options.out
+@options.timeout
+@options.as_json
+def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
+    """Measure error, cost and status of methods.
+
+    Every method of the study's [bench] on every one of its scenes, in one process; laws of your
+    own in another, so that they can harm nothing.
+
+    \b
+    Example:
+      gapsweep bench study.toml
+    """
+    from gapsweep import make
+    from gapsweep.report.bench import conclusions
+    from gapsweep.stages import REPORT
+    from gapsweep.store import netcdf
+
+    loaded = options.loaded(study, None)
+    files = make.bench(loaded, out, lambda text: click.echo(text, err=True), timeout=timeout)
+    found, code = {}, FINISHED
+    for file in files:
+        if counts := make.failed_motions(file):
+            _say_failed("motions", counts, file.name)
+            code = SOME_FAILED
+        with netcdf.read(file) as dataset:
+            found[file.name] = conclusions(dataset)
+    if as_json:
+        numbers = {name: lines.numbers for name, lines in found.items()}
+        click.echo(json.dumps({"files": [str(file) for file in files]} | numbers))
+        return code
+    for file in files:
+        for sentence in found[file.name].sentences:
+            click.echo(sentence)
+        click.echo(f"written: {file}")
+    shown = files[0].parent / REPORT
+    click.echo(f"report: {shown}" if shown.exists() else "'gapsweep run' makes the report")
+    return code

@@ -1,0 +1,155 @@
+"""What a terminal shows fits 80 columns and breaks between words."""
+
+import json
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+import xarray as xr
+
+from gapsweep.cli.main import FINISHED, exit_code
+from gapsweep.cli.table import Form, written
+from gapsweep.console import print_table, print_text
+
+WIDTH = 80
+LONG = "the exact law, contacts located, is the cheapest adequate one, and this goes on and on"
+STUDY = """
+[study]
+name = "wide"
+[[sweep]]
+representation = ["piecewise", "tanh-1e4", "poly-13", "ratpoly-5/3", "arctan-1e4", "logarctan-1e4"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = [7.0, 30.0]
+"""
+
+
+@pytest.fixture(autouse=True)
+def terminal(tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def responses():
+    """Two laws at two frequencies; one cell is no sweep point."""
+    dims = ("representation", "K_c", "omega")
+    status = np.array([[[0, 0]], [[0, 1]]], np.int8)
+    flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "ok not_requested"}
+    x_max = np.array([[[1.23456789e-3, 2e-3]], [[3e-3, np.nan]]])
+    return xr.Dataset(
+        {
+            "x_max": (dims, x_max, {"units": "m"}),
+            "period_multiple": (dims, np.ones((2, 1, 2), int), {"units": "1"}),
+            "response_class": (dims, status, {"flag_values": [0], "flag_meanings": "periodic"}),
+            "amplitude": (dims, x_max, {"units": "m"}),
+            "status": (dims, status, flags),
+            "extrema": ((*dims, "extremum"), np.zeros((2, 1, 2, 3))),
+        },
+        coords={
+            "representation": ["piecewise", "tanh-1e4"],
+            "K_c": ("K_c", [1.4e4], {"units": "N m-1"}),
+            "omega": ("omega", [10.12345, 11.0], {"units": "Hz"}),
+        },
+    )
+
+
+def shown(capsys):
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= WIDTH
+    return text
+
+
+def test_long_texts_go_on_below_with_whole_words(capsys):
+    print_table(("n", "for"), [("1", LONG), ("20", "short")])
+    text = shown(capsys)
+    assert set(LONG.split()) <= set(text.split())
+    assert " 1  the exact" in text
+    assert "\n20  short" in text
+    print_text(LONG, indent="  ")
+    assert set(LONG.split()) <= set(shown(capsys).split())
+
+
+def test_nothing_in_a_table_is_markup(capsys):
+    print_table(("name",), [("[bold]x[/bold]",), (":smile:",)])
+    assert "[bold]x[/bold]" in (text := shown(capsys))
+    assert ":smile:" in text
+
+
+def test_advice_fits(capsys):
+    Path("wide.toml").write_text(STUDY)
+    assert exit_code(["advise", "wide.toml"]) == FINISHED
+    text = shown(capsys)
+    assert "least model" in text
+    assert "logarctan-1e4 (0." in " ".join(text.split())
+
+
+def test_plan_fits(capsys):
+    Path("wide.toml").write_text(STUDY)
+    assert exit_code(["plan", "wide.toml"]) == FINISHED
+    text = shown(capsys)
+    assert "expected  unknown, for nothing like it is stored" in text
+    assert "responses.nc" in text
+
+
+def test_a_table_says_once_what_all_rows_share(responses, capsys):
+    written(responses, Form("table", ("x_max", "status"), 4), None)
+    first, *rest = shown(capsys).splitlines()
+    assert first == "K_c 14000 N m-1"
+    assert [line.split() for line in rest[-3:]] == [
+        ["piecewise", "10.12345", "0.001235", "ok"],  # a coordinate keeps its digits
+        ["piecewise", "11", "0.002", "ok"],
+        ["tanh-1e4", "10.12345", "0.003", "ok"],
+    ]
+    assert "[Hz]" in "".join(rest)
+
+
+def test_columns_and_digits_of_rows(responses, capsys):
+    written(responses, Form("json", ("x_max",), 3), None)
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert rows[0] == {
+        "representation": "piecewise", "K_c": 14000.0, "omega": 10.12345, "x_max": 1.23e-3
+    }  # fmt: skip
+    assert len(rows) == 3
+    written(responses, Form("csv"), None)
+    assert "0.00123456789," in capsys.readouterr().out
+
+
+def test_a_variable_of_several_coordinates_has_a_column_for_each(responses, capsys):
+    per_mass = responses["x_max"].expand_dims(coordinate=["x_1", "x_2"], axis=-1)
+    machine = responses.drop_vars("amplitude").assign(amplitude=per_mass)
+    written(machine, Form("csv", ("amplitude",), 3), None)
+    assert capsys.readouterr().out.startswith(
+        "representation,K_c,omega,amplitude[x_1],amplitude[x_2]\npiecewise,14000.0,10.12345,0.00123"
+    )
+    written(machine, Form("table", ("amplitude[x_2]", "status"), 3), None)
+    assert "amplitude[x_1]" not in shown(capsys)
+
+
+def test_an_unknown_column_is_refused_with_the_nearest(responses):
+    with pytest.raises(click.BadParameter, match="'xmax': did you mean x_max"):
+        written(responses, Form("csv", ("xmax",)), None)
+
+
+@pytest.mark.parametrize(
+    ("is_terminal", "output", "kind"),
+    [(True, None, "table"), (False, None, "csv"), (True, Path("a.csv"), "csv")],
+)
+def test_tables_are_for_terminals(monkeypatch, is_terminal, output, kind):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: is_terminal)
+    assert Form.of(None, None, None, output).kind == kind
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("nc", None, None, None), "needs --output"),
+        (("nc", "x_max", None, Path("a.nc")), "holds every variable"),
+        (("nc", None, 3, Path("a.nc")), "to its last digit"),
+        (("table", None, None, Path("a.txt")), "--output takes csv, json or nc"),
+    ],
+)
+def test_forms_that_cannot_be_are_refused(arguments, said):
+    with pytest.raises(click.UsageError, match=said):
+        Form.of(*arguments)
