@@ -24,6 +24,7 @@ from gapsweep.model.contact import (
     UserLaw,
 )
 from gapsweep.model.fitted import Polynomial, RationalPolynomial
+from gapsweep.model.table import ForceTable
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -233,6 +234,8 @@ def _kernel_law(laws: Sequence[Any], *, restart: bool) -> Any:
             return representations.polynomial(law.coefficients[0], law.fit_range, **walls)
         case RationalPolynomial():
             return representations.rational_polynomial(*law.coefficients, law.fit_range, **walls)
+        case ForceTable():
+            return representations.table(law.x, law.pieces, **walls)
         case UserLaw():
             return representations.user(law.function, **walls)
     raise TypeError(f"no compiled form of {type(law).__name__}")

@@ -217,8 +217,8 @@ class Ensemble:
     unit : ndarray, shape (n_states, n)
         As of a `Call`.
     n_coordinates : int
-    valid_range : ndarray, shape (n_contacts, n)
-        Of the laws [m].
+    valid_range : ndarray, shape (2, n_contacts, n)
+        Lowest and highest gaps at which the laws hold [m].
     walls : ndarray, shape (2, n_contacts, n)
         Places of the lower and of the upper walls in the contacts' gaps [m].
     is_modulated : ndarray of bool, shape (n_contacts, n)
@@ -239,11 +239,13 @@ class Ensemble:
         self.settling_rate = _of_models(models, lambda model: model.settling_rate)
         self.set_clock(self.omega)
         laws = [scene.laws for scene in scenes]
-        self.valid_range = np.array([[law.valid_range for law in each] for each in laws]).T
+        shape = len(laws), len(laws[0]), 2
+        ranges = [law.valid_range for each in laws for law in each]
+        self.valid_range = np.array(ranges).reshape(shape).T
         walls = [(-law.gap.j_1, law.gap.j_2) for each in laws for law in each]
-        self.walls = np.array(walls).reshape(len(laws), len(laws[0]), 2).T
+        self.walls = np.array(walls).reshape(shape).T
         self._directions: Array | None = None
-        self.is_modulated = np.zeros(self.valid_range.shape, bool)
+        self.is_modulated = np.zeros(self.walls.shape[1:], bool)
         if not self.is_plain:
             self._directions = _of_models(models, lambda model: model.directions)
             self.is_modulated = _of_models(models, lambda model: model.is_modulated).T

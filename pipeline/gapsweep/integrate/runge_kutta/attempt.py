@@ -294,10 +294,11 @@ def attempt(law, q, lane, tableau, k, k_tangent, settings):
     )
     invalid = simd.absolute(x1) > settings[ln.S_BOUND]
     if laws.has_range(law):
-        reach = load(q, laws.RANGE)
-        out = commit & (simd.absolute(x1) > reach)
+        centre, reach = load(q, laws.CENTRE), load(q, laws.RANGE)
+        out = commit & (simd.absolute(x1 - centre) > reach)
         store(lane, ln.OUT_OF_RANGE, select(out, 1.0, load(lane, ln.OUT_OF_RANGE)))
-        dipped = dipped | (commit & turns_back & ((hull_high > reach) | (hull_low < -reach)))
+        leaves = (hull_high - centre > reach) | (hull_low - centre < -reach)
+        dipped = dipped | (commit & turns_back & leaves)
         invalid = invalid | (laws.denominator(law, q, x1) <= 0.0)
     stopped = ordinary & (h < 0.0)
     if laws.has_layer(law) and settings[ln.S_STOP_AT_LAYER] > 0.0:

@@ -27,13 +27,13 @@ from . import vecmath
 STIFFNESS = 0  # K_c / m of the upper wall [1/s^2]; 1 / m for a fit or a user's law
 WALL_LOW, WALL_HIGH = 1, 2  # -j_1 and j_2 [m]
 SHARPNESS = 3  # epsilon or gamma [1/m]
-CENTRE, HALF_GAP, DECAY = 4, 5, 6  # tanh: of the gap [m, m, -]
+CENTRE, HALF_GAP, DECAY = 4, 5, 6  # tanh: of the gap [m, m, -]; tables: centre of the range
 OFFSET = 4  # log-arctan: A_c [m]
 # Located contact: of the present mode, and the mode itself (1 upper wall, -1 lower wall, 0 none): a
 # wall may have no stiffness or lie at zero, so neither tells whether it is touched.
 ACTIVE_STIFFNESS, ACTIVE_WALL, ACTIVE_MODE = 3, 4, 5
 LAYER = 7  # half-width of the smoothing layer around each wall [m]; 0: none
-RANGE = 8  # fits: |x| up to which the fit holds [m]; 0: no fit
+RANGE = 8  # fits and tables: half of the range in which they hold [m]; 0: no range
 SATURATION = 9  # tanh: distance from a wall beyond which the law is exactly piecewise [m]
 RATIO = 10  # stiffness of the lower wall over that of the upper
 N_PARAMETERS = 11
@@ -108,6 +108,13 @@ class RationalPolynomial(NamedTuple):
     denominator: NDArray[np.float64]
 
 
+class Table(NamedTuple):
+    """Piecewise cubic: points [m], and `gapsweep.ForceTable.pieces`."""
+
+    points: NDArray[np.float64]
+    pieces: NDArray[np.float64]
+
+
 class User(NamedTuple):
     """A compiled scalar function F(x) [N] and its slope [N/m]."""
 
@@ -141,7 +148,7 @@ def is_located(law):
 
 
 def has_range(law):
-    """Whether the law is a fit with a range (a compile-time constant)."""
+    """Whether the law is a fit or a table, with a range (a compile-time constant)."""
     raise NotImplementedError("compiled code only")
 
 
@@ -314,6 +321,49 @@ def _rational_denominator(law, q, x):
     return _clenshaw_value(law.denominator, x / load(q, RANGE))
 
 
+# --- a table ------------------------------------------------------------------------------------
+
+
+@njit
+def _piece(points, x):
+    """How many points are not above x; 0 of NaN."""
+    low, high = 0, points.size
+    while low < high:
+        middle = (low + high) // 2
+        if points[middle] <= x:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit
+def _table_terms(law, x):
+    """Distance from where the piece of every lane begins, and the piece's coefficients."""
+    d = c_3 = c_2 = c_1 = c_0 = simd.splat(0.0)
+    for lane in range(simd.WIDTH):
+        at = simd.lane_value(x, lane)
+        piece = law.pieces[_piece(law.points, at)]
+        d = simd.with_lane(d, lane, at - piece[0])
+        c_3 = simd.with_lane(c_3, lane, piece[1])
+        c_2 = simd.with_lane(c_2, lane, piece[2])
+        c_1 = simd.with_lane(c_1, lane, piece[3])
+        c_0 = simd.with_lane(c_0, lane, piece[4])
+    return d, c_3, c_2, c_1, c_0
+
+
+@njit(forceinline=True)
+def _table_force(law, q, x):
+    d, c_3, c_2, c_1, c_0 = _table_terms(law, x)
+    return load(q, STIFFNESS) * fma(fma(fma(c_3, d, c_2), d, c_1), d, c_0)
+
+
+@njit(forceinline=True)
+def _table_slope(law, q, x):
+    d, c_3, c_2, c_1, _ = _table_terms(law, x)
+    return load(q, STIFFNESS) * fma(fma(3.0 * c_3, d, 2.0 * c_2), d, c_1)
+
+
 # --- a user's function --------------------------------------------------------------------------
 
 
@@ -356,6 +406,7 @@ _FORCES = {
     Located: _without_law(_located_force),
     Polynomial: _polynomial_force,
     RationalPolynomial: _rational_force,
+    Table: _table_force,
     User: _user_force,
 }
 _SLOPES = {
@@ -366,6 +417,7 @@ _SLOPES = {
     Located: _without_law(njit(lambda q, x: load(q, ACTIVE_STIFFNESS))),
     Polynomial: _polynomial_slope,
     RationalPolynomial: _rational_slope,
+    Table: _table_slope,
     User: _user_slope,
 }
 
@@ -403,4 +455,4 @@ def _compile_time_flag(name, kinds):
 
 _compile_time_flag(has_layer, (Tanh, Arctan, LogArctan))
 _compile_time_flag(is_located, (Located,))
-_compile_time_flag(has_range, (Polynomial, RationalPolynomial))
+_compile_time_flag(has_range, (Polynomial, RationalPolynomial, Table))

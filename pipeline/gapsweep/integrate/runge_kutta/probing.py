@@ -72,7 +72,7 @@ def count_dips(lane, q, scratch, i):
     for m in range(n + 1):
         after = evaluate(b[:6], found[m]) if m < n else lane[ln.X1, i]
         total += passings(q, before, after, i)
-        if q[laws.RANGE, i] > 0.0 and abs(after) > q[laws.RANGE, i]:
+        if q[laws.RANGE, i] > 0.0 and abs(after - q[laws.CENTRE, i]) > q[laws.RANGE, i]:
             lane[ln.OUT_OF_RANGE, i] = 1.0
         before = after
     lane[ln.N_CONTACTS, i] += total

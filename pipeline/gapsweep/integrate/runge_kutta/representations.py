@@ -103,6 +103,15 @@ def rational_polynomial(
     return Law(laws.RationalPolynomial(sign * top, sign * bottom), q)
 
 
+def table(points: ArrayLike, pieces: ArrayLike, j_1: float, j_2: float) -> Law:
+    """Piecewise cubic, as `gapsweep.ForceTable` has it; the walls only serve to count passings."""
+    points = np.ascontiguousarray(points, dtype=float)
+    q, _ = _rows(1.0, j_1, j_2)
+    q[laws.CENTRE] = 0.5 * (points[0] + points[-1])
+    q[laws.RANGE] = 0.5 * (points[-1] - points[0])
+    return Law(laws.Table(points, np.ascontiguousarray(pieces, dtype=float)), q)
+
+
 def user(
     function: Callable[[float], float],
     j_1: float = np.inf,
