@@ -57,9 +57,9 @@ class Scene:
     @property
     def tangent_law(self) -> Any:
         """The same force, its kinks located if they can be."""
-        laws = tuple(
-            replace(law, located=True) if isinstance(law, Piecewise) else law for law in self.laws
-        )
+        exact = [replace(law, located=True) for law in self.laws if isinstance(law, Piecewise)]
+        # All contacts are located or none.
+        laws = tuple(exact) if len(exact) == len(self.laws) else self.laws
         return laws if isinstance(self.oscillator, System) else laws[0]
 
     @property

@@ -6,8 +6,8 @@ numba's disk cache finds the specialisation in another process (a law passed as 
 a
 new type, hence a cache miss, in every process).
 
-What differs from point to point sits in the rows of a parameter block `q`, shape (N_PARAMETERS,
-WIDTH); what a batch shares (fit coefficients) sits in the named tuple.
+What differs from point to point sits in the rows of a parameter block `q`, for every contact of
+shape (N_PARAMETERS, WIDTH); what a batch shares (fit coefficients) sits in the named tuple.
 """
 
 from dataclasses import dataclass
@@ -137,18 +137,18 @@ def denominator(law, q, x):
     raise NotImplementedError("compiled code only")
 
 
-def has_layer(law):
-    """Whether the law has a smoothing layer (a compile-time constant)."""
+def has_layer(kinds):
+    """Whether one of some laws has a smoothing layer (a compile-time constant)."""
     raise NotImplementedError("compiled code only")
 
 
-def is_located(law):
+def is_located(kinds):
     """Whether the loop has to end steps at the walls (a compile-time constant)."""
     raise NotImplementedError("compiled code only")
 
 
-def has_range(law):
-    """Whether the law is a fit or a table, with a range (a compile-time constant)."""
+def has_range(kinds):
+    """Whether one is a fit or a table, with a range (a compile-time constant)."""
     raise NotImplementedError("compiled code only")
 
 
@@ -445,10 +445,39 @@ def _denominator(law, q, x):
     return lambda law, q, x: simd.splat(1.0)
 
 
-def _compile_time_flag(name, kinds):
-    def typed(law):
-        value = _kind(law) in kinds
-        return lambda law: value
+def _of_every_contact(one):
+    """Have a function of a law called for every contact, whose laws may differ.
+
+    It is given the gap in row `source`, that of the next contact in the next row, and so on; what
+    it says goes into rows from `target` on.
+    """
+
+    def every(kinds, q, lane, source, target):
+        raise NotImplementedError("compiled code only")
+
+    @overload(every)
+    def _every(kinds, q, lane, source, target):
+        if not len(kinds):
+            return lambda kinds, q, lane, source, target: None
+
+        def first_and_others(kinds, q, lane, source, target):
+            simd.store(lane, target, one(kinds[0], q[0], load(lane, source)))
+            every(kinds[1:], q[1:], lane, source + 1, target + 1)
+
+        return first_and_others
+
+    return every
+
+
+accelerations = _of_every_contact(acceleration)
+slopes = _of_every_contact(slope)
+denominators = _of_every_contact(denominator)
+
+
+def _compile_time_flag(name, families):
+    def typed(kinds):
+        value = any(_kind(law) in families for law in kinds.types)
+        return lambda kinds: value
 
     overload(name, inline="always")(typed)
 
