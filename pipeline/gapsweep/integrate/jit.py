@@ -24,6 +24,7 @@ allocating = njit(**_BARE)
 # it works on, and the atomic counts at each call would cost more than recording a step. numba
 # refuses to compile a function that does allocate under this option.
 internal = njit(**_BARE, _nrt=False)
+inlined = njit(forceinline=True, **_BARE, _nrt=False)
 
 
 def entry(function: Callable[..., Any]) -> Any:

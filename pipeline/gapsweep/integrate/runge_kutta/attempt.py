@@ -8,13 +8,13 @@ Everything here is branch-free over lanes. The outcome is one word of lane bits 
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from gapsweep.integrate import simd
+from gapsweep.integrate.jit import inlined
 from gapsweep.integrate.simd import fma, load, maximum, minimum, select, store
 
 from . import lanes as ln
-from . import laws, vecmath
+from . import laws, parameters, vecmath
 from .stages import stages, tangent_stages
 
 # Measured on the tanh law at 1e-3 to 1e-9: 0.9 and 6 reject a quarter of all attempts and cost a
@@ -39,7 +39,7 @@ class Outcome(NamedTuple):
     )
 
 
-@njit(forceinline=True)
+@inlined
 def _error(at, tableau, lane, k, settings, h):
     """Error estimate over tolerance; accepted up to 1. Maximum norm for ode45, root mean square
     else.
@@ -70,12 +70,12 @@ def _error(at, tableau, lane, k, settings, h):
     return e5 / simd.sqrt(maximum(n * fma(0.01, e3, e5), 1e-300)) + 0.0 * e5
 
 
-@njit(forceinline=True)
+@inlined
 def _size(lane, before, after):
     return maximum(simd.absolute(load(lane, before)), simd.absolute(load(lane, after)))
 
 
-@njit(forceinline=True)
+@inlined
 def _next_step(settings, error, h, after_failure, accepted):
     """The controller's next step length."""
     scaled = vecmath.power(maximum(error, 1e-16), -settings[ln.S_EXPONENT])
@@ -91,26 +91,26 @@ def _next_step(settings, error, h, after_failure, accepted):
     return h * select(accepted | (error > 1.0), factor, SHRINK_LIMIT)
 
 
-@njit(forceinline=True)
+@inlined
 def _passed(before, after, wall):
     return ((before > wall) & ~(after > wall)) | (~(before > wall) & (after > wall))
 
 
-@njit(forceinline=True)
+@inlined
 def _wall_passings(x, x1, low, high):
     """How many walls lie between the two ends, as a float vector."""
     at_high = select(_passed(x, x1, high), simd.splat(1.0), 0.0)
     return at_high + select(_passed(-x, -x1, -low), simd.splat(1.0), 0.0)
 
 
-@njit(forceinline=True)
+@inlined
 def _keep_start(at, lane, h):
     for i in range(at.n_start - 1):
         store(lane, at.old_q + i, load(lane, at.q + i))
     store(lane, at.old_h, h)
 
 
-@njit(forceinline=True)
+@inlined
 def _commit(at, lane, commit, ended, h):
     """Move committed lanes to the end of the step; the mask of those that passed a whole turn is
     returned.
@@ -132,7 +132,7 @@ def _commit(at, lane, commit, ended, h):
     return commit & (turns1 > turns)
 
 
-@njit(forceinline=True)
+@inlined
 def _commit_tangent(at, lane, commit):
     for i in range(at.n_states * at.n_states):
         before, after = load(lane, at.tangent_state + i), load(lane, at.old_tangent + i)
@@ -140,7 +140,7 @@ def _commit_tangent(at, lane, commit):
         store(lane, at.tangent_state + i, select(commit, after, before))
 
 
-@njit(forceinline=True)
+@inlined
 def _count(at, lane, commit, rejected):
     store(lane, at.n_attempts, load(lane, at.n_attempts) + 1.0)
     store(lane, at.n_steps, load(lane, at.n_steps) + select(commit, simd.splat(1.0), 0.0))
@@ -158,7 +158,7 @@ class _Hull(NamedTuple):
     turns_back: Any
 
 
-@njit(forceinline=True)
+@inlined
 def _hull(at, lane, which, h):
     # Quintic Hermite interpolant in Bernstein form: its coefficients bound x, their differences v.
     # Accelerations enter with h^2, so the interpolant costs nothing beyond the step itself.
@@ -183,7 +183,7 @@ class _Layers(NamedTuple):
     limit: Any  # longest next step inside one [s]; infinity outside
 
 
-@njit(forceinline=True)
+@inlined
 def _layers(q, hull, commit, ordinary, before):
     """Keep steps from jumping over a thin layer.
 
@@ -191,8 +191,8 @@ def _layers(q, hull, commit, ordinary, before):
     layer's half-width is cut at the layer's edge. Inside, at least four steps are taken per
     passage, and on leaving the step goes back to its length before the layer.
     """
-    half = load(q, laws.LAYER)
-    low, high = load(q, laws.WALL_LOW), load(q, laws.WALL_HIGH)
+    half = load(q, parameters.LAYER)
+    low, high = load(q, parameters.WALL_LOW), load(q, parameters.WALL_HIGH)
     has_one = half > 0.0
     starts_inside = (simd.absolute(hull.x - low) <= half) | (simd.absolute(hull.x - high) <= half)
     ends_inside = (simd.absolute(hull.x_1 - low) <= half) | (simd.absolute(hull.x_1 - high) <= half)
@@ -206,11 +206,15 @@ def _layers(q, hull, commit, ordinary, before):
     return _Layers(before.cut | cut, before.leaves | leaves, limit)
 
 
-@njit(forceinline=True)
+@inlined
 def _leaves_mode(q, hull):
     """Whether the step's hull leaves the region of the present contact mode."""
-    in_gap = load(q, laws.ACTIVE_MODE) == 0.0
-    low, high, wall = load(q, laws.WALL_LOW), load(q, laws.WALL_HIGH), load(q, laws.ACTIVE_WALL)
+    in_gap = load(q, parameters.ACTIVE_MODE) == 0.0
+    low, high, wall = (
+        load(q, parameters.WALL_LOW),
+        load(q, parameters.WALL_HIGH),
+        load(q, parameters.ACTIVE_WALL),
+    )
     out_of_gap = (hull.high > high) | (hull.low < low)
     at_high = wall == high
     back = select(at_high, hull.low, -hull.high) < select(at_high, wall, -wall)
@@ -227,7 +231,7 @@ class _Walls(NamedTuple):
     h_next: Any
 
 
-@njit(forceinline=True)
+@inlined
 def _walls(at, kinds, q, lane, settings, commit, ordinary, h, h_next):
     """Look at the gap of every contact; counts what walls are passed."""
     none = ordinary & (h < 0.0)
@@ -235,12 +239,12 @@ def _walls(at, kinds, q, lane, settings, commit, ordinary, h, h_next):
     layers = _Layers(none, none, simd.splat(np.inf))
     for i in range(at.contacts):
         q_i, hull = q[i], _hull(at, lane, at.gaps_from + i, h)
-        low, high = load(q_i, laws.WALL_LOW), load(q_i, laws.WALL_HIGH)
+        low, high = load(q_i, parameters.WALL_LOW), load(q_i, parameters.WALL_HIGH)
         turns_back = turns_back | hull.turns_back
         # Where the motion turns back, its ends do not tell how often it has passed a wall.
         dips = ((hull.low <= high) & (hull.high > high)) | ((hull.low < low) & (hull.high >= low))
         if laws.has_range(kinds):
-            centre, reach = load(q_i, laws.CENTRE), load(q_i, laws.RANGE)
+            centre, reach = load(q_i, parameters.CENTRE), load(q_i, parameters.RANGE)
             has_one = reach > 0.0
             out = commit & (simd.absolute(hull.x_1 - centre) > reach) & has_one
             store(lane, at.out_of_range, select(out, 1.0, load(lane, at.out_of_range)))
@@ -261,7 +265,7 @@ def _walls(at, kinds, q, lane, settings, commit, ordinary, h, h_next):
     return _Walls(turns_back, dipped, stopped, passes, h_next)
 
 
-@njit(forceinline=True)
+@inlined
 def _may_turn(at, lane, h, found):
     """Lanes where an extremum of a coordinate may lie in the step, or of a gap as `found`."""
     if not at.is_plain:
@@ -270,7 +274,7 @@ def _may_turn(at, lane, h, found):
     return found
 
 
-@njit(forceinline=True)
+@inlined
 def _is_invalid(at, kinds, q, lane, settings):
     """Lanes whose attempt ends where no motion is."""
     invalid = simd.absolute(load(lane, at.q_1)) > settings[ln.S_BOUND]
@@ -285,7 +289,7 @@ def _is_invalid(at, kinds, q, lane, settings):
     return invalid
 
 
-@njit(forceinline=True)
+@inlined
 def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     """Advance every lane by one attempt.
 

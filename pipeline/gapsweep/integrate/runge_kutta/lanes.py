@@ -10,10 +10,10 @@ from functools import cached_property
 
 import numpy as np
 
-from gapsweep.integrate.jit import allocating, entry
+from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.taylor.layout import Layout
 
-from . import laws
+from . import parameters
 
 # Events that a step can hold of one coordinate or gap: so many extrema, and both walls passed
 # between any two of them. (Its section points, which may be more, are not listed.)
@@ -177,7 +177,7 @@ def aligned(*shape):
     return raw[skip : skip + size].reshape(shape)
 
 
-@allocating
+@internal
 def ends(at, which):
     """Rows of place, speed and acceleration of a coordinate or a gap: at the start of the last
     attempt, then at its end.
@@ -191,20 +191,20 @@ def ends(at, which):
     return old, old + to_v, old + to_a, new, new + to_v, new + to_a
 
 
-@allocating
+@internal
 def elapsed(at, lane, i):
     """Seconds since the point's start, from its count of forcing turns."""
     return (lane[at.turns, i] + (lane[at.tau, i] - lane[at.phase_0, i])) * lane[at.period, i]
 
 
-@allocating
+@internal
 def remaining(at, lane, i):
     """Seconds to the point's end."""
     turns = lane[at.end_turns, i] - lane[at.turns, i]
     return (turns + (lane[at.end_tau, i] - lane[at.tau, i])) * lane[at.period, i]
 
 
-@allocating
+@internal
 def begin_start(at, lane, lane_int, i):
     """Next attempt of the lane: length zero, whose last stage is the derivative at the start."""
     for j in range(at.n_rates):
@@ -215,21 +215,21 @@ def begin_start(at, lane, lane_int, i):
     lane_int[MODE, i] = START
 
 
-@allocating
+@internal
 def load_point(at, lane, lane_int, q, table, point, i):
     """Put a point into a lane."""
-    lane[:, i] = 0.0
     row = table[point]
-    for j in range(at.n_columns):
-        lane[j, i] = row[j]
+    for j in range(at.n_rows):
+        lane[j, i] = row[j] if j < at.n_columns else 0.0
     for j in range(at.n):
         lane[at.reach + j, i] = abs(row[at.q + j])
     for j in range(at.n_states):
         lane[at.tangent_state + j * (at.n_states + 1), i] = 1.0
     for contact in range(at.contacts):
-        for j in range(laws.N_PARAMETERS):
-            q[contact, j, i] = row[at.n_columns + contact * laws.N_PARAMETERS + j]
-    lane_int[:, i] = 0
+        for j in range(parameters.N_PARAMETERS):
+            q[contact, j, i] = row[at.n_columns + contact * parameters.N_PARAMETERS + j]
+    for j in range(N_INT_ROWS):
+        lane_int[j, i] = 0
     lane_int[POINT, i] = point
     begin_start(at, lane, lane_int, i)
 
@@ -243,7 +243,7 @@ def load_first_points(at, lane, lane_int, q, table, queue):
     return n
 
 
-@allocating
+@internal
 def unload_point(at, lane, lane_int, results, status, n_new_stages, i):
     """Write the point's end state and counters; the lane is then free."""
     row = results[lane_int[POINT, i]]

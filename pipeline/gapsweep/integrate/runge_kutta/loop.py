@@ -7,7 +7,7 @@ from gapsweep.integrate import simd
 from gapsweep.integrate.jit import entry
 
 from . import lanes as ln
-from . import laws
+from . import laws, parameters
 from .attempt import attempt
 from .lanes import load_first_points, load_point, unload_point
 from .probing import new_scratch
@@ -101,7 +101,7 @@ _advance_user = njit(nogil=True)(_advance)
 def drained(at, kinds, tableau, table, queue, settings):
     """Result table and records of a point table; the queue says in which order they are loaded."""
     width, n_stages = simd.WIDTH, tableau.c.size
-    lane, q = ln.aligned(at.n_rows, width), ln.aligned(at.contacts, laws.N_PARAMETERS, width)
+    lane, q = ln.aligned(at.n_rows, width), ln.aligned(at.contacts, parameters.N_PARAMETERS, width)
     lane_int = np.zeros((ln.N_INT_ROWS, width), np.int64)
     k = ln.aligned(n_stages * at.n_rates, width)
     k_tangent = ln.aligned(at.n_states * n_stages * at.n_rates, width)

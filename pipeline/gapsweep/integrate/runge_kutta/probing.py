@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.jit import allocating
+from gapsweep.integrate.jit import internal
 
 from . import lanes as ln
-from . import laws
+from . import parameters
 from .interpolant import (
     STACK_SHAPE,
     derivative_coefficients,
@@ -46,7 +46,7 @@ CLOSE_TO_RETURN = 1e-8
 MAX_TRIES = 8
 
 
-@allocating
+@internal
 def coefficients(at, lane, b, which, i):
     """Interpolant of a coordinate or a gap over the last attempt: x into b[:6], its derivative into
     b[6:].
@@ -59,35 +59,35 @@ def coefficients(at, lane, b, which, i):
     derivative_coefficients(b, b[6:])
 
 
-@allocating
+@internal
 def passings(q, before, after, contact, i):
-    low, high = q[contact, laws.WALL_LOW, i], q[contact, laws.WALL_HIGH, i]
+    low, high = q[contact, parameters.WALL_LOW, i], q[contact, parameters.WALL_HIGH, i]
     return int((before > high) != (after > high)) + int((before < low) != (after < low))
 
 
-@allocating
+@internal
 def step_passings(at, lane, q, contact, i):
     """How many walls of a contact lie between both ends of the last attempt."""
     rows = ln.ends(at, at.gaps_from + contact)
     return passings(q, lane[rows[0], i], lane[rows[3], i], contact, i)
 
 
-@allocating
+@internal
 def _passings_between_turns(at, lane, q, scratch, n_turns, contact, i):
     """Walls passed in the last attempt by the pieces into which turns in `scratch` divide it; and
     whether one leaves the range of a fit.
     """
-    rows, range_ = ln.ends(at, at.gaps_from + contact), q[contact, laws.RANGE, i]
+    rows, range_ = ln.ends(at, at.gaps_from + contact), q[contact, parameters.RANGE, i]
     before, total, leaves = lane[rows[0], i], 0, False
     for m in range(n_turns + 1):
         after = evaluate(scratch.b[:6], scratch.found[m]) if m < n_turns else lane[rows[3], i]
         total += passings(q, before, after, contact, i)
-        leaves = leaves or (range_ > 0.0 and abs(after - q[contact, laws.CENTRE, i]) > range_)
+        leaves = leaves or (range_ > 0.0 and abs(after - q[contact, parameters.CENTRE, i]) > range_)
         before = after
     return total, leaves
 
 
-@allocating
+@internal
 def count_dips(at, lane, q, scratch, contact, i):
     """Wall passings inside a step (and leaving of a fit's range) that its ends do not tell of."""
     coefficients(at, lane, scratch.b, at.gaps_from + contact, i)
@@ -101,32 +101,33 @@ def count_dips(at, lane, q, scratch, contact, i):
 # --- records --------------------------------------------------------------------------------------
 
 
-@allocating
+@internal
 def record(at, lane, lane_int, events, counters, kind, t, which, state, i):
     """A record with the state in rows from `state` on."""
     row = _begin_record(at, lane, lane_int, events, counters, kind, t, which, i)
     for j in range(at.n_states):
-        row[ln.E_STATE + j] = lane[state + j, i]
+        events[row, ln.E_STATE + j] = lane[state + j, i]
 
 
-@allocating
+@internal
 def _begin_record(at, lane, lane_int, events, counters, kind, t, which, i):
-    row = events[counters[ln.N_EVENTS]]
-    row[ln.E_KIND], row[ln.E_POINT] = kind, lane_int[ln.POINT, i]
-    row[ln.E_T], row[ln.E_WHICH] = t, which
-    row[ln.E_H], row[ln.E_TAU] = lane[at.old_h, i], lane[at.old_tau, i]
+    """Number of a new row, whose state is left to the caller."""
+    row = counters[ln.N_EVENTS]
+    events[row, ln.E_KIND], events[row, ln.E_POINT] = kind, lane_int[ln.POINT, i]
+    events[row, ln.E_T], events[row, ln.E_WHICH] = t, which
+    events[row, ln.E_H], events[row, ln.E_TAU] = lane[at.old_h, i], lane[at.old_tau, i]
     counters[ln.N_EVENTS] += 1
     return row
 
 
-@allocating
+@internal
 def is_recording(at, lane, t, i):
     """Whether time t (since the start) lies in the recorded part, to rounding."""
     turns = t * lane[at.omega, i] + lane[at.phase_0, i]
     return turns >= lane[at.record_turns, i] - 1e-12 * abs(turns)
 
 
-@allocating
+@internal
 def _add_probe(at, lane_int, probes, theta, kind, which, i):
     """Insert a probe in order of time."""
     n = lane_int[ln.N_PROBES, i]
@@ -139,14 +140,14 @@ def _add_probe(at, lane_int, probes, theta, kind, which, i):
     lane_int[ln.N_PROBES, i] = n + 1
 
 
-@allocating
+@internal
 def _is_outside(x, q, kind, contact, i):
     if kind == ln.CONTACT:
-        return x > q[contact, laws.WALL_HIGH, i]
-    return x < q[contact, laws.WALL_LOW, i]
+        return x > q[contact, parameters.WALL_HIGH, i]
+    return x < q[contact, parameters.WALL_LOW, i]
 
 
-@allocating
+@internal
 def _passing(b, q, kind, contact, left, right, i):
     """Theta between `left` and `right`, which lie on different sides of a wall, where it is
     passed.
@@ -161,7 +162,7 @@ def _passing(b, q, kind, contact, left, right, i):
     return 0.5 * (left + right)
 
 
-@allocating
+@internal
 def _plan_contacts(at, lane, lane_int, q, probes, scratch, n_turns, contact, i):
     """List a contact's wall passings of the accepted step, exactly those that were counted."""
     b, found, rows = scratch.b, scratch.found, ln.ends(at, at.gaps_from + contact)
@@ -185,7 +186,7 @@ def _plan_contacts(at, lane, lane_int, q, probes, scratch, n_turns, contact, i):
         left, before = right, after
 
 
-@allocating
+@internal
 def plan_probes(
     at, lane, lane_int, q, probes, scratch, section_only, lists_passings, has_dipped, i
 ):
@@ -212,7 +213,7 @@ def plan_probes(
             _plan_contacts(at, lane, lane_int, q, probes, scratch, n_pieces, contact, i)
 
 
-@allocating
+@internal
 def _section_theta(at, lane, i):
     """Where in the accepted step the next section point lies; above 1 if in a later one."""
     whole = lane[at.next_whole, i]
@@ -222,7 +223,7 @@ def _section_theta(at, lane, i):
     return min(until / lane[at.step_h, i], 1.0)
 
 
-@allocating
+@internal
 def _send_probe(at, lane, lane_int, probes, i):
     """Send the probe of the next event, in order of time; false if the step holds no more.
 
@@ -240,7 +241,7 @@ def _send_probe(at, lane, lane_int, probes, i):
     return theta <= 1.0
 
 
-@allocating
+@internal
 def begin_probing(at, lane, lane_int, probes, i):
     """Set the lane back to the start of the step and send the first probe; false if there is
     none.
@@ -257,13 +258,13 @@ def begin_probing(at, lane, lane_int, probes, i):
     return True
 
 
-@allocating
+@internal
 def return_to_start(at, lane, i):
     for j in range(at.n_start - 1):
         lane[at.q + j, i] = lane[at.old_q + j, i]
 
 
-@allocating
+@internal
 def _neighbours(at, lane, lane_int, probes, i):
     """Times within the step between which the probed wall passing lies: the extremum or passing
     before it, and the extremum after it.
@@ -280,7 +281,7 @@ def _neighbours(at, lane, lane_int, probes, i):
     return low, step
 
 
-@allocating
+@internal
 def _improved(at, lane, lane_int, q, probes, i):
     """Newton's step from the probed time within the step to that of the event."""
     h, step, which = lane[at.h, i], lane[at.step_h, i], lane_int[ln.WHICH, i]
@@ -292,35 +293,36 @@ def _improved(at, lane, lane_int, q, probes, i):
     rows = ln.ends(at, at.gaps_from + which)
     x, v = lane[rows[3], i], lane[rows[4], i]
     is_high = lane_int[ln.KIND, i] == ln.CONTACT
-    wall = q[which, laws.WALL_HIGH if is_high else laws.WALL_LOW, i]
+    wall = q[which, parameters.WALL_HIGH if is_high else parameters.WALL_LOW, i]
     low, high = _neighbours(at, lane, lane_int, probes, i)
     dt = (wall - x) / v if v != 0.0 else 0.0
     return min(max(h + dt, low), high)
 
 
-@allocating
+@internal
 def _is_return(at, lane, lane_int, i):
     """Whether the probed event is a maximum that is a section point."""
     is_first = lane_int[ln.KIND, i] == ln.EXTREMUM and lane_int[ln.WHICH, i] == 0
     return at.is_free and is_first and lane[at.a_1, i] < 0.0
 
 
-@allocating
+@internal
 def _record_moved(at, lane, lane_int, events, counters, kind, t, dt, i):
     """A record with the state a short time after the probe."""
     which = lane_int[ln.WHICH, i] if kind == ln.CONTACT else 0
     row = _begin_record(at, lane, lane_int, events, counters, kind, t, which, i)
     for j in range(at.n):
         v, a = lane[at.v_1 + j, i], lane[at.a_1 + j, i]
-        row[ln.E_STATE + j] = lane[at.q_1 + j, i] + v * dt
-        row[ln.E_STATE + at.n + j] = v + a * dt
+        events[row, ln.E_STATE + j] = lane[at.q_1 + j, i] + v * dt
+        events[row, ln.E_STATE + at.n + j] = v + a * dt
     for j in range(at.m):
-        row[ln.E_STATE + 2 * at.n + j] = lane[at.z_1 + j, i] + lane[at.w_1 + j, i] * dt
+        rate = lane[at.w_1 + j, i]
+        events[row, ln.E_STATE + 2 * at.n + j] = lane[at.z_1 + j, i] + rate * dt
     if kind == ln.SECTION:
-        row[ln.E_STATE + at.n] = 0.0  # to the last bit: the next motion begins here
+        events[row, ln.E_STATE + at.n] = 0.0  # to the last bit: the next motion begins here
 
 
-@allocating
+@internal
 def _record_probed(at, lane, lane_int, events, counters, kind, t, dt, i):
     """Record the probed event, which lies dt after the probe."""
     if kind == ln.SECTION:
@@ -331,13 +333,14 @@ def _record_probed(at, lane, lane_int, events, counters, kind, t, dt, i):
         which = lane_int[ln.WHICH, i]
         rows = ln.ends(at, which)
         row = _begin_record(at, lane, lane_int, events, counters, kind, t, which, i)
-        row[ln.E_STATE :] = 0.0
-        row[ln.E_STATE] = lane[rows[3], i] + 0.5 * lane[rows[4], i] * dt
+        for j in range(1, at.n_states):
+            events[row, ln.E_STATE + j] = 0.0
+        events[row, ln.E_STATE] = lane[rows[3], i] + 0.5 * lane[rows[4], i] * dt
     else:
         _record_moved(at, lane, lane_int, events, counters, ln.CONTACT, t, dt, i)
 
 
-@allocating
+@internal
 def probed(at, lane, lane_int, q, probes, events, counters, i):
     """Judge one probe; true when the last event of the step is recorded."""
     kind, dt = lane_int[ln.KIND, i], 0.0

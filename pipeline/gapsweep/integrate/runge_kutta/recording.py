@@ -4,10 +4,10 @@ events, which are found by `probing`.
 
 import numpy as np
 
-from gapsweep.integrate.jit import allocating
+from gapsweep.integrate.jit import internal
 
 from . import lanes as ln
-from . import laws
+from . import parameters
 from .interpolant import roots
 from .probing import (
     begin_probing,
@@ -22,7 +22,7 @@ from .probing import (
 )
 
 
-@allocating
+@internal
 def first_step(at, lane, settings, exponent, i):
     """Length of a first step from rest: ode45's rule (also the native one), from the size of y'
     alone.
@@ -40,7 +40,7 @@ def first_step(at, lane, settings, exponent, i):
     return max(1.0 / rate if h * rate > 1.0 else h, lane[at.h_min, i])
 
 
-@allocating
+@internal
 def started(at, lane, lane_int, settings, exponent, i):
     """The derivative at the start is known: choose the first step."""
     for j in range(at.n_rates):
@@ -52,21 +52,21 @@ def started(at, lane, lane_int, settings, exponent, i):
     lane_int[ln.MODE, i] = ln.STEPPING
 
 
-@allocating
+@internal
 def _heads_out(at, lane, q, contact, i):
     """How many walls a start lies on and heads out over: to leave a wall is not to pass it."""
     rows = ln.ends(at, at.gaps_from + contact)
     x, v, a = lane[rows[3], i], lane[rows[4], i], lane[rows[5], i]
     heading = v if v != 0.0 else a
-    over_high = x == q[contact, laws.WALL_HIGH, i] and heading > 0.0
-    over_low = x == q[contact, laws.WALL_LOW, i] and heading < 0.0
+    over_high = x == q[contact, parameters.WALL_HIGH, i] and heading > 0.0
+    over_low = x == q[contact, parameters.WALL_LOW, i] and heading < 0.0
     return int(over_high) + int(over_low)
 
 
 # --- steps cut at a wall or at the edge of a layer ------------------------------------------------
 
 
-@allocating
+@internal
 def _first_root(scratch, target, best):
     b, found = scratch.b, scratch.found
     for j in range(6):
@@ -77,16 +77,16 @@ def _first_root(scratch, target, best):
     return min(best, found[0]) if n > 0 else best
 
 
-@allocating
+@internal
 def _first_edge(at, lane, q, scratch, is_located, contact, i):
     """Theta at which the step first reaches a wall (located) or layer; above 1 if never."""
     best, x = 2.0, lane[ln.ends(at, at.gaps_from + contact)[0], i]
-    low, high = q[contact, laws.WALL_LOW, i], q[contact, laws.WALL_HIGH, i]
+    low, high = q[contact, parameters.WALL_LOW, i], q[contact, parameters.WALL_HIGH, i]
     if is_located:
-        if q[contact, laws.ACTIVE_MODE, i] != 0.0:
-            return _first_root(scratch, q[contact, laws.ACTIVE_WALL, i], best)
+        if q[contact, parameters.ACTIVE_MODE, i] != 0.0:
+            return _first_root(scratch, q[contact, parameters.ACTIVE_WALL, i], best)
         return _first_root(scratch, low, _first_root(scratch, high, best))
-    half = q[contact, laws.LAYER, i]
+    half = q[contact, parameters.LAYER, i]
     for wall in (low, high):
         # Slightly inside, so that the landing counts as inside whatever its rounding. A step that
         # starts inside is not cut.
@@ -96,7 +96,7 @@ def _first_edge(at, lane, q, scratch, is_located, contact, i):
     return best
 
 
-@allocating
+@internal
 def _revoke(at, lane, q, is_located, i):
     """Undo the accepted step: it is repeated in part."""
     if not is_located:
@@ -109,14 +109,14 @@ def _revoke(at, lane, q, is_located, i):
     lane[at.exact, i] = 2.0
 
 
-@allocating
+@internal
 def _uncount(at, lane, q, i):
     """Take back what walls the last attempt has passed."""
     for contact in range(at.contacts):
         lane[at.n_contacts + contact, i] -= step_passings(at, lane, q, contact, i)
 
 
-@allocating
+@internal
 def _cut(at, lane, lane_int, q, scratch, is_located, i):
     """Repeat the step up to the first edge; false if it does not reach one after all."""
     theta = 2.0
@@ -136,22 +136,22 @@ def _cut(at, lane, lane_int, q, scratch, is_located, i):
 # Located contacts are those of oscillators: one coordinate, which is the gap.
 
 
-@allocating
+@internal
 def _landing_wall(at, lane, q, i):
     """The wall that a located landing aims at."""
-    if q[0, laws.ACTIVE_MODE, i] != 0.0:
-        return q[0, laws.ACTIVE_WALL, i]
-    low, high = q[0, laws.WALL_LOW, i], q[0, laws.WALL_HIGH, i]
+    if q[0, parameters.ACTIVE_MODE, i] != 0.0:
+        return q[0, parameters.ACTIVE_WALL, i]
+    low, high = q[0, parameters.WALL_LOW, i], q[0, parameters.WALL_HIGH, i]
     return high if abs(lane[at.q_1, i] - high) < abs(lane[at.q_1, i] - low) else low
 
 
-@allocating
+@internal
 def _n_walls(q, i):
     """Walls passed at once: where no gap lies between them one is left and the other entered."""
-    return 2 if q[0, laws.WALL_LOW, i] == q[0, laws.WALL_HIGH, i] else 1
+    return 2 if q[0, parameters.WALL_LOW, i] == q[0, parameters.WALL_HIGH, i] else 1
 
 
-@allocating
+@internal
 def _landed(at, lane, lane_int, q, i):
     """Newton's method on the landing time; true when x is on the wall (and set to it exactly)."""
     wall = _landing_wall(at, lane, q, i)
@@ -170,37 +170,40 @@ def _landed(at, lane, lane_int, q, i):
     return True
 
 
-@allocating
+@internal
 def choose_mode(at, lane, q, i):
     """Contact mode of a located run from the present state: velocity, then acceleration, decide on
     a wall.
     """
     x = lane[at.q, i]
-    low, high = q[0, laws.WALL_LOW, i], q[0, laws.WALL_HIGH, i]
+    low, high = q[0, parameters.WALL_LOW, i], q[0, parameters.WALL_HIGH, i]
     heading = lane[at.v, i] if lane[at.v, i] != 0.0 else lane[at.a, i]
     stiffness, wall, mode = 0.0, 0.0, 0.0
     if x > high or (x == high and heading > 0.0):
-        stiffness, wall, mode = q[0, laws.STIFFNESS, i], high, 1.0
+        stiffness, wall, mode = q[0, parameters.STIFFNESS, i], high, 1.0
     elif x < low or (x == low and heading < 0.0):
-        stiffness, wall, mode = q[0, laws.RATIO, i] * q[0, laws.STIFFNESS, i], low, -1.0
-    q[0, laws.ACTIVE_STIFFNESS, i], q[0, laws.ACTIVE_WALL, i] = stiffness, wall
-    q[0, laws.ACTIVE_MODE, i] = mode
+        stiffness, wall, mode = q[0, parameters.RATIO, i] * q[0, parameters.STIFFNESS, i], low, -1.0
+    q[0, parameters.ACTIVE_STIFFNESS, i], q[0, parameters.ACTIVE_WALL, i] = stiffness, wall
+    q[0, parameters.ACTIVE_MODE, i] = mode
 
 
-@allocating
+@internal
 def _corrects_mode(at, lane, q, i):
     """Choose the mode of a start; true if the stiffness was another one."""
-    before = q[0, laws.ACTIVE_STIFFNESS, i]
+    before = q[0, parameters.ACTIVE_STIFFNESS, i]
     choose_mode(at, lane, q, i)
     # On a wall both modes have the same acceleration, which has just decided between them.
-    on_wall = lane[at.q, i] == q[0, laws.WALL_LOW, i] or lane[at.q, i] == q[0, laws.WALL_HIGH, i]
-    return q[0, laws.ACTIVE_STIFFNESS, i] != before and not on_wall
+    on_wall = (
+        lane[at.q, i] == q[0, parameters.WALL_LOW, i]
+        or lane[at.q, i] == q[0, parameters.WALL_HIGH, i]
+    )
+    return q[0, parameters.ACTIVE_STIFFNESS, i] != before and not on_wall
 
 
 # --- one lane's turn ------------------------------------------------------------------------------
 
 
-@allocating
+@internal
 def _is_within(at, lane, settings, state, i):
     """Whether the coordinates in rows from `state` on are where a motion may be."""
     for j in range(at.n):
@@ -210,7 +213,7 @@ def _is_within(at, lane, settings, state, i):
     return True
 
 
-@allocating
+@internal
 def _failure_status(at, lane, settings, committed, i):
     if not _is_within(at, lane, settings, at.q_1, i):
         return ln.DIVERGED
@@ -219,7 +222,7 @@ def _failure_status(at, lane, settings, committed, i):
     return ln.MODEL_INVALID if committed else ln.STEP_UNDERFLOW
 
 
-@allocating
+@internal
 def after_events(at, lane, lane_int, q, i):
     """Go on after a step and all its events; true when the point has reached its end."""
     if lane_int[ln.LANDED, i]:
@@ -231,7 +234,7 @@ def after_events(at, lane, lane_int, q, i):
     return is_last and lane[at.tau, i] == lane[at.end_tau, i]
 
 
-@allocating
+@internal
 def _begun(at, lane, lane_int, q, settings, is_located, i):
     """What follows once the derivative at the start is known: a status, or -1."""
     if not _is_within(at, lane, settings, at.q, i):
@@ -250,7 +253,7 @@ def _begun(at, lane, lane_int, q, settings, is_located, i):
     return ln.OK if ln.remaining(at, lane, i) <= 0.0 else -1
 
 
-@allocating
+@internal
 def _recorded(
     at, lane, lane_int, q, probes, scratch, events, counters, settings, is_located, has_dipped, i
 ):
@@ -265,7 +268,7 @@ def _recorded(
     return begin_probing(at, lane, lane_int, probes, i)
 
 
-@allocating
+@internal
 def attend(
     at, lane, lane_int, q, probes, scratch, events, counters, settings, outcome, is_located, i
 ):

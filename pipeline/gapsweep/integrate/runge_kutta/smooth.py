@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.integrate.taylor.scenes import Scenes as ExactScenes
 
 from . import lanes as ln
-from . import laws, tableaux
+from . import laws, parameters, tableaux
 from .laws import Law
 from .loop import drained
 
@@ -342,8 +342,8 @@ def prepared(
         if isinstance(law.kind, laws.Tanh):
             # Where the tail, exp(-2 |z|), is far below the tolerance, the layer has no edge to stop
             # at yet.
-            reach = (3.0 - 0.5 * np.log(rtol)) / laws.TANH_SATURATION
-            rows[:, laws.LAYER] *= min(1.0, max(0.1, reach))
+            reach = (3.0 - 0.5 * np.log(rtol)) / parameters.TANH_SATURATION
+            rows[:, parameters.LAYER] *= min(1.0, max(0.1, reach))
         parts.append(rows)
     settings = np.zeros(ln.N_SETTINGS)
     settings[ln.S_RTOL], settings[ln.S_ATOL] = rtol, atol

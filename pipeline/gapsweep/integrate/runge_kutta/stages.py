@@ -2,10 +2,10 @@
 everything stays in registers, and a system's, whose stage stands in rows of the lane.
 """
 
-from numba import njit
 from numba.extending import overload
 
 from gapsweep.integrate import simd
+from gapsweep.integrate.jit import inlined
 from gapsweep.integrate.simd import fma, load, store
 
 from . import laws, vecmath
@@ -40,7 +40,7 @@ def _tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h):
 # --- one coordinate -----------------------------------------------------------------------------
 
 
-@njit(forceinline=True)
+@inlined
 def _oscillator_stages(at, kinds, q, lane, tableau, k, h):
     x, v = load(lane, at.old_q), load(lane, at.old_v)
     frequency, tau = load(lane, at.omega), load(lane, at.old_tau)
@@ -72,7 +72,7 @@ def _oscillator_stages(at, kinds, q, lane, tableau, k, h):
     store(lane, at.a_1, last)
 
 
-@njit(forceinline=True)
+@inlined
 def _oscillator_tangents(at, kinds, q, lane, tableau, k, k_tangent, h):
     n, x, v = tableau.c.size, load(lane, at.old_q), load(lane, at.old_v)
     damping, stiffness = load(lane, at.damping), load(lane, at.stiffness)
@@ -102,7 +102,7 @@ def _oscillator_tangents(at, kinds, q, lane, tableau, k, k_tangent, h):
 # --- several ------------------------------------------------------------------------------------
 
 
-@njit(forceinline=True)
+@inlined
 def _system_stages(at, kinds, q, lane, tableau, k, h):
     for i in range(at.n_rates):
         store(k, i, load(lane, at.old_a + i))
@@ -127,7 +127,7 @@ def _system_stages(at, kinds, q, lane, tableau, k, h):
         project(at, lane, at.q_1 + part, at.gap_1 + i * at.contacts)
 
 
-@njit(forceinline=True)
+@inlined
 def _system_tangents(at, kinds, q, lane, tableau, k, k_tangent, h):
     n, size = tableau.c.size, at.n_rates
     for stage in range(n):
@@ -157,7 +157,7 @@ def _system_tangents(at, kinds, q, lane, tableau, k, k_tangent, h):
                     store(lane, row, load(lane, at.stage + i))
 
 
-@njit(forceinline=True)
+@inlined
 def _set_stage(at, lane, state, tableau, k, first, h, stage):
     """State at a stage, from that in rows from `state` on and derivatives in rows of `k`."""
     h2, c = h * h, h * tableau.c[stage]
@@ -174,7 +174,7 @@ def _set_stage(at, lane, state, tableau, k, first, h, stage):
             store(lane, at.stage + i, fma(h2, sx, fma(c, v, load(lane, state + i))))
 
 
-@njit(forceinline=True)
+@inlined
 def _set_clock(at, lane, c, h):
     """Cosines of the loads at a stage, and by what the contacts' stiffness is multiplied."""
     turn = fma(h * load(lane, at.omega), c, load(lane, at.old_tau))
@@ -194,13 +194,13 @@ def _set_clock(at, lane, c, h):
             store(lane, at.rate + i, fma(depth, cosine, load(lane, at.rate + i)))
 
 
-@njit(forceinline=True)
+@inlined
 def _along(at, lane, i):
     """How far the stage has gone along a cubic spring."""
     return _dot(lane, at.along + i * at.n, at.stage, at.n, simd.splat(0.0))
 
 
-@njit(forceinline=True)
+@inlined
 def project(at, lane, source, target):
     """Gaps of the contacts, or their rates, of coordinates or theirs."""
     for i in range(at.contacts):
@@ -208,7 +208,7 @@ def project(at, lane, source, target):
         store(lane, target + i, _dot(lane, direction, source, at.n, simd.splat(0.0)))
 
 
-@njit(forceinline=True)
+@inlined
 def _dot(lane, first, second, n, total):
     """`total` plus a product of two vectors of n rows."""
     for i in range(n):
@@ -216,7 +216,7 @@ def _dot(lane, first, second, n, total):
     return total
 
 
-@njit(forceinline=True)
+@inlined
 def _derivative(at, lane, n_harmonics, out, row):
     """Accelerations and rates of first-order states at a stage, into rows of `out`."""
     n, m, v, z = at.n, at.m, at.stage + at.n, at.stage + 2 * at.n
