@@ -333,7 +333,9 @@ def flapping(speed=12.36842):
 
 def test_returns_of_what_nothing_forces_are_maxima_of_its_first_coordinate():
     section, law = flapping()
-    run = gs.simulate(section, law, q_0=[0.01, 0.0, 0.0], t_end=3.0, dense_output=True, **TIGHT)
+    # Long steps, so that a point is not found by the interpolant alone.
+    loose = {"rtol": 1e-4, "atol": 1e-7, "dense_output": True}
+    run = gs.simulate(section, law, q_0=[0.01, 0.0, 0.0], t_end=3.0, **loose)
     points, names = run.section, section.coordinates
     t = np.linspace(0.0, 3.0, 6001)
     heights = run.sample(t)[0][:, 0]
