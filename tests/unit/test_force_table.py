@@ -124,15 +124,28 @@ def test_its_walls_are_passed_as_often_as_those_of_its_law():
     assert_allclose(found.t_contacts, exact.t_contacts, atol=1e-4)
 
 
-def test_a_motion_is_judged_by_the_end_that_it_passes():
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+def test_a_motion_is_judged_by_the_end_that_it_passes(engine):
     """The table ends at -3 mm and at 2 mm."""
     free = gs.Oscillator(alpha=0.0, forcing=0.0)
+    table, options = gs.ForceTable(X, F), {"t_end": 0.01, "engine": engine}
     ends = {
-        x_0: gs.simulate(free, gs.ForceTable(X, F), 9.0, x_0, t_end=0.01).status
+        x_0: gs.simulate(free, table, 9.0, x_0, **options).status
         for x_0 in (-2.9e-3, -3.1e-3, 1.9e-3, 2.1e-3)
     }
     assert ends[-2.9e-3] == ends[1.9e-3] == gs.Status.OK
     assert ends[-3.1e-3] == ends[2.1e-3] == gs.Status.OUT_OF_FIT_RANGE
+
+
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+def test_a_fit_is_left_alike_in_both_engines(engine):
+    """With tenfold the speed it goes farther than the fit reaches."""
+    free, law = gs.Oscillator(alpha=0.0, forcing=0.0), gs.Polynomial(1.4e4, GAP, 5, 1e-3)
+    ends = [
+        gs.simulate(free, law, 9.0, 0.0, v_0, t_end=0.1, engine=engine).status
+        for v_0 in (0.03, 0.3)
+    ]
+    assert ends == [gs.Status.OK, gs.Status.OUT_OF_FIT_RANGE]
 
 
 def test_a_response_beyond_the_table_says_so():
