@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from gapsweep.model.fitted import Polynomial, RationalPolynomial
     from gapsweep.model.labels import canonical_label, contact_law, law
     from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
+    from gapsweep.model.table import ForceTable
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
     from gapsweep.store.netcdf import read as open
@@ -60,6 +61,7 @@ _ON_DEMAND = {
     **dict.fromkeys(("Cubic", "Harmonic", "Lags", "Modulation", "System"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
     **dict.fromkeys(("query", "run"), "workflow"),
+    "ForceTable": "model.table",
     "Study": "study.study",
     "basins": "analysis.basins",
     "open": "store.netcdf",
@@ -79,6 +81,7 @@ __all__ = [
     "ContactLaw",
     "Cubic",
     "DatasetError",
+    "ForceTable",
     "Gap",
     "GapsweepError",
     "Harmonic",

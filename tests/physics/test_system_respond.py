@@ -217,7 +217,7 @@ def test_company_changes_no_bit():
         ({"omega": None}, "omega: missing; this System is forced"),
         ({"q_0": [0.0, 0.0, 0.0]}, "q_0: has the shape"),
         ({"law": {"stop": LAWS[0]}}, "law: of .* must name"),
-        ({"law": gs.Tanh(1e4, GAP, 1e4)}, "use engine='scipy'"),
+        ({"law": {"stop": LAWS[0], "wall": gs.Tanh(1e4, GAP, 1e4)}}, "a contact is located only"),
     ],
 )
 def test_mistakes_are_named(arguments, message):

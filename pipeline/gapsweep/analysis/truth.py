@@ -88,7 +88,8 @@ def motion(scene: Scene, law: ContactLaw | None, solver: Solver, later: int = 0)
         section = np.vstack([section[: scene.n_periods - 1], (run.x, run.v)])
     reach = float(np.max(np.abs([scene.x_0, run.x, *run.extrema, *section[:, 0]])))
     at_pole = run.status is Status.MODEL_INVALID
-    left = math.isfinite(law.valid_range) and not reach <= law.valid_range
+    widest = min(map(abs, law.valid_range))
+    left = math.isfinite(widest) and not reach <= widest
     return Motion(
         status=Status.OUT_OF_FIT_RANGE if left and not at_pole else run.status,
         section=section,

@@ -24,6 +24,7 @@ from gapsweep.model.contact import (
     UserLaw,
 )
 from gapsweep.model.fitted import Polynomial, RationalPolynomial
+from gapsweep.model.table import ForceTable
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,25 +32,23 @@ Mask = NDArray[np.bool_]
 
 def prepared(models: Models, solver: Solver) -> Integrate:
     """Integration of models; each result is the same to the last bit in any company."""
-    if not models.is_plain:
-        _check_exact(models, solver)
-        return _exact(models, solver)
-    return (_exact if _by_taylor(models.laws[0], solver) else _smooth)(models, solver)
+    return (_exact if _by_taylor(models, solver) else _smooth)(models, solver)
 
 
-def _by_taylor(law: ContactLaw, solver: Solver) -> bool:
-    located = isinstance(law, Piecewise) and law.located
-    return located and solver.controller == "native" and not solver.restart
-
-
-def _check_exact(models: Models, solver: Solver) -> None:
-    """Refuse for a system what only oscillators have compiled steps for."""
-    for law in (law for laws in models.laws for law in laws):
-        if not _by_taylor(law, solver):
-            raise ModelError(
-                f"{law}: a System has compiled steps for the law 'piecewise' alone, without "
-                "restarts; use engine='scipy'"
-            )
+def _by_taylor(models: Models, solver: Solver) -> bool:
+    """Whether the exact kernel takes them; refuses what neither kernel does."""
+    laws = models.laws[:1] if models.is_plain else models.laws[0]
+    located = [law for law in laws if isinstance(law, Piecewise) and law.located]
+    if solver.controller != "native" or solver.restart:
+        if solver.restart and located and not models.is_plain:
+            raise ModelError("restart: for an Oscillator; of a System use engine='scipy'")
+        return not laws
+    if located and len(located) < len(laws):
+        raise ModelError(
+            f"{located[0]}: a contact is located only if all are; take located=False here "
+            "(piecewise-noevents), or engine='scipy', which then locates none"
+        )
+    return len(located) == len(laws)
 
 
 def _column(objects: Sequence[Any], name: str) -> Array:
@@ -126,50 +125,48 @@ def _exact(models: Models, solver: Solver) -> Integrate:
 
 
 def _smooth(models: Models, solver: Solver) -> Integrate:
-    scenes = smooth.scenes(
-        _kernel_law(models.laws, restart=solver.restart),
-        **_oscillator_arrays(models),
-        rtol=solver.rtol,
-        atol=solver.atol,
-        controller=solver.controller,
-    )
+    options: dict[str, Any] = {
+        "rtol": solver.rtol,
+        "atol": solver.atol,
+        "controller": solver.controller,
+    }
+    if models.is_plain:
+        law = _kernel_law(models.laws, restart=solver.restart)
+        scenes = smooth.scenes(law, **_oscillator_arrays(models), **options)
+    else:
+        laws = [_kernel_law(each, restart=False) for each in zip(*models.laws, strict=True)]
+        scenes = smooth.system_scenes(laws, _scenes(models, solver), **options)
 
     def integrate(problems: Problems) -> Motions:
+        given = {"contacts": problems.contacts, **_given(problems)}
         try:
-            run = smooth.run(
-                scenes,
-                x_0=problems.start[:, 0],
-                v_0=problems.start[:, 1],
-                contacts=problems.contacts,
-                **_given(problems),
-            )
+            run = smooth.run(scenes, start=problems.start, **given)
         except NumbaError as error:
-            reason = _why_not_compiled(models.laws[0])
-            if reason is None:  # not the user's fault
-                raise
-            raise ModelError(
-                f"{models.laws[0]}: numba cannot compile it ({reason}); use arithmetic and math "
-                "functions only, or engine='scipy'"
-            ) from error
+            for law in models.laws[:1] if models.is_plain else models.laws[0]:
+                if reason := _why_not_compiled(law):
+                    raise ModelError(
+                        f"{law}: numba cannot compile it ({reason}); use arithmetic and math "
+                        "functions only, or engine='scipy'"
+                    ) from error
+            raise  # not the user's fault
 
         def events() -> Events:
-            kind, point, t, x, v, *_ = run.records.T
+            kind, point, t, _, _, which, *state = run.records.T
             masks = (kind == each for each in (lanes.EXTREMUM, lanes.SECTION, lanes.CONTACT))
-            state = np.stack([x, v], axis=1)
-            return _events(len(problems), point, t, np.zeros_like(x), state, *masks)
+            return _events(len(problems), point, t, which, np.stack(state, axis=1), *masks)
 
         def sampler(t: Array) -> Array:
             return np.stack([run.sample(t, i) for i in range(len(problems))], axis=1)
 
         return Motions(
             t=run.t,
-            state=np.stack([run.x, run.v], axis=1),
+            state=run.state,
             status=run.status,
             n_contacts=run.n_contacts,
             n_steps=run.n_steps,
             n_rejected=run.n_rejected,
             nfev=run.nfev,
-            reach=run.reach[:, None],
+            reach=run.reach,
             events=events,
             sampler=sampler,
             monodromy=run.tangent if problems.tangent else None,
@@ -233,6 +230,8 @@ def _kernel_law(laws: Sequence[Any], *, restart: bool) -> Any:
             return representations.polynomial(law.coefficients[0], law.fit_range, **walls)
         case RationalPolynomial():
             return representations.rational_polynomial(*law.coefficients, law.fit_range, **walls)
+        case ForceTable():
+            return representations.table(law.x, law.pieces, **walls)
         case UserLaw():
             return representations.user(law.function, **walls)
     raise TypeError(f"no compiled form of {type(law).__name__}")

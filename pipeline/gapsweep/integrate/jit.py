@@ -32,6 +32,7 @@ allocating = njit(**_BARE)
 # it works on, and the atomic counts at each call would cost more than recording a step. numba
 # refuses to compile a function that does allocate under this option.
 internal = njit(**_BARE, _nrt=False)
+inlined = njit(forceinline=True, **_BARE, _nrt=False)
 
 
 # Levels of x86-64, the best first, and what a processor of each has beyond the next. Below these,

@@ -200,7 +200,7 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
     return _Run(
         t=t_end if run.status is Status.OK else t_0 + t,
         state=y[:n],
-        status=run.status,
+        status=_judged(run.status, scene, motion),
         n_contacts=len(run.contacts),
         n_steps=run.n_steps,
         n_rejected=run.n_rejected,
@@ -217,6 +217,19 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
         section=section,
         motion=motion,
     )
+
+
+def _judged(status: Status, scene: Scene, motion: PPoly) -> Status:
+    """`status`, unless a gap has left the range of its law."""
+    if status not in (Status.OK, Status.DIVERGED, Status.STEP_UNDERFLOW):
+        return status
+    for contact, law in enumerate(scene.laws):
+        low, high = law.valid_range
+        gap = gap_of(scene, motion, contact)
+        seen = np.concatenate([extrema_of(gap)[1], gap(motion.x[[0, -1]])[:, 0]])
+        if np.any((seen < low) | (seen > high)):
+            return Status.OUT_OF_FIT_RANGE
+    return status
 
 
 def _plain(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:

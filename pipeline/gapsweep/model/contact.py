@@ -95,13 +95,12 @@ class ContactLaw:
     def __post_init__(self) -> None:
         for name in ("K_c", "K_ratio"):
             object.__setattr__(self, name, checked(name, getattr(self, name), low=0.0))
-        if not isinstance(self.gap, Gap):
-            raise ModelError(f"gap = {self.gap!r}: must be a gapsweep.Gap(j_1, j_2)")
+        checked_gap(self.gap)
 
     @property
-    def valid_range(self) -> float:
-        """Largest displacement [m] at which the law represents the contact."""
-        return math.inf
+    def valid_range(self) -> tuple[float, float]:
+        """Lowest and highest displacement [m] at which the law represents the contact."""
+        return -math.inf, math.inf
 
     def force(self, x: ArrayLike) -> Array:
         """Restoring force on the mass [N], shape of `x` [m]."""
@@ -346,6 +345,13 @@ class UserLaw(ContactLaw):
         x = np.asarray(x, dtype=float)
         h = SLOPE_STEP * np.maximum(np.abs(x), SLOPE_LENGTH)
         return np.asarray((self.force(x + h) - self.force(x - h)) / (2.0 * h))
+
+
+def checked_gap(gap: Gap) -> Gap:
+    """`gap`, or a `ModelError` if it is none."""
+    if not isinstance(gap, Gap):
+        raise ModelError(f"gap = {gap!r}: must be a gapsweep.Gap(j_1, j_2)")
+    return gap
 
 
 def checked_law(law: ContactLaw) -> ContactLaw:

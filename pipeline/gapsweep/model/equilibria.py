@@ -150,7 +150,7 @@ def _near_poles(law: ContactLaw) -> list[float]:
         return []
     roots = chebyshev.chebroots(chebyshev.chebtrim(law.coefficients[1], tol=1e-14))
     near = np.abs(roots.imag) < _NEAR_POLE
-    return [float(x) for x in roots.real[near] * law.valid_range]
+    return [float(x) for x in roots.real[near] * law.fit_range]
 
 
 def _potential(oscillator: Oscillator, law: ContactLaw, x: Array, points: Array) -> Array:

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fitted(ContactLaw):
-    """A fit ``K_c N(u)/D(u)`` of the exact force, ``u = x / valid_range``."""
+    """A fit ``K_c N(u)/D(u)`` of the exact force, ``u = x / fit_range``."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -27,8 +27,8 @@ class Fitted(ContactLaw):
         _ = self.fit
 
     @property
-    def valid_range(self) -> float:
-        return self.fit_range
+    def valid_range(self) -> tuple[float, float]:
+        return -self.fit_range, self.fit_range
 
     @property
     def fit_range(self) -> float:
@@ -57,17 +57,17 @@ class Fitted(ContactLaw):
         return self.fit.r_squared
 
     def force(self, x: ArrayLike) -> Array:
-        u = np.asarray(x, dtype=float) / self.valid_range
+        u = np.asarray(x, dtype=float) / self.fit_range
         top, bottom = self.coefficients
         return np.asarray(chebyshev.chebval(u, top) / chebyshev.chebval(u, bottom))
 
     def derivative(self, x: ArrayLike) -> Array:
-        u = np.asarray(x, dtype=float) / self.valid_range
+        u = np.asarray(x, dtype=float) / self.fit_range
         top, bottom = self.coefficients
         d_top, d_bottom = chebyshev.chebder(top), chebyshev.chebder(bottom)
         n, d = chebyshev.chebval(u, top), chebyshev.chebval(u, bottom)
         slope = chebyshev.chebval(u, d_top) - n / d * chebyshev.chebval(u, d_bottom)
-        return np.asarray(slope / d / self.valid_range)
+        return np.asarray(slope / d / self.fit_range)
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,8 @@ def _failures(
     """Status of the points that failed, and what to say of it by point."""
     y = walks.y[:, failures]
     gaps = ensemble.gaps(ensemble.turning(failures, y))
-    is_inside = np.abs(gaps) <= ensemble.valid_range[:, failures]
+    low, high = ensemble.valid_range[:, :, failures]
+    is_inside = (gaps >= low) & (gaps <= high)
     has_left = np.asarray(~is_inside.all(axis=0))
     statuses, messages = [], {}
     for k, point in enumerate(failures.tolist()):
@@ -216,7 +217,8 @@ def _read_off(
     reach = np.maximum(np.abs(x_max), np.abs(x_min))
     walks.reach[points] = reach_of(reach.T, ensemble.unit[:, points])
     gap_max, gap_min = (ensemble.gaps(each.T) for each in (largest, smallest))
-    has_left = np.maximum(np.abs(gap_max), np.abs(gap_min)) > ensemble.valid_range[:, points]
+    low, high = ensemble.valid_range[:, :, points]
+    has_left = (gap_max > high) | (gap_min < low)
     stays = found.is_at_rest & ~(found.lyapunov > 0.0)  # not so on top of a hill
     found_out = found.is_chaotic | found.is_quasiperiodic | stays
     share = walks.contact_share[:, points]
@@ -228,7 +230,7 @@ def _read_off(
     status[has_left.any(axis=0)] = Status.OUT_OF_FIT_RANGE
     laws = zip(*(ensemble.scenes[point].laws for point in points.tolist()), strict=True)
     forces = [largest_forces(*each) for each in zip(laws, gap_min, gap_max, strict=False)]
-    force_max = np.array(forces).reshape(len(ensemble.valid_range), len(points)).T
+    force_max = np.array(forces).reshape(len(low), len(points)).T
     force_max[ensemble.is_modulated[:, points].T] = np.nan
     n_shown = np.minimum(counts[:, :n_q], steady.max_extrema)
     shown = spans(first[:, :n_q].ravel(), n_shown.ravel())

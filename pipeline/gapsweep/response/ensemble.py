@@ -58,9 +58,9 @@ class Scene:
     @property
     def tangent_law(self) -> Any:
         """The same force, its kinks located if they can be."""
-        laws = tuple(
-            replace(law, located=True) if isinstance(law, Piecewise) else law for law in self.laws
-        )
+        exact = [replace(law, located=True) for law in self.laws if isinstance(law, Piecewise)]
+        # All contacts are located or none.
+        laws = tuple(exact) if len(exact) == len(self.laws) else self.laws
         return laws if isinstance(self.oscillator, System) else laws[0]
 
     @property
@@ -220,8 +220,8 @@ class Ensemble:
     structure : Structure or None
         Of systems.
     n_coordinates : int
-    valid_range : ndarray, shape (n_contacts, n)
-        Of the laws [m].
+    valid_range : ndarray, shape (2, n_contacts, n)
+        Lowest and highest gaps at which the laws hold [m].
     walls : ndarray, shape (2, n_contacts, n)
         Places of the lower and of the upper walls in the contacts' gaps [m].
     is_modulated : ndarray of bool, shape (n_contacts, n)
@@ -243,11 +243,13 @@ class Ensemble:
         self.settling_rate = _of_models(models, lambda model: model.settling_rate)
         self.set_clock(self.omega)
         laws = [scene.laws for scene in scenes]
-        self.valid_range = np.array([[law.valid_range for law in each] for each in laws]).T
+        shape = len(laws), len(laws[0]), 2
+        ranges = [law.valid_range for each in laws for law in each]
+        self.valid_range = np.array(ranges).reshape(shape).T
         walls = [(-law.gap.j_1, law.gap.j_2) for each in laws for law in each]
-        self.walls = np.array(walls).reshape(len(laws), len(laws[0]), 2).T
+        self.walls = np.array(walls).reshape(shape).T
         self._directions: Array | None = None
-        self.is_modulated = np.zeros(self.valid_range.shape, bool)
+        self.is_modulated = np.zeros(self.walls.shape[1:], bool)
         if not self.is_plain:
             self._directions = _of_models(models, lambda model: model.directions)
             self.is_modulated = _of_models(models, lambda model: model.is_modulated).T

@@ -19,6 +19,7 @@ from gapsweep.model.contact import (
 )
 from gapsweep.model.equilibria import search_points, sign_changes
 from gapsweep.model.fitted import Polynomial, RationalPolynomial
+from gapsweep.model.table import ForceTable
 from gapsweep.response.ensemble import Call, Ensemble
 
 Array = NDArray[np.float64]
@@ -55,6 +56,8 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
         return _largest(_together(laws), x_min, x_max, ())
     if isinstance(law, Polynomial | RationalPolynomial):
         return _largest(law, x_min, x_max, _fit_turns(law))
+    if isinstance(law, ForceTable):
+        return _largest(law, x_min, x_max, law.turns)
     return _largest_searched(law, x_min, x_max)
 
 
@@ -146,7 +149,7 @@ def _fit_turns(law: Polynomial | RationalPolynomial) -> tuple[float, ...]:
         return ()
     # The real part of a complex root is a point like any other.
     roots = chebyshev.chebroots(chebyshev.chebtrim(slope, 1e-14 * np.abs(slope).max()))
-    return tuple((law.valid_range * np.unique(roots.real)).tolist())
+    return tuple((law.fit_range * np.unique(roots.real)).tolist())
 
 
 @lru_cache(maxsize=256)

@@ -50,7 +50,7 @@ class Walks:
         self.reach = self._place(np.arange(n))
         self.n_turning = len(ensemble.turning(np.arange(n), y))
         self._elapsed, self.extrema = np.zeros(n), Lists(n * self.n_turning)
-        self.contact_share = np.full(ensemble.valid_range.shape, np.nan)
+        self.contact_share = np.full(ensemble.walls.shape[1:], np.nan)
 
     @property
     def t(self) -> Array:

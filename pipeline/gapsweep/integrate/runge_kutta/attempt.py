@@ -5,15 +5,17 @@ Everything here is branch-free over lanes. The outcome is one word of lane bits 
 (`Outcome`); only lanes with a bit set are looked at one by one afterwards.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from numba import njit
+import numpy as np
 
 from gapsweep.integrate import simd
+from gapsweep.integrate.jit import inlined
 from gapsweep.integrate.simd import fma, load, maximum, minimum, select, store
 
 from . import lanes as ln
-from . import laws, vecmath
+from . import laws, parameters, vecmath
+from .stages import stages, tangent_stages
 
 # Measured on the tanh law at 1e-3 to 1e-9: 0.9 and 6 reject a quarter of all attempts and cost a
 # tenth more.
@@ -37,99 +39,43 @@ class Outcome(NamedTuple):
     )
 
 
-@njit(forceinline=True)
-def _stages(law, q, lane, tableau, k, h, x, v):
-    """Accelerations of all stages into `k`; end state and its acceleration returned."""
-    frequency, tau = load(lane, ln.FREQUENCY), load(lane, ln.TAU)
-    forcing, damping = load(lane, ln.FORCING), load(lane, ln.DAMPING)
-    stiffness, cubic = load(lane, ln.STIFFNESS), load(lane, ln.CUBIC)
-    turns, h2 = h * frequency, h * h
-    last = load(lane, ln.A)
-    store(k, 0, last)
-    x_i, v_i = x, v
-    for i in range(1, tableau.c.size):
-        sx, sv = simd.splat(0.0), simd.splat(0.0)
-        for j in range(i - 1):
-            k_j = load(k, j)
-            sx = fma(k_j, tableau.abar[i, j], sx)
-            sv = fma(k_j, tableau.a[i, j], sv)
-        sv = fma(last, tableau.a[i, i - 1], sv)
-        x_i = fma(h2, sx, fma(h * tableau.c[i], v, x))
-        v_i = fma(h, sv, v)
-        phase = vecmath.cos_turns(fma(turns, tableau.c[i], tau))
-        # The law depends on x_i alone, which does not wait for the previous stage: the processor
-        # overlaps this law with the previous one.
-        restoring = fma(x_i, fma(cubic * x_i, x_i, stiffness), laws.acceleration(law, q, x_i))
-        last = fma(-damping, v_i, fma(forcing, phase, -restoring))
-        store(k, i, last)
-    return x_i, v_i, last
-
-
-@njit(forceinline=True)
-def _tangent_stages(law, q, lane, tableau, k, k_tangent, h, x, v):
-    """The same step of the two columns of the variational equation, along the stages in `k`."""
-    n = tableau.c.size
-    damping, stiffness, cubic = (
-        load(lane, ln.DAMPING),
-        load(lane, ln.STIFFNESS),
-        load(lane, ln.CUBIC),
-    )
-    h2 = h * h
-    for i in range(n):
-        sx = simd.splat(0.0)
-        for j in range(i):
-            sx = fma(load(k, j), tableau.abar[i, j], sx)
-        x_i = fma(h2, sx, fma(h * tableau.c[i], v, x))
-        stiffness_i = fma(3.0 * cubic * x_i, x_i, stiffness) + laws.slope(law, q, x_i)
-        for column in range(2):
-            dx, dv = load(lane, ln.TANGENT + 2 * column), load(lane, ln.TANGENT + 2 * column + 1)
-            tx, tv = simd.splat(0.0), simd.splat(0.0)
-            for j in range(i):
-                k_j = load(k_tangent, column * n + j)
-                tx = fma(k_j, tableau.abar[i, j], tx)
-                tv = fma(k_j, tableau.a[i, j], tv)
-            dx_i = fma(h2, tx, fma(h * tableau.c[i], dv, dx))
-            dv_i = fma(h, tv, dv)
-            store(k_tangent, column * n + i, -fma(damping, dv_i, stiffness_i * dx_i))
-            if i == n - 1:
-                store(k_tangent, 2 * n + 2 * column, dx_i)
-                store(k_tangent, 2 * n + 2 * column + 1, dv_i)
-
-
-@njit(forceinline=True)
-def _commit_tangent(lane, k_tangent, n, commit):
-    for row in range(4):
-        before = load(lane, ln.TANGENT + row)
-        store(lane, ln.OLD_TANGENT + row, before)
-        store(lane, ln.TANGENT + row, select(commit, load(k_tangent, 2 * n + row), before))
-
-
-@njit(forceinline=True)
-def _error(tableau, k, settings, h, x, v, x1, v1):
+@inlined
+def _error(at, tableau, lane, k, settings, h):
     """Error estimate over tolerance; accepted up to 1. Maximum norm for ode45, root mean square
     else.
     """
-    ex5, ev5, ex3, ev3 = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
-    for j in range(tableau.c.size):
-        k_j = load(k, j)
-        ex5, ev5 = fma(k_j, tableau.ebar[0, j], ex5), fma(k_j, tableau.e[0, j], ev5)
-        ex3, ev3 = fma(k_j, tableau.ebar[1, j], ex3), fma(k_j, tableau.e[1, j], ev3)
     rtol, atol = settings[ln.S_RTOL], settings[ln.S_ATOL]
-    size_x = maximum(simd.absolute(x), simd.absolute(x1))
-    size_v = maximum(simd.absolute(v), simd.absolute(v1))
+    e5, e3, worst, lost = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
+    for i in range(at.n_rates):
+        ex5, ev5, ex3, ev3 = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
+        for j in range(tableau.c.size):
+            k_j = load(k, j * at.n_rates + i)
+            ev5, ev3 = fma(k_j, tableau.e[0, j], ev5), fma(k_j, tableau.e[1, j], ev3)
+            if i < at.n:
+                ex5, ex3 = fma(k_j, tableau.ebar[0, j], ex5), fma(k_j, tableau.ebar[1, j], ex3)
+        size_v = _size(lane, at.old_v + i, at.v_1 + i)  # first-order states stand after the speeds
+        size_x = _size(lane, at.old_q + i, at.q_1 + i) if i < at.n else size_v
+        if settings[ln.S_ODE45] > 0.0:
+            rv = simd.absolute(ev5) / maximum(size_v, atol / rtol)
+            rx = simd.absolute(ex5) * h / maximum(size_x, atol / rtol)
+            worst, lost = maximum(worst, maximum(rx * h, rv * h)), lost + 0.0 * (rx + rv)
+        else:
+            wx, wv = h * h / fma(rtol, size_x, atol), h / fma(rtol, size_v, atol)
+            rx5, rv5, rx3, rv3 = ex5 * wx, ev5 * wv, ex3 * wx, ev3 * wv
+            e5, e3 = fma(rx5, rx5, fma(rv5, rv5, e5)), fma(rx3, rx3, fma(rv3, rv3, e3))
     if settings[ln.S_ODE45] > 0.0:
-        threshold = atol / rtol
-        rx = simd.absolute(ex5) * h / maximum(size_x, threshold)
-        rv = simd.absolute(ev5) / maximum(size_v, threshold)
         # `maximum` hides a NaN in its first argument; the sum does not.
-        return maximum(rx * h, rv * h) / rtol + 0.0 * (rx + rv)
-    wx, wv = h * h / fma(rtol, size_x, atol), h / fma(rtol, size_v, atol)
-    rx5, rv5, rx3, rv3 = ex5 * wx, ev5 * wv, ex3 * wx, ev3 * wv
-    e5, e3 = fma(rx5, rx5, rv5 * rv5), fma(rx3, rx3, rv3 * rv3)
-    return e5 / simd.sqrt(maximum(2.0 * fma(0.01, e3, e5), 1e-300)) + 0.0 * e5
+        return worst / rtol + lost
+    n = float(at.n_states)
+    return e5 / simd.sqrt(maximum(n * fma(0.01, e3, e5), 1e-300)) + 0.0 * e5
 
 
-@njit(forceinline=True)
+@inlined
+def _size(lane, before, after):
+    return maximum(simd.absolute(load(lane, before)), simd.absolute(load(lane, after)))
+
+
+@inlined
 def _next_step(settings, error, h, after_failure, accepted):
     """The controller's next step length."""
     scaled = vecmath.power(maximum(error, 1e-16), -settings[ln.S_EXPONENT])
@@ -145,107 +91,218 @@ def _next_step(settings, error, h, after_failure, accepted):
     return h * select(accepted | (error > 1.0), factor, SHRINK_LIMIT)
 
 
-@njit(forceinline=True)
+@inlined
 def _passed(before, after, wall):
     return ((before > wall) & ~(after > wall)) | (~(before > wall) & (after > wall))
 
 
-@njit(forceinline=True)
+@inlined
 def _wall_passings(x, x1, low, high):
     """How many walls lie between the two ends, as a float vector."""
     at_high = select(_passed(x, x1, high), simd.splat(1.0), 0.0)
     return at_high + select(_passed(-x, -x1, -low), simd.splat(1.0), 0.0)
 
 
-@njit(forceinline=True)
-def _keep_start(lane, x, v, h):
-    store(lane, ln.OLD_X, x)
-    store(lane, ln.OLD_V, v)
-    store(lane, ln.OLD_A, load(lane, ln.A))
-    store(lane, ln.OLD_TAU, load(lane, ln.TAU))
-    store(lane, ln.OLD_TURNS, load(lane, ln.TURNS))
-    store(lane, ln.OLD_H, h)
+@inlined
+def _keep_start(at, lane, h):
+    for i in range(at.n_start - 1):
+        store(lane, at.old_q + i, load(lane, at.q + i))
+    store(lane, at.old_h, h)
 
 
-@njit(forceinline=True)
-def _commit(lane, commit, ended, h, x1, v1, a1):
+@inlined
+def _commit(at, lane, commit, ended, h):
     """Move committed lanes to the end of the step; the mask of those that passed a whole turn is
     returned.
     """
-    store(lane, ln.X1, x1)
-    store(lane, ln.V1, v1)
-    store(lane, ln.A1, a1)
-    store(lane, ln.X, select(commit, x1, load(lane, ln.X)))
-    reach = load(lane, ln.REACH)
-    store(lane, ln.REACH, select(commit, maximum(reach, simd.absolute(x1)), reach))
-    store(lane, ln.V, select(commit, v1, load(lane, ln.V)))
-    store(lane, ln.A, select(commit, a1, load(lane, ln.A)))
-    tau, turns = load(lane, ln.TAU), load(lane, ln.TURNS)
+    for i in range(at.n_states + at.n_rates):
+        store(lane, at.q + i, select(commit, load(lane, at.q_1 + i), load(lane, at.q + i)))
+    for i in range(at.n):
+        reach = load(lane, at.reach + i)
+        farther = maximum(reach, simd.absolute(load(lane, at.q_1 + i)))
+        store(lane, at.reach + i, select(commit, farther, reach))
+    tau, turns = load(lane, at.tau), load(lane, at.turns)
     # The clock counts turns of the forcing: the phase stays in [0, 1) however long the run is.
-    tau1 = fma(h, load(lane, ln.FREQUENCY), tau)
+    tau1 = fma(h, load(lane, at.omega), tau)
     whole = simd.floor(tau1)
-    tau1 = select(ended, load(lane, ln.END_TAU), tau1 - whole)
-    turns1 = select(ended, load(lane, ln.END_TURNS), turns + whole)
-    store(lane, ln.TAU, select(commit, tau1, tau))
-    store(lane, ln.TURNS, select(commit, turns1, turns))
+    tau1 = select(ended, load(lane, at.end_tau), tau1 - whole)
+    turns1 = select(ended, load(lane, at.end_turns), turns + whole)
+    store(lane, at.tau, select(commit, tau1, tau))
+    store(lane, at.turns, select(commit, turns1, turns))
     return commit & (turns1 > turns)
 
 
-@njit(forceinline=True)
-def _count(lane, commit, rejected, passings):
-    store(lane, ln.N_ATTEMPTS, load(lane, ln.N_ATTEMPTS) + 1.0)
-    store(lane, ln.N_STEPS, load(lane, ln.N_STEPS) + select(commit, simd.splat(1.0), 0.0))
-    store(lane, ln.N_REJECTED, load(lane, ln.N_REJECTED) + select(rejected, simd.splat(1.0), 0.0))
-    store(lane, ln.N_CONTACTS, load(lane, ln.N_CONTACTS) + select(commit, passings, 0.0))
+@inlined
+def _commit_tangent(at, lane, commit):
+    for i in range(at.n_states * at.n_states):
+        before, after = load(lane, at.tangent_state + i), load(lane, at.old_tangent + i)
+        store(lane, at.old_tangent + i, before)
+        store(lane, at.tangent_state + i, select(commit, after, before))
 
 
-@njit(forceinline=True)
-def _layer_control(
-    law, q, lane, settings, commit, ordinary, x, x1, v1, hull_low, hull_high, h_next
-):
-    """Keep steps from jumping over a thin layer; the next step, and the mask of steps to cut.
+@inlined
+def _count(at, lane, commit, rejected):
+    store(lane, at.n_attempts, load(lane, at.n_attempts) + 1.0)
+    store(lane, at.n_steps, load(lane, at.n_steps) + select(commit, simd.splat(1.0), 0.0))
+    store(lane, at.n_rejected, load(lane, at.n_rejected) + select(rejected, simd.splat(1.0), 0.0))
+
+
+class _Hull(NamedTuple):
+    """Bounds of a coordinate or a gap over a step, both ends, and whether it may turn back."""
+
+    low: Any
+    high: Any
+    x: Any
+    x_1: Any
+    v_1: Any
+    turns_back: Any
+
+
+@inlined
+def _hull(at, lane, which, h):
+    # Quintic Hermite interpolant in Bernstein form: its coefficients bound x, their differences v.
+    # Accelerations enter with h^2, so the interpolant costs nothing beyond the step itself.
+    rows = ln.ends(at, which)
+    x, v, a = load(lane, rows[0]), load(lane, rows[1]), load(lane, rows[2])
+    x1, v1, a1 = load(lane, rows[3]), load(lane, rows[4]), load(lane, rows[5])
+    b1, b4 = fma(0.2 * h, v, x), fma(-0.2 * h, v1, x1)
+    b2 = fma(0.05 * h * h, a, fma(0.4 * h, v, x))
+    b3 = fma(0.05 * h * h, a1, fma(-0.4 * h, v1, x1))
+    low = minimum(minimum(minimum(x, x1), minimum(b1, b4)), minimum(b2, b3))
+    high = maximum(maximum(maximum(x, x1), maximum(b1, b4)), maximum(b2, b3))
+    rise = minimum(minimum(v, v1), minimum(minimum(b2 - b1, b4 - b3), b3 - b2))
+    fall = maximum(maximum(v, v1), maximum(maximum(b2 - b1, b4 - b3), b3 - b2))
+    return _Hull(low, high, x, x1, v1, (rise <= 0.0) & (fall >= 0.0))
+
+
+class _Layers(NamedTuple):
+    """What smoothing layers ask of a step."""
+
+    cut: Any  # it has to be cut at one
+    leaves: Any  # it leaves one
+    limit: Any  # longest next step inside one [s]; infinity outside
+
+
+@inlined
+def _layers(q, hull, commit, ordinary, before):
+    """Keep steps from jumping over a thin layer.
 
     A step that starts outside a layer, whose hull reaches it, and that moves farther than the
     layer's half-width is cut at the layer's edge. Inside, at least four steps are taken per
     passage, and on leaving the step goes back to its length before the layer.
     """
-    half = load(q, laws.LAYER)
-    low, high = load(q, laws.WALL_LOW), load(q, laws.WALL_HIGH)
-    starts_inside = (simd.absolute(x - low) <= half) | (simd.absolute(x - high) <= half)
-    ends_inside = (simd.absolute(x1 - low) <= half) | (simd.absolute(x1 - high) <= half)
-    reaches = ((hull_high > low - half) & (hull_low < low + half)) | (
-        (hull_high > high - half) & (hull_low < high + half)
+    half = load(q, parameters.LAYER)
+    low, high = load(q, parameters.WALL_LOW), load(q, parameters.WALL_HIGH)
+    has_one = half > 0.0
+    starts_inside = (simd.absolute(hull.x - low) <= half) | (simd.absolute(hull.x - high) <= half)
+    ends_inside = (simd.absolute(hull.x_1 - low) <= half) | (simd.absolute(hull.x_1 - high) <= half)
+    reaches = ((hull.high > low - half) & (hull.low < low + half)) | (
+        (hull.high > high - half) & (hull.low < high + half)
     )
-    cut = commit & ordinary & ~starts_inside & reaches & (hull_high - hull_low > half)
-    inside_limit = half / maximum(2.0 * simd.absolute(v1), 1e-300)
-    limited = select(ends_inside, minimum(h_next, inside_limit), h_next)
-    leaves = commit & starts_inside & ~ends_inside
-    return select(leaves, maximum(limited, load(lane, ln.H_SAVED)), limited), cut
+    cut = commit & ordinary & ~starts_inside & reaches & (hull.high - hull.low > half) & has_one
+    limit = half / maximum(2.0 * simd.absolute(hull.v_1), 1e-300)
+    limit = select(ends_inside & has_one, minimum(before.limit, limit), before.limit)
+    leaves = commit & starts_inside & ~ends_inside & has_one
+    return _Layers(before.cut | cut, before.leaves | leaves, limit)
 
 
-@njit(forceinline=True)
-def _leaves_mode(q, x, hull_low, hull_high):
+@inlined
+def _leaves_mode(q, hull):
     """Whether the step's hull leaves the region of the present contact mode."""
-    in_gap = load(q, laws.ACTIVE_MODE) == 0.0
-    low, high, wall = load(q, laws.WALL_LOW), load(q, laws.WALL_HIGH), load(q, laws.ACTIVE_WALL)
-    out_of_gap = (hull_high > high) | (hull_low < low)
+    in_gap = load(q, parameters.ACTIVE_MODE) == 0.0
+    low, high, wall = (
+        load(q, parameters.WALL_LOW),
+        load(q, parameters.WALL_HIGH),
+        load(q, parameters.ACTIVE_WALL),
+    )
+    out_of_gap = (hull.high > high) | (hull.low < low)
     at_high = wall == high
-    back = select(at_high, hull_low, -hull_high) < select(at_high, wall, -wall)
+    back = select(at_high, hull.low, -hull.high) < select(at_high, wall, -wall)
     return (in_gap & out_of_gap) | (~in_gap & back)
 
 
-@njit(forceinline=True)
-def attempt(law, q, lane, tableau, k, k_tangent, settings):
+class _Walls(NamedTuple):
+    """What contacts ask of a step: masks, and the next step [s]."""
+
+    turns_back: Any
+    dipped: Any
+    stopped: Any
+    passes: Any
+    h_next: Any
+
+
+@inlined
+def _walls(at, kinds, q, lane, settings, commit, ordinary, h, h_next):
+    """Look at the gap of every contact; counts what walls are passed."""
+    none = ordinary & (h < 0.0)
+    turns_back, dipped, stopped, passes = none, none, none, none
+    layers = _Layers(none, none, simd.splat(np.inf))
+    for i in range(at.contacts):
+        q_i, hull = q[i], _hull(at, lane, at.gaps_from + i, h)
+        low, high = load(q_i, parameters.WALL_LOW), load(q_i, parameters.WALL_HIGH)
+        turns_back = turns_back | hull.turns_back
+        # Where the motion turns back, its ends do not tell how often it has passed a wall.
+        dips = ((hull.low <= high) & (hull.high > high)) | ((hull.low < low) & (hull.high >= low))
+        if laws.has_range(kinds):
+            centre, reach = load(q_i, parameters.CENTRE), load(q_i, parameters.RANGE)
+            has_one = reach > 0.0
+            out = commit & (simd.absolute(hull.x_1 - centre) > reach) & has_one
+            store(lane, at.out_of_range, select(out, 1.0, load(lane, at.out_of_range)))
+            dips = dips | (((hull.high - centre > reach) | (hull.low - centre < -reach)) & has_one)
+        if laws.has_layer(kinds) and settings[ln.S_STOP_AT_LAYER] > 0.0:
+            layers = _layers(q_i, hull, commit, ordinary, layers)
+        if laws.is_located(kinds):  # counted where the step is cut: x is exactly on the wall there
+            stopped = stopped | (commit & ordinary & _leaves_mode(q_i, hull))
+        else:
+            dipped = dipped | (commit & hull.turns_back & dips)
+            passings = _wall_passings(hull.x, hull.x_1, low, high)
+            passes = passes | (passings > 0.0)
+            count = load(lane, at.n_contacts + i)
+            store(lane, at.n_contacts + i, count + select(commit, passings, 0.0))
+    if laws.has_layer(kinds) and settings[ln.S_STOP_AT_LAYER] > 0.0:
+        back = select(layers.leaves, maximum(h_next, load(lane, at.h_saved)), h_next)
+        h_next, stopped = minimum(back, layers.limit), layers.cut
+    return _Walls(turns_back, dipped, stopped, passes, h_next)
+
+
+@inlined
+def _may_turn(at, lane, h, found):
+    """Lanes where an extremum of a coordinate may lie in the step, or of a gap as `found`."""
+    if not at.is_plain:
+        for i in range(at.n):
+            found = found | _hull(at, lane, i, h).turns_back
+    return found
+
+
+@inlined
+def _is_invalid(at, kinds, q, lane, settings):
+    """Lanes whose attempt ends where no motion is."""
+    invalid = simd.absolute(load(lane, at.q_1)) > settings[ln.S_BOUND]
+    for i in range(1, at.n):
+        invalid = invalid | (simd.absolute(load(lane, at.q_1 + i)) > settings[ln.S_BOUND])
+    if laws.has_range(kinds):
+        for i in range(at.contacts):
+            store(lane, at.gap + i, load(lane, ln.ends(at, at.gaps_from + i)[3]))
+        laws.denominators(kinds, q, lane, at.gap, at.force)
+        for i in range(at.contacts):
+            invalid = invalid | (load(lane, at.force + i) <= 0.0)
+    return invalid
+
+
+@inlined
+def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     """Advance every lane by one attempt.
 
     Parameters
     ----------
-    law : named tuple of `laws`
-        Decides the specialisation.
-    q, lane : ndarray, shapes (N_PARAMETERS, WIDTH) and (N_ROWS, WIDTH)
+    at : Rows
+        With the types of the laws it decides the specialisation.
+    kinds : tuple of named tuples of `laws`
+        The law of every contact.
+    q, lane : ndarray, shapes (n_contacts, N_PARAMETERS, WIDTH) and (n_rows, WIDTH)
         Law parameters and lane state; `lane` is updated.
     tableau : Tableau
-    k, k_tangent : ndarray, shapes (n_stages, WIDTH) and (2 n_stages + 4, WIDTH)
+    k, k_tangent : ndarray, shapes (n_stages * n_rates, WIDTH) and (n_states times that, WIDTH)
         Work space.
     settings : ndarray, shape (N_SETTINGS,)
 
@@ -253,102 +310,64 @@ def attempt(law, q, lane, tableau, k, k_tangent, settings):
     -------
     Outcome
     """
-    x, v = load(lane, ln.X), load(lane, ln.V)
-    exact = load(lane, ln.EXACT)
+    exact = load(lane, at.exact)
     probing, ordinary = exact == 1.0, exact == 0.0
-    h_asked = load(lane, ln.H)
-    left = (load(lane, ln.END_TURNS) - load(lane, ln.TURNS)) + (
-        load(lane, ln.END_TAU) - load(lane, ln.TAU)
+    h_asked = load(lane, at.h)
+    left = (load(lane, at.end_turns) - load(lane, at.turns)) + (
+        load(lane, at.end_tau) - load(lane, at.tau)
     )
-    left = left * load(lane, ln.PERIOD)
+    left = left * load(lane, at.period)
     to_end = ordinary & (h_asked * STRETCH >= left)
     h = select(to_end, left, h_asked)
 
-    x1, v1, a1 = _stages(law, q, lane, tableau, k, h, x, v)
-    error = _error(tableau, k, settings, h, x, v, x1, v1)
+    _keep_start(at, lane, h)
+    stages(at, kinds, q, lane, tableau, k, h)
+    error = _error(at, tableau, lane, k, settings, h)
     # A landing repeats an accepted step in part; its error is smaller and must not be judged anew.
     accepted = (error <= 1.0) | ((exact == 2.0) & (error < 1e300))
     commit = accepted & ~probing
-    after_failure = load(lane, ln.FAILED) > 0.0
+    after_failure = load(lane, at.failed) > 0.0
     h_next = _next_step(settings, error, h, after_failure, accepted)
-
-    # Quintic Hermite interpolant of x in Bernstein form: its coefficients bound x, their
-    # differences v.
-    # Accelerations enter with h^2, so the interpolant costs nothing beyond the step itself.
-    a = load(lane, ln.A)
-    b1, b4 = fma(0.2 * h, v, x), fma(-0.2 * h, v1, x1)
-    b2 = fma(0.05 * h * h, a, fma(0.4 * h, v, x))
-    b3 = fma(0.05 * h * h, a1, fma(-0.4 * h, v1, x1))
-    hull_low = minimum(minimum(minimum(x, x1), minimum(b1, b4)), minimum(b2, b3))
-    hull_high = maximum(maximum(maximum(x, x1), maximum(b1, b4)), maximum(b2, b3))
-    rise = minimum(minimum(v, v1), minimum(minimum(b2 - b1, b4 - b3), b3 - b2))
-    fall = maximum(maximum(v, v1), maximum(maximum(b2 - b1, b4 - b3), b3 - b2))
-    turns_back = (rise <= 0.0) & (fall >= 0.0)
-
-    low, high = load(q, laws.WALL_LOW), load(q, laws.WALL_HIGH)
-    # Where the motion turns back, its ends do not tell how often it has passed a wall.
-    dipped = (
-        commit
-        & turns_back
-        & (((hull_low <= high) & (hull_high > high)) | ((hull_low < low) & (hull_high >= low)))
-    )
-    invalid = simd.absolute(x1) > settings[ln.S_BOUND]
-    if laws.has_range(law):
-        reach = load(q, laws.RANGE)
-        out = commit & (simd.absolute(x1) > reach)
-        store(lane, ln.OUT_OF_RANGE, select(out, 1.0, load(lane, ln.OUT_OF_RANGE)))
-        dipped = dipped | (commit & turns_back & ((hull_high > reach) | (hull_low < -reach)))
-        invalid = invalid | (laws.denominator(law, q, x1) <= 0.0)
-    stopped = ordinary & (h < 0.0)
-    if laws.has_layer(law) and settings[ln.S_STOP_AT_LAYER] > 0.0:
-        h_next, stopped = _layer_control(
-            law, q, lane, settings, commit, ordinary, x, x1, v1, hull_low, hull_high, h_next
-        )
-    if laws.is_located(law):
-        stopped = (commit & ordinary & _leaves_mode(q, x, hull_low, hull_high)) | (
-            commit & (exact == 2.0)
-        )
+    walls = _walls(at, kinds, q, lane, settings, commit, ordinary, h, h_next)
+    stopped = walls.stopped
+    if laws.is_located(kinds):
+        stopped = stopped | (commit & (exact == 2.0))
 
     since_start = (
-        (load(lane, ln.TURNS) - 0.0) + (load(lane, ln.TAU) - load(lane, ln.PHASE_0))
-    ) * load(lane, ln.PERIOD)
-    h_min = maximum(3.6e-15 * since_start, load(lane, ln.H_MIN))
+        (load(lane, at.turns) - 0.0) + (load(lane, at.tau) - load(lane, at.phase_0))
+    ) * load(lane, at.period)
+    h_min = maximum(3.6e-15 * since_start, load(lane, at.h_min))
     underflow = ~accepted & ~probing & (h <= h_min)
-    exhausted = load(lane, ln.N_ATTEMPTS) >= settings[ln.S_MAX_ATTEMPTS]
-    failed = underflow | exhausted | (commit & invalid)
+    exhausted = load(lane, at.n_attempts) >= settings[ln.S_MAX_ATTEMPTS]
+    failed = underflow | exhausted | (commit & _is_invalid(at, kinds, q, lane, settings))
 
-    _keep_start(lane, x, v, h)
     ended = commit & to_end
-    passed_turn = _commit(lane, commit, ended, h, x1, v1, a1)
+    passed_turn = _commit(at, lane, commit, ended, h)
     if settings[ln.S_TANGENT] > 0.0:
-        # After the commit of (x, v): the stages are recomputed from the kept start.
-        _tangent_stages(law, q, lane, tableau, k, k_tangent, h, x, v)
-        _commit_tangent(lane, k_tangent, tableau.c.size, commit)
-    h_next = minimum(maximum(h_next, h_min), load(lane, ln.H_MAX))
-    store(lane, ln.H, select(probing, h_asked, h_next))
-    store(
-        lane,
-        ln.FAILED,
-        select(probing, load(lane, ln.FAILED), select(accepted, simd.splat(0.0), 1.0)),
-    )
-    store(lane, ln.EXACT, select(probing, exact, 0.0))
-    passings = _wall_passings(x, x1, low, high)
-    if laws.is_located(law):
-        passings = simd.splat(0.0)  # counted where the step is cut: x is exactly on the wall there
-        dipped = ordinary & (h < 0.0)
-    _count(lane, commit, ~accepted & ~probing, passings)
+        tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h)
+        _commit_tangent(at, lane, commit)
+    h_next = minimum(maximum(walls.h_next, h_min), load(lane, at.h_max))
+    store(lane, at.h, select(probing, h_asked, h_next))
+    has_failed = select(accepted, simd.splat(0.0), 1.0)
+    store(lane, at.failed, select(probing, load(lane, at.failed), has_failed))
+    store(lane, at.exact, select(probing, exact, 0.0))
+    _count(at, lane, commit, ~accepted & ~probing)
 
-    recording = commit & (load(lane, ln.TURNS) + load(lane, ln.TAU) >= load(lane, ln.RECORD_TURNS))
-    eventful = passed_turn if settings[ln.S_SECTION_ONLY] > 0.0 else turns_back | passed_turn
-    if settings[ln.S_CONTACTS] > 0.0:
-        eventful = eventful | (passings > 0.0)
-    if settings[ln.S_DENSE] > 0.0:
-        eventful = commit
+    recording = commit & (load(lane, at.turns) + load(lane, at.tau) >= load(lane, at.record_turns))
+    eventful = commit
+    if settings[ln.S_DENSE] == 0.0:
+        eventful = passed_turn
+        if settings[ln.S_SECTION_ONLY] == 0.0:
+            eventful = passed_turn | _may_turn(at, lane, h, walls.turns_back)
+        elif at.is_free:
+            eventful = _hull(at, lane, 0, h).turns_back
+        if settings[ln.S_CONTACTS] > 0.0:
+            eventful = eventful | walls.passes
     return Outcome(
         simd.bits(commit),
         simd.bits(ended),
         simd.bits(failed),
         simd.bits(stopped),
         simd.bits(recording & eventful),
-        simd.bits(dipped),
+        simd.bits(walls.dipped),
     )

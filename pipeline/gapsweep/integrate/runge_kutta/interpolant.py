@@ -10,7 +10,7 @@ give.
 
 import numpy as np
 
-from gapsweep.integrate.jit import allocating
+from gapsweep.integrate.jit import internal
 
 MAX_DEPTH = 24
 STACK_SHAPE = (MAX_DEPTH + 2, 8)
@@ -20,7 +20,7 @@ _BINOMIAL = np.array([[1.0, 4.0, 6.0, 4.0, 1.0, 0.0], [1.0, 5.0, 10.0, 10.0, 5.0
 _THETA_TOLERANCE = 1e-10
 
 
-@allocating
+@internal
 def position_coefficients(h, x, v, a, x1, v1, a1, b):
     """Bernstein coefficients of the quintic Hermite interpolant of x, into `b` (6,)."""
     b[0], b[5] = x, x1
@@ -29,7 +29,7 @@ def position_coefficients(h, x, v, a, x1, v1, a1, b):
     b[3] = x1 - 0.4 * h * v1 + 0.05 * h * h * a1
 
 
-@allocating
+@internal
 def evaluate(b, theta):
     """Value of a quartic or quintic Bernstein polynomial at theta in [0, 1] (Farin's nested form:
     no copy, all terms of one scale).
@@ -43,19 +43,19 @@ def evaluate(b, theta):
     return value + power * theta * b[n]
 
 
-@allocating
+@internal
 def _sign_changes(b):
     """Sign changes of the coefficients, zeros skipped; and the last sign."""
     changes, sign = 0, 0.0
-    for value in b:
-        if value != 0.0:
-            here = 1.0 if value > 0.0 else -1.0
+    for j in range(b.size):
+        if b[j] != 0.0:
+            here = 1.0 if b[j] > 0.0 else -1.0
             changes += here == -sign
             sign = here
     return changes
 
 
-@allocating
+@internal
 def _monomials(b):
     """Power-basis coefficients, as six scalars, of a quartic or quintic Bernstein polynomial."""
     d1, d2, d3 = b[1] - b[0], b[2] - 2.0 * b[1] + b[0], b[3] - 3.0 * (b[2] - b[1]) - b[0]
@@ -66,7 +66,7 @@ def _monomials(b):
     return b[0], 5.0 * d1, 10.0 * d2, 10.0 * d3, 5.0 * d4, d5
 
 
-@allocating
+@internal
 def _single_root(b):
     """The one root of a polynomial with one sign change: Newton's method, kept inside a shrinking
     bracket.
@@ -93,7 +93,7 @@ def _single_root(b):
     return theta
 
 
-@allocating
+@internal
 def _halve(stack, top, n):
     """Replace the piece in row `top` by its right half, and put its left half on top of it."""
     for m in range(n):
@@ -102,7 +102,7 @@ def _halve(stack, top, n):
             stack[top, j] = 0.5 * (stack[top, j] + stack[top, j + 1])
 
 
-@allocating
+@internal
 def roots(b, found, stack):
     """Roots in (0, 1], ascending, into `found`; their number is returned.
 
@@ -114,7 +114,8 @@ def roots(b, found, stack):
     depth.
     """
     n, count, top = b.size, 0, 1
-    stack[0, :n] = b
+    for j in range(n):
+        stack[0, j] = b[j]
     stack[0, _START] = stack[0, _LEVEL] = 0.0
     while top > 0 and count < found.size:
         top -= 1
@@ -141,7 +142,7 @@ def roots(b, found, stack):
     return count
 
 
-@allocating
+@internal
 def derivative_coefficients(b, d):
     """Bernstein coefficients of the derivative with respect to theta, up to the factor of the
     degree.

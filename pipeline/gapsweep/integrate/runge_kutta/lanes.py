@@ -5,62 +5,130 @@ All state lives in two arrays, so the stepping loop can be left at any attempt (
 entered again, and its memory does not depend on the number of points or the length of a run.
 """
 
-import math
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
-from gapsweep.integrate.jit import entry
+from gapsweep.integrate.jit import entry, internal
+from gapsweep.integrate.taylor.layout import Layout
 
-from . import laws
+from . import parameters
 
-# --- rows of the float block `lane`, shape (N_ROWS, WIDTH) ---
-# Start of the next attempt.
-X, V, A, TAU, TURNS, H = range(6)
-# End of the last attempt (committed or not), and the start and length of that attempt.
-X1, V1, A1, OLD_X, OLD_V, OLD_A, OLD_TAU, OLD_TURNS, OLD_H = range(6, 15)
-# State to return to once the events of an accepted step are polished.
-KEPT_X, KEPT_V, KEPT_A, KEPT_TAU, KEPT_TURNS, KEPT_H = range(15, 21)
-# The point: constants of the equation, its clock, where it ends and where recording starts.
-FREQUENCY, PERIOD, FORCING, STIFFNESS, DAMPING, CUBIC = range(21, 27)
-PHASE_0, END_TURNS, END_TAU, RECORD_TURNS, H_MAX = range(27, 32)
-# Control: EXACT is 0 for an ordinary attempt, 1 for a probe (never committed), 2 for a landing
-# (committed, but its length is not the controller's); FAILED is 1 right after a rejection.
-EXACT, FAILED, H_SAVED, OUT_OF_RANGE = range(32, 36)
-N_STEPS, N_REJECTED, N_ATTEMPTS, N_CONTACTS = range(36, 40)
-# Tangent columns (dx, dv), and their values before the last attempt.
-TANGENT, OLD_TANGENT = 40, 44
-STEP_H = 48  # length of the step whose events are being polished
-H_MIN = 49  # shortest step that makes progress
-NEXT_WHOLE = 50  # the whole turn whose section point is recorded next
-PASSED_AT = 51  # time within that step of the last wall passing
-REACH = 52  # largest |x| at the start and at the ends of steps
-N_ROWS = 53
+# Events that a step can hold of one coordinate or gap: so many extrema, and both walls passed
+# between any two of them. (Its section points, which may be more, are not listed.)
+MAX_TURNS = 8
+
+# What the equation of motion needs, as the exact kernel has it.
+EQUATION = (
+    *("omega", "period", "stiffness", "damping", "lag_force", "of_speed", "of_place", "of_lag"),
+    *("cubic", "along", "pull", "direction", "push", "multiple", "phase"),
+    *("depth", "depth_multiple", "depth_phase"),
+)
+
+
+@dataclass(frozen=True)
+class Rows(Layout):
+    """First rows of what is kept of a point in the float block `lane`, shape (n_rows, WIDTH)."""
+
+    @classmethod
+    def of(cls, at: Layout) -> "Rows":
+        """The rows of a system's points."""
+        return cls(**{each.name: getattr(at.bare, each.name) for each in fields(Layout)})
+
+    @cached_property
+    def blocks(self) -> dict[str, int]:
+        """Number of rows of every block."""
+        n, m, k, s = self.n, self.m, self.contacts, self.n_states
+        several = not self.is_plain
+        equation = Layout.blocks.func(self)
+        return {
+            # Start of the next attempt: state, its derivative (of speeds, and of lags), clock.
+            **{"q": n, "v": n, "z": m, "a": n, "w": m, "tau": 1, "turns": 1, "h": 1},
+            # Where the clock starts and ends, where recording starts, shortest and longest step.
+            **dict.fromkeys(("phase_0", "end_turns", "end_tau", "record_turns"), 1),
+            **{"h_min": 1, "h_max": 1},
+            **{name: equation[name] for name in EQUATION},
+            # A point of the table has all rows up to here. End of the last attempt, committed or
+            # not, and its start and length.
+            **{"q_1": n, "v_1": n, "z_1": m, "a_1": n, "w_1": m},
+            **{"old_q": n, "old_v": n, "old_z": m, "old_a": n, "old_w": m},
+            **{"old_tau": 1, "old_turns": 1, "old_h": 1},
+            # State to return to once the events of an accepted step are polished.
+            "kept": self.n_start,
+            # Gaps of several contacts, their speeds and accelerations, at both ends of it.
+            **{"gap_0": 3 * k * several, "gap_1": 3 * k * several},
+            # Control: `exact` is 0 for an ordinary attempt, 1 for a probe (never committed), 2 for
+            # a landing (committed, but its length is not the controller's); `failed` is 1 right
+            # after a rejection.
+            **dict.fromkeys(("exact", "failed", "h_saved", "out_of_range"), 1),
+            **dict.fromkeys(("n_steps", "n_rejected", "n_attempts"), 1),
+            "n_contacts": k,
+            # Tangent columns, and their values before the last attempt.
+            **{"tangent_state": s * s, "old_tangent": s * s},
+            # Of the step whose events are being polished: its length, the whole turn whose section
+            # point is recorded next, and when every contact has passed a wall last.
+            **{"step_h": 1, "next_whole": 1, "passed_at": k},
+            "reach": n,  # largest |q| at the start and at the ends of steps
+            # Of a stage of a system: state, cosines of loads; of every contact its gap, its force
+            # (or slope, or denominator) and by what its stiffness is multiplied; of every cubic
+            # spring the cube, and three squares.
+            **{"stage": s * several, "cosine": self.harmonics * several},
+            **{"gap": k, "force": k, "rate": k * several},
+            **{"cube": self.cubics * several, "bend": self.cubics * several},
+        }
+
+    @property
+    def n_start(self) -> int:
+        """Rows of the start of an attempt."""
+        return self.n_states + self.n_rates + 3
+
+    @property
+    def n_rates(self) -> int:
+        """Numbers of a stage that are kept: accelerations, and rates of first-order states."""
+        return self.n + self.m
+
+    @property
+    def n_columns(self) -> int:
+        """Rows that a point of the table fills; its laws' parameters follow."""
+        return self.first["q_1"]
+
+    @property
+    def gaps_from(self) -> int:
+        """Number of the first gap among what turns: coordinates, then a system's gaps."""
+        return 0 if self.is_plain else self.n
+
+    @property
+    def max_probes(self) -> int:
+        """As many as a step can hold."""
+        return self.n_turning * MAX_TURNS + self.contacts * 2 * (MAX_TURNS + 1)
+
+    @property
+    def n_results(self) -> int:
+        """Columns of the result table."""
+        return R_STATE + self.n_states + self.n_states**2 + self.n
+
+    @property
+    def n_event_columns(self) -> int:
+        """Columns of the event buffer."""
+        return E_STATE + self.n_states
+
+
+PLAIN = Rows.of(Layout())
 
 # --- rows of the integer block `lane_int`, shape (N_INT_ROWS, WIDTH) ---
 # LANDING: 1 while a step is being cut; LANDED: 1 when it has arrived and the contact mode must
 # flip.
-# KIND: of the event that is being probed.
-MODE, POINT, N_PROBES, PROBE, TRIES, LANDING, LANDED, KIND = range(8)
-N_INT_ROWS = 8
-# --- rows of the probe block, shape (2 * MAX_PROBES, WIDTH): theta, then kind ---
-# As many as a step can hold: MAX_TURNS extrema, and both walls passed between any two of them. (Its
-# section points, which may be more, are not listed.)
-MAX_TURNS = 8
-MAX_PROBES = MAX_TURNS + 2 * (MAX_TURNS + 1)
+# KIND, WHICH: of the event that is being probed.
+MODE, POINT, N_PROBES, PROBE, TRIES, LANDING, LANDED, KIND, WHICH = range(9)
+N_INT_ROWS = 9
+# The probe block has shape (3 * max_probes, WIDTH): theta, kind, and of which coordinate or gap.
 
 # Modes of a lane.
 IDLE, START, STEPPING, PROBING = range(4)
 
-# --- columns of the point table, shape (n_points, N_COLUMNS) ---
-P_X, P_V, P_FREQUENCY, P_PHASE, P_END_TURNS, P_END_TAU, P_RECORD, P_FORCING = range(8)
-P_STIFFNESS, P_DAMPING, P_CUBIC, P_LAW = range(8, 12)
-N_COLUMNS = P_LAW + laws.N_PARAMETERS
-
-# --- columns of the result table ---
-(R_STATUS, R_X, R_V, R_LEFT, R_CONTACTS, R_STEPS, R_REJECTED, R_NFEV) = range(8)
-R_TANGENT = 8
-R_REACH = 12
-N_RESULTS = 13
+# --- columns of the result table; the state is followed by the tangent and the reach ---
+(R_STATUS, R_LEFT, R_CONTACTS, R_STEPS, R_REJECTED, R_NFEV, R_STATE) = range(7)
 
 # --- settings vector ---
 (
@@ -80,8 +148,9 @@ N_RESULTS = 13
 N_SETTINGS = 12
 
 # --- columns of the event buffer, and kinds of records ---
-(E_KIND, E_POINT, E_T, E_X, E_V, E_H, E_TAU) = range(7)
-N_EVENT_COLUMNS = 7
+# WHICH: of an extremum the coordinate or, after all coordinates, the gap, whose value stands where
+# others have the state; of a contact which one.
+(E_KIND, E_POINT, E_T, E_H, E_TAU, E_WHICH, E_STATE) = range(7)
 # A probe says which wall it aims at; a record is a CONTACT at either.
 EXTREMUM, SECTION, STEP, CONTACT, CONTACT_LOW = range(5)
 
@@ -99,86 +168,101 @@ OK, OUT_OF_FIT_RANGE, DIVERGED, MODEL_INVALID, STEP_UNDERFLOW, CHATTER, TIMED_OU
     8,
 )
 
-_CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
 
-
-def aligned(rows, width):
+def aligned(*shape):
     """A zeroed float64 array whose rows of one vector start on cache lines."""
-    raw = np.zeros(rows * width + 8)
+    size = int(np.prod(shape))
+    raw = np.zeros(size + 8)
     skip = (-raw.__array_interface__["data"][0] // 8) % 8
-    return raw[skip : skip + rows * width].reshape(rows, width)
+    return raw[skip : skip + size].reshape(shape)
 
 
-@entry
-def elapsed(lane, i):
+@internal
+def ends(at, which):
+    """Rows of place, speed and acceleration of a coordinate or a gap: at the start of the last
+    attempt, then at its end.
+    """
+    if which < at.n:
+        old, new = at.old_q + which, at.q_1 + which
+        to_v, to_a = at.n, at.n_states
+    else:
+        old, new = at.gap_0 + which - at.n, at.gap_1 + which - at.n
+        to_v, to_a = at.contacts, 2 * at.contacts
+    return old, old + to_v, old + to_a, new, new + to_v, new + to_a
+
+
+@internal
+def elapsed(at, lane, i):
     """Seconds since the point's start, from its count of forcing turns."""
-    return (lane[TURNS, i] + (lane[TAU, i] - lane[PHASE_0, i])) * lane[PERIOD, i]
+    return (lane[at.turns, i] + (lane[at.tau, i] - lane[at.phase_0, i])) * lane[at.period, i]
 
 
-@entry
-def remaining(lane, i):
+@internal
+def remaining(at, lane, i):
     """Seconds to the point's end."""
-    return ((lane[END_TURNS, i] - lane[TURNS, i]) + (lane[END_TAU, i] - lane[TAU, i])) * lane[
-        PERIOD, i
-    ]
+    turns = lane[at.end_turns, i] - lane[at.turns, i]
+    return (turns + (lane[at.end_tau, i] - lane[at.tau, i])) * lane[at.period, i]
 
 
-@entry
-def begin_start(lane, lane_int, i):
-    """Next attempt of the lane: length zero, whose last stage is the acceleration at the start."""
-    lane[A, i] = 0.0
-    lane[H, i] = 0.0
-    lane[EXACT, i] = 1.0
-    lane[FAILED, i] = 0.0
+@internal
+def begin_start(at, lane, lane_int, i):
+    """Next attempt of the lane: length zero, whose last stage is the derivative at the start."""
+    for j in range(at.n_rates):
+        lane[at.a + j, i] = 0.0
+    lane[at.h, i] = 0.0
+    lane[at.exact, i] = 1.0
+    lane[at.failed, i] = 0.0
     lane_int[MODE, i] = START
 
 
-@entry
-def load_point(lane, lane_int, q, table, point, i):
+@internal
+def load_point(at, lane, lane_int, q, table, point, i):
     """Put a point into a lane."""
-    lane[:, i] = 0.0
     row = table[point]
-    lane[X, i], lane[V, i] = row[P_X], row[P_V]
-    lane[REACH, i] = abs(row[P_X])
-    lane[TAU, i] = lane[PHASE_0, i] = row[P_PHASE]
-    lane[FREQUENCY, i], lane[PERIOD, i] = row[P_FREQUENCY], 1.0 / row[P_FREQUENCY]
-    lane[END_TURNS, i], lane[END_TAU, i] = row[P_END_TURNS], row[P_END_TAU]
-    lane[RECORD_TURNS, i] = row[P_RECORD]
-    fastest = max(row[P_FREQUENCY], math.sqrt(row[P_STIFFNESS]))
-    # A clock that starts at a phase cannot tell shorter steps from none.
-    lane[H_MIN, i] = max(1e-17 / fastest, _CLOCK_ROUNDING * row[P_PHASE] * lane[PERIOD, i])
-    lane[FORCING, i], lane[STIFFNESS, i] = row[P_FORCING], row[P_STIFFNESS]
-    lane[DAMPING, i], lane[CUBIC, i] = row[P_DAMPING], row[P_CUBIC]
-    lane[TANGENT, i] = lane[TANGENT + 3, i] = 1.0
-    for k in range(laws.N_PARAMETERS):
-        q[k, i] = row[P_LAW + k]
-    lane_int[:, i] = 0
+    for j in range(at.n_rows):
+        lane[j, i] = row[j] if j < at.n_columns else 0.0
+    for j in range(at.n):
+        lane[at.reach + j, i] = abs(row[at.q + j])
+    for j in range(at.n_states):
+        lane[at.tangent_state + j * (at.n_states + 1), i] = 1.0
+    for contact in range(at.contacts):
+        for j in range(parameters.N_PARAMETERS):
+            q[contact, j, i] = row[at.n_columns + contact * parameters.N_PARAMETERS + j]
+    for j in range(N_INT_ROWS):
+        lane_int[j, i] = 0
     lane_int[POINT, i] = point
-    begin_start(lane, lane_int, i)
+    begin_start(at, lane, lane_int, i)
 
 
 @entry
-def load_first_points(lane, lane_int, q, table, queue):
+def load_first_points(at, lane, lane_int, q, table, queue):
     """Put the first of a queue of points into the lanes, as many as there are of both."""
     n = min(lane.shape[1], len(queue))
     for i in range(n):
-        load_point(lane, lane_int, q, table, queue[i], i)
+        load_point(at, lane, lane_int, q, table, queue[i], i)
     return n
 
 
-@entry
-def unload_point(lane, lane_int, results, status, n_new_stages, i):
+@internal
+def unload_point(at, lane, lane_int, results, status, n_new_stages, i):
     """Write the point's end state and counters; the lane is then free."""
     row = results[lane_int[POINT, i]]
-    left_range = lane[OUT_OF_RANGE, i] > 0.0 and (status in (OK, DIVERGED, STEP_UNDERFLOW))
+    left_range = lane[at.out_of_range, i] > 0.0 and (status in (OK, DIVERGED, STEP_UNDERFLOW))
     row[R_STATUS] = OUT_OF_FIT_RANGE if left_range else status
-    row[R_X], row[R_V], row[R_LEFT] = lane[X, i], lane[V, i], remaining(lane, i)
-    # Below zero: the start lies on a wall and has not left it.
-    row[R_CONTACTS], row[R_STEPS] = max(lane[N_CONTACTS, i], 0.0), lane[N_STEPS, i]
-    row[R_REJECTED], row[R_NFEV] = lane[N_REJECTED, i], lane[N_ATTEMPTS, i] * n_new_stages
-    row[R_REACH] = lane[REACH, i]
-    for k in range(4):
-        row[R_TANGENT + k] = lane[TANGENT + k, i]
+    row[R_LEFT] = remaining(at, lane, i)
+    for contact in range(at.contacts):
+        # Below zero: the start lies on a wall and has not left it.
+        row[R_CONTACTS] += max(lane[at.n_contacts + contact, i], 0.0)
+    row[R_STEPS], row[R_REJECTED] = lane[at.n_steps, i], lane[at.n_rejected, i]
+    row[R_NFEV] = lane[at.n_attempts, i] * n_new_stages
+    for j in range(at.n_states):
+        row[R_STATE + j] = lane[at.q + j, i]
+    first = R_STATE + at.n_states
+    for j in range(at.n_states * at.n_states):
+        row[first + j] = lane[at.tangent_state + j, i]
+    first += at.n_states * at.n_states
+    for j in range(at.n):
+        row[first + j] = lane[at.reach + j, i]
     lane_int[MODE, i] = IDLE
-    lane[H, i] = 0.0
-    lane[EXACT, i] = 1.0
+    lane[at.h, i] = 0.0
+    lane[at.exact, i] = 1.0

@@ -7,7 +7,7 @@ from gapsweep.integrate import simd
 from gapsweep.integrate.jit import entry
 
 from . import lanes as ln
-from . import laws
+from . import laws, parameters
 from .attempt import attempt
 from .lanes import load_first_points, load_point, unload_point
 from .probing import new_scratch
@@ -21,7 +21,8 @@ _DONE, _PAUSED = 0, 1
 
 
 def _advance(
-    law,
+    at,
+    kinds,
     tableau,
     lane,
     lane_int,
@@ -41,13 +42,13 @@ def _advance(
 
     All state is in the arguments, so calling again goes on where this call left off.
     """
-    is_located = laws.is_located(law)
+    is_located = laws.is_located(kinds)
     all_lanes = (np.int64(1) << simd.WIDTH) - 1
     watched = all_lanes  # lanes that are not simply stepping
     for _ in range(_ATTEMPTS_PER_CALL):
         if counters[ln.N_EVENTS] > events.shape[0] - 3 * simd.WIDTH:
             return _PAUSED
-        outcome = attempt(law, q, lane, tableau, k, k_tangent, settings)
+        outcome = attempt(at, kinds, q, lane, tableau, k, k_tangent, settings)
         attention = (
             watched
             | outcome.ended
@@ -63,6 +64,7 @@ def _advance(
         for i in range(simd.WIDTH):
             if (attention >> i) & 1 and lane_int[ln.MODE, i] != ln.IDLE:
                 status = attend(
+                    at,
                     lane,
                     lane_int,
                     q,
@@ -76,9 +78,10 @@ def _advance(
                     i,
                 )
                 if status >= 0:
-                    unload_point(lane, lane_int, results, status, tableau.c.size - 1, i)
+                    unload_point(at, lane, lane_int, results, status, tableau.c.size - 1, i)
                     if counters[ln.NEXT_POINT] < table.shape[0]:
-                        load_point(lane, lane_int, q, table, queue[counters[ln.NEXT_POINT]], i)
+                        point = queue[counters[ln.NEXT_POINT]]
+                        load_point(at, lane, lane_int, q, table, point, i)
                         counters[ln.NEXT_POINT] += 1
             n_idle += lane_int[ln.MODE, i] == ln.IDLE
             # An idle lane repeats attempts of length zero; nobody looks at it any more.
@@ -95,49 +98,38 @@ _advance_cached = entry(_advance)
 _advance_user = njit(nogil=True)(_advance)
 
 
-def drained(law, tableau, table, queue, settings):
+def drained(at, kinds, tableau, table, queue, settings):
     """Result table and records of a point table; the queue says in which order they are loaded."""
     width, n_stages = simd.WIDTH, tableau.c.size
-    lane, q = ln.aligned(ln.N_ROWS, width), ln.aligned(laws.N_PARAMETERS, width)
+    lane, q = ln.aligned(at.n_rows, width), ln.aligned(at.contacts, parameters.N_PARAMETERS, width)
     lane_int = np.zeros((ln.N_INT_ROWS, width), np.int64)
-    k, k_tangent = ln.aligned(n_stages, width), ln.aligned(2 * n_stages + 4, width)
-    probes, scratch = np.zeros((2 * ln.MAX_PROBES, width)), new_scratch()
-    records_on = settings[ln.S_DENSE] > 0.0 or bool(np.any(np.isfinite(table[:, ln.P_RECORD])))
+    k = ln.aligned(n_stages * at.n_rates, width)
+    k_tangent = ln.aligned(at.n_states * n_stages * at.n_rates, width)
+    probes, scratch = np.zeros((3 * at.max_probes, width)), new_scratch()
+    records_on = settings[ln.S_DENSE] > 0.0 or bool(np.any(np.isfinite(table[:, at.record_turns])))
     rows = max(
         _BUFFER_ROWS if records_on else 0, 4 * width
     )  # one attempt writes up to 3 rows per lane
-    events = np.empty((rows, ln.N_EVENT_COLUMNS))
+    events = np.empty((rows, at.n_event_columns))
     counters = np.zeros(2, np.int64)
-    results = np.zeros((len(table), ln.N_RESULTS))
-    lane[ln.EXACT] = 1.0
-    lane[ln.PERIOD] = 1.0
-    counters[ln.NEXT_POINT] = load_first_points(lane, lane_int, q, table, queue)
+    results = np.zeros((len(table), at.n_results))
+    lane[at.exact] = 1.0
+    lane[at.period] = 1.0
+    counters[ln.NEXT_POINT] = load_first_points(at, lane, lane_int, q, table, queue)
     # An idle lane computes along with length zero; harmless numbers keep it off the slow paths.
-    q[:, len(table) :] = q[:, :1]
-    advance = _advance_user if isinstance(law, laws.User) else _advance_cached
+    q[..., len(table) :] = q[..., :1]
+    is_users = any(isinstance(kind, laws.User) for kind in kinds)
+    advance = _advance_user if is_users else _advance_cached
+    work = k, k_tangent, probes, scratch, events, counters
     parts, state = [], _PAUSED
     while state != _DONE:
         state = advance(
-            law,
-            tableau,
-            lane,
-            lane_int,
-            q,
-            k,
-            k_tangent,
-            probes,
-            scratch,
-            events,
-            counters,
-            table,
-            queue,
-            results,
-            settings,
+            at, kinds, tableau, lane, lane_int, q, *work, table, queue, results, settings
         )
         if counters[ln.N_EVENTS]:
             parts.append(events[: counters[ln.N_EVENTS]].copy())
             counters[ln.N_EVENTS] = 0
     if not parts:
-        return results, np.empty((0, ln.N_EVENT_COLUMNS))
+        return results, np.empty((0, at.n_event_columns))
     records = np.concatenate(parts)
     return results, records.take(np.argsort(records[:, ln.E_POINT], kind="stable"), axis=0)

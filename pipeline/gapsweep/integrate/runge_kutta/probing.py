@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.jit import allocating
+from gapsweep.integrate.jit import internal
 
 from . import lanes as ln
-from . import laws
+from . import parameters
 from .interpolant import (
     STACK_SHAPE,
     derivative_coefficients,
@@ -42,196 +42,238 @@ def new_scratch():
 # A probe this close to the extremum (in units of the step) leaves the parabola through it exact to
 # rounding.
 CLOSE_ENOUGH = 1e-5
+CLOSE_TO_RETURN = 1e-8
 MAX_TRIES = 8
 
 
-@allocating
-def coefficients(lane, b, i):
-    """Interpolant of the last attempt: x into b[:6], its derivative into b[6:]."""
+@internal
+def coefficients(at, lane, b, which, i):
+    """Interpolant of a coordinate or a gap over the last attempt: x into b[:6], its derivative into
+    b[6:].
+    """
+    r = ln.ends(at, which)
     position_coefficients(
-        lane[ln.OLD_H, i], lane[ln.OLD_X, i], lane[ln.OLD_V, i], lane[ln.OLD_A, i],
-        lane[ln.X1, i], lane[ln.V1, i], lane[ln.A1, i], b,
+        lane[at.old_h, i], lane[r[0], i], lane[r[1], i], lane[r[2], i],
+        lane[r[3], i], lane[r[4], i], lane[r[5], i], b,
     )  # fmt: skip
     derivative_coefficients(b, b[6:])
 
 
-@allocating
-def passings(q, before, after, i):
-    low, high = q[laws.WALL_LOW, i], q[laws.WALL_HIGH, i]
+@internal
+def passings(q, before, after, contact, i):
+    low, high = q[contact, parameters.WALL_LOW, i], q[contact, parameters.WALL_HIGH, i]
     return int((before > high) != (after > high)) + int((before < low) != (after < low))
 
 
-@allocating
-def count_dips(lane, q, scratch, i):
-    """Wall passings inside a step (and leaving of a fit's range) that its ends do not tell of."""
-    b, found = scratch.b, scratch.found
-    coefficients(lane, b, i)
-    n = roots(b[6:], found, scratch.stack)
-    before = lane[ln.OLD_X, i]
-    total = -passings(q, before, lane[ln.X1, i], i)
-    for m in range(n + 1):
-        after = evaluate(b[:6], found[m]) if m < n else lane[ln.X1, i]
-        total += passings(q, before, after, i)
-        if q[laws.RANGE, i] > 0.0 and abs(after) > q[laws.RANGE, i]:
-            lane[ln.OUT_OF_RANGE, i] = 1.0
+@internal
+def step_passings(at, lane, q, contact, i):
+    """How many walls of a contact lie between both ends of the last attempt."""
+    rows = ln.ends(at, at.gaps_from + contact)
+    return passings(q, lane[rows[0], i], lane[rows[3], i], contact, i)
+
+
+@internal
+def _passings_between_turns(at, lane, q, scratch, n_turns, contact, i):
+    """Walls passed in the last attempt by the pieces into which turns in `scratch` divide it; and
+    whether one leaves the range of a fit.
+    """
+    rows, range_ = ln.ends(at, at.gaps_from + contact), q[contact, parameters.RANGE, i]
+    before, total, leaves = lane[rows[0], i], 0, False
+    for m in range(n_turns + 1):
+        after = evaluate(scratch.b[:6], scratch.found[m]) if m < n_turns else lane[rows[3], i]
+        total += passings(q, before, after, contact, i)
+        leaves = leaves or (range_ > 0.0 and abs(after - q[contact, parameters.CENTRE, i]) > range_)
         before = after
-    lane[ln.N_CONTACTS, i] += total
-    return total
+    return total, leaves
+
+
+@internal
+def count_dips(at, lane, q, scratch, contact, i):
+    """Wall passings inside a step (and leaving of a fit's range) that its ends do not tell of."""
+    coefficients(at, lane, scratch.b, at.gaps_from + contact, i)
+    n = roots(scratch.b[6:], scratch.found, scratch.stack)
+    total, leaves = _passings_between_turns(at, lane, q, scratch, n, contact, i)
+    if leaves:
+        lane[at.out_of_range, i] = 1.0
+    lane[at.n_contacts + contact, i] += total - step_passings(at, lane, q, contact, i)
 
 
 # --- records --------------------------------------------------------------------------------------
 
 
-@allocating
-def record(lane, lane_int, events, counters, kind, t, x, v, i):
-    row = events[counters[ln.N_EVENTS]]
-    row[ln.E_KIND], row[ln.E_POINT] = kind, lane_int[ln.POINT, i]
-    row[ln.E_T], row[ln.E_X], row[ln.E_V] = t, x, v
-    row[ln.E_H], row[ln.E_TAU] = lane[ln.OLD_H, i], lane[ln.OLD_TAU, i]
+@internal
+def record(at, lane, lane_int, events, counters, kind, t, which, state, i):
+    """A record with the state in rows from `state` on."""
+    row = _begin_record(at, lane, lane_int, events, counters, kind, t, which, i)
+    for j in range(at.n_states):
+        events[row, ln.E_STATE + j] = lane[state + j, i]
+
+
+@internal
+def _begin_record(at, lane, lane_int, events, counters, kind, t, which, i):
+    """Number of a new row, whose state is left to the caller."""
+    row = counters[ln.N_EVENTS]
+    events[row, ln.E_KIND], events[row, ln.E_POINT] = kind, lane_int[ln.POINT, i]
+    events[row, ln.E_T], events[row, ln.E_WHICH] = t, which
+    events[row, ln.E_H], events[row, ln.E_TAU] = lane[at.old_h, i], lane[at.old_tau, i]
     counters[ln.N_EVENTS] += 1
+    return row
 
 
-@allocating
-def is_recording(lane, t, i):
+@internal
+def is_recording(at, lane, t, i):
     """Whether time t (since the start) lies in the recorded part, to rounding."""
-    turns = t * lane[ln.FREQUENCY, i] + lane[ln.PHASE_0, i]
-    return turns >= lane[ln.RECORD_TURNS, i] - 1e-12 * abs(turns)
+    turns = t * lane[at.omega, i] + lane[at.phase_0, i]
+    return turns >= lane[at.record_turns, i] - 1e-12 * abs(turns)
 
 
-@allocating
-def _add_probe(lane_int, probes, theta, kind, i):
+@internal
+def _add_probe(at, lane_int, probes, theta, kind, which, i):
     """Insert a probe in order of time."""
     n = lane_int[ln.N_PROBES, i]
-    j = n
+    j, size = n, at.max_probes
     while j > 0 and probes[j - 1, i] > theta:
-        probes[j, i], probes[ln.MAX_PROBES + j, i] = (
-            probes[j - 1, i],
-            probes[ln.MAX_PROBES + j - 1, i],
-        )
+        for row in (j, size + j, 2 * size + j):
+            probes[row, i] = probes[row - 1, i]
         j -= 1
-    probes[j, i], probes[ln.MAX_PROBES + j, i] = theta, kind
+    probes[j, i], probes[size + j, i], probes[2 * size + j, i] = theta, kind, which
     lane_int[ln.N_PROBES, i] = n + 1
 
 
-@allocating
-def _is_outside(x, q, kind, i):
-    return x > q[laws.WALL_HIGH, i] if kind == ln.CONTACT else x < q[laws.WALL_LOW, i]
+@internal
+def _is_outside(x, q, kind, contact, i):
+    if kind == ln.CONTACT:
+        return x > q[contact, parameters.WALL_HIGH, i]
+    return x < q[contact, parameters.WALL_LOW, i]
 
 
-@allocating
-def _passing(b, q, kind, left, right, i):
+@internal
+def _passing(b, q, kind, contact, left, right, i):
     """Theta between `left` and `right`, which lie on different sides of a wall, where it is
     passed.
     """
-    was_outside = _is_outside(evaluate(b[:6], left), q, kind, i)
+    was_outside = _is_outside(evaluate(b[:6], left), q, kind, contact, i)
     for _ in range(20):
         middle = 0.5 * (left + right)
-        if _is_outside(evaluate(b[:6], middle), q, kind, i) == was_outside:
+        if _is_outside(evaluate(b[:6], middle), q, kind, contact, i) == was_outside:
             left = middle
         else:
             right = middle
     return 0.5 * (left + right)
 
 
-@allocating
-def _plan_contacts(lane, lane_int, q, probes, scratch, n_turns, n_skipped, i):
-    """List the wall passings of the accepted step, exactly those that were counted."""
-    b, found = scratch.b, scratch.found
-    left, before = 0.0, lane[ln.OLD_X, i]
+@internal
+def _plan_contacts(at, lane, lane_int, q, probes, scratch, n_turns, contact, i):
+    """List a contact's wall passings of the accepted step, exactly those that were counted."""
+    b, found, rows = scratch.b, scratch.found, ln.ends(at, at.gaps_from + contact)
+    n_passed, _ = _passings_between_turns(at, lane, q, scratch, n_turns, contact, i)
+    # The count is below zero until a start has left its wall.
+    n_skipped = n_passed - lane[at.n_contacts + contact, i]
+    left, before = 0.0, lane[rows[0], i]
     for m in range(n_turns + 1):
-        right, after = 1.0, lane[ln.X1, i]
+        right, after = 1.0, lane[rows[3], i]
         if m < n_turns:
             right, after = found[m], evaluate(b[:6], found[m])
         for kind in (ln.CONTACT, ln.CONTACT_LOW):
-            if _is_outside(before, q, kind, i) == _is_outside(after, q, kind, i):
+            outside = _is_outside(before, q, kind, contact, i)
+            if outside == _is_outside(after, q, kind, contact, i):
                 continue
             if n_skipped > 0:
                 n_skipped -= 1
                 continue
-            _add_probe(lane_int, probes, _passing(b, q, kind, left, right, i), kind, i)
+            theta = _passing(b, q, kind, contact, left, right, i)
+            _add_probe(at, lane_int, probes, theta, kind, contact, i)
         left, before = right, after
 
 
-@allocating
-def plan_probes(lane, lane_int, q, probes, scratch, section_only, n_passed, has_dipped, i):
-    """List the extrema inside the accepted step, and its wall passings if there are any to list."""
+@internal
+def plan_probes(
+    at, lane, lane_int, q, probes, scratch, section_only, lists_passings, has_dipped, i
+):
+    """List the extrema inside the accepted step, and its wall passings if they are asked for.
+
+    Where nothing forces the motion, its section points are maxima of the first coordinate.
+    """
     lane_int[ln.N_PROBES, i] = lane_int[ln.PROBE, i] = lane_int[ln.TRIES, i] = 0
-    lane[ln.PASSED_AT, i] = 0.0
-    lane[ln.NEXT_WHOLE, i] = max(
-        lane[ln.OLD_TURNS, i] + 1.0, np.ceil(lane[ln.RECORD_TURNS, i] - 1e-9)
-    )
+    for contact in range(at.contacts):
+        lane[at.passed_at + contact, i] = 0.0
+    whole = max(lane[at.old_turns, i] + 1.0, np.ceil(lane[at.record_turns, i] - 1e-9))
+    lane[at.next_whole, i] = np.inf if at.is_free else whole
+    n_turning = at.n_turning
     if section_only:
-        return
-    b, found = scratch.b, scratch.found
-    coefficients(lane, b, i)
-    n_turns = roots(b[6:], found, scratch.stack)
-    for m in range(n_turns):
-        _add_probe(lane_int, probes, found[m], ln.EXTREMUM, i)
-    if n_passed > 0:
-        # The count is below zero until a start has left its wall.
-        n_skipped = n_passed - lane[ln.N_CONTACTS, i]
-        n_turns = n_turns if has_dipped else 0
-        _plan_contacts(lane, lane_int, q, probes, scratch, n_turns, n_skipped, i)
+        n_turning = 1 if at.is_free else 0
+    for which in range(n_turning):
+        coefficients(at, lane, scratch.b, which, i)
+        n_turns = roots(scratch.b[6:], scratch.found, scratch.stack)
+        for m in range(n_turns):
+            _add_probe(at, lane_int, probes, scratch.found[m], ln.EXTREMUM, which, i)
+        if which >= at.gaps_from and lists_passings and not section_only:
+            n_pieces = n_turns if has_dipped else 0
+            contact = which - at.gaps_from
+            _plan_contacts(at, lane, lane_int, q, probes, scratch, n_pieces, contact, i)
 
 
-@allocating
-def _section_theta(lane, i):
+@internal
+def _section_theta(at, lane, i):
     """Where in the accepted step the next section point lies; above 1 if in a later one."""
-    whole = lane[ln.NEXT_WHOLE, i]
-    if whole > lane[ln.KEPT_TURNS, i]:
+    whole = lane[at.next_whole, i]
+    if whole > lane[at.kept + at.turns, i]:
         return 2.0
-    until = ((whole - lane[ln.OLD_TURNS, i]) - lane[ln.OLD_TAU, i]) * lane[ln.PERIOD, i]
-    return min(until / lane[ln.STEP_H, i], 1.0)
+    until = ((whole - lane[at.old_turns, i]) - lane[at.old_tau, i]) * lane[at.period, i]
+    return min(until / lane[at.step_h, i], 1.0)
 
 
-@allocating
-def _send_probe(lane, lane_int, probes, i):
+@internal
+def _send_probe(at, lane, lane_int, probes, i):
     """Send the probe of the next event, in order of time; false if the step holds no more.
 
     A step may pass any number of whole turns, so their section points are not listed.
     """
-    j, theta = lane_int[ln.PROBE, i], _section_theta(lane, i)
+    j, theta, size = lane_int[ln.PROBE, i], _section_theta(at, lane, i), at.max_probes
     is_listed = j < lane_int[ln.N_PROBES, i]
     kind = ln.SECTION
     if is_listed and probes[j, i] < theta:
-        theta, kind = probes[j, i], int(probes[ln.MAX_PROBES + j, i])
+        theta, kind = probes[j, i], int(probes[size + j, i])
+        lane_int[ln.WHICH, i] = int(probes[2 * size + j, i])
     lane_int[ln.KIND, i] = kind
     lane_int[ln.TRIES, i] = 0
-    lane[ln.H, i] = theta * lane[ln.STEP_H, i]
+    lane[at.h, i] = theta * lane[at.step_h, i]
     return theta <= 1.0
 
 
-@allocating
-def begin_probing(lane, lane_int, probes, i):
+@internal
+def begin_probing(at, lane, lane_int, probes, i):
     """Set the lane back to the start of the step and send the first probe; false if there is
     none.
     """
-    for offset in range(6):
-        lane[ln.KEPT_X + offset, i] = lane[ln.X + offset, i]
-    lane[ln.STEP_H, i] = lane[ln.OLD_H, i]
-    if not _send_probe(lane, lane_int, probes, i):
-        lane[ln.H, i] = lane[ln.KEPT_H, i]
+    for j in range(at.n_start):
+        lane[at.kept + j, i] = lane[at.q + j, i]
+    lane[at.step_h, i] = lane[at.old_h, i]
+    if not _send_probe(at, lane, lane_int, probes, i):
+        lane[at.h, i] = lane[at.kept + at.h, i]
         return False
-    return_to_start(lane, i)
-    lane[ln.EXACT, i] = 1.0
+    return_to_start(at, lane, i)
+    lane[at.exact, i] = 1.0
     lane_int[ln.MODE, i] = ln.PROBING
     return True
 
 
-@allocating
-def return_to_start(lane, i):
-    for offset in range(5):
-        lane[ln.X + offset, i] = lane[ln.OLD_X + offset, i]
+@internal
+def return_to_start(at, lane, i):
+    for j in range(at.n_start - 1):
+        lane[at.q + j, i] = lane[at.old_q + j, i]
 
 
-@allocating
-def _neighbours(lane, lane_int, probes, i):
+@internal
+def _neighbours(at, lane, lane_int, probes, i):
     """Times within the step between which the probed wall passing lies: the extremum or passing
     before it, and the extremum after it.
     """
-    low, step = lane[ln.PASSED_AT, i], lane[ln.STEP_H, i]
+    which, step, size = lane_int[ln.WHICH, i], lane[at.step_h, i], at.max_probes
+    low = lane[at.passed_at + which, i]
     for j in range(lane_int[ln.N_PROBES, i]):
-        if probes[ln.MAX_PROBES + j, i] == ln.EXTREMUM:
+        is_its = probes[2 * size + j, i] == at.gaps_from + which
+        if is_its and probes[size + j, i] == ln.EXTREMUM:
             turn = max(low, probes[j, i] * step)
             if j > lane_int[ln.PROBE, i]:
                 return low, turn
@@ -239,50 +281,92 @@ def _neighbours(lane, lane_int, probes, i):
     return low, step
 
 
-@allocating
-def _improved(lane, lane_int, q, probes, i):
+@internal
+def _improved(at, lane, lane_int, q, probes, i):
     """Newton's step from the probed time within the step to that of the event."""
-    h, step = lane[ln.H, i], lane[ln.STEP_H, i]
-    x, v, a = lane[ln.X1, i], lane[ln.V1, i], lane[ln.A1, i]
+    h, step, which = lane[at.h, i], lane[at.step_h, i], lane_int[ln.WHICH, i]
     if lane_int[ln.KIND, i] == ln.EXTREMUM:
+        rows = ln.ends(at, which)
+        v, a = lane[rows[4], i], lane[rows[5], i]
         dt = -v / a if a != 0.0 else 0.0
         return h + min(max(dt, -0.25 * step), 0.25 * step)
-    wall = q[laws.WALL_HIGH if lane_int[ln.KIND, i] == ln.CONTACT else laws.WALL_LOW, i]
-    low, high = _neighbours(lane, lane_int, probes, i)
+    rows = ln.ends(at, at.gaps_from + which)
+    x, v = lane[rows[3], i], lane[rows[4], i]
+    is_high = lane_int[ln.KIND, i] == ln.CONTACT
+    wall = q[which, parameters.WALL_HIGH if is_high else parameters.WALL_LOW, i]
+    low, high = _neighbours(at, lane, lane_int, probes, i)
     dt = (wall - x) / v if v != 0.0 else 0.0
     return min(max(h + dt, low), high)
 
 
-@allocating
-def probed(lane, lane_int, q, probes, events, counters, i):
-    """Judge one probe; true when the last event of the step is recorded."""
-    kind = lane_int[ln.KIND, i]
-    h, step = lane[ln.H, i], lane[ln.STEP_H, i]
-    x, v, a = lane[ln.X1, i], lane[ln.V1, i], lane[ln.A1, i]
+@internal
+def _is_return(at, lane, lane_int, i):
+    """Whether the probed event is a maximum that is a section point."""
+    is_first = lane_int[ln.KIND, i] == ln.EXTREMUM and lane_int[ln.WHICH, i] == 0
+    return at.is_free and is_first and lane[at.a_1, i] < 0.0
+
+
+@internal
+def _record_moved(at, lane, lane_int, events, counters, kind, t, dt, i):
+    """A record with the state a short time after the probe."""
+    which = lane_int[ln.WHICH, i] if kind == ln.CONTACT else 0
+    row = _begin_record(at, lane, lane_int, events, counters, kind, t, which, i)
+    for j in range(at.n):
+        v, a = lane[at.v_1 + j, i], lane[at.a_1 + j, i]
+        events[row, ln.E_STATE + j] = lane[at.q_1 + j, i] + v * dt
+        events[row, ln.E_STATE + at.n + j] = v + a * dt
+    for j in range(at.m):
+        rate = lane[at.w_1 + j, i]
+        events[row, ln.E_STATE + 2 * at.n + j] = lane[at.z_1 + j, i] + rate * dt
     if kind == ln.SECTION:
-        t = (lane[ln.NEXT_WHOLE, i] - lane[ln.PHASE_0, i]) * lane[ln.PERIOD, i]
-        lane[ln.NEXT_WHOLE, i] += 1.0
+        events[row, ln.E_STATE + at.n] = 0.0  # to the last bit: the next motion begins here
+
+
+@internal
+def _record_probed(at, lane, lane_int, events, counters, kind, t, dt, i):
+    """Record the probed event, which lies dt after the probe."""
+    if kind == ln.SECTION:
+        record(at, lane, lane_int, events, counters, kind, t, 0, at.q_1, i)
+    elif kind == ln.EXTREMUM:
+        if _is_return(at, lane, lane_int, i):
+            _record_moved(at, lane, lane_int, events, counters, ln.SECTION, t, dt, i)
+        which = lane_int[ln.WHICH, i]
+        rows = ln.ends(at, which)
+        row = _begin_record(at, lane, lane_int, events, counters, kind, t, which, i)
+        for j in range(1, at.n_states):
+            events[row, ln.E_STATE + j] = 0.0
+        events[row, ln.E_STATE] = lane[rows[3], i] + 0.5 * lane[rows[4], i] * dt
     else:
-        at = _improved(lane, lane_int, q, probes, i)
-        dt = at - h
-        if abs(dt) > CLOSE_ENOUGH * step and lane_int[ln.TRIES, i] < MAX_TRIES:
-            lane[ln.H, i] = min(max(at, 0.0), step)
+        _record_moved(at, lane, lane_int, events, counters, ln.CONTACT, t, dt, i)
+
+
+@internal
+def probed(at, lane, lane_int, q, probes, events, counters, i):
+    """Judge one probe; true when the last event of the step is recorded."""
+    kind, dt = lane_int[ln.KIND, i], 0.0
+    h, step = lane[at.h, i], lane[at.step_h, i]
+    if kind == ln.SECTION:
+        t = (lane[at.next_whole, i] - lane[at.phase_0, i]) * lane[at.period, i]
+        lane[at.next_whole, i] += 1.0
+    else:
+        improved = _improved(at, lane, lane_int, q, probes, i)
+        dt = improved - h
+        # A section point has to be as good as the motion: all of its state, not its height alone.
+        close = CLOSE_TO_RETURN if _is_return(at, lane, lane_int, i) else CLOSE_ENOUGH
+        if abs(dt) > close * step and lane_int[ln.TRIES, i] < MAX_TRIES:
+            lane[at.h, i] = min(max(improved, 0.0), step)
             lane_int[ln.TRIES, i] += 1
             return False
-        t = ln.elapsed(lane, i) + at
-        if kind == ln.EXTREMUM:
-            x, v = x + 0.5 * v * dt, 0.0
-        else:
-            x, v = x + v * dt, v + a * dt
-            kind = ln.CONTACT
-            lane[ln.PASSED_AT, i] = at
+        t = ln.elapsed(at, lane, i) + improved
+        if kind != ln.EXTREMUM:
+            lane[at.passed_at + lane_int[ln.WHICH, i], i] = improved
         lane_int[ln.PROBE, i] += 1
-    if is_recording(lane, t, i):
-        record(lane, lane_int, events, counters, kind, t, x, v, i)
-    if _send_probe(lane, lane_int, probes, i):
+    if is_recording(at, lane, t, i):
+        _record_probed(at, lane, lane_int, events, counters, kind, t, dt, i)
+    if _send_probe(at, lane, lane_int, probes, i):
         return False
-    for offset in range(6):
-        lane[ln.X + offset, i] = lane[ln.KEPT_X + offset, i]
-    lane[ln.EXACT, i] = 0.0
+    for j in range(at.n_start):
+        lane[at.q + j, i] = lane[at.kept + j, i]
+    lane[at.exact, i] = 0.0
     lane_int[ln.MODE, i] = ln.STEPPING
     return True

@@ -11,19 +11,19 @@ from numpy.typing import ArrayLike
 
 from gapsweep.model.contact import SLOPE_LENGTH, SLOPE_STEP
 
-from . import laws
+from . import laws, parameters
 from .laws import Law
 
-_WALLS = laws.STIFFNESS, laws.WALL_LOW, laws.WALL_HIGH, laws.RATIO
+_WALLS = parameters.STIFFNESS, parameters.WALL_LOW, parameters.WALL_HIGH, parameters.RATIO
 
 
 def _rows(K_c, j_1, j_2, K_ratio=1.0, **extra):
     given = K_c, -np.asarray(j_1), j_2, K_ratio, *extra.values()
     values = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in given))
-    q = np.zeros((*values[0].shape, laws.N_PARAMETERS))
+    q = np.zeros((*values[0].shape, parameters.N_PARAMETERS))
     for row, value in zip(_WALLS, values, strict=False):
         q[..., row] = value
-    return q.reshape(-1, laws.N_PARAMETERS) if q.ndim > 1 else q, values[len(_WALLS) :]
+    return q.reshape(-1, parameters.N_PARAMETERS) if q.ndim > 1 else q, values[len(_WALLS) :]
 
 
 def tanh(
@@ -32,11 +32,11 @@ def tanh(
     """Freeplay smoothed with tanh; K_c [N/m], j_1, j_2 [m], epsilon [1/m], K_ratio [-]."""
     q, (epsilon,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
     epsilon = epsilon.ravel() if q.ndim > 1 else epsilon
-    half_gap = 0.5 * (q[..., laws.WALL_HIGH] - q[..., laws.WALL_LOW])
-    q[..., laws.SHARPNESS], q[..., laws.HALF_GAP] = epsilon, half_gap
-    q[..., laws.CENTRE] = 0.5 * (q[..., laws.WALL_HIGH] + q[..., laws.WALL_LOW])
-    q[..., laws.DECAY] = np.exp(-4.0 * epsilon * half_gap)
-    q[..., laws.LAYER] = q[..., laws.SATURATION] = laws.TANH_SATURATION / epsilon
+    half_gap = 0.5 * (q[..., parameters.WALL_HIGH] - q[..., parameters.WALL_LOW])
+    q[..., parameters.SHARPNESS], q[..., parameters.HALF_GAP] = epsilon, half_gap
+    q[..., parameters.CENTRE] = 0.5 * (q[..., parameters.WALL_HIGH] + q[..., parameters.WALL_LOW])
+    q[..., parameters.DECAY] = np.exp(-4.0 * epsilon * half_gap)
+    q[..., parameters.LAYER] = q[..., parameters.SATURATION] = parameters.TANH_SATURATION / epsilon
     return Law(laws.Tanh(), q)
 
 
@@ -45,8 +45,8 @@ def arctan(
 ) -> Law:
     """Freeplay smoothed with (2/pi) arctan; epsilon [1/m]."""
     q, (epsilon,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
-    q[..., laws.SHARPNESS] = epsilon.ravel() if q.ndim > 1 else epsilon
-    q[..., laws.LAYER] = laws.ARCTAN_LAYER / q[..., laws.SHARPNESS]
+    q[..., parameters.SHARPNESS] = epsilon.ravel() if q.ndim > 1 else epsilon
+    q[..., parameters.LAYER] = parameters.ARCTAN_LAYER / q[..., parameters.SHARPNESS]
     return Law(laws.Arctan(), q)
 
 
@@ -56,16 +56,16 @@ def log_arctan(
     """Integral of the arctan-smoothed stiffness, anchored at F_c(0) = 0; gamma [1/m]."""
     q, (gamma,) = _rows(K_c, j_1, j_2, K_ratio, gamma=gamma)
     gamma = gamma.ravel() if q.ndim > 1 else gamma
-    below, above = -q[..., laws.WALL_LOW], -q[..., laws.WALL_HIGH]  # x - wall at x = 0
-    ratio, square = q[..., laws.RATIO], 1.0 + (gamma * below) ** 2
+    below, above = -q[..., parameters.WALL_LOW], -q[..., parameters.WALL_HIGH]  # x - wall at x = 0
+    ratio, square = q[..., parameters.RATIO], 1.0 + (gamma * below) ** 2
     logarithm = np.log(square / (1.0 + (gamma * above) ** 2)) + (ratio - 1.0) * np.log(square)
     at_zero = (
         above * np.arctan(gamma * above)
         - ratio * below * np.arctan(gamma * below)
         + logarithm / (2.0 * gamma)
     )
-    q[..., laws.SHARPNESS], q[..., laws.OFFSET] = gamma, -at_zero
-    q[..., laws.LAYER] = laws.ARCTAN_LAYER / gamma
+    q[..., parameters.SHARPNESS], q[..., parameters.OFFSET] = gamma, -at_zero
+    q[..., parameters.LAYER] = parameters.ARCTAN_LAYER / gamma
     return Law(laws.LogArctan(), q)
 
 
@@ -87,7 +87,7 @@ def piecewise(
 def polynomial(coefficients: ArrayLike, fit_range: float, j_1: float, j_2: float) -> Law:
     """Chebyshev coefficients [N] in x / fit_range; the walls only serve to count passings."""
     q, _ = _rows(1.0, j_1, j_2)
-    q[laws.RANGE] = fit_range
+    q[parameters.RANGE] = fit_range
     return Law(laws.Polynomial(np.ascontiguousarray(coefficients, dtype=float)), q)
 
 
@@ -96,11 +96,20 @@ def rational_polynomial(
 ) -> Law:
     """Quotient of Chebyshev series in x / fit_range, numerator in N."""
     q, _ = _rows(1.0, j_1, j_2)
-    q[laws.RANGE] = fit_range
+    q[parameters.RANGE] = fit_range
     top, bottom = np.array(numerator, dtype=float), np.array(denominator, dtype=float)
     # The loop takes a denominator that is not positive for a pole passed.
     sign = np.sign(np.polynomial.chebyshev.chebval(0.0, bottom))
     return Law(laws.RationalPolynomial(sign * top, sign * bottom), q)
+
+
+def table(points: ArrayLike, pieces: ArrayLike, j_1: float, j_2: float) -> Law:
+    """Piecewise cubic, as `gapsweep.ForceTable` has it; the walls only serve to count passings."""
+    points = np.ascontiguousarray(points, dtype=float)
+    q, _ = _rows(1.0, j_1, j_2)
+    q[parameters.CENTRE] = 0.5 * (points[0] + points[-1])
+    q[parameters.RANGE] = 0.5 * (points[-1] - points[0])
+    return Law(laws.Table(points, np.ascontiguousarray(pieces, dtype=float)), q)
 
 
 def user(

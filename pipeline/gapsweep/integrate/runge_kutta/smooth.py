@@ -1,11 +1,12 @@
 """The compiled engine for smooth laws, users' laws, and the exact law without (or with restarted)
 location.
 
-`scenes` prepares one table row per oscillator; `run` puts starts into copies of the rows and runs
-them in SIMD lanes: each lane has its own clock, step and end, and takes the next point of the batch
-when it is done. `integrate` does both.
+`scenes` prepares one table row per oscillator, `system_scenes` per system; `run` puts starts into
+copies of the rows and runs them in SIMD lanes: each lane has its own clock, step and end, and takes
+the next point of the batch when it is done. `integrate` does both for oscillators.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -13,13 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.integrate.taylor.scenes import Scenes as ExactScenes
+
 from . import lanes as ln
-from . import laws, tableaux
+from . import laws, parameters, tableaux
 from .laws import Law
 from .loop import drained
 
 # At this tolerance and tighter the order-8 method is the cheaper one on the benchmark's scenes.
 _HIGH_ORDER_FROM = 1e-2
+_CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,20 +32,25 @@ class Run:
 
     Attributes
     ----------
-    x, v, t : ndarray
-        State [m, m/s] and time [s] reached.
+    at : Rows
+    state : ndarray, shape (n_points, n_states)
+        Coordinates [m], velocities [m/s] and first-order states reached.
+    t : ndarray
+        Time [s] reached.
     status : ndarray of int
         0 ok, 3 out_of_fit_range, 4 diverged, 5 model_invalid, 6 step_underflow, 8 timed_out.
     n_contacts, n_steps, n_rejected, nfev : ndarray of int
         Wall passings in and out; accepted and rejected attempts; right-hand sides.
-    tangent : ndarray, shape (n_points, 2, 2)
+    reach : ndarray, shape (n_points, n)
+        Largest modulus of every coordinate at the start and at the ends of steps [m].
+    tangent : ndarray, shape (n_points, n_states, n_states)
         Monodromy matrix of the run (identity unless asked for).
-    records : ndarray, shape (n_records, N_EVENT_COLUMNS)
+    records : ndarray, shape (n_records, n_event_columns)
         See `extrema`, `section`, `steps`.
     """
 
-    x: NDArray[np.float64]
-    v: NDArray[np.float64]
+    at: ln.Rows
+    state: NDArray[np.float64]
     t: NDArray[np.float64]
     status: NDArray[np.int64]
     n_contacts: NDArray[np.int64]
@@ -58,23 +67,35 @@ class Run:
         rows = self.records[first:last]
         return rows[rows[:, ln.E_KIND] == kind]
 
+    @property
+    def x(self) -> NDArray[np.float64]:
+        """First coordinate reached [m]."""
+        return self.state[:, 0]
+
+    @property
+    def v(self) -> NDArray[np.float64]:
+        """Its velocity [m/s]."""
+        return self.state[:, self.at.n]
+
     def extrema(self, point: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Times [s] and displacements [m] of zero velocity."""
         rows = self._of_kind(ln.EXTREMUM, point)
-        return rows[:, ln.E_T], rows[:, ln.E_X]
+        return rows[:, ln.E_T], rows[:, ln.E_STATE]
 
     def section(self, point: int = 0) -> NDArray[np.float64]:
-        """(t, x, v) at whole forcing periods, shape (n, 3)."""
-        return self._of_kind(ln.SECTION, point)[:, [ln.E_T, ln.E_X, ln.E_V]]
+        """Times and states at whole forcing periods, shape (n, 1 + n_states)."""
+        return self._of_kind(ln.SECTION, point)[:, [ln.E_T, *self._state_columns]]
 
     def contacts(self, point: int = 0) -> NDArray[np.float64]:
-        """(t, x, v) of wall passings, shape (n, 3)."""
-        return self._of_kind(ln.CONTACT, point)[:, [ln.E_T, ln.E_X, ln.E_V]]
+        """Times and states of wall passings, shape (n, 1 + n_states)."""
+        return self._of_kind(ln.CONTACT, point)[:, [ln.E_T, *self._state_columns]]
 
-    def sample(
-        self, t: ArrayLike, point: int = 0
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """x(t) [m] and v(t) [m/s], needs ``dense_output=True``.
+    @property
+    def _state_columns(self) -> range:
+        return range(ln.E_STATE, ln.E_STATE + self.at.n_states)
+
+    def sample(self, t: ArrayLike, point: int = 0) -> NDArray[np.float64]:
+        """States at times t [s], shape (n_states, n_t); needs ``dense_output=True``.
 
         Each value is one step of the same method from the start of the accepted step that holds
         t: as accurate as the run itself, where an interpolant would lose orders.
@@ -90,28 +111,28 @@ class Run:
         if t.min() < first - slack or t.max() > last + slack:
             raise ValueError(f"t must lie in the recorded span [{first}, {last}] s")
         at = np.clip(np.searchsorted(steps[:, ln.E_T], t, side="right") - 1, 0, len(steps) - 1)
-        return _replay_steps(self._replay, point, steps[at], t)
+        return _replay_steps(self.at, self._replay, point, steps[at], t)
 
 
-def _replay_steps(replay, point, steps, t):
+def _replay_steps(at, replay, point, steps, t):
     """One step of length t - t_step from each stored step start."""
     n = len(t)
     table = np.repeat(replay["table"][point : point + 1], n, axis=0)
     length = np.maximum(t - steps[:, ln.E_T], 0.0)
-    table[:, ln.P_X], table[:, ln.P_V] = steps[:, ln.E_X], steps[:, ln.E_V]
-    end = steps[:, ln.E_TAU] + length * table[:, ln.P_FREQUENCY]
-    table[:, ln.P_PHASE] = steps[:, ln.E_TAU]
-    table[:, ln.P_END_TURNS] = np.floor(end)
-    table[:, ln.P_END_TAU] = end - np.floor(end)
-    table[:, ln.P_RECORD] = np.inf
+    table[:, at.q : at.q + at.n_states] = steps[:, ln.E_STATE : ln.E_STATE + at.n_states]
+    end = steps[:, ln.E_TAU] + length * table[:, at.omega]
+    table[:, at.tau] = table[:, at.phase_0] = steps[:, ln.E_TAU]
+    table[:, at.end_turns] = np.floor(end)
+    table[:, at.end_tau] = end - np.floor(end)
+    table[:, at.record_turns] = np.inf
     settings = replay["settings"].copy()
     # Any error is accepted and the first step is the whole way: exactly one step.
     settings[ln.S_RTOL] = settings[ln.S_ATOL] = 1e200
     off = [ln.S_ODE45, ln.S_STOP_AT_LAYER, ln.S_TANGENT, ln.S_DENSE, ln.S_CONTACTS]
     settings[off] = 0.0
     settings[ln.S_FIRST_STEP] = 1e100
-    results, _ = drained(replay["law"], replay["tableau"], table, np.arange(n), settings)
-    return results[:, ln.R_X], results[:, ln.R_V]
+    results, _ = drained(at, replay["kinds"], replay["tableau"], table, np.arange(n), settings)
+    return results[:, ln.R_STATE : ln.R_STATE + at.n_states].T
 
 
 def _split_turns(start_phase, span, frequency):
@@ -141,19 +162,21 @@ def _phase(t_0: float, frequency: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Scenes:
-    """Oscillators with a law as the loop takes them: all of a point but its start and end.
+    """Systems with their laws as the loop takes them: all of a point but its start and end.
 
     Attributes
     ----------
-    kind : laws type
-        The law as the loop is compiled for.
-    table : ndarray, shape (n, N_COLUMNS)
+    at : Rows
+    kinds : tuple of laws types
+        The law of every contact as the loop is compiled for.
+    table : ndarray, shape (n, n_columns + n_contacts * N_PARAMETERS)
         Rows as the loop reads them.
     method : Tableau
     settings : ndarray, shape (N_SETTINGS,)
     """
 
-    kind: Any
+    at: ln.Rows
+    kinds: tuple[Any, ...]
     table: NDArray[np.float64]
     method: tableaux.Tableau
     settings: NDArray[np.float64]
@@ -197,12 +220,14 @@ def integrate(
     given = zeta, omega_n, mass, alpha, forcing, omega, x_0, v_0, t_0, t_end, record_from
     broadcast = np.broadcast_arrays(*given, law.q[..., 0])[:-1]
     arrays = [np.ravel(a).astype(float) for a in broadcast]
-    prepared = scenes(law, *arrays[:6], **options)
+    of_law = scenes(law, *arrays[:6], **options)
     which = np.arange(arrays[0].size)
+    start = np.stack(arrays[6:8], axis=1)
     return run(
-        prepared,
+        of_law,
         which,
-        *arrays[6:],
+        start,
+        *arrays[8:],
         tangent=tangent,
         dense_output=dense_output,
         contacts=contacts,
@@ -217,14 +242,7 @@ def scenes(
     alpha: NDArray[np.float64],
     forcing: NDArray[np.float64],
     omega: NDArray[np.float64],
-    *,
-    rtol: float = 1e-9,
-    atol: float = 1e-12,
-    controller: str = "native",
-    method: tableaux.Tableau | None = None,
-    x_bound: float = 1e3,
-    max_attempts: float = 1e9,
-    stop_at_layer: bool = True,
+    **options: Any,
 ) -> Scenes:
     """Prepare oscillators; `run` then starts them as often as wanted.
 
@@ -236,6 +254,67 @@ def scenes(
         Damping ratio [-], mass [kg], cubic stiffness [N/m^3], forcing amplitude [N].
     omega_n, omega : ndarray, shape (n,)
         Natural and forcing frequency [Hz], positive.
+    **options
+        As in `prepared`.
+    """
+    if not np.all(omega > 0.0):
+        raise ValueError("omega must be positive")
+    at, omega_n_rad = ln.PLAIN, 2.0 * np.pi * omega_n
+    table = np.zeros((omega.size, at.n_columns))
+    table[:, at.omega], table[:, at.period] = omega, 1.0 / omega
+    table[:, at.push] = forcing / mass
+    table[:, at.stiffness] = omega_n_rad**2
+    table[:, at.damping] = 2.0 * zeta * omega_n_rad
+    table[:, at.cubic] = alpha / mass
+    table[:, at.h_min] = 1e-17 / np.maximum(omega, np.sqrt(table[:, at.stiffness]))
+    table[:, at.h_max] = table[:, at.period]
+    return prepared(at, [law], mass, table, **options)
+
+
+def system_scenes(kernel_laws: Sequence[Law], exact: ExactScenes, **options: Any) -> Scenes:
+    """Prepare systems; `run` then starts them as often as wanted.
+
+    Parameters
+    ----------
+    kernel_laws : sequence of Law
+        Of every contact; its parameters may be arrays, shape (n,).
+    exact : ExactScenes
+        The same systems, n of them, for the exact kernel: the equation of motion is the same.
+    **options
+        As in `prepared`.
+    """
+    at, given, rows = ln.Rows.of(exact.at), exact.at, exact.table[:-1]
+    table = np.zeros((len(rows), at.n_columns))
+    for name in ln.EQUATION:
+        here, there, size = at.first[name], given.first[name], at.blocks[name]
+        table[:, here : here + size] = rows[:, there : there + size]
+    multiples = [
+        rows[:, given.first[name] : given.first[name] + given.blocks[name]].max(axis=1, initial=1.0)
+        for name in ("multiple", "depth_multiple")
+    ]
+    table[:, at.h_min] = 1e-17 / np.maximum(table[:, at.omega], np.sqrt(rows[:, given.fastest]))
+    table[:, at.h_max] = table[:, at.period] / np.maximum(*multiples)
+    return prepared(at, kernel_laws, np.ones(len(rows)), table, **options)
+
+
+def prepared(
+    at: ln.Rows,
+    kernel_laws: Sequence[Law],
+    mass: NDArray[np.float64],
+    table: NDArray[np.float64],
+    *,
+    rtol: float = 1e-9,
+    atol: float = 1e-12,
+    controller: str = "native",
+    method: tableaux.Tableau | None = None,
+    x_bound: float = 1e3,
+    max_attempts: float = 1e9,
+    stop_at_layer: bool = True,
+) -> Scenes:
+    """Scenes whose equations stand in a table; `scenes` and `system_scenes` make it.
+
+    Parameters
+    ----------
     rtol, atol : float
         Tolerances; error per step below ``atol + rtol * abs(y)``.
     controller : {"native", "ode45"}
@@ -253,39 +332,32 @@ def scenes(
         raise ValueError(f"controller must be 'native' or 'ode45', not {controller!r}")
     if not (rtol > 0.0 and atol >= 0.0):
         raise ValueError(f"need rtol > 0 and atol >= 0, got {rtol} and {atol}")
-    if not np.all(omega > 0.0):
-        raise ValueError("omega must be positive")
     if method is None:
         method = (
             tableaux.DP5 if controller == "ode45" or rtol > _HIGH_ORDER_FROM else tableaux.DOP853
         )
-    table = np.zeros((omega.size, ln.N_COLUMNS))
-    omega_n_rad = 2.0 * np.pi * omega_n
-    table[:, ln.P_FREQUENCY] = omega
-    table[:, ln.P_FORCING] = forcing / mass
-    table[:, ln.P_STIFFNESS] = omega_n_rad**2
-    table[:, ln.P_DAMPING] = 2.0 * zeta * omega_n_rad
-    table[:, ln.P_CUBIC] = alpha / mass
-    table[:, ln.P_LAW :] = law.rows(mass, omega.size)
-    if isinstance(law.kind, laws.Tanh):
-        # Where the tail, exp(-2 |z|), is far below the tolerance, the layer has no edge to stop at
-        # yet.
-        reach = (3.0 - 0.5 * np.log(rtol)) / laws.TANH_SATURATION
-        table[:, ln.P_LAW + laws.LAYER] *= min(1.0, max(0.1, reach))
+    parts = [table]
+    for law in kernel_laws:
+        rows = law.rows(mass, len(table))
+        if isinstance(law.kind, laws.Tanh):
+            # Where the tail, exp(-2 |z|), is far below the tolerance, the layer has no edge to stop
+            # at yet.
+            reach = (3.0 - 0.5 * np.log(rtol)) / parameters.TANH_SATURATION
+            rows[:, parameters.LAYER] *= min(1.0, max(0.1, reach))
+        parts.append(rows)
     settings = np.zeros(ln.N_SETTINGS)
     settings[ln.S_RTOL], settings[ln.S_ATOL] = rtol, atol
     settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = x_bound, max_attempts
     settings[ln.S_ODE45] = controller == "ode45"
     settings[ln.S_STOP_AT_LAYER] = stop_at_layer and controller != "ode45"
     settings[ln.S_EXPONENT] = method.exponent
-    return Scenes(law.kind, table, method, settings)
+    return Scenes(at, tuple(law.kind for law in kernel_laws), np.hstack(parts), method, settings)
 
 
 def run(
     prepared: Scenes,
     which: NDArray[np.intp],
-    x_0: NDArray[np.float64],
-    v_0: NDArray[np.float64],
+    start: NDArray[np.float64],
     t_0: NDArray[np.float64],
     t_end: NDArray[np.float64],
     record_from: NDArray[np.float64],
@@ -296,15 +368,15 @@ def run(
     dense_output: bool = False,
     contacts: bool = False,
 ) -> Run:
-    """Integrate prepared oscillators from their starts.
+    """Integrate prepared systems from their starts.
 
     Parameters
     ----------
     prepared : Scenes
     which : ndarray of int, shape (n,)
         Number of the scene of each point.
-    x_0, v_0 : ndarray, shape (n,)
-        State at t_0 [m, m/s].
+    start : ndarray, shape (n, n_states)
+        States at t_0.
     t_0, t_end, record_from : ndarray, shape (n,)
         Start, end, and start of recording [s]; ``record_from=inf`` records nothing.
     queue : ndarray of int, shape (n,), optional
@@ -312,7 +384,7 @@ def run(
     section_only : bool
         Record section points alone: an extremum takes a probe or two.
     tangent : bool
-        Carry the 2 x 2 variational equations.
+        Carry the variational equations.
     dense_output : bool
         Keep every step from `record_from` on, for `Run.sample`.
     contacts : bool
@@ -323,38 +395,48 @@ def run(
     if dense_output:
         record_from = np.where(np.isfinite(record_from), record_from, t_0)
     table = prepared.table.take(which, axis=0)
-    _set_starts(table, x_0, v_0, t_0, t_end, record_from)
+    at = prepared.at
+    _set_starts(at, table, start, t_0, t_end, record_from)
     settings = prepared.settings.copy()
     settings[ln.S_TANGENT], settings[ln.S_DENSE] = tangent, dense_output
     settings[ln.S_CONTACTS], settings[ln.S_SECTION_ONLY] = contacts, section_only
     queue = np.arange(len(which)) if queue is None else queue
-    results, records = drained(prepared.kind, prepared.method, table, queue, settings)
-    return _result(prepared.kind, prepared.method, table, settings, results, records, t_0, t_end)
+    results, records = drained(at, prepared.kinds, prepared.method, table, queue, settings)
+    replay = {"kinds": prepared.kinds, "tableau": prepared.method}
+    replay |= {"table": table, "settings": settings}
+    return _result(at, replay, results, records, t_0, t_end)
 
 
-def _set_starts(table, x_0, v_0, t_0, t_end, record_from):
+def _set_starts(at, table, start, t_0, t_end, record_from):
     """Put starts and ends into copies of rows of `Scenes`."""
-    omega = table[:, ln.P_FREQUENCY]
+    omega = table[:, at.omega]
     phase = np.zeros(len(table))
     if t_0.any():
         phase[:] = [_phase(t, f) for t, f in zip(t_0.tolist(), omega.tolist(), strict=True)]
-    table[:, ln.P_X], table[:, ln.P_V], table[:, ln.P_PHASE] = x_0, v_0, phase
-    table[:, ln.P_END_TURNS], table[:, ln.P_END_TAU] = _split_turns(phase, t_end - t_0, omega)
-    table[:, ln.P_RECORD] = phase + (np.maximum(record_from, t_0) - t_0) * omega
+    table[:, at.q : at.q + at.n_states] = start
+    table[:, at.tau] = table[:, at.phase_0] = phase
+    # A clock that starts at a phase cannot tell shorter steps from none.
+    coarse = _CLOCK_ROUNDING * phase * table[:, at.period]
+    table[:, at.h_min] = np.maximum(table[:, at.h_min], coarse)
+    table[:, at.end_turns], table[:, at.end_tau] = _split_turns(phase, t_end - t_0, omega)
+    table[:, at.record_turns] = phase + (np.maximum(record_from, t_0) - t_0) * omega
 
 
-def _result(kind, method, table, settings, results, records, t_0, t_end):
+def _result(at, replay, results, records, t_0, t_end):
     counts = {name: results[:, column].astype(np.int64) for name, column in _COUNTS.items()}
     # Inside, times count from t_0 so that a late start loses no digits.
     records[:, ln.E_T] += t_0[records[:, ln.E_POINT].astype(np.int64)]
+    s = at.n_states
+    ends = np.cumsum([ln.R_STATE, s, s * s])
+    state, tangent, reach = np.split(results, ends, axis=1)[1:]
     return Run(
-        x=results[:, ln.R_X].copy(),
-        v=results[:, ln.R_V].copy(),
+        at=at,
+        state=state.copy(),
         t=t_end - results[:, ln.R_LEFT],
-        reach=results[:, ln.R_REACH].copy(),
-        tangent=results[:, ln.R_TANGENT : ln.R_REACH].reshape(-1, 2, 2).transpose(0, 2, 1).copy(),
+        reach=reach.copy(),
+        tangent=tangent.reshape(-1, s, s).transpose(0, 2, 1).copy(),
         records=records,
-        _replay={"law": kind, "tableau": method, "table": table, "settings": settings},
+        _replay=replay,
         **counts,
     )
 

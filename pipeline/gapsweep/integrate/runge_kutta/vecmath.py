@@ -8,9 +8,8 @@ C library are not used: numba cannot rely on one being installed, and results mu
 Every function is exactly odd or even where its name promises it, so mirrored runs stay mirrored.
 """
 
-from numba import njit
-
 from gapsweep.integrate import simd
+from gapsweep.integrate.jit import inlined
 from gapsweep.integrate.simd import copysign, fma, select
 
 _E = (
@@ -74,7 +73,7 @@ _PI_2 = 1.5707963267948966
 _SQRT_2 = 1.4142135623730951
 
 
-@njit(forceinline=True)
+@inlined
 def exp(z):
     """e**z for ``|z| <= 700``; outside it the argument is clipped."""
     z = simd.minimum(simd.maximum(z, -700.0), 700.0)
@@ -90,7 +89,7 @@ def exp(z):
     return fma(fma(p2, r4, p1), r4, p0) * simd.as_float_bits(whole)
 
 
-@njit(forceinline=True)
+@inlined
 def cos_turns(turns):
     """cos(2 pi turns); the argument counts whole revolutions, so its reduction is exact."""
     r = turns - simd.nearest(turns)
@@ -103,7 +102,7 @@ def cos_turns(turns):
     return y * fma(fma(u4, _S[8], p1), u4, p0)
 
 
-@njit(forceinline=True)
+@inlined
 def arctan(z):
     """Arctangent, odd, one division."""
     s = simd.absolute(z)
@@ -123,7 +122,7 @@ def arctan(z):
     return copysign(offset + fma(t, p, t), z)
 
 
-@njit(forceinline=True)
+@inlined
 def log(z):
     """Natural logarithm of a positive normal number."""
     exponent = simd.exponent_of(z)
@@ -140,7 +139,7 @@ def log(z):
     return fma(exponent, _LN2_HIGH, fma(exponent, _LN2_LOW, fma(f, p, 2.0 * f)))
 
 
-@njit(forceinline=True)
+@inlined
 def power(z, exponent):
     """z**exponent for positive z; used for step sizes only."""
     return exp(exponent * log(simd.maximum(z, 1e-300)))

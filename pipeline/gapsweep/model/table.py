@@ -1,0 +1,161 @@
+"""A contact law that was measured: forces at displacements, and a curve through them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import PchipInterpolator
+
+from gapsweep.errors import ModelError
+from gapsweep.model.contact import ContactLaw, checked_gap
+from gapsweep.model.oscillator import LARGEST, Gap
+from gapsweep.model.system import floats
+
+Array = NDArray[np.float64]
+
+MAX_POINTS = 10_000
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class ForceTable(ContactLaw):
+    """A measured force; between its points a monotone piecewise cubic.
+
+    The curve (PCHIP: Fritsch & Butland, 1984) has a continuous slope, meets every point, and rises
+    or falls between two of them as they do: a stretch of zeros stays zero. Beyond the table it goes
+    on straight, and a motion that goes there ends as ``out_of_fit_range``. The table's numbers are
+    the law: two of the same numbers are the same.
+
+    Parameters
+    ----------
+    x : array_like, shape (n,)
+        Displacements [m], rising, from zero or below to zero or above; 2 to 10,000 of them.
+    F : array_like, shape (n,)
+        Restoring forces on the mass there [N].
+    gap : Gap, optional
+        Walls, at which contacts are counted; by default the ends of the stretch about zero on which
+        the forces are zero, and no gap where there is none.
+
+    Raises
+    ------
+    ModelError
+        If the table is none of these.
+
+    Notes
+    -----
+    `K_c` and `K_ratio` are those of the chords from the walls to the ends of the table.
+    """
+
+    family: ClassVar[str] = "table"
+    colour: ClassVar[str] = "#F0E442"
+
+    x: tuple[float, ...]
+    F: tuple[float, ...]
+
+    def __init__(self, x: ArrayLike, F: ArrayLike, gap: Gap | None = None) -> None:
+        places, forces = _column("x", x), _column("F", F)
+        _check(places, forces)
+        gap = _zero_stretch(places, forces) if gap is None else checked_gap(gap)
+        upper = _chord(places[-1] - gap.j_2, forces[-1])
+        lower = _chord(-places[0] - gap.j_1, -forces[0])
+        given: dict[str, Any] = {"x": tuple(places.tolist()), "F": tuple(forces.tolist())}
+        given |= {"gap": gap, "K_c": upper, "K_ratio": lower / upper if upper else 1.0}
+        for name, value in given.items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
+
+    def __repr__(self) -> str:
+        low, high = self.valid_range
+        return f"<gapsweep.ForceTable: {len(self.x)} points, {low:g}..{high:g} m>"
+
+    @property
+    def is_symmetric(self) -> bool:
+        mirrored = tuple(-x for x in reversed(self.x)), tuple(-f for f in reversed(self.F))
+        return self.gap.is_symmetric and mirrored == (self.x, self.F)
+
+    @property
+    def valid_range(self) -> tuple[float, float]:
+        return self.x[0], self.x[-1]
+
+    @cached_property
+    def pieces(self) -> Array:
+        """Where each piece begins [m], and its coefficients there, highest power first.
+
+        Shape (n + 1, 5): the straight line below the table, the pieces, that above it. A
+        displacement belongs to the piece whose number is that of the table's points not above it.
+        """
+        x, curve = np.array(self.x), PchipInterpolator(self.x, self.F)
+        found = np.zeros((len(x) + 1, 5))
+        found[:, 0] = x[[0, *range(len(x))]]
+        found[1:-1, 1:] = curve.c.T
+        found[[0, -1], 3] = curve.derivative()(x[[0, -1]])
+        found[[0, -1], 4] = self.F[0], self.F[-1]
+        return found
+
+    @property
+    def turns(self) -> Array:
+        """Displacements [m] at which the force turns: only points of the table are."""
+        rises = np.diff(self.F)
+        return np.array(self.x)[1:-1][rises[1:] * rises[:-1] < 0.0]
+
+    def force(self, x: ArrayLike) -> Array:
+        start, c_3, c_2, c_1, c_0 = self._piece(x)
+        d = np.asarray(x, dtype=float) - start
+        return np.asarray(((c_3 * d + c_2) * d + c_1) * d + c_0)
+
+    def derivative(self, x: ArrayLike) -> Array:
+        start, c_3, c_2, c_1, _ = self._piece(x)
+        d = np.asarray(x, dtype=float) - start
+        return np.asarray((3.0 * c_3 * d + 2.0 * c_2) * d + c_1)
+
+    def _piece(self, x: ArrayLike) -> Array:
+        return np.moveaxis(self.pieces[np.searchsorted(self.x, x, side="right")], -1, 0)
+
+
+def _column(name: str, values: ArrayLike) -> Array:
+    try:
+        found = floats(values)
+    except (TypeError, ValueError, OverflowError):
+        raise ModelError(f"{name} = {values!r}: must be a list of numbers") from None
+    if found.ndim != 1 or not 2 <= found.size <= MAX_POINTS:
+        raise ModelError(
+            f"{name}: has the shape {found.shape}, must be one column of 2 to {MAX_POINTS} numbers"
+        )
+    wrong = np.flatnonzero(~(np.abs(found) <= LARGEST))
+    if wrong.size:
+        raise ModelError(f"{name}[{wrong[0]}] = {found[wrong[0]]}: must be finite; leave it out")
+    return found
+
+
+def _check(x: Array, force: Array) -> None:
+    if x.size != force.size:
+        raise ModelError(f"F: has {force.size} numbers, x has {x.size}: must be one for each")
+    (falls,) = np.nonzero(np.diff(x) <= 0.0)
+    if falls.size:
+        i = falls[0]
+        raise ModelError(
+            f"x[{i + 1}] = {x[i + 1]:g}: must be > x[{i}] = {x[i]:g}; sort the table by x and "
+            "take the mean of forces at the same place"
+        )
+    if not x[0] <= 0.0 <= x[-1]:
+        raise ModelError(
+            f"x: goes from {x[0]:g} to {x[-1]:g} m, must hold 0; add the points up to there, of "
+            "force 0 where nothing touches"
+        )
+
+
+def _zero_stretch(x: Array, force: Array) -> Gap:
+    """The stretch about zero without a force."""
+    touched = np.flatnonzero(force != 0.0)
+    below, above = touched[x[touched] <= 0.0], touched[x[touched] >= 0.0]
+    first = below[-1] + 1 if below.size else 0
+    last = above[0] - 1 if above.size else x.size - 1
+    # Zero may lie beside a single point without force, or between two with one.
+    if not (first <= last and x[first] <= 0.0 <= x[last]):
+        return Gap(0.0, 0.0)
+    return Gap(0.0 - x[first], x[last])
+
+
+def _chord(length: float, force: float) -> float:
+    return max(float(force / length), 0.0) if length > 0.0 else 0.0

@@ -1,0 +1,200 @@
+"""Measured force tables: the curve, motions on it, its range, refusals."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+from scipy.interpolate import PchipInterpolator
+
+import gapsweep as gs
+from gapsweep.response.loads import largest_forces
+
+X = (-3e-3, -1e-3, -0.4e-3, 0.4e-3, 1e-3, 2e-3)
+F = (-40.0, -9.0, 0.0, 0.0, 8.0, 30.0)
+GAP = gs.Gap(0.4e-3, 0.4e-3)
+TIGHT = {"rtol": 1e-11, "atol": 1e-14}
+
+
+def sampled(law, n, reach=4e-3):
+    """A table of a law's force, walls among its points."""
+    x = np.union1d(np.linspace(-reach, reach, n), [-law.gap.j_1, law.gap.j_2])
+    return gs.ForceTable(x, law.force(x))
+
+
+def test_the_curve_is_the_monotone_cubic_of_scipy():
+    table, curve = gs.ForceTable(X, F), PchipInterpolator(X, F)
+    x = np.linspace(X[0], X[-1], 3001)
+    assert_allclose(table.force(x), curve(x), atol=1e-12)
+    assert_allclose(table.derivative(x), curve.derivative()(x), atol=1e-8)
+    assert np.all(np.diff(table.force(x)) >= 0.0)
+    assert not table.force(np.linspace(-0.4e-3, 0.4e-3, 101)).any()
+
+
+def test_it_goes_on_straight_beyond_its_ends():
+    table = gs.ForceTable(X, F)
+    for end, d in ((X[0], -1e-3), (X[-1], 1e-3)):
+        expected = table.force(end) + d * table.derivative(end)
+        assert table.force(end + d) == pytest.approx(expected, rel=1e-12)
+        assert table.derivative(end + d) == pytest.approx(table.derivative(end), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("x", "forces", "j_1", "j_2"),
+    [
+        (X, F, 0.4e-3, 0.4e-3),
+        ((-1e-3, 0.0, 2e-3), (0.0, 0.0, 5.0), 1e-3, 0.0),
+        ((-1e-3, 0.0, 2e-3), (-1.0, 0.1, 5.0), 0.0, 0.0),
+        ((-1e-3, 1e-3, 2e-3), (-1.0, 0.0, 5.0), 0.0, 0.0),  # zero lies on a slope
+        ((0.0, 1e-3, 2e-3), (0.0, 0.0, 5.0), 0.0, 1e-3),
+    ],
+)
+def test_walls_stand_where_the_force_begins(x, forces, j_1, j_2):
+    assert gs.ForceTable(x, forces).gap == gs.Gap(j_1, j_2)
+
+
+def test_walls_may_be_given_for_a_table_with_noise():
+    noisy = gs.ForceTable((-2e-3, 0.0, 0.5e-3, 2e-3), (-9.0, 0.01, -0.02, 9.0), gap=GAP)
+    assert noisy.gap == GAP
+    assert noisy.K_c == pytest.approx(9.0 / 1.6e-3)
+
+
+def test_its_numbers_are_its_identity():
+    assert gs.ForceTable(X, F) == gs.ForceTable(list(X), np.array(F))
+    assert hash(gs.ForceTable(X, F)) == hash(gs.ForceTable(X, F))
+    assert gs.ForceTable(X, F) != gs.ForceTable(X, (*F[:-1], 31.0))
+
+
+def test_it_is_symmetric_if_its_points_are():
+    x, forces = (-1e-3, -0.5e-3, 0.5e-3, 1e-3), (-4.0, 0.0, 0.0, 4.0)
+    assert gs.ForceTable(x, forces).is_symmetric
+    assert not gs.ForceTable(x, (-4.1, 0.0, 0.0, 4.0)).is_symmetric
+
+
+def rhs(o, curve, omega):
+    def f(t, y):
+        springs = o.omega_n_rad**2 * y[0] + o.alpha / o.mass * y[0] ** 3 + curve(y[0]) / o.mass
+        drive = o.forcing / o.mass * math.cos(2.0 * math.pi * omega * t)
+        return y[1], drive - 2.0 * o.zeta * o.omega_n_rad * y[1] - springs
+
+    return f
+
+
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+def test_motions_are_those_on_scipys_curve(engine):
+    o = gs.Oscillator()
+    rng = np.random.default_rng(5)
+    x = np.concatenate([[-4e-3], np.sort(rng.uniform(-3e-3, 3e-3, 9)), [4e-3]])
+    forces = np.sort(rng.normal(0.0, 20.0, x.size))
+    curve = PchipInterpolator(x, forces)
+    start = [1e-4, 0.03]
+    truth = solve_ivp(
+        rhs(o, curve, 7.0), (0.0, 0.5), start, method="DOP853", rtol=1e-12, atol=1e-15
+    )
+    found = gs.simulate(
+        o, gs.ForceTable(x, forces), 7.0, *start, t_end=0.5, engine=engine, tangent=True, **TIGHT
+    )
+    assert found.status == gs.Status.OK
+    assert_allclose([found.x, found.v], truth.y[:, -1], atol=1e-9, rtol=1e-7)
+    shrinks = math.exp(-2.0 * o.zeta * o.omega_n_rad * 0.5)
+    assert np.linalg.det(found.monodromy) == pytest.approx(shrinks, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("law", "gain"), [(gs.Tanh(1.4e4, GAP, 5e3), 6.0), (gs.Piecewise(1.4e4, GAP), 3.0)]
+)
+def test_a_finer_table_of_a_law_comes_closer_to_it(law, gain):
+    """With the third order of its points' distance, at a corner with the second."""
+    o, omega = gs.Oscillator(), np.linspace(5.0, 12.0, 16)
+    truth = gs.simulate(o, law, omega, t_end=0.5, **TIGHT)
+    coarse, middle, fine = (
+        np.abs(gs.simulate(o, sampled(law, n), omega, t_end=0.5, **TIGHT).x - truth.x).max()
+        for n in (321, 641, 1281)
+    )
+    assert fine < middle / gain < coarse / gain**2
+    assert fine < 1e-6
+
+
+def test_its_walls_are_passed_as_often_as_those_of_its_law():
+    law, o = gs.Piecewise(1.4e4, GAP), gs.Oscillator()
+    exact = gs.simulate(o, law, 9.0, t_end=2.0)
+    found = gs.simulate(o, sampled(law, 2001), 9.0, t_end=2.0)
+    assert found.n_contacts == exact.n_contacts > 20
+    assert_allclose(found.t_contacts, exact.t_contacts, atol=1e-4)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+def test_a_motion_is_judged_by_the_end_that_it_passes(engine):
+    """The table ends at -3 mm and at 2 mm."""
+    free = gs.Oscillator(alpha=0.0, forcing=0.0)
+    table, options = gs.ForceTable(X, F), {"t_end": 0.01, "engine": engine}
+    ends = {
+        x_0: gs.simulate(free, table, 9.0, x_0, **options).status
+        for x_0 in (-2.9e-3, -3.1e-3, 1.9e-3, 2.1e-3)
+    }
+    assert ends[-2.9e-3] == ends[1.9e-3] == gs.Status.OK
+    assert ends[-3.1e-3] == ends[2.1e-3] == gs.Status.OUT_OF_FIT_RANGE
+
+
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+def test_a_fit_is_left_alike_in_both_engines(engine):
+    """With tenfold the speed it goes farther than the fit reaches."""
+    free, law = gs.Oscillator(alpha=0.0, forcing=0.0), gs.Polynomial(1.4e4, GAP, 5, 1e-3)
+    ends = [
+        gs.simulate(free, law, 9.0, 0.0, v_0, t_end=0.1, engine=engine).status
+        for v_0 in (0.03, 0.3)
+    ]
+    assert ends == [gs.Status.OK, gs.Status.OUT_OF_FIT_RANGE]
+
+
+def test_a_response_beyond_the_table_says_so():
+    o, omega = gs.Oscillator(), 9.0
+    whole = gs.respond(o, gs.ForceTable(X, F), omega)
+    assert whole.status == gs.Status.OK
+    reach = 0.5 * (0.4e-3 + whole.x_max)
+    short = gs.ForceTable((*X[:4], reach), (*F[:4], gs.ForceTable(X, F).force(reach)))
+    assert gs.respond(o, short, omega).status == gs.Status.OUT_OF_FIT_RANGE
+
+
+@pytest.mark.parametrize(("x_min", "x_max"), [(-1e-4, 1e-3), (-1e-4, 0.4e-3), (-1e-4, 0.2e-3)])
+def test_the_largest_force_may_lie_at_a_point_of_the_table(x_min, x_max):
+    table = gs.ForceTable((-4e-3, 0.0, 0.3e-3, 0.6e-3, 4e-3), (-40.0, 0.0, 14.0, 1.0, 20.0))
+    (found,) = largest_forces([table], np.array([x_min]), np.array([x_max]))
+    passed = np.abs(table.force(np.linspace(x_min, x_max, 100_001)))
+    assert found == pytest.approx(passed.max(), rel=1e-6)
+
+
+def test_company_changes_no_bit():
+    o, omega = gs.Oscillator(), np.linspace(5.0, 12.0, 19)
+    together = gs.simulate(o, gs.ForceTable(X, F), omega, t_end=1.0)
+    for k in (0, 7, 18):
+        alone = gs.simulate(o, gs.ForceTable(X, F), omega[k], t_end=1.0)
+        assert (alone.x, alone.v, alone.n_steps) == (
+            together.x[k],
+            together.v[k],
+            together.n_steps[k],
+        )
+
+
+@pytest.mark.parametrize(
+    ("x", "forces", "said"),
+    [
+        ([0.0], [0.0], r"x: has the shape \(1,\), must be one column of 2 to 10000 numbers"),
+        ([[0.0, 1.0]], [0.0, 1.0], r"x: has the shape \(1, 2\), must be one column"),
+        ([0.0, "a"], [0.0, 1.0], r"x = .*: must be a list of numbers"),
+        ([0.0, 1.0], [0.0, math.nan], r"F\[1\] = nan: must be finite; leave it out"),
+        ([0.0, 1.0], [0.0, 1.0, 2.0], r"F: has 3 numbers, x has 2: must be one for each"),
+        ([0.0, 1.0, 1.0], [0.0, 1.0, 2.0], r"x\[2\] = 1: must be > x\[1\] = 1; sort the table"),
+        ([1.0, 0.0], [1.0, 0.0], r"x\[1\] = 0: must be > x\[0\] = 1; sort the table"),
+        ([1.0, 2.0], [0.0, 1.0], r"x: goes from 1 to 2 m, must hold 0; add the points"),
+    ],
+)
+def test_a_bad_table_is_refused_with_a_remedy(x, forces, said):
+    with pytest.raises(gs.ModelError, match=said):
+        gs.ForceTable(x, forces)
+
+
+def test_walls_must_be_a_gap():
+    with pytest.raises(gs.ModelError, match=r"gap = 0.001: must be a gapsweep.Gap"):
+        gs.ForceTable(X, F, gap=1e-3)
