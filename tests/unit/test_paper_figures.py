@@ -21,7 +21,8 @@ from workflows.paper.paper_figures import (
 import gapsweep as gs
 from gapsweep.analysis.histories import histories
 from gapsweep.analysis.verdicts import Run
-from gapsweep.report.parts import is_drawing, rendered
+from gapsweep.report.parts import rendered
+from gapsweep.report.pictures import VIEWS, is_picture
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -243,7 +244,7 @@ def test_figures_are_those_the_run_has_points_for(kept):
 def test_sections_are_drawn_and_empty_ones_left_out():
     drawn, bands = rendered(sections(Run({"responses": responses_of(WEAK)})))
     assert (drawn["anchor"], bands["anchor"]) == ("paper", "bands")
-    assert [is_drawing(each["svg"]) for each in drawn["figures"]] == [True, True]
+    assert [is_picture(each[view]) for each in drawn["figures"] for view in VIEWS] == [True] * 4
     few = Run({"responses": responses_of(["poly-5"], K_c=(2e4,))})
     assert rendered(sections(few)) == []
 

@@ -1,8 +1,11 @@
 """The report: its sentences follow from the data, and no text of a user's becomes markup."""
 
+import io
 import json
 import re
 import subprocess
+from urllib.parse import unquote
+from xml.etree import ElementTree
 
 import pytest
 import xarray as xr
@@ -14,7 +17,8 @@ from gapsweep.analysis.timing import timing
 from gapsweep.report.answer import contacts
 from gapsweep.report.findings import findings
 from gapsweep.report.html import write_report
-from gapsweep.report.parts import Figured, Part, Table, for_page, is_drawing, rendered, svg
+from gapsweep.report.parts import Figured, Part, Table, for_page, rendered
+from gapsweep.report.pictures import VIEWS, is_picture, pictures
 from gapsweep.report.tables import VERDICTS, number, outcome, percent
 from gapsweep.stages import is_of_run
 from gapsweep.status import Status
@@ -106,7 +110,11 @@ PART = {
     "title": HOSTILE,
     "sentences": [HOSTILE],
     "tables": [{"title": HOSTILE, "header": [HOSTILE], "rows": [[HOSTILE]]}],
-    "figures": [{"svg": f"<svg><script>alert(3)</script>{HOSTILE}</svg>", "caption": HOSTILE}],
+    "figures": [
+        dict.fromkeys(
+            (*VIEWS, "caption", "description"), f"<svg><script>alert(3)</script>{HOSTILE}</svg>"
+        )
+    ],
 }
 
 
@@ -129,7 +137,8 @@ def page(tmp_path_factory):
 
 def test_hostile_texts_stay_texts(page):
     text = page.read_text()
-    assert "<img" not in text
+    assert "<img src=x" not in text
+    assert "alert(3)" not in text
     assert text.count("<script>") == 1
     assert "&lt;script&gt;alert(2)" in text
 
@@ -180,17 +189,49 @@ def test_the_page_asks_for_nothing_and_allows_only_its_own_script(page):
     )
 
 
-def test_drawings_are_shown_and_nothing_else_is():
-    figure = Figure()
-    axes = figure.subplots()
-    axes.plot(range(9), "o", label="<b> & c", rasterized=True)
-    axes.set_title("$x^2$")
-    axes.legend()
-    axes.axvspan(0, 1)
-    drawn = str(svg(figure, 'says "<b>"'))
-    assert is_drawing(drawn)
-    stored = json.loads(json.dumps(PART | {"figures": [{"svg": drawn, "caption": ""}]}))
-    assert for_page(stored)["figures"][0]["svg"] == drawn
+def panelled():
+    """Three panels with a legend of all, points, a shade and mathematics."""
+    figure = Figure(figsize=(9.5, 3.0), layout="constrained")
+    panels = figure.subplots(1, 3, sharey=True)
+    for i, axes in enumerate(panels):
+        axes.plot(range(9), "o", label=f"<b> & 'c' {i}", rasterized=True)
+        axes.set_title(f"$x^{i}$ — 7 %", fontsize=5)
+        axes.axvspan(0, 1)
+    panels[0].set(ylabel="height [mm]", xlabel="#1")
+    figure.legend(loc="outside upper center", ncols=3)
+    return figure
+
+
+def words(picture):
+    return [" ".join("".join(e.itertext()).split()) for e in ElementTree.fromstring(picture).iter(
+        "{http://www.w3.org/2000/svg}text")]  # fmt: skip
+
+
+def test_pictures_have_text_as_text_that_can_be_read_and_panels_that_stack():
+    wide, narrow = (pictures(panelled())[view] for view in VIEWS)
+    for picture in (wide, narrow):
+        assert "<b> & 'c' 1" in words(picture)
+        sizes = [float(size) for size in re.findall(r"font-size: ([\d.]+)px", picture)]
+        assert min(sizes) >= 8.5 * 0.7  # of mathematics, exponents
+        assert len(re.findall("data:image/png", picture)) == 3
+    assert [words(p).count("height [mm]") for p in (wide, narrow)] == [1, 3]
+    widths = [float(re.search(r'width="([\d.]+)pt"', p)[1]) for p in (wide, narrow)]
+    assert widths == [684.0, 259.2]
+
+
+def test_a_picture_is_no_longer_than_needed():
+    """Styles and names that matplotlib repeats are half of a picture."""
+    buffer = io.StringIO()
+    panelled().savefig(buffer, format="svg")
+    assert len(pictures(panelled())["wide"]) < 0.4 * len(buffer.getvalue())
+
+
+def test_only_pictures_are_shown():
+    drawn = pictures(panelled())
+    stored = json.loads(json.dumps(PART | {"figures": [{**drawn, "caption": ""}]}))
+    (shown,) = for_page(stored)["figures"]
+    assert unquote(shown["wide"]["src"]) == "data:image/svg+xml," + drawn["wide"]
+    assert (shown["wide"]["width"], shown["wide"]["height"]) == (912, 288)
     for old, new in (
         ("</svg>", "<script>alert(1)</script></svg>"),
         ("</svg>", "</svg><svg></svg>"),
@@ -198,8 +239,10 @@ def test_drawings_are_shown_and_nothing_else_is():
         ("<g ", '<g onload="alert(1)" '),
         ("</svg>", '<use href="https://a.b/c#d"/></svg>'),
     ):
-        assert old in drawn
-        assert not is_drawing(drawn.replace(old, new)), new
+        assert old in drawn["narrow"]
+        changed = drawn | {"narrow": drawn["narrow"].replace(old, new)}
+        assert for_page(PART | {"figures": [changed]})["figures"] == [], new
+    assert not is_picture("")
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ from gapsweep.analysis.grid import scene_dims, scenes
 from gapsweep.analysis.statistics import repeatability, widened
 from gapsweep.model.labels import AUTO
 from gapsweep.report.drawing import named
-from gapsweep.report.selection import beside, gap_label
+from gapsweep.report.selection import anchor_of, beside, gap_label
 from gapsweep.report.tables import number
 
 LINE, MOST, HALF = 0.05, 0.95, 0.5
@@ -99,7 +99,7 @@ class Judged:
 class Contact:
     """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in.
 
-    `others` names the values of what the study sweeps beside.
+    `others` names the values of what the study sweeps beside, `anchor` its place in the page.
     """
 
     K_c: float
@@ -108,6 +108,7 @@ class Contact:
     laws: list[Judged]
     threshold: str
     others: str = ""
+    anchor: str = ""
 
     @property
     def columns(self) -> dict[str, list[Judged]]:
@@ -173,7 +174,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         ]
         here = pooled.coords.to_dataset().isel(at)
         gap, others = gap_label(here), ", ".join(named(here[name]) for name in beside(here))
-        contact = Contact(float(here["K_c"]), gap, floors, judged, _threshold(static, here), others)
+        known = _threshold(static, here), others, anchor_of(at)
+        contact = Contact(float(here["K_c"]), gap, floors, judged, *known)
         order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
         found.append((contact.K_c, *order, contact))
     return [contact for *_, contact in sorted(found, key=lambda one: one[:-1])]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
-MANY = 800  # points as vectors would make a file heavy
+MANY = 60  # points as vectors would make a file heavy
 _WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
 _MOST_NAMES = 24  # that fit beside a colour bar
 _FINENESS = 2000  # cells of one width along an axis of uneven ones
@@ -174,8 +174,8 @@ def curves(axes: "Axes", variable: xr.DataArray, along: str) -> None:
                 label=label if start == 0 else None,
                 linewidth=2.2 if exact else 1.2,
                 zorder=1 if exact else 2,
-                marker=".",
-                markersize=(5 if exact else 3) if few else 1.5,
+                marker="." if few else None,
+                markersize=5 if exact else 3,
             )
 
 

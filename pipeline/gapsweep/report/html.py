@@ -4,12 +4,11 @@ import base64
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import jinja2
-import matplotlib
 import xarray as xr
 from markupsafe import Markup
 
@@ -17,42 +16,20 @@ from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.grid import scenes as all_scenes
 from gapsweep.report.answer import MOST_CONTACTS, SIGNS, contacts, in_words, times
 from gapsweep.report.bench import bench_parts
-from gapsweep.report.drawing import named
+from gapsweep.report.drawing import labels_of, named
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.findings import findings, outcomes
 from gapsweep.report.overview import is_wide, overview
-from gapsweep.report.parts import for_page, rendered, svg
+from gapsweep.report.parts import Figured, Part, for_page, rendered
 from gapsweep.report.scenes import Scenes, swept
-from gapsweep.report.selection import beside, gap_label
-from gapsweep.report.style import MATPLOTLIB
-from gapsweep.report.tables import (
-    VERDICTS,
-    Row,
-    agreement_rows,
-    claim_rows,
-    number,
-    percent,
-    timing_rows,
-)
+from gapsweep.report.selection import anchor_of, beside, gap_label
+from gapsweep.report.style import colour
+from gapsweep.report.tables import VERDICTS, claim_rows, number, percent, scene_tables
 from gapsweep.status import Status
 from gapsweep.store.artefact import is_recorded, recording
 
 _TEMPLATES = Path(__file__).parent / "templates"
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """Everything about one scene."""
-
-    title: str
-    anchor: str
-    summary: str
-    frequency_response: Markup | None
-    bifurcation: Markup
-    attractors: Markup | None
-    agreement: list[Row]
-    timing: list[Row]
 
 
 def write_report(
@@ -101,15 +78,13 @@ def write_report(
         lstrip_blocks=True,
     )
     script = (_TEMPLATES / "claims.js").read_text(encoding="utf-8")
-    sections: list[Section] = []
-    ours = list(bench_parts(work_precision, stability))
-    if is_wide(responses):
-        ours.append(overview(responses, agreement, timing, attractors))
-    else:
-        with matplotlib.rc_context(MATPLOTLIB):
-            sections = list(_sections(responses, Scenes(responses), agreement, timing, attractors))
+    files = (responses, agreement, timing, attractors)
+    ours = chain(
+        bench_parts(work_precision, stability),
+        [overview(*files)] if is_wide(responses) else _scenes(*files),
+    )
     parts = [*own_parts, *rendered(ours)]
-    environment.filters.update(number=number, percent=percent, times=times)
+    environment.filters.update(number=number, percent=percent, times=times, colour=colour)
     found = [] if agreement is None else contacts(agreement, static)
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
@@ -123,7 +98,6 @@ def write_report(
         verdicts=VERDICTS,
         script=Markup(script),  # our own file, without anything of the user's
         script_digest=_digest(script),
-        sections=sections,
         parts=[for_page(part) for part in parts],
         measured_on=timing.attrs["measured_on"],
         provenance=_provenance(responses),
@@ -148,43 +122,53 @@ def _is_ours(path: Path) -> bool:
     )
 
 
-def _sections(
+def _scenes(
     responses: xr.Dataset,
-    scenes: Scenes,
     agreement: xr.Dataset | None,
     timing: xr.Dataset,
     attractors: xr.Dataset | None,
-) -> Iterator[Section]:
+) -> Iterator[Part]:
+    """Everything about one scene after the other."""
+    scenes = Scenes(responses)
     for at in all_scenes(responses, scene_dims(responses["status"].dims)):
         here = scenes.at(at)
         if here is None:
             continue
-        labels = [str(label) for label in here["representation"].values]
+        labels = labels_of(here)
         others = "".join(f", {named(here[name])}" for name in beside(here))
-        title = f"K_c = {number(float(here['K_c']))} N/m, gap {gap_label(here)} mm{others}"
-        shown = _without_protocols(here)
-        rows: list[Row] = []
-        if agreement is not None and agreement.attrs["reference"] in labels:
-            rows = list(agreement_rows(agreement.isel(at), labels))
-        several = _attractors(attractors, shown, at, title)
-        yield Section(
-            title=title,
-            anchor="-".join(["scene", *map(str, at.values())]),
-            summary=outcomes(here),
-            # Curves of many starts would cross between attractors: these have their own panels.
-            frequency_response=None
-            if several
-            else svg(frequency_response(shown), f"Frequency response, {title}"),
-            bifurcation=svg(bifurcation(shown), f"Bifurcation diagram, {title}"),
-            attractors=several,
-            agreement=rows,
-            timing=list(timing_rows(timing.isel(at), labels)),
+        title = f"{named(here['K_c'])}, gap {gap_label(here)} mm{others}"
+        compared = None if agreement is None else agreement.isel(at)
+        yield Part(
+            anchor_of(at),
+            title,
+            [outcomes(here)],
+            scene_tables(compared, timing.isel(at), labels),
+            _scene_figures(_without_protocols(here), attractors, at, title),
         )
 
 
-def _attractors(
-    attractors: xr.Dataset | None, scene: xr.Dataset, at: At, title: str
-) -> Markup | None:
+def _scene_figures(
+    scene: xr.Dataset, attractors: xr.Dataset | None, at: At, title: str
+) -> Iterator[Figured]:
+    found = _attractors(attractors, scene, at)
+    if found is None:  # curves of many starts would cross between attractors
+        caption = "Amplitude (half the range) of the steady response."
+        yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
+    yield Figured(
+        bifurcation(scene),
+        "All steady zero-velocity displacements. Red: chaotic or unresolved. Dashed: walls.",
+        f"Bifurcation diagram, {title}",
+    )
+    if found is not None:
+        yield Figured(
+            attractor_panels(found),
+            "Peak displacement of every attractor that the starts reach. The area of a dot is the "
+            "share of the starts that end on it; hollow: not periodic.",
+            f"Attractors and their basins, {title}",
+        )
+
+
+def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.Dataset | None:
     """Attractors of a scene, at the frequencies that have several starts; None if none has."""
     several = (scene["status"] != Status.NOT_REQUESTED).sum("initial_condition") > 1
     if attractors is None or not several.any():
@@ -192,11 +176,10 @@ def _attractors(
     names = ["x_max", "basin_share", "response_class"]
     found = attractors[names].isel(at).load()
     here = several.any("omega")
-    found = found.sel(
+    return found.sel(
         representation=scene["representation"].values[here.values],
         omega=scene["omega"].values[several.any("representation").values],
     )
-    return svg(attractor_panels(found), f"Attractors and their basins, {title}")
 
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:

@@ -15,9 +15,9 @@ from gapsweep.report.drawing import named
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, maps
 from gapsweep.report.maps import numeric_axes, on_grid, picture
-from gapsweep.report.parts import Figured, Part, Table
+from gapsweep.report.parts import Figured, Part
 from gapsweep.report.selection import places
-from gapsweep.report.tables import agreement_rows, timing_rows
+from gapsweep.report.tables import scene_tables
 from gapsweep.status import Status
 
 MOST_SCENES, MOST_POINTS = 16, 200_000
@@ -25,25 +25,6 @@ _TOLD_APART = ("K_c", "gap")  # by these alone scenes have always had a figure e
 _START = SWEPT[1]
 _STATE = ("x_0", "v_0")
 _FEW_STARTS = 500
-_AGREEMENT = {
-    "representation": "Representation",
-    "amplitude_median": "Amplitude error, median",
-    "amplitude_p95": "95th percentile",
-    "recall": "Attractors found",
-    "precision": "Attractors right",
-    "same_class": "Same class",
-    "basin_distance": "Basin distance",
-    "compared": "Points compared",
-}
-_TIMING = {
-    "representation": "Representation",
-    "cpu": "Processor time [ms]",
-    "nfev": "Right-hand sides",
-    "n_steps": "Steps",
-    "n_rejected": "Rejected",
-    "n_contacts": "Contacts",
-    "n_points": "Points",
-}
 
 
 def is_wide(responses: xr.Dataset) -> bool:
@@ -87,21 +68,13 @@ def overview(
         f"{' and '.join(names) or 'nothing'}, of all else at one value, in place of figures of "
         "each scene. ds.gapsweep.map() and bifurcation() draw any other."
     )
-    rows = {
-        "Agreement with the exact law": (_AGREEMENT, _agreement_rows(agreement, labels)),
-        "Cost per sweep point (medians)": (_TIMING, list(timing_rows(timing, labels))),
-    }
     over = f", median over {n_scenes} scenes" if n_scenes > 1 else ""
     plain = [label for label in labels if "@" not in label] or labels
     return Part(
         "overview",
         f"All scenes over {' and '.join(names)}" if names else "All scenes",
         [sentence],
-        [
-            Table(title + over, list(head.values()), [[str(r[name]) for name in head] for r in of])
-            for title, (head, of) in rows.items()
-            if of
-        ],
+        scene_tables(agreement, timing, labels, over),
         (
             figure
             for label in plain
@@ -109,12 +82,6 @@ def overview(
             for figure in _figures(responses, attractors, asked, label, axes)
         ),
     )
-
-
-def _agreement_rows(agreement: xr.Dataset | None, labels: list[str]) -> list[dict[str, str]]:
-    if agreement is None or agreement.attrs["reference"] not in labels:
-        return []
-    return list(agreement_rows(agreement, labels))
 
 
 def _axes(responses: xr.Dataset) -> list[str]:
