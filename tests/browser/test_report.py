@@ -151,14 +151,37 @@ def test_nothing_is_wider_than_a_phone(debugger, page):
     assert width <= 380
 
 
-def test_the_answer_is_on_the_first_screen(debugger, page):
-    for size in ((1280, 800), (390, 800)):
-        (top, width), _ = ask(
+def test_the_answer_and_a_figure_are_on_the_first_screen(debugger, page):
+    for size in ((1280, 800), (390, 844)):
+        (row, width, hero), _ = ask(
             debugger,
             page,
-            "document.querySelector('#answer tbody tr').getBoundingClientRect().bottom",
-            "document.querySelector('#answer .scroll').getBoundingClientRect().right",
+            "document.querySelector('#answer tbody tr:last-child').getBoundingClientRect().bottom",
+            "document.querySelector('#answer .scroll table').getBoundingClientRect().right",
+            "document.querySelector('#figure-hero img').getBoundingClientRect().top",
             size=size,
         )
-        assert top < size[1]
+        assert row < hero < size[1] - 100
         assert width <= size[0]
+
+
+def test_the_address_keeps_what_is_filtered(debugger, page):
+    asked = f"{page.as_uri()}#claims?verdict={VERDICTS[1]}&text=fig"
+    count = (
+        "[...document.querySelectorAll('ol.claims > li')].filter(c => c.offsetHeight > 0).length"
+    )
+    write = (
+        "(() => { const form = document.getElementById('claims-filter');"
+        "form.elements.verdict.value = '';"
+        "form.dispatchEvent(new Event('input', {bubbles: true})); return location.hash; })()"
+    )
+    (shown, top, address), _ = asyncio.run(
+        looked_at(
+            debugger,
+            asked,
+            (count, "document.getElementById('claims').getBoundingClientRect().top", write),
+        )
+    )
+    assert shown == 1
+    assert top < 100
+    assert address == "#claims?verdict=&text=fig"

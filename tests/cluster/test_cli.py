@@ -74,7 +74,7 @@ def test_run_writes_datasets_and_report(finished):
     assert subprocess.run(sums, cwd=run).returncode == 0
     assert subprocess.run(sums, cwd=run / "report").returncode == 0
     page = (run / "report" / "index.html").read_text()
-    assert page.count("<svg") == 2
+    assert page.count("<picture>") == 2
     # XML namespaces are names, not requests; nothing else may point outside.
     outside = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?(https?:[^"\'\s)]*)', page)
     assert [url for url in outside if "w3.org" not in url] == []

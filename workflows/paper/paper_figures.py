@@ -23,7 +23,6 @@ from .static_figures import WIDTH
 _SHADES = {ResponseClass.CHAOTIC: "#fbd9d3", ResponseClass.UNRESOLVED: "#c8d8e6"}
 _DOT, _REAR = 1.6, 1.8  # points; what lies behind is larger by so much
 _FAR = 4.0  # peaks so many wall distances out need a logarithmic axis
-_SPARE = 0.5  # room around the exact law, in widths of its range
 SHOWN_PERIODS, _HARMONICS, _DECADES = 6, 5.5, 5
 
 Overlay = tuple[str, str, NDArray[np.float64]]
@@ -33,7 +32,7 @@ def peak_curves(scene: xr.Dataset) -> Figure:
     """Peak displacements in a scene, a panel per law with the exact one behind it."""
     labels = labels_of(scene)
     figure, panels = _panels(scene, "peak displacement [mm]", len(labels), 3, 2.4)
-    low, high = _frame(scene, "x_max")
+    low, high = drawing.frame(scene, "x_max", _exact(scene))
     for axes, label in zip(panels, labels, strict=True):
         for one, size in {_exact(scene): _DOT + _REAR, label: _DOT}.items():
             drawing.peaks(axes, scene.sel(representation=one), size, high)
@@ -46,7 +45,7 @@ def stacked_bifurcations(scene: xr.Dataset) -> Figure:
     """All extrema in a scene from one start, a panel per law on common axes."""
     labels, omega = labels_of(scene), drawn(scene["omega"])
     figure, panels = _panels(scene, "steady extrema [mm]", len(labels), 1, 1.35)
-    low, high = _frame(scene, "x_min")
+    low, high = drawing.frame(scene, "x_min", _exact(scene))
     for axes, label in zip(panels, labels, strict=True):
         one = scene.sel(representation=label)
         for kind, shade in _SHADES.items():
@@ -141,22 +140,6 @@ def _panels(
     figure.supxlabel("forcing frequency [Hz]", fontsize=9)
     figure.supylabel(label, fontsize=9)
     return figure, panels[:n]
-
-
-def _frame(scene: xr.Dataset, lowest: str) -> tuple[float, float]:
-    """Common axis with room for the exact law, and for what others add within reason."""
-    bottom, top = drawn(scene[lowest]), drawn(scene["x_max"])
-    is_exact = scene["representation"].values == _exact(scene)
-    if not np.isfinite(top[is_exact]).any():
-        is_exact[:] = True
-    low, high = np.nanmin(bottom, initial=np.inf), np.nanmax(top, initial=-np.inf)
-    if not low <= high:  # there is no result at all
-        return -1.0, 1.0
-    own_low, own_high = np.nanmin(bottom[is_exact]), np.nanmax(top[is_exact])
-    spare = _SPARE * (own_high - own_low)
-    low, high = max(low, own_low - spare), min(high, own_high + spare)
-    margin = 0.06 * (high - low) or 1.0
-    return float(low - margin), float(high + margin)
 
 
 def _scale(axes: Axes, scene: xr.Dataset, low: float, high: float) -> None:

@@ -6,6 +6,7 @@ importing this module is cheap.
 """
 
 import math
+import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from gapsweep.report.style import colour, lines
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
-from gapsweep.study.selection import as_words, is_numeric
+from gapsweep.study.selection import is_numeric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,6 +27,7 @@ MANY = 60  # points as vectors would make a file heavy
 _WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
 _MOST_NAMES = 24  # that fit beside a colour bar
 _FINENESS = 2000  # cells of one width along an axis of uneven ones
+_SPARE = 0.5  # room around the exact law, in widths of its range
 _FEW = 60  # points on a curve that can be told apart
 # UDUNITS text to a factor and what stands on an axis.
 _SHOWN_UNITS = {
@@ -58,9 +60,14 @@ def axis_label(variable: xr.DataArray, words: str = "") -> str:
 def named(coordinate: xr.DataArray) -> str:
     """A coordinate's one value with its name and unit, as ``K_c = 14000 N/m``."""
     name, held = str(coordinate.name), coordinate.values
-    (value,) = as_words(np.ravel(drawn(coordinate) if is_numeric(held) else held))
+    value = plain(drawn(coordinate).item()) if is_numeric(held) else str(held.item())
     names = {"scene": "", "representation": "", "gap": "gap ", "regime": "regime: "}
     return f"{names.get(name, f'{name} = ')}{value} {_shown_unit(coordinate)[1]}".strip()
+
+
+def plain(value: float) -> str:
+    """A number as it was given: 14000, and 1.4e6 for 1.4e+06."""
+    return re.sub(r"e([+-])0*", lambda m: "e" + m[1].strip("+"), f"{value:g}")
 
 
 def is_crowded_low(values: NDArray[np.float64]) -> bool:
@@ -231,6 +238,30 @@ def peaks(
         shown = where & np.isfinite(height) & ~above
         _points(axes, places[shown], height[shown], alpha=alpha, **style)
     outside(axes, places[above], high, "^", label)
+
+
+def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
+    """Common axis with room for the exact law, and for what others add within reason.
+
+    Parameters
+    ----------
+    lowest : str
+        The variable that bounds it from below; ``x_max`` does from above.
+    exact : str
+        The exact law's label.
+    """
+    bottom, top = drawn(scene[lowest]), drawn(scene["x_max"])
+    is_exact = scene["representation"].values == exact
+    if not np.isfinite(top[is_exact]).any():
+        is_exact[:] = True
+    low, high = np.nanmin(bottom, initial=np.inf), np.nanmax(top, initial=-np.inf)
+    if not low <= high:  # there is no result at all
+        return -1.0, 1.0
+    own_low, own_high = np.nanmin(bottom[is_exact]), np.nanmax(top[is_exact])
+    spare = _SPARE * (own_high - own_low)
+    low, high = max(low, own_low - spare), min(high, own_high + spare)
+    margin = 0.06 * (high - low) or 1.0
+    return float(low - margin), float(high + margin)
 
 
 def outside(axes: "Axes", omega: Any, edge: float, marker: str, label: str) -> None:

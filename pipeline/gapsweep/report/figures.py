@@ -1,7 +1,7 @@
 """Figures of the report, each from a dataset to a matplotlib figure."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import xarray as xr
 from matplotlib.axes import Axes
@@ -86,6 +86,32 @@ def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
         axes.xaxis.set_tick_params(labelbottom=True)
     for axes in panels[::n_columns]:
         axes.set_ylabel(axis_label(found["x_max"], "peak"))
+    return figure
+
+
+def beside_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Figure:
+    """Peaks of some laws over those of the exact one, black where it is missed, a panel per law.
+
+    Parameters
+    ----------
+    scene : Dataset
+        Dimensions representation, omega, initial_condition.
+    exact : str
+        Label of the exact law.
+    titles : mapping of str to str
+        What stands over the panel of each law.
+    """
+    figure = Figure(figsize=(_WIDTH, 2.3), layout="constrained")
+    panels = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
+    low, high = drawing.frame(scene, "x_max", exact)
+    for axes, (label, title) in zip(panels, titles.items(), strict=True):
+        drawing.walls(axes, scene)
+        for one, size in {exact: 3.4, label: 1.6}.items():
+            drawing.peaks(axes, scene.sel(representation=one), size, high)
+        axes.set_title(title, fontsize=9, loc="left")
+        _axis(axes, scene["omega"])
+    panels[0].set_ylim(low, high)
+    panels[0].set_ylabel(axis_label(scene["x_max"], "peak"))
     return figure
 
 

@@ -9,23 +9,34 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import matplotlib
 import xarray as xr
 from markupsafe import Markup
 
 from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.grid import scenes as all_scenes
-from gapsweep.report.answer import MOST_CONTACTS, SIGNS, contacts, in_words, times
+from gapsweep.report.answer import (
+    MOST_CONTACTS,
+    SIGNS,
+    Contact,
+    Judged,
+    contacts,
+    in_words,
+    times,
+)
 from gapsweep.report.bench import bench_parts
-from gapsweep.report.drawing import labels_of, named
+from gapsweep.report.drawing import labels_of, named, plain
 from gapsweep.report.figures import attractors as attractor_panels
-from gapsweep.report.figures import bifurcation, frequency_response
+from gapsweep.report.figures import beside_exact, bifurcation, frequency_response
 from gapsweep.report.findings import findings, outcomes
+from gapsweep.report.heat import GROUPS, heads, heat
 from gapsweep.report.overview import is_wide, overview
-from gapsweep.report.parts import Figured, Part, for_page, rendered
+from gapsweep.report.parts import Figured, Part, drawn, for_page, rendered
+from gapsweep.report.provenance import as_toml, provenance
 from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.selection import anchor_of, beside, gap_label
-from gapsweep.report.style import colour
-from gapsweep.report.tables import VERDICTS, claim_rows, number, percent, scene_tables
+from gapsweep.report.style import MATPLOTLIB, colour
+from gapsweep.report.tables import VERDICTS, Row, claim_rows, number, percent, scene_tables
 from gapsweep.status import Status
 from gapsweep.store.artefact import is_recorded, recording
 
@@ -83,30 +94,80 @@ def write_report(
         bench_parts(work_precision, stability),
         [overview(*files)] if is_wide(responses) else _scenes(*files),
     )
-    parts = [*own_parts, *rendered(ours)]
-    environment.filters.update(number=number, percent=percent, times=times, colour=colour)
+    parts = for_page([*own_parts, *rendered(ours)])
+    filters = {"number": number, "percent": percent, "times": times, "colour": colour}
+    environment.filters.update(**filters, plain=plain)
     found = [] if agreement is None else contacts(agreement, static)
+    told = found[:MOST_CONTACTS]
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
         study=responses.attrs["study"],
         findings=findings(responses, found, claims, advice),
-        contacts=found[:MOST_CONTACTS],
+        contacts=told,
         answer=in_words(found),
         signs=SIGNS,
-        claims=claims and {"counts": claims["counts"], "rows": list(claim_rows(claims))},
+        groups=GROUPS,
+        heads=list(heads(told)),
+        heat=heat(told),
+        anchors={part["anchor"] for part in parts},
+        hero=_hero(responses, told),
+        claims=claims and {"counts": claims["counts"], "rows": _claims(claims, parts)},
         verdicts=VERDICTS,
         script=Markup(script),  # our own file, without anything of the user's
         script_digest=_digest(script),
-        parts=[for_page(part) for part in parts],
+        parts=parts,
         measured_on=timing.attrs["measured_on"],
-        provenance=_provenance(responses),
+        provenance=provenance(responses),
+        toml=as_toml(json.loads(responses.attrs["study_json"])),
         version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
         fingerprint=responses.attrs["numerics_fingerprint"],
     )
     with recording(path, _is_ours) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
+
+
+def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | None:
+    """What the verdicts look like, where they differ most; None without frequencies."""
+    if not found or responses.sizes["omega"] < 2:
+        return None
+    contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
+    scene = Scenes(responses).at(contact.at)
+    shown = list(filter(None, (_typical(laws) for laws in contact.columns.values())))
+    if scene is None:
+        return None
+    laws = {one.law: f"{one.law}: {one.verdict}" for one in shown}
+    named = f"Peaks at {contact.place}, of each verdict a law. Black: the exact law, behind"
+    with matplotlib.rc_context(MATPLOTLIB):
+        figure = beside_exact(
+            swept(scene.sel(representation=["piecewise", *laws])), "piecewise", laws
+        )
+        made = drawn(Figured(figure, f"{named}; dashed: walls; pale: not periodic.", named))
+    (part,) = for_page([{"anchor": "hero", "figures": [made]}])
+    return dict(part["figures"][0])
+
+
+def _typical(laws: Sequence[Judged]) -> Judged | None:
+    """The cheapest law with a verdict that is firm, if any is; stand-ins alone."""
+    told = [one for one in laws if one.is_stand_in]
+    return next((one for one in told if one.is_firm), told[0] if told else None)
+
+
+def _claims(decided: Mapping[str, Any], parts: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """The claims, each with what of the page its place names."""
+    names = {f.get("name"): f["id"] for part in parts for f in reversed(part["figures"])}
+    return [{**row, "leads_to": _place(row["place"], names, parts)} for row in claim_rows(decided)]
+
+
+def _place(place: str, names: Mapping[str, str], parts: Sequence[Mapping[str, Any]]) -> str:
+    """The id of the figure or section that a claim is about, the nearest by name; empty if none.
+
+    "Fig. 11ab" is about "Fig. 11", "Fig. 2" about the first of "Fig. 2a" and "Fig. 2b".
+    """
+    near = [n for n in names if n and (place.startswith(n) or n.startswith(place))]
+    titled = [part["anchor"] for part in parts if part["title"].endswith(f" {place}")]
+    return names[min(near, key=lambda n: n != place)] if near else next(iter(titled), "")
 
 
 def _digest(script: str) -> str:
@@ -186,15 +247,3 @@ def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
     """The representations as they are; those of other solver settings if there is nothing else."""
     plain = [i for i, label in enumerate(scene["representation"].values) if "@" not in str(label)]
     return swept(scene.isel(representation=plain)) if plain else scene
-
-
-def _provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
-    attributes = responses.attrs
-    versions = json.loads(attributes["versions"])
-    return [
-        ("Study", attributes["study"]),
-        ("Created", attributes["created"]),
-        ("Numerics fingerprint", attributes["numerics_fingerprint"]),
-        ("Machine", f"{attributes['host']} ({attributes['machine']})"),
-        ("Versions", ", ".join(f"{name} {number}" for name, number in versions.items())),
-    ]

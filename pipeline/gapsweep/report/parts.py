@@ -5,6 +5,7 @@ and pictures, fit for JSON: what is stored is shown later without running what m
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -35,11 +36,15 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figured:
-    """A figure with its caption and what a screen reader says."""
+    """A figure with its caption, what a screen reader says, and what claims call it.
+
+    A claim whose place is the name, such as "Fig. 8b", leads to the figure.
+    """
 
     figure: Figure
     caption: str
     description: str
+    name: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.figure, Figure):
@@ -47,6 +52,7 @@ class Figured:
             raise TypeError(f"figure: must be a matplotlib.figure.Figure, not {kind}")
         _check_text("caption", self.caption)
         _check_text("description", self.description)
+        _check_text("name", self.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,13 +125,23 @@ def _rendered(part: Part) -> dict[str, Any]:
 
 def drawn(figured: Figured) -> dict[str, str]:
     """A figure as pictures, with its words."""
-    words = {"caption": figured.caption, "description": figured.description}
+    names = ("name", "caption", "description")
+    words = {name: getattr(figured, name) for name in names}
     return {**words, **pictures(figured.figure)}
 
 
-def for_page(part: Mapping[str, Any]) -> dict[str, Any]:
-    """A part that was stored, its pictures as addresses of images."""
-    return {**part, "figures": [shown(each) for each in part["figures"] if _is_sound(each)]}
+def for_page(parts: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Parts that were stored, their figures with ids of their own and addresses of pictures."""
+    made, used = [], Counter[str]()
+    for part in parts:
+        figures = [shown(each) for each in part["figures"] if _is_sound(each)]
+        for figure in figures:
+            slug = re.sub("[^a-z0-9]+", "-", (figure.get("name") or part["anchor"]).lower())
+            used[slug] += 1
+            again = f"-{used[slug]}" if used[slug] > 1 else ""
+            figure["id"] = f"figure-{slug.removeprefix('fig-')}{again}"
+        made.append({**part, "figures": figures})
+    return made
 
 
 def shown(figure: Mapping[str, str]) -> dict[str, Any]:

@@ -33,6 +33,7 @@ _LONG = 18  # letters of a label of which two do not fit beside each other there
 _COLOURS = 64  # of points drawn as pixels
 _PIXELS = re.compile("data:image/png;base64,([^\"']*)")
 _DIGITS = re.compile(r"([1-9]\d*\.\d\d)\d+")  # hundredths of a point are enough
+_VALUE = re.compile('="([^"\']*)"')
 _SIZE = re.compile(r'width="([\d.]+)pt" height="([\d.]+)pt"')
 _AS_TEXT: dict[Any, Any] = {"svg.fonttype": "none", "savefig.dpi": 130}
 # What says nothing: rotations by zero, fonts that nobody has, names that nothing refers to.
@@ -45,8 +46,8 @@ _NAME = re.compile('(?<= id=")[a-z][0-9a-f]{10}(?=")')
 _PATH, _BLANKS = re.compile(' d="([^"]*)"'), re.compile(" ?[A-Za-z] ?| $")
 _LINES = re.compile(r"L [-\d.]+ [-\d.]+(?: L [-\d.]+ [-\d.]+)+")
 _STYLE = re.compile(' style="([^"]*)"')
-# What need not be escaped in an address between double quotes.
-_PLAIN = " <>/:;=,.'()!*+-_~@[]{}|^`$?"
+# What need not be escaped in an address between double quotes, where a blank would end it.
+_PLAIN = "<>/:;=,.'()!*+-_~@[]{}|^`$?"
 
 
 def pictures(figure: Figure) -> dict[str, str]:
@@ -78,7 +79,7 @@ def svg(figure: Figure) -> str:
 def _shortened(found: re.Match[str]) -> str:
     """The same path without needless letters and blanks."""
     lines = _LINES.sub(lambda m: m[0].replace(" L ", " "), found[1])
-    return f' d="{_BLANKS.sub(lambda m: m[0].strip(), lines)}"'
+    return f' d="{_BLANKS.sub(lambda m: m[0].strip(), lines).replace(" ", ",")}"'
 
 
 def _with_classes(text: str) -> str:
@@ -148,7 +149,8 @@ def _texts(figure: Figure) -> Iterator[Text]:
 
 def address(picture: str) -> Markup:
     """A picture as an address between double quotes, for an image in the page itself."""
-    return Markup(f"data:image/svg+xml,{quote(picture, safe=_PLAIN)}")
+    single = _VALUE.sub(r"='\1'", picture)
+    return Markup(f"data:image/svg+xml,{quote(single, safe=_PLAIN)}")
 
 
 def size(picture: str) -> dict[str, Any]:
