@@ -9,6 +9,7 @@ import xarray as xr
 from matplotlib.colors import to_hex
 from numpy.testing import assert_allclose
 from tests.figure_texts import overlaps
+from tests.redrawn import is_redrawn
 from workflows.paper import scenes
 from workflows.paper.figures import LIMITS, band_rows, costs, figures, sections
 from workflows.paper.paper_figures import (
@@ -23,6 +24,7 @@ from gapsweep.analysis.histories import histories
 from gapsweep.analysis.verdicts import Run
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import VIEWS, is_picture
+from gapsweep.report.points import as_csv
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -141,6 +143,28 @@ def test_peaks_far_beyond_the_walls_make_the_axis_logarithmic(scene):
     assert {axes.get_yscale() for axes in figure.axes} == {"symlog"}
     assert figure.axes[0].get_ylim()[1] > 6.0
     assert not overlaps(figure)
+
+
+def test_the_csv_of_a_figure_draws_it_again(scene, kept, limits):
+    scene["x_max"][1, 3, 0] = 9e-3
+    scene["x_max"][0, 5, 0] = 6e-3  # a logarithmic axis
+    assert is_redrawn(peak_curves(scene))
+    one = scene.isel(initial_condition=0)
+    one["response_class"][2, 4:6] = CHAOTIC
+    assert is_redrawn(stacked_bifurcations(one))
+    two = limits.isel(K_c=0, gap=0, initial_condition=0)
+    assert is_redrawn(overlaid_bifurcations(two, [(LIMITS[2], LIMITS[0], OMEGA[[3, 7]])]))
+    assert is_redrawn(histories_and_spectra(kept))
+
+
+def test_the_csv_names_law_class_and_axes(scene):
+    scene["response_class"][1, 3] = CHAOTIC
+    about, *rows = as_csv(peak_curves(scene)).splitlines()
+    assert about == "# panel 1: piecewise; x: forcing frequency [Hz]; y: peak displacement [mm]"
+    law = WEAK[1]
+    chaotic = [row for row in rows if row.startswith(f'2,"{law}, not periodic",point,4,')]
+    heights = {float(row.split(",")[-2]) for row in chaotic}
+    assert heights == {float(f"{1e3 * x:.6g}") for x in scene["x_max"].values[1, 3]}
 
 
 def test_every_extremum_is_drawn(scene):

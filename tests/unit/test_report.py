@@ -16,6 +16,7 @@ from tests.made import datasets, failed, periodic, tables
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.timing import timing
+from gapsweep.errors import StoreError
 from gapsweep.report.answer import Contact, Judged, contacts
 from gapsweep.report.findings import findings
 from gapsweep.report.heat import heads, heat
@@ -257,6 +258,23 @@ def test_a_study_as_toml_is_the_same_study():
     )
     text = as_toml(json.loads(study.json))
     assert Study.from_dict(tomllib.loads(text)).json == study.json
+
+
+def test_every_figure_lies_beside_the_page_as_files(page):
+    folder, text = page.parent / "figures", page.read_text()
+    files = {link.removeprefix("figures/") for link in re.findall(r'href="(figures/[^"]*)"', text)}
+    assert files == {path.name for path in folder.iterdir()} - {SUMS}
+    assert {f"figure-scene-0-0.{kind}" for kind in ("svg", "pdf", "csv")} <= files
+    assert (folder / "figure-scene-0-0.pdf").read_bytes().startswith(b"%PDF")
+    assert is_picture((folder / "figure-scene-0-0.svg").read_text())
+
+
+def test_figures_are_not_written_where_a_link_leads(tmp_path):
+    responses, compared = made(tmp_path, EQUAL)
+    (tmp_path / "page").mkdir()
+    (tmp_path / "page" / "figures").symlink_to(tmp_path)
+    with pytest.raises(StoreError, match="a symbolic link"):
+        write_report(tmp_path / "page" / "index.html", responses, compared, timing(responses))
 
 
 def test_the_page_says_how_it_was_made(page):

@@ -50,8 +50,10 @@ def stacked_bifurcations(scene: xr.Dataset) -> Figure:
         one = scene.sel(representation=label)
         for kind, shade in _SHADES.items():
             where = one["response_class"].values == kind
-            axes.bar(omega[where], 1.0, np.gradient(omega)[where], color=shade, zorder=0,
-                     transform=axes.get_xaxis_transform(), antialiased=False)  # fmt: skip
+            bars = axes.bar(omega[where], 1.0, np.gradient(omega)[where], color=shade, zorder=0,
+                            transform=axes.get_xaxis_transform(), antialiased=False)  # fmt: skip
+            for bar in bars:
+                bar.set_label(f"_{kind.name.lower()}")
         _extrema(axes, one, _DOT)
         _title(axes, one)
         drawing.outside(axes, omega[drawn(one["x_max"]) > high], high, "^", label)
@@ -72,7 +74,7 @@ def overlaid_bifurcations(scene: xr.Dataset, overlays: Sequence[Overlay]) -> Fig
         _extrema(axes, scene.sel(representation=rear), _DOT + 1.1 * _REAR)
         _extrema(axes, scene.sel(representation=front), _DOT)
         edge = axes.get_xaxis_transform()
-        axes.vlines(apart, 1.0, 1.04, NOT_PERIODIC, transform=edge, clip_on=False)
+        axes.vlines(apart, 1.0, 1.04, NOT_PERIODIC, transform=edge, clip_on=False, label="_differ")
         axes.set_title(f"{_law(front)} over {_law(rear)}", fontsize=9, loc="left", pad=7)
     return figure
 
@@ -89,6 +91,7 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
         for label, line in lines(labels).items():
             own = one.sel(representation=label)
             style = {"color": colour(label), "linewidth": widths.get(_law(label), 0.9)}
+            style["label"] = f"_{label}"
             motion.plot(*_last_periods(own), line, **style)
             multiple = own["frequency"] / one["omega"]
             spectrum.plot(multiple, drawn(own["spectrum"]), line, **style)
@@ -159,7 +162,8 @@ def _extrema(axes: Axes, one: xr.Dataset, size: float) -> None:
     extrema = drawn(one["extrema"].transpose("omega", "extremum"))
     omega = np.broadcast_to(drawn(one["omega"])[:, None], extrema.shape)
     shown = np.isfinite(extrema)
-    style: dict[str, Any] = {"color": colour(one["representation"].item()), "markersize": size}
+    label = one["representation"].item()
+    style: dict[str, Any] = {"color": colour(label), "markersize": size, "label": f"_{label}"}
     many = bool(shown.sum() > MANY)
     axes.plot(omega[shown], extrema[shown], "o", mew=0.0, rasterized=many, **style)
 

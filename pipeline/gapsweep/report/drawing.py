@@ -178,7 +178,7 @@ def curves(axes: "Axes", variable: xr.DataArray, along: str) -> None:
                 curve[there],
                 styles[label],
                 color=colour(label),
-                label=label if start == 0 else None,
+                label=label if start == 0 else f"_{label}",  # one of each in a legend
                 linewidth=2.2 if exact else 1.2,
                 zorder=1 if exact else 2,
                 marker="." if few else None,
@@ -190,7 +190,7 @@ def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega") -> None:
     """Both walls of the gap, where the dataset knows them; one that moves `along` is a curve."""
     for name, sign in (("j_1", -1.0), ("j_2", 1.0)):
         if name == along:
-            axes.plot(drawn(scene[name]), sign * drawn(scene[name]), **WALL)
+            axes.plot(drawn(scene[name]), sign * drawn(scene[name]), label="_wall", **WALL)
         elif name in scene.coords and scene[name].ndim == 0:
             axes.axhline(sign * float(drawn(scene[name])), **WALL)
 
@@ -205,13 +205,17 @@ def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = No
     other : str, optional
         Colour of responses that are not periodic; the representation's own if None.
     """
-    own = colour(_label(one))
+    label, own = _label(one), colour(_label(one))
     x, y = _broadcast(one, "extrema", along)
     is_periodic = one["response_class"].transpose(along, "initial_condition").values
     periodic = (is_periodic == ResponseClass.PERIODIC)[..., None]
-    for chosen, shade in ((periodic, own), (~periodic, other or own)):
+    for chosen, shade, kind in (
+        (periodic, own, "periodic"),
+        (~periodic, other or own, "not periodic"),
+    ):
         shown = chosen & np.isfinite(y)
-        _points(axes, x[shown], y[shown], color=shade, marker=".", markersize=2.5)
+        look = {"color": shade, "marker": ".", "markersize": 2.5, "label": f"_{label}, {kind}"}
+        _points(axes, x[shown], y[shown], **look)
 
 
 def peaks(
@@ -234,8 +238,9 @@ def peaks(
     periodic = kinds == ResponseClass.PERIODIC
     above = height > high
     style = {"color": colour(label), "marker": "o", "markersize": size, "markeredgewidth": 0.0}
-    for where, alpha in ((~periodic, 0.35), (periodic, 1.0)):
+    for where, alpha, kind in ((~periodic, 0.35, "not periodic"), (periodic, 1.0, "periodic")):
         shown = where & np.isfinite(height) & ~above
+        style["label"] = f"_{label}, {kind}"
         _points(axes, places[shown], height[shown], alpha=alpha, **style)
     outside(axes, places[above], high, "^", label)
 
@@ -268,7 +273,8 @@ def outside(axes: "Axes", omega: Any, edge: float, marker: str, label: str) -> N
     """Triangles on the edge of the frame for what lies beyond it."""
     if len(omega):
         edges = np.full(len(omega), edge)
-        axes.plot(omega, edges, marker, color=colour(label), markersize=2.5, clip_on=False)
+        look: dict[str, Any] = {"color": colour(label), "label": f"_{label}, outside"}
+        axes.plot(omega, edges, marker, markersize=2.5, clip_on=False, **look)
 
 
 def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
@@ -286,8 +292,8 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
     # No share is known of what only sweeps reach.
     area = 4.0 + 20.0 * np.where(np.isfinite(share), share, 0.0)
     periodic = one["response_class"].transpose(*order).values == ResponseClass.PERIODIC
-    shade = colour(_label(one))
-    for where, face in ((periodic, shade), (~periodic, "none")):
+    label, shade = _label(one), colour(_label(one))
+    for where, face, kind in ((periodic, shade, "periodic"), (~periodic, "none", "not periodic")):
         shown = where & np.isfinite(height)
         axes.scatter(
             x[shown],
@@ -297,6 +303,7 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
             edgecolors=shade,
             linewidths=0.8,
             rasterized=bool(shown.sum() > MANY / 4),  # each dot is a path of its own
+            label=f"_{label}, {kind}",
         )
 
 

@@ -15,6 +15,7 @@ from markupsafe import Markup
 
 from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.grid import scenes as all_scenes
+from gapsweep.errors import StoreError
 from gapsweep.report.answer import (
     MOST_CONTACTS,
     SIGNS,
@@ -32,6 +33,7 @@ from gapsweep.report.findings import findings, outcomes
 from gapsweep.report.heat import GROUPS, heads, heat
 from gapsweep.report.overview import is_wide, overview
 from gapsweep.report.parts import Figured, Part, drawn, for_page, rendered
+from gapsweep.report.pictures import unpacked
 from gapsweep.report.provenance import as_toml, provenance
 from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.selection import anchor_of, beside, gap_label
@@ -40,6 +42,7 @@ from gapsweep.report.tables import VERDICTS, Row, claim_rows, number, percent, s
 from gapsweep.status import Status
 from gapsweep.store.artefact import is_recorded, recording
 
+FIGURES = "figures"  # the folder of their files, beside the page
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -95,10 +98,12 @@ def write_report(
         [overview(*files)] if is_wide(responses) else _scenes(*files),
     )
     parts = for_page([*own_parts, *rendered(ours)])
-    filters = {"number": number, "percent": percent, "times": times, "colour": colour}
-    environment.filters.update(**filters, plain=plain)
     found = [] if agreement is None else contacts(agreement, static)
     told = found[:MOST_CONTACTS]
+    hero = _hero(responses, told)
+    figures = [*([hero] if hero else []), *(one for part in parts for one in part["figures"])]
+    filters = {"number": number, "percent": percent, "times": times, "colour": colour}
+    environment.filters.update(**filters, plain=plain)
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
@@ -111,7 +116,8 @@ def write_report(
         heads=list(heads(told)),
         heat=heat(told),
         anchors={part["anchor"] for part in parts},
-        hero=_hero(responses, told),
+        hero=hero,
+        folder=FIGURES,
         claims=claims and {"counts": claims["counts"], "rows": _claims(claims, parts)},
         verdicts=VERDICTS,
         script=Markup(script),  # our own file, without anything of the user's
@@ -123,9 +129,21 @@ def write_report(
         version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
         fingerprint=responses.attrs["numerics_fingerprint"],
     )
+    for figure in figures:
+        _write_files(path.parent / FIGURES, figure)
     with recording(path, _is_ours) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
+
+
+def _write_files(folder: Path, figure: Mapping[str, Any]) -> None:
+    """A figure as files beside the report."""
+    if folder.is_symlink():
+        raise StoreError(f"{folder}: a symbolic link, which could lead anywhere: remove it")
+    for kind in figure["files"]:
+        data = figure["wide"]["svg"].encode() if kind == "svg" else unpacked(figure[kind])
+        with recording(folder / f"{figure['id']}.{kind}", is_recorded) as temporary:
+            temporary.write_bytes(data)
 
 
 def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | None:

@@ -146,8 +146,12 @@ def for_page(parts: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def shown(figure: Mapping[str, str]) -> dict[str, Any]:
     """A figure for the page."""
-    views = {name: {"src": address(figure[name]), **size(figure[name])} for name in VIEWS}
-    return {**figure, **views}
+    views = {
+        name: {"svg": figure[name], "src": address(figure[name]), **size(figure[name])}
+        for name in VIEWS
+    }
+    files = ["svg", *(kind for kind in ("pdf", "csv") if figure.get(kind))]
+    return {**figure, **views, "files": files}
 
 
 def _is_sound(figure: Mapping[str, str]) -> bool:

@@ -7,6 +7,7 @@ points, and a browser lays out none of them. As images they cannot run scripts e
 import base64
 import io
 import re
+import zlib
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
@@ -15,11 +16,12 @@ from xml.etree import ElementTree
 
 from markupsafe import Markup
 from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
+
+from gapsweep.report.points import as_csv, label_of
 
 VIEWS = ("wide", "narrow")
 # What matplotlib draws with. Others run scripts, lead elsewhere or change what is shown.
@@ -35,7 +37,8 @@ _PIXELS = re.compile("data:image/png;base64,([^\"']*)")
 _DIGITS = re.compile(r"([1-9]\d*\.\d\d)\d+")  # hundredths of a point are enough
 _VALUE = re.compile('="([^"\']*)"')
 _SIZE = re.compile(r'width="([\d.]+)pt" height="([\d.]+)pt"')
-_AS_TEXT: dict[Any, Any] = {"svg.fonttype": "none", "savefig.dpi": 130}
+_AS_TEXT: dict[Any, Any] = {"svg.fonttype": "none", "pdf.fonttype": 42, "savefig.dpi": 130}
+_PRINTED = 300  # pixels per inch of dense points
 # What says nothing: rotations by zero, fonts that nobody has, names that nothing refers to.
 _IDLE = re.compile(
     r" transform=\"rotate\(-0 [^\"]*\"|, 'Bitstream[^;]*(?=, sans-serif)|<metadata>.*</metadata>"
@@ -51,14 +54,38 @@ _PLAIN = "<>/:;=,.'()!*+-_~@[]{}|^`$?"
 
 
 def pictures(figure: Figure) -> dict[str, str]:
-    """The views of a figure as SVG, which is used up: as it is, and its panels stacked."""
+    """A figure, which is used up, as texts that JSON can hold.
+
+    Its `VIEWS` as SVG: as it is, and its panels stacked; what it shows as CSV, if it shows numbers,
+    and itself as PDF, both packed.
+    """
+    data = as_csv(figure)
     for text in _texts(figure):
         text.set_fontsize(max(_SMALLEST, text.get_fontsize()))
-    wide = svg(figure)
+    wide, page = svg(figure), pdf(figure)
     stack(figure)
     narrow = svg(figure)
     figure.clear()  # its cycles would keep every figure's data until the collector comes by
-    return dict(zip(VIEWS, (wide, narrow), strict=True))
+    files = {"pdf": packed(page), "csv": packed(data.encode())} if data else {"pdf": packed(page)}
+    return {**dict(zip(VIEWS, (wide, narrow), strict=True)), **files}
+
+
+def packed(data: bytes) -> str:
+    """A file as text, for JSON."""
+    return base64.b64encode(zlib.compress(data, 9)).decode()
+
+
+def unpacked(text: str) -> bytes:
+    """The file that was `packed`."""
+    return zlib.decompress(base64.b64decode(text))
+
+
+def pdf(figure: Figure) -> bytes:
+    """A figure as PDF with text as text, the same for the same data."""
+    buffer = io.BytesIO()
+    with rc_context(_AS_TEXT):
+        figure.savefig(buffer, format="pdf", dpi=_PRINTED, metadata={"CreationDate": None})
+    return buffer.getvalue()
 
 
 def svg(figure: Figure) -> str:
@@ -115,7 +142,7 @@ def stack(figure: Figure) -> None:
     height = max(1.2, (figure.get_figheight() - 0.9) / n_rows)
     apart = any(axes.get_gridspec().ncols > 1 for axes in shown)  # labels were in common
     figure.set_size_inches(_NARROW, 0.9 + len(shown) * (height + 0.3 * apart))
-    labels = [(_label(axes, "x"), _label(axes, "y")) for axes in shown]
+    labels = [(label_of(axes, "x"), label_of(axes, "y")) for axes in shown]
     grid = figure.add_gridspec(len(shown), 1)
     for i, (axes, (x, y)) in enumerate(zip(shown, labels, strict=True)):
         axes.set_subplotspec(grid[i])
@@ -132,13 +159,6 @@ def stack(figure: Figure) -> None:
         handles = filter(None, legend.legend_handles)
         figure.legend(handles, names, loc="outside upper left", **look)
         legend.remove()
-
-
-def _label(axes: Axes, which: str) -> str:
-    """The label of an axis, or that of the panels it is shared with."""
-    shared = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
-    labels = [getattr(one, f"get_{which}label")() for one in (axes, *shared)]
-    return next(filter(None, labels), "")
 
 
 def _texts(figure: Figure) -> Iterator[Text]:
