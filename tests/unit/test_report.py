@@ -315,7 +315,7 @@ def panelled():
         axes.plot(range(9), "o", label=f"<b> & 'c' {i}", rasterized=True)
         axes.set_title(f"$x^{i}$ — 7 %", fontsize=5)
         axes.axvspan(0, 1)
-    panels[0].set(ylabel="height [mm]", xlabel="#1")
+    panels[0].set(ylabel="height [mm]", xlabel="# 1.23456")
     figure.legend(loc="outside upper center", ncols=3)
     return figure
 
@@ -328,7 +328,7 @@ def words(picture):
 def test_pictures_have_text_as_text_that_can_be_read_and_panels_that_stack():
     wide, narrow = (pictures(panelled())[view] for view in VIEWS)
     for picture in (wide, narrow):
-        assert "<b> & 'c' 1" in words(picture)
+        assert {"<b> & 'c' 1", "# 1.23456"} <= set(words(picture))
         sizes = [float(size) for size in re.findall(r"font-size: ([\d.]+)px", picture)]
         assert min(sizes) >= 8.5 * 0.7  # of mathematics, exponents
         assert len(re.findall("data:image/png", picture)) == 3

@@ -7,20 +7,16 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from gapsweep.report import drawing
 from gapsweep.report.drawing import MANY, drawn, labels_of
 from gapsweep.report.style import NOT_PERIODIC, colour, lines
-from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
 from .scenes import EXACT, NO_EVENTS
 from .static_figures import WIDTH
 
-# Backgrounds by response class: light enough for every point colour, and told apart by depth.
-_SHADES = {ResponseClass.CHAOTIC: "#fbd9d3", ResponseClass.UNRESOLVED: "#c8d8e6"}
 _DOT, _REAR = 1.6, 1.8  # points; what lies behind is larger by so much
 _FAR = 4.0  # peaks so many wall distances out need a logarithmic axis
 SHOWN_PERIODS, _HARMONICS, _DECADES = 6, 5.5, 5
@@ -48,19 +44,13 @@ def stacked_bifurcations(scene: xr.Dataset) -> Figure:
     low, high = drawing.frame(scene, "x_min", _exact(scene))
     for axes, label in zip(panels, labels, strict=True):
         one = scene.sel(representation=label)
-        for kind, shade in _SHADES.items():
-            where = one["response_class"].values == kind
-            bars = axes.bar(omega[where], 1.0, np.gradient(omega)[where], color=shade, zorder=0,
-                            transform=axes.get_xaxis_transform(), antialiased=False)  # fmt: skip
-            for bar in bars:
-                bar.set_label(f"_{kind.name.lower()}")
+        drawing.bands(axes, one)
         _extrema(axes, one, _DOT)
         _title(axes, one)
         drawing.outside(axes, omega[drawn(one["x_max"]) > high], high, "^", label)
         drawing.outside(axes, omega[drawn(one["x_min"]) < low], low, "v", label)
     panels[0].set_ylim(low, high)
-    handles = [Patch(color=shade, label=kind.name.lower()) for kind, shade in _SHADES.items()]
-    figure.legend(handles=handles, loc="outside upper right", ncols=2, fontsize=8)
+    drawing.key_of_bands(figure)
     return figure
 
 

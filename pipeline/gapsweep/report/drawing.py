@@ -14,13 +14,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.report.style import colour, lines
+from gapsweep.report.style import BANDS, colour, lines
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.study.selection import is_numeric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
 MANY = 60  # points as vectors would make a file heavy
@@ -193,6 +194,29 @@ def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega") -> None:
             axes.plot(drawn(scene[name]), sign * drawn(scene[name]), label="_wall", **WALL)
         elif name in scene.coords and scene[name].ndim == 0:
             axes.axhline(sign * float(drawn(scene[name])), **WALL)
+
+
+def bands(axes: "Axes", one: xr.Dataset, along: str = "omega") -> None:
+    """Pale bands behind one representation where any start is chaotic or unresolved."""
+    x = drawn(one[along])
+    width = np.gradient(x) if x.size > 1 else np.ones(1)
+    kinds = one["response_class"].transpose(along, ...).values.reshape(x.size, -1)
+    left = np.ones(x.size, dtype=bool)
+    for kind, shade in BANDS.items():
+        where = left & (kinds == ResponseClass[kind.upper()]).any(axis=1)
+        left &= ~where
+        look: dict[str, Any] = {"color": shade, "zorder": 0, "antialiased": False}
+        bars = axes.bar(x[where], 1.0, width[where], transform=axes.get_xaxis_transform(), **look)
+        for bar in bars:
+            bar.set_label(f"_{kind}")
+
+
+def key_of_bands(figure: "Figure") -> None:
+    """What the bands mean."""
+    from matplotlib.patches import Patch
+
+    handles = [Patch(color=shade, label=kind) for kind, shade in BANDS.items()]
+    figure.legend(handles=handles, loc="outside upper right", ncols=2, fontsize=8)
 
 
 def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = None) -> None:

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from gapsweep.report import drawing
 from gapsweep.report.drawing import axis_label, drawn, is_log, labels_of
 from gapsweep.report.maps import Picture, draw
-from gapsweep.report.style import NOT_PERIODIC
 
 _WIDTH = 9.5  # inches, the report's column
+_MANY = 4  # panels, of which more stand three in a row
 
 
 def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
@@ -39,16 +39,17 @@ def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
 def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
     """All steady extrema over frequency, a panel per representation.
 
-    Periodic responses are drawn in the representation's colour, all others in red.
+    Behind it are pale bands where any start is not periodic.
     """
     labels = labels_of(responses)
-    n_rows = math.ceil(len(labels) / 2)
-    n_columns = min(2, len(labels))
-    figure = Figure(figsize=(_WIDTH, 1.1 + 2.3 * n_rows))
+    n_columns = min(3 if len(labels) > _MANY else 2, len(labels))
+    n_rows = math.ceil(len(labels) / n_columns)
+    figure = Figure(figsize=(_WIDTH, 0.7 + 2.1 * n_rows))
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, label in zip(panels, labels, strict=False):
         drawing.walls(axes, responses, along)
-        drawing.extrema(axes, responses.sel(representation=label), along, other=NOT_PERIODIC)
+        drawing.bands(axes, responses.sel(representation=label), along)
+        drawing.extrema(axes, responses.sel(representation=label), along)
         axes.set_title(label, fontsize=9, loc="left")
     for axes in panels[len(labels) :]:
         axes.set_visible(False)
@@ -57,6 +58,7 @@ def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
         axes.xaxis.set_tick_params(labelbottom=True)
     for axes in panels[::n_columns]:
         axes.set_ylabel(axis_label(responses["extrema"], "extrema"))
+    drawing.key_of_bands(figure)
     return figure
 
 
@@ -73,7 +75,7 @@ def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
     labels = labels_of(found)
     n_columns = min(3, len(labels))
     n_rows = math.ceil(len(labels) / n_columns)
-    figure = Figure(figsize=(_WIDTH, 0.7 + 2.4 * n_rows))
+    figure = Figure(figsize=(_WIDTH, 0.7 + 2.1 * n_rows))
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, label in zip(panels, labels, strict=False):
         drawing.walls(axes, found, along)

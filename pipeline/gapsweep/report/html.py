@@ -235,7 +235,7 @@ def _scene_figures(
         yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
     yield Figured(
         bifurcation(scene),
-        "All steady zero-velocity displacements. Red: chaotic or unresolved. Dashed: walls.",
+        "All steady zero-velocity displacements. Bands: some start is not periodic. Dashed: walls.",
         f"Bifurcation diagram, {title}",
     )
     if found is not None:

@@ -129,7 +129,7 @@ def _curves(
     shown = here[["extrema", "response_class"]].load().expand_dims([REPRESENTATION, _START])
     yield Figured(
         bifurcation(shown, along),
-        f"All steady zero-velocity displacements: {where}. Red: not periodic. Dashed: walls.",
+        f"All steady zero-velocity displacements: {where}. Dashed: walls.",
         f"Bifurcation diagram, {where}",
     )
     if found is not None:

@@ -34,7 +34,8 @@ _SMALLEST = 8.5  # points of a font, 11 pixels
 _LONG = 18  # letters of a label of which two do not fit beside each other there
 _COLOURS = 64  # of points drawn as pixels
 _PIXELS = re.compile("data:image/png;base64,([^\"']*)")
-_DIGITS = re.compile(r"([1-9]\d*\.\d\d)\d+")  # hundredths of a point are enough
+# Hundredths of a point are enough, but not of the numbers in texts.
+_TAG, _DIGITS = re.compile("<[^>]*>"), re.compile(r"([1-9]\d*\.\d\d)\d+")
 _VALUE = re.compile('="([^"\']*)"')
 _SIZE = re.compile(r'width="([\d.]+)pt" height="([\d.]+)pt"')
 _AS_TEXT: dict[Any, Any] = {"svg.fonttype": "none", "pdf.fonttype": 42, "savefig.dpi": 130}
@@ -95,7 +96,7 @@ def svg(figure: Figure) -> str:
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
     text = _IDLE.sub("", " ".join(text[text.index("<svg") :].split())).replace("> <", "><")
-    text = _PATH.sub(_shortened, _DIGITS.sub(r"\1", text))
+    text = _PATH.sub(_shortened, _TAG.sub(lambda m: _DIGITS.sub(r"\1", m[0]), text))
     while (fewer := _GROUP.sub(r"\1", text)) != text:
         text = fewer
     for i, name in enumerate(dict.fromkeys(_NAME.findall(text))):

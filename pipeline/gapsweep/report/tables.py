@@ -32,6 +32,7 @@ def scene_tables(
     over : str
         Added to the titles.
     """
+    labels = sorted(labels, key=lambda label: "@" in label)  # protocols apart from laws
     tables = []
     if agreement is not None and agreement.attrs["reference"] in labels:
         rows = list(_agreement_rows(agreement, labels))
