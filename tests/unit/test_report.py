@@ -115,7 +115,7 @@ def decided(sentence="Holds."):
 
 
 PART = {
-    "anchor": "own-hostile",
+    "anchor": '"><script>',
     "title": HOSTILE,
     "sentences": [HOSTILE],
     "tables": [{"title": HOSTILE, "header": [HOSTILE], "rows": [[HOSTILE]]}],

@@ -156,12 +156,12 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     if scene is None:
         return None
     laws = {one.law: f"{one.law}: {one.verdict}" for one in shown}
-    named = f"Peaks at {contact.place}, of each verdict a law. Black: the exact law, behind"
+    said = f"Peaks at {contact.place}, a law of each verdict before the exact one in black"
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(
             swept(scene.sel(representation=["piecewise", *laws])), "piecewise", laws
         )
-        made = drawn(Figured(figure, f"{named}; dashed: walls; pale: not periodic.", named))
+        made = drawn(Figured(figure, f"{said}; dashed: walls; pale: not periodic.", said))
     (part,) = for_page([{"anchor": "hero", "figures": [made]}])
     return dict(part["figures"][0])
 

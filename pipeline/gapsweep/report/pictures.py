@@ -63,7 +63,9 @@ def pictures(figure: Figure) -> dict[str, str]:
     data = as_csv(figure)
     for text in _texts(figure):
         text.set_fontsize(max(_SMALLEST, text.get_fontsize()))
-    wide, page = svg(figure), pdf(figure)
+    wide = svg(figure)
+    figure.set_layout_engine("none")  # it stands, and takes as long as all else
+    page = pdf(figure)
     stack(figure)
     narrow = svg(figure)
     figure.clear()  # its cycles would keep every figure's data until the collector comes by
@@ -144,6 +146,7 @@ def stack(figure: Figure) -> None:
     apart = any(axes.get_gridspec().ncols > 1 for axes in shown)  # labels were in common
     figure.set_size_inches(_NARROW, 0.9 + len(shown) * (height + 0.3 * apart))
     labels = [(label_of(axes, "x"), label_of(axes, "y")) for axes in shown]
+    figure.set_layout_engine("constrained")
     grid = figure.add_gridspec(len(shown), 1)
     for i, (axes, (x, y)) in enumerate(zip(shown, labels, strict=True)):
         axes.set_subplotspec(grid[i])
