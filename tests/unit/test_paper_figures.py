@@ -22,6 +22,7 @@ from workflows.paper.paper_figures import (
 import gapsweep as gs
 from gapsweep.analysis.histories import histories
 from gapsweep.analysis.verdicts import Run
+from gapsweep.report.figures import bifurcation
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import VIEWS, is_picture
 from gapsweep.report.points import as_csv
@@ -184,6 +185,16 @@ def test_shades_say_the_class(scene):
     assert spans == [(4.5, 5.5), (5.5, 6.5), (10.5, 11.5)]
     shades = [bar.get_facecolor() for bar in bars]
     assert shades[0] == shades[1] != shades[2]
+
+
+def test_a_band_says_what_any_start_finds(scene):
+    scene["response_class"][2, 4, 1] = CHAOTIC
+    scene["response_class"][2, 4:6, 2] = ResponseClass.UNRESOLVED
+    bars = bifurcation(scene).axes[2].patches
+    assert [(bar.get_label(), bar.get_x()) for bar in bars] == [
+        ("_chaotic", 4.5),
+        ("_unresolved", 5.5),
+    ]
 
 
 @pytest.fixture

@@ -134,7 +134,8 @@ NAMED = [
         "anchor": f"own-table-{i}",
         "title": f"The paper's Table {i}",
         "figures": [
-            dict.fromkeys((*VIEWS, "caption", "description"), SOUND) | {"name": name}
+            dict.fromkeys((*VIEWS, "caption", "description"), SOUND)
+            | {"name": name, "pdf": "no such code", "csv": "AAAA"}
             for name in ("Fig. 1", "Fig. 2b", "Fig. 2a", "Fig. 2a")
             if i == 3
         ],

@@ -33,7 +33,6 @@ from gapsweep.report.findings import findings, outcomes
 from gapsweep.report.heat import GROUPS, heads, heat
 from gapsweep.report.overview import is_wide, overview
 from gapsweep.report.parts import Figured, Part, drawn, for_page, rendered
-from gapsweep.report.pictures import unpacked
 from gapsweep.report.provenance import as_toml, provenance
 from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.selection import anchor_of, beside, gap_label
@@ -140,8 +139,7 @@ def _write_files(folder: Path, figure: Mapping[str, Any]) -> None:
     """A figure as files beside the report."""
     if folder.is_symlink():
         raise StoreError(f"{folder}: a symbolic link, which could lead anywhere: remove it")
-    for kind in figure["files"]:
-        data = figure["wide"]["svg"].encode() if kind == "svg" else unpacked(figure[kind])
+    for kind, data in figure["files"].items():
         with recording(folder / f"{figure['id']}.{kind}", is_recorded) as temporary:
             temporary.write_bytes(data)
 

@@ -5,15 +5,25 @@ and pictures, fit for JSON: what is stored is shown later without running what m
 """
 
 import re
+import zlib
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
 
-from gapsweep.report.pictures import VIEWS, address, is_picture, pictures, size
+from gapsweep.report.pictures import (
+    PACKED,
+    VIEWS,
+    address,
+    is_picture,
+    pictures,
+    size,
+    unpacked,
+)
 from gapsweep.report.style import MATPLOTLIB
 
 
@@ -146,11 +156,11 @@ def for_page(parts: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def shown(figure: Mapping[str, str]) -> dict[str, Any]:
     """A figure for the page."""
-    views = {
-        name: {"svg": figure[name], "src": address(figure[name]), **size(figure[name])}
-        for name in VIEWS
-    }
-    files = ["svg", *(kind for kind in ("pdf", "csv") if figure.get(kind))]
+    views = {name: {"src": address(figure[name]), **size(figure[name])} for name in VIEWS}
+    files = {"svg": figure["wide"].encode()}
+    for kind in PACKED:
+        with suppress(KeyError, ValueError, zlib.error):  # not there, or not as it was packed
+            files[kind] = unpacked(figure[kind])
     return {**figure, **views, "files": files}
 
 

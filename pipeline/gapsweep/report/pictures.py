@@ -23,7 +23,7 @@ from PIL import Image
 
 from gapsweep.report.points import as_csv, label_of
 
-VIEWS = ("wide", "narrow")
+VIEWS, PACKED = ("wide", "narrow"), ("pdf", "csv")
 # What matplotlib draws with. Others run scripts, lead elsewhere or change what is shown.
 _DRAWING = {
     "svg", "g", "defs", "style", "path", "use", "clipPath", "rect", "circle", "image", "text",
@@ -60,7 +60,7 @@ def pictures(figure: Figure) -> dict[str, str]:
     Its `VIEWS` as SVG: as it is, and its panels stacked; what it shows as CSV, if it shows numbers,
     and itself as PDF, both packed.
     """
-    data = as_csv(figure)
+    data = as_csv(figure).encode()
     for text in _texts(figure):
         text.set_fontsize(max(_SMALLEST, text.get_fontsize()))
     wide = svg(figure)
@@ -69,7 +69,7 @@ def pictures(figure: Figure) -> dict[str, str]:
     stack(figure)
     narrow = svg(figure)
     figure.clear()  # its cycles would keep every figure's data until the collector comes by
-    files = {"pdf": packed(page), "csv": packed(data.encode())} if data else {"pdf": packed(page)}
+    files = {kind: packed(held) for kind, held in zip(PACKED, (page, data), strict=True) if held}
     return {**dict(zip(VIEWS, (wide, narrow), strict=True)), **files}
 
 
