@@ -165,7 +165,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
 
 
 def _telling(contact: Contact) -> list[Judged]:
-    """Of each verdict the cheapest stand-in, firm if any is; the best and worst if all are alike."""
+    """Of each verdict the cheapest stand-in, firm if any is; best and worst if all are alike."""
     columns = ([one for one in laws if one.is_stand_in] for laws in contact.columns.values())
     shown = [next((one for one in laws if one.is_firm), laws[0]) for laws in columns if laws]
     if len(shown) > 1:
