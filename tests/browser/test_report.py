@@ -11,13 +11,18 @@ import subprocess
 
 import pytest
 from tests.made import datasets, periodic, tables
+from tests.unit.test_paper_figures import LIMITS, STRONG, WEAK, responses_of
 from tests.unit.test_report import HOSTILE, decided
 from tornado.websocket import websocket_connect
+from workflows.paper.figures import sections
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.timing import timing
+from gapsweep.analysis.verdicts import Run
 from gapsweep.report.html import write_report
+from gapsweep.report.parts import rendered
 from gapsweep.report.tables import VERDICTS
+from gapsweep.status import Status
 
 pytestmark = pytest.mark.browser
 OPTIONS = (
@@ -41,7 +46,19 @@ def page(tmp_path_factory):
         timing(responses),
         attractors=attractors,
         claims=decided(),
+        own_parts=rendered(sections(Run({"responses": everything()}))),
     )
+
+
+def everything():
+    """Responses that all the paper's figures from responses are drawn of, with long notes."""
+    hard = [label + end for label in LIMITS for end in ("", "@paper")]
+    labels = list(dict.fromkeys([*WEAK, *STRONG, *hard]))
+    K_c, gaps = (1.4e3, 1.4e4, 1.4e6), [(1.1, 1.1), (1.5, 1.5), (0.4, 0.4), (0.0, 0.8)]
+    responses = responses_of(labels, K_c, gaps)
+    status = responses["status"]
+    status[..., 2:9, 0], status[..., 9:21, 0] = Status.UNRESOLVED, Status.ERROR
+    return responses
 
 
 @pytest.fixture(scope="module")
@@ -119,8 +136,8 @@ def test_every_figure_is_drawn_and_has_words(debugger, page):
     (sizes, words), _ = ask(
         debugger,
         page,
-        "[...document.querySelectorAll('figure svg')].map(s => s.getBoundingClientRect().height)",
-        "[...document.querySelectorAll('figure svg')].map(s => s.getAttribute('aria-label'))",
+        "[...document.images].map(i => i.naturalWidth && i.getBoundingClientRect().height)",
+        "[...document.images].map(i => i.alt)",
     )
     assert len(sizes) >= 2
     assert min(sizes) > 100.0
@@ -151,14 +168,79 @@ def test_nothing_is_wider_than_a_phone(debugger, page):
     assert width <= 380
 
 
-def test_the_answer_is_on_the_first_screen(debugger, page):
-    for size in ((1280, 800), (390, 800)):
-        (top, width), _ = ask(
+def test_the_answer_and_a_figure_are_on_the_first_screen(debugger, page):
+    for size in ((1280, 800), (390, 844)):
+        (row, width, hero), _ = ask(
             debugger,
             page,
-            "document.querySelector('#answer tbody tr').getBoundingClientRect().bottom",
-            "document.querySelector('#answer .scroll').getBoundingClientRect().right",
+            "document.querySelector('#answer tbody tr:last-child').getBoundingClientRect().bottom",
+            "document.querySelector('#answer .scroll table').getBoundingClientRect().right",
+            "document.querySelector('#figure-hero img').getBoundingClientRect().top",
             size=size,
         )
-        assert top < size[1]
+        assert row < hero < size[1] - 100
         assert width <= size[0]
+
+
+def test_the_address_keeps_what_is_filtered(debugger, page):
+    asked = f"{page.as_uri()}#claims?verdict={VERDICTS[1]}&text=fig"
+    count = (
+        "[...document.querySelectorAll('ol.claims > li')].filter(c => c.offsetHeight > 0).length"
+    )
+    write = (
+        "(() => { const form = document.getElementById('claims-filter');"
+        "form.elements.verdict.value = '';"
+        "form.dispatchEvent(new Event('input', {bubbles: true})); return location.hash; })()"
+    )
+    (shown, top, address), _ = asyncio.run(
+        looked_at(
+            debugger,
+            asked,
+            (count, "document.getElementById('claims').getBoundingClientRect().top", write),
+        )
+    )
+    assert shown == 1
+    assert top < 100
+    assert address == "#claims?verdict=&text=fig"
+
+
+BOXES = """
+(() => {
+  const faults = [];
+  for (const image of document.images) {
+    const narrow = image.parentElement.querySelector("source");
+    for (const [address, shown] of [[image.src, 1000], [narrow.srcset, 366]]) {
+      const text = decodeURIComponent(address.slice(address.indexOf(",") + 1));
+      const svg = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
+      svg.setAttribute("width", shown);
+      svg.removeAttribute("height");
+      document.body.append(svg);
+      const frame = svg.getBoundingClientRect();
+      const said = [...svg.querySelectorAll("text")].filter((t) => t.textContent.trim());
+      const boxes = said.map((t) => [t, t.getBoundingClientRect()]);
+      boxes.forEach(([t, a], i) => {
+        const parts = [t, ...t.querySelectorAll("tspan")];
+        const size = Math.max(...parts.map((p) => parseFloat(getComputedStyle(p).fontSize)));
+        const pixels = size * frame.width / svg.viewBox.baseVal.width;
+        if (pixels < 10.5) faults.push(`${image.alt}: ${t.textContent} has ${pixels} px`);
+        const outside = Math.max(frame.left - a.left, a.right - frame.right, frame.top - a.top,
+          a.bottom - frame.bottom);
+        if (outside > 2) faults.push(`${image.alt}: ${t.textContent} is cut`);
+        for (const [u, b] of boxes.slice(0, i)) {
+          const x = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+          const y = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+          // Boxes hold the room of a line, which is higher than its letters.
+          if (x > 1 && y > 3) faults.push(`${image.alt}: ${t.textContent} on ${u.textContent}`);
+        }
+      });
+      svg.remove();
+    }
+  }
+  return faults;
+})()
+"""
+
+
+def test_no_text_of_a_figure_lies_on_another_or_is_too_small(debugger, page):
+    (faults,), _ = ask(debugger, page, BOXES)
+    assert faults == []

@@ -70,13 +70,19 @@ def test_run_writes_datasets_and_report(finished):
     run = finished / "data" / "runs" / "tiny"
     names = sorted(str(p.relative_to(run)) for p in run.rglob("*") if p.is_file())
     stored = ["agreement.nc", "attractors.nc", "responses.nc", "static.nc", "timing.nc"]
-    page = ["report/SHA256SUMS", "report/index.html"]
-    assert names == sorted([*stored, *page, "SHA256SUMS", "run.json"])
+    figures = ["hero", "scene-0-0", "scene-0-0-2"]
+    files = [
+        "SHA256SUMS",
+        *(f"figure-{name}.{kind}" for name in figures for kind in ("csv", "pdf", "svg")),
+    ]
+    page = ["SHA256SUMS", "index.html", *(f"figures/{name}" for name in files)]
+    assert names == sorted([*stored, *(f"report/{n}" for n in page), "SHA256SUMS", "run.json"])
     sums = ["sha256sum", "--check", "--quiet", "SHA256SUMS"]
     assert subprocess.run(sums, cwd=run).returncode == 0
     assert subprocess.run(sums, cwd=run / "report").returncode == 0
+    assert subprocess.run(sums, cwd=run / "report" / "figures").returncode == 0
     page = (run / "report" / "index.html").read_text()
-    assert page.count("<svg") == 2
+    assert page.count("<picture>") == 3
     # XML namespaces are names, not requests; nothing else may point outside.
     outside = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?(https?:[^"\'\s)]*)', page)
     assert [url for url in outside if "w3.org" not in url] == []

@@ -9,6 +9,7 @@ import xarray as xr
 from matplotlib.colors import to_hex
 from numpy.testing import assert_allclose
 from tests.figure_texts import overlaps
+from tests.redrawn import is_redrawn
 from workflows.paper import scenes
 from workflows.paper.figures import LIMITS, band_rows, costs, figures, sections
 from workflows.paper.paper_figures import (
@@ -21,7 +22,10 @@ from workflows.paper.paper_figures import (
 import gapsweep as gs
 from gapsweep.analysis.histories import histories
 from gapsweep.analysis.verdicts import Run
-from gapsweep.report.parts import is_drawing, rendered
+from gapsweep.report.figures import bifurcation
+from gapsweep.report.parts import rendered
+from gapsweep.report.pictures import VIEWS, is_picture
+from gapsweep.report.points import as_csv
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -142,6 +146,28 @@ def test_peaks_far_beyond_the_walls_make_the_axis_logarithmic(scene):
     assert not overlaps(figure)
 
 
+def test_the_csv_of_a_figure_draws_it_again(scene, kept, limits):
+    scene["x_max"][1, 3, 0] = 9e-3
+    scene["x_max"][0, 5, 0] = 6e-3  # a logarithmic axis
+    assert is_redrawn(peak_curves(scene))
+    one = scene.isel(initial_condition=0)
+    one["response_class"][2, 4:6] = CHAOTIC
+    assert is_redrawn(stacked_bifurcations(one))
+    two = limits.isel(K_c=0, gap=0, initial_condition=0)
+    assert is_redrawn(overlaid_bifurcations(two, [(LIMITS[2], LIMITS[0], OMEGA[[3, 7]])]))
+    assert is_redrawn(histories_and_spectra(kept))
+
+
+def test_the_csv_names_law_class_and_axes(scene):
+    scene["response_class"][1, 3] = CHAOTIC
+    about, *rows = as_csv(peak_curves(scene)).splitlines()
+    assert about == "# panel 1: piecewise; x: forcing frequency [Hz]; y: peak displacement [mm]"
+    law = WEAK[1]
+    chaotic = [row for row in rows if row.startswith(f'2,"{law}, not periodic",point,4,')]
+    heights = {float(row.split(",")[-2]) for row in chaotic}
+    assert heights == {float(f"{1e3 * x:.6g}") for x in scene["x_max"].values[1, 3]}
+
+
 def test_every_extremum_is_drawn(scene):
     one = scene.isel(initial_condition=0)
     for axes, label in zip(stacked_bifurcations(one).axes, WEAK, strict=True):
@@ -159,6 +185,16 @@ def test_shades_say_the_class(scene):
     assert spans == [(4.5, 5.5), (5.5, 6.5), (10.5, 11.5)]
     shades = [bar.get_facecolor() for bar in bars]
     assert shades[0] == shades[1] != shades[2]
+
+
+def test_a_band_says_what_any_start_finds(scene):
+    scene["response_class"][2, 4, 1] = CHAOTIC
+    scene["response_class"][2, 4:6, 2] = ResponseClass.UNRESOLVED
+    bars = bifurcation(scene).axes[2].patches
+    assert [(bar.get_label(), bar.get_x()) for bar in bars] == [
+        ("_chaotic", 4.5),
+        ("_unresolved", 5.5),
+    ]
 
 
 @pytest.fixture
@@ -243,7 +279,7 @@ def test_figures_are_those_the_run_has_points_for(kept):
 def test_sections_are_drawn_and_empty_ones_left_out():
     drawn, bands = rendered(sections(Run({"responses": responses_of(WEAK)})))
     assert (drawn["anchor"], bands["anchor"]) == ("paper", "bands")
-    assert [is_drawing(each["svg"]) for each in drawn["figures"]] == [True, True]
+    assert [is_picture(each[view]) for each in drawn["figures"] for view in VIEWS] == [True] * 4
     few = Run({"responses": responses_of(["poly-5"], K_c=(2e4,))})
     assert rendered(sections(few)) == []
 

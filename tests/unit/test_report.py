@@ -1,9 +1,14 @@
 """The report: its sentences follow from the data, and no text of a user's becomes markup."""
 
+import io
 import json
 import re
 import subprocess
+import tomllib
+from urllib.parse import unquote
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
@@ -11,14 +16,19 @@ from tests.made import datasets, failed, periodic, tables
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.timing import timing
-from gapsweep.report.answer import contacts
+from gapsweep.errors import StoreError
+from gapsweep.report.answer import Contact, Judged, contacts
 from gapsweep.report.findings import findings
+from gapsweep.report.heat import heads, heat
 from gapsweep.report.html import write_report
-from gapsweep.report.parts import Figured, Part, Table, for_page, is_drawing, rendered, svg
+from gapsweep.report.parts import Figured, Part, Table, for_page, rendered
+from gapsweep.report.pictures import VIEWS, is_picture, pictures
+from gapsweep.report.provenance import as_toml
 from gapsweep.report.tables import VERDICTS, number, outcome, percent
 from gapsweep.stages import is_of_run
 from gapsweep.status import Status
 from gapsweep.store.artefact import SUMS, sha256
+from gapsweep.study.study import Study
 
 LABELS = ("piecewise", "piecewise@half", "tanh-1e4", "poly-13")
 OMEGA = (1.0, 2.0, 3.0, 4.0)
@@ -73,6 +83,9 @@ def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):
     )
 
 
+PLACES = ("Fig. 1", "Fig. 2", "Table 3", "Sect. 4")
+
+
 def decided(sentence="Holds."):
     tests = [
         {
@@ -89,7 +102,7 @@ def decided(sentence="Holds."):
     claims = [
         {
             "id": i,
-            "place": f"Fig. {i}",
+            "place": PLACES[i - 1],
             "claim": HOSTILE,
             "verdict": verdict,
             "sentence": sentence,
@@ -106,14 +119,36 @@ PART = {
     "title": HOSTILE,
     "sentences": [HOSTILE],
     "tables": [{"title": HOSTILE, "header": [HOSTILE], "rows": [[HOSTILE]]}],
-    "figures": [{"svg": f"<svg><script>alert(3)</script>{HOSTILE}</svg>", "caption": HOSTILE}],
+    "figures": [
+        dict.fromkeys(
+            (*VIEWS, "caption", "description"), f"<svg><script>alert(3)</script>{HOSTILE}</svg>"
+        )
+    ],
 }
+
+
+SOUND = '<svg xmlns="http://www.w3.org/2000/svg" width="684pt" height="72pt"></svg>'
+NAMED = [
+    PART
+    | {
+        "anchor": f"own-table-{i}",
+        "title": f"The paper's Table {i}",
+        "figures": [
+            dict.fromkeys((*VIEWS, "caption", "description"), SOUND)
+            | {"name": name, "pdf": "no such code", "csv": "AAAA"}
+            for name in ("Fig. 1", "Fig. 2b", "Fig. 2a", "Fig. 2a")
+            if i == 3
+        ],
+    }
+    for i in (3, 5)
+]
 
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     study = tables(LABELS[:1], OMEGA)
+    study["solver"] = {"engine": "compiled", "rtol": 1e-9}
     study["study"] = {"name": "made", "title": HOSTILE + "\u202eright to left" + "x" * 9000}
     responses, attractors = datasets(folder, study, amplitudes(EQUAL))
     return write_report(
@@ -122,19 +157,20 @@ def page(tmp_path_factory):
         agreement(responses, attractors),
         timing(responses),
         claims=decided(),
-        own_parts=[PART],
+        own_parts=[PART, *NAMED],
         made_from=HOSTILE,
     )
 
 
 def test_hostile_texts_stay_texts(page):
     text = page.read_text()
-    assert "<img" not in text
+    assert "<img src=x" not in text
+    assert "alert(3)" not in text
     assert text.count("<script>") == 1
     assert "&lt;script&gt;alert(2)" in text
 
 
-def test_the_answer_comes_first_in_words_and_signs(tmp_path):
+def test_the_answer_comes_first_in_words_and_as_a_map(tmp_path):
     responses, compared = made(tmp_path, EQUAL)
     static = xr.Dataset(
         {"tanh_threshold": (("K_c", "gap"), [[72488.0]])}, {"K_c": [1.4e4], "gap": ["0.4/0.4"]}
@@ -143,18 +179,124 @@ def test_the_answer_comes_first_in_words_and_signs(tmp_path):
         tmp_path / "page" / "index.html", responses, compared, timing(responses), static=static
     )
     text = path.read_text()
-    assert text.index("<main") < text.index('id="answer"') < text.index("<nav")
-    first = text[text.index('id="answer"') : text.index("<details>")]
+    order = ["<main", 'id="answer"', 'class="heat"', 'id="figure-hero"', 'id="figures"']
+    places = [text.index(part) for part in (*order, 'id="tables"', 'id="provenance"')]
+    assert places == sorted(places)
+    first = text[places[1] : text.index("<details>")]
     assert "Take the exact law" in first
-    rows = re.findall(r'<ul class="laws (\w+)">(.*?)</ul>', first, re.DOTALL)
-    words = {name: " ".join(re.sub("<[^>]+>", " ", row).split()) for name, row in rows}
-    assert words["good"].startswith("✓ tanh-1e4 ±")
-    assert words["fair"] == "none"
-    assert words["bad"].startswith("✗ poly-13 ±")
-    assert "one well: ε &gt; 72000" in first
-    assert first.count('scope="col"') == 5
-    assert first.count('scope="row"') == 1
+    cells = re.findall(
+        r'<td class="error[^>]*><a href="#(.*?)" title="(.*?)"[^>]*>(.*?)</a>', first
+    )
+    (anchor, said, shown), (_, _, poly) = cells
+    assert f'<section id="{anchor}">' in text
+    assert said.startswith("tanh-1e4 ±, 14000 N/m, 0.4/0.4 mm: use; 95 % of amplitudes within 2 %")
+    assert [re.sub("<[^>]+>", "", cell) for cell in (shown, poly)] == ["✓2", "✗30"]
+    assert "one well: ε &gt; 72000" in text
     assert "exact against exact" in text[text.index("<details>") :]
+
+
+def contact(laws, **where):
+    """A contact where each law has a verdict, an error, a share found and a price."""
+    judged = [
+        Judged(
+            law,
+            {"median": np.array([error]), "p95": np.array([error]), "found": np.array([share])},
+            9, said, True, price, price, price,
+        )
+        for law, (said, error, share, price) in laws.items()
+    ]  # fmt: skip
+    return Contact(**{"K_c": 1.4e4, "gap": "0/1", **where}, floors={}, laws=judged, threshold="?")
+
+
+def test_the_map_is_darker_where_a_law_is_worse():
+    near, far = ("use", 0.01, 0.99, 3.0), ("no", 0.4, 0.2, 0.5)
+    soft = contact({"poly-13": far, "tanh-1e4": near}, at={"K_c": 0, "gap": 1})
+    hard = contact({"tanh-1e4": ("with care", 0.1, 0.7, 9.0)}, K_c=1.4e6)
+    first, second = heat([soft, hard])
+    assert (first.law, second.law) == ("tanh-1e4", "poly-13")
+    assert [cell.text for cell in first.cells["error"]] == ["1", "10"]
+    assert [cell.text for cell in first.cells["found"]] == ["99", "70"]
+    assert [cell.text for cell in first.cells["cost"]] == ["3", "–"]  # of equal errors alone
+    assert second.cells["error"][1] is None
+    assert first.cells["error"][0].anchor == "scene-0-1"
+    for group in ("error", "found"):
+        good, fair, bad = (
+            row.cells[group][i].shade for row, i in ((first, 0), (first, 1), (second, 0))
+        )
+        assert 0.0 < good < fair < bad < 1.0
+    assert list(heads([soft, hard])) == [(1.4e4, 1), (1.4e6, 1)]
+
+
+def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(tmp_path):
+    responses, compared = made(tmp_path, EQUAL)
+    pages = []
+    for laws in (LABELS, LABELS[:3]):
+        part = responses.sel(representation=list(laws)), compared.sel(representation=list(laws))
+        path = tmp_path / str(len(laws)) / "index.html"
+        pages.append(write_report(path, *part, timing(part[0])).read_text())
+    shown = [
+        unquote(re.search(r'id="figure-hero".*?<img src="([^"]*)"', p, re.S)[1]) for p in pages
+    ]
+    assert [">tanh-1e4: use<" in one for one in shown] == [True, True]
+    assert [">poly-13: no<" in one for one in shown] == [True, False]
+
+
+def test_numbers_of_the_map_fit_a_phone():
+    for error in (0.0, 1e-9, 3.14159e-4, 0.0123, 0.0996, 1.23, 99.0, np.nan):
+        (row,) = heat([contact({"tanh-1e4": ("no", error, 0.5, 1.0)})])
+        assert len(row.cells["error"][0].text) <= 4
+
+
+def test_claims_lead_to_what_they_are_about(page):
+    text = page.read_text()
+    links = re.findall(r'<a href="#([^"]+)">See (.*?)</a>', text)
+    assert links == [("figure-1", "Fig. 1"), ("figure-2a", "Fig. 2"), ("own-table-3", "Table 3")]
+    for anchor, _ in links:
+        assert f'id="{anchor}"' in text
+
+
+def test_every_id_is_there_once_and_no_link_leads_nowhere(page):
+    text = page.read_text()
+    ids = re.findall(r'\bid="([^"]*)"', text)
+    assert len(ids) == len(set(ids))
+    links = {link.partition("?")[0] for link in re.findall(r'href="#([^"]*)"', text)}
+    assert links - set(ids) == set()
+
+
+def test_a_study_as_toml_is_the_same_study():
+    study = Study.from_dict(
+        {
+            "study": {"name": "made", "title": 'Says "a\\b" and ±'},
+            "sweep": tables(LABELS, OMEGA)["sweep"] * 2,
+            "protocol": {"half": {"rtol": 5e-10}, "a-b": {"restart": True}},
+        }
+    )
+    text = as_toml(json.loads(study.json))
+    assert Study.from_dict(tomllib.loads(text)).json == study.json
+
+
+def test_every_figure_lies_beside_the_page_as_files(page):
+    folder, text = page.parent / "figures", page.read_text()
+    files = {link.removeprefix("figures/") for link in re.findall(r'href="(figures/[^"]*)"', text)}
+    assert files == {path.name for path in folder.iterdir()} - {SUMS}
+    assert {f"figure-scene-0-0.{kind}" for kind in ("svg", "pdf", "csv")} <= files
+    assert (folder / "figure-scene-0-0.pdf").read_bytes().startswith(b"%PDF")
+    assert is_picture((folder / "figure-scene-0-0.svg").read_text())
+
+
+def test_figures_are_not_written_where_a_link_leads(tmp_path):
+    responses, compared = made(tmp_path, EQUAL)
+    (tmp_path / "page").mkdir()
+    (tmp_path / "page" / "figures").symlink_to(tmp_path)
+    with pytest.raises(StoreError, match="a symbolic link"):
+        write_report(tmp_path / "page" / "index.html", responses, compared, timing(responses))
+
+
+def test_the_page_says_how_it_was_made(page):
+    text = page.read_text()
+    assert "<dd>engine compiled, rtol 1e-9</dd>" in text
+    assert "0.0333 min for 4 sweep points" in text  # half a second each
+    assert "representation = [&#34;piecewise&#34;]" in text
 
 
 def test_claims_stand_in_the_page_with_their_numbers(page):
@@ -180,17 +322,52 @@ def test_the_page_asks_for_nothing_and_allows_only_its_own_script(page):
     )
 
 
-def test_drawings_are_shown_and_nothing_else_is():
-    figure = Figure()
-    axes = figure.subplots()
-    axes.plot(range(9), "o", label="<b> & c", rasterized=True)
-    axes.set_title("$x^2$")
-    axes.legend()
-    axes.axvspan(0, 1)
-    drawn = str(svg(figure, 'says "<b>"'))
-    assert is_drawing(drawn)
-    stored = json.loads(json.dumps(PART | {"figures": [{"svg": drawn, "caption": ""}]}))
-    assert for_page(stored)["figures"][0]["svg"] == drawn
+def panelled():
+    """Three panels with a legend of all, points, a shade and mathematics."""
+    figure = Figure(figsize=(9.5, 3.0), layout="constrained")
+    panels = figure.subplots(1, 3, sharey=True)
+    for i, axes in enumerate(panels):
+        axes.plot(range(9), "o", label=f"<b> & 'c' {i}", rasterized=True)
+        axes.set_title(f"$x^{i}$ — 7 %", fontsize=5)
+        axes.axvspan(0, 1)
+    panels[0].set(ylabel="height [mm]", xlabel="# 1.23456")
+    figure.legend(loc="outside upper center", ncols=3)
+    return figure
+
+
+def words(picture):
+    return [" ".join("".join(e.itertext()).split()) for e in ElementTree.fromstring(picture).iter(
+        "{http://www.w3.org/2000/svg}text")]  # fmt: skip
+
+
+def test_pictures_have_text_as_text_that_can_be_read_and_panels_that_stack():
+    wide, narrow = (pictures(panelled())[view] for view in VIEWS)
+    for picture in (wide, narrow):
+        assert {"<b> & 'c' 1", "# 1.23456"} <= set(words(picture))
+        sizes = [float(size) for size in re.findall(r"font-size: ([\d.]+)px", picture)]
+        assert min(sizes) >= 8.5 * 0.7  # of mathematics, exponents
+        assert len(re.findall("data:image/png", picture)) == 3
+    assert [words(p).count("height [mm]") for p in (wide, narrow)] == [1, 3]
+    widths = [float(re.search(r'width="([\d.]+)pt"', p)[1]) for p in (wide, narrow)]
+    assert widths == [684.0, 259.2]
+
+
+def test_a_picture_is_no_longer_than_needed():
+    """Styles and names that matplotlib repeats are half of a picture."""
+    buffer = io.StringIO()
+    panelled().savefig(buffer, format="svg")
+    assert len(pictures(panelled())["wide"]) < 0.4 * len(buffer.getvalue())
+
+
+def test_only_pictures_are_shown():
+    drawn = pictures(panelled())
+    stored = json.loads(json.dumps(PART | {"figures": [{**drawn, "caption": ""}]}))
+    ((shown,),) = (part["figures"] for part in for_page([stored]))
+    words_of = "".join(ElementTree.fromstring(drawn["wide"]).itertext())
+    address = shown["wide"]["src"].removeprefix("data:image/svg+xml,")
+    assert not set(address) & set(' "#')
+    assert "".join(ElementTree.fromstring(unquote(address)).itertext()) == words_of
+    assert (shown["wide"]["width"], shown["wide"]["height"]) == (912, 288)
     for old, new in (
         ("</svg>", "<script>alert(1)</script></svg>"),
         ("</svg>", "</svg><svg></svg>"),
@@ -198,8 +375,10 @@ def test_drawings_are_shown_and_nothing_else_is():
         ("<g ", '<g onload="alert(1)" '),
         ("</svg>", '<use href="https://a.b/c#d"/></svg>'),
     ):
-        assert old in drawn
-        assert not is_drawing(drawn.replace(old, new)), new
+        assert old in drawn["narrow"]
+        changed = drawn | {"narrow": drawn["narrow"].replace(old, new)}
+        assert for_page([PART | {"figures": [changed]}])[0]["figures"] == [], new
+    assert not is_picture("")
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import pytest
 from matplotlib.colors import to_hex
 from numpy.testing import assert_allclose
 from tests.figure_texts import overlaps
+from tests.redrawn import is_redrawn
 from workflows.paper import ladders as ladder
 from workflows.paper.static_figures import (
     constrained_forces,
@@ -41,6 +42,12 @@ def test_no_text_lies_on_another(scene):
     forces = forces_of(scene, FREE) | constrained_forces(scene, FREE)
     assert not overlaps(force_curves(scene, forces))
     assert not overlaps(static_convergence(scene))
+
+
+def test_the_csv_of_a_figure_draws_it_again(scene):
+    forces = forces_of(scene, FREE) | constrained_forces(scene, FREE)
+    assert is_redrawn(force_curves(scene, forces))
+    assert is_redrawn(static_convergence(scene))
 
 
 def test_every_law_is_drawn_in_every_panel(scene):

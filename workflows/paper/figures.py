@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from gapsweep.analysis.verdicts import NotInRunError, Run
-from gapsweep.report.drawing import labels_of
+from gapsweep.report.drawing import labels_of, plain
 from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.tables import number, percent
@@ -81,9 +81,9 @@ def figures(run: Run) -> Iterator[Figured]:
 
 def _figured(figure: Figure, name: str, at: Scene, protocol: str, *sentences: str) -> Figured:
     """A figure whose caption says its scene, and everything that is seen in it."""
-    where = ", ".join(filter(None, (f"K_c = {at[0]:g} N/m", f"gap {at[1]} mm", protocol)))
+    where = ", ".join(filter(None, (f"K_c = {plain(at[0])} N/m", f"gap {at[1]} mm", protocol)))
     words = f"Figure {name}. {where}. {' '.join(sentences)}"
-    return Figured(figure, words, words)
+    return Figured(figure, words, words, f"Fig. {name}")
 
 
 def _static_figures(run: Run) -> Iterator[Figured]:

@@ -7,23 +7,18 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from gapsweep.report import drawing
 from gapsweep.report.drawing import MANY, drawn, labels_of
 from gapsweep.report.style import NOT_PERIODIC, colour, lines
-from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
 from .scenes import EXACT, NO_EVENTS
 from .static_figures import WIDTH
 
-# Backgrounds by response class: light enough for every point colour, and told apart by depth.
-_SHADES = {ResponseClass.CHAOTIC: "#fbd9d3", ResponseClass.UNRESOLVED: "#c8d8e6"}
 _DOT, _REAR = 1.6, 1.8  # points; what lies behind is larger by so much
 _FAR = 4.0  # peaks so many wall distances out need a logarithmic axis
-_SPARE = 0.5  # room around the exact law, in widths of its range
 SHOWN_PERIODS, _HARMONICS, _DECADES = 6, 5.5, 5
 
 Overlay = tuple[str, str, NDArray[np.float64]]
@@ -33,7 +28,7 @@ def peak_curves(scene: xr.Dataset) -> Figure:
     """Peak displacements in a scene, a panel per law with the exact one behind it."""
     labels = labels_of(scene)
     figure, panels = _panels(scene, "peak displacement [mm]", len(labels), 3, 2.4)
-    low, high = _frame(scene, "x_max")
+    low, high = drawing.frame(scene, "x_max", _exact(scene))
     for axes, label in zip(panels, labels, strict=True):
         for one, size in {_exact(scene): _DOT + _REAR, label: _DOT}.items():
             drawing.peaks(axes, scene.sel(representation=one), size, high)
@@ -46,20 +41,16 @@ def stacked_bifurcations(scene: xr.Dataset) -> Figure:
     """All extrema in a scene from one start, a panel per law on common axes."""
     labels, omega = labels_of(scene), drawn(scene["omega"])
     figure, panels = _panels(scene, "steady extrema [mm]", len(labels), 1, 1.35)
-    low, high = _frame(scene, "x_min")
+    low, high = drawing.frame(scene, "x_min", _exact(scene))
     for axes, label in zip(panels, labels, strict=True):
         one = scene.sel(representation=label)
-        for kind, shade in _SHADES.items():
-            where = one["response_class"].values == kind
-            axes.bar(omega[where], 1.0, np.gradient(omega)[where], color=shade, zorder=0,
-                     transform=axes.get_xaxis_transform(), antialiased=False)  # fmt: skip
+        drawing.bands(axes, one)
         _extrema(axes, one, _DOT)
         _title(axes, one)
         drawing.outside(axes, omega[drawn(one["x_max"]) > high], high, "^", label)
         drawing.outside(axes, omega[drawn(one["x_min"]) < low], low, "v", label)
     panels[0].set_ylim(low, high)
-    handles = [Patch(color=shade, label=kind.name.lower()) for kind, shade in _SHADES.items()]
-    figure.legend(handles=handles, loc="outside upper right", ncols=2, fontsize=8)
+    drawing.key_of_bands(figure)
     return figure
 
 
@@ -73,7 +64,7 @@ def overlaid_bifurcations(scene: xr.Dataset, overlays: Sequence[Overlay]) -> Fig
         _extrema(axes, scene.sel(representation=rear), _DOT + 1.1 * _REAR)
         _extrema(axes, scene.sel(representation=front), _DOT)
         edge = axes.get_xaxis_transform()
-        axes.vlines(apart, 1.0, 1.04, NOT_PERIODIC, transform=edge, clip_on=False)
+        axes.vlines(apart, 1.0, 1.04, NOT_PERIODIC, transform=edge, clip_on=False, label="_differ")
         axes.set_title(f"{_law(front)} over {_law(rear)}", fontsize=9, loc="left", pad=7)
     return figure
 
@@ -90,6 +81,7 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
         for label, line in lines(labels).items():
             own = one.sel(representation=label)
             style = {"color": colour(label), "linewidth": widths.get(_law(label), 0.9)}
+            style["label"] = f"_{label}"
             motion.plot(*_last_periods(own), line, **style)
             multiple = own["frequency"] / one["omega"]
             spectrum.plot(multiple, drawn(own["spectrum"]), line, **style)
@@ -143,22 +135,6 @@ def _panels(
     return figure, panels[:n]
 
 
-def _frame(scene: xr.Dataset, lowest: str) -> tuple[float, float]:
-    """Common axis with room for the exact law, and for what others add within reason."""
-    bottom, top = drawn(scene[lowest]), drawn(scene["x_max"])
-    is_exact = scene["representation"].values == _exact(scene)
-    if not np.isfinite(top[is_exact]).any():
-        is_exact[:] = True
-    low, high = np.nanmin(bottom, initial=np.inf), np.nanmax(top, initial=-np.inf)
-    if not low <= high:  # there is no result at all
-        return -1.0, 1.0
-    own_low, own_high = np.nanmin(bottom[is_exact]), np.nanmax(top[is_exact])
-    spare = _SPARE * (own_high - own_low)
-    low, high = max(low, own_low - spare), min(high, own_high + spare)
-    margin = 0.06 * (high - low) or 1.0
-    return float(low - margin), float(high + margin)
-
-
 def _scale(axes: Axes, scene: xr.Dataset, low: float, high: float) -> None:
     """Linear; logarithmic beyond a quarter of the wall distance if the peaks go far out."""
     linear = 0.25 * max(float(drawn(scene["j_1"])), float(drawn(scene["j_2"])))
@@ -176,7 +152,8 @@ def _extrema(axes: Axes, one: xr.Dataset, size: float) -> None:
     extrema = drawn(one["extrema"].transpose("omega", "extremum"))
     omega = np.broadcast_to(drawn(one["omega"])[:, None], extrema.shape)
     shown = np.isfinite(extrema)
-    style: dict[str, Any] = {"color": colour(one["representation"].item()), "markersize": size}
+    label = one["representation"].item()
+    style: dict[str, Any] = {"color": colour(label), "markersize": size, "label": f"_{label}"}
     many = bool(shown.sum() > MANY)
     axes.plot(omega[shown], extrema[shown], "o", mew=0.0, rasterized=many, **style)
 

@@ -62,12 +62,14 @@ def force_curves(static: xr.Dataset, forces: Forces) -> Figure:
         (panels[1], near, exact, "error near the gap [N]"),
         (panels[2], x == x, exact, "error in the fit range [N]"),
     ):
-        axes.axvspan(*walls, color="#eeeeee", zorder=0)
-        axes.plot(x[shown], (exact - minus)[shown], color=colour(EXACT), linewidth=2.2)
+        axes.axvspan(*walls, color="#eeeeee", zorder=0, label="_gap")
+        look = {"color": colour(EXACT), "linewidth": 2.2, "label": "_exact"}
+        axes.plot(x[shown], (exact - minus)[shown], **look)
         for name, force in forces.items():
             law = name.removesuffix(_CONSTRAINED)
             shade = colour(law) if law == name else _DARK
-            axes.plot(x[shown], (force - minus)[shown], styles[law], color=shade, linewidth=1.3)
+            look = {"color": shade, "linewidth": 1.3, "label": f"_{name}"}
+            axes.plot(x[shown], (force - minus)[shown], styles[law], **look)
         axes.set_title(title, fontsize=9, loc="left")
         axes.set_xlabel(axis_label(static["x"]))
         axes.margins(x=0.0)

@@ -4,6 +4,8 @@ What compares representations looks at one displacement: of a system it looks at
 coordinates in turn.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 import xarray as xr
 
@@ -17,9 +19,13 @@ def is_of_systems(dataset: xr.Dataset) -> bool:
     return COORDINATE in dataset.dims or OF_SYSTEM in dataset.attrs
 
 
-def coordinates(dataset: xr.Dataset) -> list[str]:
-    """Names of the coordinates."""
-    return [str(name) for name in dataset[COORDINATE].values]
+def by_coordinate(dataset: xr.Dataset) -> Iterator[tuple[xr.Dataset, str]]:
+    """A dataset of systems coordinate by coordinate, and what to say of which; others whole."""
+    if COORDINATE not in dataset.dims:
+        yield dataset, ""
+        return
+    for i, name in enumerate(dataset[COORDINATE].values.tolist()):
+        yield dataset.isel({COORDINATE: i}), f", {name}"
 
 
 def of_coordinate(dataset: xr.Dataset, number: int, rate: float) -> xr.Dataset:

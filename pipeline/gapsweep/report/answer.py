@@ -23,7 +23,7 @@ or the frequencies are too few for intervals.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any
 
@@ -31,11 +31,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.grid import scene_dims, scenes
+from gapsweep.analysis.grid import At, scene_dims, scenes
 from gapsweep.analysis.statistics import repeatability, widened
 from gapsweep.model.labels import AUTO
-from gapsweep.report.drawing import named
-from gapsweep.report.selection import beside, gap_label
+from gapsweep.report.drawing import named, plain
+from gapsweep.report.selection import anchor_of, beside, gap_label
 from gapsweep.report.tables import number
 
 LINE, MOST, HALF = 0.05, 0.95, 0.5
@@ -99,7 +99,7 @@ class Judged:
 class Contact:
     """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in.
 
-    `others` names the values of what the study sweeps beside.
+    `others` names the values of what the study sweeps beside, `at` is its position in the files.
     """
 
     K_c: float
@@ -108,6 +108,18 @@ class Contact:
     laws: list[Judged]
     threshold: str
     others: str = ""
+    at: At = field(default_factory=dict)
+
+    @property
+    def place(self) -> str:
+        """Where it is, in words."""
+        others = f", {self.others}" if self.others else ""
+        return f"{plain(self.K_c)} N/m, {self.gap} mm{others}"
+
+    @property
+    def anchor(self) -> str:
+        """The id of its scene in the page."""
+        return anchor_of(self.at)
 
     @property
     def columns(self) -> dict[str, list[Judged]]:
@@ -173,7 +185,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         ]
         here = pooled.coords.to_dataset().isel(at)
         gap, others = gap_label(here), ", ".join(named(here[name]) for name in beside(here))
-        contact = Contact(float(here["K_c"]), gap, floors, judged, _threshold(static, here), others)
+        known = _threshold(static, here), others, at
+        contact = Contact(float(here["K_c"]), gap, floors, judged, *known)
         order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
         found.append((contact.K_c, *order, contact))
     return [contact for *_, contact in sorted(found, key=lambda one: one[:-1])]
@@ -271,7 +284,7 @@ def _picked(found: Sequence[Contact]) -> str:
 def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
     gaps: dict[tuple[str, str], list[str]] = {}
     for contact in some:
-        gaps.setdefault((number(contact.K_c), contact.others), []).append(contact.gap)
+        gaps.setdefault((plain(contact.K_c), contact.others), []).append(contact.gap)
     places = " and ".join(
         f"{K_c} N/m with {', '.join(mm)} mm{f' at {others}' if others else ''}"
         for (K_c, others), mm in gaps.items()
@@ -303,9 +316,8 @@ def lines(found: Sequence[Contact]) -> Iterator[list[str]]:
             ", ".join(f"{law.name} {law.cost}" for law in laws) or "none"
             for laws in one.columns.values()
         ]
-        others = f", {one.others}" if one.others else ""
         yield [
-            f"{number(one.K_c)} N/m, {one.gap} mm{others}",
+            one.place,
             *columns,
             one.threshold,
             one.least_tanh,

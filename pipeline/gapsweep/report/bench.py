@@ -17,6 +17,7 @@ from gapsweep.report.bench_figures import (
     work_precision_figure,
     worst,
 )
+from gapsweep.report.drawing import plain
 from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.status import Status
 
@@ -87,7 +88,7 @@ def _front_conclusions(bench: xr.Dataset) -> Conclusions:
             f"; next {row['next']} at {row['ratio']:.2g} times the cost" if row["next"] else ""
         )
         sentences.append(
-            f"K_c = {row['K_c']:g} N/m, {row['gap']} mm, error {row['error']:.0e}: "
+            f"K_c = {plain(row['K_c'])} N/m, {row['gap']} mm, error {row['error']:.0e}: "
             + (f"{row['method']}, {1e6 * row['cpu_time']:.3g} µs per simulated second{runner_up}"
                if row["method"] else "no method")
         )  # fmt: skip
@@ -144,7 +145,7 @@ def _cheapest_table(bench: xr.Dataset) -> Table:
         "Cheapest method per simulated second (next law and its factor)",
         ["K_c [N/m], gap [mm]", *(f"error {target:.0e}" for target in TARGETS)],
         [
-            [f"{K_c:g}, {gap}", *(by_target[target] for target in TARGETS)]
+            [f"{plain(K_c)}, {gap}", *(by_target[target] for target in TARGETS)]
             for (K_c, gap), by_target in cells.items()
         ],
     )
@@ -154,12 +155,12 @@ def _work_precision_part(bench: xr.Dataset) -> Part:
     figures = [
         Figured(
             work_precision_figure(bench.isel(scene=bench["K_c"].values == K_c)),
-            f"K_c = {K_c:g} N/m. Error against the exact law and processor time per simulated "
+            f"K_c = {plain(K_c)} N/m. Error against the exact law and processor time per simulated "
             "second, every point a tolerance. Filled and ringed: on the front, nothing is both "
             "cheaper and closer. Ticks at the bottom: model error of each law, which no tolerance "
             "betters. Crosses on the right: runs that failed. Bars: quartiles. Points closer to "
             "the truth than ten distances of the two references are left out.",
-            f"Work-precision diagrams, K_c = {K_c:g} N/m",
+            f"Work-precision diagrams, K_c = {plain(K_c)} N/m",
         )
         for K_c in np.unique(bench["K_c"].values).tolist()
     ]

@@ -6,6 +6,7 @@ importing this module is cheap.
 """
 
 import math
+import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -13,19 +14,22 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.report.style import colour, lines
+from gapsweep.report.style import BANDS, colour, lines
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
-from gapsweep.study.selection import as_words, is_numeric
+from gapsweep.study.grid import COORDINATE
+from gapsweep.study.selection import is_numeric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
-MANY = 800  # points as vectors would make a file heavy
+MANY = 60  # points as vectors would make a file heavy
 _WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
 _MOST_NAMES = 24  # that fit beside a colour bar
 _FINENESS = 2000  # cells of one width along an axis of uneven ones
+_SPARE = 0.5  # room around the exact law, in widths of its range
 _FEW = 60  # points on a curve that can be told apart
 # UDUNITS text to a factor and what stands on an axis.
 _SHOWN_UNITS = {
@@ -58,9 +62,14 @@ def axis_label(variable: xr.DataArray, words: str = "") -> str:
 def named(coordinate: xr.DataArray) -> str:
     """A coordinate's one value with its name and unit, as ``K_c = 14000 N/m``."""
     name, held = str(coordinate.name), coordinate.values
-    (value,) = as_words(np.ravel(drawn(coordinate) if is_numeric(held) else held))
+    value = plain(drawn(coordinate).item()) if is_numeric(held) else str(held.item())
     names = {"scene": "", "representation": "", "gap": "gap ", "regime": "regime: "}
     return f"{names.get(name, f'{name} = ')}{value} {_shown_unit(coordinate)[1]}".strip()
+
+
+def plain(value: float) -> str:
+    """A number as it was given: 14000, and 1.4e6 for 1.4e+06."""
+    return re.sub(r"e([+-])0*", lambda m: "e" + m[1].strip("+"), f"{value:g}")
 
 
 def is_crowded_low(values: NDArray[np.float64]) -> bool:
@@ -171,21 +180,49 @@ def curves(axes: "Axes", variable: xr.DataArray, along: str) -> None:
                 curve[there],
                 styles[label],
                 color=colour(label),
-                label=label if start == 0 else None,
+                label=label if start == 0 else f"_{label}",  # one of each in a legend
                 linewidth=2.2 if exact else 1.2,
                 zorder=1 if exact else 2,
-                marker=".",
-                markersize=(5 if exact else 3) if few else 1.5,
+                marker="." if few else None,
+                markersize=5 if exact else 3,
             )
 
 
 def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega") -> None:
-    """Both walls of the gap, where the dataset knows them; one that moves `along` is a curve."""
+    """Both walls of the gap, where the dataset knows them; one that moves `along` is a curve.
+
+    A system's bound the gap of its contact, whatever coordinates that is made of.
+    """
+    if COORDINATE in scene.coords:
+        return
     for name, sign in (("j_1", -1.0), ("j_2", 1.0)):
         if name == along:
-            axes.plot(drawn(scene[name]), sign * drawn(scene[name]), **WALL)
+            axes.plot(drawn(scene[name]), sign * drawn(scene[name]), label="_wall", **WALL)
         elif name in scene.coords and scene[name].ndim == 0:
             axes.axhline(sign * float(drawn(scene[name])), **WALL)
+
+
+def bands(axes: "Axes", one: xr.Dataset, along: str = "omega") -> None:
+    """Pale bands behind one representation where any start is chaotic or unresolved."""
+    x = drawn(one[along])
+    width = np.gradient(x) if x.size > 1 else np.ones(1)
+    kinds = one["response_class"].transpose(along, ...).values.reshape(x.size, -1)
+    left = np.ones(x.size, dtype=bool)
+    for kind, shade in BANDS.items():
+        where = left & (kinds == ResponseClass[kind.upper()]).any(axis=1)
+        left &= ~where
+        look: dict[str, Any] = {"color": shade, "zorder": 0, "antialiased": False}
+        bars = axes.bar(x[where], 1.0, width[where], transform=axes.get_xaxis_transform(), **look)
+        for bar in bars:
+            bar.set_label(f"_{kind}")
+
+
+def key_of_bands(figure: "Figure") -> None:
+    """What the bands mean."""
+    from matplotlib.patches import Patch
+
+    handles = [Patch(color=shade, label=kind) for kind, shade in BANDS.items()]
+    figure.legend(handles=handles, loc="outside upper right", ncols=2, fontsize=8)
 
 
 def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = None) -> None:
@@ -198,13 +235,17 @@ def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = No
     other : str, optional
         Colour of responses that are not periodic; the representation's own if None.
     """
-    own = colour(_label(one))
+    label, own = _label(one), colour(_label(one))
     x, y = _broadcast(one, "extrema", along)
     is_periodic = one["response_class"].transpose(along, "initial_condition").values
     periodic = (is_periodic == ResponseClass.PERIODIC)[..., None]
-    for chosen, shade in ((periodic, own), (~periodic, other or own)):
+    for chosen, shade, kind in (
+        (periodic, own, "periodic"),
+        (~periodic, other or own, "not periodic"),
+    ):
         shown = chosen & np.isfinite(y)
-        _points(axes, x[shown], y[shown], color=shade, marker=".", markersize=2.5)
+        look = {"color": shade, "marker": ".", "markersize": 2.5, "label": f"_{label}, {kind}"}
+        _points(axes, x[shown], y[shown], **look)
 
 
 def peaks(
@@ -227,17 +268,43 @@ def peaks(
     periodic = kinds == ResponseClass.PERIODIC
     above = height > high
     style = {"color": colour(label), "marker": "o", "markersize": size, "markeredgewidth": 0.0}
-    for where, alpha in ((~periodic, 0.35), (periodic, 1.0)):
+    for where, alpha, kind in ((~periodic, 0.35, "not periodic"), (periodic, 1.0, "periodic")):
         shown = where & np.isfinite(height) & ~above
+        style["label"] = f"_{label}, {kind}"
         _points(axes, places[shown], height[shown], alpha=alpha, **style)
     outside(axes, places[above], high, "^", label)
+
+
+def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
+    """Common axis with room for the exact law, and for what others add within reason.
+
+    Parameters
+    ----------
+    lowest : str
+        The variable that bounds it from below; ``x_max`` does from above.
+    exact : str
+        The exact law's label.
+    """
+    bottom, top = drawn(scene[lowest]), drawn(scene["x_max"])
+    is_exact = scene["representation"].values == exact
+    if not np.isfinite(top[is_exact]).any():
+        is_exact[:] = True
+    low, high = np.nanmin(bottom, initial=np.inf), np.nanmax(top, initial=-np.inf)
+    if not low <= high:  # there is no result at all
+        return -1.0, 1.0
+    own_low, own_high = np.nanmin(bottom[is_exact]), np.nanmax(top[is_exact])
+    spare = _SPARE * (own_high - own_low)
+    low, high = max(low, own_low - spare), min(high, own_high + spare)
+    margin = 0.06 * (high - low) or 1.0
+    return float(low - margin), float(high + margin)
 
 
 def outside(axes: "Axes", omega: Any, edge: float, marker: str, label: str) -> None:
     """Triangles on the edge of the frame for what lies beyond it."""
     if len(omega):
         edges = np.full(len(omega), edge)
-        axes.plot(omega, edges, marker, color=colour(label), markersize=2.5, clip_on=False)
+        look: dict[str, Any] = {"color": colour(label), "label": f"_{label}, outside"}
+        axes.plot(omega, edges, marker, markersize=2.5, clip_on=False, **look)
 
 
 def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
@@ -255,8 +322,8 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
     # No share is known of what only sweeps reach.
     area = 4.0 + 20.0 * np.where(np.isfinite(share), share, 0.0)
     periodic = one["response_class"].transpose(*order).values == ResponseClass.PERIODIC
-    shade = colour(_label(one))
-    for where, face in ((periodic, shade), (~periodic, "none")):
+    label, shade = _label(one), colour(_label(one))
+    for where, face, kind in ((periodic, shade, "periodic"), (~periodic, "none", "not periodic")):
         shown = where & np.isfinite(height)
         axes.scatter(
             x[shown],
@@ -266,6 +333,7 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
             edgecolors=shade,
             linewidths=0.8,
             rasterized=bool(shown.sum() > MANY / 4),  # each dot is a path of its own
+            label=f"_{label}, {kind}",
         )
 
 

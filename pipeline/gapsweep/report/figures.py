@@ -1,7 +1,7 @@
 """Figures of the report, each from a dataset to a matplotlib figure."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import xarray as xr
 from matplotlib.axes import Axes
@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 from gapsweep.report import drawing
 from gapsweep.report.drawing import axis_label, drawn, is_log, labels_of
 from gapsweep.report.maps import Picture, draw
-from gapsweep.report.style import NOT_PERIODIC
 
 _WIDTH = 9.5  # inches, the report's column
+_FEW = 60  # frequencies, whose dots may be larger
+_MANY = 4  # panels, of which more stand three in a row
 
 
 def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
@@ -39,16 +40,17 @@ def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
 def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
     """All steady extrema over frequency, a panel per representation.
 
-    Periodic responses are drawn in the representation's colour, all others in red.
+    Behind it are pale bands where any start is not periodic.
     """
     labels = labels_of(responses)
-    n_rows = math.ceil(len(labels) / 2)
-    n_columns = min(2, len(labels))
-    figure = Figure(figsize=(_WIDTH, 1.1 + 2.3 * n_rows))
+    n_columns = min(3 if len(labels) > _MANY else 2, len(labels))
+    n_rows = math.ceil(len(labels) / n_columns)
+    figure = Figure(figsize=(_WIDTH, 0.7 + 2.1 * n_rows))
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, label in zip(panels, labels, strict=False):
         drawing.walls(axes, responses, along)
-        drawing.extrema(axes, responses.sel(representation=label), along, other=NOT_PERIODIC)
+        drawing.bands(axes, responses.sel(representation=label), along)
+        drawing.extrema(axes, responses.sel(representation=label), along)
         axes.set_title(label, fontsize=9, loc="left")
     for axes in panels[len(labels) :]:
         axes.set_visible(False)
@@ -57,6 +59,7 @@ def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
         axes.xaxis.set_tick_params(labelbottom=True)
     for axes in panels[::n_columns]:
         axes.set_ylabel(axis_label(responses["extrema"], "extrema"))
+    drawing.key_of_bands(figure)
     return figure
 
 
@@ -73,7 +76,7 @@ def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
     labels = labels_of(found)
     n_columns = min(3, len(labels))
     n_rows = math.ceil(len(labels) / n_columns)
-    figure = Figure(figsize=(_WIDTH, 0.7 + 2.4 * n_rows))
+    figure = Figure(figsize=(_WIDTH, 0.7 + 2.1 * n_rows))
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, label in zip(panels, labels, strict=False):
         drawing.walls(axes, found, along)
@@ -86,6 +89,33 @@ def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
         axes.xaxis.set_tick_params(labelbottom=True)
     for axes in panels[::n_columns]:
         axes.set_ylabel(axis_label(found["x_max"], "peak"))
+    return figure
+
+
+def beside_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Figure:
+    """Peaks of some laws over those of the exact one, black where it is missed, a panel per law.
+
+    Parameters
+    ----------
+    scene : Dataset
+        Dimensions representation, omega, initial_condition.
+    exact : str
+        Label of the exact law.
+    titles : mapping of str to str
+        What stands over the panel of each law.
+    """
+    figure = Figure(figsize=(_WIDTH, 2.3), layout="constrained")
+    panels = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
+    low, high = drawing.frame(scene, "x_max", exact)
+    sizes = (7.0, 3.2) if scene.sizes["omega"] <= _FEW else (3.4, 1.6)
+    for axes, (label, title) in zip(panels, titles.items(), strict=True):
+        drawing.walls(axes, scene)
+        for one, size in zip((exact, label), sizes, strict=True):
+            drawing.peaks(axes, scene.sel(representation=one), size, high)
+        axes.set_title(title, fontsize=9, loc="left")
+        _axis(axes, scene["omega"])
+    panels[0].set_ylim(low, high)
+    panels[0].set_ylabel(axis_label(scene["x_max"], "peak"))
     return figure
 
 

@@ -4,56 +4,47 @@ import base64
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import matplotlib
+import numpy as np
 import xarray as xr
 from markupsafe import Markup
 
 from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.grid import scenes as all_scenes
 from gapsweep.analysis.systems import is_of_systems
-from gapsweep.report.answer import MOST_CONTACTS, SIGNS, contacts, in_words, times
-from gapsweep.report.bench import bench_parts
-from gapsweep.report.drawing import named
-from gapsweep.report.figures import attractors as attractor_panels
-from gapsweep.report.figures import bifurcation, frequency_response
-from gapsweep.report.findings import findings, outcomes
-from gapsweep.report.overview import is_wide, overview
-from gapsweep.report.parts import for_page, rendered, svg
-from gapsweep.report.scenes import Scenes, swept
-from gapsweep.report.selection import beside, gap_label
-from gapsweep.report.style import MATPLOTLIB
-from gapsweep.report.tables import (
-    VERDICTS,
-    Row,
-    agreement_rows,
-    claim_rows,
-    number,
-    percent,
-    timing_rows,
+from gapsweep.errors import StoreError
+from gapsweep.report.answer import (
+    MOST_CONTACTS,
+    SIGNS,
+    Contact,
+    Judged,
+    contacts,
+    in_words,
+    times,
 )
+from gapsweep.report.bench import bench_parts
+from gapsweep.report.drawing import labels_of, named, plain
+from gapsweep.report.figures import attractors as attractor_panels
+from gapsweep.report.figures import beside_exact, bifurcation, frequency_response
+from gapsweep.report.findings import findings, outcomes
+from gapsweep.report.heat import GROUPS, heads, heat
+from gapsweep.report.overview import is_wide, overview
+from gapsweep.report.parts import Figured, Part, drawn, for_page, rendered
+from gapsweep.report.provenance import as_toml, provenance
+from gapsweep.report.scenes import Scenes, swept
+from gapsweep.report.selection import anchor_of, beside, gap_label
+from gapsweep.report.style import MATPLOTLIB, colour
+from gapsweep.report.tables import VERDICTS, Row, claim_rows, number, percent, scene_tables
 from gapsweep.status import Status
 from gapsweep.store.artefact import is_recorded, recording
 
+FIGURES = "figures"  # the folder of their files, beside the page
 _TEMPLATES = Path(__file__).parent / "templates"
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """Everything about one scene."""
-
-    title: str
-    anchor: str
-    summary: str
-    frequency_response: Markup | None
-    bifurcation: Markup
-    attractors: Markup | None
-    agreement: list[Row]
-    timing: list[Row]
 
 
 def write_report(
@@ -102,40 +93,105 @@ def write_report(
         lstrip_blocks=True,
     )
     script = (_TEMPLATES / "claims.js").read_text(encoding="utf-8")
-    sections: list[Section] = []
-    ours = list(bench_parts(work_precision, stability))
-    if is_wide(responses):
-        ours.append(overview(responses, agreement, timing, attractors))
-    else:
-        with matplotlib.rc_context(MATPLOTLIB):
-            sections = list(_sections(responses, Scenes(responses), agreement, timing, attractors))
-    parts = [*own_parts, *rendered(ours)]
-    environment.filters.update(number=number, percent=percent, times=times)
+    files = (responses, agreement, timing, attractors)
+    ours = chain(
+        bench_parts(work_precision, stability),
+        [overview(*files)] if is_wide(responses) else _scenes(*files),
+    )
+    parts = for_page([*own_parts, *rendered(ours)])
     # Its rules are those of one displacement between two walls.
     is_judged = not is_of_systems(responses)
     found = contacts(agreement, static) if agreement is not None and is_judged else []
+    told = found[:MOST_CONTACTS]
+    hero = _hero(responses, told)
+    figures = [*([hero] if hero else []), *(one for part in parts for one in part["figures"])]
+    filters = {"number": number, "percent": percent, "times": times, "colour": colour}
+    environment.filters.update(**filters, plain=plain)
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
         study=responses.attrs["study"],
         findings=findings(responses, found, claims, advice),
-        contacts=found[:MOST_CONTACTS],
+        contacts=told,
         answer=in_words(found),
         signs=SIGNS,
-        claims=claims and {"counts": claims["counts"], "rows": list(claim_rows(claims))},
+        groups=GROUPS,
+        heads=list(heads(told)),
+        heat=heat(told),
+        anchors={part["anchor"] for part in parts},
+        hero=hero,
+        folder=FIGURES,
+        claims=claims and {"counts": claims["counts"], "rows": _claims(claims, parts)},
         verdicts=VERDICTS,
         script=Markup(script),  # our own file, without anything of the user's
         script_digest=_digest(script),
-        sections=sections,
-        parts=[for_page(part) for part in parts],
+        parts=parts,
         measured_on=timing.attrs["measured_on"],
-        provenance=_provenance(responses),
+        provenance=provenance(responses),
+        toml=as_toml(json.loads(responses.attrs["study_json"])),
         version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
         fingerprint=responses.attrs["numerics_fingerprint"],
     )
+    for figure in figures:
+        _write_files(path.parent / FIGURES, figure)
     with recording(path, _is_ours) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
+
+
+def _write_files(folder: Path, figure: Mapping[str, Any]) -> None:
+    """A figure as files beside the report."""
+    if folder.is_symlink():
+        raise StoreError(f"{folder}: a symbolic link, which could lead anywhere: remove it")
+    for kind, data in figure["files"].items():
+        with recording(folder / f"{figure['id']}.{kind}", is_recorded) as temporary:
+            temporary.write_bytes(data)
+
+
+def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | None:
+    """What the verdicts look like, where they differ most; None without frequencies."""
+    if not found or responses.sizes["omega"] < 2:
+        return None
+    contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
+    scene = Scenes(responses).at(contact.at)
+    laws = {one.law: f"{one.law}: {one.verdict}" for one in _telling(contact)}
+    if scene is None or not laws:
+        return None
+    said = f"Peaks at {contact.place}, some laws before the exact one in black"
+    with matplotlib.rc_context(MATPLOTLIB):
+        figure = beside_exact(
+            swept(scene.sel(representation=["piecewise", *laws])), "piecewise", laws
+        )
+        made = drawn(Figured(figure, f"{said}; dashed: walls; pale: not periodic.", said))
+    (part,) = for_page([{"anchor": "hero", "figures": [made]}])
+    return dict(part["figures"][0])
+
+
+def _telling(contact: Contact) -> list[Judged]:
+    """Of each verdict the cheapest stand-in, firm if any is; best and worst if all are alike."""
+    columns = ([one for one in laws if one.is_stand_in] for laws in contact.columns.values())
+    shown = [next((one for one in laws if one.is_firm), laws[0]) for laws in columns if laws]
+    if len(shown) > 1:
+        return shown
+    told = [one for one in contact.laws if one.is_stand_in]
+    told.sort(key=lambda one: np.nan_to_num(one.values["p95"][0], nan=np.inf))
+    return told[:1] + told[1:][-1:]
+
+
+def _claims(decided: Mapping[str, Any], parts: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """The claims, each with what of the page its place names."""
+    names = {f.get("name"): f["id"] for part in parts for f in reversed(part["figures"])}
+    return [{**row, "leads_to": _place(row["place"], names, parts)} for row in claim_rows(decided)]
+
+
+def _place(place: str, names: Mapping[str, str], parts: Sequence[Mapping[str, Any]]) -> str:
+    """The id of the figure or section that a claim is about, the nearest by name; empty if none.
+
+    "Fig. 11ab" is about "Fig. 11", "Fig. 2" about the first of "Fig. 2a" and "Fig. 2b".
+    """
+    near = [n for n in names if n and (place.startswith(n) or n.startswith(place))]
+    titled = [part["anchor"] for part in parts if part["title"].endswith(f" {place}")]
+    return names[min(near, key=lambda n: n != place)] if near else next(iter(titled), "")
 
 
 def _digest(script: str) -> str:
@@ -151,43 +207,53 @@ def _is_ours(path: Path) -> bool:
     )
 
 
-def _sections(
+def _scenes(
     responses: xr.Dataset,
-    scenes: Scenes,
     agreement: xr.Dataset | None,
     timing: xr.Dataset,
     attractors: xr.Dataset | None,
-) -> Iterator[Section]:
+) -> Iterator[Part]:
+    """Everything about one scene after the other."""
+    scenes = Scenes(responses)
     for at in all_scenes(responses, scene_dims(responses["status"].dims)):
         here = scenes.at(at)
         if here is None:
             continue
-        labels = [str(label) for label in here["representation"].values]
+        labels = labels_of(here)
         others = "".join(f", {named(here[name])}" for name in beside(here))
-        title = f"K_c = {number(float(here['K_c']))} N/m, gap {gap_label(here)} mm{others}"
-        shown = _without_protocols(here)
-        rows: list[Row] = []
-        if agreement is not None and agreement.attrs["reference"] in labels:
-            rows = list(agreement_rows(agreement.isel(at), labels))
-        several = _attractors(attractors, shown, at, title)
-        yield Section(
-            title=title,
-            anchor="-".join(["scene", *map(str, at.values())]),
-            summary=outcomes(here),
-            # Curves of many starts would cross between attractors: these have their own panels.
-            frequency_response=None
-            if several
-            else svg(frequency_response(shown), f"Frequency response, {title}"),
-            bifurcation=svg(bifurcation(shown), f"Bifurcation diagram, {title}"),
-            attractors=several,
-            agreement=rows,
-            timing=list(timing_rows(timing.isel(at), labels)),
+        title = f"{named(here['K_c'])}, gap {gap_label(here)} mm{others}"
+        compared = None if agreement is None else agreement.isel(at)
+        yield Part(
+            anchor_of(at),
+            title,
+            [outcomes(here)],
+            scene_tables(compared, timing.isel(at), labels),
+            _scene_figures(_without_protocols(here), attractors, at, title),
         )
 
 
-def _attractors(
-    attractors: xr.Dataset | None, scene: xr.Dataset, at: At, title: str
-) -> Markup | None:
+def _scene_figures(
+    scene: xr.Dataset, attractors: xr.Dataset | None, at: At, title: str
+) -> Iterator[Figured]:
+    found = _attractors(attractors, scene, at)
+    if found is None:  # curves of many starts would cross between attractors
+        caption = "Amplitude (half the range) of the steady response."
+        yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
+    yield Figured(
+        bifurcation(scene),
+        "All steady zero-velocity displacements. Bands: some start is not periodic. Dashed: walls.",
+        f"Bifurcation diagram, {title}",
+    )
+    if found is not None:
+        yield Figured(
+            attractor_panels(found),
+            "Peak displacement of every attractor that the starts reach. The area of a dot is the "
+            "share of the starts that end on it; hollow: not periodic.",
+            f"Attractors and their basins, {title}",
+        )
+
+
+def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.Dataset | None:
     """Attractors of a scene, at the frequencies that have several starts; None if none has."""
     several = (scene["status"] != Status.NOT_REQUESTED).sum("initial_condition") > 1
     if attractors is None or not several.any():
@@ -195,26 +261,13 @@ def _attractors(
     names = ["x_max", "basin_share", "response_class"]
     found = attractors[names].isel(at).load()
     here = several.any("omega")
-    found = found.sel(
+    return found.sel(
         representation=scene["representation"].values[here.values],
         omega=scene["omega"].values[several.any("representation").values],
     )
-    return svg(attractor_panels(found), f"Attractors and their basins, {title}")
 
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
     """The representations as they are; those of other solver settings if there is nothing else."""
     plain = [i for i, label in enumerate(scene["representation"].values) if "@" not in str(label)]
     return swept(scene.isel(representation=plain)) if plain else scene
-
-
-def _provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
-    attributes = responses.attrs
-    versions = json.loads(attributes["versions"])
-    return [
-        ("Study", attributes["study"]),
-        ("Created", attributes["created"]),
-        ("Numerics fingerprint", attributes["numerics_fingerprint"]),
-        ("Machine", f"{attributes['host']} ({attributes['machine']})"),
-        ("Versions", ", ".join(f"{name} {number}" for name, number in versions.items())),
-    ]

@@ -10,15 +10,15 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.grid import REPRESENTATION, SWEPT, scene_dims, swept
-from gapsweep.analysis.systems import coordinates, is_of_systems
+from gapsweep.analysis.systems import by_coordinate, is_of_systems
 from gapsweep.errors import DatasetError
 from gapsweep.report.drawing import named
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, maps
 from gapsweep.report.maps import numeric_axes, on_grid, picture
-from gapsweep.report.parts import Figured, Part, Table
+from gapsweep.report.parts import Figured, Part
 from gapsweep.report.selection import places
-from gapsweep.report.tables import agreement_rows, timing_rows
+from gapsweep.report.tables import scene_tables
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
@@ -26,27 +26,7 @@ MOST_SCENES, MOST_POINTS = 16, 200_000
 _TOLD_APART = ("K_c", "gap")  # by these alone scenes have always had a figure each
 _START = SWEPT[1]
 _STATE = ("x_0", "v_0")
-_WALLS = ("j_1", "j_2")
 _FEW_STARTS = 500
-_AGREEMENT = {
-    "representation": "Representation",
-    "amplitude_median": "Amplitude error, median",
-    "amplitude_p95": "95th percentile",
-    "recall": "Attractors found",
-    "precision": "Attractors right",
-    "same_class": "Same class",
-    "basin_distance": "Basin distance",
-    "compared": "Points compared",
-}
-_TIMING = {
-    "representation": "Representation",
-    "cpu": "Processor time [ms]",
-    "nfev": "Right-hand sides",
-    "n_steps": "Steps",
-    "n_rejected": "Rejected",
-    "n_contacts": "Contacts",
-    "n_points": "Points",
-}
 
 
 def is_wide(responses: xr.Dataset) -> bool:
@@ -91,24 +71,13 @@ def overview(
         f"{' and '.join(names) or 'nothing'}, of all else at one value, in place of figures of "
         "each scene. ds.gapsweep.map() and bifurcation() draw any other."
     )
-    rows = {
-        **{
-            f"Agreement with the exact law{suffix}": (_AGREEMENT, _agreement_rows(part, labels))
-            for part, suffix in _coordinates(agreement)
-        },
-        "Cost per sweep point (medians)": (_TIMING, list(timing_rows(timing, labels))),
-    }
     over = f", median over {n_scenes} scenes" if n_scenes > 1 else ""
     plain = [label for label in labels if "@" not in label] or labels
     return Part(
         "overview",
         f"All scenes over {' and '.join(names)}" if names else "All scenes",
         [sentence],
-        [
-            Table(title + over, list(head.values()), [[str(r[name]) for name in head] for r in of])
-            for title, (head, of) in rows.items()
-            if of
-        ],
+        scene_tables(agreement, timing, labels, over),
         (
             figure
             for label in plain
@@ -116,22 +85,6 @@ def overview(
             for figure in _figures(responses, attractors, asked, label, axes)
         ),
     )
-
-
-def _coordinates(dataset: xr.Dataset | None) -> Iterator[tuple[xr.Dataset | None, str]]:
-    """A dataset of systems coordinate by coordinate, and what to say of which; others whole."""
-    if dataset is None or COORDINATE not in dataset.dims:
-        yield dataset, ""
-        return
-    for i, name in enumerate(coordinates(dataset)):
-        # Walls bound the contact's gap, whatever coordinates that is made of.
-        yield dataset.isel({COORDINATE: i}).drop_vars(_WALLS, errors="ignore"), f", {name}"
-
-
-def _agreement_rows(agreement: xr.Dataset | None, labels: list[str]) -> list[dict[str, str]]:
-    if agreement is None or agreement.attrs["reference"] not in labels:
-        return []
-    return list(agreement_rows(agreement, labels))
 
 
 def _axes(responses: xr.Dataset) -> list[str]:
@@ -158,18 +111,11 @@ def _figures(
     here = responses.isel(at)
     found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
     where = f"{label}, {_where(responses, here)}"
-    for part, suffix in _coordinates(here):
-        assert part is not None
-        of_part = found if COORDINATE not in here.dims else _of(found, part)
+    for part, suffix in by_coordinate(here):
+        of_part = found
+        if found is not None and suffix:
+            of_part = found.sel({COORDINATE: part[COORDINATE].values})
         yield from _pictures(part, of_part, axes, f"{where}{suffix}")
-
-
-def _of(found: xr.Dataset | None, part: xr.Dataset) -> xr.Dataset | None:
-    """The attractors of a coordinate."""
-    if found is None:
-        return None
-    names = {COORDINATE: part[COORDINATE].values}
-    return found.sel(names).drop_vars(_WALLS, errors="ignore")
 
 
 def _pictures(
@@ -196,7 +142,7 @@ def _curves(
     shown = here[["extrema", "response_class"]].load().expand_dims([REPRESENTATION, _START])
     yield Figured(
         bifurcation(shown, along),
-        f"All steady zero-velocity displacements: {where}. Red: not periodic. Dashed: walls.",
+        f"All steady zero-velocity displacements: {where}. Dashed: walls.",
         f"Bifurcation diagram, {where}",
     )
     if found is not None:

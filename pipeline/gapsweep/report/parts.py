@@ -1,27 +1,30 @@
 """Sections of the report: what they hold, and how they are rendered once and for all.
 
 A benchmark and a study's own ``[report] module`` give the same `Part`. Rendered, a part is texts
-and SVG, fit for JSON: what is stored is shown later without running what made it.
+and pictures, fit for JSON: what is stored is shown later without running what made it.
 """
 
-import io
 import re
+import zlib
+from collections import Counter
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
-from xml.etree import ElementTree
 
 import matplotlib
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from gapsweep.report.pictures import (
+    PACKED,
+    VIEWS,
+    address,
+    is_picture,
+    pictures,
+    size,
+    unpacked,
+)
 from gapsweep.report.style import MATPLOTLIB
-
-# What matplotlib draws with. Others run scripts, lead elsewhere or change what is shown.
-_DRAWING = {
-    "svg", "g", "defs", "style", "path", "use", "clipPath", "rect", "circle", "image", "text",
-    "tspan", "metadata", "RDF", "Work", "Agent", "creator", "title", "type", "format", "date",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +46,15 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figured:
-    """A figure with its caption and what a screen reader says."""
+    """A figure with its caption, what a screen reader says, and what claims call it.
+
+    A claim whose place is the name, such as "Fig. 8b", leads to the figure.
+    """
 
     figure: Figure
     caption: str
     description: str
+    name: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.figure, Figure):
@@ -55,6 +62,7 @@ class Figured:
             raise TypeError(f"figure: must be a matplotlib.figure.Figure, not {kind}")
         _check_text("caption", self.caption)
         _check_text("description", self.description)
+        _check_text("name", self.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,48 +129,40 @@ def _rendered(part: Part) -> dict[str, Any]:
             {"title": t.title, "header": list(t.header), "rows": [list(row) for row in t.rows]}
             for t in part.tables
         ],
-        "figures": [
-            {"svg": svg(each.figure, each.description), "caption": each.caption}
-            for each in part.figures
-        ],
+        "figures": [drawn(each) for each in part.figures],
     }
 
 
-def for_page(part: Mapping[str, Any]) -> dict[str, Any]:
-    """A part that was stored, its drawings as markup if they are nothing but drawings."""
-    figures = [
-        {**each, "svg": Markup(each["svg"]) if is_drawing(each["svg"]) else each["svg"]}
-        for each in part["figures"]
-    ]
-    return {**part, "figures": figures}
+def drawn(figured: Figured) -> dict[str, str]:
+    """A figure as pictures, with its words."""
+    names = ("name", "caption", "description")
+    words = {name: getattr(figured, name) for name in names}
+    return {**words, **pictures(figured.figure)}
 
 
-def svg(figure: Figure, description: str) -> Markup:
-    """The figure as inline SVG with an accessible description."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", dpi=150, metadata={"Date": None})
-    figure.clear()  # its cycles would keep every figure's data until the collector comes by
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    label = Markup('<svg role="img" aria-label="{}"').format(description)
-    # matplotlib made this text from numbers and escaped labels.
-    return Markup(text.replace("<svg", str(label), 1))
+def for_page(parts: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Parts that were stored, their figures with ids of their own and addresses of pictures."""
+    made, used = [], Counter[str]()
+    for part in parts:
+        figures = [shown(each) for each in part["figures"] if _is_sound(each)]
+        for figure in figures:
+            slug = re.sub("[^a-z0-9]+", "-", (figure.get("name") or part["anchor"]).lower())
+            used[slug] += 1
+            again = f"-{used[slug]}" if used[slug] > 1 else ""
+            figure["id"] = f"figure-{slug.removeprefix('fig-')}{again}"
+        made.append({**part, "figures": figures})
+    return made
 
 
-def is_drawing(text: str) -> bool:
-    """Whether a text is one SVG of matplotlib's elements, without links and scripts."""
-    try:
-        elements = list(ElementTree.fromstring(text).iter())
-    except ElementTree.ParseError:
-        return False
-    return all(
-        str(element.tag).rpartition("}")[2] in _DRAWING
-        and not any(_leads_elsewhere(*item) for item in element.attrib.items())
-        for element in elements
-    )
+def shown(figure: Mapping[str, str]) -> dict[str, Any]:
+    """A figure for the page."""
+    views = {name: {"src": address(figure[name]), **size(figure[name])} for name in VIEWS}
+    files = {"svg": figure["wide"].encode()}
+    for kind in PACKED:
+        with suppress(KeyError, ValueError, zlib.error):  # not there, or not as it was packed
+            files[kind] = unpacked(figure[kind])
+    return {**figure, **views, "files": files}
 
 
-def _leads_elsewhere(name: str, value: str) -> bool:
-    name = name.rpartition("}")[2]
-    is_link = name == "href" and not value.startswith(("#", "data:image/png;"))
-    return is_link or name.startswith("on")
+def _is_sound(figure: Mapping[str, str]) -> bool:
+    return all(is_picture(figure.get(name, "")) for name in VIEWS)

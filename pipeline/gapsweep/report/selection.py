@@ -90,6 +90,11 @@ def gap_label(scene: xr.Dataset) -> str:
     return Gap(float(scene["j_1"]), float(scene["j_2"])).label
 
 
+def anchor_of(at: Mapping[str, int]) -> str:
+    """The id of a scene in the page, from its position along the dimensions of scenes."""
+    return "-".join(["scene", *map(str, at.values())])
+
+
 def missing_variable(dataset: xr.Dataset, name: str) -> str:
     """Why a variable cannot be drawn, and where it is."""
     known = ", ".join(str(variable) for variable in list(dataset.data_vars)[:_SHOWN_NAMES])

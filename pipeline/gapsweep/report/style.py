@@ -7,7 +7,7 @@ from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.labels import family
 
 _NOEVENTS = "#999999"  # the exact law, like one that is not
-# What is not periodic is red in every figure; pale is what is most common.
+# What is not periodic is red in every map; pale is what is most common.
 NOT_PERIODIC, BLANK = "#c00000", "#ffffff"
 CLASS_COLOURS = {
     "periodic": "#9ecae1",
@@ -17,6 +17,8 @@ CLASS_COLOURS = {
     "unresolved": "#E69F00",
     "failed": "#555555",
 }
+# Backgrounds by class: light enough for every point colour, and told apart by depth.
+BANDS = {"chaotic": "#fbd9d3", "unresolved": "#c8d8e6"}
 # Light to dark in blue and green, apart from red and orange, also for colour-blind readers.
 _SEQUENCE = "YlGnBu"
 _LINES = ("-", "--", ":", "-.")
@@ -27,6 +29,7 @@ MATPLOTLIB: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "#dddddd",
     "grid.linewidth": 0.6,
     "legend.frameon": False,

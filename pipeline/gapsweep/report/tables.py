@@ -9,7 +9,8 @@ import xarray as xr
 
 from gapsweep.analysis.grid import scene_dims
 from gapsweep.analysis.metrics import BOUND
-from gapsweep.report.style import colour
+from gapsweep.analysis.systems import by_coordinate
+from gapsweep.report.parts import Table
 
 Row = dict[str, Any]
 
@@ -18,36 +19,64 @@ _COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
 VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 
 
-def agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[Row]:
-    """Agreement of representations with the exact law, and the floors at the end.
+def scene_tables(
+    agreement: xr.Dataset | None, timing: xr.Dataset, labels: list[str], over: str = ""
+) -> list[Table]:
+    """How far representations agree with the exact law, if that was swept, and what they cost.
 
     Parameters
     ----------
-    agreement : Dataset
-        One scene of ``agreement.nc``, or more: then medians over scenes, without intervals.
+    agreement, timing : Dataset
+        One scene of the files of a run, or more: then medians over scenes, without intervals.
     labels : list of str
         Representations swept there.
+    over : str
+        Added to the titles.
     """
+    labels = sorted(labels, key=lambda label: "@" in label)  # protocols apart from laws
+    tables = []
+    if agreement is not None and agreement.attrs["reference"] in labels:
+        for part, suffix in by_coordinate(agreement):
+            rows = list(_agreement_rows(part, labels))
+            title = f"Agreement with the exact law{suffix}{over}"
+            tables.append(Table(title, _AGREEMENT, rows))
+    rows = list(_timing_rows(timing, labels))
+    tables.append(Table(f"Cost per sweep point (medians){over}", _TIMING, rows))
+    return [table for table in tables if table.rows]
+
+
+def _agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
+    """A row per representation, and the floors at the end."""
     pooled = condensed(agreement[list(_SHOWN)].sel(regime="all").load())
     floors = str(agreement.attrs["floor_representations"]).split()
     for label in labels:
         if label not in (agreement.attrs["reference"], *floors):
             row = pooled.sel(representation=label)
-            yield {
-                "representation": label,
-                "colour": colour(label),
-                "compared": f"{row['n_compared'].item()} of {row['n_points'].item()}",
-                **_agreement(row),
-            }
+            compared = f"{row['n_compared'].item()} of {row['n_points'].item()}"
+            yield [label, *_agreement(row), compared]
     if floors:
-        yield {
-            "representation": "exact against exact",
-            "colour": colour("piecewise"),
-            "compared": "",
-            **_agreement(pooled, floor="_floor"),
-        }
+        yield ["exact against exact", *_agreement(pooled, floor="_floor"), ""]
 
 
+_AGREEMENT = [
+    "Representation",
+    "Amplitude error, median (95 % interval)",
+    "95th percentile",
+    "Attractors found",
+    "Attractors right",
+    "Same class",
+    "Basin distance",
+    "Points compared",
+]
+_TIMING = [
+    "Representation",
+    "Processor time [ms]",
+    "Right-hand sides",
+    "Steps",
+    "Rejected",
+    "Contacts",
+    "Points",
+]
 _POOLED = (
     "amplitude_error_median",
     "amplitude_error_p95",
@@ -65,39 +94,27 @@ _SHOWN = (
 )
 
 
-def _agreement(row: xr.Dataset, floor: str = "") -> Row:
-    def value(name: str) -> float:
-        return float(row[name + floor])
-
-    return {
-        "amplitude_median": percent(value("amplitude_error_median")),
-        "amplitude_interval": "" if floor else _interval(row["amplitude_error_median_ci"]),
-        "amplitude_p95": percent(value("amplitude_error_p95")),
-        "recall": percent(value("recall_pooled")),
-        "precision": percent(value("precision_pooled")),
-        "same_class": percent(value("class_agreement_mean")),
-        "basin_distance": number(value("basin_distance_mean")),
-    }
+def _agreement(row: xr.Dataset, floor: str = "") -> list[str]:
+    median, p95, found, right, same, distance = (float(row[name + floor]) for name in _POOLED)
+    interval = "" if floor else _interval(row["amplitude_error_median_ci"])
+    shares = (percent(share) for share in (p95, found, right, same))
+    return [percent(median) + interval, *shares, number(distance)]
 
 
 def _interval(bounds: xr.DataArray) -> str:
     low, high = (percent(float(bound)) for bound in bounds)
-    return f"{low.removesuffix(' %')} to {high}" if "–" not in (low, high) else ""
+    return f" ({low.removesuffix(' %')} to {high})" if "–" not in (low, high) else ""
 
 
-def timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[Row]:
-    """Median costs per sweep point in one scene of ``timing.nc``, or medians over its scenes."""
+def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
     timing = condensed(timing.load())
     for label in labels:
         row = timing.sel(representation=label)
-        yield {
-            "representation": label,
-            "colour": colour(label),
-            "cpu": number(1e3 * row["cpu_time_median"].item()),
-            **{n: number(row[f"{n}_median"].item()) for n in _COUNTS},
-            "n_points": row["n_points"].item(),
-            "n_elsewhere": row["n_points_elsewhere"].item(),
-        }
+        cpu = number(1e3 * row["cpu_time_median"].item())
+        others = row["n_points_elsewhere"].item()
+        points = f"{row['n_points'].item()}"
+        points += f" (+{others} of other machines, not shown)" if others else ""
+        yield [label, cpu, *(number(row[f"{n}_median"].item()) for n in _COUNTS), points]
 
 
 def condensed(dataset: xr.Dataset) -> xr.Dataset:

@@ -1,0 +1,124 @@
+"""The heat map at the top of the report: law × contact, its error, what it finds, its cost.
+
+One number per cell and group, the darker the worse:
+
+error
+    95 % of the amplitudes are at least as close to those of the exact law. Its sign is the verdict.
+found
+    Share of the exact law's attractors.
+cost
+    Processor time per forcing period over the exact law's, of laws that may be used alone: only
+    these reach the same error.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gapsweep.report.answer import SIGNS, Contact, Judged
+from gapsweep.report.tables import number, percent
+
+GROUPS = {
+    "error": "Amplitude error [%], 95 % are below",
+    "found": "Attractors found [%]",
+    "cost": "Cost at equal error [×]",
+}
+_LEAST, _MOST = 0.005, 1.0  # errors that are pale and dark
+_DEAREST = 10.0  # of costs
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One number of a law in a contact: in short, in full, how dark (0 to 1) and where it is drawn.
+
+    `verdict` is empty but for errors.
+    """
+
+    text: str
+    said: str
+    shade: float
+    anchor: str
+    verdict: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """All cells of a law, by group in the order of contacts; None where it was not swept."""
+
+    law: str
+    cells: dict[str, list[Cell | None]]
+
+
+def heat(found: Sequence[Contact]) -> list[Row]:
+    """Rows of the heat map, the law that may be used most first.
+
+    Parameters
+    ----------
+    found : sequence of Contact
+        The columns of every group.
+    """
+    here = [{one.law: one for one in contact.laws} for contact in found]
+    laws = dict.fromkeys(law for judged in here for law in judged)
+    return [
+        Row(
+            law,
+            {
+                group: [
+                    _cell(group, contact, judged[law]) if law in judged else None
+                    for contact, judged in zip(found, here, strict=True)
+                ]
+                for group in GROUPS
+            },
+        )
+        for law in sorted(laws, key=lambda law: _rank([j[law] for j in here if law in j]))
+    ]
+
+
+def _rank(everywhere: Sequence[Judged]) -> tuple[float, float]:
+    """Where a law stands: by its verdicts, the worst last, then by its errors."""
+    verdicts = [list(SIGNS).index(one.verdict) for one in everywhere]
+    errors = [one.values["p95"][0] for one in everywhere]
+    return float(np.mean(verdicts)), float(np.mean(np.nan_to_num(errors, nan=np.inf)))
+
+
+def _cell(group: str, contact: Contact, one: Judged) -> Cell:
+    error, share = (float(one.values[name][0]) for name in ("p95", "found"))
+    is_usable = one.column == "use"
+    text, shade = {
+        "error": (_short(100.0 * error), _between(error, _LEAST, _MOST)),
+        "found": (_short(100.0 * share), np.sqrt(1.0 - share)),
+        "cost": (
+            ("≈\u00a01" if one.cost.startswith("≈") else _short(one.price)) if is_usable else "–",
+            _between(one.price, 1.0, _DEAREST) if is_usable else np.nan,
+        ),
+    }[group]
+    said = (
+        f"{one.name}, {contact.place}: {one.verdict}; 95 % of amplitudes within {percent(error)}, "
+        f"{percent(share)} of {one.n_exact} attractors found, cost {one.cost}"
+    )
+    dark = float(np.clip(np.nan_to_num(shade), 0.0, 1.0))
+    return Cell(text, said, dark, contact.anchor, one.verdict if group == "error" else "")
+
+
+def _between(value: float, low: float, high: float) -> float:
+    """Where a value is between two others, on a logarithmic scale."""
+    return float(np.log(max(value, low) / low) / np.log(high / low)) if value > 0.0 else 0.0
+
+
+def _short(value: float) -> str:
+    """Two digits, which fit a column of a phone."""
+    if not np.isfinite(value) or value == 0.0:
+        return number(value)
+    if value >= 999.5:
+        return ">999"
+    if value < 0.005:
+        return "≈0"
+    return f"{value:.0f}" if value >= 9.95 else f"{round(float(f'{value:.2g}'), 2):g}"
+
+
+def heads(found: Sequence[Contact]) -> Iterator[tuple[float, int]]:
+    """Stiffnesses over the columns of a group, each with how many it stands over."""
+    stiffnesses = [contact.K_c for contact in found]
+    for K_c in dict.fromkeys(stiffnesses):
+        yield K_c, stiffnesses.count(K_c)

@@ -1,0 +1,68 @@
+"""Where a report comes from: the study, its solver, the machine, what it took."""
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import xarray as xr
+
+from gapsweep.report.drawing import plain
+from gapsweep.status import Status
+
+
+def provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
+    """Facts about a run, by name.
+
+    Parameters
+    ----------
+    responses : Dataset
+        As stored in ``responses.nc``.
+    """
+    attributes = responses.attrs
+    asked = responses["status"].values != Status.NOT_REQUESTED
+    seconds = float(responses["cpu_time"].where(asked).sum())
+    versions = json.loads(attributes["versions"]).items()
+    return [
+        ("Study", attributes["study"]),
+        ("Solver", _solver(json.loads(attributes["study_json"]).get("solver", {}))),
+        ("Created", attributes["created"]),
+        ("Processor time", f"{seconds / 60.0:.3g} min for {asked.sum()} sweep points"),
+        ("Numerics fingerprint", attributes["numerics_fingerprint"]),
+        ("Machine", f"{attributes['host']} ({attributes['machine']})"),
+        ("Versions", ", ".join(f"{name} {number}" for name, number in versions)),
+    ]
+
+
+def _solver(table: Mapping[str, Any]) -> str:
+    set_there = {name: value for name, value in table.items() if value}
+    parts = (f"{n} {plain(v) if isinstance(v, float) else v}" for n, v in set_there.items())
+    return ", ".join(parts) or "defaults of this version"
+
+
+def as_toml(study: Mapping[str, Any]) -> str:
+    """A study as TOML, which makes the same study again.
+
+    Parameters
+    ----------
+    study : mapping
+        What attribute ``study_json`` of a dataset holds.
+    """
+    return "\n\n".join(block for name in study for block in _blocks(name, study[name]))
+
+
+def _blocks(name: str, table: Any) -> Iterator[str]:
+    """Its tables; a list holds one after the other."""
+    head = f"[[{name}]]" if isinstance(table, list) else f"[{name}]"
+    for one in table if isinstance(table, list) else [table]:
+        rows = (f"{key} = {_value(value)}" for key, value in one.items() if value is not None)
+        yield "\n".join([head, *rows])
+
+
+def _value(value: Any) -> str:
+    """A value as TOML writes it, which is JSON but for tables."""
+    if isinstance(value, Mapping):
+        inside = (f"{json.dumps(key)} = {_value(held)}" for key, held in value.items())
+        return f"{{ {', '.join(inside)} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    return json.dumps(value, ensure_ascii=False)
