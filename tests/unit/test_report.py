@@ -227,6 +227,20 @@ def test_the_map_is_darker_where_a_law_is_worse():
     assert list(heads([soft, hard])) == [(1.4e4, 1), (1.4e6, 1)]
 
 
+def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(tmp_path):
+    responses, compared = made(tmp_path, EQUAL)
+    pages = []
+    for laws in (LABELS, LABELS[:3]):
+        part = responses.sel(representation=list(laws)), compared.sel(representation=list(laws))
+        path = tmp_path / str(len(laws)) / "index.html"
+        pages.append(write_report(path, *part, timing(part[0])).read_text())
+    shown = [
+        unquote(re.search(r'id="figure-hero".*?<img src="([^"]*)"', p, re.S)[1]) for p in pages
+    ]
+    assert [">tanh-1e4: use<" in one for one in shown] == [True, True]
+    assert [">poly-13: no<" in one for one in shown] == [True, False]
+
+
 def test_numbers_of_the_map_fit_a_phone():
     for error in (0.0, 1e-9, 3.14159e-4, 0.0123, 0.0996, 1.23, 99.0, np.nan):
         (row,) = heat([contact({"tanh-1e4": ("no", error, 0.5, 1.0)})])

@@ -12,6 +12,7 @@ from gapsweep.report.drawing import axis_label, drawn, is_log, labels_of
 from gapsweep.report.maps import Picture, draw
 
 _WIDTH = 9.5  # inches, the report's column
+_FEW = 60  # frequencies, whose dots may be larger
 _MANY = 4  # panels, of which more stand three in a row
 
 
@@ -106,9 +107,10 @@ def beside_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Fi
     figure = Figure(figsize=(_WIDTH, 2.3), layout="constrained")
     panels = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
     low, high = drawing.frame(scene, "x_max", exact)
+    sizes = (7.0, 3.2) if scene.sizes["omega"] <= _FEW else (3.4, 1.6)
     for axes, (label, title) in zip(panels, titles.items(), strict=True):
         drawing.walls(axes, scene)
-        for one, size in {exact: 3.4, label: 1.6}.items():
+        for one, size in zip((exact, label), sizes, strict=True):
             drawing.peaks(axes, scene.sel(representation=one), size, high)
         axes.set_title(title, fontsize=9, loc="left")
         _axis(axes, scene["omega"])

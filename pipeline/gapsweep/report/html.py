@@ -10,6 +10,7 @@ from typing import Any
 
 import jinja2
 import matplotlib
+import numpy as np
 import xarray as xr
 from markupsafe import Markup
 
@@ -150,11 +151,10 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
         return None
     contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
     scene = Scenes(responses).at(contact.at)
-    shown = list(filter(None, (_typical(laws) for laws in contact.columns.values())))
-    if scene is None:
+    laws = {one.law: f"{one.law}: {one.verdict}" for one in _telling(contact)}
+    if scene is None or not laws:
         return None
-    laws = {one.law: f"{one.law}: {one.verdict}" for one in shown}
-    said = f"Peaks at {contact.place}, a law of each verdict before the exact one in black"
+    said = f"Peaks at {contact.place}, some laws before the exact one in black"
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(
             swept(scene.sel(representation=["piecewise", *laws])), "piecewise", laws
@@ -164,10 +164,15 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     return dict(part["figures"][0])
 
 
-def _typical(laws: Sequence[Judged]) -> Judged | None:
-    """The cheapest law with a verdict that is firm, if any is; stand-ins alone."""
-    told = [one for one in laws if one.is_stand_in]
-    return next((one for one in told if one.is_firm), told[0] if told else None)
+def _telling(contact: Contact) -> list[Judged]:
+    """Of each verdict the cheapest stand-in, firm if any is; best and worst if all are alike."""
+    columns = ([one for one in laws if one.is_stand_in] for laws in contact.columns.values())
+    shown = [next((one for one in laws if one.is_firm), laws[0]) for laws in columns if laws]
+    if len(shown) > 1:
+        return shown
+    told = [one for one in contact.laws if one.is_stand_in]
+    told.sort(key=lambda one: np.nan_to_num(one.values["p95"][0], nan=np.inf))
+    return told[:1] + told[1:][-1:]
 
 
 def _claims(decided: Mapping[str, Any], parts: Sequence[Mapping[str, Any]]) -> list[Row]:

@@ -9,7 +9,6 @@ import io
 import re
 import zlib
 from collections import Counter
-from collections.abc import Iterator
 from typing import Any
 from urllib.parse import quote
 from xml.etree import ElementTree
@@ -61,7 +60,8 @@ def pictures(figure: Figure) -> dict[str, str]:
     and itself as PDF, both packed.
     """
     data = as_csv(figure).encode()
-    for text in _texts(figure):
+    texts: list[Any] = figure.findobj(Text)
+    for text in texts:
         text.set_fontsize(max(_SMALLEST, text.get_fontsize()))
     wide = svg(figure)
     figure.set_layout_engine("none")  # it stands, and takes as long as all else
@@ -163,12 +163,6 @@ def stack(figure: Figure) -> None:
         handles = filter(None, legend.legend_handles)
         figure.legend(handles, names, loc="outside upper left", **look)
         legend.remove()
-
-
-def _texts(figure: Figure) -> Iterator[Text]:
-    """All texts, those of the numbers on axes too."""
-    figure.draw_without_rendering()
-    yield from figure.findobj(Text)
 
 
 def address(picture: str) -> Markup:
