@@ -1,6 +1,6 @@
-"""The README's pictures, from finished runs.
+"""The pictures of the README and the pages, from finished runs.
 
-python -m docs.pictures data/runs/paper data/runs/work-precision
+python -m docs.pictures data/runs/paper data/runs/work-precision data/runs/two-masses
 """
 
 import sys
@@ -46,7 +46,20 @@ def work_precision(folder: Path) -> None:
     figure.savefig(IMAGES / "work_precision.png", dpi=110)
 
 
+def two_masses(folder: Path) -> None:
+    """Steady extrema of both masses, swept upwards."""
+    figure = Figure(figsize=(9.5, 5.6))
+    with gs.open(folder / "responses.nc") as ds:
+        for axes, name in zip(figure.subplots(2, sharex=True).flat, ("x_1", "x_2"), strict=True):
+            ds.gapsweep.bifurcation(coordinate=name, initial_condition=0, ax=axes)
+            axes.set_title("", loc="left")
+            axes.set_ylabel(name)
+    figure.axes[0].set_xlabel("")
+    figure.savefig(IMAGES / "two_masses.png", dpi=110)
+
+
 if __name__ == "__main__":
     with matplotlib.rc_context(MATPLOTLIB):
+        two_masses(Path(sys.argv[3]))
         peaks(Path(sys.argv[1]))
         work_precision(Path(sys.argv[2]))
