@@ -293,6 +293,8 @@ def _is_invalid(at, kinds, q, lane, settings):
 def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     """Advance every lane by one attempt.
 
+    One function: what a step decides, with wide values in registers that no call would keep there.
+
     Parameters
     ----------
     at : Rows

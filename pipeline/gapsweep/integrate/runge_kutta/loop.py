@@ -40,7 +40,8 @@ def _advance(
 ):
     """Run lanes until all points are done or the event buffer could overflow.
 
-    All state is in the arguments, so calling again goes on where this call left off.
+    All state is in the arguments, so calling again goes on where this call left off. One function,
+    for it is the stepping loop: what it calls is compiled into it.
     """
     is_located = laws.is_located(kinds)
     all_lanes = (np.int64(1) << simd.WIDTH) - 1

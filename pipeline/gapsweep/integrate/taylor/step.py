@@ -284,7 +284,10 @@ def _emit_tangents(lanes, coefficients, motion, step, is_unclear):
 
 
 def _emit_step(builder, layout, arrays, scalars):
-    """Emit the whole step; returns the packed masks (see `taylor_step`)."""
+    """Emit the whole step; returns the packed masks (see `taylor_step`).
+
+    One function: six parts in the order of the step, each of which uses what the ones before found.
+    """
     lanes, coefficients = (Lanes(builder, pointer, layout) for pointer in arrays)
     rtol, x_bound, max_short = (splat(builder, s, layout.width) for s in scalars)
 
