@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import trapezoid
 
 import gapsweep as gs
+from gapsweep.response.section import rotation_number
 
 GAP = gs.Gap(4e-4, 6e-4)
 # Damped so that each scene has one attractor: which one a start ends on is another question.
@@ -258,6 +259,17 @@ def test_a_torus_beside_a_part_that_repeats_is_found():
         system, gs.Piecewise(3.0, gs.Gap(1.0, 1.0)), 0.777 / (2 * math.pi), q_0=[0.3, 0]
     )
     assert found.response_class == gs.ResponseClass.QUASIPERIODIC
+    # One turn in 2 pi, seen every 2 pi / 0.777.
+    assert found.rotation_number == pytest.approx(1.0 / 0.777 - 1.0, abs=1e-8)
+
+
+@pytest.mark.parametrize("rotation", [0.0123, 0.2871, 0.4712])
+@pytest.mark.parametrize("sense", [-1.0, 1.0])
+def test_rotation_numbers_of_bent_curves(rotation, sense):
+    angle = 2.0 * np.pi * rotation * sense * np.arange(1024)
+    curve = np.exp(1j * (angle + 0.6 * np.sin(angle))) * (1.0 + 0.2 * np.cos(2.0 * angle))
+    section = np.stack([3.0 + curve.real, 0.4 * curve.imag, 0.1 * curve.real**2])
+    assert rotation_number(section) == pytest.approx(rotation, abs=1e-8)
 
 
 def test_the_largest_force_of_a_stiffness_that_changes_is_not_said():

@@ -38,7 +38,14 @@ def responses():
 
 
 def test_every_field_of_an_oscillators_response_is_a_column_a_list_or_the_message():
-    assert {f.name for f in fields(Response)} == {*COLUMNS, *LISTS, "message", "period", "z_end"}
+    assert {f.name for f in fields(Response)} == {
+        *COLUMNS,
+        *LISTS,
+        "message",
+        "period",
+        "rotation_number",
+        "z_end",
+    }
 
 
 def test_columns_have_the_types_and_the_order_of_the_table(responses):

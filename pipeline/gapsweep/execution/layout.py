@@ -20,7 +20,7 @@ from gapsweep.study.schema import (
     MULTIPLIER,
     MULTIPLIERS,
     N_ATTRACTORS,
-    PERIOD,
+    OF_SYSTEMS,
     SECTION_POINT,
     SECTION_Z,
     VARIABLES,
@@ -73,13 +73,13 @@ class Layout:
     @property
     def variables(self) -> dict[str, Variable]:
         """Of `responses.nc`, but for its lists."""
-        return self._described(VARIABLES) | ({"period": PERIOD} if self.is_of_systems else {})
+        return self._described(VARIABLES) | (OF_SYSTEMS if self.is_of_systems else {})
 
     @property
     def attractor_variables(self) -> dict[str, Variable]:
         """Of `attractors.nc`, over its attractors."""
         found = self._described(ATTRACTOR_VARIABLES)
-        return found | ({"period": PERIOD} if self.is_of_systems else {})
+        return found | (OF_SYSTEMS if self.is_of_systems else {})
 
     @property
     def lists(self) -> dict[str, tuple[str, Variable]]:

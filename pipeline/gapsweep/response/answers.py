@@ -130,8 +130,13 @@ def _stability(
     kinds[found.is_chaotic[points]] = ResponseClass.CHAOTIC
     kinds[found.is_quasiperiodic[points]] = ResponseClass.QUASIPERIODIC
     kinds[found.is_at_rest[points] & ~(lyapunov > 0.0)] = ResponseClass.EQUILIBRIUM
-    period = {"period": np.where(is_orbit, n / omega, np.nan)} if ensemble.is_free else {}
-    return period | {
+    of_systems = {}
+    if not ensemble.is_plain:
+        circles = kinds == ResponseClass.QUASIPERIODIC
+        of_systems["rotation_number"] = np.where(circles, found.rotation[points], np.nan)
+    if ensemble.is_free:
+        of_systems["period"] = np.where(is_orbit, n / omega, np.nan)
+    return of_systems | {
         "response_class": kinds,
         "period_multiple": np.where(is_orbit, n, 0),
         "multiplier_abs": modulus,

@@ -27,6 +27,7 @@ from gapsweep.response.section import (
     norm,
     period_multiples,
     prime_multiple,
+    rotation_number,
 )
 from gapsweep.response.shooting import Growths, Shots, block
 from gapsweep.response.walks import Walks
@@ -397,6 +398,8 @@ class Search:
             for k in np.flatnonzero(call.is_ok).tolist():
                 section = call.section[:, call.period_ends[k] : call.period_ends[k + 1]]
                 quasiperiodic[left[k]] = is_quasiperiodic(section)
+                if quasiperiodic[left[k]]:
+                    self._found.rotation[left[k]] = rotation_number(section)
         self._phase[points[quasiperiodic[points]]] = Phase.ENDED
 
     def _rattle(self, point: int) -> None:

@@ -193,7 +193,10 @@ LISTS: dict[str, tuple[str, Variable]] = {
 
 SECTION = ("section_x", "section_v")
 # What systems have besides: variables, and the last part of their section points.
-PERIOD = Variable("f8", "s", "period of a response that nothing forces")
+OF_SYSTEMS = {
+    "period": Variable("f8", "s", "period of a response that nothing forces"),
+    "rotation_number": Variable("f8", "1", "turns about a torus per section point, 0 to 1/2"),
+}
 SECTION_Z = Variable("f8", "", "first-order states of the section")
 _PART_OF = {
     **dict.fromkeys((*OF_COORDINATES, "extrema", "extremum_kind", *SECTION), COORDINATE),
@@ -234,5 +237,6 @@ TAKEN = {
     *MULTIPLIERS,
     *_STARTS_OF_SYSTEMS,
     *_PARTS,
-    *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "section_z", "period", "n_attractors"),
+    *OF_SYSTEMS,
+    *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "section_z", "n_attractors"),
 }
