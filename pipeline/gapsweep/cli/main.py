@@ -7,6 +7,7 @@ import sys
 import textwrap
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
@@ -291,6 +292,40 @@ def _scene(scene: dict[str, Any]) -> str:
     words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
     swept = scene.keys() - {"K_c", "gap", "starts", "stand_ins", "j_1", "j_2"}
     return ", ".join(words + [f"{name} = {scene[name]:g}" for name in sorted(swept)])
+
+
+@commands.command()
+@click.argument("path", metavar="[STUDY or DIR]", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    show_default="any that is free",
+    help="Port of this machine that the page is at.",
+)
+@click.option("--no-browser", is_flag=True, help="Print the address, open no browser.")
+def explore(path: Path | None, port: int, no_browser: bool) -> int:
+    """Open a page whose figures follow its sliders.
+
+    Frequency response, motion, section and spectrum, computed while a slider moves. A study file
+    says where the sliders start and end; of the folder of a run its points are shown too, and a
+    click opens one. The page is for this machine only; Ctrl-C closes it.
+
+    \b
+    Examples:
+      gapsweep explore
+      gapsweep explore workflows/quick.toml
+      gapsweep explore data/runs/quick --port 5006
+    """
+    from gapsweep.explorer.widget import explore_path
+
+    page = explore_path(path, port)
+    click.echo(f"{page.url} (Ctrl-C closes it)")
+    if not no_browser:
+        click.launch(page.url)
+    with suppress(KeyboardInterrupt):
+        page.wait()
+    return FINISHED
 
 
 @commands.command()
