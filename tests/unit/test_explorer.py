@@ -272,8 +272,9 @@ def test_the_points_of_a_run_are_found_in_their_scenes(run):
 def test_the_page_is_there_and_for_this_machine_only():
     with_page = gs.explore(stand_ins=())
     try:
-        with urllib.request.urlopen(with_page.url, timeout=SOON) as answer:
-            assert b"gapsweep explore" in answer.read()
+        for _ in range(2):  # visitors, each with a document of their own
+            with urllib.request.urlopen(with_page.url, timeout=SOON) as answer:
+                assert b"gapsweep explore" in answer.read()
         assert {socket.getsockname()[0] for socket in sockets(with_page)} == {"127.0.0.1"}
         assert with_page.url in with_page._repr_html_()
     finally:
