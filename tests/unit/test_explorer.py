@@ -279,6 +279,10 @@ def test_the_page_is_there_and_for_this_machine_only():
         assert with_page.url in with_page._repr_html_()
     finally:
         with_page.stop()
+    for thread in threading.enumerate():
+        if thread.name == "explorer":
+            thread.join(SOON)
+            assert not thread.is_alive()
 
 
 # Tornado leaves the socket that it could not bind to the garbage collector.

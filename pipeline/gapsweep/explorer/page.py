@@ -102,11 +102,15 @@ class Page:
         document.title = "gapsweep explore"
         document.template = _TEMPLATE
         self._latest = Latest(answers, self._later(self._show), self._later(self._refuse))
-        document.on_session_destroyed(lambda _: self._latest.stop())
+        document.on_session_destroyed(lambda _: self.stop())
         if stored is None:
             self._latest.ask(question)
         else:
             self._open_scene(next(iter(stored.scenes)))
+
+    def stop(self) -> None:
+        """End the thread that answers."""
+        self._latest.stop()
 
     # --- layout -----------------------------------------------------------------------------------
 

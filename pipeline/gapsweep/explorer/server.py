@@ -19,8 +19,10 @@ class Explorer:
         Where a browser finds it.
     """
 
-    def __init__(self, fill: Callable[[Any], None], port: int = 0) -> None:
+    def __init__(self, fill: Callable[[Any], Callable[[], None]], port: int = 0) -> None:
+        # Fills a visitor's document, and returns what ends the work for it.
         self._fill = fill
+        self._ends: list[Callable[[], None]] = []
         self._is_up = threading.Event()
         self._failure = ""
         self._thread = threading.Thread(target=self._serve, args=(port,), daemon=True)
@@ -42,7 +44,7 @@ class Explorer:
         try:
             # Bound to this machine; pages of other sites are refused, since their origin differs.
             self._server = Server(
-                Application(FunctionHandler(self._fill)),
+                Application(FunctionHandler(self._filled)),
                 port=port,
                 address="127.0.0.1",
                 io_loop=self._loop,
@@ -55,6 +57,9 @@ class Explorer:
         self._server.start()
         self._is_up.set()
         self._loop.start()
+
+    def _filled(self, doc: Any) -> None:
+        self._ends.append(self._fill(doc))
 
     def wait(self) -> None:
         """Until it is stopped or interrupted."""
@@ -70,6 +75,8 @@ class Explorer:
 
         self._loop.add_callback(end)
         self._thread.join()
+        for end_of_visit in self._ends:
+            end_of_visit()
 
     def __repr__(self) -> str:
         return f"<gapsweep.explore at {self.url}>"

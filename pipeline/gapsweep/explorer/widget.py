@@ -1,6 +1,6 @@
 """`gapsweep.explore`, and what `gapsweep explore` opens."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +78,7 @@ def opened(
             "explore: needs Bokeh, which is not installed: pip install 'gapsweep[explore]'"
         ) from None
 
-    def fill(document: Any) -> None:
-        Page(document, question, ranges or {}, stored)
+    def fill(document: Any) -> Callable[[], None]:
+        return Page(document, question, ranges or {}, stored).stop
 
     return Explorer(fill, port)
