@@ -19,6 +19,7 @@ LOADED = time.time()  # of the source, what is newer than this is not what this 
 
 if TYPE_CHECKING:
     from gapsweep.analysis.basins import basins
+    from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
     from gapsweep.model import systems
@@ -64,6 +65,7 @@ _ON_DEMAND = {
     "ForceTable": "model.table",
     "Study": "study.study",
     "basins": "analysis.basins",
+    "explore": "explorer.widget",
     "open": "store.netcdf",
     "respond": "response.respond",
     "simulate": "integrate.simulate",
@@ -108,6 +110,7 @@ __all__ = [
     "basins",
     "canonical_label",
     "contact_law",
+    "explore",
     "law",
     "open",
     "query",

@@ -43,6 +43,7 @@ def commands() -> None:
 _COMMANDS = (
     *(init, studies.plan, studies.run, runs.status, runs.report),
     *(studies.query, studies.explain, studies.advise, runs.claims, studies.bench),
+    runs.explore,
     cache_commands,
 )
 for command in _COMMANDS:

@@ -1,6 +1,7 @@
-"""Commands on what runs have left."""
+"""Commands on what runs have left, and the explorer."""
 
 import json
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -93,4 +94,38 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     click.echo(f"{len(decided['claims'])} claims: {counts}")
     if study:
         click.echo(f"written: {folder / CLAIMS}")
+    return FINISHED
+
+
+@click.command()
+@click.argument("path", metavar="[STUDY or DIR]", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    show_default="any that is free",
+    help="Port of this machine that the page is at.",
+)
+@click.option("--no-browser", is_flag=True, help="Print the address, open no browser.")
+def explore(path: Path | None, port: int, no_browser: bool) -> int:
+    """Open a page whose figures follow its sliders.
+
+    Frequency response, motion, section and spectrum, computed while a slider moves. A study file
+    says where the sliders start and end; of the folder of a run its points are shown too, and a
+    click opens one. The page is for this machine only; Ctrl-C closes it.
+
+    \b
+    Examples:
+      gapsweep explore
+      gapsweep explore workflows/quick.toml
+      gapsweep explore data/runs/quick --port 5006
+    """
+    from gapsweep.explorer.widget import explore_path
+
+    page = explore_path(path, port)
+    click.echo(f"{page.url} (Ctrl-C closes it)")
+    if not no_browser:
+        click.launch(page.url)
+    with suppress(KeyboardInterrupt):
+        page.wait()
     return FINISHED

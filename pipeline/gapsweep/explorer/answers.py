@@ -1,0 +1,303 @@
+"""What the page shows: pure functions from a question to arrays, in the order of their haste.
+
+Every response begins from rest, whatever was shown before, so that the same sliders show the same
+figure. It is settled by rules looser than a study's (`settled`): a figure that follows a slider may
+take a slow transient for chaos, a dataset may not.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.analysis.histories import spectrum
+from gapsweep.explorer.question import EXACT, Question
+from gapsweep.integrate.simulate import simulate
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.oscillator import Oscillator
+from gapsweep.response.respond import respond
+from gapsweep.response.result import ResponseClass, Steady
+from gapsweep.response.section import period_multiple, scaled, unit_of
+from gapsweep.status import Status
+
+Array = NDArray[np.float64]
+
+N_OMEGA = 200
+RTOL, ATOL = 1e-6, 1e-9
+REST, UP, DOWN = "from rest", "sweep up", "sweep down"
+# Decay times after which a transient counts as gone, and natural periods that bound them where
+# damping is so weak that a slider would have to wait.
+DECAY_TIMES, NATURAL_PERIODS = 10.0, 100.0
+# Of a motion: forcing periods of its section, and the last ones, which the other figures show.
+N_SECTION, N_PERIODS, SAMPLES_PER_PERIOD = 300, 60, 64
+_CHUNK = 20  # frequencies of a sweep between two looks at whether the sliders have moved
+# Section points closer than this share of the reach are taken for one.
+_SAME_POINT = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """A frequency response.
+
+    Attributes
+    ----------
+    label, protocol : str
+        Of the law; from rest, or a sweep.
+    omega : ndarray, shape (n,)
+        Frequencies [Hz].
+    x_max : ndarray, shape (n,)
+        Peaks [m]; NaN where it failed.
+    x_end, v_end : ndarray, shape (n,)
+        State [m], [m/s] on each attractor, at forcing phase zero.
+    response_class, period_multiple : ndarray of int, shape (n,)
+    """
+
+    label: str
+    protocol: str
+    omega: Array
+    x_max: Array
+    x_end: Array
+    v_end: Array
+    response_class: NDArray[np.int8]
+    period_multiple: NDArray[np.int32]
+
+    @property
+    def is_periodic(self) -> NDArray[np.bool_]:
+        return np.asarray(self.response_class == ResponseClass.PERIODIC)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Responses that a run has stored, as columns.
+
+    Attributes
+    ----------
+    label : ndarray of str, shape (n,)
+    omega, x_max, x_end, v_end : ndarray, shape (n,)
+        As of a `Curve`.
+    """
+
+    label: NDArray[np.str_]
+    omega: Array
+    x_max: Array
+    x_end: Array
+    v_end: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """One response that was pointed at.
+
+    Attributes
+    ----------
+    label : str
+    omega : float
+        Frequency [Hz].
+    state : (float, float)
+        Displacement [m] and velocity [m/s] on the attractor, at forcing phase zero.
+    """
+
+    label: str
+    omega: float
+    state: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """The motion at one frequency, transients left out.
+
+    Attributes
+    ----------
+    label : str
+    omega : float
+        Frequency [Hz].
+    t, x, v : ndarray, shape (n,)
+        Times [s] from the first sample on, displacements [m], velocities [m/s].
+    section : ndarray, shape (m, 2)
+        Displacements and velocities at every whole forcing period.
+    frequency, spectrum : ndarray
+        Frequencies [Hz] and amplitudes [m].
+    period_multiple : int
+        Forcing periods after which it repeats; 0: none was found.
+    problem : str
+        Why there are no numbers; empty if there are.
+    """
+
+    label: str
+    omega: float
+    t: Array
+    x: Array
+    v: Array
+    section: Array
+    frequency: Array
+    spectrum: Array
+    period_multiple: int = 0
+    problem: str = ""
+
+
+def answers(question: Question) -> Iterator[Curve | Motion]:
+    """All that a page shows of a question, what is looked at first first.
+
+    The exact law from rest, the motion, the same of every stand-in, then sweeps of the exact law
+    in growing parts. Whoever has no use for the rest any more stops asking.
+
+    Raises
+    ------
+    ModelError
+        If a law cannot be made, as a fit beyond its range.
+    """
+    for label in (EXACT, *question.stand_ins):
+        yield from_rest(question, label)
+        yield motion(question, label)
+    yield from sweeps(question)
+
+
+def frequencies(question: Question) -> Array:
+    """Frequencies [Hz] of the response."""
+    return np.linspace(*question.band, N_OMEGA)
+
+
+def from_rest(question: Question, label: str) -> Curve:
+    """The steady responses of a law from rest, all frequencies at once."""
+    omega = frequencies(question)
+    return _curve(question, label, REST, omega, np.zeros((2, N_OMEGA)))
+
+
+def sweeps(question: Question, label: str = EXACT) -> Iterator[Curve]:
+    """Sweeps up and down in turns, each frequency from where the one before it has ended.
+
+    Every curve holds all frequencies of its sweep so far.
+    """
+    law, omega = question.law(label), frequencies(question)
+    ends = {UP: (0.0, 0.0), DOWN: (0.0, 0.0)}
+    parts: dict[str, list[Curve]] = {UP: [], DOWN: []}
+    for first in range(0, N_OMEGA, _CHUNK):
+        for protocol, along in ((UP, omega), (DOWN, omega[::-1])):
+            here = along[first : first + _CHUNK]
+            states = _carried(question.oscillator, law, here, ends[protocol])
+            ends[protocol] = (states[0, -1], states[1, -1])
+            parts[protocol].append(_curve(question, label, protocol, here, states))
+            yield _joined(parts[protocol])
+
+
+def _carried(
+    oscillator: Oscillator, law: ContactLaw, omega: Array, state: tuple[float, float]
+) -> Array:
+    """States, shape (2, n), in which a sweep ends at each frequency."""
+    found = []
+    for at in omega.tolist():
+        run = simulate(
+            oscillator, law, at, *state, t_end=_settling(oscillator, at) / at, rtol=RTOL, atol=ATOL
+        )
+        # A motion that has failed leaves no state: the sweep goes on from rest.
+        state = (run.x, run.v) if run.status == Status.OK else (0.0, 0.0)
+        found.append(state)
+    return np.transpose(found)
+
+
+def _curve(question: Question, label: str, protocol: str, omega: Array, states: Array) -> Curve:
+    """The steady responses from given states."""
+    found = respond(
+        question.oscillator,
+        question.law(label),
+        omega,
+        *states,
+        rtol=RTOL,
+        atol=ATOL,
+        steady=settled(question.oscillator),
+    )
+    columns = (found.x_max, found.x_end, found.v_end)
+    kinds = (found.response_class, found.period_multiple)
+    return Curve(label, protocol, omega, *map(np.asarray, columns), *map(np.asarray, kinds))
+
+
+def _joined(parts: list[Curve]) -> Curve:
+    names = ("omega", "x_max", "x_end", "v_end", "response_class", "period_multiple")
+    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
+    return Curve(parts[0].label, parts[0].protocol, *columns)
+
+
+def settled(oscillator: Oscillator) -> Steady:
+    """When a response counts as steady on the page."""
+    return Steady(
+        settle_tol=1e-3,
+        max_decay_times=DECAY_TIMES,
+        t_max=NATURAL_PERIODS / oscillator.omega_n,
+        n_periods=32,
+        max_period_multiple=16,
+    )
+
+
+def _settling(oscillator: Oscillator, omega: float) -> int:
+    """Forcing periods that transients take."""
+    bound = NATURAL_PERIODS / oscillator.omega_n
+    rate = oscillator.settling_rate
+    return math.ceil(omega * min(bound, DECAY_TIMES / rate if rate else bound))
+
+
+def motion(question: Question, label: str) -> Motion:
+    """The motion of a law at the frequency looked at, from the question's start."""
+    oscillator, omega = question.oscillator, question.omega
+    first = _settling(oscillator, omega)
+    n = first + N_SECTION
+    run = simulate(
+        oscillator,
+        question.law(label),
+        omega,
+        *question.start,
+        t_end=n / omega,
+        rtol=RTOL,
+        atol=ATOL,
+        dense_output=True,
+    )
+    t = np.arange(N_PERIODS * SAMPLES_PER_PERIOD) / (SAMPLES_PER_PERIOD * omega)
+    begin = (n - N_PERIODS) / omega
+    if run.status != Status.OK:
+        none = np.zeros(0)
+        said = f"{label}: the motion fails ({run.status.label})"
+        return Motion(label, omega, none, none, none, np.zeros((0, 2)), none, none, problem=said)
+    x, v = run.sample(begin + t)
+    steady = run.section[first:]
+    n_bins = t.size // 2 + 1
+    same = _SAME_POINT * float(np.max(np.abs(x)))
+    latest = scaled(steady[-2 * N_PERIODS :], unit_of(omega))
+    return Motion(
+        label,
+        omega,
+        t,
+        x,
+        v,
+        steady,
+        np.arange(n_bins, dtype=np.float64) * np.float64(omega / N_PERIODS),
+        spectrum(x),
+        period_multiple(latest, same, N_PERIODS),
+    )
+
+
+def nearest(
+    shown: Sequence[Curve | Points], omega: float, x_max: float, scale: tuple[float, float]
+) -> Spot | None:
+    """The response that is nearest to a place in the figure; None if none is shown.
+
+    Parameters
+    ----------
+    shown : sequence of Curve or Points
+    omega, x_max : float
+        The place [Hz], [m].
+    scale : (float, float)
+        What is as far in one direction [Hz] as in the other [m].
+    """
+    found, least = None, math.inf
+    for each in shown:
+        apart = np.hypot((each.omega - omega) / scale[0], (each.x_max - x_max) / scale[1])
+        if not np.isfinite(apart).any():
+            continue
+        k = int(np.nanargmin(apart))
+        if apart[k] < least:
+            least = float(apart[k])
+            label = each.label if isinstance(each, Curve) else str(each.label[k])
+            state = float(each.x_end[k]), float(each.v_end[k])
+            found = Spot(label, float(each.omega[k]), state)
+    return found

@@ -1,0 +1,241 @@
+"""The figures of the page: what is drawn where, and how answers get into them."""
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, DataRange1d, HoverTool, Range1d, Span
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from gapsweep.explorer.answers import DOWN, REST, SAMPLES_PER_PERIOD, UP, Curve, Motion, Points
+from gapsweep.explorer.question import EXACT, MAX_STAND_INS, Question
+from gapsweep.report.style import NOT_PERIODIC, colour, lines
+from gapsweep.response.result import ResponseClass
+
+_MM = 1e3
+_N_SHOWN = 8  # forcing periods in the time history
+_ORDERS = 6  # multiples of the forcing frequency in the spectrum
+_FLOOR = 1e-6  # of the largest amplitude in the spectrum, the smallest that is shown
+_MARKERS = {REST: "circle", UP: "triangle", DOWN: "inverted_triangle"}
+_EXACT_SIZE, _SIZE = 6, 3.5  # pixels: of dots; the exact law behind is larger
+_EXACT_WIDTH, _WIDTH = 3.0, 1.3  # of lines
+_DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
+_PALE = 0.35  # of a stand-in's dots where its response is not periodic
+_TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
+
+_RESPONSE = ("omega", "x_max", "colour", "alpha", "law", "protocol", "kind")
+_LINES = ("x", "y")
+_TIPS = [
+    ("law", "@law, @protocol"),
+    ("ω", "@omega{0.000} Hz"),
+    ("peak", "@x_max{0.0000} mm"),
+    ("motion", "@kind"),
+]
+
+
+class Figures:
+    """All figures, empty to begin with.
+
+    Attributes
+    ----------
+    response, phase, section, history, spectrum : figure
+    """
+
+    def __init__(self) -> None:
+        self.response = _figure("forcing frequency ω [Hz]", "peak displacement [mm]", 330)
+        self.response.y_range = DataRange1d(start=0.0)
+        self.phase = _figure("displacement x [mm]", "velocity v [mm/s]", 300)
+        # A periodic motion's few points would fill a figure of their own with their noise.
+        self.section = _figure(
+            "displacement x [mm]", "velocity v [mm/s]", 300,
+            x_range=self.phase.x_range, y_range=self.phase.y_range,
+        )  # fmt: skip
+        self.history = _figure("time t [s]", "displacement x [mm]", 230)
+        self.spectrum = _figure(
+            "frequency [Hz]", "amplitude [mm]", 300, y_axis_type="log",
+            x_range=Range1d(0.0, 1.0), y_range=Range1d(1e-6, 1.0),
+        )  # fmt: skip
+        self._name()
+        self._stored = self._dots("stored", "square", 7)
+        # The exact law behind: what shows of it is missed by the stand-ins.
+        self._curves = {
+            (slot, protocol): self._dots(
+                f"response {slot} {protocol}", marker, _SIZE if slot else _EXACT_SIZE
+            )
+            for slot in range(MAX_STAND_INS + 1)
+            for protocol, marker in _MARKERS.items()
+            if slot == 0 or protocol == REST
+        }
+        self._lines = {
+            name: [_line(shown, name, slot) for slot in range(MAX_STAND_INS + 1)]
+            for name, shown in self._of_motions().items()
+        }
+        self._at = _guide(self.response, "height", "solid")
+        self._top = _guide(self.response, "width")
+        across = [(shown, "height") for shown in (self.phase, self.section)]
+        self._walls = [
+            [_guide(shown, side) for shown, side in (*across, (self.history, "width"))]
+            for _ in range(2)
+        ]
+        self.response.add_tools(HoverTool(tooltips=_TIPS))
+
+    def _of_motions(self) -> dict[str, figure]:
+        names = ("phase", "section", "history", "spectrum")
+        return {name: getattr(self, name) for name in names}
+
+    def _name(self) -> None:
+        titles = {
+            self.response: "Frequency response",
+            self.phase: "Phase portrait",
+            self.section: "Stroboscopic section",
+            self.history: f"Time history, {_N_SHOWN} forcing periods",
+            self.spectrum: f"Amplitude spectrum to {_ORDERS} ω",
+        }
+        for shown, title in titles.items():
+            shown.title.text = title
+
+    def _dots(self, name: str, marker: str, size: float) -> ColumnDataSource:
+        source = ColumnDataSource(_empty(_RESPONSE), name=name)
+        self.response.scatter(
+            "omega", "x_max", source=source, marker=marker, size=size, color="colour",
+            fill_alpha="alpha" if marker == "circle" else 0.0, line_alpha="alpha",
+        )  # fmt: skip
+        return source
+
+    def look_at(self, question: Question) -> None:
+        """Move what marks the question: the frequency looked at and the walls."""
+        gap = question.gap
+        self._at.location = question.omega
+        self._top.location = gap.j_2 * _MM
+        for spans, wall in zip(self._walls, (-gap.j_1, gap.j_2), strict=True):
+            for span in spans:
+                span.location = wall * _MM
+        # What is shown no more does not linger: stand-ins taken away, sweeps of other parameters.
+        for slot, source in self._curves.items():
+            if slot[1] != REST or slot[0] > len(question.stand_ins):
+                source.data = _empty(_RESPONSE)
+        for drawn in self._lines.values():
+            for source, _ in drawn[len(question.stand_ins) + 1 :]:
+                source.data = _empty(_LINES)
+
+    def show(self, question: Question, answer: Curve | Motion) -> None:
+        """Draw an answer to a question."""
+        labels = (EXACT, *question.stand_ins)
+        slot = labels.index(answer.label)
+        if isinstance(answer, Curve):
+            self._curves[slot, answer.protocol].data = _columns(answer)
+        else:
+            self._show_motion(slot, _DASHES[lines(labels)[answer.label]], answer)
+
+    def _show_motion(self, slot: int, dash: str, motion: Motion) -> None:
+        x, v, (section_x, section_v) = motion.x, motion.v, motion.section.T
+        n = _N_SHOWN * SAMPLES_PER_PERIOD
+        columns = {
+            "phase": (x * _MM, v * _MM),
+            "section": (section_x * _MM, section_v * _MM),
+            "history": (motion.t[:n], x[:n] * _MM),
+            "spectrum": (motion.frequency, motion.spectrum * _MM),
+        }
+        for name, values in columns.items():
+            source, renderer = self._lines[name][slot]
+            source.data = dict(zip(_LINES, values, strict=True))
+            if name != "section":
+                renderer.glyph.line_dash = dash
+                renderer.glyph.line_color = colour(motion.label)
+            else:
+                renderer.glyph.line_color = renderer.glyph.fill_color = colour(motion.label)
+        if slot == 0 and motion.spectrum.size:
+            largest = 2.0 * _MM * max(float(motion.spectrum.max()), 1e-12)
+            self.spectrum.y_range.update(start=_FLOOR * largest, end=largest)
+            self.spectrum.x_range.end = _ORDERS * motion.omega
+
+    def show_stored(self, points: Points) -> None:
+        """Draw the points of a run."""
+        n = len(points.omega)
+        self._stored.data = {
+            "omega": points.omega,
+            "x_max": points.x_max * _MM,
+            "colour": [colour(label) for label in points.label.tolist()],
+            "alpha": np.full(n, _PALE),
+            "law": points.label.tolist(),
+            "protocol": ["stored"] * n,
+            "kind": ["click to open"] * n,
+        }
+
+
+def legend(question: Question, motions: Iterable[Motion]) -> str:
+    """What the colours and marks are, and what each law's motion is, as HTML."""
+    said = {motion.label: _kind(motion) for motion in motions}
+    laws = "".join(
+        f'<span style="margin-right:1.4em"><b style="color:{colour(label)}">●</b> '
+        f"{escape(label)}{' (exact)' if label == EXACT else ''}"
+        f"{': ' + said[label] if label in said else ''}</span>"
+        for label in (EXACT, *question.stand_ins)
+    )
+    marks = (
+        "● from rest&ensp;△ exact law, sweep up&ensp;▽ sweep down&ensp;"
+        f'<b style="color:{NOT_PERIODIC}">●</b> not periodic (stand-ins: pale)&ensp;┈ walls'
+    )
+    return f'{laws}<br><span style="color:#555">{marks}</span>'
+
+
+def _kind(motion: Motion) -> str:
+    if motion.problem:
+        return "fails"
+    n = motion.period_multiple
+    return f"period {n}" if n else "not periodic"
+
+
+def _columns(curve: Curve) -> dict[str, Sequence[Any] | NDArray[Any]]:
+    own, is_periodic = colour(curve.label), curve.is_periodic
+    is_exact = curve.label == EXACT
+    shade = np.where(is_periodic, own, NOT_PERIODIC if is_exact else own)
+    kinds = [
+        f"period {n}" if n else ResponseClass(kind).name.lower()
+        for n, kind in zip(curve.period_multiple, curve.response_class, strict=True)
+    ]
+    n = len(curve.omega)
+    return {
+        "omega": curve.omega,
+        "x_max": curve.x_max * _MM,
+        "colour": shade.tolist(),
+        "alpha": np.where(is_periodic | is_exact, 1.0, _PALE),
+        "law": [curve.label] * n,
+        "protocol": [curve.protocol] * n,
+        "kind": kinds,
+    }
+
+
+def _figure(x: str, y: str, height: int, **how: Any) -> figure:
+    made = figure(
+        height=height, sizing_mode="stretch_width", tools=_TOOLS, active_drag=None,
+        x_axis_label=x, y_axis_label=y, output_backend="canvas", min_width=200, **how,
+    )  # fmt: skip
+    made.toolbar.logo = None
+    made.toolbar.autohide = True
+    made.outline_line_color = None
+    made.grid.grid_line_color = "#dddddd"
+    made.axis.axis_label_text_font_style = "normal"
+    return made
+
+
+def _line(shown: figure, name: str, slot: int) -> tuple[ColumnDataSource, Any]:
+    """Source and renderer of a law's motion in one figure."""
+    source = ColumnDataSource(_empty(_LINES), name=f"{name} {slot}")
+    if name == "section":
+        return source, shown.scatter("x", "y", source=source, size=_SIZE if slot else _EXACT_SIZE)
+    return source, shown.line("x", "y", source=source, line_width=_WIDTH if slot else _EXACT_WIDTH)
+
+
+def _guide(shown: figure, dimension: str, dash: str = "dotted") -> Span:
+    """A grey line through the whole figure."""
+    span = Span(dimension=dimension, line_color="#888888", line_dash=dash)
+    shown.add_layout(span)
+    return span
+
+
+def _empty(columns: Sequence[str]) -> dict[str, Any]:
+    # Lists, since an empty array of numbers is no list of colours.
+    return {name: [] for name in columns}

@@ -1,0 +1,68 @@
+"""One thread that works on the newest question only."""
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Generic, TypeVar
+
+from gapsweep.errors import GapsweepError
+
+Q = TypeVar("Q")
+A = TypeVar("A")
+
+
+class Latest(Generic[Q, A]):
+    """Answers questions in a thread of its own; a newer one takes the place of all older ones.
+
+    The first answer of a question is always delivered, so that a figure follows a slider that never
+    rests; those after it only while no newer question is there. Nothing queues up.
+
+    Parameters
+    ----------
+    answers : callable
+        From a question to its answers, one by one; asked in the thread.
+    deliver : callable
+        Takes a question and an answer, in the thread.
+    refuse : callable
+        Takes a question and what is wrong with it.
+    """
+
+    def __init__(
+        self,
+        answers: Callable[[Q], Iterator[A]],
+        deliver: Callable[[Q, A], None],
+        refuse: Callable[[Q, str], None],
+    ) -> None:
+        self._answers, self._deliver, self._refuse = answers, deliver, refuse
+        self._wanted: list[Q] = []  # at most one
+        self._is_over = False
+        self._news = threading.Condition()
+        # A page that is closed must not keep the process alive.
+        self._thread = threading.Thread(target=self._work, name="explorer", daemon=True)
+        self._thread.start()
+
+    def ask(self, question: Q) -> None:
+        """Leave what is being answered, and answer this."""
+        with self._news:
+            self._wanted[:] = [question]
+            self._news.notify()
+
+    def stop(self) -> None:
+        """End the thread, after the answer it is at."""
+        with self._news:
+            self._is_over = True
+            self._news.notify()
+
+    def _next(self) -> Q | None:
+        with self._news:
+            self._news.wait_for(lambda: self._wanted or self._is_over)
+            return None if self._is_over else self._wanted.pop()
+
+    def _work(self) -> None:
+        while (question := self._next()) is not None:
+            try:
+                for answer in self._answers(question):
+                    self._deliver(question, answer)
+                    if self._wanted or self._is_over:
+                        break
+            except GapsweepError as error:
+                self._refuse(question, str(error))

@@ -1,0 +1,315 @@
+"""The page: sliders that ask, figures that answer."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from html import escape
+from typing import Any
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.events import Tap
+from bokeh.layouts import column, row
+from bokeh.models import (
+    Button,
+    CustomJSTickFormatter,
+    Div,
+    RangeSlider,
+    Select,
+    Slider,
+    TextInput,
+)
+
+from gapsweep.errors import GapsweepError
+from gapsweep.explorer.answers import (
+    DECAY_TIMES,
+    N_OMEGA,
+    REST,
+    Curve,
+    Motion,
+    Points,
+    answers,
+    nearest,
+)
+from gapsweep.explorer.figures import Figures, legend
+from gapsweep.explorer.latest import Latest
+from gapsweep.explorer.question import (
+    EXACT,
+    MAX_STAND_INS,
+    Dial,
+    Question,
+    asked,
+    dials,
+    labels,
+    numbers,
+)
+from gapsweep.explorer.stored import Stored
+
+_MM = 1e3
+_SIDE = 300  # pixels
+_WARMING = "Compiling the engine: the first time takes up to a minute …"
+_NOTE = (
+    f"{N_OMEGA} frequencies, every response from rest, then sweeps of the exact law; "
+    "compiled engine, rtol 1e-6, atol 1e-9 m. Transients are given "
+    f"{DECAY_TIMES:g} decay times: what takes longer may look chaotic here, and "
+    "<code>gapsweep run</code> waits for it. Click a dot to look at its motion."
+)
+# Hues survive the turn that makes black white: the figures of a light page, in the dark.
+_STYLE = """
+:root { color-scheme: light; background: white; font-family: system-ui, sans-serif; }
+body { margin: 12px 16px; }
+@media (prefers-color-scheme: dark) { :root { filter: invert(0.92) hue-rotate(180deg); } }
+"""
+_TEMPLATE = (
+    """
+{% block title %}gapsweep explore{% endblock %}
+{% block postamble %}<style>"""
+    + _STYLE
+    + """</style>{% endblock %}
+"""
+)
+_WORDS = ":host { font: 13px system-ui, sans-serif; line-height: 1.45; }"
+
+
+class Page:
+    """One visitor's page: its sliders, its figures and the thread that answers.
+
+    Parameters
+    ----------
+    document : Document
+        Filled here.
+    question : Question
+        What it starts with.
+    ranges : dict
+        As of `dials`.
+    stored : Stored, optional
+        A run whose points are shown behind.
+    """
+
+    def __init__(
+        self, document: Document, question: Question, ranges: dict[str, Any], stored: Stored | None
+    ) -> None:
+        self._document, self._question, self._stored = document, question, stored
+        self._is_setting = False
+        self._curves: dict[tuple[str, str], Curve] = {}
+        self._motions: dict[str, Motion] = {}
+        self._points: Points | None = None
+        self._figures = Figures()
+        self._figures.look_at(question)
+        self._figures.response.on_event(Tap, self._clicked)
+        self._controls(question, ranges)
+        document.add_root(self._layout())
+        document.title = "gapsweep explore"
+        document.template = _TEMPLATE
+        self._latest = Latest(answers, self._later(self._show), self._later(self._refuse))
+        document.on_session_destroyed(lambda _: self.stop())
+        if stored is None:
+            self._latest.ask(question)
+        else:
+            self._open_scene(next(iter(stored.scenes)))
+
+    def stop(self) -> None:
+        """End the thread that answers."""
+        self._latest.stop()
+
+    # --- layout -----------------------------------------------------------------------------------
+
+    def _controls(self, question: Question, ranges: dict[str, Any]) -> None:
+        self._dials = {dial.name: dial for dial in dials(question, ranges)}
+        self._sliders = {name: _slider(dial) for name, dial in self._dials.items()}
+        self._put = {
+            name: (self._sliders[name].value, number) for name, number in numbers(question).items()
+        }
+        for slider in self._sliders.values():
+            slider.on_change("value", self._moved)
+        low, high = question.band
+        self._band = RangeSlider(
+            title="Frequencies of the response [Hz]", name="band", start=min(0.1, low),
+            end=2.0 * high, value=(low, high), step=0.1, width=_SIDE,
+        )  # fmt: skip
+        self._band.on_change("value", self._moved)
+        self._laws = TextInput(
+            title=f"Stand-ins beside the exact law (up to {MAX_STAND_INS})", name="stand_ins",
+            value=", ".join(question.stand_ins), placeholder="tanh-1e4, poly-13, ratpoly-5/3",
+            width=_SIDE,
+        )  # fmt: skip
+        self._laws.on_change("value", self._moved)
+        self._from_rest = Button(label="Look at the motion from rest", width=_SIDE)
+        self._from_rest.on_click(lambda: self._ask(start=(0.0, 0.0)))
+        self._status = Div(text=_WARMING, name="status", stylesheets=[_WORDS], width=_SIDE)
+        self._legend = Div(
+            text=legend(question, ()), name="legend", stylesheets=[_WORDS],
+            sizing_mode="stretch_width",
+        )  # fmt: skip
+
+    def _layout(self) -> Any:
+        head = Div(text="<b style='font-size:18px'>gapsweep explore</b>", stylesheets=[_WORDS])
+        note = Div(text=_NOTE, stylesheets=[_WORDS], width=_SIDE)
+        scenes = [] if self._stored is None else [self._scene_choice(self._stored)]
+        side = column(
+            head, self._status, *scenes, *self._sliders.values(), self._band, self._laws,
+            self._from_rest, note, width=_SIDE + 20, spacing=2,
+        )  # fmt: skip
+        shown = self._figures
+        below = row(shown.phase, shown.section, shown.spectrum, sizing_mode="stretch_width")
+        main = column(
+            self._legend, shown.response, below, shown.history, sizing_mode="stretch_width"
+        )
+        return row(side, main, sizing_mode="stretch_width", spacing=12)
+
+    def _scene_choice(self, stored: Stored) -> Select:
+        self._scene = Select(
+            title="Scene of the run (squares are its points)", name="scene",
+            options=list(stored.scenes),
+            value=next(iter(stored.scenes)), width=_SIDE,
+        )  # fmt: skip
+        self._scene.on_change("value", lambda _attr, _old, new: self._open_scene(new))
+        return self._scene
+
+    # --- asking -----------------------------------------------------------------------------------
+
+    def _moved(self, _attr: str, _old: Any, _new: Any) -> None:
+        if not self._is_setting:
+            self._ask()
+
+    def _ask(self, **others: Any) -> None:
+        """Ask what the sliders say; what is out of range says so, and the figures stay."""
+        values = {name: self._read(name) for name in self._sliders}
+        kept = {"start": self._question.start, "fit_range": self._question.fit_range}
+        try:
+            stand_ins = labels(self._laws.value)
+            question = asked(values, self._band.value, **{"stand_ins": stand_ins, **kept, **others})
+        except GapsweepError as error:
+            self._refuse(self._question, str(error))
+            return
+        self._question = question
+        self._figures.look_at(question)
+        self._latest.ask(question)
+
+    def _read(self, name: str) -> float:
+        """What a slider says, in SI units; where it was put, the number itself.
+
+        Rounded on its way through a logarithm, the number would be of another chaotic motion.
+        """
+        place = self._sliders[name].value
+        put_at, number = self._put[name]
+        return number if place == put_at else _value(self._dials[name], place)
+
+    def _set(self, values: dict[str, float]) -> None:
+        """Move sliders, in SI units, without an answer to each."""
+        self._is_setting = True
+        for name, value in values.items():
+            slider, place = self._sliders[name], _place(self._dials[name], value)
+            slider.update(start=min(slider.start, place), end=max(slider.end, place))
+            slider.value = place
+            self._put[name] = place, value
+        self._is_setting = False
+
+    def _clicked(self, event: Tap) -> None:
+        """Look at the motion of the response that is nearest."""
+        shown: list[Curve | Points] = [*self._curves.values()]
+        shown += [] if self._points is None else [self._points]
+        low, high = self._question.band
+        # The figure is about three times as wide as high.
+        scale = (high - low, 3.0 * self._highest())
+        spot = nearest(shown, event.x, event.y / _MM, scale)
+        if spot is not None:
+            self._have(spot.label)
+            self._set({"omega": spot.omega})
+            self._ask(start=spot.state)
+
+    def _highest(self) -> float:
+        return max(
+            (float(np.nanmax(c.x_max, initial=1e-9)) for c in self._curves.values()), default=1.0
+        )
+
+    def _have(self, label: str) -> None:
+        """Show a stored point's law too, in the last one's place if there are enough."""
+        ours = labels(self._laws.value)
+        if label == EXACT or label in ours or ":" in label:
+            return
+        self._is_setting = True
+        self._laws.value = ", ".join((*ours[: MAX_STAND_INS - 1], label))
+        self._is_setting = False
+
+    def _open_scene(self, name: str) -> None:
+        """Show the points of a scene of the run, and ask for it."""
+        assert self._stored is not None
+        self._points = self._stored.points(name)
+        self._figures.show_stored(self._points)
+        self._set(self._stored.scenes[name])
+        self._ask(start=(0.0, 0.0))
+
+    # --- answering --------------------------------------------------------------------------------
+
+    def _later(self, what: Callable[..., None]) -> Callable[..., None]:
+        """Called from the thread; done when the document is free."""
+
+        def soon(*given: Any) -> None:
+            self._document.add_next_tick_callback(partial(what, *given))
+
+        return soon
+
+    def _show(self, question: Question, answer: Curve | Motion) -> None:
+        """Draw an answer, and say what it is."""
+        is_first = isinstance(answer, Curve) and (answer.label, answer.protocol) == (EXACT, REST)
+        # A slider that never rests is followed by first answers; the others would be of the past.
+        if question is not self._question and not is_first:
+            return
+        if is_first:
+            self._curves, self._motions = {}, {}
+        self._figures.show(question, answer)
+        if isinstance(answer, Curve):
+            self._curves[answer.label, answer.protocol] = answer
+        else:
+            self._motions[answer.label] = answer
+        self._status.text = self._words(question)
+        self._legend.text = legend(question, self._motions.values())
+
+    def _words(self, question: Question) -> str:
+        x, v = question.start
+        state = f"x = {x * _MM:.4g} mm, v = {v * _MM:.4g} mm/s" if any(question.start) else "rest"
+        problems = [m.problem for m in self._motions.values() if m.problem]
+        said = [f"Motion at {question.omega:.4g} Hz from {state}", *map(escape, problems)]
+        return "<br>".join(said)
+
+    def _refuse(self, _question: Question, problem: str) -> None:
+        """Say what is wrong; the figures stay as they are."""
+        self._status.text = f'<span style="color:#c00000">{escape(problem)}</span>'
+
+
+# --- sliders --------------------------------------------------------------------------------------
+
+_PLAIN = "return String(Number(tick.toPrecision(4)))"
+_POWER = "return String(Number((10 ** tick).toPrecision(3)))"
+_STEPS = 400
+
+
+def _slider(dial: Dial) -> Slider:
+    """The slider of a dial; one over decades moves along the logarithm."""
+    low, high, value = (_scaled(dial, each) for each in (dial.low, dial.high, dial.value))
+    return Slider(
+        title=f"{dial.title}{f' [{dial.unit}]' if dial.unit else ''}",
+        name=dial.name,
+        start=low,
+        end=high,
+        value=value,
+        step=(high - low) / _STEPS,
+        margin=(1, 5, 1, 5),
+        format=CustomJSTickFormatter(code=_POWER if dial.is_log else _PLAIN),
+        width=_SIDE,
+    )
+
+
+def _scaled(dial: Dial, shown: float) -> float:
+    return math.log10(shown) if dial.is_log else shown
+
+
+def _place(dial: Dial, value: float) -> float:
+    """Where a value in SI units is on its slider."""
+    return _scaled(dial, value / dial.factor)
+
+
+def _value(dial: Dial, place: float) -> float:
+    """What a slider says, in SI units."""
+    return float(dial.factor * (10.0**place if dial.is_log else place))

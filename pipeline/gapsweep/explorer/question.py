@@ -1,0 +1,260 @@
+"""What the page asks: one setting of its sliders, and where the sliders start and end."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from gapsweep.errors import ModelError
+from gapsweep.model.contact import FIT_RANGE, ContactLaw, Piecewise
+from gapsweep.model.labels import AUTO, canonical_label, contact_law
+from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.study.study import Study
+
+EXACT = Piecewise.family
+MAX_STAND_INS = 3
+DEFAULT_STAND_INS = ("tanh-1e4",)
+# Natural frequencies that a page looks at first: beyond the resonance, where contacts matter.
+_LOOKED_AT = 1.8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """One setting of the page: all that its figures depend on.
+
+    Attributes
+    ----------
+    oscillator : Oscillator
+    K_c, K_ratio : float
+        Stiffness [N/m] of the upper wall, and of the lower over the upper [-].
+    gap : Gap
+    stand_ins : tuple of str
+        Labels of the laws beside the exact one.
+    band : (float, float)
+        First and last frequency [Hz] of the response.
+    omega : float
+        Frequency [Hz] of the motion that is looked at.
+    start : (float, float)
+        Displacement [m] and velocity [m/s] that this motion starts from.
+    fit_range : float
+        Half-width [m] of the range on which polynomials are fitted.
+    """
+
+    oscillator: Oscillator
+    K_c: float
+    gap: Gap
+    band: tuple[float, float]
+    omega: float
+    K_ratio: float = 1.0
+    stand_ins: tuple[str, ...] = ()
+    start: tuple[float, float] = (0.0, 0.0)
+    fit_range: float = FIT_RANGE
+
+    def __post_init__(self) -> None:
+        low, high = self.band
+        if not 0.0 < low < high:
+            raise ModelError(f"frequencies {low:g} to {high:g} Hz: must be > 0 Hz and ascend")
+
+    def law(self, label: str) -> ContactLaw:
+        """The contact law of a label, at this contact."""
+        return contact_law(label, self.K_c, self.gap, self.fit_range, K_ratio=self.K_ratio)
+
+
+def labels(text: str) -> tuple[str, ...]:
+    """Labels of stand-ins from what was typed: ``"tanh-1e4, poly-13"``.
+
+    Raises
+    ------
+    ModelError
+        If one is unknown, names code of its own, or there are too many.
+    """
+    found = tuple(dict.fromkeys(canonical_label(each) for each in text.replace(",", " ").split()))
+    for label in found:
+        # Whoever reaches the page would choose what this process imports and runs.
+        if ":" in label or label == AUTO:
+            raise ModelError(f"{label}: cannot be typed here; use a law that is a formula")
+    found = tuple(label for label in found if label != EXACT)
+    if len(found) > MAX_STAND_INS:
+        raise ModelError(f"{len(found)} stand-ins: must be <= {MAX_STAND_INS}; take some away")
+    return found
+
+
+# --- sliders --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Dial:
+    """A slider: what it is called, its range and where it starts, in the unit that it shows.
+
+    Attributes
+    ----------
+    name : str
+        Of the parameter.
+    title, unit : str
+    factor : float
+        SI units in one of the shown.
+    low, high, value : float
+    """
+
+    name: str
+    title: str
+    unit: str
+    factor: float
+    low: float
+    high: float
+    value: float
+
+    @property
+    def is_log(self) -> bool:
+        """Whether equal ways on the slider are equal ratios."""
+        return self.name in _OVER_DECADES and self.low > 0.0
+
+
+_OVER_DECADES = ("K_c", "zeta", "mass")
+# Title, unit, SI units in one of it, and what the range is at least and at most, from the value:
+# factors of it, and a smallest upper end in SI units.
+_DIALS: dict[str, tuple[str, str, float, float, float, float]] = {
+    "K_c": ("Contact stiffness K_c", "N/m", 1.0, 1e-2, 1e2, 1e4),
+    "j_1": ("Lower wall −j₁", "mm", 1e-3, 0.0, 3.0, 2e-3),
+    "j_2": ("Upper wall j₂", "mm", 1e-3, 0.0, 3.0, 2e-3),
+    "K_ratio": ("Stiffness of lower over upper wall", "", 1.0, 0.0, 2.0, 2.0),
+    "omega": ("Frequency looked at ω", "Hz", 1.0, 0.0, 0.0, 0.0),
+    "forcing": ("Forcing p", "N", 1.0, 0.0, 5.0, 1.0),
+    "zeta": ("Damping ratio ζ", "", 1.0, 0.05, 10.0, 0.1),
+    "omega_n": ("Natural frequency ω_n", "Hz", 1.0, 0.2, 4.0, 0.0),
+    "mass": ("Mass m", "kg", 1.0, 0.1, 10.0, 0.0),
+    "alpha": ("Cubic stiffness α", "10⁹ N/m³", 1e9, 0.0, 5.0, 1e9),
+}
+
+
+def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = None) -> list[Dial]:
+    """The sliders of a page that starts with a question.
+
+    Parameters
+    ----------
+    question : Question
+    ranges : mapping of str to sequence of float, optional
+        Smallest and largest value that a study sweeps, in SI units; others get a range about the
+        value that they start with.
+    """
+    given = {"omega": question.band, **(ranges or {})}
+    return [_dial(name, value, given.get(name)) for name, value in numbers(question).items()]
+
+
+def numbers(question: Question) -> dict[str, float]:
+    """The numbers of a question that have a slider, in SI units."""
+    oscillator, gap = question.oscillator, question.gap
+    found = {name: getattr(oscillator, name) for name in _OSCILLATOR}
+    found |= {name: getattr(question, name) for name in ("K_c", "K_ratio", "omega")}
+    found |= {"j_1": gap.j_1, "j_2": gap.j_2}
+    return {name: found[name] for name in _DIALS}
+
+
+_OSCILLATOR = tuple(field.name for field in fields(Oscillator))
+
+
+def asked(values: Mapping[str, float], band: tuple[float, float], **others: Any) -> Question:
+    """The question that numbers in SI units make.
+
+    Raises
+    ------
+    ModelError
+        If one is out of range.
+    """
+    return Question(
+        oscillator=Oscillator(**{name: values[name] for name in _OSCILLATOR}),
+        gap=Gap(values["j_1"], values["j_2"]),
+        band=band,
+        K_c=values["K_c"],
+        K_ratio=values["K_ratio"],
+        omega=values["omega"],
+        **others,
+    )
+
+
+def _dial(name: str, value: float, given: Sequence[float] | None) -> Dial:
+    title, unit, factor, least, most, smallest_end = _DIALS[name]
+    if given is not None and min(given) < max(given):
+        low, high = min(given), max(given)
+    else:
+        low, high = sorted((least * value, most * value))
+        low, high = min(low, 0.0) if value <= 0.0 else low, max(high, smallest_end)
+    low, high = min(low, value), max(high, value)
+    return Dial(name, title, unit, factor, low / factor, high / factor, value / factor)
+
+
+# --- where it starts ------------------------------------------------------------------------------
+
+
+def of_model(
+    oscillator: Oscillator | None = None,
+    law: ContactLaw | None = None,
+    *,
+    stand_ins: Sequence[str] = DEFAULT_STAND_INS,
+) -> Question:
+    """The question of an oscillator and a contact; a law that is a stand-in is one beside.
+
+    Raises
+    ------
+    ModelError
+        If one of them is something else, or out of range.
+    """
+    oscillator = Oscillator() if oscillator is None else oscillator
+    law = Piecewise(K_c=1.4e4, gap=Gap(0.4e-3, 0.4e-3)) if law is None else law
+    if not isinstance(oscillator, Oscillator):
+        raise ModelError(f"oscillator = {oscillator!r:.80}: must be a gapsweep.Oscillator")
+    if not isinstance(law, ContactLaw):
+        raise ModelError(f"law = {law!r:.80}: must be a contact law, as gapsweep.Piecewise")
+    return Question(
+        oscillator=oscillator,
+        K_c=law.K_c,
+        K_ratio=law.K_ratio,
+        gap=law.gap,
+        stand_ins=labels(" ".join(stand_ins)),
+        band=(0.4 * oscillator.omega_n, 3.0 * oscillator.omega_n),
+        omega=_LOOKED_AT * oscillator.omega_n,
+    )
+
+
+def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
+    """The question that a study starts the page with, and the ranges of what it sweeps.
+
+    Raises
+    ------
+    ModelError
+        If it is a study of systems, or nothing in it can be shown.
+    """
+    if study.systems is not None:
+        raise ModelError(
+            f"{study.source}: a study of systems: explore shows oscillators; leave out [system]"
+        )
+    grid = study.grid
+    ranges = {
+        name: (min(axis), max(axis))
+        for name, axis in grid.axes.items()
+        if name in _DIALS and name not in ("j_1", "j_2")
+    }
+    for name in ("j_1", "j_2"):
+        walls = [getattr(gap, name) for gap in grid.gaps]
+        ranges[name] = min(walls), max(walls)
+    band = ranges.pop("omega")
+    if band[0] == band[1]:
+        band = 0.5 * band[0], 2.0 * band[1]
+    # The first point that a block asks for: of a union of blocks no other need be one.
+    first = np.argwhere(grid.requested)[0]
+    point = {name: axis[k] for (name, axis), k in zip(grid.axes.items(), first, strict=True)}
+    gap = point.get("gap") or Gap(point["j_1"], point["j_2"])
+    values = {name: getattr(study.oscillator, name) for name in _OSCILLATOR} | {"K_ratio": 1.0}
+    values |= {name: value for name, value in point.items() if name in _DIALS}
+    values |= {"j_1": gap.j_1, "j_2": gap.j_2}
+    values["omega"] = min(max(_LOOKED_AT * values["omega_n"], band[0]), band[1])
+    ours = [label for label in _plain(grid.representations) if ":" not in label]
+    others = [label for label in ours if label not in (EXACT, AUTO)]
+    question = asked(values, band, stand_ins=tuple(others[:1]), fit_range=study.spec.fit.range)
+    return question, ranges
+
+
+def _plain(representations: Sequence[str]) -> list[str]:
+    """Labels without their protocols, each once."""
+    return list(dict.fromkeys(label.partition("@")[0] for label in representations))

@@ -1,0 +1,88 @@
+"""The page on a port of this machine, in a thread of its own."""
+
+import asyncio
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from gapsweep.errors import GapsweepError
+
+
+class Explorer:
+    """A running page; in a notebook it shows itself.
+
+    It listens on this machine only, and lives until `stop` or the end of the process.
+
+    Attributes
+    ----------
+    url : str
+        Where a browser finds it.
+    """
+
+    def __init__(self, fill: Callable[[Any], Callable[[], None]], port: int = 0) -> None:
+        # Fills a visitor's document, and returns what ends the work for it.
+        self._fill = fill
+        self._ends: list[Callable[[], None]] = []
+        self._is_up = threading.Event()
+        self._failure = ""
+        self._thread = threading.Thread(target=self._serve, args=(port,), daemon=True)
+        self._thread.start()
+        self._is_up.wait()
+        if self._failure:
+            raise GapsweepError(
+                f"port {port}: {self._failure}; choose another, or 0 for any that is free"
+            )
+
+    def _serve(self, port: int) -> None:
+        from bokeh.application import Application
+        from bokeh.application.handlers.function import FunctionHandler
+        from bokeh.server.server import Server
+        from tornado.ioloop import IOLoop
+
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        self._loop = IOLoop.current()
+        try:
+            # Bound to this machine; pages of other sites are refused, since their origin differs.
+            self._server = Server(
+                Application(FunctionHandler(self._filled)),
+                port=port,
+                address="127.0.0.1",
+                io_loop=self._loop,
+            )
+        except OSError as error:
+            self._failure = str(error.strerror)
+            self._is_up.set()
+            return
+        self.url = f"http://localhost:{self._server.port}/"
+        self._server.start()
+        self._is_up.set()
+        self._loop.start()
+
+    def _filled(self, doc: Any) -> None:
+        self._ends.append(self._fill(doc))
+
+    def wait(self) -> None:
+        """Until it is stopped or interrupted."""
+        while self._thread.is_alive():
+            self._thread.join(0.5)
+
+    def stop(self) -> None:
+        """Close the page."""
+
+        def end() -> None:
+            self._server.stop()
+            self._loop.stop()
+
+        self._loop.add_callback(end)
+        self._thread.join()
+        for end_of_visit in self._ends:
+            end_of_visit()
+
+    def __repr__(self) -> str:
+        return f"<gapsweep.explore at {self.url}>"
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe src="{self.url}" width="100%" height="900" style="border: 0" '
+            'title="gapsweep explore"></iframe>'
+        )

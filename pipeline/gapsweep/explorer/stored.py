@@ -1,0 +1,88 @@
+"""The points of a run: which scenes its folder holds, and the responses in each."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.explorer.answers import Points
+from gapsweep.explorer.question import of_study
+from gapsweep.stages import RESPONSES
+from gapsweep.store import netcdf
+from gapsweep.study.study import Study
+
+_OF_A_POINT = ("representation", "omega", "initial_condition")
+
+
+class Stored:
+    """A run that the page shows the points of.
+
+    Attributes
+    ----------
+    question : Question
+        What the page starts with.
+    ranges : dict of str to (float, float)
+        Of what the study sweeps.
+    scenes : dict of str to dict of str to float
+        The numbers of every scene in SI units, by its name.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._dataset = netcdf.read(folder / RESPONSES)
+        study = Study.from_dict(_tables(self._dataset), source=str(folder))
+        self.question, self.ranges = of_study(study)
+        self._places = dict(_scenes(self._dataset))
+        self.scenes = {name: _numbers(self._scene(name)) for name in self._places}
+
+    def _scene(self, name: str) -> xr.Dataset:
+        return self._dataset.isel(self._places[name])
+
+    def points(self, name: str) -> Points:
+        """The responses of a scene; those that failed or were not asked for are left out."""
+        scene = self._scene(name)
+        x_max = scene["x_max"].transpose(*_OF_A_POINT)
+        first = scene[["section_x", "section_v"]].isel(section_point=0).transpose(*_OF_A_POINT)
+        label, omega, _ = np.meshgrid(
+            [text.partition("@")[0] for text in scene["representation"].values.tolist()],
+            scene["omega"].values,
+            scene["initial_condition"].values,
+            indexing="ij",
+        )
+        is_there = np.isfinite(x_max.values) & np.isfinite(first["section_x"].values)
+        columns = (label, omega, x_max.values, first["section_x"].values, first["section_v"].values)
+        return Points(*(column[is_there] for column in columns))
+
+
+def _tables(dataset: xr.Dataset) -> dict[str, Any]:
+    """The tables of the study that a run is of."""
+    found: dict[str, Any] = json.loads(dataset.attrs["study_json"])
+    return found
+
+
+def _scenes(dataset: xr.Dataset) -> Any:
+    """Name and place of every scene that a point was asked for in."""
+    dims = [dim for dim in dataset["x_max"].dims if dim not in _OF_A_POINT]
+    is_there = dataset["x_max"].notnull().any(_OF_A_POINT).transpose(*dims)
+    for place in np.argwhere(is_there.values).tolist():
+        at = dict(zip(dims, place, strict=True))
+        yield _named(dataset.isel(at), dims), at
+
+
+def _named(scene: xr.Dataset, dims: list[Any]) -> str:
+    def words(dim: str) -> str:
+        value, units = scene[dim].item(), scene[dim].attrs.get("units", "1")
+        return (
+            f"{dim} {value if isinstance(value, str) else f'{value:g}'} {_UNITS.get(units, units)}"
+        )
+
+    return ", ".join(words(dim).strip() for dim in dims)
+
+
+_UNITS = {"1": "", "N m-1": "N/m", "N m-3": "N/m³"}
+
+
+def _numbers(scene: xr.Dataset) -> dict[str, float]:
+    names = ("K_c", "j_1", "j_2", "K_ratio", "zeta", "omega_n", "mass", "alpha", "forcing")
+    return {name: scene[name].item() for name in names if name in scene.coords}

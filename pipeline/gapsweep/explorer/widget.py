@@ -1,0 +1,84 @@
+"""`gapsweep.explore`, and what `gapsweep explore` opens."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from gapsweep.errors import ModelError
+from gapsweep.explorer.question import DEFAULT_STAND_INS, Question, of_model, of_study
+from gapsweep.explorer.server import Explorer
+from gapsweep.explorer.stored import Stored
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.oscillator import Oscillator
+from gapsweep.study.study import Study
+
+
+def explore(
+    oscillator: Oscillator | None = None,
+    law: ContactLaw | None = None,
+    *,
+    stand_ins: Sequence[str] = DEFAULT_STAND_INS,
+    port: int = 0,
+) -> Explorer:
+    """Open a page whose figures follow its sliders.
+
+    In a notebook the result shows the page; elsewhere open its ``url`` in a browser. Needs Bokeh:
+    ``pip install 'gapsweep[explore]'``.
+
+    Parameters
+    ----------
+    oscillator : Oscillator, optional
+        Where the sliders start; the defaults if None.
+    law : ContactLaw, optional
+        Its stiffness and its gap are where the sliders start; 14000 N/m and 0.4 mm on both sides
+        if None.
+    stand_ins : sequence of str
+        Labels of up to three laws beside the exact one.
+    port : int
+        Port of this machine, 0: any that is free.
+
+    Returns
+    -------
+    Explorer
+        With a `url`; `stop` closes the page, as the end of the process does.
+
+    Raises
+    ------
+    ModelError
+        If an argument is something else or out of range, or Bokeh is missing.
+    """
+    return opened(of_model(oscillator, law, stand_ins=stand_ins), port=port)
+
+
+def explore_path(path: Path | None, port: int) -> Explorer:
+    """The page of a study file, of the folder of a run, or of the defaults."""
+    if path is None:
+        return opened(of_model(), port=port)
+    if path.is_dir():
+        stored = Stored(path)
+        return opened(stored.question, stored.ranges, stored, port=port)
+    return opened(*of_study(Study.load(path)), port=port)
+
+
+def opened(
+    question: Question,
+    ranges: dict[str, tuple[float, float]] | None = None,
+    stored: Stored | None = None,
+    *,
+    port: int,
+) -> Explorer:
+    """A running page; every visitor has sliders of their own."""
+    try:
+        # Bokeh is an extra, and takes a second to import.
+        from gapsweep.explorer.page import Page
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "bokeh":
+            raise
+        raise ModelError(
+            "explore: needs Bokeh, which is not installed: pip install 'gapsweep[explore]'"
+        ) from None
+
+    def fill(document: Any) -> Callable[[], None]:
+        return Page(document, question, ranges or {}, stored).stop
+
+    return Explorer(fill, port)

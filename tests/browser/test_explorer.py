@@ -1,0 +1,222 @@
+"""The page of `gapsweep explore` in a real browser: a slider is dragged, the figures follow.
+
+Run with ``pytest -m browser``; needs Chromium.
+"""
+
+import asyncio
+import json
+from contextlib import asynccontextmanager
+
+import numpy as np
+import pytest
+from tests.browser.test_report import debugger  # noqa: F401  (a fixture)
+from tests.made import datasets, periodic, tables
+from tornado.httpclient import AsyncHTTPClient, HTTPRequest
+from tornado.websocket import websocket_connect
+
+import gapsweep as gs
+from gapsweep.explorer.answers import from_rest
+from gapsweep.explorer.question import EXACT, asked, numbers, of_model
+from gapsweep.explorer.widget import explore_path
+
+pytestmark = pytest.mark.browser
+SOON = 25.0  # seconds, compilation included
+MODEL = "Bokeh.documents[0].get_model_by_name({name!r})"
+
+
+class Tab:
+    """A page of a running Chromium."""
+
+    def __init__(self, socket):
+        self._socket, self._number, self.problems = socket, 0, []
+
+    async def call(self, method, **parameters):
+        self._number += 1
+        await self._socket.write_message(
+            json.dumps({"id": self._number, "method": method, "params": parameters})
+        )
+        while True:
+            message = json.loads(await asyncio.wait_for(self._socket.read_message(), SOON))
+            if message.get("id") == self._number:
+                return message.get("result", message)
+            entry = message["params"]
+            if message["method"] == "Runtime.exceptionThrown" or entry.get("type") == "error":
+                self.problems.append(entry)
+
+    async def ask(self, expression):
+        found = await self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in found, found
+        return found["result"].get("value")
+
+    async def until(self, expression):
+        """The first value that is true."""
+        async with asyncio.timeout(SOON):
+            while not (value := await self.ask(expression)):
+                await asyncio.sleep(0.02)
+        return value
+
+    async def mouse(self, kind, x, y):
+        held = {"button": "left", "buttons": 1, "clickCount": 1}
+        await self.call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=x, y=y, **held)
+
+
+@asynccontextmanager
+async def tab(address, url, size=(1280, 900)):
+    new = HTTPRequest(f"http://{address}/json/new?about:blank", method="PUT", body=b"")
+    target = json.loads((await AsyncHTTPClient().fetch(new)).body)
+    socket = await websocket_connect(target["webSocketDebuggerUrl"], max_message_size=2**28)
+    opened = Tab(socket)
+    for domain in ("Page", "Runtime"):
+        await opened.call(f"{domain}.enable")
+    width, height = size
+    await opened.call(
+        "Emulation.setDeviceMetricsOverride",
+        width=width, height=height, deviceScaleFactor=1, mobile=False,
+    )  # fmt: skip
+    await opened.call("Page.navigate", url=url)
+    await opened.until(
+        f"window.Bokeh?.documents?.[0] && {source(EXACT_CURVE)}.omega.length === 200"
+    )
+    await opened.until(f"{source('response 0 sweep down')}.omega.length === 200")
+    yield opened
+    assert opened.problems == []
+    await opened.call("Page.close")
+    socket.close()
+
+
+EXACT_CURVE = "response 0 from rest"
+
+
+def model(name):
+    return MODEL.format(name=name)
+
+
+def source(name):
+    """The columns of a data source, in JavaScript."""
+    return f"{model(name)}.data"
+
+
+def numbers_of(name, column):
+    return f"Array.from({source(name)}.{column})"
+
+
+# Where the handle of a slider is, through the shadow roots of its widgets.
+HANDLE = """(() => {{
+  const slider = [...Bokeh.index.all_views()].find(v => v.model.name === {name!r});
+  const box = slider.shadow_el.querySelector('.noUi-handle').getBoundingClientRect();
+  return [box.x + box.width / 2, box.y + box.height / 2];
+}})()"""
+# Keeps when the curve of the exact law was last drawn anew, and how often.
+WATCH = """(() => {{
+  window.drawn = []; window.moved = [];
+  {slider}.properties.value.change.connect(() => window.moved.push(performance.now()));
+  {curve}.properties.data.change.connect(() =>
+    requestAnimationFrame(() => window.drawn.push(performance.now())));
+}})()"""
+
+
+def browse(address, page, steps, **how):
+    """What steps in a browser return; the page is closed afterwards."""
+
+    async def run():
+        async with tab(address, page.url, **how) as opened:
+            return await steps(opened)
+
+    try:
+        return asyncio.run(run())
+    finally:
+        page.stop()
+
+
+def test_the_response_follows_a_slider_that_is_dragged(debugger):  # noqa: F811
+    async def drag(opened):
+        await opened.ask(WATCH.format(slider=model("forcing"), curve=model(EXACT_CURVE)))
+        x, y = await opened.ask(HANDLE.format(name="forcing"))
+        await opened.mouse("Pressed", x, y)
+        for _ in range(30):
+            x += 1.0
+            await opened.mouse("Moved", x, y)
+            await asyncio.sleep(0.02)
+        during = await opened.ask("window.drawn.length")
+        await opened.mouse("Released", x, y)
+        await opened.until(f"{source('response 0 sweep down')}.omega.length === 200")
+        return (
+            during,
+            await opened.ask(f"{model('forcing')}.value"),
+            await opened.ask(numbers_of(EXACT_CURVE, "x_max")),
+            await opened.ask("window.drawn.length"),
+        )
+
+    during, forcing, x_max, n_drawn = browse(debugger, gs.explore(stand_ins=()), drag)
+    assert forcing > 4.5
+    assert during >= 2  # while the button was held
+    assert n_drawn <= 31  # no more often than it moved
+    question = of_model(stand_ins=())
+    here = asked(numbers(question) | {"forcing": forcing}, question.band)
+    np.testing.assert_allclose(x_max, 1e3 * from_rest(here, EXACT).x_max, rtol=1e-12)
+
+
+def test_a_click_on_a_response_shows_its_motion(debugger):  # noqa: F811
+    place = """(() => {{
+      const source = {curve}, view = [...Bokeh.index.all_views()].find(
+        v => v.model.type === 'Figure' && v.model.title.text === 'Frequency response');
+      const k = 40, box = view.canvas_view.el.getBoundingClientRect();
+      return [box.x + view.frame.x_scale.compute(source.omega[k]),
+              box.y + view.frame.y_scale.compute(source.x_max[k]), source.omega[k]];
+    }})()"""
+
+    async def click(opened):
+        x, y, omega = await opened.ask(place.format(curve=source("response 0 sweep up")))
+        for kind in ("Pressed", "Released"):
+            await opened.mouse(kind, x, y)
+        await opened.until(f"{model('status')}.text.includes('mm/s')")
+        await opened.until(f"Math.abs({model('omega')}.value - {omega}) < 1e-9")
+        text = await opened.until(f"{model('status')}.text")
+        return omega, text, await opened.ask(numbers_of("phase 0", "x"))
+
+    omega, text, x = browse(debugger, gs.explore(stand_ins=()), click)
+    assert f"Motion at {omega:.4g} Hz from x = " in text
+    assert max(x) > 0.4  # beyond the wall
+
+
+def test_a_law_that_is_unknown_is_a_word_not_a_traceback(debugger):  # noqa: F811
+    async def type_in(opened):
+        await opened.ask(f"{model('stand_ins')}.value = 'tangent'")
+        await opened.until(f"{model('status')}.text.includes('unknown representation')")
+        await opened.ask(f"{model('stand_ins')}.value = 'poly-13, tanh-1e5'")
+        await opened.until(f"{source('response 2 from rest')}.omega.length === 200")
+        return await opened.ask(f"{model('legend')}.text")
+
+    assert "tanh-1e5" in browse(debugger, gs.explore(stand_ins=()), type_in)
+
+
+def test_a_click_on_a_stored_point_opens_it(debugger, tmp_path):  # noqa: F811
+    study = tables(("piecewise", "tanh-1e4"), (5.0, 6.0, 7.0))
+    for made in datasets(tmp_path, study, lambda _, omega, __: periodic([(5e-3, 0.0)], omega)):
+        made.close()
+
+    async def click(opened):
+        stored = source("stored")
+        assert await opened.ask(f"{stored}.omega.length") == 6
+        shown = """(() => {
+          const view = [...Bokeh.index.all_views()].find(
+            v => v.model.type === 'Figure' && v.model.title.text === 'Frequency response');
+          const box = view.canvas_view.el.getBoundingClientRect();
+          return [box.x + view.frame.x_scale.compute(6.0), box.y + view.frame.y_scale.compute(5.0)];
+        })()"""
+        x, y = await opened.ask(shown)
+        for kind in ("Pressed", "Released"):
+            await opened.mouse(kind, x, y)
+        return await opened.until(
+            f"{model('status')}.text.includes('x = ') && {model('status')}.text"
+        )
+
+    page = explore_path(tmp_path, 0)
+    assert "Motion at 6 Hz from x = 5 mm, v = 0 mm/s" in browse(debugger, page, click)
+
+
+def test_nothing_is_wider_than_the_window(debugger):  # noqa: F811
+    async def measure(opened):
+        return await opened.ask("document.documentElement.scrollWidth")
+
+    assert browse(debugger, gs.explore(), measure) <= 1280

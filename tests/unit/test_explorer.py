@@ -1,0 +1,329 @@
+"""What the page of `gapsweep explore` computes, and how it asks; without a browser."""
+
+import asyncio
+import gc
+import subprocess
+import sys
+import threading
+import urllib.request
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.made import datasets, periodic, tables
+from tornado.httpclient import HTTPClientError, HTTPRequest
+from tornado.websocket import websocket_connect
+
+import gapsweep as gs
+from gapsweep.cli.main import exit_code
+from gapsweep.errors import GapsweepError, ModelError
+from gapsweep.explorer import answers as shown
+from gapsweep.explorer.answers import DOWN, UP, Motion, answers, from_rest, motion, nearest, sweeps
+from gapsweep.explorer.latest import Latest
+from gapsweep.explorer.question import EXACT, asked, dials, labels, numbers, of_model, of_study
+from gapsweep.explorer.stored import Stored
+
+SOON = 30.0  # seconds that something may take before a test gives up
+FREE = gs.Piecewise(K_c=0.0, gap=gs.Gap(1e-3, 1e-3))
+LINEAR = gs.Oscillator(alpha=0.0)
+
+
+def linear_amplitude(oscillator, omega):
+    """Of a forced linear oscillator, from its transfer function."""
+    ratio = omega / oscillator.omega_n
+    static = oscillator.forcing / (oscillator.mass * oscillator.omega_n_rad**2)
+    return static / np.hypot(1.0 - ratio**2, 2.0 * oscillator.zeta * ratio)
+
+
+# --- questions ------------------------------------------------------------------------------------
+
+
+def test_the_numbers_of_the_sliders_make_the_question():
+    law = gs.Tanh(K_c=2e4, gap=gs.Gap(1e-4, 3e-4), K_ratio=0.5, epsilon=1e5)
+    question = of_model(gs.Oscillator(alpha=-1e8, zeta=0.0), law, stand_ins=())
+    assert asked(numbers(question), question.band) == question
+
+
+def test_every_slider_can_reach_where_it_starts():
+    strange = gs.Oscillator(alpha=-1e8, zeta=0.0, forcing=0.0)
+    for dial in dials(of_model(strange, FREE)):
+        assert dial.low <= dial.value <= dial.high, dial.name
+        assert dial.low < dial.high, dial.name
+
+
+def test_a_study_gives_the_ranges():
+    study = gs.Study.from_dict(
+        {
+            "study": {"name": "ranges"},
+            "oscillator": {"mass": 2.0},
+            "sweep": [
+                {
+                    "representation": ["piecewise@fine", "poly-7"],
+                    "K_c": [1e3, 1e6],
+                    "gap": [[1e-4, 2e-4], [3e-4, 2e-4]],
+                    "zeta": [0.01, 0.2],
+                    "omega": {"start": 4.0, "stop": 12.0, "num": 9},
+                }
+            ],
+            "protocol": {"fine": {"rtol": 1e-10}},
+        }
+    )
+    question, ranges = of_study(study)
+    found = {dial.name: dial for dial in dials(question, ranges)}
+    assert question.band == (4.0, 12.0)
+    assert question.stand_ins == ("poly-7",)
+    assert question.oscillator.mass == 2.0
+    assert (found["K_c"].low, found["K_c"].high) == (1e3, 1e6)
+    assert (found["zeta"].low, found["zeta"].high) == (0.01, 0.2)
+    assert (found["j_1"].low, found["j_1"].high) == pytest.approx((0.1, 0.3))
+    assert found["j_2"].value == pytest.approx(0.2)
+
+
+def test_a_study_of_blocks_starts_where_one_has_a_point():
+    study = gs.Study.load("workflows/paper/study.toml")
+    question, _ = of_study(study)
+    study.select(K_c=question.K_c, gap=question.gap.label)  # raises if no block asks for it
+
+
+def test_what_is_no_oscillator_is_refused():
+    with pytest.raises(ModelError, match=r"must be a gapsweep\.Oscillator"):
+        of_model(gs.systems.typical_section(speed=12.0))
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("os:system", "cannot be typed"),
+        ("auto", "cannot be typed"),
+        ("tanh-1e4 tanh-1e5 tanh-1e6 poly-3", "must be <= 3"),
+        ("tangent", "unknown representation"),
+    ],
+)
+def test_what_cannot_stand_in_is_refused(typed, said):
+    with pytest.raises(ModelError, match=said):
+        labels(typed)
+
+
+def test_stand_ins_are_typed_as_one_likes():
+    assert labels("tanh-10000,poly-13  piecewise, tanh-1e4") == ("tanh-1e4", "poly-13")
+
+
+# --- answers --------------------------------------------------------------------------------------
+
+
+def test_the_response_of_a_linear_oscillator_is_its_transfer_function():
+    curve = from_rest(of_model(LINEAR, FREE), EXACT)
+    assert len(curve.omega) == 200
+    np.testing.assert_allclose(curve.x_max, linear_amplitude(LINEAR, curve.omega), rtol=1e-4)
+    assert curve.is_periodic.all()
+
+
+def test_sweeps_of_a_hardening_spring_differ_where_two_motions_are_stable():
+    question = of_model(gs.Oscillator(), FREE)
+    last = {curve.protocol: curve for curve in sweeps(question)}
+    up, down = last[UP], last[DOWN]
+    assert np.array_equal(up.omega, down.omega[::-1])
+    higher = up.x_max > 2.0 * down.x_max[::-1]
+    # One stretch of frequencies, with one motion on either side.
+    assert np.count_nonzero(np.diff(higher.astype(int)) == 1) == 1
+    assert higher.any()
+    assert not higher[0]
+
+
+def test_the_motion_of_a_linear_oscillator_is_a_sine():
+    question = of_model(LINEAR, FREE)
+    found = motion(question, EXACT)
+    amplitude = linear_amplitude(LINEAR, question.omega)
+    assert found.period_multiple == 1
+    k = int(np.argmax(found.spectrum))
+    assert found.frequency[k] == pytest.approx(question.omega)
+    assert found.spectrum[k] == pytest.approx(amplitude, rel=1e-4)
+    v = 2.0 * np.pi * question.omega * amplitude
+    np.testing.assert_allclose(np.hypot(found.x / amplitude, found.v / v), 1.0, rtol=1e-4)
+    np.testing.assert_allclose(found.section, np.tile(found.section[0], (300, 1)), atol=1e-4 * v)
+
+
+def test_a_motion_starts_where_the_question_says():
+    # Between the jumps a hardening spring has two motions; each start stays on its own.
+    question = of_model(gs.Oscillator(), FREE)
+    up, down = {curve.protocol: curve for curve in sweeps(question)}.values()
+    k = int(np.argmax(up.x_max - down.x_max[::-1]))
+    peaks = []
+    for curve, row in ((up, k), (down, len(up.omega) - 1 - k)):
+        state = curve.x_end[row].item(), curve.v_end[row].item()
+        here = replace(question, omega=curve.omega[row].item(), start=state)
+        peaks.append(motion(here, EXACT).x.max())
+        # A peak between two of the 64 samples of a period.
+        assert peaks[-1] == pytest.approx(curve.x_max[row], rel=5e-3)
+    assert peaks[0] > 2.0 * peaks[1]
+
+
+def test_what_is_looked_at_first_comes_first():
+    question = of_model(stand_ins=("tanh-1e4",))
+    first = [next(found) for found in [answers(question)] for _ in range(4)]
+    kinds = [(type(answer).__name__, answer.label) for answer in first]
+    laws = (EXACT, "tanh-1e4")
+    assert kinds == [(kind, law) for law in laws for kind in ("Curve", "Motion")]
+
+
+def test_a_motion_that_fails_says_so():
+    runaway = of_model(gs.Oscillator(alpha=-1e10, forcing=1e3), FREE)
+    found = motion(runaway, EXACT)
+    assert isinstance(found, Motion)
+    assert found.problem.startswith("piecewise: the motion fails")
+
+
+def test_little_damping_bounds_what_a_redraw_costs():
+    steady = shown.settled(gs.Oscillator(zeta=0.0))
+    assert steady.t_max == pytest.approx(100.0 / 5.0)
+
+
+def test_the_nearest_response_is_found():
+    curve = from_rest(of_model(LINEAR, FREE), EXACT)
+    spot = nearest([curve], curve.omega[70] + 1e-4, curve.x_max[70], (1.0, 1e-3))
+    assert spot.omega == curve.omega[70]
+    assert spot.state == (curve.x_end[70], curve.v_end[70])
+    assert nearest([], 1.0, 1.0, (1.0, 1.0)) is None
+
+
+# --- the newest question --------------------------------------------------------------------------
+
+
+def test_a_newer_question_takes_the_place_of_all_older_ones():
+    begun, go_on, done = threading.Event(), threading.Event(), threading.Event()
+    seen = []
+
+    def slowly(question):
+        if question == 1:
+            begun.set()
+            assert go_on.wait(SOON)
+        yield "first"
+        yield "second"
+
+    def deliver(question, answer):
+        seen.append((question, answer))
+        if seen[-1] == (9, "second"):
+            done.set()
+
+    latest = Latest(slowly, deliver, lambda *_: None)
+    latest.ask(1)
+    assert begun.wait(SOON)
+    for question in range(2, 10):
+        latest.ask(question)
+    go_on.set()
+    assert done.wait(SOON)
+    latest.stop()
+    assert seen == [(1, "first"), (9, "first"), (9, "second")]
+
+
+def test_what_cannot_be_answered_is_refused_and_the_next_is_answered():
+    heard, done = [], threading.Event()
+
+    def answer(question):
+        if question == "bad":
+            raise ModelError("zeta = -1: must be >= 0")
+        yield question
+
+    def refuse(question, problem):
+        heard.append((question, problem))
+        latest.ask("good")
+
+    latest = Latest(answer, lambda *_: done.set(), refuse)
+    latest.ask("bad")
+    assert done.wait(SOON)
+    latest.stop()
+    assert heard == [("bad", "zeta = -1: must be >= 0")]
+
+
+# --- runs -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def run(tmp_path):
+    study = tables(("piecewise", "tanh-1e4"), (5.0, 6.0, 7.0), starts=2)
+    made, attractors = datasets(
+        tmp_path,
+        study,
+        lambda label, omega, start: (
+            None if omega == 6.0 else periodic([(1e-3 * omega, 1e-5 * start)], omega)
+        ),
+    )
+    made.close()
+    attractors.close()
+    return tmp_path
+
+
+def test_the_points_of_a_run_are_found_in_their_scenes(run):
+    stored = Stored(run)
+    (name,) = stored.scenes
+    assert "14000 N/m" in name
+    assert stored.scenes[name] == {"K_c": 1.4e4, "j_1": 0.4e-3, "j_2": 0.4e-3}
+    points = stored.points(name)
+    assert sorted(set(points.label)) == ["piecewise", "tanh-1e4"]
+    assert sorted(points.omega) == [5.0] * 4 + [7.0] * 4
+    np.testing.assert_allclose(points.x_max, 1e-3 * points.omega)
+    np.testing.assert_allclose(points.x_end, 1e-3 * points.omega)
+    assert len(set(points.v_end)) == 3  # at rest, or one at either frequency
+
+
+# --- the server -----------------------------------------------------------------------------------
+
+
+def test_the_page_is_there_and_for_this_machine_only():
+    with_page = gs.explore(stand_ins=())
+    try:
+        for _ in range(2):  # visitors, each with a document of their own
+            with urllib.request.urlopen(with_page.url, timeout=SOON) as answer:
+                assert b"gapsweep explore" in answer.read()
+        assert {socket.getsockname()[0] for socket in sockets(with_page)} == {"127.0.0.1"}
+        assert with_page.url in with_page._repr_html_()
+    finally:
+        with_page.stop()
+    for thread in threading.enumerate():
+        if thread.name == "explorer":
+            thread.join(SOON)
+            assert not thread.is_alive()
+
+
+# Tornado leaves the socket that it could not bind to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_port_that_is_taken_is_refused():
+    page = gs.explore(stand_ins=())
+    try:
+        with pytest.raises(GapsweepError, match="in use; choose another"):
+            gs.explore(port=int(page.url.rsplit(":", 1)[1].strip("/")))
+    finally:
+        page.stop()
+    gc.collect()
+
+
+def sockets(page):
+    return page._server._http._sockets.values()
+
+
+def test_another_site_cannot_talk_to_the_page():
+    page = gs.explore(stand_ins=())
+
+    async def knock():
+        there = page.url.replace("http", "ws") + "ws"
+        await websocket_connect(HTTPRequest(there, headers={"Origin": "http://elsewhere.example"}))
+
+    try:
+        with pytest.raises(HTTPClientError, match="403"):
+            asyncio.run(knock())
+    finally:
+        page.stop()
+
+
+def test_a_wrong_path_is_a_line_not_a_traceback(tmp_path, capsys):
+    assert exit_code(["explore", str(tmp_path / "none.toml"), "--no-browser"]) == 1
+    assert "cannot be read" in capsys.readouterr().err
+    assert exit_code(["explore", str(tmp_path), "--no-browser"]) == 1
+    assert "error: " in capsys.readouterr().err
+
+
+def test_without_bokeh_the_remedy_is_named():
+    code = "import sys; sys.modules['bokeh'] = None; import gapsweep; gapsweep.explore()"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "ModelError: explore: needs Bokeh" in ended.stderr
+    assert "pip install 'gapsweep[explore]'" in ended.stderr
