@@ -116,7 +116,7 @@ def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
     assert reasons() == {}
     page = (out / REPORT).read_text()
     assert page.index("Own section") < page.index("K_c = ")
-    for words in ("1 &lt; 2", "Frequencies &lt;i&gt;.", 'aria-label="A rising line"', "not &gt; 1"):
+    for words in ("1 &lt; 2", "Frequencies &lt;i&gt;.", 'alt="A rising line"', "not &gt; 1"):
         assert words in page, words
 
     # A threshold re-decides, and computes no dataset anew.
