@@ -278,6 +278,7 @@ def test_commands_name_what_is_missing(folder, tables, client, capsys):
     assert "gapsweep run" in capsys.readouterr().err
     out = folder / "plain"
     gs.run(gs.Study.from_dict(tables), client, out=out, cache=folder / "cache.sqlite").close()
+    capsys.readouterr()
     assert exit_code(["claims", str(out)]) == FAULT
     (line,) = capsys.readouterr().err.splitlines()
     assert f"'gapsweep claims {out} --study FILE' decides" in line

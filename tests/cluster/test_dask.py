@@ -230,9 +230,9 @@ omega = [12.0]
             capture_output=True, text=True, timeout=120,
         )  # fmt: skip
     assert without.returncode == 1
-    assert [
-        f"scheduler {address}: cannot be reached" in line for line in without.stderr.splitlines()
-    ] == [True]
+    *_, line = without.stderr.splitlines()  # behind what the run has said of its progress
+    assert f"scheduler {address}: cannot be reached" in line
+    assert "Traceback" not in without.stderr
 
 
 def test_basins_on_a_cluster_are_those_of_one_process(client):
