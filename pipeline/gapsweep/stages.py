@@ -175,7 +175,9 @@ def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
 
 def study_source(study: Study) -> MadeFrom:
     """Digest of the settings of a study, and of the user's own laws in it."""
-    return {STUDY: hashlib.sha256((study.json + _own_laws(study)).encode()).hexdigest()}
+    names = "" if study.systems is None else json.dumps(study.systems.parts)
+    said = study.json + _own_laws(study) + names
+    return {STUDY: hashlib.sha256(said.encode()).hexdigest()}
 
 
 def module_sources(study: Study) -> MadeFrom:

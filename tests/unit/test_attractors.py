@@ -7,6 +7,7 @@ import pytest
 from tests.oracles import orbit_distance
 from tests.section_points import complex_points
 
+from gapsweep.model.structure import Structure
 from gapsweep.response.attractors import NONE, attractors_of_scenes
 from gapsweep.response.result import Response, ResponseClass, Responses
 from gapsweep.response.section import unit_of
@@ -180,3 +181,27 @@ def test_the_random_sets_hold_what_matters():
         ResponseClass.PERIODIC,
         ResponseClass.CHAOTIC,
     }
+
+
+def test_a_large_coordinate_hides_no_difference_in_a_small_one():
+    """Two wells of one coordinate beside another that swings a thousand times as far."""
+    structure = Structure(n=2, m=0, n_cubic=0, loads=((1, False),), contacts=())
+    rows = []
+    for side in (1.0, -1.0, 1.0 + 1e-7):
+        state = [387.0, 0.05 * side, 1.0, 0.01]
+        rows.append(
+            Response(
+                status=Status.OK,
+                response_class=ResponseClass.PERIODIC,
+                period_multiple=1,
+                x_max=[387.0, 0.06 * side],
+                x_min=[-387.0, 0.04 * side],
+                amplitude=[387.0, 0.01],
+                section=tuple(state),
+                noise=1e-9,
+            )
+        )
+    found = attractors_of_scenes(
+        Responses.of(rows, structure), np.zeros(3, int), unit=np.ones((4, 1)), symmetric=False
+    )
+    assert found.numbers[0] == found.numbers[2] != found.numbers[1]

@@ -194,6 +194,19 @@ REFUSED = {
     "sweep": (SECTION, {"sweep__0__initial_condition": "sweep_up"}, "follow the frequency"),
     "start": (TWO_MASSES, {"sweep__0__initial_condition": [0.1, 0.2]}, "must be 4"),
     "auto": (TWO_MASSES, {"sweep__0__representation": "auto"}, "name the representation"),
+    "taken by agreement": (SECTION, {"parameters__kappa": 1.0}, "choose another name"),
+    "parameters of matrices": (TWO_MASSES, {"parameters": {"k": 1.0}}, "matrices take none"),
+    "list of parameters": (SECTION, {"parameters": [1.0]}, "parameters"),
+    "number of parameters": (SECTION, {"parameters": 5}, "parameters"),
+    "our own key": (SECTION, {"sweep__0__parameter": {"foo": [1.0]}}, "unknown key"),
+    "nobody's law": (
+        TWO_MASSES,
+        {
+            "contact": {n: {"representation": "piecewise"} for n in ("stop", "between")},
+            "sweep__0__representation": ["piecewise", "tanh-1e4"],
+        },
+        "representation: no contact takes it",
+    ),
     "unknown": (SECTION, {"sweep__0__sped": [1.0]}, "unknown key"),
     "zeta": (TWO_MASSES, {"sweep__0__zeta": [0.1]}, "unknown key"),
     "box": (
@@ -218,6 +231,53 @@ def test_tables_of_systems_need_one():
         tables = {n: t for n, t in SECTION.items() if n != "system"} | {name: {"a": 1.0}}
         with pytest.raises(gs.StudyError):
             gs.Study.from_dict(tables)
+
+
+def test_an_edited_function_is_that_of_the_next_study(tmp_path, monkeypatch):
+    """Of a study that was loaded before it stays what it was, whatever is asked of it later."""
+    monkeypatch.syspath_prepend(tmp_path)
+    source = (
+        "import gapsweep as gs\n"
+        "def spring(k):\n"
+        "    return gs.System(mass=[[1.0]], stiffness=[[{} * k]])\n"
+    )
+    tables = {
+        "study": {"name": "spring"},
+        "system": {"function": "edited:spring"},
+        "parameters": {"k": 1.0},
+        "sweep": [{"representation": "piecewise", "k": [1.0, 2.0]}],
+    }
+
+    def stiffness(study):
+        ((_, table),) = study.points(np.arange(2))
+        return table.column("stiffness[0,0]").tolist()
+
+    studies = []
+    for factor in (30.0, 40.0):
+        (tmp_path / "edited.py").write_text(source.format(factor))
+        studies.append(gs.Study.from_dict(tables))
+    assert stiffness(studies[1]) == [40.0, 80.0]
+    assert stiffness(studies[0]) == [30.0, 60.0]
+
+
+@pytest.mark.parametrize("raised", ["SystemExit", "ValueError('no')", "KeyError('k')"])
+def test_what_a_function_raises_is_one_line(tmp_path, monkeypatch, raised):
+    monkeypatch.syspath_prepend(tmp_path)
+    name = f"raising{abs(hash(raised))}"
+    (tmp_path / f"{name}.py").write_text(f"def spring(k):\n    raise {raised}\n")
+    tables = changed(SECTION, system={"function": f"{name}:spring"}, parameters={"k": 1.0})
+    del tables["sweep"][0]["speed"]
+    with pytest.raises(gs.StudyError, match=r"its arguments are those in \[parameters\]"):
+        gs.Study.from_dict(tables)
+
+
+def test_numbers_are_rounded_alike_wherever_they_stand():
+    third = changed(TWO_MASSES, contact__between__K_c=1.0 / 3.0)
+    rounded = changed(TWO_MASSES, contact__between__K_c=0.333333333333)
+    zeros = changed(TWO_MASSES, system__mass=[[1.0, -0.0], [-0.0, 2.0]])
+    keys = [points_of(tables)[2].keys() for tables in (third, rounded, zeros, TWO_MASSES)]
+    assert_array_equal(keys[0], keys[1])
+    assert_array_equal(keys[2], keys[3])
 
 
 def test_a_system_must_keep_its_structure(tmp_path, monkeypatch):

@@ -149,9 +149,9 @@ def _section_distance(
     """Distance of the sections of pairs of attractors, and what is close for them [m]."""
     w, a, b = at
     p, q = ours.section[w, a], theirs.section[w, b]
-    chaotic = (ours.response_class[w, a] == ResponseClass.CHAOTIC) & (
-        theirs.response_class[w, b] == ResponseClass.CHAOTIC
-    )
+    own, other = ours.response_class[w, a], theirs.response_class[w, b]
+    # Samples of chaos, or of a torus, have no two points in common.
+    chaotic = (own == other) & np.isin(own, (ResponseClass.CHAOTIC, ResponseClass.QUASIPERIODIC))
     distance, tolerance = np.empty(len(w)), np.full(len(w), CLOSE * width)
     distance[~chaotic] = hausdorff_in_plane(p[~chaotic], q[~chaotic])
     p, q = p[chaotic], q[chaotic]

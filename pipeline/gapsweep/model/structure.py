@@ -101,7 +101,8 @@ class Structure:
             *([term.depth for term in terms], [term.phase for term in terms]),
             *((lags.force, lags.of_speed, lags.of_place, lags.of_lags) if lags else ()),
         )
-        return np.concatenate([np.ravel(np.asarray(part, float)) for part in parts])
+        # Added zeros make -0.0 an 0.0: it is the same number.
+        return np.concatenate([np.ravel(np.asarray(part, float)) for part in parts]) + 0.0
 
     def system(self, row: Array) -> System:
         """The system that has these numbers."""

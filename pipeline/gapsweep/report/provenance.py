@@ -1,6 +1,7 @@
 """Where a report comes from: the study, its solver, the machine, what it took."""
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -54,14 +55,19 @@ def _blocks(name: str, table: Any) -> Iterator[str]:
     """Its tables; a list holds one after the other."""
     head = f"[[{name}]]" if isinstance(table, list) else f"[{name}]"
     for one in table if isinstance(table, list) else [table]:
-        rows = (f"{key} = {_value(value)}" for key, value in one.items() if value is not None)
+        rows = (f"{_key(key)} = {_value(value)}" for key, value in one.items() if value is not None)
         yield "\n".join([head, *rows])
+
+
+def _key(name: str) -> str:
+    """A key as TOML writes it: bare if it may be."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
 
 
 def _value(value: Any) -> str:
     """A value as TOML writes it, which is JSON but for tables."""
     if isinstance(value, Mapping):
-        inside = (f"{json.dumps(key)} = {_value(held)}" for key, held in value.items())
+        inside = (f"{_key(key)} = {_value(held)}" for key, held in value.items())
         return f"{{ {', '.join(inside)} }}"
     if isinstance(value, list):
         return f"[{', '.join(map(_value, value))}]"

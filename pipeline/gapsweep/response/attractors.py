@@ -29,6 +29,8 @@ _SAME_ORBIT = 1e-3
 _SAME_RATTLE = 0.1
 # Two chaotic samples are of one attractor if they overlap this well, in shares of their extent.
 _SAME_CLOUD = 0.25
+# A coordinate that moves by less than this share of the others is as good as still.
+_ROUNDING = 1e-3
 _DIGITS = 9  # of displacements [m], so that the last bits of twins do not decide their order
 _BLOCK = 1 << 20  # numbers that are compared at a time
 
@@ -150,9 +152,16 @@ def _firsts(responses: Responses, scene: Numbers, unit: Array) -> Numbers:
 
 
 def _reach(responses: Responses, unit: Array) -> Array:
-    """Largest moduli of displacements [m], as section points'."""
+    """Largest moduli [m], as section points', of what each component belongs to.
+
+    A coordinate and its velocity have the coordinate's, first-order states that of all: what is
+    large in one coordinate hides no difference in another, but for rounding.
+    """
     x_max, x_min = (np.atleast_2d(responses.columns[name].T) for name in ("x_max", "x_min"))
-    return reach_of(np.maximum(np.abs(x_max), np.abs(x_min)), unit)
+    x = np.maximum(np.abs(x_max), np.abs(x_min))
+    own, of_all = x / unit[: len(x)], reach_of(x, unit)
+    lags = np.broadcast_to(of_all, (len(unit) - 2 * len(x), len(of_all)))
+    return np.asarray(np.maximum(np.concatenate([own, own, lags]), _ROUNDING * of_all))
 
 
 def _led(rows: Numbers, scene: Numbers, same: Same) -> Numbers:
@@ -181,15 +190,17 @@ def _same_orbits(responses: Responses, reach: Array, points: Array, begin: Numbe
     def same(a: Numbers, b: Numbers) -> Mask:
         rattles = np.where(error[b] > error[a], error[b], error[a]) > 0.0
         share = np.where(rattles, _SAME_RATTLE, _SAME_ORBIT)
-        allowed = np.maximum(share * reach[a], DEVIATIONS * np.maximum(noise[a], noise[b]))
+        allowed = np.maximum(share * reach[:, a], DEVIATIONS * np.maximum(noise[a], noise[b]))
         found = np.zeros(len(a), bool)
         for shift in range(n):
             # Mostly the first point alone decides.
             left = np.flatnonzero(~found)
             for k in range(n):
                 i, j = begin[a[left]] + (k - shift) % n, begin[b[left]] + k
-                apart = np.max([np.abs(part[i] - part[j]) for part in points], axis=0)
-                left = left[apart <= allowed[left]]
+                are_near = np.ones(len(left), bool)
+                for part, most in zip(points, allowed, strict=True):
+                    are_near &= np.abs(part[i] - part[j]) <= most[left]
+                left = left[are_near]
             found[left] = True
         return found
 

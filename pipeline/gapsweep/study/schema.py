@@ -239,4 +239,7 @@ TAKEN = {
     *_PARTS,
     *OF_SYSTEMS,
     *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "section_z", "n_attractors"),
+    # of agreement.nc and timing.nc
+    *("regime", "bound", "class", "class_exact", "confusion", "kappa", "f1", "precision", "recall"),
+    *("n_points", "n_compared", "n_failed", "n_unresolved", "n_jumps", "n_changes"),
 }

@@ -124,7 +124,7 @@ class SweepTable(_Block):
 class SystemSweepTable(_Block):
     """A block of a system's points: any of its parameters is an axis if it is given."""
 
-    parameter: dict[str, AnyAxis] = Field({})
+    parameter: dict[str, AnyAxis] = Field({}, alias="[parameters]")
     initial_condition: StartsOfSystems | None = None
 
     _forms: ClassVar[tuple[list[str], ...]] = (*_Block._forms, [])
@@ -230,8 +230,12 @@ class ReportTable(ModuleTable):
     """Presence asks for sections of the study's own in the report."""
 
 
+# Where the parameters of a system stand apart in a block: no key of a file.
+PARTED = "[parameters]"
+
+
 def _of_what(block: Any) -> str:
-    is_of_system = isinstance(block, dict) and "parameter" in block
+    is_of_system = isinstance(block, dict) and PARTED in block
     return "system" if is_of_system or isinstance(block, SystemSweepTable) else "oscillator"
 
 
@@ -264,10 +268,12 @@ class StudySpec(Table):
     @classmethod
     def _sweeps_of_system(cls, given: Any) -> Any:
         """Have what a sweep of a system says of its parameters in a table of its own."""
-        if not isinstance(given, dict) or "system" not in given:
+        if not isinstance(given, dict) or given.get("system") is None:
             return given
         wrong = [f"{name}: not beside [system]" for name in _OF_OSCILLATORS if given.get(name)]
         names = given.get("parameters") or {}
+        if not isinstance(names, dict) or not all(isinstance(name, str) for name in names):
+            return given | {"sweep": []}  # what is wrong with them is said instead
         wrong += [
             f"parameters: {name!r} has a meaning of its own in studies: choose another name"
             for name in names
@@ -281,7 +287,7 @@ class StudySpec(Table):
         if wrong:
             raise ValueError("; ".join(wrong))
         blocks = given.get("sweep")
-        if not isinstance(blocks, list) or not isinstance(names, dict):
+        if not isinstance(blocks, list):
             return given
         return given | {"sweep": [_parted(block, names) for block in blocks]}
 
@@ -290,6 +296,8 @@ class StudySpec(Table):
         """The checked study, defaults filled in, as the tables of its file."""
         left_out = _OF_OSCILLATORS if self.system else ("parameters", "contact")
         tables = self.model_dump(exclude_none=True)
+        for block in tables["sweep"]:
+            block |= block.pop("parameter", {})
         return {name: table for name, table in tables.items() if name not in left_out}
 
     @model_validator(mode="after")
@@ -340,7 +348,7 @@ def _parted(block: Any, parameters: Collection[str]) -> Any:
         return block
     apart = {name: axis for name, axis in block.items() if name in parameters}
     rest = {name: axis for name, axis in block.items() if name not in parameters}
-    return rest | {"parameter": apart | rest.get("parameter", {})}
+    return rest | {PARTED: apart}
 
 
 def parse(text: str, source: str = "study") -> StudySpec:

@@ -1,8 +1,7 @@
 """The tables of a study file that describe a system: matrices, or a function of named numbers."""
 
 import re
-from collections.abc import Mapping
-from functools import lru_cache
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 
 from pydantic import Field, model_validator
@@ -95,37 +94,52 @@ class ContactTable(Table):
         return self
 
 
-def system_of(table: SystemTable, parameters: Mapping[str, float], source: str) -> System:
-    """The system of a study's tables at some values of its parameters.
+def maker(table: SystemTable, source: str) -> Callable[[Mapping[str, float]], System]:
+    """What makes the system of a study at some values of its parameters, of the code as it is now.
 
     Raises
     ------
     StudyError
-        If there is none.
+        If there is none; so does what is returned.
     """
+
+    def made(parameters: Mapping[str, float]) -> System:
+        try:
+            if table.function is None:
+                return _of_matrices(table)
+            return _made(table.function, function, parameters)
+        except ModelError as error:
+            said = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
+            at = f" at {said}" if said else ""
+            raise StudyError([f"{source}: system{at}: {error}"]) from None
+
     try:
-        if table.function is None:
-            return _of_matrices(table)
-        code = "" if table.function in READY_MADE else own_law.code(table.function)
-        return _made(table.function, code, tuple(parameters.items()))
+        function = None if table.function is None else _function(table.function)
     except ModelError as error:
-        said = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
-        at = f" at {said}" if said else ""
-        raise StudyError([f"{source}: system{at}: {error}"]) from None
+        raise StudyError([f"{source}: system: {error}"]) from None
+    return made
 
 
-@lru_cache(maxsize=65536)
-def _made(function: str, code: str, parameters: tuple[tuple[str, float], ...]) -> System:
-    """What a function of that code makes of named numbers."""
-    made: Any = getattr(systems, function) if not code else own_law.function(function)
+def _function(name: str) -> Any:
+    """A ready-made system's function, or the user's, imported anew."""
+    if name in READY_MADE:
+        return getattr(systems, name)
+    own_law.refresh()
+    return own_law.function(name)
+
+
+def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
+    """What a function makes of named numbers."""
     try:
-        found = made(**dict(parameters))
+        found = function(**parameters)
     except ModelError:
         raise
-    except Exception as error:  # the user's code may raise anything
-        raise ModelError(f"{function}: {described(error)}") from None
+    except (Exception, SystemExit) as error:  # the user's code may raise anything
+        raise ModelError(
+            f"{name}: {described(error)}; its arguments are those in [parameters]"
+        ) from None
     if not isinstance(found, System):
-        raise ModelError(f"{function}: must return a gapsweep.System, not {found!r:.80}")
+        raise ModelError(f"{name}: must return a gapsweep.System, not {found!r:.80}")
     return found
 
 

@@ -1,7 +1,7 @@
 """The systems of a study: one structure, and numbers that differ from point to point."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import StudyError
 from gapsweep.model.structure import Structure
 from gapsweep.model.system import System
+from gapsweep.study.axes import count
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Axes, starts_of
-from gapsweep.study.points import OF_CONTACT, SWEEPS
+from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical
 from gapsweep.study.spec import StudySpec, SystemSweepTable
-from gapsweep.study.system_tables import system_of
+from gapsweep.study.system_tables import maker
 
 Array = NDArray[np.float64]
 Places = Mapping[str, NDArray[np.intp]]
@@ -36,6 +37,17 @@ class Systems:
     source: str
 
     @cached_property
+    def _make(self) -> Callable[[Mapping[str, float]], System]:
+        """What makes a system of parameters: one code for the whole study."""
+        assert self.spec.system is not None
+        return maker(self.spec.system, self.source)
+
+    @cached_property
+    def _known(self) -> dict[tuple[float, ...], System]:
+        """The systems made so far, by their parameters."""
+        return {}
+
+    @cached_property
     def system(self) -> System:
         """The system at the default values of its parameters."""
         return self._at({})
@@ -54,10 +66,8 @@ class Systems:
 
     def labels(self, representation: str) -> tuple[str, ...]:
         """Of every contact the label of its law, where all others have this one."""
-        return tuple(
-            ((own := self.spec.contact.get(name)) and own.representation) or representation
-            for name in self.system.contacts
-        )
+        contacts = self.system.contacts
+        return tuple(self._own(name, "representation") or representation for name in contacts)
 
     def numbers(self, axes: Axes, places: Places, n: int) -> Array:
         """The columns of a table of n points, from their places on the axes."""
@@ -116,6 +126,8 @@ class Systems:
             for name in spec.contact
             if name not in names
         ]
+        if spec.parameters and spec.system is not None and spec.system.function is None:
+            wrong.append("parameters: matrices take none; give function in [system]")
         for i, block in enumerate(spec.sweep):
             assert isinstance(block, SystemSweepTable)
             wrong += [f"sweep[{i}].{problem}" for problem in self._problems(block)]
@@ -137,6 +149,13 @@ class Systems:
         forms = block.starts if isinstance(block.starts, list) else [block.starts]
         if not self.system.is_forced and any(form in SWEEPS for form in forms if form):
             found.append("initial_condition: sweeps follow the frequency; the system has none")
+        axes = {"representation": block.representation, "K_ratio": block.K_ratio}
+        for name, axis in axes.items():
+            takes = [c for c in self.system.contacts if self._own(c, name) is None]
+            if axis is not None and count(axis) > 1 and not takes:
+                found.append(f"{name}: no contact takes it: give one value")
+        unknown = [name for name in block.parameter if name not in self.spec.parameters]
+        found += [f"{name}: is none of [parameters]" for name in unknown]
         if any(label.partition("@")[0] == "auto" for label in block.representation):
             found.append("representation: 'auto' chooses for oscillators; name the representation")
         return found
@@ -158,7 +177,7 @@ class Systems:
         for contact in self.system.contacts:
             own = {name: self._own(contact, name) for name in ("K_c", "K_ratio")}
             own["j_1"], own["j_2"] = self._own(contact, "gap") or (None, None)
-            columns += [swept[n] if own[n] is None else own[n] for n in OF_CONTACT]
+            columns += [swept[n] if own[n] is None else canonical(own[n]) for n in OF_CONTACT]
         table = [np.broadcast_to(np.asarray(column, float), n) for column in columns]
         return np.stack(table, axis=1) if table else np.empty((n, 0))
 
@@ -181,9 +200,12 @@ class Systems:
 
     def _at(self, some: Mapping[str, float]) -> System:
         """The system where some parameters have these values, others their own."""
-        assert self.spec.system is not None
-        values = {**self.spec.parameters, **some}
-        made = system_of(self.spec.system, values, self.source)
+        given = {**self.spec.parameters, **some}
+        values = {name: canonical(value) for name, value in given.items()}
+        key = tuple(values.values())
+        if key not in self._known:
+            self._known[key] = self._make(values)
+        made = self._known[key]
         if some:
             same = (made.coordinates, tuple(made.contacts)) == (
                 self.system.coordinates,
