@@ -26,7 +26,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # Names on conda-forge, where they are others or stand for more.
 CONDA = {"dask": "dask-core", "matplotlib": "matplotlib-base", "netCDF4": "netcdf4"}
 # Imported only where something else has brought them: a notebook, jinja2, numba.
-BROUGHT = {"IPython", "llvmlite", "markupsafe"}
+BROUGHT = {"IPython", "llvmlite", "markupsafe", "tornado"}
+NAMED = {"PIL": "pillow"}
 
 
 def run(command, **options):
@@ -113,9 +114,11 @@ def test_the_wheel_carries_the_whole_paper(elsewhere):
 
 
 def test_no_library_is_missing():
-    declared = {re.split("[>=<]", text)[0] for text in PROJECT["dependencies"]}
-    assert imported() - BROUGHT <= declared
-    assert declared <= imported() | {"netCDF4"}
+    asked = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["explore"]]
+    declared = {re.split("[>=<]", text)[0] for text in asked}
+    names = {NAMED.get(name, name) for name in imported()}
+    assert names - BROUGHT <= declared
+    assert declared <= names | {"netCDF4"}
 
 
 def imported():

@@ -73,7 +73,6 @@ def test_numbers_too_large_for_a_float_are_refused():
         ({"law": None}, "law"),
         ({"law": {"stop": 3}}, "law"),
         ({"law": {"other": LAW, 1: LAW}}, "must name"),
-        ({"law": gs.contact_law("tanh-1e4", 10.0, gs.Gap(0.1, 0.1))}, "piecewise"),
         ({"omega": None}, "omega"),
         ({"x_0": 1.0}, "x_0"),
         ({"x_0": "far"}, "x_0"),

@@ -25,6 +25,7 @@ from gapsweep.response.section import (
     is_quasiperiodic,
     likely_multiple,
     norm,
+    period_multiple,
     period_multiples,
     prime_multiple,
     rotation_number,
@@ -436,9 +437,13 @@ class Search:
         walks, largest = self._walks, self._steady.max_period_multiple
         # On an unstable orbit a disturbance grows too, and beside a bifurcation so slowly that the
         # motion stays near: but there it repeats itself.
-        one = np.array([point])
-        alike = np.maximum(walks.step_error, _ALIKE * walks.reach)[one]
-        repeats = period_multiples(walks.section, walks.length, one, alike, largest)[0]
+        window, error = walks.window(point), float(walks.step_error[point])
+        # Each component beside what it moves by itself: a large one must hide no other's chaos.
+        extent = np.abs(window).max(axis=1, keepdims=True)
+        moves = extent[:, 0] > error / _ALIKE
+        repeats = period_multiple(window, error, largest) or (
+            moves.any() and period_multiple(window[moves] / extent[moves], _ALIKE, largest)
+        )
         grows = self._found.lyapunov[point] > _SURE * self._found.lyapunov_error[point]
         self._found.is_chaotic[point] = grows and not repeats
 
