@@ -6,9 +6,8 @@ everything up to date ends before they would be loaded.
 """
 
 import os
-import random
 import warnings
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
@@ -38,11 +37,8 @@ from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
 from gapsweep.store.cache import Cache
-from gapsweep.store.maintenance import contents_of, numerics_of, representation_of
 from gapsweep.store.salvage import salvaging
-from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.grid import Selection
-from gapsweep.study.points import KEY
 from gapsweep.study.study import Study
 
 if TYPE_CHECKING:
@@ -440,39 +436,6 @@ def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -
         raise StoreError(f"{path}: no such file, so every point is missing")
     with Cache(path, read_only=True) as store:
         return list(explanations(study, planned, store, limit))
-
-
-def recomputed_otherwise(
-    cache: Cache, sample: int, own_laws: Collection[str] = ()
-) -> tuple[list[tuple[str, list[str]]], int]:
-    """Compute random points of the present code again; those that came out otherwise.
-
-    A row is data: the code that it names is not run, unless `own_laws` names it too.
-
-    Returns
-    -------
-    differing : list of (str, list of str)
-        Key in hex, and the names of the values that differ; `cpu_time` always may.
-    n_skipped : int
-        Points of laws that are not in `own_laws`.
-    """
-    from gapsweep.execution.again import differences
-    from gapsweep.execution.alone import Alone
-
-    now = numerics_fingerprint()
-    keys, n_skipped = [np.empty(0, KEY)], 0
-    for _, slab in cache.slabs():
-        if numerics_of(slab) == now and contents_of(slab) is not None:
-            law = representation_of(slab)
-            if ":" not in law or law in own_laws:
-                keys.append(np.frombuffer(slab.keys, KEY))
-            else:
-                n_skipped += slab.n_points
-    ours = np.unique(np.concatenate(keys))
-    chosen = random.sample(range(len(ours)), min(sample, len(ours)))
-    with Alone(DEFAULT_TIMEOUT) as alone:
-        compared = [(ours[i].tobytes().hex(), differences(cache, ours[[i]], alone)) for i in chosen]
-    return [pair for pair in compared if pair[1]], n_skipped
 
 
 def _failures(planned: Plan) -> dict[str, int]:

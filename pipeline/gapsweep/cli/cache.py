@@ -88,8 +88,8 @@ def verify(cache: Path | None, sample: int, study: Path | None) -> int:
       gapsweep cache verify --sample 20 --study own.toml
     """
     from gapsweep.console import busy
+    from gapsweep.execution.again import recomputed_otherwise
     from gapsweep.store import maintenance
-    from gapsweep.workflow import recomputed_otherwise
 
     own_laws = options.loaded(study, None).own_laws if study else ()
     differing: list[tuple[str, list[str]]] = []

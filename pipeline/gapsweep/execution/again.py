@@ -1,5 +1,7 @@
 """Stored results computed a second time, to see whether they still come out the same."""
 
+import random
+from collections.abc import Collection
 from dataclasses import fields
 from typing import Any
 
@@ -8,10 +10,43 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import StoreError
 from gapsweep.execution.alone import Alone, CallError, response_of
+from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.execution.task import States
 from gapsweep.response.result import Response
 from gapsweep.store.cache import Cache
+from gapsweep.store.maintenance import contents_of, numerics_of, representation_of
+from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import KEY, OURS, Kind, Points, law_code
+
+
+def recomputed_otherwise(
+    cache: Cache, sample: int, own_laws: Collection[str] = ()
+) -> tuple[list[tuple[str, list[str]]], int]:
+    """Compute random points of the present code again; those that came out otherwise.
+
+    A row is data: the code that it names is not run, unless `own_laws` names it too.
+
+    Returns
+    -------
+    differing : list of (str, list of str)
+        Key in hex, and the names of the values that differ; `cpu_time` always may.
+    n_skipped : int
+        Points of laws that are not in `own_laws`.
+    """
+    now = numerics_fingerprint()
+    keys, n_skipped = [np.empty(0, KEY)], 0
+    for _, slab in cache.slabs():
+        if numerics_of(slab) == now and contents_of(slab) is not None:
+            law = representation_of(slab)
+            if ":" not in law or law in own_laws:
+                keys.append(np.frombuffer(slab.keys, KEY))
+            else:
+                n_skipped += slab.n_points
+    ours = np.unique(np.concatenate(keys))
+    chosen = random.sample(range(len(ours)), min(sample, len(ours)))
+    with Alone(DEFAULT_TIMEOUT) as alone:
+        compared = [(ours[i].tobytes().hex(), differences(cache, ours[[i]], alone)) for i in chosen]
+    return [pair for pair in compared if pair[1]], n_skipped
 
 
 def differences(cache: Cache, key: NDArray[np.void], alone: Alone) -> list[str]:
