@@ -25,9 +25,9 @@ from gapsweep.response.section import (
     is_quasiperiodic,
     likely_multiple,
     norm,
-    period_multiple,
     period_multiples,
     prime_multiple,
+    repeats_nearly,
     rotation_number,
 )
 from gapsweep.response.shooting import Growths, Shots, block
@@ -64,9 +64,6 @@ _CLOSER = 0.5
 # A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
 _INSIDE = 1.0 - 1e-6
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
-# What repeats itself to this share of its reach cannot be told from a periodic motion: two orbits
-# so close are taken for one, too.
-_ALIKE = 1e-3
 _SURE = 3.0  # standard errors, beyond which an exponent is not zero
 # Forcing periods in which a motion runs round its torus often enough to tell; near a locked one it
 # runs slowly.
@@ -437,13 +434,7 @@ class Search:
         walks, largest = self._walks, self._steady.max_period_multiple
         # On an unstable orbit a disturbance grows too, and beside a bifurcation so slowly that the
         # motion stays near: but there it repeats itself.
-        window, error = walks.window(point), float(walks.step_error[point])
-        # Each component beside what it moves by itself: a large one must hide no other's chaos.
-        extent = np.abs(window).max(axis=1, keepdims=True)
-        moves = extent[:, 0] > error / _ALIKE
-        repeats = period_multiple(window, error, largest) or (
-            moves.any() and period_multiple(window[moves] / extent[moves], _ALIKE, largest)
-        )
+        repeats = repeats_nearly(walks.window(point), float(walks.step_error[point]), largest)
         grows = self._found.lyapunov[point] > _SURE * self._found.lyapunov_error[point]
         self._found.is_chaotic[point] = grows and not repeats
 

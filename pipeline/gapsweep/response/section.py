@@ -20,6 +20,9 @@ DEVIATIONS = 4.0  # of the predicted scatter, within which two points are the sa
 # Faded means of two halves differ by less than this share of the scatter: a sample's of some
 # hundred points by some hundredths, a curve's by a millionth.
 _SAME_MEAN = 1e-3
+# What repeats itself to this share cannot be told from a periodic motion: two orbits so close are
+# taken for one, too.
+_ALIKE = 1e-3
 _STILL = 1e-8  # of the largest scatter: a component with less does not move
 _AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
@@ -266,6 +269,29 @@ def rotation_number(section: Array) -> float:
 
     found = minimize_scalar(weakness, (near - 1.0 / n, near, near + 1.0 / n), tol=1e-10)
     return float(abs((found.x + 0.5) % 1.0 - 0.5))
+
+
+def repeats_nearly(section: Array, error: float, largest: int) -> bool:
+    """Whether a section repeats itself so well that it cannot be told from a periodic one.
+
+    Each component beside what it moves by itself: a large one must hide no other's chaos.
+
+    Parameters
+    ----------
+    section : ndarray, shape (n_states, n_periods)
+        Section points [m].
+    error : float
+        Of each of them, from the solver's tolerances [m].
+    largest : int
+        Largest multiple of a forcing period tried.
+    """
+    extent = np.abs(section).max(axis=1)
+    moves = extent > error / _ALIKE
+    shares = section[moves] / extent[moves, None]
+    return bool(
+        period_multiple(section, error, largest)
+        or (moves.any() and period_multiple(shares, _ALIKE, largest))
+    )
 
 
 def prime_multiple(orbit: Array, tolerance: float) -> int:
