@@ -19,7 +19,8 @@ from tests.swept import over_forcing, over_walls
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement import agreement
-from gapsweep.report.drawing import edges, is_log, mesh
+from gapsweep.report.drawing import edges, mesh
+from gapsweep.report.scales import is_log
 from gapsweep.report.style import CLASS_COLOURS, colour
 from gapsweep.study.points import canonical
 

@@ -8,8 +8,9 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from gapsweep.analysis.verdicts import NotInRunError, Run
-from gapsweep.report.drawing import labels_of, plain
+from gapsweep.report.drawing import labels_of
 from gapsweep.report.parts import Figured, Part, Table
+from gapsweep.report.scales import plain
 from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.tables import number, percent
 from gapsweep.response.result import ResponseClass

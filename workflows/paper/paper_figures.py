@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gapsweep.report import drawing
-from gapsweep.report.drawing import MANY, drawn, labels_of
+from gapsweep.report.drawing import MANY, labels_of
+from gapsweep.report.scales import drawn
 from gapsweep.report.style import NOT_PERIODIC, colour, lines
 from gapsweep.status import Status
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gapsweep.model.fit import N_FIT_POINTS, unit_force
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap
-from gapsweep.report.drawing import axis_label, drawn
+from gapsweep.report.scales import axis_label, drawn
 from gapsweep.report.style import colour, lines
 
 from .scenes import EXACT, SOFT

@@ -13,7 +13,8 @@ import xarray as xr
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import drawing, maps
-from gapsweep.report.drawing import axis_label, is_log, labels_of, named
+from gapsweep.report.drawing import labels_of
+from gapsweep.report.scales import axis_label, is_log, named
 from gapsweep.report.selection import missing_variable, places, scene
 from gapsweep.report.style import NOT_PERIODIC, colour
 from gapsweep.report.summary import as_html, as_text

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.grid import At, scene_dims, scenes
 from gapsweep.analysis.statistics import repeatability, widened
 from gapsweep.model.labels import AUTO
-from gapsweep.report.drawing import named, plain
+from gapsweep.report.scales import named, plain
 from gapsweep.report.selection import anchor_of, beside, gap_label
 from gapsweep.report.tables import number
 

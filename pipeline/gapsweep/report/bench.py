@@ -17,8 +17,8 @@ from gapsweep.report.bench_figures import (
     work_precision_figure,
     worst,
 )
-from gapsweep.report.drawing import plain
 from gapsweep.report.parts import Figured, Part, Table
+from gapsweep.report.scales import plain
 from gapsweep.status import Status
 
 # Errors from here on are those that a chart is looked at for.

@@ -1,12 +1,10 @@
 """What the report's figures and the accessor share: functions that draw into given axes.
 
-Every function takes matplotlib axes and a dataset that holds the dimensions it names. Units come
-from the dataset; lengths are drawn in millimetres. matplotlib itself comes with the axes, so that
-importing this module is cheap.
+Every function takes matplotlib axes and a dataset that holds the dimensions it names. matplotlib
+itself comes with the axes, so that importing this module is cheap.
 """
 
 import math
-import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +12,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.report.scales import drawn, factor, is_log, shown_unit
 from gapsweep.report.style import BANDS, colour, lines
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
-from gapsweep.study.selection import is_numeric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,63 +24,10 @@ if TYPE_CHECKING:
 
 WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
 MANY = 60  # points as vectors would make a file heavy
-_WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
 _MOST_NAMES = 24  # that fit beside a colour bar
 _FINENESS = 2000  # cells of one width along an axis of uneven ones
 _SPARE = 0.5  # room around the exact law, in widths of its range
 _FEW = 60  # points on a curve that can be told apart
-# UDUNITS text to a factor and what stands on an axis.
-_SHOWN_UNITS = {
-    "m": (1e3, "mm"),
-    "m s-1": (1e3, "mm/s"),
-    "N m-1": (1.0, "N/m"),
-    "N m-3": (1.0, "N/m³"),
-    "s-1": (1.0, "1/s"),
-    "1": (1.0, ""),
-}
-
-
-def factor(variable: xr.DataArray) -> float:
-    """What values are multiplied with to be drawn: lengths in metres are drawn in millimetres."""
-    return _shown_unit(variable)[0]
-
-
-def drawn(variable: xr.DataArray) -> NDArray[np.float64]:
-    """Values as they are drawn."""
-    return np.asarray(variable.values * factor(variable), dtype=float)
-
-
-def axis_label(variable: xr.DataArray, words: str = "") -> str:
-    """The words, or else the variable's long name, and the unit in which it is drawn."""
-    words = words or str(variable.attrs.get("long_name", variable.name))
-    unit = _shown_unit(variable)[1]
-    return f"{words} [{unit}]" if unit else words
-
-
-def named(coordinate: xr.DataArray) -> str:
-    """A coordinate's one value with its name and unit, as ``K_c = 14000 N/m``."""
-    name, held = str(coordinate.name), coordinate.values
-    value = plain(drawn(coordinate).item()) if is_numeric(held) else str(held.item())
-    names = {"scene": "", "representation": "", "gap": "gap ", "regime": "regime: "}
-    return f"{names.get(name, f'{name} = ')}{value} {_shown_unit(coordinate)[1]}".strip()
-
-
-def plain(value: float) -> str:
-    """A number as it was given: 14000, and 1.4e6 for 1.4e+06."""
-    return re.sub(r"e([+-])0*", lambda m: "e" + m[1].strip("+"), f"{value:g}")
-
-
-def is_crowded_low(values: NDArray[np.float64]) -> bool:
-    """Whether a logarithmic scale shows values better: wide apart, most at the low end."""
-    low, high = float(values.min()), float(values.max())
-    if not (low > 0.0 and high > _WIDE * low):
-        return False
-    return values.size < 3 or float(np.median(values)) < 0.35 * (low + high)
-
-
-def is_log(coordinate: xr.DataArray) -> bool:
-    """Whether an axis over a coordinate is logarithmic; one over frequency never is."""
-    return coordinate.name != "omega" and is_crowded_low(coordinate.values)
 
 
 def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
@@ -395,7 +340,7 @@ def basins(axes: "Axes", found: xr.Dataset) -> None:
 
 def attractor_names(period_multiple: xr.DataArray, x_max: xr.DataArray) -> list[str]:
     """What each attractor is, in words."""
-    unit = _shown_unit(x_max)[1]
+    unit = shown_unit(x_max)[1]
     pairs = zip(period_multiple.values, drawn(x_max), strict=True)
     return [f"{f'P{n}' if n else 'chaotic'}, peak {x:.4g} {unit}" for n, x in pairs]
 
@@ -464,11 +409,6 @@ def work_precision(axes: "Axes", scene: xr.Dataset) -> None:
             axes.axvline(worst, color=colour(name), linestyle=":", linewidth=1.0)
     axes.set_xscale("log")
     axes.set_yscale("log")
-
-
-def _shown_unit(variable: xr.DataArray) -> tuple[float, str]:
-    units = str(variable.attrs.get("units", "1"))
-    return _SHOWN_UNITS.get(units, (1.0, units))
 
 
 def _label(one: xr.Dataset) -> str:

@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gapsweep.report import drawing
-from gapsweep.report.drawing import axis_label, drawn, is_log, labels_of
+from gapsweep.report.drawing import labels_of
 from gapsweep.report.maps import Picture, draw
+from gapsweep.report.scales import axis_label, drawn, is_log
 
 _WIDTH = 9.5  # inches, the report's column
 _FEW = 60  # frequencies, whose dots may be larger

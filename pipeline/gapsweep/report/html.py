@@ -28,7 +28,7 @@ from gapsweep.report.answer import (
     times,
 )
 from gapsweep.report.bench import bench_parts
-from gapsweep.report.drawing import labels_of, named, plain
+from gapsweep.report.drawing import labels_of
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import beside_exact, bifurcation, frequency_response
 from gapsweep.report.findings import findings, outcomes
@@ -36,6 +36,7 @@ from gapsweep.report.heat import GROUPS, heads, heat
 from gapsweep.report.overview import is_wide, overview
 from gapsweep.report.parts import Figured, Part, drawn, for_page, rendered
 from gapsweep.report.provenance import as_toml, provenance
+from gapsweep.report.scales import named, plain
 from gapsweep.report.scenes import Scenes, swept
 from gapsweep.report.selection import anchor_of, beside, gap_label
 from gapsweep.report.style import MATPLOTLIB, colour

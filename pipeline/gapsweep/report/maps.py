@@ -13,7 +13,7 @@ from gapsweep.analysis.classes import CHAOTIC, CLASSES, class_numbers
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import drawing
-from gapsweep.report.drawing import axis_label, drawn, is_crowded_low
+from gapsweep.report.scales import axis_label, drawn, is_crowded_low
 from gapsweep.report.selection import missing_variable, scene
 from gapsweep.report.style import BLANK, CLASS_COLOURS, sequence
 from gapsweep.response.result import ResponseClass

@@ -12,11 +12,11 @@ import xarray as xr
 from gapsweep.analysis.grid import REPRESENTATION, SWEPT, scene_dims, swept
 from gapsweep.analysis.systems import by_coordinate, is_of_systems
 from gapsweep.errors import DatasetError
-from gapsweep.report.drawing import named
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, maps
 from gapsweep.report.maps import numeric_axes, on_grid, picture
 from gapsweep.report.parts import Figured, Part
+from gapsweep.report.scales import named
 from gapsweep.report.selection import places
 from gapsweep.report.tables import scene_tables
 from gapsweep.status import Status

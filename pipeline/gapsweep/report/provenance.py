@@ -7,7 +7,7 @@ from typing import Any
 
 import xarray as xr
 
-from gapsweep.report.drawing import plain
+from gapsweep.report.scales import plain
 from gapsweep.status import Status
 
 

@@ -1,0 +1,72 @@
+"""Values as they are drawn and said: units, labels, and whether an axis is logarithmic.
+
+Units come from the dataset; lengths are drawn in millimetres.
+"""
+
+import re
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.study.selection import is_numeric
+
+_WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
+# UDUNITS text to a factor and what stands on an axis.
+_SHOWN_UNITS = {
+    "m": (1e3, "mm"),
+    "m s-1": (1e3, "mm/s"),
+    "N m-1": (1.0, "N/m"),
+    "N m-3": (1.0, "N/m³"),
+    "s-1": (1.0, "1/s"),
+    "1": (1.0, ""),
+}
+
+
+def factor(variable: xr.DataArray) -> float:
+    """What values are multiplied with to be drawn: lengths in metres are drawn in millimetres."""
+    return shown_unit(variable)[0]
+
+
+def drawn(variable: xr.DataArray) -> NDArray[np.float64]:
+    """Values as they are drawn."""
+    return np.asarray(variable.values * factor(variable), dtype=float)
+
+
+def axis_label(variable: xr.DataArray, words: str = "") -> str:
+    """The words, or else the variable's long name, and the unit in which it is drawn."""
+    words = words or str(variable.attrs.get("long_name", variable.name))
+    unit = shown_unit(variable)[1]
+    return f"{words} [{unit}]" if unit else words
+
+
+def named(coordinate: xr.DataArray) -> str:
+    """A coordinate's one value with its name and unit, as ``K_c = 14000 N/m``."""
+    name, held = str(coordinate.name), coordinate.values
+    value = plain(drawn(coordinate).item()) if is_numeric(held) else str(held.item())
+    names = {"scene": "", "representation": "", "gap": "gap ", "regime": "regime: "}
+    return f"{names.get(name, f'{name} = ')}{value} {shown_unit(coordinate)[1]}".strip()
+
+
+def plain(value: float) -> str:
+    """A number as it was given: 14000, and 1.4e6 for 1.4e+06."""
+    return re.sub(r"e([+-])0*", lambda m: "e" + m[1].strip("+"), f"{value:g}")
+
+
+def is_crowded_low(values: NDArray[np.float64]) -> bool:
+    """Whether a logarithmic scale shows values better: wide apart, most at the low end."""
+    low, high = float(values.min()), float(values.max())
+    if not (low > 0.0 and high > _WIDE * low):
+        return False
+    return values.size < 3 or float(np.median(values)) < 0.35 * (low + high)
+
+
+def is_log(coordinate: xr.DataArray) -> bool:
+    """Whether an axis over a coordinate is logarithmic; one over frequency never is."""
+    return coordinate.name != "omega" and is_crowded_low(coordinate.values)
+
+
+def shown_unit(variable: xr.DataArray) -> tuple[float, str]:
+    """Factor and unit in which a variable is drawn."""
+    units = str(variable.attrs.get("units", "1"))
+    return _SHOWN_UNITS.get(units, (1.0, units))
