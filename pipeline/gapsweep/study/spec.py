@@ -69,6 +69,7 @@ class _Block(Table):
     j_2: NonNegativeAxis | None = None
     omega: PositiveAxis | None = None
     K_ratio: NonNegativeAxis | None = None
+    initial_condition: Any = None  # None: at rest
 
     @model_validator(mode="after")
     def _walls(self) -> "_Block":
@@ -85,17 +86,13 @@ class _Block(Table):
         raise NotImplementedError
 
     @property
-    def starts(self) -> Any:
-        """Where motions start; None: at rest."""
-        raise NotImplementedError
-
-    @property
     def count(self) -> int:
         """Sweep points, without making them."""
         axes = [self.K_c, self.j_1, self.j_2, self.omega, *self.parameters.values()]
         sizes = [count(axis) for axis in axes if axis is not None]
         n_gaps = 1 if self.gap is None else len(self.gap)
-        n_all_starts = 1 if self.starts is None else n_starts(self.starts)
+        starts = self.initial_condition
+        n_all_starts = 1 if starts is None else n_starts(starts)
         return math.prod((*sizes, len(self.representation), n_gaps, n_all_starts))
 
 
@@ -116,10 +113,6 @@ class SweepTable(_Block):
         found = {name: getattr(self, name) for name in SWEEPABLE}
         return {name: axis for name, axis in found.items() if axis is not None}
 
-    @property
-    def starts(self) -> Any:
-        return self.initial_condition
-
 
 class SystemSweepTable(_Block):
     """A block of a system's points: any of its parameters is an axis if it is given."""
@@ -133,10 +126,6 @@ class SystemSweepTable(_Block):
     def parameters(self) -> dict[str, Any]:
         ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
         return {**self.parameter, **ratio}
-
-    @property
-    def starts(self) -> Any:
-        return self.initial_condition
 
 
 class SolverTable(Table):

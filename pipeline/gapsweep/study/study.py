@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import AUTO
-from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import Structure
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advise
 from gapsweep.study.axes import (
     MAX_POINTS,
     forms,
-    values,
 )
-from gapsweep.study.grid import START, Axes, Grid, Selection, Starts, starts_of
+from gapsweep.study.blocks import expanded, requested_of, union
+from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
 from gapsweep.study.points import (
     NUMBERS,
     OSCILLATOR,
@@ -32,7 +32,6 @@ from gapsweep.study.points import (
     UNEQUAL,
     Kind,
     Points,
-    canonical,
     law_code,
     of_systems,
 )
@@ -207,7 +206,7 @@ class Study:
         model = self.spec.parameters if self.systems else self.spec.oscillator.model_dump()
         default = {n: value for n, value in {**model, "K_ratio": 1.0}.items() if n in swept}
         return [
-            _expanded(block, default) | {START: self._starts(block.starts)}
+            expanded(block, default) | {START: self._starts(block.initial_condition)}
             for block in self.spec.sweep
         ]
 
@@ -227,24 +226,12 @@ class Study:
 
     @cached_property
     def _axes(self) -> Axes:
-        """The union of all blocks' axes: numbers ascending, others in order of appearance."""
-        union: dict[str, Sequence[Any]] = {}
-        for name, first in self._blocks[0].items():
-            if isinstance(first, Starts):
-                union[name] = Starts.union(starts_of(block) for block in self._blocks)
-                continue
-            found = dict.fromkeys(value for block in self._blocks for value in block[name])
-            is_number = isinstance(first[0], float)
-            union[name] = tuple(sorted(found) if is_number else found)
-        return union
+        return union(self._blocks)
 
     @cached_property
     def grid(self) -> Grid:
         """The labelled grid: the union of all blocks."""
-        requested = np.zeros([len(axis) for axis in self._axes.values()], dtype=bool)
-        for block in self._blocks:
-            at = [_places(axis, block[name]) for name, axis in self._axes.items()]
-            requested[np.ix_(*at)] = True
+        requested = requested_of(self._blocks, self._axes)
         return Grid(self._axes, requested, self.systems.parts if self.systems else {})
 
     def select(self, **wanted: Any) -> Selection:
@@ -433,33 +420,3 @@ class Study:
 
 def _given(table: SolverTable) -> dict[str, Any]:
     return {k: v for k, v in table.model_dump(exclude_unset=True).items() if v is not None}
-
-
-def _expanded(block: Sweep, swept: Mapping[str, float]) -> dict[str, Any]:
-    """A block's values along the dimensions but the starts, canonical and without repeats.
-
-    `swept` are the further numbers that some block sweeps, as they are where none does.
-    """
-    axes: dict[str, Any] = {"representation": block.representation}
-    if block.K_c is not None:
-        axes["K_c"] = values(block.K_c)
-    if block.gap is not None:
-        axes["gap"] = [Gap(canonical(j_1), canonical(j_2)) for j_1, j_2 in block.gap]
-    for name in ("j_1", "j_2", "omega"):
-        if (axis := getattr(block, name)) is not None:
-            axes[name] = values(axis)
-    for name, default in swept.items():
-        axis = block.parameters.get(name)
-        axes[name] = [default] if axis is None else values(axis)
-    for name, axis in axes.items():
-        is_number = name not in ("representation", "gap")
-        axes[name] = tuple(dict.fromkeys(map(canonical, axis) if is_number else axis))
-    return axes
-
-
-def _places(axis: Sequence[Any], some: Sequence[Any]) -> Sequence[int] | NDArray[np.intp]:
-    """Where values lie on an axis that has them."""
-    if isinstance(axis, Starts) and isinstance(some, Starts):
-        return axis.places(some)
-    places = {value: i for i, value in enumerate(axis)}
-    return [places[value] for value in some]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import StudyError
 from gapsweep.model.structure import Structure
 from gapsweep.model.system import System
-from gapsweep.study.axes import count
+from gapsweep.study.axes import count, forms
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Axes, starts_of
 from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical
 from gapsweep.study.spec import StudySpec, SystemSweepTable
@@ -146,8 +146,8 @@ class Systems:
         if (block.omega is not None) != self.system.is_forced:
             words = "missing: the system is forced"
             found.append(f"omega: {'nothing forces the system' if block.omega else words}")
-        forms = block.starts if isinstance(block.starts, list) else [block.starts]
-        if not self.system.is_forced and any(form in SWEEPS for form in forms if form):
+        starts = [] if block.initial_condition is None else forms(block.initial_condition)
+        if not self.system.is_forced and any(form in SWEEPS for form in starts):
             found.append("initial_condition: sweeps follow the frequency; the system has none")
         axes = {"representation": block.representation, "K_ratio": block.K_ratio}
         for name, axis in axes.items():

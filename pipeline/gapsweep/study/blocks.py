@@ -1,0 +1,65 @@
+"""Blocks of a study, ``[[sweep]]``: their axes, and the grid that they make together."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.model.oscillator import Gap
+from gapsweep.study.axes import values
+from gapsweep.study.grid import Axes, Starts, starts_of
+from gapsweep.study.points import canonical
+from gapsweep.study.spec import Sweep
+
+
+def expanded(block: Sweep, swept: Mapping[str, float]) -> dict[str, Any]:
+    """A block's values along the dimensions but the starts, canonical and without repeats.
+
+    `swept` are the further numbers that some block sweeps, as they are where none does.
+    """
+    axes: dict[str, Any] = {"representation": block.representation}
+    if block.K_c is not None:
+        axes["K_c"] = values(block.K_c)
+    if block.gap is not None:
+        axes["gap"] = [Gap(canonical(j_1), canonical(j_2)) for j_1, j_2 in block.gap]
+    for name in ("j_1", "j_2", "omega"):
+        if (axis := getattr(block, name)) is not None:
+            axes[name] = values(axis)
+    for name, default in swept.items():
+        axis = block.parameters.get(name)
+        axes[name] = [default] if axis is None else values(axis)
+    for name, axis in axes.items():
+        is_number = name not in ("representation", "gap")
+        axes[name] = tuple(dict.fromkeys(map(canonical, axis) if is_number else axis))
+    return axes
+
+
+def union(blocks: Sequence[Axes]) -> Axes:
+    """All blocks' axes: numbers ascending, others in order of appearance."""
+    found: dict[str, Sequence[Any]] = {}
+    for name, first in blocks[0].items():
+        if isinstance(first, Starts):
+            found[name] = Starts.union(starts_of(block) for block in blocks)
+            continue
+        several = dict.fromkeys(value for block in blocks for value in block[name])
+        is_number = isinstance(first[0], float)
+        found[name] = tuple(sorted(several) if is_number else several)
+    return found
+
+
+def requested_of(blocks: Sequence[Axes], axes: Axes) -> NDArray[np.bool_]:
+    """Which cells over the axes some block asks for."""
+    requested = np.zeros([len(axis) for axis in axes.values()], dtype=bool)
+    for block in blocks:
+        at = [_places(axis, block[name]) for name, axis in axes.items()]
+        requested[np.ix_(*at)] = True
+    return requested
+
+
+def _places(axis: Sequence[Any], some: Sequence[Any]) -> Sequence[int] | NDArray[np.intp]:
+    """Where values lie on an axis that has them."""
+    if isinstance(axis, Starts) and isinstance(some, Starts):
+        return axis.places(some)
+    places = {value: i for i, value in enumerate(axis)}
+    return [places[value] for value in some]
