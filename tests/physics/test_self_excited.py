@@ -8,6 +8,10 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 import gapsweep as gs
+from gapsweep.integrate.problem import Solver
+from gapsweep.response.attractors import attractors_of_scenes
+from gapsweep.response.ensemble import Scene
+from gapsweep.response.respond import respond_all
 
 PERIODIC, EQUILIBRIUM = gs.ResponseClass.PERIODIC, gs.ResponseClass.EQUILIBRIUM
 LAW = gs.Piecewise(2e3, gs.Gap(5e-3, 6e-3))
@@ -166,6 +170,45 @@ def test_what_creeps_back_has_no_returns_and_comes_to_rest():
     )
     found = gs.respond(system, LAW, q_0=[[0.002], [0.02]])
     assert found.response_class.tolist() == [EQUILIBRIUM, EQUILIBRIUM]
+
+
+@pytest.mark.parametrize("load", [0.0, 4.0])
+@pytest.mark.parametrize("rtol", [1e-4, 1e-9])
+def test_every_place_of_rest_is_one_attractor(load, rtol):
+    """A mass that a negative spring presses against either stop."""
+    system = gs.System(
+        mass=[[1.0]], damping=[[1.0]], stiffness=[[-100.0]], contacts={"stop": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[load], k=0)],
+    )  # fmt: skip
+    starts = np.random.default_rng(1).uniform(-1.0, 1.0, (40, 2)) * [0.3, 3.0]
+    law = gs.Piecewise(500.0, gs.Gap(0.1, 0.1))
+    found, attractors = grouped(system, law, starts, rtol)
+    assert (found["response_class"] == EQUILIBRIUM).all()
+    places = found["x_end"][attractors.first, 0]
+    at = (load + np.array([-50.0, 50.0])) / 400.0
+    assert_allclose(places, at, rtol=10 * max(rtol, 1e-8))
+    side = (found["x_end"][:, 0] > 0.0).astype(int)
+    # A place is as near as is said of it.
+    assert (np.abs(found["x_end"][:, 0] - at[side]) <= 1.01 * found["noise"] + 1e-15).all()
+    assert attractors.numbers.tolist() == side.tolist()
+    assert attractors.n_ending.tolist() == np.bincount(side).tolist()
+
+
+def test_rests_in_the_middle_are_one_however_near_they_came():
+    starts = [[1e-6, 0.0, 0.0, 0.0], [0.01, 0.0, 0.0, 0.0], [0.1, 0.2, 0.0, 0.0], [3.0, -1.0, 0, 0]]
+    found, attractors = grouped(fluttering(circulation=2.0), LAW, starts)
+    assert (found["response_class"] == EQUILIBRIUM).all()
+    assert attractors.numbers.tolist() == [0, 0, 0, 0]
+    assert (found["noise"] >= 0.99 * np.hypot(*found["x_end"].T)).all()
+
+
+def grouped(system, law, starts, rtol=1e-6):
+    """Responses of one system from many starts, as columns, and their attractors."""
+    solver = Solver.of("compiled", rtol, None)
+    scene = Scene(oscillator=system, law=(law,), omega=0.0, solver=solver)
+    found = respond_all([scene] * len(starts), starts, gs.Steady())
+    one, unit = np.zeros(len(starts), int), np.ones((2 * system.n, 1))
+    return found.columns, attractors_of_scenes(found, one, unit=unit, symmetric=False)
 
 
 def test_on_top_of_a_hill_nothing_is_steady():

@@ -130,6 +130,8 @@ def _stability(
     kinds[found.is_chaotic[points]] = ResponseClass.CHAOTIC
     kinds[found.is_quasiperiodic[points]] = ResponseClass.QUASIPERIODIC
     kinds[found.is_at_rest[points] & ~(lyapunov > 0.0)] = ResponseClass.EQUILIBRIUM
+    noise = walks.noise(np.where(found.is_periodic, shots.n, 1))[points]
+    noise = np.where(found.is_at_rest[points], found.offset[points], noise)
     of_systems = {}
     if not ensemble.is_plain:
         circles = kinds == ResponseClass.QUASIPERIODIC
@@ -142,7 +144,7 @@ def _stability(
         "multiplier_abs": modulus,
         "lyapunov": lyapunov,
         "lyapunov_error": error,
-        "noise": walks.noise(np.where(found.is_periodic, shots.n, 1))[points],
+        "noise": noise,
     }
 
 

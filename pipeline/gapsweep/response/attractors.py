@@ -25,6 +25,8 @@ Same = Callable[[Numbers, Numbers], Mask]
 NONE = -1
 # Two periodic orbits closer than this share of their reach are one, polished or not.
 _SAME_ORBIT = 1e-3
+# Places of rest are known better.
+_SAME_REST = 1e-6
 # Two orbits about which their solver rattles are known to this share only.
 _SAME_RATTLE = 0.1
 # Two chaotic samples are of one attractor if they overlap this well, in shares of their extent.
@@ -139,11 +141,12 @@ def _firsts(responses: Responses, scene: Numbers, unit: Array) -> Numbers:
     n_points, begin = lengths // n_states, (np.cumsum(lengths) - lengths) // n_states
     points = scaled(states.reshape(-1, n_states), unit[:, np.repeat(scene, n_points)])
     first = np.full(len(scene), NONE, np.intp)
-    is_orbit = (kind == ResponseClass.PERIODIC) & (n_points > 0)
     reach = _reach(responses, unit[:, scene])
-    for n in np.unique(n_points[is_orbit]).tolist():
-        rows = np.flatnonzero(is_orbit & (n_points == n))
-        first[rows] = _led(rows, scene, _same_orbits(responses, reach, points, begin, n))
+    for closed in (ResponseClass.PERIODIC, ResponseClass.EQUILIBRIUM):
+        is_orbit = (kind == closed) & (n_points > 0)
+        for n in np.unique(n_points[is_orbit]).tolist():
+            rows = np.flatnonzero(is_orbit & (n_points == n))
+            first[rows] = _led(rows, scene, _same_orbits(responses, reach, points, begin, n))
     for cloud in (ResponseClass.CHAOTIC, ResponseClass.QUASIPERIODIC):
         rows = np.flatnonzero((kind == cloud) & (n_points > 0))
         if rows.size:
@@ -182,14 +185,15 @@ def _led(rows: Numbers, scene: Numbers, same: Same) -> Numbers:
 
 
 def _same_orbits(responses: Responses, reach: Array, points: Array, begin: Numbers, n: int) -> Same:
-    """Comparison of periodic orbits of n points."""
+    """Comparison of periodic orbits of n points, or of places of rest."""
     columns = responses.columns
+    is_rest = columns["response_class"] == ResponseClass.EQUILIBRIUM
     error = columns["lyapunov_error"]
     noise = np.where(np.isfinite(columns["noise"]), columns["noise"], 0.0)
 
     def same(a: Numbers, b: Numbers) -> Mask:
         rattles = np.where(error[b] > error[a], error[b], error[a]) > 0.0
-        share = np.where(rattles, _SAME_RATTLE, _SAME_ORBIT)
+        share = np.where(rattles, _SAME_RATTLE, np.where(is_rest[a], _SAME_REST, _SAME_ORBIT))
         allowed = np.maximum(share * reach[:, a], DEVIATIONS * np.maximum(noise[a], noise[b]))
         found = np.zeros(len(a), bool)
         for shift in range(n):

@@ -32,6 +32,8 @@ class Found:
         A contact moves too little beside the rest.
     lyapunov, lyapunov_error : ndarray, shape (n,)
         Largest Lyapunov exponent [1/s] and its standard error, where it was measured.
+    offset : ndarray, shape (n,)
+        Distances [m] of motions at rest from where they will be in the end.
     rotation : ndarray, shape (n,)
         Rotation numbers [-] of quasiperiodic motions.
     """
@@ -41,7 +43,7 @@ class Found:
         self.is_quasiperiodic, self.is_at_rest = np.zeros(n, bool), np.zeros(n, bool)
         self.is_astray, self.is_hidden = np.zeros(n, bool), np.zeros(n, bool)
         self.lyapunov, self.lyapunov_error = np.full(n, np.nan), np.full(n, np.nan)
-        self.rotation = np.full(n, np.nan)
+        self.offset, self.rotation = np.full(n, np.nan), np.full(n, np.nan)
 
     def hide(self, points: NDArray[np.intp]) -> None:
         """Take back what was found of points where a contact moves too little."""

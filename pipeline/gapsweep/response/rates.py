@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gapsweep.integrate.reference_scenes import OscillatorScene, SystemScene
 from gapsweep.model.system import System
 from gapsweep.response.ensemble import Scene
+from gapsweep.response.section import norm
 
 Array = NDArray[np.float64]
 
@@ -18,25 +19,38 @@ _ON_WALL = 1e-7
 _STILL = 1e-10
 
 
-def largest_rate(scene: Scene, y: Array) -> float:
-    """Largest real part [1/s] of an eigenvalue of the motion about a state of rest.
+def about_rest(scene: Scene, y: Array, unit: Array) -> tuple[float, float]:
+    """What a state of rest does to a motion beside it, and how far off it lies.
 
-    A rate beside which the fastest is so great that rounding makes it is zero. NaN on a wall, where
-    the motion is not the same on either side.
+    Returns
+    -------
+    rate : float
+        Largest real part [1/s] of an eigenvalue of the motion about it. A rate beside which the
+        fastest is so great that rounding makes it is zero. NaN on a wall, where the motion is not
+        the same on either side.
+    offset : float
+        Distance [m] of `y` from the rest, as a section point, by Newton's step.
     """
+    n = len(y)
+    state = np.concatenate([y, np.eye(n).ravel()])
+    found = np.asarray(right_side(scene, tangent=True)(0.0, state))
+    speed, slopes = found[:n], found[n:].reshape(n, n)
+    offset = float(norm(np.linalg.lstsq(slopes, speed)[0] / unit))
+    rates = np.linalg.eigvals(slopes)
+    largest = float(rates.real.max())
+    if _is_on_wall(scene, y):
+        return math.nan, offset
+    return 0.0 if abs(largest) <= _STILL * np.abs(rates).max() else largest, offset
+
+
+def _is_on_wall(scene: Scene, y: Array) -> bool:
     system = scene.oscillator
     assert isinstance(system, System), "an oscillator is forced"
     gaps = system.directions @ y[: system.n]
-    for gap, law in zip(gaps, scene.laws, strict=True):
-        near = _ON_WALL * (law.gap.width + abs(gap))
-        if min(abs(gap - law.gap.j_2), abs(gap + law.gap.j_1)) <= near:
-            return math.nan
-    n = len(y)
-    state = np.concatenate([y, np.eye(n).ravel()])
-    slopes = np.asarray(right_side(scene, tangent=True)(0.0, state))[n:].reshape(n, n)
-    found = np.linalg.eigvals(slopes)
-    largest = float(found.real.max())
-    return 0.0 if abs(largest) <= _STILL * np.abs(found).max() else largest
+    return any(
+        min(abs(gap - law.gap.j_2), abs(gap + law.gap.j_1)) <= _ON_WALL * (law.gap.width + abs(gap))
+        for gap, law in zip(gaps, scene.laws, strict=True)
+    )
 
 
 def rates(scene: Scene, y: Array) -> Array:

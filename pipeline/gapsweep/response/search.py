@@ -17,7 +17,7 @@ from gapsweep.response.answers import answers
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
 from gapsweep.response.found import Found, Phase
 from gapsweep.response.limits import Limits
-from gapsweep.response.rates import largest_rate
+from gapsweep.response.rates import about_rest
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
     DEVIATIONS,
@@ -440,11 +440,11 @@ class Search:
 
     @_for_some
     def _fail(self, points: Numbers) -> None:
+        found, ensemble, walks = self._found, self._ensemble, self._walks
         self._phase[points] = Phase.ENDED
-        status = self._walks.status[points]
-        at_rest = points[status == AT_REST]
-        self._found.is_at_rest[at_rest] = True
-        self._found.is_astray[points[status == ASTRAY]] = True
+        found.is_astray[points] = walks.status[points] == ASTRAY
+        at_rest = points[walks.status[points] == AT_REST]
+        found.is_at_rest[at_rest], found.lyapunov_error[at_rest] = True, 0.0
         for point in at_rest.tolist():
-            exponent = largest_rate(self._ensemble.scenes[point], self._walks.y[:, point])
-            self._found.lyapunov[point], self._found.lyapunov_error[point] = exponent, 0.0
+            rest = ensemble.scenes[point], walks.y[:, point], ensemble.unit[:, point]
+            found.lyapunov[point], found.offset[point] = about_rest(*rest)

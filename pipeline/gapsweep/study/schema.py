@@ -169,7 +169,11 @@ VARIABLES: dict[str, Variable] = {
     "multiplier_abs": Variable("f8", "1", "largest modulus of the Floquet multipliers"),
     "lyapunov": Variable("f8", "s-1", "largest Lyapunov exponent"),
     "lyapunov_error": Variable("f8", "s-1", "standard error of the largest Lyapunov exponent"),
-    "noise": Variable("f8", "m", "predicted scatter of section points a response period apart"),
+    "noise": Variable(
+        "f8",
+        "m",
+        "predicted scatter of section points a response period apart; of a rest, its distance",
+    ),
     "attractor": Variable("i4", "1", "number of the attractor in its scene, -1: none", -1),
     "n_extrema": Variable("i4", "1", "true number of steady extrema", 0),
     "n_contacts": Variable("i8", "1", "wall crossings, in and out, over the whole run", 0),
