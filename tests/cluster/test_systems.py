@@ -1,5 +1,7 @@
 """Studies of systems on real workers: every number is that of `gapsweep.respond`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -220,3 +222,47 @@ def test_what_is_not_stored_yet_is_interrupted_in_the_shape_of_the_rest(made, tm
         assert empty["x_max"].shape == responses["x_max"].shape
         assert (empty["status"] == gs.Status.INTERRUPTED).all()
         assert np.isnan(empty["section_x"]).all()
+
+
+def test_starts_in_parts_are_written_as_all_at_once(made, tmp_path, monkeypatch):
+    study, folder, responses = made
+    monkeypatch.setattr("gapsweep.execution.layout._PIECE", 3)
+    files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
+    with Cache(folder / "c.sqlite") as store:
+        export(study, plan(study, store), store, *files)
+    with xr.open_dataset(files[0]) as again:
+        xr.testing.assert_equal(again.load(), responses)
+    with (
+        xr.open_dataset(files[1]) as again,
+        xr.open_dataset(folder / "out" / "attractors.nc") as whole,
+    ):
+        xr.testing.assert_equal(again.load(), whole.load())
+
+
+def test_points_that_come_or_go_while_they_are_read_shift_no_other(made, tmp_path, monkeypatch):
+    study, folder, responses = made
+    monkeypatch.setattr("gapsweep.execution.layout._PIECE", 3)
+    rng, find = np.random.default_rng(1), Cache.find
+
+    def losing(cache, keys, structure):
+        """Some points are not there, others each time."""
+        found = find(cache, keys, structure)
+        kept = np.flatnonzero(rng.random(len(found.at)) < 0.7)
+        return replace(
+            found, at=found.at[kept], responses=found.responses.take(kept), host=found.host[kept]
+        )
+
+    files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
+    with Cache(folder / "c.sqlite") as store:
+        planned = plan(study, store)
+        monkeypatch.setattr(Cache, "find", losing)
+        export(study, planned, store, *files)
+    with xr.open_dataset(files[0]) as some, xr.open_dataset(files[1]) as attractors:
+        kept = some["status"].values != gs.Status.INTERRUPTED
+        assert 0 < kept.sum() < kept.size
+        for name in ("x_max", "x_min"):
+            assert_array_equal(some[name].values[kept], responses[name].values[kept])
+        ids = some["attractor"].values
+        for place in np.argwhere(kept & (ids >= 0)).tolist():
+            there = attractors["x_max"].values[*place[:-1], ids[*place]]
+            assert np.allclose(there, some["x_max"].values[*place], rtol=2e-3, atol=1e-5)

@@ -8,7 +8,7 @@ from tests.oracles import orbit_distance
 from tests.section_points import complex_points
 
 from gapsweep.model.structure import Structure
-from gapsweep.response.attractors import NONE, attractors_of_scenes
+from gapsweep.response.attractors import NONE, Grouping, attractors_of_scenes
 from gapsweep.response.result import Response, ResponseClass, Responses
 from gapsweep.response.section import unit_of
 from gapsweep.status import Status
@@ -163,6 +163,25 @@ def test_scenes_together_and_alone_as_one_by_one(seed):
         assert together.first[of_scene].tolist() == here[alone.first].tolist()
         for name in ("n_ending", "n_starts", "mirror_of", "basin_share", "basin_share_error"):
             np.testing.assert_array_equal(getattr(together, name)[of_scene], getattr(alone, name))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_responses_in_parts_as_all_at_once(seed):
+    rng = np.random.default_rng(seed)
+    n_scenes, families = int(rng.integers(1, 4)), orbits(rng, int(rng.integers(1, 4)))
+    responses = Responses.of([random_response(rng, families) for _ in range(80)])
+    scene, counted = np.sort(rng.integers(n_scenes, size=80)), rng.random(80) < 0.7
+    unit = unit_of(OMEGA * (1.0 + 1e-5 * np.arange(n_scenes)))
+    at_once = attractors_of_scenes(responses, scene, unit=unit, symmetric=True, counted=counted)
+    grouping = Grouping(n_scenes)
+    for part in np.split(np.arange(80), np.sort(rng.integers(81, size=4))):
+        some = responses.take(part)
+        grouping.add(some, scene[part], unit=unit, counted=counted[part])
+    found = grouping.attractors(True)
+    for name in ("of_response", "scene", "number", "first", "n_ending", "n_starts", "mirror_of"):
+        assert getattr(found, name).tolist() == getattr(at_once, name).tolist(), name
+    for name, column in responses.take(at_once.first).columns.items():
+        np.testing.assert_array_equal(found.leaders.columns[name], column)
 
 
 def test_the_random_sets_hold_what_matters():

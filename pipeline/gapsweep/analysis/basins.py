@@ -1,5 +1,6 @@
 """Basins of attraction: which attractor a grid of starts ends on."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
 from gapsweep.model.contact import ContactLaw, UserLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.system import floats
-from gapsweep.response.attractors import attractors_of_scenes
+from gapsweep.response.attractors import Attractors, Grouping
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import check_kinds, respond_all
 from gapsweep.response.result import Responses, Steady
@@ -98,23 +99,15 @@ def basins(
             "gapsweep.respond for an array of starts"
         )
     parts = [(x_0[i : i + _PART], v_0[i : i + _PART]) for i in range(0, x_0.size, _PART)]
-    if client is None:
-        answers = [_answer(part, *settings) for part in parts]
-    else:
-        answers = client.gather([client.submit(_answer, part, *settings) for part in parts])
-    return _dataset(Responses.concatenated(answers), scene, starts_x, starts_v)
+    grouping = Grouping(1)
+    for answer in _answers(parts, *settings, client):
+        grouping.add(answer, np.zeros(len(answer), int), unit=unit_of(scene.omega))
+    return _dataset(grouping.attractors(law.is_symmetric), scene, starts_x, starts_v)
 
 
-def _dataset(responses: Responses, scene: Scene, starts_x: Array, starts_v: Array) -> xr.Dataset:
-    """What `basins` returns, from the responses of all starts."""
-    law = scene.law
-    found = attractors_of_scenes(
-        responses,
-        np.zeros(len(responses), int),
-        unit=unit_of(scene.omega),
-        symmetric=law.is_symmetric,
-    )
-    columns = responses.take(found.first).columns
+def _dataset(found: Attractors, scene: Scene, starts_x: Array, starts_v: Array) -> xr.Dataset:
+    """What `basins` returns."""
+    law, columns = scene.law, found.leaders.columns
     dataset = xr.Dataset(
         {
             "attractor": (
@@ -138,6 +131,18 @@ def _dataset(responses: Responses, scene: Scene, starts_x: Array, starts_v: Arra
     for name, (units, long_name) in _ATTRIBUTES.items():
         dataset[name].attrs.update(units=units, long_name=long_name)
     return dataset
+
+
+def _answers(
+    parts: list[tuple[Array, Array]], scene: Scene, steady: Steady, client: Any
+) -> Iterator[Responses]:
+    """Responses of all parts in their order, each let go as it is taken."""
+    if client is None:
+        yield from (_answer(part, scene, steady) for part in parts)
+        return
+    futures = [client.submit(_answer, part, scene, steady) for part in parts]
+    while futures:
+        yield futures.pop(0).result()
 
 
 def _answer(starts: tuple[Array, Array], scene: Scene, steady: Steady) -> Responses:

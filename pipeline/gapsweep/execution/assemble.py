@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attractors, set_flags
 from gapsweep.execution.plan import Plan
-from gapsweep.response.attractors import attractors_of_scenes
+from gapsweep.response.attractors import NONE, Attractors, Grouping
 from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.response.section import unit_of
 from gapsweep.status import Status
@@ -80,18 +80,18 @@ def fill(
     define(dataset, layout)
     define_attractors(others, layout)
     for piece in layout.pieces():
-        asked = numbers[piece]
-        here = np.nonzero(asked >= 0)
-        if not len(here[0]):
+        requested = numbers[piece] >= 0
+        if not requested.any():
             continue
-        found = cache.find(plan.keys[asked[here]], study.structure)
-        at = np.array(here)[:, found.at]  # place of each in the piece
-        versions |= found.versions
-        hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
-        ids, groups = _group(study, layout, piece, found.responses, at)
-        _write(others, piece[:-1], groups)
+        stored = _Stored(plan, cache, study, numbers[piece])
+        attractors, ids = _grouped(study, layout, piece, stored)
+        _write(others, piece[:-1], _attractor_arrays(layout, attractors, requested.shape[:-1]))
         for starts in layout.starts():
-            values = _point_arrays(layout, asked >= 0, found, at, ids, hosts, starts)
+            found, at = stored.again(starts)
+            versions |= found.versions
+            hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
+            values = _point_arrays(layout, requested[..., starts], found, at, hosts)
+            values["attractor"] = ids[..., starts]
             _write(dataset, (*piece[:-1], starts), values)
     set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
     dataset.computed_with = "; ".join(sorted(versions - {""}))
@@ -116,33 +116,59 @@ def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.
     return np.where(grid.requested, number, np.int32(-1))
 
 
+class _Stored:
+    """What the cache has of a piece, some of its starts at a time.
+
+    It is asked twice, to group the responses and to write them. Most pieces have but one part, and
+    it is kept; of others only what was there the first time is taken again, for other runs write.
+    """
+
+    def __init__(self, plan: Plan, cache: Cache, study: Study, numbers: NDArray[np.int32]) -> None:
+        self._plan, self._cache, self._structure = plan, cache, study.structure
+        self._numbers, self._seen = numbers, np.zeros(numbers.shape, bool)
+        self._kept: tuple[slice, tuple[Found, NDArray[np.intp]]] | None = None
+
+    def once(self, starts: slice) -> tuple[Found, NDArray[np.intp]]:
+        """What there is of some starts, and the place of each point among their cells."""
+        found, at = self._find(self._numbers[..., starts])
+        self._seen[..., starts][*at] = True
+        self._kept = starts, (found, at)
+        return found, at
+
+    def again(self, starts: slice) -> tuple[Found, NDArray[np.intp]]:
+        """The same, as far as it is still there."""
+        if self._kept is not None and self._kept[0] == starts:
+            return self._kept[1]
+        self._kept = None
+        return self._find(np.where(self._seen, self._numbers, -1)[..., starts])
+
+    def _find(self, numbers: NDArray[np.int32]) -> tuple[Found, NDArray[np.intp]]:
+        here = np.nonzero(numbers >= 0)
+        found = self._cache.find(self._plan.keys[numbers[here]], self._structure)
+        return found, np.array(here)[:, found.at]
+
+
 def _point_arrays(
     layout: Layout,
     requested: NDArray[np.bool_],
     found: Found,
     at: NDArray[np.intp],
-    ids: NDArray[np.int32],
     hosts: list[str],
-    starts: slice,
 ) -> Arrays:
-    """Values of all variables of `responses.nc` over some starts of a piece."""
-    here = np.flatnonzero((at[-1] >= starts.start) & (at[-1] < starts.stop))
-    requested, at = requested[..., starts], at[:, here]
-    at[-1] -= starts.start
-    responses = found.responses.take(here)
-    shape = requested.shape
+    """Values of all variables over some starts of a piece, but for the number of the attractor."""
+    responses, shape = found.responses, requested.shape
     values = {
         name: np.full((*shape, *layout.part_shape(name)), v.missing, v.dtype)
         for name, v in layout.variables.items()
+        if name != "attractor"
     }
     # Unless a result follows:
     values["status"][requested] = Status.INTERRUPTED
     values["response_class"][requested] = ResponseClass.FAILED
     for name in values.keys() & responses.columns.keys():
         values[name][*at] = responses.columns[name]
-    values["attractor"][*at] = ids[here]
     number = {host: i for i, host in enumerate(hosts)}
-    values["host"][*at] = [number.get(host, -1) for host in found.host[here].tolist()]
+    values["host"][*at] = [number.get(host, -1) for host in found.host.tolist()]
     lists = _extrema(responses, layout) | _section(responses, layout)
     for name, (dimension, variable) in layout.lists.items():
         sizes = layout.sizes[dimension], *layout.part_shape(name)
@@ -189,25 +215,34 @@ def _section(responses: Responses, layout: Layout) -> dict[str, Fill]:
     return {name: partial(_ragged, part, n_points) for name, part in parts.items()}
 
 
-def _group(
-    study: Study, layout: Layout, piece: Piece, responses: Responses, at: NDArray[np.intp]
-) -> tuple[NDArray[np.int32], Arrays]:
-    """Number of the attractor of every response, and the attractors of every scene."""
-    shape = tuple(part.stop - part.start for part in piece[:-1])
-    scene = np.ravel_multi_index(tuple(at[:-1]), shape)
-    if layout.is_of_systems:
-        unit = study.units(layout.places(piece), _rates(responses, scene, math.prod(shape)))
-    else:
-        unit = unit_of(layout.omega(piece))
-    found = attractors_of_scenes(
-        responses,
-        scene,
-        unit=unit,
-        symmetric=False if layout.is_of_systems else layout.is_symmetric(piece),
-        counted=layout.grid.starts.is_fixed[at[-1]],
-    )
-    leaders = responses.take(found.first)
-    most = int(found.number.max(initial=0)) + 1
+def _grouped(
+    study: Study, layout: Layout, piece: Piece, stored: _Stored
+) -> tuple[Attractors, NDArray[np.int32]]:
+    """The attractors of the scenes of a piece, and the number of that of every point."""
+    shape = tuple(part.stop - part.start for part in piece)
+    n_scenes = math.prod(shape[:-1])
+    grouping, cells = Grouping(n_scenes), []
+    rates = np.full(n_scenes, np.nan)
+    for starts in layout.starts():
+        found, at = stored.once(starts)
+        scene, start = np.ravel_multi_index(tuple(at[:-1]), shape[:-1]), at[-1] + starts.start
+        cells.append(scene * shape[-1] + start)
+        if layout.is_of_systems:
+            rates = np.where(np.isnan(rates), _rates(found.responses, scene, n_scenes), rates)
+            unit = study.units(layout.places(piece), rates)
+        else:
+            unit = unit_of(layout.omega(piece))
+        counted = layout.grid.starts.is_fixed[start]
+        grouping.add(found.responses, scene, unit=unit, counted=counted)
+    attractors = grouping.attractors(False if layout.is_of_systems else layout.is_symmetric(piece))
+    ids = np.full(shape, NONE, np.int32)
+    ids.flat[np.concatenate(cells)] = attractors.numbers
+    return attractors, ids
+
+
+def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...]) -> Arrays:
+    """Values of all variables of `attractors.nc` over the scenes of a piece."""
+    leaders, most = found.leaders, int(found.number.max(initial=0)) + 1
     place = (*np.unravel_index(found.scene, shape), found.number)
     values: Arrays = {
         name: np.full((*shape, most, *layout.part_shape(name)), v.missing, v.dtype)
@@ -229,7 +264,7 @@ def _group(
         values[name] = full
     counts = np.bincount(found.scene, minlength=math.prod(shape))
     values["n_attractors"] = counts.reshape(shape).astype(np.int32)
-    return found.numbers.astype(np.int32), values
+    return values
 
 
 def _rates(responses: Responses, scene: NDArray[np.intp], n_scenes: int) -> NDArray[np.float64]:

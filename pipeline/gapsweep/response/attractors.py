@@ -49,6 +49,8 @@ class Attractors:
         Number of its scene, and its own within that.
     first : ndarray of int, shape (n,)
         Number of the first response that ends on it.
+    leaders : Responses, length n
+        Those first responses.
     n_ending, n_starts : ndarray of int, shape (n,)
         How many of the scene's counted starts end on it, and how many were counted.
     mirror_of : ndarray of int, shape (n,)
@@ -60,6 +62,7 @@ class Attractors:
     scene: Numbers
     number: Numbers
     first: Numbers
+    leaders: Responses
     n_ending: Numbers
     n_starts: Numbers
     mirror_of: Numbers
@@ -83,6 +86,98 @@ class Attractors:
         return np.sqrt(share * (1.0 - share) / n_starts)
 
 
+class Grouping:
+    """Attractors of many scenes whose responses come in parts.
+
+    A scene of a million starts need not be in memory at once: of what has come before, the first
+    response on each attractor is kept. Parts change nothing: the result is that of all at once.
+
+    To be given as many scenes at a time as have their responses at hand: a scene costs a
+    microsecond or two then, and half a millisecond in a part of its own.
+
+    Parameters
+    ----------
+    n_scenes : int
+    """
+
+    def __init__(self, n_scenes: int) -> None:
+        self._n_scenes, self._n_responses = n_scenes, 0
+        self._leaders: Responses | None = None
+        self._scene, self._first, self._n_ending = np.zeros((3, 0), np.intp)
+        self._n_starts = np.zeros(n_scenes, np.intp)
+        self._of_response: list[Numbers] = []
+
+    def add(
+        self,
+        responses: Responses,
+        scene: ArrayLike,
+        *,
+        unit: Array,
+        counted: ArrayLike | None = None,
+    ) -> None:
+        """Group further responses.
+
+        Unresolved and failed ones belong to no attractor; they count among the starts.
+
+        Parameters
+        ----------
+        responses : Responses
+            Of all scenes, in any order.
+        scene : array_like of int, shape (n_responses,)
+            Number of each response's scene, from 0 on.
+        unit : ndarray, shape (n_states, n_scenes)
+            What one metre of the section is in each component of a state.
+        counted : array_like of bool, shape (n_responses,), optional
+            Which starts are a sample for basin shares; all if None. A sweep's are not.
+        """
+        n, scene = len(self._scene), np.asarray(scene, np.intp)
+        sample = np.ones(len(scene), bool) if counted is None else np.asarray(counted, bool)
+        of_all = np.concatenate([self._scene, scene])
+        if self._leaders is not None:
+            responses = Responses.concatenated([self._leaders, responses])
+        first = _firsts(responses, of_all, unit)[n:]
+        new = np.unique(first[first >= n])
+        place = np.full(len(of_all) + 1, NONE, np.intp)  # that of `NONE` comes last
+        place[:n], place[new] = np.arange(n), n + np.arange(len(new))
+        of_response, leaders = place[first], np.append(np.arange(n), new)
+        self._of_response.append(of_response)
+        self._leaders, self._scene = responses.take(leaders), of_all[leaders]
+        self._first = np.append(self._first, self._n_responses + new - n)
+        ending = np.bincount(of_response[sample & (first >= 0)], minlength=len(leaders))
+        ending[:n] += self._n_ending
+        self._n_ending, self._n_responses = ending, self._n_responses + len(scene)
+        self._n_starts += np.bincount(scene[sample], minlength=self._n_scenes)
+
+    def attractors(self, symmetric: ArrayLike) -> Attractors:
+        """What was found; a scene's attractors in the order of peaks, troughs, period multiples.
+
+        Parameters
+        ----------
+        symmetric : bool or array_like of bool, shape (n_scenes,)
+            Whether the gap is symmetric, so that mirror images of attractors are attractors. Of
+            systems they are not looked for.
+        """
+        leaders = Responses.of(()) if self._leaders is None else self._leaders
+        order = _order(leaders, self._scene)
+        place = np.append(np.argsort(order), NONE)
+        scene, leaders = self._scene[order], leaders.take(order)
+        number = np.arange(len(order)) - np.searchsorted(scene, scene)
+        mirror_of = np.full(len(order), NONE, np.intp)
+        if leaders.columns["x_max"].ndim == 1:
+            rows = np.flatnonzero(np.broadcast_to(symmetric, self._n_scenes)[scene])
+            mirror_of[rows] = _mirrors(rows, leaders, scene, number)
+        return Attractors(
+            of_response=place[np.concatenate([np.zeros(0, np.intp), *self._of_response])],
+            scene=scene,
+            number=number,
+            first=self._first[order],
+            leaders=leaders,
+            n_ending=self._n_ending[order],
+            n_starts=self._n_starts[scene],
+            mirror_of=mirror_of,
+        )
+
+
 def attractors_of_scenes(
     responses: Responses,
     scene: ArrayLike,
@@ -91,43 +186,10 @@ def attractors_of_scenes(
     symmetric: ArrayLike,
     counted: ArrayLike | None = None,
 ) -> Attractors:
-    """Group the responses of different starts in each of many scenes.
-
-    Unresolved and failed responses belong to no attractor; they count among the starts. A scene's
-    attractors are in the order of their peaks, then troughs and period multiples.
-
-    To be called for as many scenes at a time as have all their responses at hand: a scene costs
-    a microsecond or two then, and half a millisecond in a call of its own.
-
-    Parameters
-    ----------
-    responses : Responses
-        Of all scenes, in any order.
-    scene : array_like of int, shape (n_responses,)
-        Number of each response's scene, from 0 on.
-    unit : ndarray, shape (n_states, n_scenes)
-        What one metre of the section is in each component of a state.
-    symmetric : bool or array_like of bool, shape (n_scenes,)
-        Whether the gap is symmetric, so that mirror images of attractors are attractors. Of
-        systems they are not looked for.
-    counted : array_like of bool, shape (n_responses,), optional
-        Which starts are a sample for basin shares; all if None. A sweep's are not.
-    """
-    scene, n_scenes = np.asarray(scene, np.intp), unit.shape[1]
-    symmetric = np.broadcast_to(symmetric, n_scenes)
-    sample = np.ones(len(scene), bool) if counted is None else np.asarray(counted, bool)
-    first = _firsts(responses, scene, unit)
-    leaders, place = _ordered(np.unique(first[first >= 0]), responses, scene)
-    of_response = np.full(len(scene), NONE, np.intp)
-    of_response[first >= 0] = place[first[first >= 0]]
-    where = scene[leaders]
-    number = np.arange(len(leaders)) - np.searchsorted(where, where)
-    n_ending = np.bincount(of_response[sample & (first >= 0)], minlength=len(leaders))
-    n_starts = np.bincount(scene[sample], minlength=n_scenes)[where]
-    mirror_of = np.full(len(leaders), NONE, np.intp)
-    rows = np.flatnonzero(symmetric[where] & (len(unit) == 2))
-    mirror_of[rows] = _mirrors(rows, responses.take(leaders), where, number)
-    return Attractors(of_response, where, number, leaders, n_ending, n_starts, mirror_of)
+    """Group the responses of different starts in each of many scenes, all at once; a `Grouping`."""
+    grouping = Grouping(unit.shape[1])
+    grouping.add(responses, scene, unit=unit, counted=counted)
+    return grouping.attractors(symmetric)
 
 
 # --- which are the same ---------------------------------------------------------------------------
@@ -239,22 +301,17 @@ def _blocks(rows: Numbers, size: int) -> Iterator[Numbers]:
 # --- order and images -----------------------------------------------------------------------------
 
 
-def _ordered(leaders: Numbers, responses: Responses, scene: Numbers) -> tuple[Numbers, Numbers]:
-    """First responses in the order of scenes and peaks, and the place there of each response."""
-    where = scene[leaders]
+def _order(leaders: Responses, scene: Numbers) -> Numbers:
+    """First responses in the order of scenes and peaks."""
     # Rounding as Python does it takes its time, and one attractor needs no order.
-    counts = np.bincount(where)
-    several = np.flatnonzero(counts[where] > 1)
+    several = np.flatnonzero(np.bincount(scene)[scene] > 1)
     keys = np.zeros((3, len(leaders)))
     for key, name in zip(keys, ("x_max", "x_min", "period_multiple"), strict=True):
         # Of a system its first coordinate's.
-        values = np.atleast_2d(responses.columns[name].T)[0, leaders[several]].tolist()
+        values = np.atleast_2d(leaders.columns[name].T)[0, several].tolist()
         key[several] = [round(value, _DIGITS) for value in values]
     x_max, x_min, n = keys
-    leaders = leaders[np.lexsort((leaders, n, x_min, x_max, where))]
-    place = np.full(len(scene), NONE, np.intp)
-    place[leaders] = np.arange(len(leaders))
-    return leaders, place
+    return np.lexsort((n, x_min, x_max, scene))
 
 
 def _mirrors(rows: Numbers, found: Responses, scene: Numbers, number: Numbers) -> Numbers:
