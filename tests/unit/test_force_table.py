@@ -1,6 +1,7 @@
 """Measured force tables: the curve, motions on it, its range, refusals."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
 import gapsweep as gs
+from gapsweep.model import own_law
 from gapsweep.response.loads import largest_forces
 
 X = (-3e-3, -1e-3, -0.4e-3, 0.4e-3, 1e-3, 2e-3)
@@ -198,3 +200,58 @@ def test_a_bad_table_is_refused_with_a_remedy(x, forces, said):
 def test_walls_must_be_a_gap():
     with pytest.raises(gs.ModelError, match=r"gap = 0.001: must be a gapsweep.Gap"):
         gs.ForceTable(X, F, gap=1e-3)
+
+
+MODULE = """
+from pathlib import Path
+
+import gapsweep as gs
+import numpy as np
+
+spring = gs.ForceTable(*np.loadtxt(Path(__file__).with_name("measured.csv"), delimiter=",").T)
+"""
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """A module with a table that it reads from a file beside it; the file."""
+    (tmp_path / "bench_spring.py").write_text(MODULE)
+    file = tmp_path / "measured.csv"
+    np.savetxt(file, np.transpose([X, F]), delimiter=",")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield file
+    sys.modules.pop("bench_spring", None)
+    own_law.refresh()
+
+
+def test_a_label_names_a_table_of_a_module(bench):
+    law = gs.contact_law("bench_spring:spring", 1.0, gs.Gap(1e-4, 2e-4))
+    assert (law.x, law.F, law.gap) == (X, F, gs.Gap(1e-4, 2e-4))
+
+
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+def test_a_study_of_a_table_has_the_numbers_of_respond(tables, bench, tmp_path, engine):
+    tables["sweep"][0] |= {"representation": ["bench_spring:spring"], "omega": [12.0, 20.0]}
+    tables["oscillator"], tables["solver"] = {"zeta": 0.3}, {"engine": engine}
+    study, steady = gs.Study.from_dict(tables), gs.Steady(**tables["steady"])
+
+    def asked():
+        found = gs.query(study, cache=tmp_path / "c.sqlite")
+        return found.attrs["n_hits"], found["x_max"].values.ravel()
+
+    def expected(forces):
+        law = gs.ForceTable(X, forces, GAP)
+        return gs.respond(
+            gs.Oscillator(zeta=0.3), law, [12.0, 20.0], engine=engine, steady=steady
+        ).x_max
+
+    n_hits, peaks = asked()
+    assert n_hits == 0
+    np.testing.assert_array_equal(peaks, expected(F))
+    assert asked()[0] == 2
+    # Measured again: what is stored is of the old table.
+    harder = tuple(2.0 * force for force in F)
+    np.savetxt(bench, np.transpose([X, harder]), delimiter=",")
+    n_hits, peaks = asked()
+    assert n_hits == 0
+    np.testing.assert_array_equal(peaks, expected(harder))

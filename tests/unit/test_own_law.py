@@ -44,7 +44,7 @@ def code():
 
 def force(x=1.0):
     own_law.refresh()
-    return own_law.function(LABEL)(x)
+    return own_law.named(LABEL)(x)
 
 
 SPRING = "def spring(x):\n    return K * x\n"
@@ -431,7 +431,7 @@ def test_the_file_decides_whatever_is_in_memory(own):
     first = code()
     assert force() == 2.0, "imported before it was edited"
     assert laws.spring(1.0) == 1.0, "what somebody else holds stays as it was"
-    own_law.function(LABEL).__globals__["K"] = 5.0
+    own_law.named(LABEL).__globals__["K"] = 5.0
     assert (force(), code()) == (2.0, first)
     (folder / "laws.py").write_text(f"K = 33.0\n{SPRING}")
     importlib.reload(importlib.import_module("own.laws"))
@@ -444,10 +444,10 @@ def test_a_law_in_use_stays_as_it_was_until_it_is_asked_for_anew(own):
     before = own_law.code(LABEL)
     (folder / "laws.py").write_text(f"K = 2.0\n{SPRING}")
     own_law.require(LABEL, before)
-    assert own_law.function(LABEL)(1.0) == 1.0
+    assert own_law.named(LABEL)(1.0) == 1.0
     with pytest.raises(gs.ClusterError, match=r"^'own.laws:spring': own.laws differ between"):
         own_law.require(LABEL, before.replace(before[-8:-2], "000000"))
-    assert own_law.function(LABEL)(1.0) == 2.0
+    assert own_law.named(LABEL)(1.0) == 2.0
 
 
 def test_other_modules_of_the_package_stay_where_they_are(own):
@@ -470,7 +470,7 @@ def test_a_law_that_is_installed_is_still_what_its_file_says(tmp_path, monkeypat
     (folder / "installed_law.py").write_text(f"K = 2.0\n{SPRING}")
     own_law.refresh()
     assert own_law.code(label) != before
-    assert own_law.function(label)(1.0) == 2.0
+    assert own_law.named(label)(1.0) == 2.0
     own_law.refresh()
 
 
@@ -481,7 +481,7 @@ def test_a_study_tries_a_law_out_once_for_every_code(own, tables):
     tables["sweep"][0]["representation"] = [LABEL]
     study = gs.Study.from_dict(tables)
     first = plan(study).keys.tolist()
-    assert own_law.function(LABEL).__globals__["CALLS"] == [0.0]
+    assert own_law.named(LABEL).__globals__["CALLS"] == [0.0]
     assert plan(study).keys.tolist() == first
     (folder / "laws.py").write_text("spring = 3.0\n")
     with pytest.raises(gs.ModelError, match=r"^function = 3\.0: must be a function of x;"):
@@ -501,7 +501,7 @@ def test_folders_without_an_init_file_are_packages_too(own, tmp_path):
     for number in (1.0, 2.0):
         (folder / "k.py").write_text(f"K = {number}\n")
         own(helper="")
-        assert own_law.function(label)(1.0) == number
+        assert own_law.named(label)(1.0) == number
     assert {"own", "own.helper", "own.deeper.down.k"} < set(json.loads(own_law.code(label)))
 
 

@@ -7,7 +7,8 @@
 ``ratpoly-5/3``           rational polynomial, numerator and denominator degree
 ``tanh-1e4``              tanh, epsilon = 1e4 /m; ``arctan-…`` likewise
 ``logarctan-1e4``         log-arctan, gamma = 1e4 /m
-``my_module:spring``      the function ``spring(x)`` of the importable ``my_module``
+``my_module:spring``      the function ``spring(x)`` of the importable ``my_module``, or
+                          a `gapsweep.ForceTable` of that name
 ``auto``                  in a study: the least model that each sweep point needs
 ========================= ==========================================================
 """
@@ -29,6 +30,7 @@ from gapsweep.model.contact import (
 )
 from gapsweep.model.fitted import Fitted, Polynomial, RationalPolynomial
 from gapsweep.model.oscillator import Gap
+from gapsweep.model.table import ForceTable
 
 AUTO = "auto"
 EXAMPLES = (
@@ -106,9 +108,11 @@ def contact_law(
         raise ModelError("'auto' is no law: a study chooses one for every sweep point")
     chosen = family(label)
     if chosen is None:
-        return law(own_law.function(label), K_c, gap, K_ratio=K_ratio)
-    own = chosen.of_label(label.partition("-")[2], fit_range)
-    return chosen(K_c, gap, K_ratio=K_ratio, **own)
+        own = own_law.named(label)
+        is_table = isinstance(own, ForceTable)
+        return own.between(gap) if is_table else law(own, K_c, gap, K_ratio=K_ratio)
+    numbers = chosen.of_label(label.partition("-")[2], fit_range)
+    return chosen(K_c, gap, K_ratio=K_ratio, **numbers)
 
 
 def law(

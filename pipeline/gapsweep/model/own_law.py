@@ -1,4 +1,4 @@
-"""A user's own law, ``module:function``: the function, and the code of all that it computes with.
+"""A user's own law, ``module:name``: a function or a force table, and the code behind it.
 
 The code is what cache keys hold and what a worker must have. It is the sources of the module and
 of all modules of the user's that it imports, at any depth; versions stand in for what is installed.
@@ -20,7 +20,7 @@ import sys
 import sysconfig
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
@@ -92,16 +92,15 @@ def code(label: str) -> str:
         return _loaded[module]
 
 
-def function(label: str) -> Callable[[float], float]:
-    """The function that a label names, of that code."""
+def named(label: str) -> Any:
+    """What a label names, of that code: a function, or a force table."""
     with _lock:
         code(label)
         module, _, name = label.partition(":")
         try:
-            found: Callable[[float], float] = getattr(sys.modules[module], name)
+            return getattr(sys.modules[module], name)
         except AttributeError as error:
             raise _unusable(label, error) from None
-    return found
 
 
 def refresh() -> None:

@@ -69,6 +69,10 @@ class ForceTable(ContactLaw):
         low, high = self.valid_range
         return f"<gapsweep.ForceTable: {len(self.x)} points, {low:g}..{high:g} m>"
 
+    def between(self, gap: Gap) -> "ForceTable":
+        """The same table, contacts counted at other walls."""
+        return ForceTable(self.x, self.F, gap)
+
     @property
     def is_symmetric(self) -> bool:
         mirrored = tuple(-x for x in reversed(self.x)), tuple(-f for f in reversed(self.F))

@@ -125,7 +125,7 @@ def _function(name: str) -> Any:
     if name in READY_MADE:
         return getattr(systems, name)
     own_law.refresh()
-    return own_law.function(name)
+    return own_law.named(name)
 
 
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
