@@ -21,6 +21,7 @@ from gapsweep.analysis.grid import (
     SWEPT,
     At,
     cells,
+    of_study,
     over,
     point_dims,
     scene_dims,
@@ -166,9 +167,8 @@ def _dataset(tables: Tables, responses: xr.Dataset, floors: list[str]) -> xr.Dat
         },
         coordinates,
     )
-    kept = ("title", "study", "study_json", "numerics_fingerprint")
     return result.assign_attrs(
-        {name: responses.attrs[name] for name in kept},
+        of_study(responses),
         reference=REFERENCE,
         floor_representations=" ".join(floors),
     )

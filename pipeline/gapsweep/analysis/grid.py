@@ -5,6 +5,7 @@ representation, the frequency and the start is one of scenes.
 """
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,6 +15,13 @@ from gapsweep.study.schema import POINT_DIMS
 REPRESENTATION, SWEPT = "representation", ("omega", "initial_condition")
 
 At = Mapping[str, int]
+# What a dataset says of the study, and of the code behind its points.
+_OF_STUDY = ("title", "study", "study_json", "creator_name", "license", "numerics_fingerprint")
+
+
+def of_study(responses: xr.Dataset) -> dict[str, Any]:
+    """Attributes that a dataset made from responses has from them."""
+    return {name: responses.attrs[name] for name in _OF_STUDY if name in responses.attrs}
 
 
 def swept(values: xr.DataArray) -> list[str]:

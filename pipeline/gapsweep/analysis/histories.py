@@ -121,9 +121,7 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
     variables = {name: (dims, arrays[name], v.attributes) for name, (dims, v) in VARIABLES.items()}
     variables["spectrum"][2]["window"] = _WINDOW
     attributes = {
-        "title": study.title,
-        "study": study.name,
-        "study_json": study.json,
+        **study.attributes,
         "numerics_fingerprint": numerics_fingerprint(),
     }
     return xr.Dataset(variables, coords, attributes)

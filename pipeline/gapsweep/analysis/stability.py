@@ -172,9 +172,7 @@ def stability(
         {name: (dims, arrays[name], v.attributes) for name, (dims, v) in VARIABLES.items()},
         coords,
         {
-            "title": study.title,
-            "study": study.name,
-            "study_json": study.json,
+            **study.attributes,
             "n_silent_wrong": int(np.sum(silent)),
             "tight_rtol": TIGHT_RTOL,
             "wrong": WRONG,

@@ -125,9 +125,7 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     variables["forcing"] = ((), study.oscillator.forcing, {"units": "N", "long_name": "forcing"})
     coords["x"] = ("x", x, {"units": "m", "long_name": "displacement"})
     attributes = {
-        "title": study.title,
-        "study": study.name,
-        "study_json": study.json,
+        **study.attributes,
         "numerics_fingerprint": numerics_fingerprint(),
         "fit_range": x_max,
     }

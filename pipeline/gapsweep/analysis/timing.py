@@ -7,7 +7,7 @@ points of a study is the one reported, the others' points are only counted.
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.grid import swept
+from gapsweep.analysis.grid import of_study, swept
 from gapsweep.analysis.statistics import mean, quantile
 from gapsweep.status import Status
 
@@ -39,13 +39,12 @@ def timing(responses: xr.Dataset) -> xr.Dataset:
             attributes = {"units": units, "long_name": f"{long_name}, {statistic}"}
             variables[f"{name}_{statistic}"] = value.assign_attrs(attributes)
     for name, where in (("n_points", measured), ("n_points_elsewhere", requested & ~measured)):
-        count = where.sum(swept(where)).astype("i4")
+        count = where.sum(swept(where)).astype("i4").drop_attrs(deep=False)
         long_name = "sweep points measured" if name == "n_points" else "points of other machines"
         variables[name] = count.assign_attrs(units="1", long_name=long_name)
     names = str(host.attrs.get("flag_meanings", "")).split()
-    attributes = {n: responses.attrs[n] for n in ("title", "study", "numerics_fingerprint")}
-    attributes["measured_on"] = names[chosen] if 0 <= chosen < len(names) else ""
-    return xr.Dataset(variables).assign_attrs(attributes)
+    chosen_name = names[chosen] if 0 <= chosen < len(names) else ""
+    return xr.Dataset(variables).assign_attrs(of_study(responses), measured_on=chosen_name)
 
 
 def _busiest(host: xr.DataArray) -> int:

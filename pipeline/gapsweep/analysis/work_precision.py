@@ -183,9 +183,7 @@ def work_precision(
         for name, (dims, variable) in VARIABLES.items()
     }
     attributes = {
-        "title": study.title,
-        "study": study.name,
-        "study_json": study.json,
+        **study.attributes,
         "error_scale": ERROR_SCALE,
         "n_repeats": repeats,
         "processor": processor(),

@@ -100,9 +100,7 @@ def fill(
 def attributes_of(study: Study) -> dict[str, str]:
     """Attributes of both files that say whose they are."""
     return {
-        "title": study.title,
-        "study": study.name,
-        "study_json": study.json,
+        **study.attributes,
         "numerics_fingerprint": numerics_fingerprint(),
     }
 

@@ -231,10 +231,13 @@ def _close_forgotten() -> None:
 
 def provenance() -> dict[str, str]:
     """File attributes that say where and by what a file was made."""
+    now = datetime.now(UTC).isoformat(timespec="seconds")
     return {
         "Conventions": CONVENTIONS,
         "source": SOURCE,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "created": now,
+        "history": f"{now} written by {SOURCE} {version(SOURCE)}",
+        "references": f"{SOURCE} {version(SOURCE)}, CITATION.cff",
         "versions": json.dumps(
             {name: version(name) for name in _RECORDED_PACKAGES}
             | {"netCDF4": netCDF4.__version__, "python": platform.python_version()}

@@ -54,9 +54,14 @@ from gapsweep.study.system_tables import ContactTable, SystemTable
 MAX_HISTORY_PERIODS = 10_000
 
 
+Text = Annotated[str, Field(max_length=10_000)]
+
+
 class StudyTable(Table):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
-    title: Annotated[str, Field(max_length=10_000)] = ""
+    title: Text = ""
+    creator: Text = ""
+    license: Text = ""
 
 
 class _Block(Table):

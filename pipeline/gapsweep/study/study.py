@@ -141,6 +141,14 @@ class Study:
         return self.spec.study.title or self.name
 
     @property
+    def attributes(self) -> dict[str, str]:
+        """What every dataset of the study says of it; names as in the conventions CF and ACDD."""
+        table = self.spec.study
+        said = {"creator_name": table.creator, "license": table.license}
+        given = {name: text for name, text in said.items() if text}
+        return {"title": self.title, "study": self.name, "study_json": self.json, **given}
+
+    @property
     def json(self) -> str:
         """The checked study, defaults filled in, as JSON."""
         return json.dumps(self.spec.tables, sort_keys=True)
