@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from gapsweep.model.labels import canonical_label, contact_law, law
     from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
     from gapsweep.model.table import ForceTable
+    from gapsweep.report.motion import plot
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
     from gapsweep.store.netcdf import read as open
@@ -67,6 +68,7 @@ _ON_DEMAND = {
     "basins": "analysis.basins",
     "explore": "explorer.widget",
     "open": "store.netcdf",
+    "plot": "report.motion",
     "respond": "response.respond",
     "simulate": "integrate.simulate",
     "systems": "model.systems",
@@ -113,6 +115,7 @@ __all__ = [
     "explore",
     "law",
     "open",
+    "plot",
     "query",
     "respond",
     "run",

@@ -111,6 +111,11 @@ class Trajectory:
         """Stroboscopic section, shape (n, 2): ``(x, v)`` at every whole forcing period."""
         return self._ragged(self._events.section, self._events.n_section)
 
+    @property
+    def t_section(self) -> Array:
+        """Times [s] of `section`."""
+        return self._ragged(self._events.t_section, self._events.n_section)
+
     def sample(self, t: ArrayLike) -> tuple[Array, ...]:
         """Displacement [m] and velocity [m/s] at times `t` [s] within the run.
 

@@ -1,0 +1,107 @@
+"""A simulated motion as a picture: history, phase portrait, section and spectrum."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gapsweep.analysis.arrays import Array
+from gapsweep.analysis.histories import spectrum
+from gapsweep.errors import ModelError
+from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
+from gapsweep.report.style import CLASS_COLOURS, MATPLOTLIB
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_N_SAMPLES = 2**15
+_N_PERIODS = 16  # of the section, at the end, that a history shows
+_FLOOR = 1e-6  # of the largest amplitude, the smallest that is shown
+_WORTH = 1e-3  # of it: up to twice the highest frequency of such a one
+_MM = 1e3
+_SECTION = CLASS_COLOURS["chaotic"]
+
+
+def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None = None) -> "Figure":
+    """Draw a motion: its history, phase portrait, stroboscopic section and amplitude spectrum.
+
+    Parameters
+    ----------
+    run : Trajectory
+        One motion, simulated with ``dense_output=True``.
+    coordinate : str, optional
+        Of a system; its first one if None.
+    start : float, optional
+        Time [s] from which on it is shown; the middle of the run if None, so that what dies out at
+        first is mostly left out. The history shows the last sixteen periods of the section.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        ``.savefig("motion.pdf")`` keeps it; a notebook shows it.
+
+    Raises
+    ------
+    ModelError
+        If `run` is an array of motions or kept no dense output, there is no such coordinate, or
+        `start` lies outside the run.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.contact_law("piecewise", 1.4e4, gs.Gap(4e-4, 4e-4))
+    >>> run = gs.simulate(gs.Oscillator(), law, omega=9.0, t_end=20.0, dense_output=True)
+    >>> figure = gs.plot(run)
+    >>> len(figure.axes)
+    4
+    """
+    number, name, scale, unit = _quantity(run, coordinate)
+    start = 0.5 * (run.t_0 + run.t) if start is None else start
+    t = np.linspace(start, run.t, _N_SAMPLES, endpoint=False)
+    x, v = (scale * each.reshape(_N_SAMPLES, -1)[:, number] for each in run.sample(t)[:2])
+    times = run.t_section[run.t_section >= start]
+    at_end = t >= (times[-_N_PERIODS] if times.size >= _N_PERIODS else start)
+    labels = f"{name} [{unit}]", f"velocity [{unit}/s]"
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context(MATPLOTLIB):
+        figure = Figure(figsize=(9.0, 6.0))
+        (history, phase), (section, lines) = figure.subplots(2, 2)
+        history.plot(t[at_end], x[at_end], color="black", linewidth=0.8)
+        history.set(xlabel="time [s]", ylabel=labels[0], title="Time history")
+        phase.plot(x, v, color="black", linewidth=0.5)
+        phase.set(xlabel=labels[0], ylabel=labels[1], title="Phase portrait")
+        section.plot(*_section(run, start, number, scale), ".", color=_SECTION, markersize=4)
+        section.set(xlabel=labels[0], ylabel=labels[1], title="Stroboscopic section")
+        section.set(xlim=phase.get_xlim(), ylim=phase.get_ylim())  # few points, in their place
+        amplitude, frequency = spectrum(x), np.fft.rfftfreq(x.size, t[1] - t[0])
+        lines.plot(frequency, amplitude, color="black", linewidth=0.8)
+        lines.set(xlabel="frequency [Hz]", ylabel=f"amplitude [{unit}]", title="Amplitude spectrum")
+        if (largest := float(amplitude.max())) > 0.0:
+            highest = 2.0 * frequency[amplitude > _WORTH * largest].max()
+            lines.set(yscale="log", ylim=(_FLOOR * largest, 2.0 * largest))
+            lines.set_xlim(0.0, min(max(highest, 10.0 * frequency[1]), frequency[-1]))
+    return figure
+
+
+def _quantity(run: Trajectory, coordinate: str | None) -> tuple[int, str, float, str]:
+    """Number and name of what is drawn, and the scale and unit in which it is."""
+    if not isinstance(run, Trajectory) or run.shape:
+        raise ModelError(f"run = {run!r:.80}: must be one motion, as gapsweep.simulate gives it")
+    if not isinstance(run, SystemTrajectory):
+        if coordinate is not None:
+            raise ModelError(f"coordinate = {coordinate!r}: an oscillator has one: leave it out")
+        return 0, "displacement", _MM, "mm"
+    names = run.system.coordinates
+    if coordinate is not None and coordinate not in names:
+        raise ModelError(f"coordinate = {coordinate!r}: must be one of {', '.join(names)}")
+    # Whether it is a length or an angle the user knows.
+    name = names[0] if coordinate is None else coordinate
+    return names.index(name), name, 1.0, "1"
+
+
+def _section(run: Trajectory, start: float, number: int, scale: float) -> tuple[Array, Array]:
+    """Displacement and velocity at whole forcing periods from `start` on."""
+    n = run.system.n if isinstance(run, SystemTrajectory) else 1
+    shown = run.section[run.t_section >= start]
+    return scale * shown[:, number], scale * shown[:, n + number]

@@ -1,0 +1,74 @@
+"""`gapsweep.plot`: what its panels show, and what it refuses."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from tests.figure_texts import overlaps
+
+import gapsweep as gs
+
+LAW = gs.contact_law("piecewise", 1.4e4, gs.Gap(4e-4, 4e-4))
+OMEGA = 9.0
+
+
+def simulated(**options):
+    given = {"omega": OMEGA, "t_end": 20.0, "dense_output": True, **options}
+    return gs.simulate(gs.Oscillator(), LAW, **given)
+
+
+def data(axes):
+    (line,) = axes.get_lines()
+    return line.get_xdata(), line.get_ydata()
+
+
+def test_panels_show_the_motion_in_millimetres():
+    run = simulated()
+    figure = gs.plot(run)
+    history, phase, section, spectrum = figure.axes
+    t, x = data(history)
+    assert (t[-1] - t[0]) * OMEGA == pytest.approx(15.0, abs=0.1)
+    assert_allclose(x, 1e3 * run.sample(t)[0])
+    t = np.linspace(10.0, 20.0, data(phase)[0].size, endpoint=False)
+    assert_allclose(data(phase), 1e3 * np.stack(run.sample(t)))
+    late = run.section[run.t_section >= 10.0]
+    assert_allclose(np.transpose(data(section)), 1e3 * late)
+    frequency, amplitude = data(spectrum)
+    # A settled motion of one period has its largest line at the frequency of the forcing.
+    assert frequency[amplitude.argmax()] == pytest.approx(OMEGA, abs=0.1)
+    assert overlaps(figure) == []
+
+
+def test_a_coordinate_of_a_system_is_chosen_by_name():
+    system = gs.systems.two_masses()
+    law = gs.Piecewise(100.0, gs.Gap(0.1, 0.1))
+    run = gs.simulate(system, law, 0.6, t_end=50.0, dense_output=True)
+    second = system.coordinates[1]
+    t, x = data(gs.plot(run, second, start=40.0).axes[0])
+    assert_allclose(x, run.sample(t)[0][:, 1])
+    with pytest.raises(gs.ModelError, match=f"'x_9': must be one of .*{second}"):
+        gs.plot(run, "x_9")
+
+
+def test_at_rest_there_is_a_picture_too():
+    run = gs.simulate(gs.Oscillator(forcing=0.0), LAW, omega=OMEGA, t_end=1.0, dense_output=True)
+    assert not data(gs.plot(run).axes[0])[1].any()
+
+
+@pytest.mark.parametrize(
+    ("options", "given", "message"),
+    [
+        ({"dense_output": False}, {}, "dense_output=True"),
+        ({"x_0": [0.0, 1e-3]}, {}, "must be one motion"),
+        ({}, {"start": 21.0}, "must be within 0..20 s"),
+        ({}, {"start": -1.0}, "must be within 0..20 s"),
+        ({}, {"coordinate": "x"}, "leave it out"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(options, given, message):
+    with pytest.raises(gs.ModelError, match=message):
+        gs.plot(simulated(**options), **given)
+
+
+def test_what_is_no_motion_is_refused():
+    with pytest.raises(gs.ModelError, match="run = 3"):
+        gs.plot(3)
