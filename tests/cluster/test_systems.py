@@ -266,3 +266,36 @@ def test_points_that_come_or_go_while_they_are_read_shift_no_other(made, tmp_pat
         for place in np.argwhere(kept & (ids >= 0)).tolist():
             there = attractors["x_max"].values[*place[:-1], ids[*place]]
             assert np.allclose(there, some["x_max"].values[*place], rtol=2e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize(("stiffness", "n_places"), [(100.0, 1), (-100.0, 2)])
+def test_laws_that_come_to_rest_alike_agree(stiffness, n_places, client, tmp_path):
+    """Every start ends in the middle, or against either stop; tanh is softer only beside a wall."""
+    tables = {
+        "study": {"name": "rests"},
+        "system": {
+            "mass": [[1.0]],
+            "damping": [[4.0]],
+            "stiffness": [[stiffness]],
+            "contacts": {"stop": [1.0]},
+        },
+        "sweep": [
+            {
+                "representation": ["piecewise", "piecewise@loose", "tanh-1e3"],
+                "K_c": 500.0,
+                "gap": [[0.1, 0.1]],
+                "initial_condition": {"sobol": 8, "q": [[-0.3, 0.3]], "v": [[-1.0, 1.0]]},
+            }
+        ],
+        "protocol": {"loose": {"rtol": 1e-4}},
+    }
+    study, out = gs.Study.from_dict(tables), tmp_path / "out"
+    with gs.run(study, client, out=out, cache=tmp_path / "c.sqlite") as responses:
+        assert (responses["response_class"] == ResponseClass.EQUILIBRIUM).all()
+        assert (responses["attractor"] >= 0).all()
+    with xr.open_dataset(out / "agreement.nc") as agreement:
+        assert (agreement["n_attractors_exact"] == n_places).all()
+        for name in ("precision", "recall", "same_attractor"):
+            assert (agreement[name] == 1.0).all(), name
+        # Of laws beside the exact one: each start ends where its own does.
+        assert (agreement["basin_distance"].dropna("representation", how="all") == 0.0).all()

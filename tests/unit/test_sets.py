@@ -165,7 +165,7 @@ def test_images_are_one_whichever_of_them_names_the_other(mirror_of):
     none = np.zeros((1, 2))
     found = Found(
         n=np.array([2]), response_class=none, period_multiple=none, amplitude=none,
-        mirror_of=np.array([mirror_of]), section=none,
+        mirror_of=np.array([mirror_of]), section=none, noise=none,
     )  # fmt: skip
     assert _mirror_classes(found).tolist() == [[0, 0]]
 

@@ -112,12 +112,17 @@ def _of_systems(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
 
 
 def _width(gap: float, exact: Slab) -> float:
-    """Scale of lengths [m]: the width of the gap, or where there is none, of the response."""
+    """Scale of lengths [m]: the width of the gap, or where there is none, of what moves.
+
+    Where nothing moves, twice the distance of the farthest place of rest.
+    """
     if gap > 0.0:
         return gap
     amplitude = exact.amplitude[exact.exists]
-    # At rest any difference is large.
-    return max(2.0 * float(np.median(amplitude)), _TINY) if amplitude.size else _TINY
+    moving = amplitude[amplitude > 0.0]
+    places = np.abs(exact.found.section[..., 0])
+    scale = np.median(moving) if moving.size else np.nanmax(places, initial=0.0)
+    return max(2.0 * float(scale), _TINY)
 
 
 def _compared(

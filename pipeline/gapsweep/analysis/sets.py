@@ -2,7 +2,8 @@
 
 Two attractors are close if the distance of their stroboscopic sections is within a tolerance:
 
-* ``0.05 G`` for the Hausdorff distance, if at least one of the two is periodic;
+* ``0.05 G`` for the Hausdorff distance, if at least one of the two is periodic, or for two places
+  of rest, these as far as they are known;
 * for two chaotic ones, a quarter of the larger extent (or ``0.05 G``) for the distance below
   which 80 % of the points of either have a neighbour in the other: the rule by which
   ``attractors.nc`` takes two chaotic responses for one attractor.
@@ -22,6 +23,7 @@ from gapsweep.analysis.matching import assignment
 from gapsweep.analysis.slab import Found, Slab
 from gapsweep.response.attractors import NONE
 from gapsweep.response.result import ResponseClass
+from gapsweep.response.section import DEVIATIONS
 
 # Of the gap width.
 CLOSE = 0.05
@@ -154,6 +156,9 @@ def _section_distance(
     chaotic = (own == other) & np.isin(own, (ResponseClass.CHAOTIC, ResponseClass.QUASIPERIODIC))
     distance, tolerance = np.empty(len(w)), np.full(len(w), CLOSE * width)
     distance[~chaotic] = hausdorff_in_plane(p[~chaotic], q[~chaotic])
+    rests = (own == other) & (own == ResponseClass.EQUILIBRIUM)
+    known = DEVIATIONS * (ours.noise[w, a] + theirs.noise[w, b])
+    tolerance[rests] = np.maximum(tolerance, known)[rests]
     p, q = p[chaotic], q[chaotic]
     distance[chaotic] = hausdorff_in_plane(p, q, CLOUD_SHARE)
     if len(p):

@@ -9,12 +9,13 @@ import xarray as xr
 from gapsweep.analysis.arrays import Array, Bools, Ints
 from gapsweep.analysis.classes import CHAOTIC, NONE, class_numbers
 from gapsweep.analysis.grid import At
+from gapsweep.response.attractors import NONE as NO_ATTRACTOR
 from gapsweep.status import Status
 from gapsweep.study.points import FIXED
 
 COSTS = ("cpu_time", "nfev", "n_steps", "n_rejected", "n_contacts", "t_simulated")
 _INTEGERS = ("status", "response_class", "period_multiple", "attractor", "host")
-_FLOATS = ("amplitude", "lyapunov", "lyapunov_error", "extrema")
+_FLOATS = ("amplitude", "lyapunov", "lyapunov_error", "extrema", "noise")
 _SECTION = ("section_x", "section_v")
 _FOUND_INTEGERS = ("response_class", "period_multiple", "mirror_of")
 _FOUND_FLOATS = ("x_max", "x_min", *_SECTION)
@@ -32,6 +33,8 @@ class Found:
         Half the range [m].
     section : ndarray, shape (n_omega, n_attractors, n_points, 2)
         Stroboscopic section ``(x, v / (2π ω))`` [m].
+    noise : ndarray, shape (n_omega, n_attractors)
+        The largest of the responses on it [m].
     """
 
     n: Ints
@@ -40,6 +43,7 @@ class Found:
     mirror_of: Ints
     amplitude: Array
     section: Array
+    noise: Array
 
     @property
     def size(self) -> int:
@@ -66,6 +70,8 @@ class Slab:
         [m], [1/s], [1/s]; NaN where there is no response.
     extrema : ndarray, shape (..., n_extrema)
         [m], NaN-padded.
+    noise : ndarray
+        What scatters section points [m].
     section : ndarray, shape (..., n_points, 2)
         Stroboscopic section ``(x, v / (2π ω))`` [m], NaN-padded.
     costs : dict of str to ndarray
@@ -83,6 +89,7 @@ class Slab:
     lyapunov: Array
     lyapunov_error: Array
     extrema: Array
+    noise: Array
     section: Array
     costs: dict[str, Array]
     found: Found
@@ -123,14 +130,18 @@ def slab(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> Slab:
         host=here["host"],
         section=_section(here, omega),
         costs={name: here[name] for name in COSTS},
-        found=_found(attractors, at),
+        found=_found(attractors, at, here),
         **{name: here[name] for name in _FLOATS},
     )
 
 
-def _found(attractors: xr.Dataset, at: At) -> Found:
+def _found(attractors: xr.Dataset, at: At, responses: dict[str, Any]) -> Found:
     here = _read(attractors, ("n_attractors", *_FOUND_INTEGERS, *_FOUND_FLOATS), at)
+    noise = np.zeros(here["x_max"].shape)
+    w, s = np.nonzero(responses["attractor"] != NO_ATTRACTOR)
+    np.fmax.at(noise, (w, responses["attractor"][w, s]), responses["noise"][w, s])
     return Found(
+        noise=noise,
         n=here["n_attractors"],
         amplitude=0.5 * (here["x_max"] - here["x_min"]),
         section=_section(here, attractors["omega"].values),
