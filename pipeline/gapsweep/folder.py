@@ -18,7 +18,10 @@ RUNS = Path("data/runs")
 # The files by which one sees whose folder it is.
 _OWNED = (RESPONSES, WORK_PRECISION, STABILITY)
 # Tables of a study that every response rests on.
-_SETTINGS = ("oscillator", "solver", "protocol", "steady", "fit", "auto")
+_SETTINGS = (
+    *("oscillator", "system", "parameters", "contact"),
+    *("solver", "protocol", "steady", "fit", "auto"),
+)
 
 
 def run_folder(study: Study, out: str | Path | None = None) -> Path:
@@ -69,12 +72,11 @@ def changed_since(study: Study, folder: Path) -> list[str]:
     if stored is None or stored == study.json:
         return []
     before, now = json.loads(stored), json.loads(study.json)
-    changed = [
-        f"{table}.{key}"
-        for table in _SETTINGS
-        for key in sorted({*before.get(table, {}), *now.get(table, {})})
-        if before.get(table, {}).get(key) != now.get(table, {}).get(key)
-    ]
+    changed = []
+    for table in _SETTINGS:
+        old, new = (each.get(table) or {} for each in (before, now))
+        differ = (key for key in sorted({*old, *new}) if old.get(key) != new.get(key))
+        changed += [f"{table}.{key}" for key in differ]
     try:
         axes = Study(check(before, str(folder))).grid.axes
     except StudyError:  # of a version that asked for other things

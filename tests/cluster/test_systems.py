@@ -1,5 +1,6 @@
 """Studies of systems on real workers: every number is that of `gapsweep.respond`."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from gapsweep import workflow
 from gapsweep.execution.again import recomputed_otherwise
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import plan
+from gapsweep.folder import changed_since
 from gapsweep.response.result import ResponseClass
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
@@ -299,3 +301,51 @@ def test_laws_that_come_to_rest_alike_agree(stiffness, n_places, client, tmp_pat
             assert (agreement[name] == 1.0).all(), name
         # Of laws beside the exact one: each start ends where its own does.
         assert (agreement["basin_distance"].dropna("representation", how="all") == 0.0).all()
+
+
+MODULE = """
+import gapsweep as gs
+
+
+def make(a, b):
+    if a != b:
+        raise ValueError("no such system")
+    return gs.System(
+        mass=[[a]], damping=[[1.0]], stiffness=[[b]], contacts={"stop": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0])],
+    )
+"""
+PAIRS = {
+    "study": {"name": "pairs"},
+    "system": {"function": "pairs_of_mine:make"},
+    "parameters": {"a": 1.0, "b": 1.0},
+    "sweep": [
+        {"representation": "piecewise", "K_c": 5.0, "gap": [0.1, 0.1], "omega": 0.3, "a": x, "b": x}
+        for x in (1.0, 2.0)
+    ],
+}
+
+
+def test_a_function_is_asked_only_where_a_block_has_points(tmp_path, monkeypatch):
+    (tmp_path / "pairs_of_mine.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(tmp_path)
+    study = gs.Study.from_dict(PAIRS)
+    files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
+    with Cache(tmp_path / "c.sqlite") as store:
+        planned = plan(study, store)
+        assert planned.n_points == 2
+        export(study, planned, store, *files)
+    with xr.open_dataset(files[0]) as found:
+        assert (found["status"] == gs.Status.INTERRUPTED).sum() == 2
+
+
+def test_what_a_changed_system_replaces_is_said(made):
+    study, folder, _ = made
+    tables = json.loads(study.json)
+    if study.name == "section":
+        tables["parameters"]["density"] = 1.3
+        told = ["parameters.density"]
+    else:
+        tables["system"]["damping"] = [[0.4, -0.1], [-0.1, 0.2]]
+        told = ["system.damping"]
+    assert changed_since(gs.Study.from_dict(tables), folder / "out") == told

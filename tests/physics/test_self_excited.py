@@ -12,6 +12,7 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import respond_all
+from gapsweep.response.returns import Returns
 
 PERIODIC, EQUILIBRIUM = gs.ResponseClass.PERIODIC, gs.ResponseClass.EQUILIBRIUM
 LAW = gs.Piecewise(2e3, gs.Gap(5e-3, 6e-3))
@@ -192,6 +193,30 @@ def test_every_place_of_rest_is_one_attractor(load, rtol):
     assert (np.abs(found["x_end"][:, 0] - at[side]) <= 1.01 * found["noise"] + 1e-15).all()
     assert attractors.numbers.tolist() == side.tolist()
     assert attractors.n_ending.tolist() == np.bincount(side).tolist()
+
+
+def test_where_nothing_brings_a_mass_back_no_place_is_an_attractor():
+    system = gs.System(mass=[[1.0]], damping=[[1.0]], stiffness=[[0.0]], contacts={"stop": [1.0]})
+    starts = np.random.default_rng(1).uniform(-0.05, 0.05, (6, 2))
+    found, attractors = grouped(system, gs.Piecewise(500.0, gs.Gap(1.0, 1.0)), starts)
+    assert (found["response_class"] == EQUILIBRIUM).all()
+    assert attractors.numbers.tolist() == [-1] * 6
+
+
+def test_a_far_shot_changes_nothing_for_those_after_it():
+    system = fluttering()
+    scene = Scene(oscillator=system, law=(LAW,), omega=0.0, solver=Solver.of())
+    near, far = (np.array([[x], [0.0], [0.0], [0.0]]) for x in (0.01, 500.0))
+    returns, one = Returns([scene], near), np.ones(1, int)
+
+    def shot(y):
+        call = returns.call(np.zeros(1, int), y, one, np.full(1, np.inf), tangent=True)
+        return call.status.tolist(), call.y.tolist()
+
+    before = shot(near)
+    shot(far)
+    assert shot(near) == before
+    assert before[0] == [gs.Status.OK]
 
 
 def test_rests_in_the_middle_are_one_however_near_they_came():

@@ -1,15 +1,22 @@
 """Measured force tables: the curve, motions on it, its range, refusals."""
 
+import json
 import math
 import sys
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
 import gapsweep as gs
+from gapsweep.analysis.scenes import Scene as BenchScene
+from gapsweep.analysis.truth import motion
+from gapsweep.execution.layout import Layout
+from gapsweep.integrate.problem import Solver
 from gapsweep.model import own_law
 from gapsweep.response.loads import largest_forces
 
@@ -202,6 +209,34 @@ def test_walls_must_be_a_gap():
         gs.ForceTable(X, F, gap=1e-3)
 
 
+def test_a_plateau_is_a_turn():
+    """Nothing of it is lost where the force rises, stays and falls."""
+    table = gs.ForceTable([-1.0, 0.0, 1.0, 2.0, 3.0], [0.0, 0.0, 1.0, 1.0, 0.0])
+    assert {1.0, 2.0} <= {*table.turns.tolist()}
+    (largest,) = largest_forces([table], np.array([0.0]), np.array([3.0]))
+    assert largest == 1.0
+
+
+@given(st.lists(st.integers(-3, 3), min_size=3, max_size=12))
+def test_the_largest_force_is_that_of_a_fine_grid(forces):
+    x = np.arange(len(forces)) - 1.0
+    table = gs.ForceTable(x, np.array(forces, float))
+    fine = np.abs(table.force(np.linspace(x[0], x[-1], 1001))).max()
+    (largest,) = largest_forces([table], x[:1], x[-1:])
+    assert largest == pytest.approx(max(fine, np.abs(forces).max()), abs=1e-9)
+
+
+@pytest.mark.parametrize(("x_0", "is_ok"), [(-2.5e-3, True), (1.9e-3, True), (2.1e-3, False)])
+def test_a_benchmark_knows_both_ends_of_a_table(x_0, is_ok):
+    table = gs.ForceTable([-1.0, -0.4e-3, 0.4e-3, 2.0e-3], [0.0, 0.0, 0.0, 24.5])
+    scene = BenchScene(
+        name="stop", oscillator=gs.Oscillator(forcing=0.0), K_c=1.0, gap=GAP, omega=9.0,
+        x_0=x_0, v_0=0.0, n_periods=1, expected=None, fit_range=4e-3, without=(),
+    )  # fmt: skip
+    found = motion(scene, table, Solver.of())
+    assert found.status == (gs.Status.OK if is_ok else gs.Status.OUT_OF_FIT_RANGE)
+
+
 MODULE = """
 from pathlib import Path
 
@@ -255,3 +290,23 @@ def test_a_study_of_a_table_has_the_numbers_of_respond(tables, bench, tmp_path, 
     n_hits, peaks = asked()
     assert n_hits == 0
     np.testing.assert_array_equal(peaks, expected(harder))
+
+
+@pytest.mark.parametrize(("forces", "is_odd"), [((-5.0, 0.0, 5.0), True), (F, False)])
+def test_only_a_table_that_is_odd_has_mirror_images(tables, bench, forces, is_odd):
+    places = X if forces is F else (-1e-3, 0.0, 1e-3)
+    np.savetxt(bench, np.transpose([places, forces]), delimiter=",")
+    tables["sweep"][0]["representation"] = ["bench_spring:spring", "piecewise"]
+    study = gs.Study.from_dict(tables)
+    layout = Layout.of(study.grid, study.steady)
+    (piece,) = layout.pieces()
+    found = layout.is_symmetric(piece).reshape(2, -1)
+    assert (found[0] == is_odd).all()
+    assert found[1].all()
+
+
+def test_the_library_that_draws_the_curve_is_part_of_the_key(tables, bench):
+    for label, has_scipy in (("bench_spring:spring", True), ("piecewise", False)):
+        tables["sweep"][0]["representation"] = label
+        ((_, points),) = gs.Study.from_dict(tables).points(np.arange(1))
+        assert ("scipy" in json.loads(points.kind.identity)["versions"]) == has_scipy

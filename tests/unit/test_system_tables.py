@@ -1,7 +1,10 @@
 """Study files with [system]: what they mean, and what they refuse."""
 
 import json
+import subprocess
+import sys
 from copy import deepcopy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -296,3 +299,27 @@ def test_a_system_must_keep_its_structure(tmp_path, monkeypatch):
     study = gs.Study.from_dict(tables)
     with pytest.raises(gs.StudyError, match="size = 2: has other coordinates"):
         study.points(np.arange(2))
+
+
+def test_the_library_that_fits_a_contact_is_part_of_the_key():
+    for label, has_scipy in (("poly-13", True), (None, False)):
+        tables = changed(TWO_MASSES, sweep__0__representation="tanh-1e4")
+        if label is not None:
+            tables["contact"]["between"]["representation"] = label
+        ((_, points),) = gs.Study.from_dict(tables).points(np.arange(1))
+        assert ("scipy" in json.loads(points.kind.identity)["versions"]) == has_scipy
+
+
+def test_a_function_in_the_current_folder_is_found_from_the_command_line(tmp_path):
+    (tmp_path / "my_sys.py").write_text(
+        "import gapsweep as gs\n\n\ndef make(k):\n    given = {'contacts': {'stop': [1.0]}}\n"
+        "    return gs.System(mass=[[1.0]], damping=[[1.0]], stiffness=[[k]], **given)\n"
+    )
+    (tmp_path / "s.toml").write_text(
+        '[study]\nname = "s"\n[system]\nfunction = "my_sys:make"\n[parameters]\nk = 4.0\n'
+        '[[sweep]]\nrepresentation = "piecewise"\nK_c = 5.0\ngap = [0.1, 0.1]\nk = [1.0, 2.0]\n'
+    )
+    command = [Path(sys.executable).with_name("gapsweep"), "plan", "s.toml"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "points  2" in done.stdout

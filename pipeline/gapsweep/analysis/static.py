@@ -103,7 +103,7 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     scenes: dict[tuple[int, ...], Values] = {
         at: _measured(study.oscillator, x, x_max, label, *contact)
         if with_own_laws or ":" not in label
-        else {"refusal": "a law of the user's own, evaluated by workers only"}
+        else {"refusal": "a law of the user's own: not evaluated here"}
         for at, (label, contact) in zip(np.ndindex(shape), product(labels, contacts), strict=True)
     }
     longest = max([1, *(values.get("n_equilibria", 0) for values in scenes.values())])

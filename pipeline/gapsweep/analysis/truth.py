@@ -86,15 +86,16 @@ def motion(scene: Scene, law: ContactLaw | None, solver: Solver, later: int = 0)
     if run.status is Status.OK:
         # The last period end is the end, however t_end was rounded.
         section = np.vstack([section[: scene.n_periods - 1], (run.x, run.v)])
-    reach = float(np.max(np.abs([scene.x_0, run.x, *run.extrema, *section[:, 0]])))
+    places = [scene.x_0, run.x, *run.extrema, *section[:, 0]]
     at_pole = run.status is Status.MODEL_INVALID
-    widest = min(map(abs, law.valid_range))
-    left = math.isfinite(widest) and not reach <= widest
+    low, high = law.valid_range
+    is_inside = low <= np.min(places) and np.max(places) <= high  # NaN is not
+    left = (math.isfinite(low) or math.isfinite(high)) and not is_inside
     return Motion(
         status=Status.OUT_OF_FIT_RANGE if left and not at_pole else run.status,
         section=section,
         t_contacts=run.t_contacts - t_0,
-        reach=reach,
+        reach=float(np.max(np.abs(places))),
         n_contacts=int(run.n_contacts),
         n_steps=int(run.n_steps),
         n_rejected=int(run.n_rejected),

@@ -4,7 +4,6 @@ Nothing is imported here that takes time: whoever asks for help shall not wait.
 """
 
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,9 +70,7 @@ def loaded(path: Path, engine: str | None) -> "Study":
     """
     from gapsweep.study.study import Study
 
-    found = Study.load(path)
-    if found.own_laws:
-        sys.path.append(os.getcwd())
+    found = Study.load(path, os.getcwd())
     return found.with_engine(engine) if engine else found
 
 

@@ -52,10 +52,9 @@ def report(folder: Path, study: Path | None) -> int:
     """
     from gapsweep import make
     from gapsweep.console import busy
-    from gapsweep.study.study import Study
 
     with busy("making the report"):
-        shown = make.report(folder, Study.load(study) if study else None)
+        shown = make.report(folder, options.loaded(study, None) if study else None)
     click.echo(f"report: {shown}")
     return FINISHED
 
@@ -78,10 +77,9 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     from gapsweep import own_code
     from gapsweep.console import busy, print_table
     from gapsweep.stages import CLAIMS
-    from gapsweep.study.study import Study
 
     with busy("deciding the claims"):
-        decided = own_code.claims(folder, Study.load(study) if study else None)
+        decided = own_code.claims(folder, options.loaded(study, None) if study else None)
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED

@@ -237,9 +237,8 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
     """
     from gapsweep.analysis.advice import advice, sentences
     from gapsweep.console import print_table, print_text
-    from gapsweep.study.study import Study
 
-    found = advice(Study.load(study), error)
+    found = advice(options.loaded(study, None), error)
     scenes = sentences(found)
     if as_json:
         click.echo(json.dumps({"error": found.attrs["error"], "scenes": scenes}))

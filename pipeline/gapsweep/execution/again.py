@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gapsweep.errors import StoreError
 from gapsweep.execution.alone import Alone, CallError, response_of
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
-from gapsweep.execution.task import States
+from gapsweep.execution.sweeps import start_of
 from gapsweep.response.result import Response
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import contents_of, numerics_of, representation_of
@@ -79,33 +79,6 @@ def _is_current(kind: Kind, alone: Alone) -> bool:
         return kind.law_code == alone(law_code, kind.representation)
     except CallError:  # it has gone, or does to its process what it did not when it was stored
         return False
-
-
-def start_of(
-    cache: Cache, previous: NDArray[np.void], n_states: int
-) -> tuple[States, NDArray[np.void]]:
-    """Where a sweep that has come to the point of a key goes on, and the key of whose end that is.
-
-    At rest, a state of `n_states` zeros, and zero, if it has not begun.
-
-    Raises
-    ------
-    StoreError
-        If that point is not stored.
-    """
-    while previous != np.zeros(1, KEY):
-        place = cache.place(previous)
-        if place is None:
-            raise StoreError(
-                f"{cache.path}: the point from which a sweep goes on is no longer stored: run "
-                "again to resume"
-            )
-        _, contents, row = place
-        (end,) = contents.responses.take([row]).ends
-        if np.isfinite(end).all():
-            return end, previous
-        previous = contents.previous[[row]]
-    return np.zeros(n_states), previous
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -84,10 +84,10 @@ def fill(
         if not requested.any():
             continue
         stored = _Stored(plan, cache, study, numbers[piece])
-        attractors, ids = _grouped(study, layout, piece, stored)
+        attractors, ids = _grouped(study, layout, piece, stored, requested)
         _write(others, piece[:-1], _attractor_arrays(layout, attractors, requested.shape[:-1]))
         for starts in layout.starts():
-            found, at = stored.again(starts)
+            found, at = stored.of(starts)
             versions |= found.versions
             hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
             values = _point_arrays(layout, requested[..., starts], found, at, hosts)
@@ -117,28 +117,30 @@ def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.
 class _Stored:
     """What the cache has of a piece, some of its starts at a time.
 
-    It is asked twice, to group the responses and to write them. Most pieces have but one part, and
-    it is kept; of others only what was there the first time is taken again, for other runs write.
+    It is asked more than once, to group the responses and to write them. Most pieces have but one
+    part, and it is kept; of others only what was there the first time is taken again, for other
+    runs write.
     """
 
     def __init__(self, plan: Plan, cache: Cache, study: Study, numbers: NDArray[np.int32]) -> None:
         self._plan, self._cache, self._structure = plan, cache, study.structure
         self._numbers, self._seen = numbers, np.zeros(numbers.shape, bool)
+        self._known: set[int] = set()
         self._kept: tuple[slice, tuple[Found, NDArray[np.intp]]] | None = None
 
-    def once(self, starts: slice) -> tuple[Found, NDArray[np.intp]]:
+    def of(self, starts: slice) -> tuple[Found, NDArray[np.intp]]:
         """What there is of some starts, and the place of each point among their cells."""
-        found, at = self._find(self._numbers[..., starts])
-        self._seen[..., starts][*at] = True
-        self._kept = starts, (found, at)
-        return found, at
-
-    def again(self, starts: slice) -> tuple[Found, NDArray[np.intp]]:
-        """The same, as far as it is still there."""
         if self._kept is not None and self._kept[0] == starts:
             return self._kept[1]
         self._kept = None
-        return self._find(np.where(self._seen, self._numbers, -1)[..., starts])
+        numbers, seen = self._numbers[..., starts], self._seen[..., starts]
+        if starts.start in self._known:
+            return self._find(np.where(seen, numbers, -1))
+        found, at = self._find(numbers)
+        seen[*at] = True
+        self._known.add(starts.start)
+        self._kept = starts, (found, at)
+        return found, at
 
     def _find(self, numbers: NDArray[np.int32]) -> tuple[Found, NDArray[np.intp]]:
         here = np.nonzero(numbers >= 0)
@@ -214,22 +216,20 @@ def _section(responses: Responses, layout: Layout) -> dict[str, Fill]:
 
 
 def _grouped(
-    study: Study, layout: Layout, piece: Piece, stored: _Stored
+    study: Study,
+    layout: Layout,
+    piece: Piece,
+    stored: _Stored,
+    requested: NDArray[np.bool_],
 ) -> tuple[Attractors, NDArray[np.int32]]:
     """The attractors of the scenes of a piece, and the number of that of every point."""
     shape = tuple(part.stop - part.start for part in piece)
-    n_scenes = math.prod(shape[:-1])
-    grouping, cells = Grouping(n_scenes), []
-    rates = np.full(n_scenes, np.nan)
+    grouping, cells = Grouping(math.prod(shape[:-1])), []
+    unit = _units(study, layout, piece, stored, requested)
     for starts in layout.starts():
-        found, at = stored.once(starts)
+        found, at = stored.of(starts)
         scene, start = np.ravel_multi_index(tuple(at[:-1]), shape[:-1]), at[-1] + starts.start
         cells.append(scene * shape[-1] + start)
-        if layout.is_of_systems:
-            rates = np.where(np.isnan(rates), _rates(found.responses, scene, n_scenes), rates)
-            unit = study.units(layout.places(piece), rates)
-        else:
-            unit = unit_of(layout.omega(piece))
         counted = layout.grid.starts.is_fixed[start]
         grouping.add(found.responses, scene, unit=unit, counted=counted)
     attractors = grouping.attractors(False if layout.is_of_systems else layout.is_symmetric(piece))
@@ -265,15 +265,37 @@ def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...])
     return values
 
 
-def _rates(responses: Responses, scene: NDArray[np.intp], n_scenes: int) -> NDArray[np.float64]:
-    """How often per second the responses of every scene pass their section; NaN if none is known.
+def _units(
+    study: Study, layout: Layout, piece: Piece, stored: _Stored, requested: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """What one metre of the section is in each component of a state, for the scenes of a piece."""
+    if not layout.is_of_systems:
+        return unit_of(layout.omega(piece))
+    rates = np.full(requested.shape[:-1], np.nan)
+    if "omega" not in layout.grid.axes:
+        for starts in layout.starts():
+            found, at = stored.of(starts)
+            _set_rates(rates, found.responses, tuple(at[:-1]))
+    # Nobody asks for the others, and a user's function may have no system there.
+    asked = np.flatnonzero(requested.any(axis=-1))
+    places = {name: place[asked] for name, place in layout.places(piece).items()}
+    units = np.ones((layout.n_states, rates.size))
+    units[:, asked] = study.units(places, rates.ravel()[asked])
+    return units
+
+
+def _set_rates(
+    rates: NDArray[np.float64], responses: Responses, scene: tuple[NDArray[np.intp], ...]
+) -> None:
+    """Set how often per second the responses of every scene pass their section, where not known.
 
     Of forced ones their scenes say that.
     """
-    columns, found = responses.columns, np.full(n_scenes, np.nan)
-    some = np.flatnonzero(columns["period"] > 0.0)[::-1]  # in the end the first one's
-    found[scene[some]] = columns["period_multiple"][some] / columns["period"][some]
-    return found
+    columns = responses.columns
+    first = np.isnan(rates[scene]) & (columns["period"] > 0.0)
+    some = np.flatnonzero(first)[::-1]  # in the end the first one's
+    found = columns["period_multiple"][some] / columns["period"][some]
+    rates[tuple(at[some] for at in scene)] = found
 
 
 def _write(dataset: netCDF4.Dataset, cells: tuple[slice, ...], values: Arrays) -> None:

@@ -20,11 +20,11 @@ from distributed.scheduler import KilledWorker
 from numpy.typing import NDArray
 
 from gapsweep.errors import ClusterError
-from gapsweep.execution.again import start_of
 from gapsweep.execution.alone import LONGEST, compute_alone
 from gapsweep.execution.cluster import check_software, check_workers
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
+from gapsweep.execution.sweeps import start_of
 from gapsweep.execution.task import Task, TaskResult, Tile, compute, process
 from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.response.result import Response, Responses

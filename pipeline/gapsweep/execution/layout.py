@@ -10,6 +10,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.model.labels import is_even_handed
 from gapsweep.response.result import Steady
 from gapsweep.study.grid import COORDINATE, LAG, START, Grid
 from gapsweep.study.schema import (
@@ -126,8 +127,9 @@ class Layout:
         return self._over(piece, "omega", self._coordinates["omega"])
 
     def is_symmetric(self, piece: Piece) -> NDArray[np.bool_]:
-        """Whether both walls are equally far from the origin and equally stiff, in every scene of a
-        piece, flat.
+        """Whether the contact is its own mirror image in every scene of a piece, flat.
+
+        Of a user's function the walls have to say it: equally far from the origin, equally stiff.
         """
         along = coordinates(self.grid.dims)
         j_1, j_2, *ratio = (
@@ -135,7 +137,10 @@ class Layout:
             for name in ("j_1", "j_2", "K_ratio")
             if name in along
         )
-        return np.asarray((j_1 == j_2) & (ratio[0] == 1.0 if ratio else True))
+        labels = self.grid.representations
+        lopsided = [i for i, label in enumerate(labels) if not is_even_handed(label)]
+        own = np.isin(self._over(piece, "representation", np.arange(len(labels))), lopsided)
+        return np.asarray((j_1 == j_2) & (ratio[0] == 1.0 if ratio else True) & ~own)
 
     @cached_property
     def _coordinates(self) -> Arrays:

@@ -318,6 +318,7 @@ class UserLaw(ContactLaw):
         if not callable(self.function):
             raise ModelError(
                 f"function = {self.function!r}: must be a function of x; "
+                "a gapsweep.ForceTable is a law already; "
                 "for the law of a label use gapsweep.contact_law(label, K_c, gap)"
             )
         try:

@@ -67,7 +67,7 @@ def canonical_label(label: str) -> str:
     if law is None:
         raise ModelError(
             f"unknown representation {label!r}: {_likely(label)}use one of {EXAMPLES} or "
-            "module:function"
+            "module:name"
         )
     return f"{name}{dash}{law.canonical(label, parameter)}"
 
@@ -83,6 +83,17 @@ def is_fitted(label: str) -> bool:
     """Whether the law of a label is fitted over a range."""
     law = family(label)
     return law is not None and issubclass(law, Fitted)
+
+
+def is_even_handed(label: str) -> bool:
+    """Whether the law of a label pushes back alike on both sides, between walls that are alike.
+
+    Of a user's function nobody can tell; it is taken to.
+    """
+    if ":" not in label:
+        return True
+    own = own_law.named(label.partition("@")[0])
+    return not isinstance(own, ForceTable) or own.is_odd
 
 
 def contact_law(

@@ -78,7 +78,7 @@ def code(label: str) -> str:
     Parameters
     ----------
     label : str
-        ``"module:function"``.
+        ``"module:name"``.
 
     Raises
     ------

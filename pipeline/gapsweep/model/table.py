@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,9 +47,6 @@ class ForceTable(ContactLaw):
     `K_c` and `K_ratio` are those of the chords from the walls to the ends of the table.
     """
 
-    family: ClassVar[str] = "table"
-    colour: ClassVar[str] = "#F0E442"
-
     x: tuple[float, ...]
     F: tuple[float, ...]
 
@@ -75,8 +72,13 @@ class ForceTable(ContactLaw):
 
     @property
     def is_symmetric(self) -> bool:
+        return self.gap.is_symmetric and self.is_odd
+
+    @property
+    def is_odd(self) -> bool:
+        """Whether the force of either side is the other's, with the other sign."""
         mirrored = tuple(-x for x in reversed(self.x)), tuple(-f for f in reversed(self.F))
-        return self.gap.is_symmetric and mirrored == (self.x, self.F)
+        return mirrored == (self.x, self.F)
 
     @property
     def valid_range(self) -> tuple[float, float]:
@@ -89,7 +91,7 @@ class ForceTable(ContactLaw):
         Shape (n + 1, 5): the straight line below the table, the pieces, that above it. A
         displacement belongs to the piece whose number is that of the table's points not above it.
         """
-        x, curve = np.array(self.x), PchipInterpolator(self.x, self.F)
+        x, curve = self._places, PchipInterpolator(self.x, self.F)
         found = np.zeros((len(x) + 1, 5))
         found[:, 0] = x[[0, *range(len(x))]]
         found[1:-1, 1:] = curve.c.T
@@ -99,9 +101,12 @@ class ForceTable(ContactLaw):
 
     @property
     def turns(self) -> Array:
-        """Displacements [m] at which the force turns: only points of the table are."""
-        rises = np.diff(self.F)
-        return np.array(self.x)[1:-1][rises[1:] * rises[:-1] < 0.0]
+        """Displacements [m] at which the force may turn: only points of the table are.
+
+        Those between which it rises to one side and does not to the other: ends of plateaus too.
+        """
+        rises = np.sign(np.diff(self.F))
+        return np.asarray(self._places[1:-1][rises[1:] != rises[:-1]])
 
     def force(self, x: ArrayLike) -> Array:
         start, c_3, c_2, c_1, c_0 = self._piece(x)
@@ -114,7 +119,11 @@ class ForceTable(ContactLaw):
         return np.asarray((3.0 * c_3 * d + 2.0 * c_2) * d + c_1)
 
     def _piece(self, x: ArrayLike) -> Array:
-        return np.moveaxis(self.pieces[np.searchsorted(self.x, x, side="right")], -1, 0)
+        return np.moveaxis(self.pieces[np.searchsorted(self._places, x, side="right")], -1, 0)
+
+    @cached_property
+    def _places(self) -> Array:
+        return np.array(self.x)
 
 
 def _column(name: str, values: ArrayLike) -> Array:

@@ -204,8 +204,10 @@ def _firsts(responses: Responses, scene: Numbers, unit: Array) -> Numbers:
     points = scaled(states.reshape(-1, n_states), unit[:, np.repeat(scene, n_points)])
     first = np.full(len(scene), NONE, np.intp)
     reach = _reach(responses, unit[:, scene])
+    # Where nothing brings a motion back every place is one of rest, and none is an attractor.
+    is_free = (kind == ResponseClass.EQUILIBRIUM) & (responses.columns["lyapunov"] == 0.0)
     for closed in (ResponseClass.PERIODIC, ResponseClass.EQUILIBRIUM):
-        is_orbit = (kind == closed) & (n_points > 0)
+        is_orbit = (kind == closed) & (n_points > 0) & ~is_free
         for n in np.unique(n_points[is_orbit]).tolist():
             rows = np.flatnonzero(is_orbit & (n_points == n))
             first[rows] = _led(rows, scene, _same_orbits(responses, reach, points, begin, n))

@@ -36,11 +36,11 @@ def about_rest(scene: Scene, y: Array, unit: Array) -> tuple[float, float]:
     found = np.asarray(right_side(scene, tangent=True)(0.0, state))
     speed, slopes = found[:n], found[n:].reshape(n, n)
     offset = float(norm(np.linalg.lstsq(slopes, speed)[0] / unit))
-    rates = np.linalg.eigvals(slopes)
-    largest = float(rates.real.max())
+    growth = np.linalg.eigvals(slopes)
+    largest = float(growth.real.max())
     if _is_on_wall(scene, y):
         return math.nan, offset
-    return 0.0 if abs(largest) <= _STILL * np.abs(rates).max() else largest, offset
+    return 0.0 if abs(largest) <= _STILL * np.abs(growth).max() else largest, offset
 
 
 def _is_on_wall(scene: Scene, y: Array) -> bool:

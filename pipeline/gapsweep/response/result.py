@@ -199,7 +199,7 @@ class Response:
         Simulated time in all [s], shooting included.
     noise : float
         Predicted scatter [m] of section points one response period (one forcing period if there
-        is none) apart, from the solver's tolerances alone.
+        is none) apart, from the solver's tolerances alone; of a rest, how far off it is.
     period : float
         Period [s] of a periodic response that nothing forces; NaN of others.
     rotation_number : float

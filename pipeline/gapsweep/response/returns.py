@@ -82,7 +82,7 @@ class Returns(Ensemble):
         self._swing = np.zeros(len(self.omega))  # farthest from the origin so far [m]
         # Time is counted in returns: as they follow each other, not as the slowest motion would.
         n = np.full(len(scenes), _FIRST)
-        found, (_, counts) = self._returned(np.arange(len(scenes)), start, n)
+        found, (_, counts) = self._returned(np.arange(len(scenes)), start, n, is_shot=False)
         self._rate = np.where(counts == _FIRST, n / found.t, self._rate)
         self.set_clock(self._rate.copy())
 
@@ -100,7 +100,7 @@ class Returns(Ensemble):
         off = np.abs(y[normal]) / self.unit[normal, scenes]
         y = y.copy()
         y[normal, off <= _ON * swing] = 0.0
-        found, passings = self._returned(scenes, y, n_periods)
+        found, passings = self._returned(scenes, y, n_periods, is_shot=tangent)
         is_back, t_end = passings[1] >= n_periods, found.t
         if not tangent:  # shots may lead anywhere
             self._rate[scenes[is_back]] = (n_periods / t_end)[is_back]
@@ -117,7 +117,7 @@ class Returns(Ensemble):
         speed = self._speed(scenes, found.state.T)
         swing = norm(speed) / (2.0 * math.pi * self.omega[scenes])
         faint = np.abs(speed[normal]) <= _FAINT * norm(speed)
-        is_ok, at_rest = found.status == Status.OK, self._is_at_rest(scenes, found, swing)
+        is_ok, at_rest = found.status == Status.OK, swing <= _REST * self._swing[scenes]
         if tangent:  # about a rest, Newton's orbits shrink until they close within the noise
             at_rest |= swing <= _NOISY * self.solver.rtol * self._swing[scenes]
         found.status[is_ok & (faint | ~is_back)] = ASTRAY
@@ -126,7 +126,7 @@ class Returns(Ensemble):
         return Return(passings, speed, normal, found, *given)
 
     def _returned(
-        self, scenes: Numbers, y: Array, n: Counts
+        self, scenes: Numbers, y: Array, n: Counts, *, is_shot: bool
     ) -> tuple[Motions, tuple[Array, Counts]]:
         """Motions up to their n-th return, and where they passed the section."""
         t_end, states = _MARGIN * n / self._rate[scenes], [np.empty((0, len(y)))] * len(scenes)
@@ -152,7 +152,10 @@ class Returns(Ensemble):
                 count = min(int(events.n_section[k]), int(n[motion]))
                 states[motion] = events.section[first[k] : first[k] + count]
             swing = norm(self._speed(which, run.state.T)) / (2.0 * math.pi * self.omega[which])
-            goes_on = (run.status == Status.OK) & ~self._is_at_rest(which, run, swing)
+            if not is_shot:  # shots may lead anywhere
+                reach = reach_of(run.reach.T, self.unit[:, which])
+                self._swing[which] = np.maximum(self._swing[which], reach)
+            goes_on = (run.status == Status.OK) & (swing > _REST * self._swing[which])
             left = left[~is_back & goes_on]
             if not left.size:
                 break
@@ -164,9 +167,3 @@ class Returns(Ensemble):
         """Derivatives of states by time, as section points [m/s]."""
         found = [rates(self.scenes[k], y[:, i]) for i, k in enumerate(scenes.tolist())]
         return np.asarray(np.array(found).T / self.unit[:, scenes])
-
-    def _is_at_rest(self, scenes: Numbers, found: Motions, swing: Array) -> NDArray[np.bool_]:
-        """Which motions will hardly swing any more, beside how far [m] they have swung so far."""
-        reach = reach_of(found.reach.T, self.unit[:, scenes])
-        self._swing[scenes] = np.maximum(self._swing[scenes], reach)
-        return np.asarray(swing <= _REST * self._swing[scenes])

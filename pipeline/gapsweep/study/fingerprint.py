@@ -19,7 +19,7 @@ _PACKAGE = Path(gapsweep.model.__file__).parents[1]
 # What decides a result, from a point's numbers to its response.
 NUMERICS = (
     *("status.py", "model", "integrate", "response"),
-    *("study/points.py", "execution/task.py", "execution/again.py"),
+    *("study/points.py", "execution/task.py", "execution/sweeps.py"),
 )
 
 

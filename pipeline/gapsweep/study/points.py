@@ -138,7 +138,8 @@ def _identity(kind: Kind) -> str:
         "numerics": numerics_fingerprint(),
         "schema": RESULT_SCHEMA,
         "versions": {
-            name: versions()[name] for name in deciding(kind.representation, kind.solver.engine)
+            name: versions()[name]
+            for name in deciding((kind.representation, *kind.contacts), kind.solver.engine)
         },
     }
     return _json(whole)

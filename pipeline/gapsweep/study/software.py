@@ -1,7 +1,7 @@
 """The software that computes: what two processes must have in common to give the same numbers."""
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import version
 
@@ -23,13 +23,15 @@ def versions() -> Mapping[str, str]:
     return {"Python": python, **{name: version(name) for name in LIBRARIES}}
 
 
-def deciding(representation: str, engine: str) -> tuple[str, ...]:
+def deciding(labels: Iterable[str], engine: str) -> tuple[str, ...]:
     """The libraries that decide a result: a new version of one may give other numbers.
 
-    What writes the machine code of the compiled engine, the solver of the other one, and the
-    searches by which laws are fitted. numpy's arithmetic is in all of them, but the same in all
-    versions up to rounding: an upgrade of it is recorded and asks for no new numbers.
+    What writes the machine code of the compiled engine, the solver of the other one, the searches
+    by which laws are fitted, and the curve through a user's table. numpy's arithmetic is in all of
+    them, but the same in all versions up to rounding: an upgrade of it is recorded and asks for no
+    new numbers.
     """
-    fitting = ("numpy", "scipy") if is_fitted(representation) else ()
+    is_made = any(is_fitted(label) or ":" in label for label in labels)
+    making = ("numpy", "scipy") if is_made else ()
     solving = ("numba", "llvmlite") if engine == "compiled" else ("scipy",)
-    return *fitting, *solving
+    return tuple(dict.fromkeys((*making, *solving)))

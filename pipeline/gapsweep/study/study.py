@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,10 +20,7 @@ from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import Structure
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advise
-from gapsweep.study.axes import (
-    MAX_POINTS,
-    forms,
-)
+from gapsweep.study.axes import MAX_POINTS, forms
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
 from gapsweep.study.points import (
@@ -67,8 +65,14 @@ class Study:
     source: str = "study"
 
     @classmethod
-    def load(cls, path: str | PathLike[str]) -> "Study":
+    def load(cls, path: str | PathLike[str], code_in: str | None = None) -> "Study":
         """Read and check a study file.
+
+        Parameters
+        ----------
+        path : path-like
+        code_in : str, optional
+            Folder in which code that the study names is looked up too, after all libraries.
 
         Raises
         ------
@@ -82,7 +86,10 @@ class Study:
             raise StudyError([f"{path}: cannot be read: {error.strerror}; {_REMEDY}"]) from None
         except UnicodeDecodeError:
             raise StudyError([f"{path}: not valid TOML: must be UTF-8 text"]) from None
-        return cls(parse(text, str(path)), str(path))._checked()
+        study = cls(parse(text, str(path)), str(path))
+        if code_in is not None and study.names_code:
+            sys.path.append(code_in)
+        return study._checked()
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], source: str = "study") -> "Study":
@@ -186,11 +193,17 @@ class Study:
 
     @property
     def own_laws(self) -> tuple[str, ...]:
-        """The code that the study names: laws of the user's own, as ``module:function``."""
+        """The code that the study names: laws of the user's own, as ``module:name``."""
         tables: list[Sweep | HistoryTable] = [*self.spec.sweep, *self.spec.history]
         labels = [label for table in tables for label in table.representation]
         labels += [method.label for method in self.spec.bench.method] if self.spec.bench else []
         return tuple(dict.fromkeys(x.partition("@")[0] for x in labels if ":" in x))
+
+    @property
+    def names_code(self) -> bool:
+        """Whether it names any: laws, or the function that makes a system."""
+        made = self.spec.system.function if self.spec.system else None
+        return bool(self.own_laws) or ":" in (made or "")
 
     def with_engine(self, engine: str) -> "Study":
         """The same study on another engine."""
