@@ -10,7 +10,7 @@ from tests.section_points import complex_points
 from gapsweep.model.structure import Structure
 from gapsweep.response.attractors import NONE, Grouping, attractors_of_scenes
 from gapsweep.response.result import Response, ResponseClass, Responses
-from gapsweep.response.section import unit_of
+from gapsweep.response.section import own_neighbours, unit_of
 from gapsweep.status import Status
 
 OMEGA = 7.0
@@ -35,7 +35,17 @@ def same(a, b, omega):
     distances = np.abs(p[:, None] - q[None, :])
     nearest = max(np.quantile(distances.min(axis=axis), 0.8) for axis in (0, 1))
     extent = max(np.ptp(part) for cloud in (p, q) for part in (cloud.real, cloud.imag))
-    return nearest <= 0.25 * float(extent)
+    return nearest <= 0.25 * float(extent) or own_share(p, q) < 0.75
+
+
+def own_share(p, q):
+    """How many points of two samples have their nearest neighbour in their own, one by one."""
+    n_own = 0
+    for ours, theirs in ((p, q), (q, p)):
+        for i, point in enumerate(ours):
+            own = min(abs(point - other) for k, other in enumerate(ours) if k != i)
+            n_own += own < min(abs(point - other) for other in theirs)
+    return n_own / (len(p) + len(q))
 
 
 def mirror(response, firsts):
@@ -200,6 +210,19 @@ def test_the_random_sets_hold_what_matters():
         ResponseClass.PERIODIC,
         ResponseClass.CHAOTIC,
     }
+
+
+@pytest.mark.parametrize("n_states", [2, 4, 8])
+def test_samples_of_one_distribution_are_one_in_any_number_of_states(n_states):
+    """A cloud of 32 points fills a plane, and is sparse in eight dimensions; a torus never is."""
+    rng, n = np.random.default_rng(n_states), 400
+    solid = rng.normal(size=(2, n_states, n, 32))
+    turns = rng.random((2, n, 1)) + 0.381966 * np.arange(32)
+    torus = np.stack([np.cos(2 * np.pi * turns + k) for k in range(n_states)], axis=1)
+    for p, q in (solid, torus):
+        assert np.mean(own_neighbours(p, q) >= 0.75) < 0.01
+        beside = q + 2.0 * np.ptp(q, axis=2, keepdims=True)
+        assert (own_neighbours(p, beside) == 1.0).all()
 
 
 def test_a_large_coordinate_hides_no_difference_in_a_small_one():

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.response.lists import spans
 from gapsweep.response.result import ResponseClass, Responses
-from gapsweep.response.section import DEVIATIONS, cloud_distances, reach_of, scaled
+from gapsweep.response.section import DEVIATIONS, cloud_distances, own_neighbours, reach_of, scaled
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,6 +31,9 @@ _SAME_REST = 1e-6
 _SAME_RATTLE = 0.1
 # Two chaotic samples are of one attractor if they overlap this well, in shares of their extent.
 _SAME_CLOUD = 0.25
+# Or if no more of their points than this have their nearest neighbour in their own sample. Of 32
+# points of one distribution half have; three quarters or more have in one case of a thousand.
+_MIXED = 0.75
 # A coordinate that moves by less than this share of the others is as good as still.
 _ROUNDING = 1e-3
 _DIGITS = 9  # of displacements [m], so that the last bits of twins do not decide their order
@@ -288,7 +291,8 @@ def _same_clouds(points: Array, begin: Numbers, n_points: Numbers) -> Same:
                 p = points[:, begin[a[some], None] + np.arange(n_a)]
                 q = points[:, begin[b[some], None] + np.arange(n_b)]
                 extent = np.max([np.ptp(each, axis=2) for each in (p, q)], axis=(0, 1))
-                found[some] = cloud_distances(p, q) <= _SAME_CLOUD * extent
+                overlap = cloud_distances(p, q) <= _SAME_CLOUD * extent
+                found[some] = overlap | (own_neighbours(p, q) < _MIXED)
         return found
 
     return same

@@ -20,6 +20,7 @@ from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 # A motion that would swing by no more than this share of what it swung at most is at rest.
@@ -30,6 +31,7 @@ _NOISY = 1000.0
 _MARGIN, _LONGER, _TRIES = 1.1, 4.0, 5
 # Maxima of a coordinate that swings by less than this share of the motion say nothing of it.
 _FAINT = 1e-10
+_MOST_RETURNS = 2**17  # recorded at a time: some ten megabytes
 _FIRST = 16  # returns by which their rate is known
 # A state that is so near to the section, as a share of the swing, is on it.
 _ON = 1e-10
@@ -82,7 +84,8 @@ class Returns(Ensemble):
         self._swing = np.zeros(len(self.omega))  # farthest from the origin so far [m]
         # Time is counted in returns: as they follow each other, not as the slowest motion would.
         n = np.full(len(scenes), _FIRST)
-        found, (_, counts) = self._returned(np.arange(len(scenes)), start, n, is_shot=False)
+        every, kept = np.arange(len(scenes)), np.zeros(len(scenes), bool)
+        found, (_, counts) = self._returned(every, start, n, kept, is_shot=False)
         self._rate = np.where(counts == _FIRST, n / found.t, self._rate)
         self.set_clock(self._rate.copy())
 
@@ -100,7 +103,8 @@ class Returns(Ensemble):
         off = np.abs(y[normal]) / self.unit[normal, scenes]
         y = y.copy()
         y[normal, off <= _ON * swing] = 0.0
-        found, passings = self._returned(scenes, y, n_periods, is_shot=tangent)
+        is_recorded = np.isfinite(record_from)
+        found, passings = self._returned(scenes, y, n_periods, is_recorded, is_shot=tangent)
         is_back, t_end = passings[1] >= n_periods, found.t
         if not tangent:  # shots may lead anywhere
             self._rate[scenes[is_back]] = (n_periods / t_end)[is_back]
@@ -111,9 +115,7 @@ class Returns(Ensemble):
             n = t_end * self.omega[scenes]
             again, tangents = self._run(scenes, y, n, beyond, record_from, **options)
             found = replace(again, t=t_end, state=found.state, status=found.status)
-        states, counts = passings
-        is_recorded = np.isfinite(record_from)
-        passings = states[np.repeat(is_recorded, counts)], np.where(is_recorded, counts, 0)
+        passings = passings[0], np.where(is_recorded, passings[1], 0)
         speed = self._speed(scenes, found.state.T)
         swing = norm(speed) / (2.0 * math.pi * self.omega[scenes])
         faint = np.abs(speed[normal]) <= _FAINT * norm(speed)
@@ -126,41 +128,49 @@ class Returns(Ensemble):
         return Return(passings, speed, normal, found, *given)
 
     def _returned(
-        self, scenes: Numbers, y: Array, n: Counts, *, is_shot: bool
+        self, scenes: Numbers, y: Array, n: Counts, kept: Mask, *, is_shot: bool
     ) -> tuple[Motions, tuple[Array, Counts]]:
-        """Motions up to their n-th return, and where they passed the section."""
+        """Motions up to their n-th return; where those to be kept passed the section, all counts.
+
+        Some motions at a time, for every return of them is recorded.
+        """
         t_end, states = _MARGIN * n / self._rate[scenes], [np.empty((0, len(y)))] * len(scenes)
-        left, columns = np.arange(len(scenes)), dict[str, Any]()
+        counts, left = np.zeros(len(scenes), np.int64), np.arange(len(scenes))
+        columns: dict[str, Any] = {}
         for _ in range(_TRIES):
-            which, from_start = scenes[left], np.zeros(len(left))
-            expected = t_end[left] * self.omega[which]
-            run, _ = self._run(
-                which, y[:, left], expected, t_end[left], from_start,
-                section_only=True, tangent=False,
-            )  # fmt: skip
-            events = run.events()
-            first = np.cumsum(events.n_section) - events.n_section
-            is_back = events.n_section >= n[left]
-            last = (first + n[left] - 1)[is_back]
-            run.t[is_back], run.state[is_back] = events.t_section[last], events.section[last]
-            run.status[is_back] = Status.OK
-            for name in ("t", "state", "status", "reach", "n_steps"):
-                values = getattr(run, name)
-                columns.setdefault(name, np.zeros((len(scenes), *values.shape[1:]), values.dtype))
-                columns[name][left] = values
-            for k, motion in enumerate(left.tolist()):
-                count = min(int(events.n_section[k]), int(n[motion]))
-                states[motion] = events.section[first[k] : first[k] + count]
-            swing = norm(self._speed(which, run.state.T)) / (2.0 * math.pi * self.omega[which])
-            if not is_shot:  # shots may lead anywhere
-                reach = reach_of(run.reach.T, self.unit[:, which])
-                self._swing[which] = np.maximum(self._swing[which], reach)
-            goes_on = (run.status == Status.OK) & (swing > _REST * self._swing[which])
-            left = left[~is_back & goes_on]
+            parts = np.flatnonzero(np.diff(np.cumsum(n[left]) // _MOST_RETURNS)) + 1
+            left_over = []
+            for some in np.split(left, parts):
+                which, from_start = scenes[some], np.zeros(len(some))
+                expected = t_end[some] * self.omega[which]
+                run, _ = self._run(
+                    which, y[:, some], expected, t_end[some], from_start,
+                    section_only=True, tangent=False,
+                )  # fmt: skip
+                events = run.events()
+                first = np.cumsum(events.n_section) - events.n_section
+                is_back = events.n_section >= n[some]
+                last = (first + n[some] - 1)[is_back]
+                run.t[is_back], run.state[is_back] = events.t_section[last], events.section[last]
+                run.status[is_back] = Status.OK
+                for name in ("t", "state", "status", "reach", "n_steps"):
+                    values = getattr(run, name)
+                    whole = np.zeros((len(scenes), *values.shape[1:]), values.dtype)
+                    columns.setdefault(name, whole)[some] = values
+                counts[some] = np.minimum(events.n_section, n[some])
+                for k in np.flatnonzero(kept[some]).tolist():
+                    end = first[k] + counts[some[k]]
+                    states[some[k]] = events.section[first[k] : end].copy()
+                swing = norm(self._speed(which, run.state.T)) / (2.0 * math.pi * self.omega[which])
+                if not is_shot:  # shots may lead anywhere
+                    reach = reach_of(run.reach.T, self.unit[:, which])
+                    self._swing[which] = np.maximum(self._swing[which], reach)
+                goes_on = (run.status == Status.OK) & (swing > _REST * self._swing[which])
+                left_over.append(some[~is_back & goes_on])
+            left = np.concatenate(left_over)
             if not left.size:
                 break
             t_end[left] *= _LONGER
-        counts = np.array(list(map(len, states)))
         return replace(run, **columns), (np.concatenate(states), counts)
 
     def _speed(self, scenes: Numbers, y: Array) -> Array:

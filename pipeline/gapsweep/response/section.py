@@ -337,3 +337,29 @@ def cloud_distances(a: Array, b: Array, share: float = 0.8) -> Array:
     distances = norm(a[..., :, None] - b[..., None, :])
     nearest = [np.quantile(distances.min(axis=axis), share, axis=1) for axis in (1, 2)]
     return np.asarray(np.maximum(*nearest))
+
+
+def own_neighbours(a: Array, b: Array) -> Array:
+    """Share of the points of two clouds whose nearest other point is of their own cloud [-].
+
+    Half of them if both are samples of one distribution, all if they lie apart, whatever their
+    shape and the number of states (Schilling 1986).
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (n_states, m, n_a), (n_states, m, n_b)
+
+    Returns
+    -------
+    ndarray, shape (m,)
+    """
+    apart = norm(a[..., :, None] - b[..., None, :])
+    own = [_nearest_own(cloud) < apart.min(axis=axis) for cloud, axis in ((a, 2), (b, 1))]
+    return np.asarray(np.concatenate(own, axis=1).mean(axis=1))
+
+
+def _nearest_own(a: Array) -> Array:
+    """Distances of a cloud's points from the nearest other one of it, shape (m, n)."""
+    distances = norm(a[..., :, None] - a[..., None, :])
+    distances[:, np.eye(a.shape[2], dtype=bool)] = np.inf
+    return np.asarray(distances.min(axis=2))
