@@ -1,6 +1,7 @@
 """Steady motions that nothing forces: limit cycles, rest, and what their return map says."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.ensemble import Scene
+from gapsweep.response.rates import Rates, rates
 from gapsweep.response.respond import respond_all
 from gapsweep.response.returns import Returns
 
@@ -294,3 +296,22 @@ def test_what_nothing_holds_is_refused():
     system = gs.System(mass=np.eye(2), stiffness=np.zeros((2, 2)), contacts={"stop": [0, 1]})
     with pytest.raises(gs.ModelError, match="a time of its own"):
         gs.respond(system, WIDE, q_0=[0.3, -0.1])
+
+
+def test_rates_of_many_systems_are_those_of_each_equation():
+    """Against the right side that scipy integrates, bit-equal in any company."""
+    rng, solver = np.random.default_rng(5), Solver.of()
+    loads = [gs.Harmonic(amplitude=[3.0, -1.0], k=0)]
+    systems = [fluttering(), fluttering(circulation=9.0), fluttering(loss=2.0)]
+    systems = [replace(each, forcing=loads) for each in systems]
+    scenes = [
+        Scene(oscillator=rng.choice(systems), law=(law,), omega=0.0, solver=solver)
+        for law in (LAW, gs.Piecewise(7e3, gs.Gap(0.0, 1e-3), K_ratio=0.3))
+        for _ in range(20)
+    ]
+    y, every = rng.normal(size=(4, 40)) * 0.01, np.arange(40)
+    found = Rates(scenes)(every, y)
+    expected = np.transpose([rates(scene, y[:, i]) for i, scene in enumerate(scenes)])
+    assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    some = rng.permutation(40)[:7]
+    np.testing.assert_array_equal(Rates(scenes)(some, y[:, some]), found[:, some])

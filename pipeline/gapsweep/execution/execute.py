@@ -144,6 +144,9 @@ class _Execution:
     ) -> None:
         self.study, self.plan, self.cache, self.claims = study, plan, cache, claims
         self.client, self.batch, self.timeout = client, batch, timeout
+        # The last windows of all points of a task are in memory at once, state by state.
+        structure = study.structure
+        self.largest_batch = 2 * _MAX_BATCH // (structure.n_states if structure else 2)
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
         # What must be computed although it is stored: failures, and what follows them in a sweep.
         self.is_stale = plan.is_missing & (plan.status >= 0)
@@ -238,7 +241,7 @@ class _Execution:
         if self.batch:
             return self.batch
         share = max(int(_PART_OF_SHARE * self.n_new / self.n_threads), _MIN_BATCH)
-        return min(share, self.costs.room(self._representation(point)))
+        return min(share, self.costs.room(self._representation(point)), self.largest_batch)
 
     def _representation(self, point: np.intp) -> int:
         return int(self.plan.representation(np.array([point]))[0])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.motion import Motions
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Call, Ensemble, Scene
-from gapsweep.response.rates import rates
+from gapsweep.response.rates import Rates
 from gapsweep.response.section import norm, reach_of
 from gapsweep.status import Status
 
@@ -80,6 +80,7 @@ class Returns(Ensemble):
 
     def __init__(self, scenes: Sequence[Scene], start: Array) -> None:
         super().__init__(scenes)
+        self._rates = Rates(scenes)
         self._rate = self.omega.copy()  # returns per second, as seen last
         self._swing = np.zeros(len(self.omega))  # farthest from the origin so far [m]
         # Time is counted in returns: as they follow each other, not as the slowest motion would.
@@ -175,5 +176,4 @@ class Returns(Ensemble):
 
     def _speed(self, scenes: Numbers, y: Array) -> Array:
         """Derivatives of states by time, as section points [m/s]."""
-        found = [rates(self.scenes[k], y[:, i]) for i, k in enumerate(scenes.tolist())]
-        return np.asarray(np.array(found).T / self.unit[:, scenes])
+        return np.asarray(self._rates(scenes, y) / self.unit[:, scenes])
