@@ -4,7 +4,14 @@ from enum import IntEnum
 
 
 class Status(IntEnum):
-    """How a simulation or a sweep point ended; the order is part of the dataset schema."""
+    """How a simulation or a sweep point ended; the order is part of the dataset schema.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.Status.DIVERGED.label, gs.Status.DIVERGED.failed
+    ('diverged', True)
+    """
 
     OK = 0
     NOT_REQUESTED = 1

@@ -25,7 +25,7 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.recorder import Recorder
-from gapsweep.folder import changed_since, check_owner, check_writable, run_folder
+from gapsweep.folder import changed_since, check_owner, check_writable, far_walls, run_folder
 from gapsweep.make import (
     failed_motions,
     try_out_own_laws,
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 
 DEFAULT_CACHE = Path("data/cache.sqlite")
 # Walls so many times as far away as any motion leads: their distances must be of another unit.
-_FAR = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +187,15 @@ def run(
     ------
     GapsweepError
         If the cluster, the cache or the output folder cannot be used.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> with gs.run(study, out="small", cache="points.sqlite") as ds:
+    ...     ds["amplitude"].dims
+    ('representation', 'K_c', 'gap', 'omega', 'initial_condition')
     """
     study = Study.of(study)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
@@ -264,26 +272,11 @@ def carry_out(
                     retry_failed=retry_failed,
                     say=partial(_tell, recorder, progress),
                 )
-    if study.spec.system is None and (said := _far_walls(folder / RESPONSES)):
+    if study.spec.system is None and (said := far_walls(folder)):
         warnings.warn(said, stacklevel=3)
     motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, _failures(planned), failed)
-
-
-def _far_walls(responses: Path) -> str:
-    """That no motion comes near a wall, as where a gap is given in millimetres; else nothing."""
-    x, walls = (
-        np.abs(np.concatenate([netcdf.values(responses, name).ravel() for name in names]))
-        for names in (("x_min", "x_max"), ("j_1", "j_2"))
-    )
-    largest = np.max(x, initial=0.0, where=np.isfinite(x))
-    if not (walls.size and 0.0 < _FAR * largest < walls.min()):
-        return ""
-    return (
-        f"no motion comes near a wall: the largest displacement is {1e3 * largest:.3g} mm, the "
-        f"nearest wall stands at {1e3 * walls.min():.3g} mm; gaps are in metres, as 4e-4"
-    )
 
 
 @salvaging
@@ -324,6 +317,15 @@ def query(
     ------
     GapsweepError
         If a value is not among the study's own, or cluster or cache cannot be used.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> ds = gs.query(study, cache="points.sqlite", omega=9.0)
+    >>> ds.attrs["n_points"], ds.attrs["n_computed"]
+    (1, 1)
     """
     study = Study.of(study)
     selection, path = study.select(**wanted), cache_path(cache)

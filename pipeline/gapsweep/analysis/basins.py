@@ -76,6 +76,14 @@ def basins(
         If an argument is out of range.
     ClusterError
         If the workers run other code.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> ds = gs.basins(gs.Oscillator(), law, 9.0, x=[-1e-3, 0.0, 1e-3], v=[0.0, 0.1])
+    >>> ds["attractor"].shape
+    (2, 3)
     """
     if client is not None:
         check_workers(client)

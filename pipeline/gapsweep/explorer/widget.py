@@ -46,6 +46,14 @@ def explore(
     ------
     ModelError
         If an argument is something else or out of range, or Bokeh is missing.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> page = gs.explore(stand_ins=["tanh-1e4", "poly-13"])
+    >>> page.url.startswith("http://")
+    True
+    >>> page.stop()
     """
     return opened(of_model(oscillator, law, stand_ins=stand_ins), port=port)
 

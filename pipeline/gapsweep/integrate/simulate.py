@@ -81,6 +81,14 @@ def simulate(
     ------
     ModelError
         If an argument is out of range. A numerical failure is no error but a `status`.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> run = gs.simulate(gs.Oscillator(), law, omega=9.0, t_end=2.0)
+    >>> run.status.label, run.n_contacts > 0
+    ('ok', True)
     """
     solver = Solver.of(engine, rtol, atol, controller, restart)
     t_0, t_end = checked("t_0", t_0), checked("t_end", t_end)

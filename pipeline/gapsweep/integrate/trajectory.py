@@ -45,6 +45,15 @@ class Trajectory:
         How the run ended; integers in an array.
     monodromy : ndarray, shape (2, 2), or None
         Derivative of the end state by the initial state, with ``tangent=True``.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> run = gs.simulate(gs.Oscillator(), law, omega=9.0, t_end=2.0, dense_output=True)
+    >>> x, v = run.sample([0.5, 1.0, 1.5])
+    >>> x.shape, run.section.shape
+    ((3,), (18, 2))
     """
 
     def __init__(
@@ -182,6 +191,14 @@ class SystemTrajectory(Trajectory):
         First-order states there.
     monodromy : ndarray, shape (..., 2 n + m, 2 n + m), or None
         Derivative of the end state (q, v, z) by the initial one, with ``tangent=True``.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> system, law = gs.systems.two_masses(), gs.systems.two_masses_law()
+    >>> run = gs.simulate(system, law, 0.6, t_end=20.0)
+    >>> run.q.shape, sorted(run.extrema) == sorted(system.coordinates)
+    ((2,), True)
     """
 
     def __init__(self, system: System, *given: Any) -> None:

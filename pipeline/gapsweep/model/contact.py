@@ -45,6 +45,13 @@ class ContactLaw:
         Distances of the two walls from the origin.
     K_ratio : float
         Stiffness of the lower wall over that of the upper [-], ``>= 0``.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> law.force([0.0, 0.5e-3]).round(3).tolist()  # in the gap, and a tenth of a millimetre beyond
+    [0.0, 1.4]
     """
 
     # What its label begins with, and its colour in every figure (Okabe & Ito, 2008: safe for
@@ -120,6 +127,13 @@ class Piecewise(ContactLaw):
     located : bool
         Whether integration stops at every contact. False is the label
         ``piecewise-noevents``: the same force, its kinks left to step-size control.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> law.force(0.5e-3).round(3).item()
+    1.4
     """
 
     family: ClassVar[str] = "piecewise"
@@ -223,6 +237,13 @@ class Tanh(_Switched):
     ----------
     epsilon : float
         Convergence parameter [1/m], ``> 0``; its inverse is the width of the layer.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Tanh(1.4e4, gs.Gap(0.4e-3, 0.4e-3), epsilon=1e4)
+    >>> law.force(0.5e-3).round(2).item()  # the exact law's is 1.4
+    1.23
     """
 
     family: ClassVar[str] = "tanh"
@@ -241,6 +262,13 @@ class Arctan(_Switched):
     ----------
     epsilon : float
         Convergence parameter [1/m], ``> 0``.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Arctan(1.4e4, gs.Gap(0.4e-3, 0.4e-3), epsilon=1e4)
+    >>> law.force(0.0).item()
+    0.0
     """
 
     family: ClassVar[str] = "arctan"
@@ -263,6 +291,13 @@ class LogArctan(_Sharpened):
     -----
     The anchor moves the force of an asymmetric contact by a constant, between equal walls about
     ``K_c (1 + ln(γ j_2)) / (π γ)`` for ``j_1 = 0``.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.LogArctan(1.4e4, gs.Gap(0.4e-3, 0.4e-3), gamma=1e4)
+    >>> law.force(0.0).item()
+    0.0
     """
 
     family: ClassVar[str] = "logarctan"
@@ -309,6 +344,13 @@ class UserLaw(ContactLaw):
         Scalar force [N] as a function of the displacement [m]. It must live in a module
         that the workers can import. `K_c`, `K_ratio` and `gap` only label it and place the
         walls at which contacts are counted.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.UserLaw(1.0, gs.Gap(0.0, 0.0), lambda x: 2e4 * x)
+    >>> law.force(1e-3).item()
+    20.0
     """
 
     function: Callable[[float], float]
@@ -366,7 +408,16 @@ def checked_law(law: ContactLaw) -> ContactLaw:
 
 
 def static_error(law: ContactLaw, fit_range: float = FIT_RANGE) -> tuple[float, float]:
-    """RMSE [N] and R² [-] of any law against the exact force on 8001 uniform points."""
+    """RMSE [N] and R² [-] of any law against the exact force on 8001 uniform points.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.contact_law("tanh-1e4", 1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> rmse, r_squared = gs.static_error(law)
+    >>> r_squared > 0.99
+    True
+    """
     x = np.linspace(-fit_range, fit_range, N_FIT_POINTS)
     return goodness(checked_law(law).force(x), law.exact.force(x))
 

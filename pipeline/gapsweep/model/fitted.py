@@ -80,6 +80,13 @@ class Polynomial(Fitted):
         Polynomial degree, 1 to 60.
     fit_range : float
         Half-width of the fitted range [m], ``> 0``.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Polynomial(1.4e4, gs.Gap(0.4e-3, 0.4e-3), degree=13)
+    >>> law.r_squared > 0.99
+    True
     """
 
     family: ClassVar[str] = "poly"
@@ -116,6 +123,13 @@ class RationalPolynomial(Fitted):
     ------
     ModelError
         If the best fit has a pole in the range; the message names it.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.RationalPolynomial(1.4e4, gs.Gap(0.4e-3, 0.4e-3), numerator=5, denominator=3)
+    >>> law.r_squared > 0.99
+    True
     """
 
     family: ClassVar[str] = "ratpoly"

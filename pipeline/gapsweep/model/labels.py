@@ -57,6 +57,12 @@ def canonical_label(label: str) -> str:
     ------
     ModelError
         If the label is unknown or its parameter out of range.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.canonical_label("tanh-10000")
+    'tanh-1e4'
     """
     if not isinstance(label, str):
         raise ModelError(f"representation = {label!r}: must be a label, one of {EXAMPLES}")
@@ -113,6 +119,12 @@ def contact_law(
         Half-width [m] of the range on which polynomials are fitted.
     K_ratio : float
         Stiffness of the lower wall over that of the upper [-], ``>= 0``.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.contact_law("tanh-1e4", 1.4e4, gs.Gap(0.4e-3, 0.4e-3)).epsilon
+    10000.0
     """
     label = canonical_label(label)
     if label == AUTO:
@@ -129,5 +141,12 @@ def contact_law(
 def law(
     function: Callable[[float], float], K_c: float, gap: Gap, *, K_ratio: float = 1.0
 ) -> UserLaw:
-    """A user's own contact law from a scalar function of the displacement [m] to newtons."""
+    """A user's own contact law from a scalar function of the displacement [m] to newtons.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.law(lambda x: 1e9 * x**3, K_c=1.0, gap=gs.Gap(0.0, 0.0)).force(1e-3).round(6).item()
+    1.0
+    """
     return UserLaw(K_c, gap, function, K_ratio=K_ratio)

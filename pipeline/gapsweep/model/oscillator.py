@@ -73,6 +73,12 @@ class Oscillator:
         Cubic stiffness α [N/m³]; negative values soften.
     forcing : float
         Forcing amplitude p [N].
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.Oscillator(omega_n=12.0).mass
+    3.0
     """
 
     zeta: float = 0.03
@@ -119,6 +125,13 @@ class Gap:
     ----------
     j_1, j_2 : float
         Distance of the lower and upper wall from the origin [m], ``>= 0``.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gap = gs.Gap(0.0, 0.8e-3)
+    >>> gap.label, gap.is_symmetric
+    ('0/0.8', False)
     """
 
     j_1: float

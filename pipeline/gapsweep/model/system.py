@@ -89,6 +89,12 @@ class Harmonic:
     inertial : bool
         Whether it grows with frequency, as of an unbalance or of a base that moves: times
         ``(2 pi k omega)²``.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> load = gs.Harmonic(amplitude=[0.0, 2.0], k=3)  # on the second coordinate, thrice as fast
+    >>> preload = gs.Harmonic(amplitude=[1.0, 0.0], k=0)
     """
 
     amplitude: Any
@@ -117,6 +123,11 @@ class Cubic:
         Direction a [-].
     alpha : float
         Cubic stiffness [N/m³]; negative values soften.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> spring = gs.Cubic(along=[1.0, -1.0], alpha=7e8)  # between two coordinates
     """
 
     along: Any
@@ -138,6 +149,11 @@ class Modulation:
         Multiple of the forcing frequency, 1 to 1000.
     phase : float
         [rad].
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> mesh = gs.Modulation(depth=0.2)  # the contact's force times 1 + 0.2 cos(2 pi omega t)
     """
 
     depth: float
@@ -162,6 +178,13 @@ class Lags:
         E and G.
     of_lags : array_like, shape (m, m)
         H.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> lags = gs.Lags(
+    ...     force=[[1.0], [0.0]], of_speed=[[0.0, 1.0]], of_place=[[0.0, 0.0]], of_lags=[[-5.0]]
+    ... )
     """
 
     force: Any
@@ -195,6 +218,19 @@ class System:
     ------
     ModelError
         If an array has another shape or holds no number, or M is not positive definite.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> system = gs.System(
+    ...     mass=[[1.0, 0.0], [0.0, 2.0]],
+    ...     stiffness=[[30.0, -10.0], [-10.0, 20.0]],
+    ...     damping=[[0.3, -0.1], [-0.1, 0.2]],
+    ...     contacts={"stop": [1.0, 0.0]},
+    ...     forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
+    ... )
+    >>> gs.respond(system, gs.Piecewise(100.0, gs.Gap(0.02, 0.02)), omega=0.8).status.label
+    'ok'
     """
 
     mass: Any

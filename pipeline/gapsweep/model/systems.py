@@ -143,6 +143,12 @@ def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225
     ------
     ModelError
         If an argument is out of range.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.systems.typical_section(12.0).coordinates
+    ('h', 'alpha', 'beta')
     """
     speed = checked("speed", speed, low=0.0, strict=True)
     density = checked("density", density, low=0.0)
@@ -175,6 +181,12 @@ def typical_section_law(copy: str = "darabseh", freeplay: float = FREEPLAY) -> P
     copy : str
     freeplay : float
         On either side [rad], ``>= 0``; printed 2.12 degrees. Without any the section is linear.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.systems.typical_section_law().K_c
+    3.9
     """
     section, freeplay = _section(copy), checked("freeplay", freeplay, low=0.0)
     return Piecewise(section.springs[2], Gap(freeplay, freeplay))
@@ -266,6 +278,12 @@ def two_masses() -> System:
     Example 03 of NLvib, with M. Krack and J. Gross, *Harmonic Balance for Nonlinear Vibration
     Problems*, Springer 2019. Printed: a stable response of one period at 2 pi omega = 0.635,
     and at 0.6 one beyond a Neimark-Sacker bifurcation.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.systems.two_masses().coordinates
+    ('x_1', 'x_2')
     """
     chain = np.array([[1.0, -1.0], [-1.0, 2.0]])
     return System(
@@ -279,7 +297,14 @@ def two_masses() -> System:
 
 
 def two_masses_law() -> Piecewise:
-    """The stop of `two_masses`, ``100 (x - 1)`` beyond 1; its other wall is out of reach."""
+    """The stop of `two_masses`, ``100 (x - 1)`` beyond 1; its other wall is out of reach.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.systems.two_masses_law().K_c
+    100.0
+    """
     return Piecewise(100.0, Gap(FAR, 1.0))
 
 
@@ -318,6 +343,12 @@ def gear_pair(
     ------
     ModelError
         If an argument is out of range.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.systems.gear_pair(mean_load=0.2)
+    <gapsweep.System: coordinates x, contacts mesh>
     """
     loads = [Harmonic(amplitude=[checked("mean_load", mean_load)], k=0)]
     for k, error in enumerate(errors, 1):
@@ -334,7 +365,14 @@ def gear_pair(
 
 
 def gear_pair_law() -> Piecewise:
-    """The mean mesh stiffness of `gear_pair`, 1, on either side of its backlash."""
+    """The mean mesh stiffness of `gear_pair`, 1, on either side of its backlash.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.systems.gear_pair_law().gap
+    Gap(j_1=1.0, j_2=1.0)
+    """
     return Piecewise(1.0, Gap(1.0, 1.0))
 
 
@@ -363,6 +401,12 @@ def soft_impact_oscillator(zeta: float = 0.01, load: float = 0.9 * 0.8**2 / 1.26
     ------
     ModelError
         If an argument is out of range.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.systems.soft_impact_oscillator(zeta=0.02)
+    <gapsweep.System: coordinates x, contacts stop>
     """
     return System(
         mass=[[1.0]],
@@ -383,5 +427,11 @@ def soft_impact_oscillator_law(ratio: float = 29.0) -> Piecewise:
     ----------
     ratio : float
         Of its stiffness to the first one's [-], ``>= 0``.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.systems.soft_impact_oscillator_law(ratio=10.0).K_c
+    10.0
     """
     return Piecewise(checked("ratio", ratio, low=0.0), Gap(FAR, 1.0))

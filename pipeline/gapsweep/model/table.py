@@ -45,6 +45,13 @@ class ForceTable(ContactLaw):
     Notes
     -----
     `K_c` and `K_ratio` are those of the chords from the walls to the ends of the table.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.ForceTable(x=[-1e-3, -0.4e-3, 0.4e-3, 1e-3], F=[-8.0, 0.0, 0.0, 8.0])
+    >>> law.gap.label, law.force(1e-3).item()
+    ('0.4/0.4', 8.0)
     """
 
     x: tuple[float, ...]

@@ -77,6 +77,15 @@ def respond(
     ------
     ModelError
         If an argument is out of range. A numerical failure is no error but a `status`.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> gs.respond(gs.Oscillator(), law, omega=9.0).period_multiple
+    1
+    >>> gs.respond(gs.Oscillator(), law, omega=[7.0, 9.0, 11.0]).amplitude.shape
+    (3,)
     """
     solver, steady = Solver.of(engine, rtol, atol), Steady() if steady is None else steady
     check_kinds(oscillator, steady)

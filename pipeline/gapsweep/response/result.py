@@ -72,7 +72,14 @@ def columns_of(structure: Structure | None) -> dict[str, tuple[str, tuple[int, .
 
 
 class ResponseClass(IntEnum):
-    """What kind of motion the steady response is; the order is part of the schema."""
+    """What kind of motion the steady response is; the order is part of the schema.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.ResponseClass.CHAOTIC.value
+    1
+    """
 
     PERIODIC = 0
     CHAOTIC = 1
@@ -112,6 +119,14 @@ class Steady:
         Largest period multiple looked for, 1 to 256.
     max_extrema : int
         Extrema kept per point, 1 to 65536.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> settings = gs.Steady(settle_tol=1e-3, n_periods=32, max_period_multiple=16)
+    >>> gs.respond(gs.Oscillator(), law, omega=9.0, steady=settings).status.label
+    'ok'
     """
 
     settle_tol: float = 1e-6
@@ -213,6 +228,14 @@ class Response:
         Processor time of the integration [s].
     message : str
         Why the point failed, empty otherwise.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> found = gs.respond(gs.Oscillator(), law, omega=9.0)
+    >>> found.response_class.name, found.multiplier_abs < 1.0
+    ('PERIODIC', True)
     """
 
     status: Status

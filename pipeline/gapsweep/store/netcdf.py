@@ -165,6 +165,16 @@ def read(path: str | Path) -> "xr.Dataset":
     -----
     UserWarning
         If no SHA-256 is recorded for the file, so that damage could go unnoticed.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> gs.run(study, out="small", cache="points.sqlite").close()
+    >>> with gs.open("small/attractors.nc") as ds:
+    ...     ds["n_attractors"].values.ravel().tolist()
+    [1]
     """
     import xarray as xr  # half a second to import, which a run without anything to do can spare
 

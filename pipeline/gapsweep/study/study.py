@@ -45,8 +45,6 @@ from gapsweep.study.spec import (
 )
 from gapsweep.study.systems import Systems
 
-_REMEDY = "name a study file, as that which 'gapsweep init' writes"
-
 
 @dataclass(frozen=True)
 class Study:
@@ -59,6 +57,14 @@ class Study:
         The checked study file.
     source : str
         Where it came from, for messages.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> study.grid.shape
+    (1, 1, 1, 1, 1)
     """
 
     spec: StudySpec
@@ -83,7 +89,8 @@ class Study:
         try:
             text = path.read_text(encoding="utf-8")
         except OSError as error:
-            raise StudyError([f"{path}: cannot be read: {error.strerror}; {_REMEDY}"]) from None
+            remedy = "name a study file, as that which 'gapsweep init' writes"
+            raise StudyError([f"{path}: cannot be read: {error.strerror}; {remedy}"]) from None
         except UnicodeDecodeError:
             raise StudyError([f"{path}: not valid TOML: must be UTF-8 text"]) from None
         study = cls(parse(text, str(path)), str(path))
