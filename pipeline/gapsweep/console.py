@@ -21,6 +21,7 @@ from rich.text import Text
 from gapsweep.execution.progress import OnProgress, Progress
 
 _LINE_SECONDS = 10.0
+_EARLY = 512  # points
 # The first line comes so soon, and those of stages as soon after they have begun.
 _TICK_SECONDS = 1.0
 _NOTEBOOK_SECONDS = 0.2
@@ -219,7 +220,10 @@ def _in_lines() -> Iterator[OnProgress]:
 def sentence(progress: Progress, rate: float) -> str:
     """Counts of a run, and the time left at some points per second."""
     missing = progress.n_points - progress.n_done
-    left = duration(missing / rate) if rate and missing else "unknown" if missing else "0:00:00"
+    # The first tasks are small, whose points cost ten times as much as those of a full one.
+    is_early = progress.n_computed < min(_EARLY, 0.1 * progress.n_points)
+    known = rate > 0.0 and not is_early
+    left = duration(missing / rate) if known and missing else "unknown" if missing else "0:00:00"
     stored = f"{progress.n_hits} from the cache, " if progress.n_hits else ""
     return (
         f"{progress.n_done}/{progress.n_points} points, {rate:.{0 if rate >= 100.0 else 1}f}/s, "

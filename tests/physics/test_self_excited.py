@@ -234,7 +234,7 @@ def grouped(system, law, starts, rtol=1e-6):
     solver = Solver.of("compiled", rtol, None)
     scene = Scene(oscillator=system, law=(law,), omega=0.0, solver=solver)
     found = respond_all([scene] * len(starts), starts, gs.Steady())
-    one, unit = np.zeros(len(starts), int), np.ones((2 * system.n, 1))
+    one, unit = np.zeros(len(starts), int), system.unit(2.0 * np.pi * system.slowest)[:, None]
     return found.columns, attractors_of_scenes(found, one, unit=unit, symmetric=False)
 
 
@@ -315,3 +315,42 @@ def test_rates_of_many_systems_are_those_of_each_equation():
     assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
     some = rng.permutation(40)[:7]
     np.testing.assert_array_equal(Rates(scenes)(some, y[:, some]), found[:, some])
+
+
+@pytest.mark.parametrize(("k", "c"), [(1e6, 100.0), (1.0, 0.3), (1e-6, 1e-4)])
+def test_the_distance_of_a_rest_has_the_units_of_its_clock(k, c):
+    """Of one coordinate in closed form: its place is the load over the stiffness."""
+    system = gs.System(
+        mass=[[1.0]], stiffness=[[k]], damping=[[c]], contacts={"stop": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[k * 1e-3], k=0)],
+    )  # fmt: skip
+    found = gs.respond(system, gs.Piecewise(k, gs.Gap(1.0, 1.0)), q_0=[0.0])
+    assert found.response_class == EQUILIBRIUM
+    off = abs(found.x_end[0] - 1e-3)
+    assert 0.99 * off <= found.noise <= 1e3 * off + 1e-12
+
+
+@pytest.mark.parametrize("wall", [0.0, 1.0])
+def test_a_rest_on_a_wall_grows_as_the_worse_of_its_sides(wall):
+    """Held by its stop on one side, pushed away by a negative spring on the other."""
+    system = gs.System(
+        mass=[[1.0]], stiffness=[[-1.0]], damping=[[30.0]], contacts={"stop": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[-wall], k=0)],
+    )  # fmt: skip
+    law = gs.Piecewise(20.0, gs.Gap(100.0 if wall else 0.0, wall), K_ratio=0.0)
+    found = gs.respond(system, law, q_0=[wall + 0.2])
+    assert found.response_class == gs.ResponseClass.UNRESOLVED
+    assert_allclose(found.lyapunov, -15.0 + math.sqrt(226.0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("w", [1.0, 1e6, 1e7])
+def test_the_start_is_no_extremum_however_fast_the_clock(w):
+    system = gs.System(
+        mass=[[1.0]], stiffness=[[w * w]], damping=[[0.01 * w]], contacts={"stop": [1.0]}
+    )
+    law = gs.Tanh(w * w, gs.Gap(0.1, 0.1), epsilon=1000.0)
+    run = gs.simulate(system, law, q_0=[1.0], t_end=100.0 / w)
+    exact = gs.simulate(system, law.exact, q_0=[1.0], t_end=100.0 / w)
+    assert len(run.extrema["q_1"]) == len(exact.extrema["q_1"]) == 43
+    # From tiny first steps on; the wall is as thick as a thousandth.
+    assert_allclose(run.extrema["q_1"], exact.extrema["q_1"], atol=5e-3)

@@ -8,6 +8,7 @@ import py_compile
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import gapsweep as gs
@@ -532,3 +533,9 @@ def test_a_law_outside_of_sweeps_is_what_its_dataset_is_made_from(own, tables, w
     (folder / "helper.py").write_text("K = 2.0\n")
     own_law.refresh()
     assert stages.study_source(study) != before
+
+
+def test_a_law_that_returns_an_array_is_refused_with_a_remedy():
+    law = gs.law(lambda x: np.where(x > 4e-4, 1e4 * (x - 4e-4), 0.0), 1.0, gs.Gap(0.0, 0.0))
+    with pytest.raises(gs.ModelError, match=r"it returns array\(.*not a number.*engine='scipy'"):
+        gs.simulate(gs.Oscillator(), law, omega=9.0, t_end=0.1)

@@ -323,3 +323,9 @@ def test_a_function_in_the_current_folder_is_found_from_the_command_line(tmp_pat
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "points  2" in done.stdout
+
+
+def test_gaps_of_systems_are_labelled_in_their_own_unit():
+    study = gs.Study.from_dict(changed(TWO_MASSES, sweep__0__gap=[[1e6, 1.0]]))
+    assert study.grid.labels("gap") == ["1000000/1"]
+    assert study.grid.shape == study.grid.cut(study.select(gap="1000000/1")).shape

@@ -107,9 +107,9 @@ def _label(study: Study, cell: int) -> str:
         elif isinstance(axis, Starts):
             words.append(f"{name} {value}")
         elif name == "gap":
-            words.append(f"gap {value} mm")
+            words.append(f"gap {value}" if grid.parts else f"gap {value} mm")
         else:
-            unit = UNITS.get(name, "")
+            unit = "" if grid.parts else UNITS.get(name, "")
             words.append(f"{name} = {value:g} {unit}".rstrip())
     return ", ".join(words)
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numba import float64, njit
 from numba.core.errors import NumbaError
+from numba.core.types import Number
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
@@ -179,11 +180,13 @@ def _why_not_compiled(law: ContactLaw) -> str | None:
     """What numba says of a user's function alone; None if it can compile it, or the law is ours."""
     if not isinstance(law, UserLaw):
         return None
+    compiled = njit(getattr(law.function, "py_func", law.function))
     try:
-        njit(getattr(law.function, "py_func", law.function)).compile((float64,))
+        compiled.compile((float64,))
     except NumbaError as error:
         return str(error).strip().splitlines()[0]
-    return None
+    returned = compiled.nopython_signatures[0].return_type
+    return None if isinstance(returned, Number) else f"it returns {returned}, not a number"
 
 
 def _events(

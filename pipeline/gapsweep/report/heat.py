@@ -20,7 +20,7 @@ from gapsweep.report.answer import SIGNS, Contact, Judged
 from gapsweep.report.tables import number, percent
 
 GROUPS = {
-    "error": "Amplitude error [%], 95 % are below",
+    "error": "Amplitude error [%] that 95 % of points keep",
     "found": "Attractors found [%]",
     "cost": "Cost at equal error [×]",
 }

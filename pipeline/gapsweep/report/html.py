@@ -158,7 +158,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     laws = {one.law: f"{one.law}: {one.verdict}" for one in _telling(contact)}
     if scene is None or not laws:
         return None
-    said = f"Peaks at {contact.place}, some laws before the exact one in black"
+    said = f"Peaks at {contact.place}, some laws on the exact one's larger dots"
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(
             swept(scene.sel(representation=["piecewise", *laws])), "piecewise", laws

@@ -18,6 +18,7 @@ _N_PERIODS = 16  # of the section, at the end, that a history shows
 _FLOOR = 1e-6  # of the largest amplitude, the smallest that is shown
 _WORTH = 1e-3  # of it: up to twice the highest frequency of such a one
 _MM = 1e3
+_SECTIONS = {True: "Stroboscopic section", False: "Section at maxima of the first coordinate"}
 _SECTION = CLASS_COLOURS["chaotic"]
 
 
@@ -60,7 +61,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     x, v = (scale * each.reshape(_N_SAMPLES, -1)[:, number] for each in run.sample(t)[:2])
     times = run.t_section[run.t_section >= start]
     at_end = t >= (times[-_N_PERIODS] if times.size >= _N_PERIODS else start)
-    labels = f"{name} [{unit}]", f"velocity [{unit}/s]"
+    labels = f"{name}{unit}", f"velocity{unit.replace(']', '/s]')}"
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -68,15 +69,18 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
         figure = Figure(figsize=(9.0, 6.0))
         (history, phase), (section, lines) = figure.subplots(2, 2)
         history.plot(t[at_end], x[at_end], color="black", linewidth=0.8)
-        history.set(xlabel="time [s]", ylabel=labels[0], title="Time history")
+        ended = "" if at_end.all() and start == run.t_0 else ", its end"
+        history.set(xlabel="time [s]", ylabel=labels[0], title=f"Time history{ended}")
         phase.plot(x, v, color="black", linewidth=0.5)
         phase.set(xlabel=labels[0], ylabel=labels[1], title="Phase portrait")
         section.plot(*_section(run, start, number, scale), ".", color=_SECTION, markersize=4)
-        section.set(xlabel=labels[0], ylabel=labels[1], title="Stroboscopic section")
+        section.set(xlabel=labels[0], ylabel=labels[1], title=_SECTIONS[_is_forced(run)])
+        for axes in (phase, section):
+            axes.locator_params(nbins=5)
         section.set(xlim=phase.get_xlim(), ylim=phase.get_ylim())  # few points, in their place
         amplitude, frequency = spectrum(x), np.fft.rfftfreq(x.size, t[1] - t[0])
         lines.plot(frequency, amplitude, color="black", linewidth=0.8)
-        lines.set(xlabel="frequency [Hz]", ylabel=f"amplitude [{unit}]", title="Amplitude spectrum")
+        lines.set(xlabel="frequency [Hz]", ylabel=f"amplitude{unit}", title="Amplitude spectrum")
         if (largest := float(amplitude.max())) > 0.0:
             highest = 2.0 * frequency[amplitude > _WORTH * largest].max()
             lines.set(yscale="log", ylim=(_FLOOR * largest, 2.0 * largest))
@@ -91,13 +95,17 @@ def _quantity(run: Trajectory, coordinate: str | None) -> tuple[int, str, float,
     if not isinstance(run, SystemTrajectory):
         if coordinate is not None:
             raise ModelError(f"coordinate = {coordinate!r}: an oscillator has one: leave it out")
-        return 0, "displacement", _MM, "mm"
+        return 0, "displacement", _MM, " [mm]"
     names = run.system.coordinates
     if coordinate is not None and coordinate not in names:
         raise ModelError(f"coordinate = {coordinate!r}: must be one of {', '.join(names)}")
     # Whether it is a length or an angle the user knows.
     name = names[0] if coordinate is None else coordinate
-    return names.index(name), name, 1.0, "1"
+    return names.index(name), name, 1.0, ""
+
+
+def _is_forced(run: Trajectory) -> bool:
+    return not isinstance(run, SystemTrajectory) or run.system.is_forced
 
 
 def _section(run: Trajectory, start: float, number: int, scale: float) -> tuple[Array, Array]:

@@ -67,9 +67,9 @@ def overview(
     axes = _axes(responses)
     names = [str(responses[axis].attrs.get("long_name", axis)) for axis in axes]
     sentence = (
-        f"{n_scenes} scenes with {int(n_points.sum())} sweep points: pictures over "
-        f"{' and '.join(names) or 'nothing'}, of all else at one value, in place of figures of "
-        "each scene. ds.gapsweep.map() and bifurcation() draw any other."
+        f"{n_scenes} scene{'s' * (n_scenes > 1)} with {int(n_points.sum())} sweep points: "
+        f"pictures over {' and '.join(names) or 'nothing'}, of all else at one value, in place of "
+        "figures of each scene. ds.gapsweep.map() and bifurcation() draw any other."
     )
     over = f", median over {n_scenes} scenes" if n_scenes > 1 else ""
     plain = [label for label in labels if "@" not in label] or labels

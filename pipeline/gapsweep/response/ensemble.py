@@ -220,6 +220,8 @@ class Ensemble:
     structure : Structure or None
         Of systems.
     n_coordinates : int
+    swing : ndarray, shape (n,)
+        How far [m] each motion has come from the origin so far, where nothing forces it.
     valid_range : ndarray, shape (2, n_contacts, n)
         Lowest and highest gaps at which the laws hold [m].
     walls : ndarray, shape (2, n_contacts, n)
@@ -246,6 +248,7 @@ class Ensemble:
         shape = len(laws), len(laws[0]), 2
         ranges = [law.valid_range for each in laws for law in each]
         self.valid_range = np.array(ranges).reshape(shape).T
+        self.swing = np.zeros(len(scenes))
         walls = [(-law.gap.j_1, law.gap.j_2) for each in laws for law in each]
         self.walls = np.array(walls).reshape(shape).T
         self._directions: Array | None = None

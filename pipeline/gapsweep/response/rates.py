@@ -1,13 +1,15 @@
 """What moves scenes, at a single state: derivatives by time, and eigenvalues about a rest."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.reference_scenes import OscillatorScene, SystemScene
+from gapsweep.model.contact import Piecewise
 from gapsweep.model.system import System, first_order
 from gapsweep.response.ensemble import Scene
 from gapsweep.response.section import norm
@@ -18,40 +20,70 @@ Numbers = NDArray[np.intp]
 # A rest this near to a wall, as a share of the gap and its place, is on it.
 _ON_WALL = 1e-7
 _STILL = 1e-10
+# A motion that would swing by no more than this share of what it swung at most is at rest.
+REST = 1e-8
 
 
-def about_rest(scene: Scene, y: Array, unit: Array) -> tuple[float, float]:
+def about_rest(scene: Scene, y: Array, unit: Array, swing: float) -> tuple[float, float]:
     """What a state of rest does to a motion beside it, and how far off it lies.
+
+    Parameters
+    ----------
+    scene : Scene
+    y, unit : ndarray, shape (n_states,)
+        The state, and what one metre of the section is in each component.
+    swing : float
+        How far [m] the motion swung at most.
 
     Returns
     -------
     rate : float
         Largest real part [1/s] of an eigenvalue of the motion about it. A rate beside which the
-        fastest is so great that rounding makes it is zero. NaN on a wall, where the motion is not
-        the same on either side.
+        fastest is so great that rounding makes it is zero. On a wall the motion is not the same on
+        either side, and goes from one to the other: NaN, but where it leaves to one of them for
+        good, along an eigenvector, at that rate.
     offset : float
         Distance [m] of `y` from the rest, as a section point, by Newton's step.
     """
-    n = len(y)
-    state = np.concatenate([y, np.eye(n).ravel()])
-    found = np.asarray(right_side(scene, tangent=True)(0.0, state))
-    speed, slopes = found[:n], found[n:].reshape(n, n)
-    offset = float(norm(np.linalg.lstsq(slopes, speed)[0] / unit))
-    growth = np.linalg.eigvals(slopes)
-    largest = float(growth.real.max())
-    if _is_on_wall(scene, y):
-        return math.nan, offset
-    return 0.0 if abs(largest) <= _STILL * np.abs(growth).max() else largest, offset
+    found = [_linearised(scene, y, modes) for modes in _sides(scene, y, swing)]
+    offset = min(float(norm(np.linalg.lstsq(a, v)[0] / unit)) for v, a in found)
+    growth = [np.linalg.eigvals(a) for _, a in found]
+    if len(growth) > 1:
+        leaving = [float(rate.real) for each in growth for rate in each if not rate.imag]
+        largest = max(leaving, default=math.nan)
+        return (largest if largest > 0.0 else math.nan), offset
+    largest = float(growth[0].real.max())
+    return (0.0 if abs(largest) <= _STILL * np.abs(growth).max() else largest), offset
 
 
-def _is_on_wall(scene: Scene, y: Array) -> bool:
+def _linearised(scene: Scene, y: Array, modes: Any) -> tuple[Array, Array]:
+    """Derivative of a state by time, and its own by the state."""
+    n, state = len(y), np.concatenate([y, np.eye(len(y)).ravel()])
+    found = np.asarray(right_side(scene, tangent=True, modes=modes)(0.0, state))
+    return found[:n], found[n:].reshape(n, n).T  # images stand one after the other
+
+
+def _sides(scene: Scene, y: Array, swing: float) -> Iterator[Any]:
+    """Modes of the contacts at a state, in all ways in which walls that it lies on may be; None: as
+    the state is.
+    """
     system = scene.oscillator
     assert isinstance(system, System), "an oscillator is forced"
-    gaps = system.directions @ y[: system.n]
-    return any(
-        min(abs(gap - law.gap.j_2), abs(gap + law.gap.j_1)) <= _ON_WALL * (law.gap.width + abs(gap))
-        for gap, law in zip(gaps, scene.laws, strict=True)
-    )
+    choices = []
+    for gap, law in zip(system.directions @ y[: system.n], scene.laws, strict=True):
+        near = _ON_WALL * (law.gap.width + abs(gap)) + REST * swing
+        modes = {int(gap > law.gap.j_2) - int(gap < -law.gap.j_1)}
+        for wall, mode in ((law.gap.j_2, 1), (-law.gap.j_1, -1)):
+            if isinstance(law, Piecewise) and abs(gap - wall) <= near:
+                modes |= {0, mode}
+        # Where no gap lies between the walls, nothing is between their sides.
+        choices.append(sorted(modes - {0} if law.gap.width == 0.0 and len(modes) > 1 else modes))
+    if all(len(modes) == 1 for modes in choices):
+        yield None
+    elif all(isinstance(law, Piecewise) for law in scene.laws):
+        yield from product(*choices)
+    else:
+        yield from (None, None)  # beside other laws: this side, and no exponent
 
 
 def rates(scene: Scene, y: Array) -> Array:
@@ -59,12 +91,12 @@ def rates(scene: Scene, y: Array) -> Array:
     return np.asarray(right_side(scene, tangent=False)(0.0, y))
 
 
-def right_side(scene: Scene, *, tangent: bool) -> Callable[[float, Array], Any]:
-    """The equation of motion, with the laws as they are."""
+def right_side(scene: Scene, *, tangent: bool, modes: Any = None) -> Callable[[float, Array], Any]:
+    """The equation of motion, with the laws as they are or, of exact ones, in some modes."""
     form = SystemScene if isinstance(scene.oscillator, System) else OscillatorScene
     solver = scene.solver
     given = scene.omega, 0.0, solver.rtol, solver.atol
-    return form(scene.oscillator, scene.laws, *given, tangent=tangent).rhs(None)
+    return form(scene.oscillator, scene.laws, *given, tangent=tangent).rhs(modes)
 
 
 class Rates:

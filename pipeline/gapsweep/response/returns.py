@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.motion import Motions
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Call, Ensemble, Scene
-from gapsweep.response.rates import Rates
+from gapsweep.response.rates import REST, Rates
 from gapsweep.response.section import norm, reach_of
 from gapsweep.status import Status
 
@@ -23,8 +23,6 @@ Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-# A motion that would swing by no more than this share of what it swung at most is at rest.
-_REST = 1e-8
 # Tolerances within which a shot may close, where little is lost in a period.
 _NOISY = 1000.0
 # How much longer than expected a motion may take to come round, and how often it is asked again.
@@ -82,7 +80,6 @@ class Returns(Ensemble):
         super().__init__(scenes)
         self._rates = Rates(scenes)
         self._rate = self.omega.copy()  # returns per second, as seen last
-        self._swing = np.zeros(len(self.omega))  # farthest from the origin so far [m]
         # Time is counted in returns: as they follow each other, not as the slowest motion would.
         n = np.full(len(scenes), _FIRST)
         every, kept = np.arange(len(scenes)), np.zeros(len(scenes), bool)
@@ -120,9 +117,9 @@ class Returns(Ensemble):
         speed = self._speed(scenes, found.state.T)
         swing = norm(speed) / (2.0 * math.pi * self.omega[scenes])
         faint = np.abs(speed[normal]) <= _FAINT * norm(speed)
-        is_ok, at_rest = found.status == Status.OK, swing <= _REST * self._swing[scenes]
+        is_ok, at_rest = found.status == Status.OK, swing <= REST * self.swing[scenes]
         if tangent:  # about a rest, Newton's orbits shrink until they close within the noise
-            at_rest |= swing <= _NOISY * self.solver.rtol * self._swing[scenes]
+            at_rest |= swing <= _NOISY * self.solver.rtol * self.swing[scenes]
         found.status[is_ok & (faint | ~is_back)] = ASTRAY
         found.status[is_ok & at_rest] = AT_REST
         given = self.unit[:, scenes], n_periods / t_end, t_end, self._shrinks(scenes), *tangents
@@ -165,8 +162,8 @@ class Returns(Ensemble):
                 swing = norm(self._speed(which, run.state.T)) / (2.0 * math.pi * self.omega[which])
                 if not is_shot:  # shots may lead anywhere
                     reach = reach_of(run.reach.T, self.unit[:, which])
-                    self._swing[which] = np.maximum(self._swing[which], reach)
-                goes_on = (run.status == Status.OK) & (swing > _REST * self._swing[which])
+                    self.swing[which] = np.maximum(self.swing[which], reach)
+                goes_on = (run.status == Status.OK) & (swing > REST * self.swing[which])
                 left_over.append(some[~is_back & goes_on])
             left = np.concatenate(left_over)
             if not left.size:

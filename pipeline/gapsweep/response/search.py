@@ -447,4 +447,4 @@ class Search:
         found.is_at_rest[at_rest], found.lyapunov_error[at_rest] = True, 0.0
         for point in at_rest.tolist():
             rest = ensemble.scenes[point], walks.y[:, point], ensemble.unit[:, point]
-            found.lyapunov[point], found.offset[point] = about_rest(*rest)
+            found.lyapunov[point], found.offset[point] = about_rest(*rest, ensemble.swing[point])

@@ -146,8 +146,8 @@ class Grid:
     def labels(self, name: str) -> Sequence[Any]:
         """Values of an axis as its coordinate in the dataset holds them."""
         axis = self.axes[name]
-        if name == "gap":
-            return [gap.label for gap in axis]
+        if name == "gap":  # of systems in units that the user knows
+            return [f"{g.j_1:.12g}/{g.j_2:.12g}" if self.parts else g.label for g in axis]
         return axis.number.tolist() if isinstance(axis, Starts) else axis
 
     def coordinates(self) -> dict[str, NDArray[Any]]:

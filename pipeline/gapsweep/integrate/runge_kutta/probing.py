@@ -187,6 +187,22 @@ def _plan_contacts(at, lane, lane_int, q, probes, scratch, n_turns, contact, i):
 
 
 @internal
+def _turns(at, lane, scratch, which, i):
+    """List where in the accepted step a quantity turns; their number.
+
+    Of a step that hardly moves it speeds alone are left: differences of rounded places are noise.
+    """
+    rows = ln.ends(at, which)
+    x, v_0, v_1 = lane[rows[3], i], lane[rows[1], i], lane[rows[4], i]
+    if max(abs(v_0), abs(v_1)) * lane[at.step_h, i] > 1e-14 * abs(x):
+        return roots(scratch.b[6:], scratch.found, scratch.stack)
+    if v_0 * v_1 < 0.0:
+        scratch.found[0] = v_0 / (v_0 - v_1)
+        return 1
+    return 0
+
+
+@internal
 def plan_probes(
     at, lane, lane_int, q, probes, scratch, section_only, lists_passings, has_dipped, i
 ):
@@ -204,7 +220,7 @@ def plan_probes(
         n_turning = 1 if at.is_free else 0
     for which in range(n_turning):
         coefficients(at, lane, scratch.b, which, i)
-        n_turns = roots(scratch.b[6:], scratch.found, scratch.stack)
+        n_turns = _turns(at, lane, scratch, which, i)
         for m in range(n_turns):
             _add_probe(at, lane_int, probes, scratch.found[m], ln.EXTREMUM, which, i)
         if which >= at.gaps_from and lists_passings and not section_only:
