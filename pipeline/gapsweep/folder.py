@@ -12,7 +12,7 @@ from gapsweep.errors import StoreError, StudyError
 from gapsweep.stages import RESPONSES, STABILITY, WORK_PRECISION
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
-from gapsweep.store.state import RunState
+from gapsweep.store.state import NO_FOLDER, RunState
 from gapsweep.study.spec import check
 from gapsweep.study.study import Study
 
@@ -41,6 +41,8 @@ def alone_in_run(folder: Path) -> Iterator[None]:
     StoreError
         If it holds none.
     """
+    if folder.is_file():
+        raise StoreError(f"{folder}: {NO_FOLDER}")
     if not (folder / RESPONSES).exists():
         raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
     with alone_in(folder):

@@ -310,3 +310,9 @@ def test_the_library_that_draws_the_curve_is_part_of_the_key(tables, bench):
         tables["sweep"][0]["representation"] = label
         ((_, points),) = gs.Study.from_dict(tables).points(np.arange(1))
         assert ("scipy" in json.loads(points.kind.identity)["versions"]) == has_scipy
+
+
+def test_a_mistake_in_a_table_names_the_module_it_stands_in(bench):
+    np.savetxt(bench, np.transpose([X[::-1], F]), delimiter=",")
+    with pytest.raises(gs.ModelError, match=r"'bench_spring:spring': x\[1\] = .*must be > x\[0\]"):
+        gs.contact_law("bench_spring:spring", 1.0, GAP)

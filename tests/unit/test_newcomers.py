@@ -118,6 +118,14 @@ ON_THE_COMMAND_LINE = {
         "'gapsweep init' writes",
     ),
     "folder for a study": (["plan", "."], "error: .: cannot be read: Is a directory; name a study"),
+    "study for a folder": (
+        ["status", "mine.toml"],
+        "mine.toml: is a file; name the folder of a run, as data/runs/quick",
+    ),
+    "misspelt column": (
+        ["query", "mine.toml", "--columns", "xmax", "--scheduler", "tcp://nobody:1"],
+        "'xmax': did you mean x_max?",  # before anything is computed, or asked of a cluster
+    ),
     "misspelt command": (["paln"], "No such command 'paln'. Did you mean 'plan'?"),
     "misspelt option": (["run", "mine.toml", "--worker", "4"], "Did you mean '--workers'?"),
     "value that is not there": (

@@ -169,6 +169,7 @@ def query(
     if output is not None:
         check_output(output)
     loaded = options.loaded(study, engine)
+    shown.check(loaded)
     with progress_bar() as observer:
         found = workflow.query(loaded, on_progress=observer, **how, **options.selected(wanted))
     click.echo(

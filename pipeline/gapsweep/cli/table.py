@@ -14,9 +14,11 @@ import xarray as xr
 
 from gapsweep.console import print_table, print_text
 from gapsweep.errors import StoreError
+from gapsweep.execution.layout import Layout
 from gapsweep.status import Status
 from gapsweep.store.artefact import replacing
 from gapsweep.study.grid import CONTACT, COORDINATE
+from gapsweep.study.study import Study
 
 # What fits a terminal beside the dimensions: how the motion is, and whether it is one.
 _COLUMNS = ("amplitude", "period_multiple", "response_class", "status")
@@ -60,6 +62,12 @@ class Form:
         if kind == "table":
             return cls(kind, named or _COLUMNS, digits or _DIGITS)
         return cls(kind, named, digits)
+
+    def check(self, study: Study) -> None:
+        """Refuse columns that nothing of a study has, before anything is computed."""
+        layout = Layout.of(study.grid, study.steady)
+        wanted = [_base(name) for name in self.columns]
+        _chosen(wanted, [*study.grid.coordinates(), *layout.variables])
 
 
 def check_output(output: Path) -> None:

@@ -181,7 +181,10 @@ def _imported(label: str) -> _Sources:
         raise _unusable(label, reason)
     try:
         with _compiled_apart(sources), _imported_anew(sources):
-            importlib.import_module(module)
+            try:
+                importlib.import_module(module)
+            except ModelError as error:  # of a table in it, say
+                raise ModelError(f"{label!r}: {error}") from None
             for name in sources.files:
                 # What only a function imports has values, too.
                 with suppress(Exception):  # what the user's code raises here, the function raises

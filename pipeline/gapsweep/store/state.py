@@ -24,6 +24,7 @@ RUNNING, FINISHED, INTERRUPTED, FAILED, DIED = (
     "failed",
     "died",
 )
+NO_FOLDER = "is a file; name the folder of a run, as data/runs/quick"
 # Longer than any pause between two tasks is worth a doubt, if the process cannot be seen.
 _SILENT_SECONDS = 120.0
 
@@ -89,6 +90,8 @@ class RunState:
             is_dead = found.state == RUNNING and not found.is_alive
         except FileNotFoundError:
             raise StoreError(f"{path}: no such file; 'gapsweep run' makes it") from None
+        except NotADirectoryError:
+            raise StoreError(f"{folder}: {NO_FOLDER}") from None
         except (OSError, ValueError, TypeError) as error:
             raise StoreError(f"{path}: cannot be read: {error}; run the study again") from None
         if is_dead:
