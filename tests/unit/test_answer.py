@@ -104,6 +104,14 @@ def test_every_law_has_its_verdict_and_its_price(tmp_path):
     assert line[2] == "none"
 
 
+def test_code_of_the_users_that_only_fails_is_no_stand_in(tmp_path):
+    broken = {"tests.laws:raising": (None, 0.0)}
+    _, (contact,) = made(tmp_path, LAWS | broken)
+    assert {one.law for one in contact.laws} == LAWS.keys() - {"piecewise", "piecewise@half"}
+    alone = {name: LAWS[name] for name in ("piecewise", "piecewise@half")} | broken
+    assert made(tmp_path, alone)[1] == []
+
+
 def test_too_few_frequencies_for_an_interval_settle_nothing(tmp_path):
     _, (contact,) = made(tmp_path, LAWS, OMEGA[:4])
     tanh = next(one for one in contact.laws if one.law == "tanh-1e4")

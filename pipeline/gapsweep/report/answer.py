@@ -177,12 +177,11 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
             label: {name: table[r, *at.values()] for name, table in tables.items()}
             for r, label in enumerate(labels)
         }
-        if not any(where[law]["n_points"] > 0 for law in laws):
+        here_too = [law for law in laws if _is_judged(law, where[law])]
+        if not here_too:
             continue
         floors = _worst([_values(where[label]) for label in exact])
-        judged = [
-            _judged(law, where[law], floors, noise) for law in laws if where[law]["n_points"] > 0
-        ]
+        judged = [_judged(law, where[law], floors, noise) for law in here_too]
         here = pooled.coords.to_dataset().isel(at)
         gap, others = gap_label(here), ", ".join(named(here[name]) for name in beside(here))
         known = _threshold(static, here), others, at
@@ -222,6 +221,12 @@ def _worst(exact: Sequence[Values]) -> Values:
     worst = {name: np.fmin if name == "found" else np.fmax for name in _SHOWN}
     nothing = np.full(3, np.nan)
     return {n: reduce(w, (values[n] for values in exact), nothing) for n, w in worst.items()}
+
+
+def _is_judged(label: str, row: Row) -> bool:
+    """Whether a law was asked for; code of the user's of which every point failed has a mistake."""
+    is_broken = ":" in label and np.isnan(row[_SHOWN["median"]])
+    return bool(row["n_points"] > 0 and not is_broken)
 
 
 def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
