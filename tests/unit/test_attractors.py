@@ -183,10 +183,9 @@ def test_responses_in_parts_as_all_at_once(seed):
     scene, counted = np.sort(rng.integers(n_scenes, size=80)), rng.random(80) < 0.7
     unit = unit_of(OMEGA * (1.0 + 1e-5 * np.arange(n_scenes)))
     at_once = attractors_of_scenes(responses, scene, unit=unit, symmetric=True, counted=counted)
-    grouping = Grouping(n_scenes)
+    grouping = Grouping(unit)
     for part in np.split(np.arange(80), np.sort(rng.integers(81, size=4))):
-        some = responses.take(part)
-        grouping.add(some, scene[part], unit=unit, counted=counted[part])
+        grouping.add(responses.take(part), scene[part], counted[part])
     found = grouping.attractors(True)
     for name in ("of_response", "scene", "number", "first", "n_ending", "n_starts", "mirror_of"):
         assert getattr(found, name).tolist() == getattr(at_once, name).tolist(), name

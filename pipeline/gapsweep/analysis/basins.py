@@ -107,9 +107,9 @@ def basins(
             "gapsweep.respond for an array of starts"
         )
     parts = [(x_0[i : i + _PART], v_0[i : i + _PART]) for i in range(0, x_0.size, _PART)]
-    grouping = Grouping(1)
+    grouping = Grouping(unit_of(scene.omega))
     for answer in _answers(parts, *settings, client):
-        grouping.add(answer, np.zeros(len(answer), int), unit=unit_of(scene.omega))
+        grouping.add(answer, np.zeros(len(answer), int))
     return _dataset(grouping.attractors(law.is_symmetric), scene, starts_x, starts_v)
 
 

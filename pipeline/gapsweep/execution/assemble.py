@@ -224,14 +224,12 @@ def _grouped(
 ) -> tuple[Attractors, NDArray[np.int32]]:
     """The attractors of the scenes of a piece, and the number of that of every point."""
     shape = tuple(part.stop - part.start for part in piece)
-    grouping, cells = Grouping(math.prod(shape[:-1])), []
-    unit = _units(study, layout, piece, stored, requested)
+    grouping, cells = Grouping(_units(study, layout, piece, stored, requested)), []
     for starts in layout.starts():
         found, at = stored.of(starts)
         scene, start = np.ravel_multi_index(tuple(at[:-1]), shape[:-1]), at[-1] + starts.start
         cells.append(scene * shape[-1] + start)
-        counted = layout.grid.starts.is_fixed[start]
-        grouping.add(found.responses, scene, unit=unit, counted=counted)
+        grouping.add(found.responses, scene, layout.grid.starts.is_fixed[start])
     attractors = grouping.attractors(False if layout.is_of_systems else layout.is_symmetric(piece))
     ids = np.full(shape, NONE, np.int32)
     ids.flat[np.concatenate(cells)] = attractors.numbers

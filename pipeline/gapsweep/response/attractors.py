@@ -100,24 +100,18 @@ class Grouping:
 
     Parameters
     ----------
-    n_scenes : int
+    unit : ndarray, shape (n_states, n_scenes)
+        What one metre of the section is in each component of a state.
     """
 
-    def __init__(self, n_scenes: int) -> None:
-        self._n_scenes, self._n_responses = n_scenes, 0
+    def __init__(self, unit: Array) -> None:
+        self._unit, self._n_responses = unit, 0
         self._leaders: Responses | None = None
         self._scene, self._first, self._n_ending = np.zeros((3, 0), np.intp)
-        self._n_starts = np.zeros(n_scenes, np.intp)
+        self._n_starts = np.zeros(unit.shape[1], np.intp)
         self._of_response: list[Numbers] = []
 
-    def add(
-        self,
-        responses: Responses,
-        scene: ArrayLike,
-        *,
-        unit: Array,
-        counted: ArrayLike | None = None,
-    ) -> None:
+    def add(self, responses: Responses, scene: ArrayLike, counted: ArrayLike | None = None) -> None:
         """Group further responses.
 
         Unresolved and failed ones belong to no attractor; they count among the starts.
@@ -128,8 +122,6 @@ class Grouping:
             Of all scenes, in any order.
         scene : array_like of int, shape (n_responses,)
             Number of each response's scene, from 0 on.
-        unit : ndarray, shape (n_states, n_scenes)
-            What one metre of the section is in each component of a state.
         counted : array_like of bool, shape (n_responses,), optional
             Which starts are a sample for basin shares; all if None. A sweep's are not.
         """
@@ -138,7 +130,7 @@ class Grouping:
         of_all = np.concatenate([self._scene, scene])
         if self._leaders is not None:
             responses = Responses.concatenated([self._leaders, responses])
-        first = _firsts(responses, of_all, unit)[n:]
+        first = _firsts(responses, of_all, self._unit)[n:]
         new = np.unique(first[first >= n])
         place = np.full(len(of_all) + 1, NONE, np.intp)  # that of `NONE` comes last
         place[:n], place[new] = np.arange(n), n + np.arange(len(new))
@@ -149,7 +141,7 @@ class Grouping:
         ending = np.bincount(of_response[sample & (first >= 0)], minlength=len(leaders))
         ending[:n] += self._n_ending
         self._n_ending, self._n_responses = ending, self._n_responses + len(scene)
-        self._n_starts += np.bincount(scene[sample], minlength=self._n_scenes)
+        self._n_starts += np.bincount(scene[sample], minlength=len(self._n_starts))
 
     def attractors(self, symmetric: ArrayLike) -> Attractors:
         """What was found; a scene's attractors in the order of peaks, troughs, period multiples.
@@ -167,7 +159,7 @@ class Grouping:
         number = np.arange(len(order)) - np.searchsorted(scene, scene)
         mirror_of = np.full(len(order), NONE, np.intp)
         if leaders.columns["x_max"].ndim == 1:
-            rows = np.flatnonzero(np.broadcast_to(symmetric, self._n_scenes)[scene])
+            rows = np.flatnonzero(np.broadcast_to(symmetric, self._n_starts.shape)[scene])
             mirror_of[rows] = _mirrors(rows, leaders, scene, number)
         return Attractors(
             of_response=place[np.concatenate([np.zeros(0, np.intp), *self._of_response])],
@@ -190,8 +182,8 @@ def attractors_of_scenes(
     counted: ArrayLike | None = None,
 ) -> Attractors:
     """Group the responses of different starts in each of many scenes, all at once; a `Grouping`."""
-    grouping = Grouping(unit.shape[1])
-    grouping.add(responses, scene, unit=unit, counted=counted)
+    grouping = Grouping(unit)
+    grouping.add(responses, scene, counted)
     return grouping.attractors(symmetric)
 
 
