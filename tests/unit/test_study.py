@@ -165,7 +165,7 @@ def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path, plac
     source = 'def f(x):\n    """Doc."""\n    return x * 2.0  # twice\n'
     for folder in ("model", "integrate", "response", "study", "execution"):
         (tmp_path / folder).mkdir()
-    for name in ("status.py", "study/points.py", "execution/task.py", "execution/again.py"):
+    for name in ("status.py", "study/points.py", "execution/task.py", "execution/sweeps.py"):
         (tmp_path / name).write_text("")
     module = tmp_path / place
     prints = {}
