@@ -334,7 +334,7 @@ def cloud_distances(a: Array, b: Array, share: float = 0.8) -> Array:
     -------
     ndarray, shape (m,)
     """
-    distances = norm(a[..., :, None] - b[..., None, :])
+    distances = _apart(a, b)
     nearest = [np.quantile(distances.min(axis=axis), share, axis=1) for axis in (1, 2)]
     return np.asarray(np.maximum(*nearest))
 
@@ -353,13 +353,18 @@ def own_neighbours(a: Array, b: Array) -> Array:
     -------
     ndarray, shape (m,)
     """
-    apart = norm(a[..., :, None] - b[..., None, :])
+    apart = _apart(a, b)
     own = [_nearest_own(cloud) < apart.min(axis=axis) for cloud, axis in ((a, 2), (b, 1))]
     return np.asarray(np.concatenate(own, axis=1).mean(axis=1))
 
 
+def _apart(a: Array, b: Array) -> Array:
+    """Distances of every point of a cloud from every one of another, shape (m, n_a, n_b)."""
+    return norm(a[..., :, None] - b[..., None, :])
+
+
 def _nearest_own(a: Array) -> Array:
     """Distances of a cloud's points from the nearest other one of it, shape (m, n)."""
-    distances = norm(a[..., :, None] - a[..., None, :])
+    distances = _apart(a, a)
     distances[:, np.eye(a.shape[2], dtype=bool)] = np.inf
     return np.asarray(distances.min(axis=2))
