@@ -221,7 +221,7 @@ def sentence(progress: Progress, rate: float) -> str:
     """Counts of a run, and the time left at some points per second."""
     missing = progress.n_points - progress.n_done
     # The first tasks are small, whose points cost ten times as much as those of a full one.
-    is_early = progress.n_computed < min(_EARLY, 0.1 * progress.n_points)
+    is_early = progress.n_computed < min(_EARLY, 0.05 * (progress.n_points - progress.n_hits))
     known = rate > 0.0 and not is_early
     left = duration(missing / rate) if known and missing else "unknown" if missing else "0:00:00"
     stored = f"{progress.n_hits} from the cache, " if progress.n_hits else ""

@@ -24,6 +24,12 @@ def clock(monkeypatch):
     [
         (Progress(10, 2), 0.0, "2/10 points, 0.0/s, 2 from the cache, 0 failed, unknown left"),
         (Progress(10, 2, 4), 2.0, "6/10 points, 2.0/s, 2 from the cache, 0 failed, 0:00:02 left"),
+        (Progress(9999, 0, 64), 8.0, "64/9999 points, 8.0/s, 0 failed, unknown left"),
+        (
+            Progress(9999, 9979, 2),
+            1.0,
+            "9981/9999 points, 1.0/s, 9979 from the cache, 0 failed, 0:00:18 left",
+        ),
         (Progress(10, 0, 10), 2.0, "10/10 points, 2.0/s, 0 failed, 0:00:00 left"),
         (Progress(3, 3), 0.0, "3/3 points, 0.0/s, 3 from the cache, 0 failed, 0:00:00 left"),
     ],
