@@ -176,7 +176,9 @@ def read(path: str | Path) -> "xr.Dataset":
     ...     ds["n_attractors"].values.ravel().tolist()
     [1]
     """
-    import xarray as xr  # half a second to import, which a run without anything to do can spare
+    # half a second to import, which a run without anything to do can spare
+    import xarray as xr
+    from xarray.backends.netCDF4_ import NETCDF4_PYTHON_LOCK
 
     path = Path(path)
     if path.is_dir():
@@ -189,7 +191,10 @@ def read(path: str | Path) -> "xr.Dataset":
                 f"{path}: damaged or changed since it was written (SHA-256 differs from "
                 "SHA256SUMS beside it); 'gapsweep run' writes it again from the cache"
             )
-        store = xr.backends.NetCDF4DataStore.open(os.fspath(path))  # type: ignore[no-untyped-call]  # xarray has no type for it
+        file = xr.backends.CachingFileManager(
+            netCDF4.Dataset, os.fspath(path), mode="r", lock=NETCDF4_PYTHON_LOCK, cache=_files
+        )
+        store = xr.backends.NetCDF4DataStore(file)  # type: ignore[no-untyped-call]  # xarray has no type for it
         _opened.append(store)
         opened = xr.open_dataset(store)
     except StoreError:
@@ -206,8 +211,10 @@ def read(path: str | Path) -> "xr.Dataset":
     return opened
 
 
-# What is open, for a dataset of ours or for what was selected from it.
+# What is open, for a dataset of ours or for what was selected from it. Its files are kept apart
+# from xarray's cache, which then holds those alone that a user has opened without us.
 _opened: list[Any] = []
+_files: dict[Any, Any] = {}
 
 
 def _references(held: list[Any]) -> int:
@@ -227,7 +234,7 @@ def _close_forgotten() -> None:
     with _LOCK:
         xarray = sys.modules.get("xarray")
         if xarray is not None and xarray.backends.file_manager.FILE_CACHE:
-            gc.collect()  # also those that a user has opened without us, here and now
+            gc.collect()  # these too, here and now
         used = []
         while _opened:
             is_used = _references(_opened) > _FORGOTTEN
