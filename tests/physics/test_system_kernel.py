@@ -430,3 +430,19 @@ def test_a_start_on_a_wall_that_only_lags_push_from_is_no_contact():
     laws = {name: gs.Piecewise(100.0, gap) for name, gap in gaps.items()}
     run = gs.simulate(system, laws, q_0=q_0, t_end=10.0)
     assert run.n_contacts == sum(map(len, run.t_contacts.values())) == len(crossings)
+
+
+@pytest.mark.parametrize("start", [1.0, 1.0 - 1e-9, 1.0 + 1e-9])
+def test_a_mass_in_equilibrium_on_its_wall_stays_there_and_lets_the_others_move(start):
+    """Its gap is its wall for ever, up to rounding, while another mass swings."""
+    system = gs.System(
+        mass=np.eye(2),
+        damping=np.diag([0.3, 0.0]),
+        stiffness=np.diag([1.0, 4.0]),
+        contacts={"stop": [1.0, 0.0]},
+        forcing=[gs.Harmonic(k=0, amplitude=[1.0, 0.0])],
+    )
+    law = gs.Piecewise(100.0, gs.Gap(1.0, 1.0))
+    run = gs.simulate(system, law, q_0=[start, 0.5], t_end=50.0, rtol=1e-10, atol=1e-13)
+    assert run.status == gs.Status.OK
+    assert run.q == pytest.approx([1.0, 0.5 * np.cos(100.0)], abs=1e-8)

@@ -16,13 +16,14 @@ from gapsweep.integrate.vectors import lowest_bit
 
 from .record import load_series, record_steps, rows_per_step
 from .roots import Work, first_exit, polynomial
-from .step import SHORT_STEP, taylor_step
+from .step import MAX_HALVINGS, SHORT_STEP, taylor_step
 
 # outcomes, with the numbers of the dataset's status flag
 RUNNING, OK, DIVERGED, STEP_UNDERFLOW, CHATTER = -1, 0, 4, 6, 7
 FINISHED, BUFFER_FULL, BUDGET_SPENT = 0, 1, 2
 IDLE = -1
 LARGEST = np.finfo(float).max
+HALVED = 2.0**MAX_HALVINGS
 
 
 @internal
@@ -112,13 +113,16 @@ def _commit_contacts(at, lanes, k, step, work):
 @internal
 def _resolve(at, lanes, k, coefficients, work):
     """Commit the step of a lane whose crossing was unclear. True if that ends the point."""
-    h = lanes[at.step, k]
-    step = _find_exits(at, lanes, k, coefficients, work)
     left = max(
         ((lanes[at.end_cycle, k] - lanes[at.cycle, k]) + (lanes[at.end_tau, k] - lanes[at.tau, k]))
         * lanes[at.period, k],
         0.0,
     )
+    h = lanes[at.step, k]
+    if h < lanes[at.min_step, k] and left <= h * HALVED:
+        # halved as often as may be for a motion that stays on its wall, until nothing is left
+        lanes[at.step, k] = h = left
+    step = _find_exits(at, lanes, k, coefficients, work)
     if not _advance_state(at, lanes, k, at.q, 0, step, coefficients, work):
         return False
     has_passed = _commit_contacts(at, lanes, k, step, work)

@@ -44,7 +44,9 @@ def set_starts(at, points, table, which, start, t_0, t_end, record_from, section
         READY; ON_WALL: points start on a wall, their modes there are left to the caller; NOT_FINITE
         or BACKWARD: a value is not a number, or an end lies before its start.
     """
-    points[-1] = table[-1]
+    # by loops: to compile an assignment of rows takes a second, for what it says of wrong shapes
+    for r in range(at.n_rows):
+        points[len(which), r] = table[len(table) - 1, r]
     outcome = READY
     for i in range(len(which)):
         if not (isfinite(t_0[i]) and isfinite(t_end[i])):
@@ -54,7 +56,8 @@ def set_starts(at, points, table, which, start, t_0, t_end, record_from, section
         if t_end[i] < t_0[i]:
             return BACKWARD
         point = points[i]
-        point[:] = table[which[i]]
+        for r in range(at.n_rows):
+            point[r] = table[which[i], r]
         for j in range(at.n_states):
             if not isfinite(start[i, j]):
                 return NOT_FINITE

@@ -309,13 +309,14 @@ def _emit_step(builder, layout, arrays, scalars):
     # 2., 3. which lanes leave their intervals, and where exactly
     exits = _Exits(builder, motion, modes, h)
     step, crosses, is_unclear = exits.step, exits.crosses, exits.is_unclear
+    # a step that is halved in search of a crossing may be as short as it likes
+    is_stuck = (h < lanes["min_step"]) & ~(crosses | is_last)
     is_last = is_last & (exits.h >= left)
     state = list(exits.ends[0]) if layout.is_plain else _state_at(motion, step)
 
     # 4. commit
     is_done = is_last & ~crosses & ~is_unclear
     tau_1 = fma(lanes["omega"], step, tau)
-    is_stuck = (step < lanes["min_step"]) & ~(crosses | is_last)
     wraps = tau_1 >= 1.0
     tau_1 = where(is_done, end_tau, where(wraps, tau_1 - 1.0, tau_1))
     cycle_1 = where(is_done, end_cycle, where(wraps, cycle + 1.0, cycle))
