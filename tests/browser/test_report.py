@@ -4,6 +4,7 @@ Run with ``pytest -m browser``; needs Chromium.
 """
 
 import asyncio
+import csv
 import json
 import re
 import shutil
@@ -109,7 +110,9 @@ async def looked_at(address, url, questions, size=(1000, 800)):
         await call("Runtime.evaluate", expression="1")
     answers = []
     for question in questions:
-        found = await call("Runtime.evaluate", expression=question, returnByValue=True)
+        found = await call(
+            "Runtime.evaluate", expression=question, returnByValue=True, awaitPromise=True
+        )
         answers.append(found["result"].get("value", found))
     socket.close()
     return answers, events
@@ -244,3 +247,119 @@ BOXES = """
 def test_no_text_of_a_figure_lies_on_another_or_is_too_small(debugger, page):
     (faults,), _ = ask(debugger, page, BOXES)
     assert faults == []
+
+
+# Every point of a grid over the first panel is pointed at, and what is said of it kept.
+POINTED = """
+(async () => {
+  const canvas = document.querySelector("canvas"), box = canvas.getBoundingClientRect();
+  do await new Promise(requestAnimationFrame); while (!canvas.dataset.y);
+  const said = new Set();
+  for (let x = 2; x < box.width; x += 4) for (let y = 2; y < box.height; y += 4) {
+    const place = { clientX: box.left + x, clientY: box.top + y };
+    canvas.dispatchEvent(new PointerEvent("pointermove", place));
+    if (!document.getElementById("told").hidden) said.add(told.textContent);
+  }
+  return [...said];
+})()
+"""
+HALVED = """
+(async () => {
+  const canvas = document.querySelector("canvas"), box = canvas.getBoundingClientRect();
+  const frame = () => new Promise(requestAnimationFrame);
+  const drawn = async () => { do await frame(); while (!canvas.dataset.x); await frame(); };
+  const seen = () => canvas.dataset.x.replaceAll("\u2212", "-").split(" ").map(Number);
+  await drawn();
+  const views = [seen()];
+  const middle = { clientX: (box.left + 62 + box.right - 12) / 2, clientY: box.top + 100 };
+  const deltaY = Math.log(0.5) / Math.log(1.002);
+  canvas.dispatchEvent(new WheelEvent("wheel", { deltaY, cancelable: true, ...middle }));
+  await drawn(); views.push(seen());
+  canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
+  await drawn(); views.push(seen());
+  canvas.dispatchEvent(new MouseEvent("dblclick"));
+  await drawn(); views.push(seen());
+  return views;
+})()
+"""
+INK = """
+(async () => {
+  const isDrawn = (canvas) => canvas.dataset.y;
+  while (![...document.querySelectorAll("canvas")].every(isDrawn)) {
+    await new Promise(requestAnimationFrame);
+  }
+  return [...document.querySelectorAll("canvas")].map((canvas) => {
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    let n = 0;
+    for (let i = 3; i < data.length; i += 4) n += data[i] > 0;
+    return n;
+  });
+})()
+"""
+OFF = """
+[...document.querySelectorAll("#laws label")].find((l) => l.textContent === "tanh-1e4")
+  .querySelector("input").click()
+"""
+
+
+@pytest.fixture(scope="module")
+def hero(page):
+    return page.parent / "figures" / "figure-hero.html"
+
+
+def rows_of(hero):
+    lines = hero.with_suffix(".csv").read_text().splitlines()
+    rows = csv.DictReader(line for line in lines if not line.startswith("#"))
+    return [row for row in rows if row["panel"] == "1" and row["mark"] == "point"]
+
+
+def named(said):
+    """Series, x and y of every point that was named; those at one place are named together."""
+    lines = [text.split("\n") for text in said]
+    return {(series, x, y) for *names, x, y in lines for series in names}
+
+
+def test_pointing_at_a_figure_names_every_point(debugger, hero):
+    (said, _, without), _ = ask(debugger, hero, POINTED, OFF, POINTED)
+    points = {
+        (row["series"], f"forcing frequency [Hz]: {row['x']}", f"peak [mm]: {row['y']}")
+        for row in rows_of(hero)
+    }
+    assert len(points) == 6
+    assert named(said) == points
+    assert named(without) == {each for each in points if each[0].startswith("piecewise")}
+
+
+def test_the_wheel_zooms_arrows_move_and_a_double_click_resets(debugger, hero):
+    ((whole, halved, moved, again),), _ = ask(debugger, hero, HALVED)
+    middle = sum(whole) / 2
+    quarter = (whole[1] - whole[0]) / 4
+    assert halved == pytest.approx([middle - quarter, middle + quarter], rel=0.02)
+    assert moved[0] > halved[0]
+    assert moved[1] - moved[0] == pytest.approx(halved[1] - halved[0], rel=1e-3)
+    assert again == whole
+
+
+def test_every_figure_draws_its_data(debugger, page):
+    pages = sorted((page.parent / "figures").glob("*.html"))
+    assert len(pages) > 10
+    for each in pages:
+        (inks,), events = ask(debugger, each, INK)
+        kinds = {event["method"] for event in events}
+        assert not kinds & {"Runtime.exceptionThrown", "Log.entryAdded"}, each.name
+        assert min(inks) > 500, each.name
+
+
+def test_a_picture_comes_to_life_in_its_place(debugger, page):
+    opened = """
+    (async () => {
+      document.querySelector("#figure-hero a.live").click();
+      const frame = document.querySelector("#figure-hero iframe");
+      await new Promise((done) => addEventListener("message", done));
+      return [frame.getBoundingClientRect().height, parseFloat(frame.style.height)];
+    })()
+    """
+    (heights,), events = ask(debugger, page, opened)
+    assert min(heights) > 300.0
+    assert heights[0] == pytest.approx(heights[1], abs=1.0)
+    assert not {event["method"] for event in events} & {"Runtime.exceptionThrown", "Log.entryAdded"}

@@ -21,7 +21,7 @@ from gapsweep.report.answer import Contact, Judged, contacts
 from gapsweep.report.findings import findings
 from gapsweep.report.heat import heads, heat
 from gapsweep.report.html import write_report
-from gapsweep.report.parts import Figured, Part, Table, for_page, rendered
+from gapsweep.report.parts import Figured, Part, Table, drawn, for_page, rendered
 from gapsweep.report.pictures import VIEWS, is_picture, pictures
 from gapsweep.report.provenance import as_toml
 from gapsweep.report.tables import VERDICTS, number, outcome, percent
@@ -166,8 +166,25 @@ def test_hostile_texts_stay_texts(page):
     text = page.read_text()
     assert "<img src=x" not in text
     assert "alert(3)" not in text
-    assert text.count("<script>") == 1
+    assert text.count("<script>") == 2  # of figures and claims
     assert "&lt;script&gt;alert(2)" in text
+
+
+def test_data_of_a_figure_cannot_end_their_element(tmp_path):
+    figure = Figure()
+    figure.subplots().plot([1.0], [1.0], label=HOSTILE)
+    figure.axes[0].set_title("</script>", loc="left")
+    drawn_once = drawn(Figured(figure, HOSTILE, HOSTILE))
+    study = tables(LABELS[:1], OMEGA)
+    responses, attractors = datasets(tmp_path, study, amplitudes(EQUAL))
+    parts = [{**PART, "anchor": "part", "figures": [drawn_once]}]
+    files = responses, agreement(responses, attractors), timing(responses)
+    write_report(tmp_path / "report" / "index.html", *files, own_parts=parts)
+    (found,) = (tmp_path / "report" / "figures").glob("figure-part.html")
+    text = found.read_text()
+    assert text.count("</script>") == 2
+    assert "<img src=x" not in text
+    assert r"\u003c/script>" in text
 
 
 def test_the_answer_comes_first_in_words_and_as_a_map(tmp_path):

@@ -93,7 +93,6 @@ def write_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    script = (_TEMPLATES / "claims.js").read_text(encoding="utf-8")
     files = (responses, agreement, timing, attractors)
     ours = chain(
         bench_parts(work_precision, stability),
@@ -107,7 +106,7 @@ def write_report(
     hero = _hero(responses, told)
     figures = [*([hero] if hero else []), *(one for part in parts for one in part["figures"])]
     filters = {"number": number, "percent": percent, "times": times, "colour": colour}
-    environment.filters.update(**filters, plain=plain)
+    environment.filters.update(**filters, plain=plain, digest=_digest)
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
@@ -124,8 +123,7 @@ def write_report(
         folder=FIGURES,
         claims=claims and {"counts": claims["counts"], "rows": _claims(claims, parts)},
         verdicts=VERDICTS,
-        script=Markup(script),  # our own file, without anything of the user's
-        script_digest=_digest(script),
+        scripts=[_script("figures"), *([_script("claims")] if claims else [])],
         parts=parts,
         measured_on=timing.attrs["measured_on"],
         provenance=provenance(responses),
@@ -134,17 +132,32 @@ def write_report(
         fingerprint=responses.attrs["numerics_fingerprint"],
     )
     for figure in figures:
-        _write_files(path.parent / FIGURES, figure)
+        _write_files(path.parent / FIGURES, figure, _page(environment, figure))
     with recording(path, _is_ours) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
 
 
-def _write_files(folder: Path, figure: Mapping[str, Any]) -> None:
+def _page(environment: jinja2.Environment, figure: Mapping[str, Any]) -> str:
+    """A page on which a figure is drawn from its data; empty if these are images."""
+    if not figure["data"]:
+        return ""
+    data = Markup(figure["data"].replace("<", "\\u003c"))  # so that no text in it ends the element
+    page = environment.get_template("figure.html")
+    return page.render(figure=figure, data=data, script=_script("figure"))
+
+
+def _script(name: str) -> Markup:
+    """A file of our own, without anything of the user's."""
+    return Markup((_TEMPLATES / f"{name}.js").read_text(encoding="utf-8"))
+
+
+def _write_files(folder: Path, figure: Mapping[str, Any], page: str) -> None:
     """A figure as files beside the report."""
     if folder.is_symlink():
         raise StoreError(f"{folder}: a symbolic link, which could lead anywhere: remove it")
-    for kind, data in figure["files"].items():
+    pages = {"html": page.encode()} if page else {}
+    for kind, data in (figure["files"] | pages).items():
         with recording(folder / f"{figure['id']}.{kind}", is_recorded) as temporary:
             temporary.write_bytes(data)
 

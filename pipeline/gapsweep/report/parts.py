@@ -155,13 +155,13 @@ def for_page(parts: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def shown(figure: Mapping[str, str]) -> dict[str, Any]:
-    """A figure for the page."""
+    """A figure for the page: pictures, files, and the data of a page of its own, maybe none."""
     views = {name: {"src": address(figure[name]), **size(figure[name])} for name in VIEWS}
     files = {"svg": figure["wide"].encode()}
     for kind in PACKED:
         with suppress(KeyError, ValueError, zlib.error):  # not there, or not as it was packed
             files[kind] = unpacked(figure[kind])
-    return {**figure, **views, "files": files}
+    return {**figure, **views, "data": files.pop("json", b"").decode(), "files": files}
 
 
 def _is_sound(figure: Mapping[str, str]) -> bool:

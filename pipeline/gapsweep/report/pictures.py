@@ -20,9 +20,9 @@ from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
-from gapsweep.report.points import as_csv, label_of
+from gapsweep.report.points import as_csv, as_json, label_of
 
-VIEWS, PACKED = ("wide", "narrow"), ("pdf", "csv")
+VIEWS, PACKED = ("wide", "narrow"), ("pdf", "csv", "json")
 # What matplotlib draws with. Others run scripts, lead elsewhere or change what is shown.
 _DRAWING = {
     "svg", "g", "defs", "style", "path", "use", "clipPath", "rect", "circle", "image", "text",
@@ -56,10 +56,10 @@ _PLAIN = "<>/:;=,.'()!*+-_~@[]{}|^`$?"
 def pictures(figure: Figure) -> dict[str, str]:
     """A figure, which is used up, as texts that JSON can hold.
 
-    Its `VIEWS` as SVG: as it is, and its panels stacked; what it shows as CSV, if it shows numbers,
-    and itself as PDF, both packed.
+    Its `VIEWS` as SVG: as it is, and its panels stacked; `PACKED`, itself as PDF and, if it shows
+    numbers, what it shows as CSV, and as JSON for a page that draws it.
     """
-    data = as_csv(figure).encode()
+    numbers = as_csv(figure).encode(), as_json(figure).encode()
     texts: list[Any] = figure.findobj(Text)
     for text in texts:
         text.set_fontsize(max(_SMALLEST, text.get_fontsize()))
@@ -69,7 +69,7 @@ def pictures(figure: Figure) -> dict[str, str]:
     stack(figure)
     narrow = svg(figure)
     figure.clear()  # its cycles would keep every figure's data until the collector comes by
-    files = {kind: packed(held) for kind, held in zip(PACKED, (page, data), strict=True) if held}
+    files = {kind: packed(h) for kind, h in zip(PACKED, (page, *numbers), strict=True) if h}
     return {**dict(zip(VIEWS, (wide, narrow), strict=True)), **files}
 
 

@@ -1,21 +1,57 @@
-"""What a figure shows, as CSV: a row per point, so that anybody can draw it again."""
+"""What a figure shows, as data: CSV for people, JSON for the page that draws it again."""
 
+import base64
 import csv
 import io
+import json
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.colors import to_hex, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import FixedFormatter
 
 HEADER = ("panel", "series", "mark", "x", "y", "x_end")
 _ABOUT = "# panel"  # how a line starts that says what a panel is
 Row = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """Marks of one look, in the units of their axes.
+
+    Attributes
+    ----------
+    kind : str
+        ``line``, ``point``, ``tick`` above the panel, ``band`` behind it, from `x` to `x_end`, or
+        ``level`` all across it, which says no data.
+    x, y, x_end : sequence
+        Numbers, or words on an axis of words.
+    colour : RGBA tuple of float
+    size : float or array
+        Of a line its width, of points their diameter or diameters [points].
+    dashes : str
+        As matplotlib writes them.
+    zorder : float
+    """
+
+    series: str
+    kind: str
+    x: Any
+    y: Any
+    x_end: Any = ()
+    colour: Any = (0.0, 0.0, 0.0, 1.0)
+    size: Any = 1.0
+    dashes: str = "-"
+    is_hollow: bool = False
+    zorder: float = 0.0
 
 
 def as_csv(figure: Figure) -> str:
@@ -25,20 +61,27 @@ def as_csv(figure: Figure) -> str:
     to six digits stand there once: many starts end on one attractor. Empty if the figure shows
     images, whose colours are not their numbers: these are in the datasets.
     """
-    panels = [axes for axes in figure.axes if axes.get_visible()]
-    if any(axes.images for axes in panels):
-        return ""
+    panels = _panels(figure)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    common = figure.get_supxlabel(), figure.get_supylabel()
     for number, axes in enumerate(panels, start=1):
-        x, y = (label_of(axes, n) or alone for n, alone in zip("xy", common, strict=True))
+        x, y = _labels(axes)
         said = f"{axes.get_title(loc='left')}; x: {x}; y: {y}".replace("\n", " ")
         text.write(f"{_ABOUT} {number}: {said}\n")
-    writer.writerow(HEADER)
+    writer.writerows([HEADER] if panels else [])
     for number, axes in enumerate(panels, start=1):
-        writer.writerows((number, *row) for row in _marks(axes))
+        for marks in _marks(axes):
+            writer.writerows((number, *row) for row in _rows(marks))
     return text.getvalue()
+
+
+def as_json(figure: Figure) -> str:
+    """The same, with all that a page needs to draw it: places, scales and looks.
+
+    Numbers of marks are single precision, little-endian, in base64. Empty as `as_csv` is.
+    """
+    panels = _panels(figure)
+    return json.dumps([_panel(axes, panels) for axes in panels]) if panels else ""
 
 
 def label_of(axes: Axes, which: str) -> str:
@@ -48,32 +91,85 @@ def label_of(axes: Axes, which: str) -> str:
     return next(filter(None, labels), "")
 
 
-def _marks(axes: Axes) -> Iterator[Row]:
-    """Series, mark, place and end of everything that lies where the data say."""
+def _panels(figure: Figure) -> list[Axes]:
+    panels = [axes for axes in figure.axes if axes.get_visible()]
+    return [] if any(axes.images for axes in panels) else panels
+
+
+def _labels(axes: Axes) -> tuple[str, str]:
+    """Those of both axes, or what the whole figure says."""
+    figure: Any = axes.figure
+    common = figure.get_supxlabel(), figure.get_supylabel()
+    x, y = (label_of(axes, n) or alone for n, alone in zip("xy", common, strict=True))
+    return x, y
+
+
+def _marks(axes: Axes) -> Iterator[Marks]:
+    """Everything that lies where the data say, and levels."""
     for line in axes.lines:
-        if line.get_transform() == axes.transData:  # lines across the panel say no data
-            rows = _rows(line, _kind(line), *line.get_data())
-            yield from rows if _kind(line) == "line" else dict.fromkeys(rows)
+        yield from _line(axes, line)
     for found in axes.collections:
+        look: dict[str, Any] = {"series": _series(found), "zorder": found.get_zorder()}
         if isinstance(found, PathCollection):
-            yield from dict.fromkeys(_rows(found, "point", *np.asarray(found.get_offsets()).T))
+            x, y = np.asarray(found.get_offsets()).T
+            faces, edges = np.asarray(found.get_facecolor()), np.asarray(found.get_edgecolor())
+            look["is_hollow"] = not len(faces)
+            look["colour"] = tuple((faces if len(faces) else edges)[0])
+            look["size"] = np.resize(np.sqrt(found.get_sizes()), len(x))
+            yield Marks(kind="point", x=x, y=y, **look)
         elif isinstance(found, LineCollection):
-            ticks = np.array([segment[0, 0] for segment in found.get_segments()])
-            yield from _rows(found, "tick", ticks, np.full(ticks.shape, np.nan))
+            colours = np.asarray(found.get_colors())
+            look["colour"] = tuple(colours[0]) if len(colours) else (0.0, 0.0, 0.0, 1.0)
+            segments = found.get_segments()
+            if found.get_transform() == axes.transData:
+                x, y = _apart(segments)
+                yield Marks(kind="line", x=x, y=y, **look)
+            else:
+                x = np.array([segment[0, 0] for segment in segments])
+                yield Marks(kind="tick", x=x, y=np.full(x.shape, np.nan), **look)
     for band in axes.patches:
         if isinstance(band, Rectangle):
-            ends = _text(band.get_x()), _text(band.get_x() + band.get_width())
-            yield _series(band), "band", ends[0], "", ends[1]
+            low = np.array([band.get_x()])
+            look = {"series": _series(band), "zorder": band.get_zorder()}
+            look["colour"] = to_rgba(band.get_facecolor())
+            yield Marks(kind="band", x=low, y=[np.nan], x_end=low + band.get_width(), **look)
 
 
-def _kind(line: Line2D) -> str:
-    return "point" if line.get_linestyle() in ("None", "none", "") else "line"
+def _line(axes: Axes, line: Line2D) -> Iterator[Marks]:
+    x, y = line.get_data()
+    look: dict[str, Any] = {"series": _series(line), "zorder": line.get_zorder()}
+    look["colour"] = to_rgba(line.get_color(), line.get_alpha())
+    look["dashes"] = str(line.get_linestyle())
+    if line.get_transform() != axes.transData:
+        is_high = line.get_transform() == axes.get_xaxis_transform(which="grid")
+        one, none = np.asarray(x if is_high else y)[:1], np.full(1, np.nan)
+        places = (one, none) if is_high else (none, one)
+        yield Marks(kind="level", x=places[0], y=places[1], size=line.get_linewidth(), **look)
+        return
+    if look["dashes"] in ("None", "none", ""):
+        look["is_hollow"] = line.get_fillstyle() == "none"
+        yield Marks(kind="point", x=x, y=y, size=line.get_markersize(), **look)
+    else:
+        yield Marks(kind="line", x=x, y=y, size=line.get_linewidth(), **look)
 
 
-def _rows(artist: Any, mark: str, x: Any, y: Any) -> Iterator[Row]:
-    series = _series(artist)
-    for at, value in zip(x, y, strict=True):
-        yield series, mark, _text(at), _text(value), ""
+def _apart(segments: Any) -> tuple[Any, Any]:
+    """Segments as one line with gaps."""
+    gap = np.full((1, 2), np.nan)
+    pieces = [piece for segment in segments for piece in (segment, gap)]
+    x, y = np.concatenate([np.empty((0, 2)), *pieces]).T
+    return x, y
+
+
+def _rows(marks: Marks) -> Iterator[Row]:
+    if marks.kind == "level":
+        return
+    ends = [_text(end) for end in marks.x_end] or [""] * len(marks.x)
+    rows = [
+        (marks.series, marks.kind, _text(at), _text(value), end)
+        for at, value, end in zip(marks.x, marks.y, ends, strict=True)
+    ]
+    yield from dict.fromkeys(rows) if marks.kind == "point" else rows
 
 
 def _text(value: Any) -> str:
@@ -87,3 +183,70 @@ def _series(artist: Any) -> str:
     """What an artist's label says; matplotlib's own say nothing, others may start like them."""
     label = str(artist.get_label())
     return "" if re.fullmatch(r"_child\d+|_nolegend_", label) else label.removeprefix("_")
+
+
+def _panel(axes: Axes, panels: list[Axes]) -> dict[str, Any]:
+    place: Any = axes.get_subplotspec()
+    labels = _labels(axes)
+    made: dict[str, Any] = {
+        "title": axes.get_title(loc="left"),
+        "row": place.rowspan.start + 1,
+        "column": [place.colspan.start + 1, place.colspan.stop + 1],
+        "texts": [_note(axes, text) for text in axes.texts],
+        "marks": [_drawn(axes, m) for m in sorted(_marks(axes), key=lambda m: m.zorder)],
+    }
+    for which, label in zip("xy", labels, strict=True):
+        shared = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
+        made[which] = {
+            "label": label,
+            "limits": [float(end) for end in getattr(axes, f"get_{which}lim")()],
+            "view": min(panels.index(one) for one in shared if one in panels),
+            **_scale(getattr(axes, f"{which}axis")),
+        }
+    return made
+
+
+def _scale(axis: Any) -> dict[str, Any]:
+    transform, formatter = axis.get_transform(), axis.get_major_formatter()
+    scale: dict[str, Any] = {"scale": axis.get_scale()}
+    if hasattr(transform, "linthresh"):
+        scale["threshold"] = float(transform.linthresh)
+    if isinstance(formatter, FixedFormatter) or axis.get_units() is not None:
+        places = axis.get_majorticklocs()
+        names = formatter.format_ticks(places)
+        scale["words"] = [[float(p), name] for p, name in zip(places, names, strict=True)]
+    return scale
+
+
+def _note(axes: Axes, text: Any) -> dict[str, Any]:
+    """A text in a panel: where in the data, or in which part of the panel."""
+    x, y = text.get_position()
+    is_in_data = text.get_transform() == axes.transData
+    look = {"ha": text.get_ha(), "va": text.get_va(), "in_data": bool(is_in_data)}
+    return {"text": text.get_text(), "x": float(x), "y": float(y), **look}
+
+
+def _drawn(axes: Any, marks: Marks) -> dict[str, Any]:
+    x = np.asarray(axes.convert_xunits(marks.x), np.float32)
+    y = np.asarray(axes.convert_yunits(marks.y), np.float32)
+    size = np.broadcast_to(marks.size, x.shape)
+    if marks.kind == "point":
+        # once, and in their order
+        _, first = np.unique(np.stack([x, y]), axis=1, return_index=True)
+        x, y, size = (column[np.sort(first)] for column in (x, y, size))
+    return {
+        "series": marks.series,
+        "kind": marks.kind,
+        "colour": to_hex(marks.colour),
+        "opacity": round(float(marks.colour[3]), 2),
+        "size": _packed(size if np.unique(size).size > 1 else size[:1]),
+        "dashes": marks.dashes,
+        "hollow": marks.is_hollow,
+        "x": _packed(x),
+        "y": _packed(y),
+        "end": _packed(marks.x_end),
+    }
+
+
+def _packed(numbers: Any) -> str:
+    return base64.b64encode(np.asarray(numbers, "<f4").tobytes()).decode()

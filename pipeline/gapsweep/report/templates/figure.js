@@ -1,0 +1,348 @@
+"use strict";
+{
+  const $ = (id) => document.getElementById(id);
+  const MARGIN = { left: 62, right: 12, top: 6, bottom: 42 };
+  const NEAR = 20; // pixels from a point at which it is meant
+  const SAME = 1; // pixels within which points lie on each other
+  const SQUARES = 3000; // points from which on circles would take too long
+  const numbers = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+  const law = (mark) => mark.series.split(", ")[0];
+  const off = new Set();
+
+  // Scales: what is drawn is even in `to` of a number.
+  const SCALES = {
+    linear: () => ({ to: (v) => v, from: (u) => u }),
+    log: () => ({ to: (v) => (v > 0 ? Math.log10(v) : NaN), from: (u) => 10 ** u }),
+    symlog: ({ threshold }) => ({
+      to: (v) => (Math.abs(v) <= threshold ? v / threshold : Math.sign(v) * (1 + Math.log10(Math.abs(v) / threshold))),
+      from: (u) => (Math.abs(u) <= 1 ? u * threshold : Math.sign(u) * threshold * 10 ** (Math.abs(u) - 1)),
+    }),
+  };
+
+  class Axis {
+    constructor(given) {
+      Object.assign(this, given);
+      this.use(SCALES[given.scale] ? given.scale : "linear");
+    }
+    use(scale, least = 0) {
+      this.now = scale;
+      Object.assign(this, SCALES[scale](this));
+      const ends = this.limits.map((v) => (scale === "log" && v <= 0 ? least : v));
+      this.view = this.whole = ends.map(this.to);
+    }
+    show(low, high) {
+      const least = 1e-6 * Math.abs(this.whole[1] - this.whole[0]);
+      if (Math.abs(high - low) > least) this.view = [low, high];
+    }
+    ticks(room) {
+      const [low, high] = [...this.view].sort((a, b) => a - b);
+      if (this.words) return this.words.filter(([at]) => at >= low && at <= high);
+      const whole = this.now !== "linear" && high - low > 1.5;
+      const [start, end] = whole ? [low, high] : [this.from(low), this.from(high)];
+      let step = 10 ** Math.floor(Math.log10((end - start) / room));
+      step *= [1, 2, 5, 10].find((n) => (end - start) / (n * step) <= room);
+      if (whole) step = Math.max(1, Math.round(step));
+      const found = [];
+      for (let at = Math.ceil(start / step) * step; at <= end + 1e-9 * step; at += step) {
+        const value = whole ? this.from(Math.round(at)) : Math.abs(at) < 1e-9 * step ? 0 : at;
+        found.push([this.to(value), written(value, 4)]);
+      }
+      return found;
+    }
+  }
+
+  const written = (value, digits = 6) => {
+    const size = Math.abs(value);
+    const text = size && (size < 1e-3 || size >= 1e5) ? value.toExponential().length > digits + 5 ? value.toExponential(digits - 1) : value.toExponential() : String(+value.toPrecision(digits));
+    return text.replace(/\.?0+e/, "e").replace("e+", "e").replaceAll("-", "\u2212");
+  };
+
+  class Panel {
+    constructor(given, panels) {
+      Object.assign(this, given);
+      // Panels that share an axis are moved together.
+      for (const which of ["x", "y"]) this[which] = panels[given[which].view]?.[which] ?? new Axis(given[which]);
+      this.label = { x: given.x.label, y: given.y.label };
+      this.marks = given.marks.map((mark) => ({
+        ...mark,
+        ...Object.fromEntries(["x", "y", "end", "size"].map((name) => [name, numbers(mark[name])])),
+      }));
+      const box = document.createElement("figure");
+      box.style.gridArea = `${given.row} / ${given.column[0]} / auto / ${given.column[1]}`;
+      box.append(Object.assign(document.createElement("figcaption"), { textContent: given.title }));
+      this.canvas = document.createElement("canvas");
+      this.canvas.tabIndex = 0;
+      this.canvas.setAttribute("role", "img");
+      this.canvas.setAttribute("aria-label", `${given.title} ${this.label.y} over ${this.label.x}; arrows move, + and - zoom, 0 shows all`);
+      box.append(this.canvas);
+      $("panels").append(box);
+      this.listen();
+    }
+
+    get shown() {
+      return this.marks.filter((mark) => !off.has(law(mark)));
+    }
+    place(which, value) {
+      const [low, high] = this[which].view;
+      const part = (this[which].to(value) - low) / (high - low);
+      const { left, right, top, bottom } = MARGIN;
+      return which === "x" ? left + part * (this.width - left - right) : this.height - bottom - part * (this.height - top - bottom);
+    }
+    at(which, pixel) {
+      const { left, right, top, bottom } = MARGIN;
+      const part = which === "x" ? (pixel - left) / (this.width - left - right) : (this.height - bottom - pixel) / (this.height - top - bottom);
+      const [low, high] = this[which].view;
+      return low + part * (high - low);
+    }
+
+    draw() {
+      const { canvas } = this, sharp = devicePixelRatio || 1, pen = canvas.getContext("2d");
+      this.width = canvas.clientWidth;
+      this.height = canvas.clientHeight;
+      canvas.width = this.width * sharp;
+      canvas.height = this.height * sharp;
+      pen.scale(sharp, sharp);
+      pen.font = "12px system-ui, sans-serif";
+      this.frame(pen);
+      const { left, right, top, bottom } = MARGIN;
+      pen.save();
+      pen.beginPath();
+      pen.rect(left, top - 4, this.width - left - right + 4, this.height - top - bottom + 5);
+      pen.clip();
+      for (const mark of this.shown) this[mark.kind](pen, mark);
+      pen.restore();
+      this.write(pen);
+      // What is seen, for whoever tests or scripts the page.
+      for (const which of ["x", "y"]) canvas.dataset[which] = this[which].view.map((end) => written(this[which].from(end))).join(" ");
+    }
+    frame(pen) {
+      const { left, right, top, bottom } = MARGIN;
+      const ends = { x: this.width - right, y: this.height - bottom };
+      pen.strokeStyle = "#dddddd";
+      pen.fillStyle = "#000000";
+      for (const [which, room] of [["x", this.width / 90], ["y", this.height / 45]]) {
+        for (const [u, text] of this[which].ticks(room)) {
+          const [low, high] = this[which].view, part = (u - low) / (high - low);
+          const x = left + part * (ends.x - left), y = ends.y - part * (ends.y - top);
+          pen.beginPath();
+          if (which === "x") pen.moveTo(x, top), pen.lineTo(x, ends.y);
+          else pen.moveTo(left, y), pen.lineTo(ends.x, y);
+          pen.stroke();
+          pen.textAlign = which === "x" ? "center" : "right";
+          pen.textBaseline = which === "x" ? "top" : "middle";
+          pen.fillText(text, which === "x" ? x : left - 5, which === "x" ? ends.y + 5 : y, which === "x" ? undefined : left - 20);
+        }
+      }
+      pen.strokeStyle = "#000000";
+      pen.strokeRect(left, top, ends.x - left, ends.y - top);
+      pen.textAlign = "center";
+      pen.textBaseline = "bottom";
+      pen.fillText(this.label.x, (left + ends.x) / 2, this.height - 2, ends.x);
+      pen.save();
+      pen.translate(13, (top + ends.y) / 2);
+      pen.rotate(-Math.PI / 2);
+      pen.fillText(this.label.y, 0, 0, ends.y);
+      pen.restore();
+    }
+    write(pen) {
+      const { left, right, top, bottom } = MARGIN;
+      pen.fillStyle = "#000000";
+      for (const { text, x, y, in_data, ha, va } of this.texts) {
+        pen.textAlign = ha;
+        pen.textBaseline = { center: "middle", baseline: "alphabetic" }[va] ?? va;
+        const across = left + x * (this.width - left - right), up = this.height - bottom - y * (this.height - top - bottom);
+        text.split("\n").forEach((line, n) => pen.fillText(line, in_data ? this.place("x", x) : across, (in_data ? this.place("y", y) : up) + 14 * n));
+      }
+    }
+    look(pen, { colour, opacity, dashes, size }) {
+      pen.globalAlpha = opacity;
+      pen.strokeStyle = pen.fillStyle = colour;
+      pen.lineWidth = (size[0] * 4) / 3;
+      pen.setLineDash({ "--": [6, 4], ":": [2, 3], "-.": [7, 3, 2, 3] }[dashes] ?? []);
+    }
+    line(pen, mark) {
+      this.look(pen, mark);
+      pen.beginPath();
+      let on = false;
+      mark.x.forEach((value, n) => {
+        const x = this.place("x", value), y = this.place("y", mark.y[n]);
+        if (Number.isNaN(x + y)) return void (on = false);
+        on ? pen.lineTo(x, y) : pen.moveTo(x, y);
+        on = true;
+      });
+      pen.stroke();
+    }
+    point(pen, mark) {
+      this.look(pen, mark);
+      pen.lineWidth = 1;
+      pen.setLineDash([]);
+      mark.x.forEach((value, n) => {
+        const x = this.place("x", value), y = this.place("y", mark.y[n]);
+        const r = ((mark.size[n] ?? mark.size[0]) * 2) / 3;
+        if (mark.x.length > SQUARES) return pen.fillRect(x - r, y - r, 2 * r, 2 * r);
+        pen.beginPath();
+        pen.arc(x, y, Math.max(r, 1), 0, 2 * Math.PI);
+        mark.hollow ? pen.stroke() : pen.fill();
+      });
+    }
+    tick(pen, mark) {
+      this.look(pen, mark);
+      for (const value of mark.x) pen.fillRect(this.place("x", value) - 1, MARGIN.top - 4, 2, 10);
+    }
+    band(pen, mark) {
+      this.look(pen, mark);
+      const { top, bottom } = MARGIN;
+      mark.x.forEach((low, n) => {
+        const left = this.place("x", low), right = this.place("x", mark.end[n]);
+        pen.fillRect(left, top, Math.max(right - left, 1), this.height - top - bottom);
+      });
+    }
+    level(pen, mark) {
+      this.look(pen, mark);
+      const { left, right, top, bottom } = MARGIN, [x, y] = [mark.x[0], mark.y[0]];
+      pen.beginPath();
+      if (Number.isNaN(x)) pen.moveTo(left, this.place("y", y)), pen.lineTo(this.width - right, this.place("y", y));
+      else pen.moveTo(this.place("x", x), top), pen.lineTo(this.place("x", x), this.height - bottom);
+      pen.stroke();
+    }
+
+    // What is under the pointer: the nearest point and all that lie on it, and bands.
+    under(x, y) {
+      const near = [];
+      for (const mark of this.shown) {
+        if (mark.kind !== "point" && mark.kind !== "line") continue;
+        let best = NEAR ** 2, found = null;
+        mark.x.forEach((value, n) => {
+          const [a, b] = [this.place("x", value), this.place("y", mark.y[n])], far = (a - x) ** 2 + (b - y) ** 2;
+          if (far < best) (best = far), (found = { mark, far, x: a, y: b, at: [value, mark.y[n]] });
+        });
+        if (found) near.push(found);
+      }
+      near.sort((a, b) => a.far - b.far);
+      const points = near.filter((one) => Math.hypot(one.x - near[0].x, one.y - near[0].y) < SAME);
+      const here = (mark) => mark.kind === "band" && mark.x.some((low, n) => this.place("x", low) <= x && x <= this.place("x", mark.end[n]));
+      const bands = this.shown.filter((mark) => mark.series && here(mark)).map((mark) => mark.series);
+      return { points, bands };
+    }
+    tell(event) {
+      const box = this.canvas.getBoundingClientRect();
+      const found = this.under(event.clientX - box.left, event.clientY - box.top);
+      const name = (which, value) => {
+        const word = this[which].words?.find(([at]) => at === Math.round(value));
+        return word ? word[1] : `${this.label[which] || which}: ${written(value)}`;
+      };
+      const [first] = found.points;
+      const names = new Set(found.points.map(({ mark }) => mark.series));
+      const lines = first ? [...names, name("x", first.at[0]), name("y", first.at[1])] : [];
+      const text = [...lines, ...new Set(found.bands)].filter(Boolean).join("\n");
+      $("told").hidden = !text;
+      $("ring").hidden = !first;
+      $("told").textContent = text;
+      const right = event.clientX > innerWidth / 2;
+      Object.assign($("told").style, { left: right ? "" : `${event.clientX + 14}px`, right: right ? `${innerWidth - event.clientX + 14}px` : "", top: `${Math.min(event.clientY + 14, innerHeight - 80)}px` });
+      if (first) Object.assign($("ring").style, { left: `${box.left + first.x}px`, top: `${box.top + first.y}px` });
+    }
+
+    zoom(factor, x, y) {
+      for (const [which, pixel] of [["x", x], ["y", y]]) {
+        if (pixel === null) continue;
+        const centre = this.at(which, pixel), [low, high] = this[which].view;
+        this[which].show(centre + (low - centre) * factor, centre + (high - centre) * factor);
+      }
+      drawAll();
+    }
+    move(dx, dy) {
+      for (const [which, by] of [["x", dx], ["y", dy]]) {
+        const shift = this.at(which, 0) - this.at(which, by);
+        this[which].show(...this[which].view.map((end) => end + shift));
+      }
+      drawAll();
+    }
+    reset() {
+      for (const which of ["x", "y"]) this[which].view = this[which].whole;
+      drawAll();
+    }
+    listen() {
+      const { canvas } = this, held = new Map();
+      const quiet = () => ($("told").hidden = $("ring").hidden = true);
+      canvas.addEventListener("wheel", (event) => {
+        event.preventDefault();
+        quiet();
+        const { offsetX: x, offsetY: y } = event;
+        const below = y > this.height - MARGIN.bottom, beside = x < MARGIN.left;
+        this.zoom(1.002 ** event.deltaY, beside && !below ? null : x, below ? null : y);
+      }, { passive: false });
+      canvas.addEventListener("pointerdown", (event) => {
+        held.set(event.pointerId, event);
+        canvas.setPointerCapture(event.pointerId);
+      });
+      for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => held.delete(event.pointerId));
+      canvas.addEventListener("pointermove", (event) => {
+        const before = held.get(event.pointerId);
+        if (!before) return this.tell(event);
+        quiet();
+        const other = [...held.values()].find((one) => one.pointerId !== event.pointerId);
+        if (other) {
+          const apart = (one) => Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY) || 1;
+          this.zoom(apart(before) / apart(event), (event.offsetX + other.offsetX) / 2, (event.offsetY + other.offsetY) / 2);
+        } else this.move(event.clientX - before.clientX, event.clientY - before.clientY);
+        held.set(event.pointerId, event);
+      });
+      canvas.addEventListener("pointerleave", quiet);
+      canvas.addEventListener("dblclick", () => this.reset());
+      canvas.addEventListener("keydown", ({ key }) => {
+        const moves = { ArrowLeft: [30, 0], ArrowRight: [-30, 0], ArrowUp: [0, 30], ArrowDown: [0, -30] };
+        if (moves[key]) this.move(...moves[key]);
+        else if (key === "+" || key === "-") this.zoom(key === "+" ? 0.8 : 1.25, this.width / 2, this.height / 2);
+        else if (key === "0") this.reset();
+      });
+    }
+  }
+
+  const data = JSON.parse($("data").textContent), panels = [];
+  $("panels").style.setProperty("--columns", Math.max(...data.map(({ column }) => column[1])) - 1);
+  $("panels").style.setProperty("--height", data.some(({ row }) => row > 1) ? "17rem" : "24rem");
+  for (const given of data) panels.push(new Panel(given, panels));
+  let waiting = 0;
+  const drawAll = () => {
+    waiting ||= requestAnimationFrame(() => {
+      waiting = 0;
+      panels.forEach((panel) => panel.draw());
+      if (parent !== window) parent.postMessage({ figure: document.documentElement.scrollHeight }, "*");
+    });
+  };
+
+  // Switches: laws, and logarithmic axes.
+  const form = $("laws");
+  const option = (text, checked, colour, change) => {
+    const label = document.createElement("label"), box = document.createElement("input");
+    Object.assign(box, { type: "checkbox", checked });
+    box.addEventListener("change", () => (change(box.checked), drawAll()));
+    label.append(box);
+    if (colour) {
+      const swatch = Object.assign(document.createElement("span"), { className: "swatch" });
+      swatch.style.background = colour;
+      label.append(swatch);
+    }
+    label.append(text);
+    form.append(label);
+  };
+  const laws = new Map();
+  for (const { marks } of panels) for (const mark of marks) if (law(mark) && !laws.has(law(mark))) laws.set(law(mark), mark.colour);
+  if (laws.size > 1) for (const [name, colour] of laws) option(name, true, colour, (on) => (on ? off.delete(name) : off.add(name)));
+  for (const which of ["x", "y"]) {
+    const axes = [...new Set(panels.map((panel) => panel[which]))];
+    const said = panels.flatMap((panel) => panel.marks.filter((mark) => mark.kind === "point" || mark.kind === "line"));
+    const marks = said.map((mark) => mark[which]);
+    const least = marks.reduce((a, m) => m.reduce((b, v) => (v > 0 && v < b ? v : b), a), Infinity);
+    const negative = marks.some((m) => m.some((v) => v < 0));
+    if (negative || least === Infinity || axes.some((axis) => axis.words || axis.now === "symlog")) continue;
+    option(`log ${which}`, axes.every((axis) => axis.now === "log"), "", (on) => axes.forEach((axis) => axis.use(on ? "log" : "linear", least)));
+  }
+  form.hidden = !form.children.length;
+  form.addEventListener("submit", (event) => event.preventDefault());
+  $("help").hidden = false;
+  if (parent !== window) document.documentElement.classList.add("framed");
+  new ResizeObserver(drawAll).observe($("panels"));
+  matchMedia("(resolution: 1dppx)").addEventListener("change", drawAll);
+}

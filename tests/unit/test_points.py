@@ -1,0 +1,97 @@
+"""What a figure shows as CSV and as JSON: the same numbers, and how they are drawn."""
+
+import base64
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose
+
+from gapsweep.report.points import as_csv, as_json
+
+
+def numbers(text):
+    return np.frombuffer(base64.b64decode(text), "<f4")
+
+
+@pytest.fixture
+def figure():
+    """One of everything: lines with gaps, words, points twice, bars, bands, levels, ticks."""
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    left.plot([1.0, 2.0, 3.0], [1.0, np.nan, 2.0], "--", label="tanh-1e4", color="#0072b2")
+    left.plot([1.0, 1.0, 2.0], [5.0, 5.0, 6.0], "o", label="_piecewise, periodic", alpha=0.5)
+    left.errorbar([1.0, 2.0], [1.0, 2.0], [0.1, 0.2], fmt="none", label="_error")
+    left.axvspan(1.0, 1.5, label="_chaotic")
+    left.axhline(0.4)
+    left.vlines([2.5], 1.0, 1.04, transform=left.get_xaxis_transform(), label="_differ")
+    right.plot(["a", "b"], [1.0, 10.0], "o", markersize=3.0)
+    right.scatter([0.0, 1.0], [2.0, 3.0], [4.0, 16.0], facecolors="none", edgecolors="red")
+    right.set(yscale="log", ylabel="cost [s]")
+    right.set_title("by word", loc="left")
+    return figure
+
+
+def test_json_and_csv_hold_the_same_numbers(figure):
+    rows = [line for line in as_csv(figure).splitlines() if not line.startswith("#")]
+    expected = {}
+    words = {"a": 0.0, "b": 1.0, "": np.nan}
+    for row in csv.DictReader(io.StringIO("\n".join(rows))):
+        place = [words[row[n]] if row[n] in words else float(row[n]) for n in ("x", "y")]
+        key = int(row["panel"]) - 1, row["series"], row["mark"]
+        expected.setdefault(key, []).append(place)
+    found = {}
+    for n, panel in enumerate(json.loads(as_json(figure))):
+        for mark in panel["marks"]:
+            if mark["kind"] != "level":
+                places = np.stack([numbers(mark["x"]), numbers(mark["y"])], axis=1)
+                found.setdefault((n, mark["series"], mark["kind"]), []).extend(places)
+    assert found.keys() == expected.keys()
+    for key, places in expected.items():
+        order = np.lexsort(np.transpose(places))
+        theirs = np.array(found[key])
+        assert_allclose(
+            theirs[np.lexsort(theirs.T)], np.array(places)[order], rtol=1e-6, err_msg=str(key)
+        )
+
+
+def test_a_panel_says_how_it_is_drawn(figure):
+    left, right = json.loads(as_json(figure))
+    assert [right["row"], right["column"]] == [1, [2, 3]]
+    assert right["title"] == "by word"
+    assert right["x"]["words"] == [[0.0, "a"], [1.0, "b"]]
+    assert right["y"]["scale"] == "log"
+    assert right["y"]["label"] == "cost [s]"
+    assert left["y"]["limits"] == pytest.approx(figure.axes[0].get_ylim())
+    assert [left["x"]["view"], right["x"]["view"]] == [0, 1]
+    (hollow,) = [mark for mark in right["marks"] if mark["hollow"]]
+    assert hollow["colour"] == "#ff0000"
+    assert numbers(hollow["size"]).tolist() == [2.0, 4.0]  # diameters of areas
+    (level,) = [mark for mark in left["marks"] if mark["kind"] == "level"]
+    assert numbers(level["y"]) == pytest.approx([0.4])
+    assert np.isnan(numbers(level["x"])).all()
+    dashed, pale = (
+        next(mark for mark in left["marks"] if mark["series"] == series)
+        for series in ("tanh-1e4", "piecewise, periodic")
+    )
+    assert [dashed["dashes"], dashed["colour"]] == ["--", "#0072b2"]
+    assert pale["opacity"] == 0.5
+    assert left["marks"][0]["kind"] == "band"  # behind all else
+
+
+def test_panels_that_share_an_axis_share_its_view():
+    figure = Figure()
+    panels = figure.subplots(2, 2, sharex="col", sharey="row")
+    for axes in panels.ravel():
+        axes.plot([1.0, 2.0], [1.0, 2.0])
+    views = [(panel["x"]["view"], panel["y"]["view"]) for panel in json.loads(as_json(figure))]
+    assert views == [(0, 0), (1, 0), (0, 2), (1, 2)]
+
+
+def test_an_image_is_no_data():
+    figure = Figure()
+    figure.subplots().imshow(np.ones((2, 2)))
+    assert as_csv(figure) == as_json(figure) == ""
