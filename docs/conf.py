@@ -29,6 +29,7 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 
 myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
 # Notebooks run while the documentation is built, each in an empty folder.
 nb_execution_mode = os.environ.get("GAPSWEEP_DOCS_NOTEBOOKS", "cache")
 nb_execution_in_temp = True

@@ -1,8 +1,10 @@
-"""The pictures of the README and the pages, from finished runs.
+"""The pictures of the README and the pages: of the gallery, and from finished runs.
 
-python -m docs.pictures data/runs/paper data/runs/work-precision data/runs/two-masses
+python -m docs.pictures [data/runs/paper data/runs/work-precision data/runs/two-masses]
 """
 
+import os
+import re
 import sys
 from pathlib import Path
 
@@ -26,6 +28,14 @@ METHODS = [
 ]
 SCENES = ["soft-sym-9", "soft-asym-9", "hard-sym-9", "hard-asym-9"]
 LABELS = ["piecewise", "poly-13", "ratpoly-5/3", "tanh-1e4", "arctan-1e4", "logarctan-1e4"]
+
+
+def gallery() -> None:
+    """Those of the gallery, by its own lines."""
+    page = (IMAGES.parent / "gallery.md").read_text()
+    os.chdir(IMAGES)
+    matplotlib.use("Agg")
+    exec("".join(re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)), {})
 
 
 def peaks(folder: Path) -> None:
@@ -60,6 +70,6 @@ def two_masses(folder: Path) -> None:
 
 if __name__ == "__main__":
     with matplotlib.rc_context(MATPLOTLIB):
-        two_masses(Path(sys.argv[3]))
-        peaks(Path(sys.argv[1]))
-        work_precision(Path(sys.argv[2]))
+        for draw, folder in zip((peaks, work_precision, two_masses), sys.argv[1:], strict=False):
+            draw(Path(folder).absolute())
+        gallery()
