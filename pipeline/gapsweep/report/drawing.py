@@ -133,12 +133,17 @@ def curves(axes: "Axes", variable: xr.DataArray, along: str) -> None:
             )
 
 
-def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega") -> None:
-    """Both walls of the gap, where the dataset knows them; one that moves `along` is a curve.
+def said_of_walls(scene: xr.Dataset) -> str:
+    """What a caption says of walls, with a blank before: nothing where none is drawn.
 
-    A system's bound the gap of its contact, whatever coordinates that is made of.
+    A system's walls bound the gap of its contact, whatever coordinates that is made of.
     """
-    if COORDINATE in scene.coords:
+    return "" if COORDINATE in scene.coords else " Dashed: walls."
+
+
+def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega") -> None:
+    """Both walls of the gap, where they can be drawn; one that moves `along` is a curve."""
+    if not said_of_walls(scene):
         return
     for name, sign in (("j_1", -1.0), ("j_2", 1.0)):
         if name == along:

@@ -28,7 +28,7 @@ from gapsweep.report.answer import (
     times,
 )
 from gapsweep.report.bench import bench_parts
-from gapsweep.report.drawing import labels_of
+from gapsweep.report.drawing import labels_of, said_of_walls
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import beside_exact, bifurcation, frequency_response
 from gapsweep.report.findings import findings, outcomes
@@ -255,7 +255,8 @@ def _scene_figures(
         yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
     yield Figured(
         bifurcation(scene),
-        "All steady zero-velocity displacements. Bands: some start is not periodic. Dashed: walls.",
+        "All steady zero-velocity displacements. Bands: some start is not periodic."
+        f"{said_of_walls(scene)}",
         f"Bifurcation diagram, {title}",
     )
     if found is not None:

@@ -12,6 +12,7 @@ import xarray as xr
 from gapsweep.analysis.grid import REPRESENTATION, SWEPT, scene_dims, swept
 from gapsweep.analysis.systems import by_coordinate, is_of_systems
 from gapsweep.errors import DatasetError
+from gapsweep.report.drawing import said_of_walls
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, maps
 from gapsweep.report.maps import numeric_axes, on_grid, picture
@@ -142,7 +143,7 @@ def _curves(
     shown = here[["extrema", "response_class"]].load().expand_dims([REPRESENTATION, _START])
     yield Figured(
         bifurcation(shown, along),
-        f"All steady zero-velocity displacements: {where}. Dashed: walls.",
+        f"All steady zero-velocity displacements: {where}.{said_of_walls(here)}",
         f"Bifurcation diagram, {where}",
     )
     if found is not None:
