@@ -7,6 +7,7 @@ entered again, and its memory does not depend on the number of points or the len
 
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -30,6 +31,12 @@ EQUATION = (
 @dataclass(frozen=True)
 class Rows(Layout):
     """First rows of what is kept of a point in the float block `lane`, shape (n_rows, WIDTH)."""
+
+    derived: ClassVar[tuple[str, ...]] = (
+        *Layout.derived,
+        *("n_start", "n_rates", "n_columns", "gaps_from", "max_probes", "n_results"),
+        "n_event_columns",
+    )
 
     @classmethod
     def of(cls, at: Layout) -> "Rows":

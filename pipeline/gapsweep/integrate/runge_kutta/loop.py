@@ -21,6 +21,7 @@ _DONE, _PAUSED = 0, 1
 
 
 def _advance(
+    rows,
     at,
     kinds,
     tableau,
@@ -41,7 +42,8 @@ def _advance(
     """Run lanes until all points are done or the event buffer could overflow.
 
     All state is in the arguments, so calling again goes on where this call left off. One function,
-    for it is the stepping loop: what it calls is compiled into it.
+    for it is the stepping loop: what it calls is compiled into it. An attempt is compiled for its
+    `rows`; what looks after a lane takes the same numbers from the record `at`.
     """
     is_located = laws.is_located(kinds)
     all_lanes = (np.int64(1) << simd.WIDTH) - 1
@@ -49,7 +51,7 @@ def _advance(
     for _ in range(_ATTEMPTS_PER_CALL):
         if counters[ln.N_EVENTS] > events.shape[0] - 3 * simd.WIDTH:
             return _PAUSED
-        outcome = attempt(at, kinds, q, lane, tableau, k, k_tangent, settings)
+        outcome = attempt(rows, kinds, q, lane, tableau, k, k_tangent, settings)
         attention = (
             watched
             | outcome.ended
@@ -116,7 +118,7 @@ def drained(at, kinds, tableau, table, queue, settings):
     results = np.zeros((len(table), at.n_results))
     lane[at.exact] = 1.0
     lane[at.period] = 1.0
-    counters[ln.NEXT_POINT] = load_first_points(at, lane, lane_int, q, table, queue)
+    counters[ln.NEXT_POINT] = load_first_points(at.numbers, lane, lane_int, q, table, queue)
     # An idle lane computes along with length zero; harmless numbers keep it off the slow paths.
     q[..., len(table) :] = q[..., :1]
     is_users = any(isinstance(kind, laws.User) for kind in kinds)
@@ -125,7 +127,18 @@ def drained(at, kinds, tableau, table, queue, settings):
     parts, state = [], _PAUSED
     while state != _DONE:
         state = advance(
-            at, kinds, tableau, lane, lane_int, q, *work, table, queue, results, settings
+            at,
+            at.numbers,
+            kinds,
+            tableau,
+            lane,
+            lane_int,
+            q,
+            *work,
+            table,
+            queue,
+            results,
+            settings,
         )
         if counters[ln.N_EVENTS]:
             parts.append(events[: counters[ln.N_EVENTS]].copy())

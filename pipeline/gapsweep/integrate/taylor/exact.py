@@ -109,7 +109,7 @@ class Exact:
             np.broadcast_to(t, (len(points), np.shape(t)[-1])), dtype=float
         )
         first, last = (np.searchsorted(self.dense[:, 0], points + k) for k in (0, 1))
-        states, outside = sample_steps(self.at, self.dense, first, last, times)
+        states, outside = sample_steps(self.at.numbers, self.dense, first, last, times)
         if outside >= 0:
             raise ValueError(f"a time lies outside the recorded part of point {points[outside]}")
         return np.asarray(states)
@@ -215,7 +215,7 @@ def run(
     points = np.empty((len(which) + 1, at.n_rows))
     given = start, t_0, t_end, record_from, section_only and not dense_output
     outcome = set_starts(
-        at.bare, points, prepared.table, which, *given, prepared.rtol, prepared.atol
+        at.numbers, points, prepared.table, which, *given, prepared.rtol, prepared.atol
     )
     if outcome == NOT_FINITE:
         check(start=start, t_0=t_0, t_end=t_end, record_from=record_from)
@@ -236,6 +236,7 @@ def _drained(at, points, queue, statuses, limits, dense_output, turns):
     room = record.rows_per_step.py_func(at) + 1
     n_kept = at.n_series + at.tangent * at.n_states * (at.n + at.m)
     run = Run(
+        at=at.numbers,
         lanes=np.empty((at.n_rows, at.width)),
         lane_point=np.full(at.width, -2),
         points=points,

@@ -185,10 +185,10 @@ def _failed(at, suspects, lanes, x_bound, max_short):
 
 
 @internal
-def _attend(at, packed, run, limits):
+def _attend(layout, packed, run, limits):
     """See to the lanes that `taylor_step` named."""
     _, x_bound, max_short = limits
-    lanes = run.lanes
+    at, lanes = run.at, run.lanes
     unclear = packed & at.all_lanes
     done = (packed >> at.width) & at.all_lanes
     bad = (packed >> 2 * at.width) & at.all_lanes
@@ -197,7 +197,7 @@ def _attend(at, packed, run, limits):
     failed = _failed(at, unclear | bad, lanes, x_bound, max_short)
     recording &= ~failed
     if recording != 0:
-        record_steps(at, recording, run)
+        record_steps(layout, recording, run)
     ending = done | bad | failed
     while ending != 0:
         k = lowest_bit(ending)
@@ -236,6 +236,8 @@ class Run(NamedTuple):
 
     Attributes
     ----------
+    at : record
+        `Layout.numbers`.
     lanes : array, shape (n_rows, width)
         State of the points under way.
     lane_point : int array, shape (width,)
@@ -260,6 +262,7 @@ class Run(NamedTuple):
         Whether extrema are searched for.
     """
 
+    at: np.record
     lanes: np.ndarray
     lane_point: np.ndarray
     points: np.ndarray
@@ -275,12 +278,12 @@ class Run(NamedTuple):
 
 
 @entry
-def advance(at, run, limits, budget):
+def advance(layout, run, limits, budget):
     """Advance until every point has ended, a buffer is full, or `budget` vector steps are made.
 
     Parameters
     ----------
-    at : Layout
+    layout : Layout
     run : Run
     limits : tuple of float
         rtol, x_bound [m], cap on successive short contact steps.
@@ -293,6 +296,7 @@ def advance(at, run, limits, budget):
         FINISHED, BUFFER_FULL or BUDGET_SPENT.
     """
     rtol, x_bound, max_short = limits
+    at = run.at
     for k in range(at.width):
         if run.lane_point[k] < IDLE:
             _load_next(at, run, k)
@@ -304,7 +308,7 @@ def advance(at, run, limits, budget):
             return FINISHED
         if run.fill[0] > log_room or run.fill[1] > dense_room:
             return BUFFER_FULL
-        packed = taylor_step(at, run.lanes, run.coefficients, rtol, x_bound, max_short)
+        packed = taylor_step(layout, run.lanes, run.coefficients, rtol, x_bound, max_short)
         if packed != 0:
-            _attend(at, packed, run, limits)
+            _attend(layout, packed, run, limits)
     return FINISHED if run.progress[1] == len(run.statuses) else BUDGET_SPENT

@@ -2,18 +2,21 @@
 
 ``lanes`` has one row per quantity and one column per lane, so that a row is one vector load. How
 many rows there are depends on the system: a `Layout` names them. It is a compile-time value: its
-numbers are part of its numba type, so that the kernel is compiled once for every size of system,
-and a row's number is a constant in its code.
+numbers are part of its numba type, so that a step is compiled once for every size of system,
+and a row's number is a constant in its code. What looks after single lanes takes the same numbers
+from a record (`Layout.numbers`) and is compiled once for all sizes.
 
 Clocks count forcing periods: a time is the pair (whole periods since the start of the point's
 first period, fraction of a period in [0, 1)). The fraction *is* the forcing phase, hence time and
 phase cannot drift apart however long the run.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from itertools import accumulate
+from typing import ClassVar
 
+import numpy as np
 from numba import types
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import (
@@ -89,6 +92,10 @@ class Layout:
     order: int = 12
     tangent: int = 0
     width: int = WIDTH
+
+    derived: ClassVar[tuple[str, ...]] = (
+        *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
+    )
 
     @property
     def n_states(self) -> int:
@@ -170,11 +177,23 @@ class Layout:
     def n_rows(self) -> int:
         return sum(self.blocks.values())
 
+    @property
+    def numbers(self) -> np.record:
+        """All of them, with the same names, as a record for code that is compiled once."""
+        return _recorded(self)
+
     def __getattr__(self, name: str) -> int:
         """First row of a block."""
         if name.startswith("_") or name not in self.blocks:
             raise AttributeError(name)
         return self.first[name]
+
+
+@cache  # equal layouts are made for every call
+def _recorded(layout: Layout) -> np.record:
+    names = [*(field.name for field in fields(layout)), *layout.derived, *layout.blocks]
+    values = tuple(int(getattr(layout, name)) for name in names)
+    return np.rec.array([values], dtype=[(name, np.int64) for name in names])[0]
 
 
 class LayoutType(types.Opaque):

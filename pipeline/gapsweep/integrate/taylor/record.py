@@ -308,19 +308,20 @@ def _write_turns(at, run, events, which, series):
 
 
 @internal
-def record_steps(at, among, run):
+def record_steps(layout, among, run):
     """Record the last step of the lanes in the bits `among`, from their clocks on."""
-    passed = find_passed(at, run.lanes, run.coefficients, among)
+    at = run.at
+    passed = find_passed(layout, run.lanes, run.coefficients, among)
     sections = passed & at.all_lanes
     contacts = (passed >> at.width) & at.all_lanes
     all_events = (passed >> 2 * at.width) & at.all_lanes
     if all_events != 0 and (run.turns or at.is_free):
         for i in range(at.n if run.turns else 1):
-            events = find_coordinate_turns(at, run.lanes, run.coefficients, i, i, all_events)
+            events = find_coordinate_turns(layout, run.lanes, run.coefficients, i, i, all_events)
             _write_turns(at, run, events, i, i)
         for i in range(at.n_turning - at.n if run.turns else 0):
             series = at.first_gap + i
-            events = find_gap_turns(at, run.lanes, run.coefficients, i, series, all_events)
+            events = find_gap_turns(layout, run.lanes, run.coefficients, i, series, all_events)
             _write_turns(at, run, events, at.n + i, series)
     while sections != 0 and not at.is_free:
         k = lowest_bit(sections)

@@ -20,7 +20,8 @@ def sample_steps(at, steps, first, last, times):
         Rows of each point.
     times : array, shape (n_points, n_t)
         Times [s], in any order.
-    at : Layout
+    at : record
+        `Layout.numbers`.
 
     Returns
     -------

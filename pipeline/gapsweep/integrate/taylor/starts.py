@@ -25,7 +25,8 @@ def set_starts(at, points, table, which, start, t_0, t_end, record_from, section
 
     Parameters
     ----------
-    at : Layout
+    at : record
+        `Layout.numbers`.
     points : array, shape (n + 1, n_rows)
         Receives the points, and the table's last row, the idle point, as its last one.
     table : array, shape (n_scenes + 1, n_rows)
