@@ -73,7 +73,7 @@ def test_run_writes_datasets_and_report(finished):
     figures = ["hero", "scene-0-0", "scene-0-0-2"]
     files = [
         "SHA256SUMS",
-        *(f"figure-{name}.{kind}" for name in figures for kind in ("csv", "pdf", "svg")),
+        *(f"figure-{name}.{kind}" for name in figures for kind in ("csv", "html", "pdf", "svg")),
     ]
     page = ["SHA256SUMS", "index.html", *(f"figures/{name}" for name in files)]
     assert names == sorted([*stored, *(f"report/{n}" for n in page), "SHA256SUMS", "run.json"])

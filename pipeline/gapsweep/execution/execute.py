@@ -190,8 +190,10 @@ class _Execution:
     # --- sending ---------------------------------------------------------------------------------
 
     def _refill(self, completed: as_completed) -> None:
-        n_threads = sum(self.client.nthreads().values())
-        self.n_threads = max(n_threads, 1)
+        try:
+            self.n_threads = max(sum(self.client.nthreads().values()), 1)
+        except OSError:  # the scheduler left in this very moment
+            raise ClusterError(_CLUSTER_LOST) from None
         while len(self.in_flight) < _WINDOW * self.n_threads:
             job = self.suspects.popleft() if self.suspects else self._next_job()
             if job is None:
