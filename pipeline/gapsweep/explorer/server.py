@@ -29,6 +29,7 @@ class Explorer:
         self._thread.start()
         self._is_up.wait()
         if self._failure:
+            self._thread.join()
             raise GapsweepError(
                 f"port {port}: {self._failure}; choose another, or 0 for any that is free"
             )
