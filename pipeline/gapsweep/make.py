@@ -5,6 +5,7 @@ matplotlib are imported by the stages that need them: a run that finds everythin
 before they would be loaded.
 """
 
+import gc
 import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -54,6 +55,8 @@ from gapsweep.study.study import Study
 if TYPE_CHECKING:
     import xarray as xr
 
+_MANY = 100_000  # points, whose datasets hold so much memory that a collection is worth its time
+
 
 def update(
     study: Study,
@@ -100,6 +103,8 @@ def update(
             _report(folder)
         else:
             _analyse(stage, study, folder, now, timeout, say)
+        if planned.n_points > _MANY:
+            gc.collect()  # what refers to itself would hold its memory into the next stage
 
 
 def _analyse(
