@@ -32,6 +32,7 @@ FENCES = {
     "xarray": {"store", "analysis", "report", "own_code", "make", "workflow", "cli", "explorer"},
     "netCDF4": {"store", "execution"},
     "psutil": {"store", "execution"},
+    "filelock": {"integrate"},
     "dask": {"execution"},
     "distributed": {"execution", "workflow"},
     "matplotlib": {"report"},

@@ -18,15 +18,20 @@ run = gs.simulate(gs.Oscillator(), law, 9.0, t_end=1.0, dense_output=True)
 x, _ = run.sample(0.5)
 print(run.x.hex(), run.n_contacts, float(x).hex())
 """
+COUNTED = """
+from gapsweep.integrate.taylor import exact_kernel, sample, starts
+used = exact_kernel.advance, sample.sample_steps, starts.set_starts
+print(sum(sum(each.stats.cache_misses.values()) for each in used))
+"""
 
 
-def start(package_parent, code_folder, **environment):
+def start(package_parent, code_folder, code=RUN, **environment):
     variables = os.environ | {
         "PYTHONPATH": str(package_parent),
         "NUMBA_CACHE_DIR": str(code_folder),
     }
     return subprocess.Popen(
-        [sys.executable, "-c", RUN],
+        [sys.executable, "-c", code],
         env=variables | environment,
         cwd=package_parent,
         stdout=subprocess.PIPE,
@@ -61,9 +66,20 @@ def test_edited_helper_gives_new_numbers_in_the_next_process(copy, tmp_path):
     assert float.fromhex(x_after) == 2.0 * float.fromhex(x_before)
 
 
-def test_processes_that_start_together_on_no_code_agree(copy, tmp_path):
-    together = [start(copy, tmp_path / "code") for _ in range(3)]
-    assert len({printed(process) for process in together}) == 1
+def test_processes_that_start_together_on_no_code_agree_and_compile_once(copy, tmp_path):
+    together = [start(copy, tmp_path / "code", RUN + COUNTED) for _ in range(3)]
+    said = [printed(process).splitlines() for process in together]
+    assert len({numbers for numbers, _ in said}) == 1
+    assert sum(int(count) for _, count in said) == 3
+
+
+def test_a_killed_process_leaves_no_lock_behind(copy, tmp_path):
+    first = start(copy, tmp_path / "code")
+    while not list(tmp_path.glob("code/gapsweep/compiled-*/*.lock")):
+        assert first.poll() is None
+    first.kill()
+    first.communicate()
+    assert printed(start(copy, tmp_path / "code"))
 
 
 def test_unwritable_folders_fall_back_to_the_next(copy, tmp_path):

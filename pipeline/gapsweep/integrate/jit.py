@@ -20,6 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
 from llvmlite.binding import get_host_cpu_features
 from numba import config, njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
@@ -41,6 +42,7 @@ _LEVELS = {
     "x86-64-v4": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
     "x86-64-v3": {"avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"},
 }
+_LONGEST_WAIT = 120.0  # seconds for what another process compiles
 SHIPPED = Path(__file__).parents[1] / "machine_code"
 # Where code that is made to be shipped is written to, by the variable's name in the environment.
 SHIP_TO = "GAPSWEEP_SHIP_TO"
@@ -103,9 +105,28 @@ def entry(function: Callable[..., Any]) -> Any:
     try:
         found = njit(nogil=True)(function)
         found._cache = _Cache(function)
+        found.compile = _by_one_process(function, found.compile)
         return found
     finally:
         config.CACHE_DIR = users_choice
+
+
+def _by_one_process(function: Callable[..., Any], usual: Callable[..., Any]) -> Callable[..., Any]:
+    """The `compile` of a dispatcher, for one process at a time: the others then find its code."""
+
+    def compiled(signature: Any) -> Any:
+        what = hashlib.sha256(str(signature).encode()).hexdigest()[:16]
+        lock = FileLock(code_folder() / f"{function.__name__}-{what}.lock", timeout=_LONGEST_WAIT)
+        try:
+            lock.acquire()
+        except (Timeout, OSError, NotImplementedError):  # a file system without locks, too
+            return usual(signature)
+        try:
+            return usual(signature)
+        finally:
+            lock.release()
+
+    return compiled
 
 
 @cache
