@@ -24,6 +24,7 @@ def figure():
     left, right = figure.subplots(1, 2)
     left.plot([1.0, 2.0, 3.0], [1.0, np.nan, 2.0], "--", label="tanh-1e4", color="#0072b2")
     left.plot([1.0, 1.0, 2.0], [5.0, 5.0, 6.0], "o", label="_piecewise, periodic", alpha=0.5)
+    left.plot([1.0, 2.0], [3.0, 3.0], ":.", label="dotted", markersize=5.0)
     left.errorbar([1.0, 2.0], [1.0, 2.0], [0.1, 0.2], fmt="none", label="_error")
     left.axvspan(1.0, 1.5, label="_chaotic")
     left.axhline(0.4)
@@ -79,6 +80,8 @@ def test_a_panel_says_how_it_is_drawn(figure):
     )
     assert [dashed["dashes"], dashed["colour"]] == ["--", "#0072b2"]
     assert pale["opacity"] == 0.5
+    assert [dashed["dots"], pale["dots"]] == [0.0, 0.0]
+    assert next(m for m in left["marks"] if m["series"] == "dotted")["dots"] == 5.0
     assert left["marks"][0]["kind"] == "band"  # behind all else
 
 

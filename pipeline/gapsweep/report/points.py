@@ -39,6 +39,8 @@ class Marks:
         Of a line its width, of points their diameter or diameters [points].
     dashes : str
         As matplotlib writes them.
+    dots : float
+        Diameter of the marks on a line [points]; 0 without.
     zorder : float
     """
 
@@ -50,6 +52,7 @@ class Marks:
     colour: Any = (0.0, 0.0, 0.0, 1.0)
     size: Any = 1.0
     dashes: str = "-"
+    dots: float = 0.0
     is_hollow: bool = False
     zorder: float = 0.0
 
@@ -150,6 +153,7 @@ def _line(axes: Axes, line: Line2D) -> Iterator[Marks]:
         look["is_hollow"] = line.get_fillstyle() == "none"
         yield Marks(kind="point", x=x, y=y, size=line.get_markersize(), **look)
     else:
+        look["dots"] = line.get_markersize() if line.get_marker() not in ("None", None, "") else 0.0
         yield Marks(kind="line", x=x, y=y, size=line.get_linewidth(), **look)
 
 
@@ -241,6 +245,7 @@ def _drawn(axes: Any, marks: Marks) -> dict[str, Any]:
         "opacity": round(float(marks.colour[3]), 2),
         "size": _packed(size if np.unique(size).size > 1 else size[:1]),
         "dashes": marks.dashes,
+        "dots": round(float(marks.dots), 2),
         "hollow": marks.is_hollow,
         "x": _packed(x),
         "y": _packed(y),

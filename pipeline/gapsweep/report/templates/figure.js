@@ -171,6 +171,7 @@
         on = true;
       });
       pen.stroke();
+      if (mark.dots) this.point(pen, { ...mark, size: [mark.dots / 2] }); // a dot is half of its mark
     }
     point(pen, mark) {
       this.look(pen, mark);
@@ -314,22 +315,24 @@
 
   // Switches: laws, and logarithmic axes.
   const form = $("laws");
-  const option = (text, checked, colour, change) => {
+  const option = (text, checked, mark, change) => {
     const label = document.createElement("label"), box = document.createElement("input");
     Object.assign(box, { type: "checkbox", checked });
     box.addEventListener("change", () => (change(box.checked), drawAll()));
     label.append(box);
-    if (colour) {
-      const swatch = Object.assign(document.createElement("span"), { className: "swatch" });
-      swatch.style.background = colour;
+    if (mark) {
+      const swatch = document.createElement("span");
+      swatch.className = mark.kind === "line" ? "swatch line" : "swatch";
+      swatch.style.borderTopColor = mark.colour;
+      swatch.style.borderTopStyle = { "--": "dashed", "-.": "dashed", ":": "dotted" }[mark.dashes] ?? "solid";
       label.append(swatch);
     }
     label.append(text);
     form.append(label);
   };
   const laws = new Map();
-  for (const { marks } of panels) for (const mark of marks) if (law(mark) && !laws.has(law(mark))) laws.set(law(mark), mark.colour);
-  if (laws.size > 1) for (const [name, colour] of laws) option(name, true, colour, (on) => (on ? off.delete(name) : off.add(name)));
+  for (const { marks } of panels) for (const mark of marks) if (law(mark) && !laws.has(law(mark))) laws.set(law(mark), mark);
+  if (laws.size > 1) for (const [name, mark] of laws) option(name, true, mark, (on) => (on ? off.delete(name) : off.add(name)));
   for (const which of ["x", "y"]) {
     const axes = [...new Set(panels.map((panel) => panel[which]))];
     const said = panels.flatMap((panel) => panel.marks.filter((mark) => mark.kind === "point" || mark.kind === "line"));
@@ -337,7 +340,7 @@
     const least = marks.reduce((a, m) => m.reduce((b, v) => (v > 0 && v < b ? v : b), a), Infinity);
     const negative = marks.some((m) => m.some((v) => v < 0));
     if (negative || least === Infinity || axes.some((axis) => axis.words || axis.now === "symlog")) continue;
-    option(`log ${which}`, axes.every((axis) => axis.now === "log"), "", (on) => axes.forEach((axis) => axis.use(on ? "log" : "linear", least)));
+    option(`log ${which}`, axes.every((axis) => axis.now === "log"), null, (on) => axes.forEach((axis) => axis.use(on ? "log" : "linear", least)));
   }
   form.hidden = !form.children.length;
   form.addEventListener("submit", (event) => event.preventDefault());
