@@ -8,7 +8,7 @@ import hashlib
 import html
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -245,7 +245,18 @@ def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:
     if not before:
         return "not known what it was made from"
     changed = [name for name in {**now, **before} if now.get(name) != before.get(name)]
-    return f"{', '.join(changed)} changed" if changed else None
+    if changed:
+        return f"{', '.join(changed)} changed"
+    lost = next((each for each in _beside(path) if not (each.exists() and is_intact(each))), None)
+    return f"{lost.relative_to(folder)} absent or damaged" if lost else None
+
+
+def _beside(path: Path) -> Iterator[Path]:
+    """The files in folders of its own that a page leads to."""
+    if path.suffix == ".html":
+        page = path.read_text(encoding="utf-8", errors="replace")
+        for name in dict.fromkeys(re.findall(r'href="(\w+/[\w.-]+)"', page)):
+            yield path.parent / name
 
 
 def is_of_run(path: Path) -> bool:

@@ -127,6 +127,19 @@ def test_repairs_are_told(finished):
     assert "MEDIAN" not in page.read_text()
 
 
+def test_lost_and_damaged_figures_are_made_again(finished):
+    figures = finished / "out" / "report" / "figures"
+    whole = {file.name: file.read_bytes() for file in figures.iterdir()}
+    lost, damaged = (next(figures.glob(f"*.{kind}")) for kind in ("svg", "html"))
+    lost.unlink()
+    damaged.write_bytes(damaged.read_bytes()[:-9])
+    assert gapsweep(finished, "run", "tiny.toml", "--out", "out").returncode == 0
+    assert {file.name: file.read_bytes() for file in figures.iterdir()} == whole
+    shutil.rmtree(figures)
+    assert gapsweep(finished, "run", "tiny.toml", "--out", "out").returncode == 0
+    assert {file.name: file.read_bytes() for file in figures.iterdir()} == whole
+
+
 def test_one_lost_row_of_a_sweep_is_one_point_to_compute(finished):
     path = finished / "c.sqlite"
     n_lost = 2 * damaged_row(path)
