@@ -53,7 +53,7 @@ def make_pages(_app: object) -> None:
 
 
 def formula(display: str) -> object:
-    """A visitor that writes formulas as MathML, which browsers draw without a script or a network."""
+    """A visitor that writes formulas as MathML, which browsers draw without a network."""
 
     def visit(writer: object, node: object) -> None:
         writer.body.append(latex2mathml.converter.convert(node.astext(), display=display))

@@ -72,4 +72,4 @@ if __name__ == "__main__":
     with matplotlib.rc_context(MATPLOTLIB):
         for draw, folder in zip((peaks, work_precision, two_masses), sys.argv[1:], strict=False):
             draw(Path(folder).absolute())
-        gallery()
+    gallery()

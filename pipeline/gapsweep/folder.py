@@ -57,10 +57,10 @@ def check_owner(study: Study, folder: Path) -> None:
     StoreError
         If its run or one of its datasets is that of a study with another name.
     """
-    owners = {netcdf.attributes(folder / name).get("study") for name in _OWNED}
+    owners = {str(netcdf.attributes(folder / name).get("study", study.name)) for name in _OWNED}
     with suppress(StoreError):  # no run yet, or its state is damaged
-        owners.add(RunState.read(folder).study)
-    for owner in owners - {None, study.name}:
+        owners.add(str(RunState.read(folder).study))
+    for owner in owners - {study.name}:
         raise StoreError(
             f"{folder}: holds the files of study {owner!r}, this one is {study.name!r}: choose "
             "another folder with --out, or delete this one"
@@ -76,7 +76,11 @@ def changed_since(study: Study, folder: Path) -> list[str]:
     stored = netcdf.attributes(folder / RESPONSES).get("study_json")
     if stored is None or stored == study.json:
         return []
-    before, now = json.loads(stored), json.loads(study.json)
+    now = json.loads(study.json)
+    try:
+        before = dict(json.loads(stored))
+    except (TypeError, ValueError):  # damaged, and made again
+        return []
     changed = []
     for table in _SETTINGS:
         old, new = (each.get(table) or {} for each in (before, now))

@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import netCDF4
 import pytest
 from tests.stored import damaged_row
 
@@ -138,6 +139,33 @@ def test_lost_and_damaged_figures_are_made_again(finished):
     shutil.rmtree(figures)
     assert gapsweep(finished, "run", "tiny.toml", "--out", "out").returncode == 0
     assert {file.name: file.read_bytes() for file in figures.iterdir()} == whole
+
+
+def test_what_stands_in_the_place_of_a_file_is_one_line(finished, tmp_path):
+    out = shutil.copytree(finished / "out", tmp_path / "out")
+    command = ("run", "tiny.toml", "--out", os.fspath(out))
+    for name in ("SHA256SUMS", "report/figures/SHA256SUMS", "static.nc"):
+        (out / name).unlink()
+        (out / name).mkdir()
+        done = gapsweep(finished, *command)
+        assert done.returncode == 1
+        assert [line for line in done.stderr.splitlines() if "error" in line][-1].startswith(
+            "error: "
+        )
+        assert "Traceback" not in done.stderr
+        (out / name).rmdir()
+        assert gapsweep(finished, *command).returncode == 0
+
+
+@pytest.mark.parametrize("said", ["x{", "[]", "3"])
+def test_damaged_settings_of_a_dataset_are_made_again(finished, tmp_path, said):
+    out = shutil.copytree(finished / "out", tmp_path / "out")
+    with netCDF4.Dataset(out / "responses.nc", "a") as dataset:
+        dataset.study_json = said
+    done = gapsweep(finished, "run", "tiny.toml", "--out", os.fspath(out))
+    assert done.returncode == 0, done.stderr
+    with netCDF4.Dataset(out / "responses.nc") as dataset:
+        assert json.loads(dataset.study_json)["study"]["name"] == "tiny"
 
 
 def test_one_lost_row_of_a_sweep_is_one_point_to_compute(finished):

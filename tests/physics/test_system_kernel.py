@@ -446,3 +446,26 @@ def test_a_mass_in_equilibrium_on_its_wall_stays_there_and_lets_the_others_move(
     run = gs.simulate(system, law, q_0=[start, 0.5], t_end=50.0, rtol=1e-10, atol=1e-13)
     assert run.status == gs.Status.OK
     assert run.q == pytest.approx([1.0, 0.5 * np.cos(100.0)], abs=1e-8)
+
+
+def test_walls_at_one_place_are_passed_at_once_and_no_step_underflows():
+    """Crossings of three contacts next to zero; what is unclear of one must not cut the step."""
+    system = gs.System(
+        mass=[[1.0]],
+        stiffness=[[200.0]],
+        damping=[[0.4]],
+        contacts={"a": [-0.43], "b": [1.0], "c": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[-0.28])],
+    )
+    laws = {
+        "a": gs.Piecewise(1e3, gs.Gap(0.01, 0.0)),
+        "b": gs.Piecewise(2e4, gs.Gap(0.01, 0.01)),
+        "c": gs.Piecewise(2.7e5, gs.Gap(0.0, 0.01)),
+    }
+    q_0 = np.linspace(-0.02, 0.02, 300)[:, None]
+    run, tight = (
+        gs.simulate(system, laws, 0.73, q_0=q_0, v_0=[5.0], t_end=2.0, rtol=rtol, atol=1e-14)
+        for rtol in (1e-9, 1e-11)
+    )
+    assert (run.status == gs.Status.OK).all()
+    assert run.n_contacts.mean() == pytest.approx(tight.n_contacts.mean(), rel=2e-3)

@@ -1,6 +1,9 @@
 """NetCDF files: complete or absent."""
 
 import gc
+import pickle
+import subprocess
+import sys
 from contextlib import suppress
 
 import numpy as np
@@ -92,3 +95,49 @@ def test_files_are_closed_by_the_next_reader_and_not_by_the_garbage_collector(tm
     with netcdf.read(paths[2]):
         assert not is_open(paths[1])
         assert part.sum() == 3.0, "what was selected still can be read"
+
+
+def test_a_dataset_does_not_read_on_in_a_file_that_took_its_place(tmp_path):
+    path = tmp_path / "small.nc"
+    netcdf.write(small(), path, {})
+    opened = gs.open(path)
+    sent, held = pickle.dumps(opened), opened["x"].load()
+    netcdf.write(small() + 1.0, path, {})
+    with pytest.raises(gs.StoreError, match=r"small\.nc: replaced since .* open it again"):
+        pickle.loads(sent)["x"].load()
+    opened.close()
+    np.testing.assert_array_equal(held, np.arange(3.0))
+    with gs.open(path) as again:
+        np.testing.assert_array_equal(again["x"], np.arange(1.0, 4.0))
+
+
+def test_texts_are_characters_and_come_back_as_texts(tmp_path):
+    texts = np.array([["", "tanh-1e4"], ["größer", "a"]])
+    with netcdf.writing(tmp_path / "texts.nc", {}) as dataset:
+        for name in ("row", "column"):
+            dataset.createDimension(name, 2)
+        netcdf.create_texts(dataset, "label", ("row", "column"), texts)
+        assert netcdf.loaded(dataset)["label"].values.tolist() == texts.tolist()
+    with gs.open(tmp_path / "texts.nc") as read:
+        assert read["label"].dims == ("row", "column")
+        assert read["label"].values.tolist() == texts.tolist()
+
+
+# More than one handle of a file with texts of variable length ended the process.
+HELD = """
+import gapsweep as gs, xarray as xr
+block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
+study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+held = gs.run(study, out="small", cache="c.sqlite"), xr.open_dataset("small/responses.nc").load()
+for _ in range(4):
+    again = gs.run(study, out="small", cache="c.sqlite")
+print(held[0]["representation"].item(), again["gap"].item())
+"""
+
+
+def test_a_run_goes_on_beside_datasets_that_are_held(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", HELD], cwd=tmp_path, capture_output=True, text=True, timeout=100
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["piecewise", "0.4/0.4"]

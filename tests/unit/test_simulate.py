@@ -201,3 +201,13 @@ def test_a_run_that_is_sampled_first_is_the_run_that_is_sampled_last(label):
         assert ours.tobytes() == theirs.tobytes()
     # Seconds into the last step are a difference of rounded times.
     np.testing.assert_allclose(sampled_first[0][..., -1], first.x, rtol=1e-11)
+
+
+@pytest.mark.parametrize("label", ["piecewise", "tanh-1e5", "poly-13"])
+def test_the_end_of_a_run_can_be_sampled_wherever_rounding_puts_it(label):
+    law = gs.contact_law(label, 1.4e4, gs.Gap(4e-4, 4e-4))
+    for omega in np.random.default_rng(3).uniform(1.0, 30.0, 20).tolist():
+        for t_end in (1.0 / omega, np.nextafter(1.0 / omega, 1.0)):
+            run = gs.simulate(gs.Oscillator(), law, omega, t_end=t_end, dense_output=True)
+            x, v = run.sample(run.t)
+            assert [x, v] == pytest.approx([run.x, run.v], rel=1e-9, abs=1e-12)

@@ -32,7 +32,7 @@ def peak_curves(scene: xr.Dataset) -> Figure:
     low, high = drawing.frame(scene, "x_max", _exact(scene))
     for axes, label in zip(panels, labels, strict=True):
         for one, size in {_exact(scene): _DOT + _REAR, label: _DOT}.items():
-            drawing.peaks(axes, scene.sel(representation=one), size, high)
+            drawing.peaks(axes, scene.sel(representation=one), size, high=high)
         _title(axes, scene.sel(representation=label))
     _scale(panels[0], scene, low, high)
     return figure

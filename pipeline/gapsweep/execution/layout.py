@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gapsweep.model.labels import is_even_handed
 from gapsweep.response.result import Steady
+from gapsweep.store.netcdf import create_texts
 from gapsweep.study.grid import COORDINATE, LAG, START, Grid
 from gapsweep.study.schema import (
     ATTRACTOR,
@@ -206,9 +207,11 @@ def _define_coordinates(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[st
         dataset.createDimension(name, layout.sizes[name])
     values = grid.coordinates()
     for name, (along, variable) in coordinates(dims, grid.parts).items():
-        _create(dataset, layout, name, variable, along, None)
-        is_text = variable.dtype == "str"
-        dataset[name][:] = values[name].astype(object) if is_text else values[name]
+        if variable.dtype == "str":
+            _describe(create_texts(dataset, name, along, values[name]), variable)
+        else:
+            _create(dataset, layout, name, variable, along, None)
+            dataset[name][:] = values[name]
 
 
 def _name_auxiliary(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[str, ...]) -> None:
@@ -233,23 +236,24 @@ def _create(
 ) -> None:
     if chunk:
         dimensions, chunk = dimensions + layout.parts(name), chunk + layout.part_shape(name)
-    if variable.dtype == "str":
-        created = dataset.createVariable(name, str, dimensions)
-    else:
-        created = dataset.createVariable(
-            name,
-            variable.dtype,
-            dimensions,
-            fill_value=variable.missing if chunk else False,
-            compression="zlib" if chunk else None,
-            complevel=1,
-            chunksizes=chunk,
-            fletcher32=chunk is not None,
-            chunk_cache=1,  # every chunk is written once: to keep it would only fill memory
-        )
-        if chunk:
-            # Chunks never written read as missing; without the attribute integers stay integers.
-            created.delncattr("_FillValue")
+    created = dataset.createVariable(
+        name,
+        variable.dtype,
+        dimensions,
+        fill_value=variable.missing if chunk else False,
+        compression="zlib" if chunk else None,
+        complevel=1,
+        chunksizes=chunk,
+        fletcher32=chunk is not None,
+        chunk_cache=1,  # every chunk is written once: to keep it would only fill memory
+    )
+    if chunk:
+        # Chunks never written read as missing; without the attribute integers stay integers.
+        created.delncattr("_FillValue")
+    _describe(created, variable)
+
+
+def _describe(created: "netCDF4.Variable[Any]", variable: Variable) -> None:
     if variable.units:
         created.units = variable.units
     created.long_name = variable.long_name

@@ -14,6 +14,7 @@ from gapsweep.model.system import System, floats
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
+_CLOCK_ROUNDING = 1e-9  # of the time since the start
 
 
 def _of_motions(column: Callable[[Motions], NDArray[Any]]) -> Any:
@@ -145,7 +146,10 @@ class Trajectory:
         except (TypeError, ValueError, OverflowError):
             raise ModelError(f"t = {t!r}: must be a time or times [s]") from None
         first = float(np.min(t, initial=math.inf))
-        motions = self._dense_from(first) if self.t_0 <= first < math.inf else self._motions
+        is_inside = self.t_0 <= first < math.inf
+        # A little earlier: rounding of the clock may put the end behind the last step.
+        earlier = first - _CLOCK_ROUNDING * (first - self.t_0)
+        motions = self._dense_from(earlier) if is_inside else self._motions
         end = float(np.min(motions.t))
         inside = (t >= self.t_0) & (t <= end)
         if not np.all(inside):

@@ -102,23 +102,29 @@ def _panel(axes: Axes, scene: xr.Dataset, labels: list[str]) -> None:
         one, x = scene.sel({"method": label}), error.sel({"method": label}).values
         y = one["cpu_time"].values
         look: dict[str, Any] = {"color": colour(label), "linewidth": 0.9, "markersize": 3}
+        look["label"] = label
         axes.plot(x, y, styles[label], marker=marks[label], markerfacecolor="white", **look)
     for label in labels:
         one, x = scene.sel({"method": label}), error.sel({"method": label}).values
         y, front = one["cpu_time"].values, one["on_front"].values.astype(bool)
         bars = np.abs(np.stack([y - one["cpu_time_q25"].values, one["cpu_time_q75"].values - y]))
         shade = colour(label)
-        axes.errorbar(x, y, bars, fmt="none", ecolor=shade, elinewidth=0.6, alpha=0.6)
-        axes.plot(x[front], y[front], marks[label], color=shade, markersize=6, zorder=4)
+        look = {"fmt": "none", "ecolor": shade, "elinewidth": 0.6, "alpha": 0.6}
+        axes.errorbar(x, y, bars, label=f"_{label}, quartiles", **look)
+        named = f"_{label}, on the front"
+        axes.plot(
+            x[front], y[front], marks[label], color=shade, markersize=6, zorder=4, label=named
+        )
         ring: dict[str, Any] = {"markerfacecolor": "none", "markeredgecolor": "#D55E00"}
-        axes.plot(x[front], y[front], "o", markersize=9, zorder=3, **ring)
+        axes.plot(x[front], y[front], "o", markersize=9, zorder=3, label=named, **ring)
         model = float(one["model_error"])
         if model > 0.0:
-            axes.axvline(min(model, _ERRORS[1]), ymax=0.06, color=shade, linewidth=1.4)
+            edge: dict[str, Any] = {"ymax": 0.06, "color": shade, "linewidth": 1.4}
+            axes.axvline(min(model, _ERRORS[1]), label=f"_{label}, its own error", **edge)
         failed = (one["status"] > Status.NOT_REQUESTED).values & np.isfinite(y)
         if failed.any():
-            edge = axes.get_yaxis_transform()
-            look = {"transform": edge, "color": shade, "markersize": 5, "clip_on": False}
+            look = {"color": shade, "markersize": 5, "clip_on": False}
+            look |= {"transform": axes.get_yaxis_transform(), "label": f"_{label}, failed"}
             crosses = axes.plot(np.ones(failed.sum()), y[failed], "x", **look)
             crosses[0].set_in_layout(False)
     axes.grid(which="minor", visible=False)
@@ -166,11 +172,11 @@ def tolerance_figure(bench: xr.Dataset) -> Figure:
             x, y = bench["rtol"].sel({"method": label}), middle.sel({"method": label})
             y = y.where(y > 0.0)
             axes.plot(x, y, styles[label], marker=marks[label], color=colour(label),
-                      markersize=3, linewidth=0.9)  # fmt: skip
+                      markersize=3, linewidth=0.9, label=label)  # fmt: skip
         ends = [float(bench["rtol"].min()), float(bench["rtol"].max())]
         axes.plot(ends, ends, "--", color="#777777", linewidth=0.8)
         axes.set_title(title, fontsize=9, loc="left")
-        axes.set_xlabel("relative tolerance")
+        axes.set(xlabel="relative tolerance", ylabel="error")
         axes.grid(which="minor", visible=False)
     figure.legend(panels[0].lines[: len(labels)], labels, loc="outside upper center", ncols=5,
                   fontsize=8)  # fmt: skip

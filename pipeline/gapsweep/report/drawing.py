@@ -199,9 +199,15 @@ def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = No
 
 
 def peaks(
-    axes: "Axes", one: xr.Dataset, size: float, high: float = np.inf, *, along: str = "omega"
+    axes: "Axes",
+    one: xr.Dataset,
+    size: float,
+    low: float = -np.inf,
+    high: float = np.inf,
+    *,
+    along: str = "omega",
 ) -> None:
-    """Peaks of one representation: periodic full, others pale, those above the frame on it.
+    """Peaks of one representation: periodic full, others pale, those outside the frame on it.
 
     Parameters
     ----------
@@ -209,19 +215,20 @@ def peaks(
         ``x_max(along, initial_condition)`` and ``response_class``.
     size : float
         Diameter [points].
-    high : float
-        Upper edge of the frame.
+    low, high : float
+        Edges of the frame.
     """
     label = _label(one)
     places, height = _broadcast(one, "x_max", along)
     kinds = one["response_class"].transpose(along, "initial_condition").values
     periodic = kinds == ResponseClass.PERIODIC
-    above = height > high
+    below, above = height < low, height > high
     style = {"color": colour(label), "marker": "o", "markersize": size, "markeredgewidth": 0.0}
     for where, alpha, kind in ((~periodic, 0.35, "not periodic"), (periodic, 1.0, "periodic")):
-        shown = where & np.isfinite(height) & ~above
+        shown = where & np.isfinite(height) & ~below & ~above
         style["label"] = f"_{label}, {kind}"
         _points(axes, places[shown], height[shown], alpha=alpha, **style)
+    outside(axes, places[below], low, "v", label)
     outside(axes, places[above], high, "^", label)
 
 

@@ -112,7 +112,7 @@ def beside_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Fi
     for axes, (label, title) in zip(panels, titles.items(), strict=True):
         drawing.walls(axes, scene)
         for one, size in zip((exact, label), sizes, strict=True):
-            drawing.peaks(axes, scene.sel(representation=one), size, high)
+            drawing.peaks(axes, scene.sel(representation=one), size, low, high)
         axes.set_title(title, fontsize=9, loc="left")
         _axis(axes, scene["omega"])
     panels[0].set_ylim(low, high)

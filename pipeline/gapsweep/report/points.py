@@ -11,15 +11,17 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.category import StrCategoryLocator
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.colors import to_hex, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import FixedFormatter
+from matplotlib.ticker import FixedLocator
 
 HEADER = ("panel", "series", "mark", "x", "y", "x_end")
 _ABOUT = "# panel"  # how a line starts that says what a panel is
+_NONE = ("None", "none", "", " ", None)  # how matplotlib calls no line and no marker
 Row = tuple[str, ...]
 
 
@@ -31,7 +33,7 @@ class Marks:
     ----------
     kind : str
         ``line``, ``point``, ``tick`` above the panel, ``band`` behind it, from `x` to `x_end`, or
-        ``level`` all across it, which says no data.
+        ``level`` across it, over parts of it from the first to the second of `x_end`: no data.
     x, y, x_end : sequence
         Numbers, or words on an axis of words.
     colour : RGBA tuple of float
@@ -145,15 +147,18 @@ def _line(axes: Axes, line: Line2D) -> Iterator[Marks]:
     look["dashes"] = str(line.get_linestyle())
     if line.get_transform() != axes.transData:
         is_high = line.get_transform() == axes.get_xaxis_transform(which="grid")
+        if look["dashes"] in _NONE:
+            return  # marks on the edge of the panel
         one, none = np.asarray(x if is_high else y)[:1], np.full(1, np.nan)
-        places = (one, none) if is_high else (none, one)
-        yield Marks(kind="level", x=places[0], y=places[1], size=line.get_linewidth(), **look)
+        look["x"], look["y"] = (one, none) if is_high else (none, one)
+        look["x_end"] = np.asarray(y if is_high else x, float)
+        yield Marks(kind="level", size=line.get_linewidth(), **look)
         return
-    if look["dashes"] in ("None", "none", ""):
+    if look["dashes"] in _NONE:
         look["is_hollow"] = line.get_fillstyle() == "none"
         yield Marks(kind="point", x=x, y=y, size=line.get_markersize(), **look)
     else:
-        look["dots"] = line.get_markersize() if line.get_marker() not in ("None", None, "") else 0.0
+        look["dots"] = line.get_markersize() if line.get_marker() not in _NONE else 0.0
         yield Marks(kind="line", x=x, y=y, size=line.get_linewidth(), **look)
 
 
@@ -211,13 +216,13 @@ def _panel(axes: Axes, panels: list[Axes]) -> dict[str, Any]:
 
 
 def _scale(axis: Any) -> dict[str, Any]:
-    transform, formatter = axis.get_transform(), axis.get_major_formatter()
+    transform = axis.get_transform()
     scale: dict[str, Any] = {"scale": axis.get_scale()}
     if hasattr(transform, "linthresh"):
         scale["threshold"] = float(transform.linthresh)
-    if isinstance(formatter, FixedFormatter) or axis.get_units() is not None:
+    if isinstance(axis.get_major_locator(), FixedLocator | StrCategoryLocator):
         places = axis.get_majorticklocs()
-        names = formatter.format_ticks(places)
+        names = axis.get_major_formatter().format_ticks(places)
         scale["words"] = [[float(p), name] for p, name in zip(places, names, strict=True)]
     return scale
 

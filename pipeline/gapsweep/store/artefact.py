@@ -100,7 +100,10 @@ def recording(path: Path, is_ours: Callable[[Path], bool]) -> Iterator[Path]:
 def is_intact(path: Path) -> bool | None:
     """Whether a file is as it was written; None if no digest of it is recorded."""
     known = digests(path)
-    return sha256(path) in known if known else None
+    try:
+        return sha256(path) in known if known else None
+    except OSError:  # a folder in its place, or a link that leads nowhere
+        return False
 
 
 def is_recorded(path: Path) -> bool:
@@ -122,7 +125,7 @@ def digests(path: Path) -> list[str]:
 def _sums(folder: Path) -> list[tuple[str, str]]:
     try:
         lines = (folder / SUMS).read_text(encoding="utf-8", errors="replace").splitlines()
-    except FileNotFoundError:
+    except OSError:  # not there, or something else in its place
         return []
     return [(digest, name) for digest, _, name in (line.partition("  ") for line in lines)]
 

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import netCDF4
 import numpy as np
@@ -77,14 +77,34 @@ def loaded(dataset: netCDF4.Dataset) -> "xr.Dataset":
     import xarray as xr
 
     dataset.set_auto_maskandscale(False)
-    variables = {
-        name: xr.Variable(variable.dimensions, _plain(variable[:]), _attributes(variable))
-        for name, variable in dataset.variables.items()
-    }
+    variables = {}
+    for name, variable in dataset.variables.items():
+        found = _plain(variable[:])
+        along = variable.dimensions[: found.ndim]  # of texts without that of their characters
+        variables[name] = xr.Variable(along, found, _attributes(variable))
     named = [getattr(each, "coordinates", "").split() for each in dataset.variables.values()]
     names = dict.fromkeys([*dataset.dimensions, *(name for each in named for name in each)])
     coords = {name: variables.pop(name) for name in names if name in variables}
     return xr.Dataset(variables, coords, _attributes(dataset))
+
+
+def create_texts(
+    dataset: netCDF4.Dataset, name: str, dimensions: tuple[str, ...], texts: NDArray[Any]
+) -> "netCDF4.Variable[Any]":
+    """A variable of texts in an open dataset, as characters: as CF has it, and as xarray reads it.
+
+    Reading texts of variable length from a file that is also open elsewhere in the process was seen
+    to end it (netCDF4 1.7.5, HDF5 2.2).
+    """
+    encoded = np.char.encode(np.asarray(texts, str), "utf-8")
+    length = max(encoded.dtype.itemsize, 1)
+    characters = f"string{length}"
+    if characters not in dataset.dimensions:
+        dataset.createDimension(characters, length)
+    created = dataset.createVariable(name, "S1", (*dimensions, characters))
+    created[:] = encoded.astype(f"S{length}").view("S1").reshape(*encoded.shape, length)
+    created.setncattr("_Encoding", "utf-8")  # from now on the library speaks of texts
+    return created
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:
@@ -94,7 +114,11 @@ def _plain(values: NDArray[Any]) -> NDArray[Any]:
 
 def _attributes(held: Any) -> dict[str, Any]:
     """Attributes of an open dataset or variable, but for those by which files name coordinates."""
-    return {name: held.getncattr(name) for name in held.ncattrs() if name != "coordinates"}
+    return {
+        name: held.getncattr(name)
+        for name in held.ncattrs()
+        if name not in ("coordinates", "_Encoding")
+    }
 
 
 def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> None:
@@ -104,6 +128,7 @@ def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> N
         encoding = {
             name: {"_FillValue": None}
             | (_CHECKED if variable.ndim and variable.dtype.kind in "fiub" else {})
+            | ({"dtype": "S1"} if variable.dtype.kind in "OU" else {})
             for name, variable in stamped.variables.items()
         }
         stamped.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
@@ -192,8 +217,9 @@ def read(path: str | Path) -> "xr.Dataset":
                 "SHA256SUMS beside it); 'gapsweep run' writes it again from the cache"
             )
         file = xr.backends.CachingFileManager(
-            netCDF4.Dataset, os.fspath(path), mode="r", lock=NETCDF4_PYTHON_LOCK, cache=_files
-        )
+            _unchanged, os.fspath(path), _stamp(path), mode="r", lock=NETCDF4_PYTHON_LOCK,
+            cache=_files,
+        )  # fmt: skip
         store = xr.backends.NetCDF4DataStore(file)  # type: ignore[no-untyped-call]  # xarray has no type for it
         _opened.append(store)
         opened = xr.open_dataset(store)
@@ -209,6 +235,25 @@ def read(path: str | Path) -> "xr.Dataset":
             stacklevel=2,
         )
     return opened
+
+
+def _stamp(path: str | Path) -> tuple[int, int]:
+    """What a file that takes another one's place has not: its time [ns] and size."""
+    found = os.stat(path)
+    return found.st_mtime_ns, found.st_size
+
+
+def _unchanged(path: str, stamp: tuple[int, int], mode: Literal["r"]) -> netCDF4.Dataset:
+    """Open the file that a dataset was opened from, in another process or once more.
+
+    Raises
+    ------
+    StoreError
+        If another one has taken its place: its values would stand at the old one's coordinates.
+    """
+    if _stamp(path) != stamp:
+        raise StoreError(f"{path}: replaced since this dataset was opened: open it again")
+    return netCDF4.Dataset(path, mode)
 
 
 # What is open, for a dataset of ours or for what was selected from it. Its files are kept apart

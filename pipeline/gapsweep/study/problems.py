@@ -18,7 +18,8 @@ _WORDS = {
     "bool_type": "must be true or false",
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
-    "union_tag_invalid": "must be { sobol = ... }, 'sweep_up' or 'sweep_down'",
+    "union_tag_invalid": "must be { sobol = ... }, 'sweep_up' or 'sweep_down'; pairs [x, v] stand "
+    "in a list of their own, in another [[sweep]]",
     "string_pattern_mismatch": "must be letters, digits, '.', '_' and '-', without spaces; 64 at "
     "most, a letter or digit first",
 }

@@ -214,6 +214,8 @@ class _Exits:
             if first
             else reduce(minimum, [where(crosses, t, h) for _, crosses, t, *_ in found], h)
         )
+        # the caller, who resolves unclear lanes, must not take one contact's crossing for the step
+        self.step = where(self.is_unclear, h, self.step)
         self.passes, self.sides, self.crosses = [], [], h < h
         for _, crosses, t, outward, _ in found:
             is_first = crosses if first else crosses & (t <= self.step) & ~self.is_unclear

@@ -3,7 +3,7 @@
   const $ = (id) => document.getElementById(id);
   const MARGIN = { left: 62, right: 12, top: 6, bottom: 42 };
   const NEAR = 20; // pixels from a point at which it is meant
-  const SAME = 1; // pixels within which points lie on each other
+  const SAME = 1; // pixels within which points have one place on an axis
   const SQUARES = 3000; // points from which on circles would take too long
   const numbers = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
   const law = (mark) => mark.series.split(", ")[0];
@@ -27,25 +27,35 @@
     use(scale, least = 0) {
       this.now = scale;
       Object.assign(this, SCALES[scale](this));
-      const ends = this.limits.map((v) => (scale === "log" && v <= 0 ? least : v));
-      this.view = this.whole = ends.map(this.to);
+      const isCut = scale === "log" && Math.min(...this.limits) <= 0;
+      const ends = this.limits.map((v) => this.to(isCut && v <= 0 ? least : v));
+      const margin = isCut ? 0.03 * (ends[1] - ends[0]) : 0;
+      this.view = this.whole = [ends[0] - margin, ends[1]];
     }
     show(low, high) {
-      const least = 1e-6 * Math.abs(this.whole[1] - this.whole[0]);
-      if (Math.abs(high - low) > least) this.view = [low, high];
+      const part = Math.abs(high - low) / Math.abs(this.whole[1] - this.whole[0]);
+      if (part > 1e-6 && part < 5) this.view = [low, high];
     }
     ticks(room) {
       const [low, high] = [...this.view].sort((a, b) => a - b);
-      if (this.words) return this.words.filter(([at]) => at >= low && at <= high);
+      if (this.words) {
+        const shown = this.words.filter(([at]) => at >= low && at <= high);
+        return shown.filter((_, n) => n % Math.ceil(shown.length / room) === 0);
+      }
+      if (this.now === "log" && high - low > 0.6 && high - low < 2.5) {
+        const found = [];
+        for (let decade = Math.floor(low); decade <= high; decade++) for (const n of [1, 2, 5]) found.push(n * 10 ** decade);
+        return found.map((v) => [this.to(v), written(v, 4)]).filter(([u]) => u >= low && u <= high);
+      }
       const whole = this.now !== "linear" && high - low > 1.5;
       const [start, end] = whole ? [low, high] : [this.from(low), this.from(high)];
       let step = 10 ** Math.floor(Math.log10((end - start) / room));
       step *= [1, 2, 5, 10].find((n) => (end - start) / (n * step) <= room);
       if (whole) step = Math.max(1, Math.round(step));
-      const found = [];
+      const found = [], digits = Math.ceil(Math.log10(Math.max(Math.abs(start), Math.abs(end)) / step)) + 1;
       for (let at = Math.ceil(start / step) * step; at <= end + 1e-9 * step; at += step) {
         const value = whole ? this.from(Math.round(at)) : Math.abs(at) < 1e-9 * step ? 0 : at;
-        found.push([this.to(value), written(value, 4)]);
+        found.push([this.to(value), written(value, whole ? 4 : Math.max(digits, 4))]);
       }
       return found;
     }
@@ -167,7 +177,7 @@
       mark.x.forEach((value, n) => {
         const x = this.place("x", value), y = this.place("y", mark.y[n]);
         if (Number.isNaN(x + y)) return void (on = false);
-        on ? pen.lineTo(x, y) : pen.moveTo(x, y);
+        on ? pen.lineTo(x, y) : (pen.moveTo(x, y), pen.lineTo(x + 0.5, y)); // one point alone shows, too
         on = true;
       });
       pen.stroke();
@@ -201,13 +211,14 @@
     level(pen, mark) {
       this.look(pen, mark);
       const { left, right, top, bottom } = MARGIN, [x, y] = [mark.x[0], mark.y[0]];
+      const across = (part) => left + part * (this.width - left - right), up = (part) => this.height - bottom - part * (this.height - top - bottom);
       pen.beginPath();
-      if (Number.isNaN(x)) pen.moveTo(left, this.place("y", y)), pen.lineTo(this.width - right, this.place("y", y));
-      else pen.moveTo(this.place("x", x), top), pen.lineTo(this.place("x", x), this.height - bottom);
+      if (Number.isNaN(x)) pen.moveTo(across(mark.end[0]), this.place("y", y)), pen.lineTo(across(mark.end[1]), this.place("y", y));
+      else pen.moveTo(this.place("x", x), up(mark.end[0])), pen.lineTo(this.place("x", x), up(mark.end[1]));
       pen.stroke();
     }
 
-    // What is under the pointer: the nearest point and all that lie on it, and bands.
+    // What is under the pointer: the nearest point, others near it over the same place, and bands.
     under(x, y) {
       const near = [];
       for (const mark of this.shown) {
@@ -220,7 +231,7 @@
         if (found) near.push(found);
       }
       near.sort((a, b) => a.far - b.far);
-      const points = near.filter((one) => Math.hypot(one.x - near[0].x, one.y - near[0].y) < SAME);
+      const points = near.filter((one) => Math.abs(one.x - near[0].x) < SAME);
       const here = (mark) => mark.kind === "band" && mark.x.some((low, n) => this.place("x", low) <= x && x <= this.place("x", mark.end[n]));
       const bands = this.shown.filter((mark) => mark.series && here(mark)).map((mark) => mark.series);
       return { points, bands };
@@ -228,20 +239,22 @@
     tell(event) {
       const box = this.canvas.getBoundingClientRect();
       const found = this.under(event.clientX - box.left, event.clientY - box.top);
-      const name = (which, value) => {
-        const word = this[which].words?.find(([at]) => at === Math.round(value));
-        return word ? word[1] : `${this.label[which] || which}: ${written(value)}`;
-      };
       const [first] = found.points;
-      const names = new Set(found.points.map(({ mark }) => mark.series));
-      const lines = first ? [...names, name("x", first.at[0]), name("y", first.at[1])] : [];
-      const text = [...lines, ...new Set(found.bands)].filter(Boolean).join("\n");
-      $("told").hidden = !text;
+      // A law may draw a point twice: as a line, and with a ring.
+      const values = new Set(found.points.map(({ mark, at }) => `${mark.series || "\u2013"}: ${this.told("y", at[1])}`));
+      const lines = first ? [`${this.label.x || "x"}: ${this.told("x", first.at[0])}`, `${this.label.y || "y"}:`, ...values] : [];
+      const told = $("told");
+      told.textContent = [...lines, ...new Set(found.bands)].join("\n");
+      told.hidden = !told.textContent;
       $("ring").hidden = !first;
-      $("told").textContent = text;
-      const right = event.clientX > innerWidth / 2;
-      Object.assign($("told").style, { left: right ? "" : `${event.clientX + 14}px`, right: right ? `${innerWidth - event.clientX + 14}px` : "", top: `${Math.min(event.clientY + 14, innerHeight - 80)}px` });
+      const { clientX: x, clientY: y } = event, right = x > innerWidth / 2;
+      Object.assign(told.style, { left: right ? "" : `${x + 14}px`, right: right ? `${innerWidth - x + 14}px` : "", top: 0 });
+      const below = y + 14 + told.offsetHeight < innerHeight;
+      told.style.top = `${Math.max(0, below ? y + 14 : y - 14 - told.offsetHeight)}px`;
       if (first) Object.assign($("ring").style, { left: `${box.left + first.x}px`, top: `${box.top + first.y}px` });
+    }
+    told(which, value) {
+      return this[which].words?.find(([at]) => at === Math.round(value))?.[1] ?? written(value);
     }
 
     zoom(factor, x, y) {
@@ -265,10 +278,8 @@
     }
     listen() {
       const { canvas } = this, held = new Map();
-      const quiet = () => ($("told").hidden = $("ring").hidden = true);
       canvas.addEventListener("wheel", (event) => {
         event.preventDefault();
-        quiet();
         const { offsetX: x, offsetY: y } = event;
         const below = y > this.height - MARGIN.bottom, beside = x < MARGIN.left;
         this.zoom(1.002 ** event.deltaY, beside && !below ? null : x, below ? null : y);
@@ -276,12 +287,12 @@
       canvas.addEventListener("pointerdown", (event) => {
         held.set(event.pointerId, event);
         canvas.setPointerCapture(event.pointerId);
+        if (event.pointerType === "touch") this.tell(event);
       });
       for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => held.delete(event.pointerId));
       canvas.addEventListener("pointermove", (event) => {
         const before = held.get(event.pointerId);
         if (!before) return this.tell(event);
-        quiet();
         const other = [...held.values()].find((one) => one.pointerId !== event.pointerId);
         if (other) {
           const apart = (one) => Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY) || 1;
@@ -291,11 +302,15 @@
       });
       canvas.addEventListener("pointerleave", quiet);
       canvas.addEventListener("dblclick", () => this.reset());
-      canvas.addEventListener("keydown", ({ key }) => {
+      canvas.addEventListener("keydown", (event) => {
         const moves = { ArrowLeft: [30, 0], ArrowRight: [-30, 0], ArrowUp: [0, 30], ArrowDown: [0, -30] };
+        const zooms = { "+": 0.8, "=": 0.8, "-": 1.25 }, { key } = event;
+        if (event.ctrlKey || event.metaKey) return;
         if (moves[key]) this.move(...moves[key]);
-        else if (key === "+" || key === "-") this.zoom(key === "+" ? 0.8 : 1.25, this.width / 2, this.height / 2);
+        else if (zooms[key]) this.zoom(zooms[key], this.width / 2, this.height / 2);
         else if (key === "0") this.reset();
+        else return;
+        event.preventDefault();
       });
     }
   }
@@ -305,7 +320,9 @@
   $("panels").style.setProperty("--height", data.some(({ row }) => row > 1) ? "17rem" : "24rem");
   for (const given of data) panels.push(new Panel(given, panels));
   let waiting = 0;
+  const quiet = () => ($("told").hidden = $("ring").hidden = true);
   const drawAll = () => {
+    quiet();
     waiting ||= requestAnimationFrame(() => {
       waiting = 0;
       panels.forEach((panel) => panel.draw());

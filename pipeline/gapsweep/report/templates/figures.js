@@ -1,16 +1,21 @@
 "use strict";
 {
   // Without scripts a picture leads to its page; with them the page takes the picture's place.
-  const open = (event) => {
+  const toggle = (event) => {
     if (event.ctrlKey || event.metaKey || event.shiftKey) return; // another tab or window
     event.preventDefault();
-    const link = event.currentTarget, frame = document.createElement("iframe");
-    Object.assign(frame, { src: link.href, title: link.querySelector("img").alt });
-    frame.style.height = `${link.offsetHeight}px`;
+    const figure = event.currentTarget.closest("figure"), button = figure.querySelector(".explore");
+    const opened = figure.querySelector("iframe");
+    button.textContent = opened ? "explore" : "close";
+    if (opened) return opened.replaceWith(figure.picture);
+    const picture = (figure.picture = figure.querySelector("a.live")), frame = document.createElement("iframe");
+    Object.assign(frame, { src: picture.href, title: picture.querySelector("img").alt });
+    frame.style.height = `${picture.offsetHeight}px`;
     addEventListener("message", ({ source, data }) => {
       if (source === frame.contentWindow && data.figure > 0) frame.style.height = `${data.figure}px`;
     });
-    link.replaceWith(frame);
+    picture.replaceWith(frame);
+    button.focus();
   };
-  for (const link of document.querySelectorAll("a.live")) link.addEventListener("click", open);
+  for (const link of document.querySelectorAll("a.live, a.explore")) link.addEventListener("click", toggle);
 }
