@@ -98,3 +98,39 @@ def test_an_image_is_no_data():
     figure = Figure()
     figure.subplots().imshow(np.ones((2, 2)))
     assert as_csv(figure) == as_json(figure) == ""
+
+
+def second_axis():
+    figure = Figure()
+    figure.subplots().twinx().plot([1.0], [1.0])
+    return figure
+
+
+def polar():
+    figure = Figure()
+    figure.subplots(subplot_kw={"projection": "polar"}).plot([1.0], [1.0])
+    return figure
+
+
+def placed():
+    figure = Figure()
+    figure.add_axes((0.1, 0.1, 0.8, 0.8)).plot([1.0], [1.0])
+    return figure
+
+
+@pytest.mark.parametrize("draw", [second_axis, polar, placed, Figure])
+def test_what_is_no_grid_of_panels_stays_a_picture(draw):
+    assert as_json(draw()) == ""
+
+
+def test_odd_marks_of_a_users_own_are_drawn_all_the_same():
+    figure = Figure()
+    axes = figure.subplots()
+    axes.scatter([1.0, 2.0], [1.0, 2.0], facecolors="none", edgecolors="none")
+    axes.scatter([], [])
+    axes.plot(["a", "b"], [1.0, 2.0])
+    axes.text("b", 1.0, "here")
+    axes.annotate("there", (0.5, 0.5), xycoords="axes fraction")
+    axes.plot([], [], " ")
+    (panel,) = json.loads(as_json(figure))
+    assert [(note["text"], note["x"]) for note in panel["texts"]] == [("here", 1.0), ("there", 0.5)]

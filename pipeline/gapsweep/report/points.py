@@ -83,10 +83,13 @@ def as_csv(figure: Figure) -> str:
 def as_json(figure: Figure) -> str:
     """The same, with all that a page needs to draw it: places, scales and looks.
 
-    Numbers of marks are single precision, little-endian, in base64. Empty as `as_csv` is.
+    Numbers of marks are single precision, little-endian, in base64. Empty as `as_csv` is, and where
+    panels are no rectangles beside each other (polar ones, insets, a second axis).
     """
-    panels = _panels(figure)
-    return json.dumps([_panel(axes, panels) for axes in panels]) if panels else ""
+    panels: list[Any] = _panels(figure)
+    places = [str(axes.get_subplotspec()) for axes in panels if axes.get_subplotspec()]
+    is_grid = len(set(places)) == len(panels) and {a.name for a in panels} == {"rectilinear"}
+    return json.dumps([_panel(axes, panels) for axes in panels]) if is_grid else ""
 
 
 def label_of(axes: Axes, which: str) -> str:
@@ -119,12 +122,11 @@ def _marks(axes: Axes) -> Iterator[Marks]:
             x, y = np.asarray(found.get_offsets()).T
             faces, edges = np.asarray(found.get_facecolor()), np.asarray(found.get_edgecolor())
             look["is_hollow"] = not len(faces)
-            look["colour"] = tuple((faces if len(faces) else edges)[0])
+            look["colour"] = _first(faces if len(faces) else edges)
             look["size"] = np.resize(np.sqrt(found.get_sizes()), len(x))
             yield Marks(kind="point", x=x, y=y, **look)
         elif isinstance(found, LineCollection):
-            colours = np.asarray(found.get_colors())
-            look["colour"] = tuple(colours[0]) if len(colours) else (0.0, 0.0, 0.0, 1.0)
+            look["colour"] = _first(np.asarray(found.get_colors()))
             segments = found.get_segments()
             if found.get_transform() == axes.transData:
                 x, y = _apart(segments)
@@ -138,6 +140,10 @@ def _marks(axes: Axes) -> Iterator[Marks]:
             look = {"series": _series(band), "zorder": band.get_zorder()}
             look["colour"] = to_rgba(band.get_facecolor())
             yield Marks(kind="band", x=low, y=[np.nan], x_end=low + band.get_width(), **look)
+
+
+def _first(colours: Any) -> tuple[float, ...]:
+    return tuple(colours[0]) if len(colours) else (0.0, 0.0, 0.0, 0.0)
 
 
 def _line(axes: Axes, line: Line2D) -> Iterator[Marks]:
@@ -227,11 +233,12 @@ def _scale(axis: Any) -> dict[str, Any]:
     return scale
 
 
-def _note(axes: Axes, text: Any) -> dict[str, Any]:
+def _note(axes: Any, text: Any) -> dict[str, Any]:
     """A text in a panel: where in the data, or in which part of the panel."""
     x, y = text.get_position()
-    is_in_data = text.get_transform() == axes.transData
-    look = {"ha": text.get_ha(), "va": text.get_va(), "in_data": bool(is_in_data)}
+    if is_in_data := bool(text.get_transform() == axes.transData):
+        x, y = axes.convert_xunits(x), axes.convert_yunits(y)
+    look = {"ha": text.get_ha(), "va": text.get_va(), "in_data": is_in_data}
     return {"text": text.get_text(), "x": float(x), "y": float(y), **look}
 
 
