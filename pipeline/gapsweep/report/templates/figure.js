@@ -8,6 +8,7 @@
   const numbers = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
   const law = (mark) => mark.series.split(", ")[0];
   const off = new Set();
+  const quiet = () => ($("told").hidden = $("ring").hidden = true);
 
   // Scales: what is drawn is even in `to` of a number.
   const SCALES = {
@@ -320,7 +321,6 @@
   $("panels").style.setProperty("--height", data.some(({ row }) => row > 1) ? "17rem" : "24rem");
   for (const given of data) panels.push(new Panel(given, panels));
   let waiting = 0;
-  const quiet = () => ($("told").hidden = $("ring").hidden = true);
   const drawAll = () => {
     quiet();
     waiting ||= requestAnimationFrame(() => {
