@@ -143,8 +143,12 @@ def _page(environment: jinja2.Environment, figure: Mapping[str, Any]) -> str:
     if not figure["data"]:
         return ""
     data = Markup(figure["data"].replace("<", "\\u003c"))  # so that no text in it ends the element
-    page = environment.get_template("figure.html")
-    return page.render(figure=figure, data=data, script=_script("figure"))
+    return environment.get_template("figure.html").render(
+        title=figure["name"] or figure["description"],
+        figure=figure,
+        data=data,
+        scripts=[_script("figure")],
+    )
 
 
 def _script(name: str) -> Markup:

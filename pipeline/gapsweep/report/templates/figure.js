@@ -93,11 +93,19 @@
     get shown() {
       return this.marks.filter((mark) => !off.has(law(mark)));
     }
+    // Where a part of the panel ends, in pixels.
+    across(part) {
+      return MARGIN.left + part * (this.width - MARGIN.left - MARGIN.right);
+    }
+    up(part) {
+      return this.height - MARGIN.bottom - part * (this.height - MARGIN.top - MARGIN.bottom);
+    }
     place(which, value) {
-      const [low, high] = this[which].view;
-      const part = (this[which].to(value) - low) / (high - low);
-      const { left, right, top, bottom } = MARGIN;
-      return which === "x" ? left + part * (this.width - left - right) : this.height - bottom - part * (this.height - top - bottom);
+      return this.shifted(which, this[which].to(value));
+    }
+    shifted(which, u) {
+      const [low, high] = this[which].view, part = (u - low) / (high - low);
+      return which === "x" ? this.across(part) : this.up(part);
     }
     at(which, pixel) {
       const { left, right, top, bottom } = MARGIN;
@@ -133,15 +141,15 @@
       pen.fillStyle = "#000000";
       for (const [which, room] of [["x", this.width / 90], ["y", this.height / 45]]) {
         for (const [u, text] of this[which].ticks(room)) {
-          const [low, high] = this[which].view, part = (u - low) / (high - low);
-          const x = left + part * (ends.x - left), y = ends.y - part * (ends.y - top);
+          const at = this.shifted(which, u);
           pen.beginPath();
-          if (which === "x") pen.moveTo(x, top), pen.lineTo(x, ends.y);
-          else pen.moveTo(left, y), pen.lineTo(ends.x, y);
+          if (which === "x") pen.moveTo(at, top), pen.lineTo(at, ends.y);
+          else pen.moveTo(left, at), pen.lineTo(ends.x, at);
           pen.stroke();
           pen.textAlign = which === "x" ? "center" : "right";
           pen.textBaseline = which === "x" ? "top" : "middle";
-          pen.fillText(text, which === "x" ? x : left - 5, which === "x" ? ends.y + 5 : y, which === "x" ? undefined : left - 20);
+          if (which === "x") pen.fillText(text, at, ends.y + 5);
+          else pen.fillText(text, left - 5, at, left - 20);
         }
       }
       pen.strokeStyle = "#000000";
@@ -156,13 +164,12 @@
       pen.restore();
     }
     write(pen) {
-      const { left, right, top, bottom } = MARGIN;
       pen.fillStyle = "#000000";
       for (const { text, x, y, in_data, ha, va } of this.texts) {
         pen.textAlign = ha;
         pen.textBaseline = { center: "middle", baseline: "alphabetic" }[va] ?? va;
-        const across = left + x * (this.width - left - right), up = this.height - bottom - y * (this.height - top - bottom);
-        text.split("\n").forEach((line, n) => pen.fillText(line, in_data ? this.place("x", x) : across, (in_data ? this.place("y", y) : up) + 14 * n));
+        const at = in_data ? [this.place("x", x), this.place("y", y)] : [this.across(x), this.up(y)];
+        text.split("\n").forEach((line, n) => pen.fillText(line, at[0], at[1] + 14 * n));
       }
     }
     look(pen, { colour, opacity, dashes, size }) {
@@ -211,11 +218,9 @@
     }
     level(pen, mark) {
       this.look(pen, mark);
-      const { left, right, top, bottom } = MARGIN, [x, y] = [mark.x[0], mark.y[0]];
-      const across = (part) => left + part * (this.width - left - right), up = (part) => this.height - bottom - part * (this.height - top - bottom);
+      const x = this.place("x", mark.x[0]), y = this.place("y", mark.y[0]);
       pen.beginPath();
-      if (Number.isNaN(x)) pen.moveTo(across(mark.end[0]), this.place("y", y)), pen.lineTo(across(mark.end[1]), this.place("y", y));
-      else pen.moveTo(this.place("x", x), up(mark.end[0])), pen.lineTo(this.place("x", x), up(mark.end[1]));
+      for (const part of mark.end) pen.lineTo(Number.isNaN(x) ? this.across(part) : x, Number.isNaN(x) ? y : this.up(part));
       pen.stroke();
     }
 

@@ -11,11 +11,12 @@
     const picture = (figure.picture = figure.querySelector("a.live")), frame = document.createElement("iframe");
     Object.assign(frame, { src: picture.href, title: picture.querySelector("img").alt });
     frame.style.height = `${picture.offsetHeight}px`;
-    addEventListener("message", ({ source, data }) => {
-      if (source === frame.contentWindow && data.figure > 0) frame.style.height = `${data.figure}px`;
-    });
     picture.replaceWith(frame);
     button.focus();
   };
+  addEventListener("message", ({ source, data }) => {
+    const frame = [...document.querySelectorAll("iframe")].find((one) => one.contentWindow === source);
+    if (frame && data.figure > 0) frame.style.height = `${data.figure}px`;
+  });
   for (const link of document.querySelectorAll("a.live, a.explore")) link.addEventListener("click", toggle);
 }
