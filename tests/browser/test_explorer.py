@@ -5,6 +5,7 @@ Run with ``pytest -m browser``; needs Chromium.
 
 import asyncio
 import json
+import re
 from contextlib import asynccontextmanager
 
 import numpy as np
@@ -177,6 +178,39 @@ def test_a_click_on_a_response_shows_its_motion(debugger):  # noqa: F811
     omega, text, x = browse(debugger, gs.explore(stand_ins=()), click)
     assert f"Motion at {omega:.4g} Hz from x = " in text
     assert max(x) > 0.4  # beyond the wall
+
+
+# Where a place in a figure is, in pixels.
+PLACE = """(() => {{
+  const view = [...Bokeh.index.all_views()].find(v => v.model.title?.text === {title!r});
+  const box = view.canvas_view.el.getBoundingClientRect();
+  return [box.x + view.frame.x_scale.compute({x}), box.y + view.frame.y_scale.compute({y})];
+}})()"""
+
+
+def test_clicks_on_basins_and_map_show_the_motion_from_there(debugger):  # noqa: F811
+    async def click(opened, title, x, y):
+        for kind in ("Pressed", "Released"):
+            await opened.mouse(kind, *await opened.ask(PLACE.format(title=title, x=x, y=y)))
+
+    async def steps(opened):
+        await opened.until(f"{source('map 0 peaks')}.image?.[0]?.shape[0] === 40")
+        shape = await opened.ask(f"{source('basins 0 peaks')}.image[0].shape")
+        await click(opened, "Peaks by start, 9 Hz: piecewise", 0.5, 20.0)
+        said = await opened.until(
+            f"{model('status')}.text.includes('mm/s') && {model('status')}.text"
+        )
+        await opened.until(f"{source('map 0 peaks')}.image[0].shape[0] === 40")
+        await click(opened, "Peaks from rest: piecewise", 6.0, 5.0)
+        await opened.until(f"{model('status')}.text.includes('from rest')")
+        return shape, said, [await opened.ask(f"{model(name)}.value") for name in ("omega", "K_c")]
+
+    page = gs.explore(stand_ins=())
+    shape, said, (omega, K_c) = browse(debugger, page, steps, size=(1280, 1700))
+    assert shape == [48, 48]
+    assert float(re.search("x = ([0-9.]+) mm", said)[1]) == pytest.approx(0.5, abs=0.05)
+    assert omega == pytest.approx(6.0, abs=0.1)
+    assert K_c == pytest.approx(5.0, abs=0.05)  # the slider moves along the logarithm
 
 
 def test_a_law_that_is_unknown_is_a_word_not_a_traceback(debugger):  # noqa: F811

@@ -18,7 +18,21 @@ import gapsweep as gs
 from gapsweep.cli.main import exit_code
 from gapsweep.errors import GapsweepError, ModelError
 from gapsweep.explorer import answers as shown
-from gapsweep.explorer.answers import DOWN, UP, Motion, answers, from_rest, motion, nearest, sweeps
+from gapsweep.explorer.answers import (
+    BASINS,
+    DOWN,
+    MAP,
+    UP,
+    Motion,
+    Plane,
+    answers,
+    basins,
+    from_rest,
+    motion,
+    nearest,
+    response_map,
+    sweeps,
+)
 from gapsweep.explorer.latest import Latest
 from gapsweep.explorer.question import EXACT, asked, dials, labels, numbers, of_model, of_study
 from gapsweep.explorer.stored import Stored
@@ -164,6 +178,53 @@ def test_what_is_looked_at_first_comes_first():
     kinds = [(type(answer).__name__, answer.label) for answer in first]
     laws = (EXACT, "tanh-1e4")
     assert kinds == [(kind, law) for law in laws for kind in ("Curve", "Motion")]
+
+
+def test_the_planes_come_last_of_the_exact_law_and_one_stand_in(monkeypatch):
+    monkeypatch.setattr(shown, "N_STARTS", 3)
+    monkeypatch.setattr(shown, "N_MAP", 3)
+    question = replace(of_model(stand_ins=("tanh-1e4", "poly-13")), over_values=(1e3, 1e4))
+    found = [answer for answer in answers(question) if isinstance(answer, Plane)]
+    laws = (EXACT, "tanh-1e4")
+    asked_for = [(name, law) for name in (BASINS, MAP) for law in laws]
+    assert list(dict.fromkeys((plane.name, plane.label) for plane in found)) == asked_for
+
+
+def test_every_start_of_a_linear_oscillator_ends_alike():
+    question = of_model(LINEAR, FREE)
+    *_, plane = basins(question, EXACT, 2e-3)
+    assert plane.x_max.shape == (len(plane.y), len(plane.x))
+    assert plane.is_periodic.all()
+    expected = linear_amplitude(LINEAR, question.omega)
+    np.testing.assert_allclose(plane.x_max, expected, rtol=1e-3)
+
+
+def test_basins_are_those_of_the_grid_of_starts():
+    # Between the jumps a hardening spring has two motions.
+    question = replace(of_model(gs.Oscillator(), FREE), omega=11.0)
+    *_, plane = basins(question, EXACT, 5e-3)
+    found = gs.basins(question.oscillator, FREE, 11.0, x=plane.x, v=plane.y, rtol=1e-6, atol=1e-9)
+    peaks = np.append(found["x_max"].values, np.nan)[found["attractor"].values]
+    assert found.sizes["attractor_number"] == 2
+    np.testing.assert_allclose(plane.x_max, peaks, rtol=1e-3)
+
+
+def test_the_map_varies_what_it_says():
+    dampings = (0.01, 0.1)
+    question = replace(of_model(LINEAR, FREE), over="zeta", over_values=dampings)
+    *_, plane = response_map(question, EXACT)
+    for zeta, x_max in zip(dampings, plane.x_max, strict=True):
+        expected = linear_amplitude(replace(LINEAR, zeta=zeta), plane.x)
+        np.testing.assert_allclose(x_max, expected, rtol=1e-3)
+
+
+def test_places_on_a_slider_are_values_there_and_back():
+    for dial in dials(of_model()):
+        values = dial.along(5)
+        assert values[0] == pytest.approx(dial.low * dial.factor)
+        assert values[-1] == pytest.approx(dial.high * dial.factor)
+        places = [dial.place(value) for value in values]
+        np.testing.assert_allclose(np.diff(places), places[1] - places[0], rtol=1e-9)
 
 
 def test_a_motion_that_fails_says_so():

@@ -27,11 +27,16 @@ Array = NDArray[np.float64]
 N_OMEGA = 200
 RTOL, ATOL = 1e-6, 1e-9
 REST, UP, DOWN = "from rest", "sweep up", "sweep down"
+BASINS, MAP = "basins", "map"
 # Decay times after which a transient counts as gone, and natural periods that bound them where
 # damping is so weak that a slider would have to wait.
 DECAY_TIMES, NATURAL_PERIODS = 10.0, 100.0
 # Of a motion: forcing periods of its section, and the last ones, which the other figures show.
 N_SECTION, N_PERIODS, SAMPLES_PER_PERIOD = 300, 60, 64
+# Starts on either side of the plane of starts, and frequencies and values on those of the map.
+N_STARTS, N_MAP = 48, 40
+_BEYOND = 1.3  # how far starts lie beyond walls and the highest response
+_LEAST = 1e-6  # m: and beyond zero
 _CHUNK = 20  # frequencies of a sweep between two looks at whether the sliders have moved
 # Section points closer than this share of the reach are taken for one.
 _SAME_POINT = 1e-4
@@ -66,6 +71,32 @@ class Curve:
     @property
     def is_periodic(self) -> NDArray[np.bool_]:
         return np.asarray(self.response_class == ResponseClass.PERIODIC)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """Responses over two numbers, as far as they are computed: row after row.
+
+    Attributes
+    ----------
+    label : str
+        Of the law.
+    name : str
+        `BASINS` or `MAP`.
+    x, y : ndarray, shape (n_x,), (n_y,)
+        Displacements [m] and velocities [m/s] of the starts, or frequencies [Hz] and values, in SI
+        units, of the question's `over`. All of them, computed or not.
+    x_max : ndarray, shape (m, n_x)
+        Peaks [m] of the first m rows; NaN where it failed.
+    is_periodic : ndarray of bool, shape (m, n_x)
+    """
+
+    label: str
+    name: str
+    x: Array
+    y: Array
+    x_max: Array
+    is_periodic: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,21 +168,32 @@ class Motion:
     problem: str = ""
 
 
-def answers(question: Question) -> Iterator[Curve | Motion]:
+def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
     """All that a page shows of a question, what is looked at first first.
 
     The exact law from rest, the motion, the same of every stand-in, then sweeps of the exact law
-    in growing parts. Whoever has no use for the rest any more stops asking.
+    in growing parts, and the planes, of the first stand-in too. Whoever has no use for the rest any
+    more stops asking.
 
     Raises
     ------
     ModelError
         If a law cannot be made, as a fit beyond its range.
     """
+    highest = max(question.gap.j_1, question.gap.j_2, _LEAST)
     for label in (EXACT, *question.stand_ins):
-        yield from_rest(question, label)
+        curve = from_rest(question, label)
+        yield curve
         yield motion(question, label)
-    yield from sweeps(question)
+        highest = max(highest, _height(curve, question.omega))
+    for curve in sweeps(question):
+        yield curve
+        highest = max(highest, _height(curve, question.omega))
+    shown = (EXACT, *question.stand_ins[:1])
+    for label in shown:
+        yield from basins(question, label, _BEYOND * highest)
+    for label in shown:
+        yield from response_map(question, label)
 
 
 def frequencies(question: Question) -> Array:
@@ -211,6 +253,38 @@ def _curve(question: Question, label: str, protocol: str, omega: Array, states: 
     columns = (found.x_max, found.x_end, found.v_end)
     kinds = (found.response_class, found.period_multiple)
     return Curve(label, protocol, omega, *map(np.asarray, columns), *map(np.asarray, kinds))
+
+
+def _height(curve: Curve, omega: float) -> float:
+    """The peak [m] at the frequency that is nearest."""
+    return float(np.nan_to_num(curve.x_max[np.argmin(np.abs(curve.omega - omega))]))
+
+
+def basins(question: Question, label: str, reach: float) -> Iterator[Plane]:
+    """The responses at the frequency looked at, from starts up to `reach` [m] on a plane."""
+    x = np.linspace(-reach, reach, N_STARTS)
+    v = x * unit_of(question.omega)[1]
+    omega = np.full(N_STARTS, question.omega)
+    starts = (np.stack([x, np.full(N_STARTS, each)]) for each in v)
+    rows = (_curve(question, label, BASINS, omega, states) for states in starts)
+    return _planes(label, BASINS, x, v, rows)
+
+
+def response_map(question: Question, label: str) -> Iterator[Plane]:
+    """The responses from rest, over frequency and one number more."""
+    omega, states = np.linspace(*question.band, N_MAP), np.zeros((2, N_MAP))
+    settings = (question.at(question.over, value) for value in question.over_values)
+    rows = (_curve(each, label, MAP, omega, states) for each in settings)
+    return _planes(label, MAP, omega, np.array(question.over_values), rows)
+
+
+def _planes(label: str, name: str, x: Array, y: Array, rows: Iterator[Curve]) -> Iterator[Plane]:
+    """One plane, with one row more each time."""
+    x_max, is_periodic = [], []
+    for row in rows:
+        x_max.append(row.x_max)
+        is_periodic.append(row.is_periodic)
+        yield Plane(label, name, x, y, np.array(x_max), np.array(is_periodic))
 
 
 def _joined(parts: list[Curve]) -> Curve:

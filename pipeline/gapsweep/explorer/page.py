@@ -1,6 +1,5 @@
 """The page: sliders that ask, figures that answer."""
 
-import math
 from collections.abc import Callable
 from functools import partial
 from html import escape
@@ -22,11 +21,15 @@ from bokeh.models import (
 
 from gapsweep.errors import GapsweepError
 from gapsweep.explorer.answers import (
+    BASINS,
     DECAY_TIMES,
+    MAP,
+    N_MAP,
     N_OMEGA,
     REST,
     Curve,
     Motion,
+    Plane,
     Points,
     answers,
     nearest,
@@ -52,7 +55,7 @@ _NOTE = (
     f"{N_OMEGA} frequencies, every response from rest, then sweeps of the exact law; "
     "compiled engine, rtol 1e-6, atol 1e-9 m. Transients are given "
     f"{DECAY_TIMES:g} decay times: what takes longer may look chaotic here, and "
-    "<code>gapsweep run</code> waits for it. Click a dot to look at its motion."
+    "<code>gapsweep run</code> waits for it. Click a dot, a start or a place in the map to look at its motion."
 )
 # Hues survive the turn that makes black white: the figures of a light page, in the dark.
 _STYLE = """
@@ -94,17 +97,19 @@ class Page:
         self._curves: dict[tuple[str, str], Curve] = {}
         self._motions: dict[str, Motion] = {}
         self._points: Points | None = None
-        self._figures = Figures()
-        self._figures.look_at(question)
-        self._figures.response.on_event(Tap, self._clicked)
         self._controls(question, ranges)
+        self._figures = Figures()
+        self._figures.look_at(question, self._dials[self._over.value])
+        self._figures.response.on_event(Tap, self._clicked)
+        for (name, _), plane in self._figures.planes.items():
+            plane.on_event(Tap, self._start_clicked if name == BASINS else self._setting_clicked)
         document.add_root(self._layout())
         document.title = "gapsweep explore"
         document.template = _TEMPLATE
         self._latest = Latest(answers, self._later(self._show), self._later(self._refuse))
         document.on_session_destroyed(lambda _: self.stop())
         if stored is None:
-            self._latest.ask(question)
+            self._ask()
         else:
             self._open_scene(next(iter(stored.scenes)))
 
@@ -134,6 +139,11 @@ class Page:
             width=_SIDE,
         )  # fmt: skip
         self._laws.on_change("value", self._moved)
+        self._over = Select(
+            title="Map over frequency and", name="over", value=question.over, width=_SIDE,
+            options=[(name, dial.title) for name, dial in self._dials.items() if name != "omega"],
+        )  # fmt: skip
+        self._over.on_change("value", self._moved)
         self._from_rest = Button(label="Look at the motion from rest", width=_SIDE)
         self._from_rest.on_click(lambda: self._ask(start=(0.0, 0.0)))
         self._status = Div(text=_WARMING, name="status", stylesheets=[_WORDS], width=_SIDE)
@@ -148,13 +158,18 @@ class Page:
         scenes = [] if self._stored is None else [self._scene_choice(self._stored)]
         side = column(
             head, self._status, *scenes, *self._sliders.values(), self._band, self._laws,
-            self._from_rest, note, width=_SIDE + 20, spacing=2,
+            self._from_rest, self._over, note, width=_SIDE + 20, spacing=2,
         )  # fmt: skip
         shown = self._figures
         below = row(shown.phase, shown.section, shown.spectrum, sizing_mode="stretch_width")
+        planes = [
+            row(shown.planes[name, 0], shown.planes[name, 1], sizing_mode="stretch_width")
+            for name in (BASINS, MAP)
+        ]
         main = column(
-            self._legend, shown.response, below, shown.history, sizing_mode="stretch_width"
-        )
+            self._legend, shown.response, below, shown.history, *planes,
+            sizing_mode="stretch_width",
+        )  # fmt: skip
         return row(side, main, sizing_mode="stretch_width", spacing=12)
 
     def _scene_choice(self, stored: Stored) -> Select:
@@ -176,6 +191,8 @@ class Page:
         """Ask what the sliders say; what is out of range says so, and the figures stay."""
         values = {name: self._read(name) for name in self._sliders}
         kept = {"start": self._question.start, "fit_range": self._question.fit_range}
+        over = self._dials[self._over.value]
+        kept |= {"over": over.name, "over_values": over.along(N_MAP)}
         try:
             stand_ins = labels(self._laws.value)
             question = asked(values, self._band.value, **{"stand_ins": stand_ins, **kept, **others})
@@ -183,7 +200,7 @@ class Page:
             self._refuse(self._question, str(error))
             return
         self._question = question
-        self._figures.look_at(question)
+        self._figures.look_at(question, over)
         self._latest.ask(question)
 
     def _read(self, name: str) -> float:
@@ -193,13 +210,13 @@ class Page:
         """
         place = self._sliders[name].value
         put_at, number = self._put[name]
-        return number if place == put_at else _value(self._dials[name], place)
+        return number if place == put_at else self._dials[name].at(place)
 
     def _set(self, values: dict[str, float]) -> None:
         """Move sliders, in SI units, without an answer to each."""
         self._is_setting = True
         for name, value in values.items():
-            slider, place = self._sliders[name], _place(self._dials[name], value)
+            slider, place = self._sliders[name], self._dials[name].place(value)
             slider.update(start=min(slider.start, place), end=max(slider.end, place))
             slider.value = place
             self._put[name] = place, value
@@ -217,6 +234,16 @@ class Page:
             self._have(spot.label)
             self._set({"omega": spot.omega})
             self._ask(start=spot.state)
+
+    def _start_clicked(self, event: Tap) -> None:
+        """Look at the motion from a start among the basins."""
+        self._ask(start=(event.x / _MM, event.y / _MM))
+
+    def _setting_clicked(self, event: Tap) -> None:
+        """Look at the motion from rest where the map is clicked."""
+        over = self._dials[self._over.value]
+        self._set({"omega": event.x, over.name: over.at(event.y)})
+        self._ask(start=(0.0, 0.0))
 
     def _highest(self) -> float:
         return max(
@@ -250,7 +277,7 @@ class Page:
 
         return soon
 
-    def _show(self, question: Question, answer: Curve | Motion) -> None:
+    def _show(self, question: Question, answer: Curve | Motion | Plane) -> None:
         """Draw an answer, and say what it is."""
         is_first = isinstance(answer, Curve) and (answer.label, answer.protocol) == (EXACT, REST)
         # A slider that never rests is followed by first answers; the others would be of the past.
@@ -259,6 +286,8 @@ class Page:
         if is_first:
             self._curves, self._motions = {}, {}
         self._figures.show(question, answer)
+        if isinstance(answer, Plane):
+            return
         if isinstance(answer, Curve):
             self._curves[answer.label, answer.protocol] = answer
         else:
@@ -280,36 +309,20 @@ class Page:
 
 # --- sliders --------------------------------------------------------------------------------------
 
-_PLAIN = "return String(Number(tick.toPrecision(4)))"
-_POWER = "return String(Number((10 ** tick).toPrecision(3)))"
 _STEPS = 400
 
 
 def _slider(dial: Dial) -> Slider:
     """The slider of a dial; one over decades moves along the logarithm."""
-    low, high, value = (_scaled(dial, each) for each in (dial.low, dial.high, dial.value))
+    low, high, value = map(dial.scaled, (dial.low, dial.high, dial.value))
     return Slider(
-        title=f"{dial.title}{f' [{dial.unit}]' if dial.unit else ''}",
+        title=dial.label,
         name=dial.name,
         start=low,
         end=high,
         value=value,
         step=(high - low) / _STEPS,
         margin=(1, 5, 1, 5),
-        format=CustomJSTickFormatter(code=_POWER if dial.is_log else _PLAIN),
+        format=CustomJSTickFormatter(code=dial.tick),
         width=_SIDE,
     )
-
-
-def _scaled(dial: Dial, shown: float) -> float:
-    return math.log10(shown) if dial.is_log else shown
-
-
-def _place(dial: Dial, value: float) -> float:
-    """Where a value in SI units is on its slider."""
-    return _scaled(dial, value / dial.factor)
-
-
-def _value(dial: Dial, place: float) -> float:
-    """What a slider says, in SI units."""
-    return float(dial.factor * (10.0**place if dial.is_log else place))

@@ -1,5 +1,6 @@
 """What the page asks: one setting of its sliders, and where the sliders start and end."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -39,6 +40,10 @@ class Question:
         Displacement [m] and velocity [m/s] that this motion starts from.
     fit_range : float
         Half-width [m] of the range on which polynomials are fitted.
+    over : str
+        Number of a slider that the map has beside the frequency.
+    over_values : tuple of float
+        Its values there, in SI units; none: no map.
     """
 
     oscillator: Oscillator
@@ -50,6 +55,8 @@ class Question:
     stand_ins: tuple[str, ...] = ()
     start: tuple[float, float] = (0.0, 0.0)
     fit_range: float = FIT_RANGE
+    over: str = "K_c"
+    over_values: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         low, high = self.band
@@ -59,6 +66,12 @@ class Question:
     def law(self, label: str) -> ContactLaw:
         """The contact law of a label, at this contact."""
         return contact_law(label, self.K_c, self.gap, self.fit_range, K_ratio=self.K_ratio)
+
+    def at(self, name: str, value: float) -> "Question":
+        """The same with another value of a number that has a slider."""
+        others = ("stand_ins", "start", "fit_range", "over", "over_values")
+        kept = {each: getattr(self, each) for each in others}
+        return asked(numbers(self) | {name: value}, self.band, **kept)
 
 
 def labels(text: str) -> tuple[str, ...]:
@@ -109,6 +122,33 @@ class Dial:
     def is_log(self) -> bool:
         """Whether equal ways on the slider are equal ratios."""
         return self.name in _OVER_DECADES and self.low > 0.0
+
+    @property
+    def label(self) -> str:
+        """Title and unit."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+    @property
+    def tick(self) -> str:
+        """JavaScript that says what a place on the slider, `tick`, stands for."""
+        return f"return String(Number(({'10 ** tick' if self.is_log else 'tick'}).toPrecision(4)))"
+
+    def place(self, value: float) -> float:
+        """Where a value in SI units is on the slider."""
+        return self.scaled(value / self.factor)
+
+    def scaled(self, shown: float) -> float:
+        """Where a value in the unit shown is on the slider."""
+        return math.log10(shown) if self.is_log else shown
+
+    def at(self, place: float) -> float:
+        """What a place on the slider says, in SI units."""
+        return float(self.factor * (10.0**place if self.is_log else place))
+
+    def along(self, n: int) -> tuple[float, ...]:
+        """So many values in SI units, evenly over the slider."""
+        places = np.linspace(self.scaled(self.low), self.scaled(self.high), n)
+        return tuple(map(self.at, places.tolist()))
 
 
 _OVER_DECADES = ("K_c", "zeta", "mass")
