@@ -448,6 +448,28 @@ def test_a_mass_in_equilibrium_on_its_wall_stays_there_and_lets_the_others_move(
     assert run.q == pytest.approx([1.0, 0.5 * np.cos(100.0)], abs=1e-8)
 
 
+@pytest.mark.parametrize("K_c", [1e3, 1e8])
+@pytest.mark.parametrize("j_2", [0.1, 1e3])
+def test_masses_that_touch_and_move_alike_move_as_one(K_c, j_2):
+    """The wall between them is passed by rounding alone, on and on; it does nothing."""
+    system = gs.System(
+        mass=np.eye(2),
+        damping=0.5 * np.eye(2),
+        stiffness=[[300.0, -100.0], [-100.0, 300.0]],
+        contacts={"stop": [1.0, -1.0]},
+        forcing=[gs.Harmonic(amplitude=[1.3, 1.3])],
+    )
+    one = gs.System(
+        mass=[[1.0]], damping=[[0.5]], stiffness=[[200.0]], forcing=[gs.Harmonic(amplitude=[1.3])]
+    )
+    law, free = gs.Piecewise(K_c, gs.Gap(0.0, j_2)), gs.Piecewise(0.0, gs.Gap(1.0, 1.0))
+    how = {"t_end": 40.0, "rtol": 1e-11, "atol": 1e-13}
+    run = gs.simulate(system, law, 2.5, q_0=[0.013, 0.013], **how)
+    alone = gs.simulate(one, free, 2.5, q_0=[0.013], **how)
+    assert run.status == gs.Status.OK
+    assert run.q == pytest.approx([alone.q[0], alone.q[0]], abs=1e-9)
+
+
 def test_walls_at_one_place_are_passed_at_once_and_no_step_underflows():
     """Crossings of three contacts next to zero; what is unclear of one must not cut the step."""
     system = gs.System(

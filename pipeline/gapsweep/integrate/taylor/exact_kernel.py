@@ -24,6 +24,7 @@ FINISHED, BUFFER_FULL, BUDGET_SPENT = 0, 1, 2
 IDLE = -1
 LARGEST = np.finfo(float).max
 HALVED = 2.0**MAX_HALVINGS
+_ROUNDING = 2.0**-40  # of its reach: where a motion lies after thousands of steps without error
 
 
 @internal
@@ -161,6 +162,47 @@ def _failure(at, lanes, k, x_bound, max_short):
 
 
 @internal
+def _part(at, lanes, k):
+    """Move walls out of the way of a motion that stays on them but for rounding. Whether any was.
+
+    Two masses that move alike neither leave the wall between them nor press on it. Where rounding
+    alone passes it, on and on, it is put back by as little.
+    """
+    is_parted = False
+    for contact in range(at.contacts):
+        place, speed, reach = lanes[at.q, k], lanes[at.v, k], lanes[at.reach, k]
+        if not at.is_plain:
+            place, speed, reach = lanes[at.gap + contact, k], 0.0, 0.0
+            for i in range(at.n):
+                along = lanes[at.direction + contact * at.n + i, k]
+                speed += along * lanes[at.v + i, k]
+                reach += abs(along) * lanes[at.reach + i, k]
+        slack = _ROUNDING * reach
+        lower, upper = lanes[at.lower + contact, k], lanes[at.upper + contact, k]
+        is_on = place == lower or place == upper
+        if is_on and abs(speed) <= slack * lanes[at.rate, k]:
+            lanes[at.lower + contact, k] -= slack if place == lower else 0.0
+            lanes[at.upper + contact, k] += slack if place == upper else 0.0
+            lanes[at.mode + contact, k] = 0.0
+            is_parted = True
+    if is_parted:
+        lanes[at.n_short, k] = 0.0
+    return is_parted
+
+
+@internal
+def _parted(at, suspects, lanes, x_bound, max_short):
+    """Those of the lanes `suspects` that chattered and may go on."""
+    parted = 0
+    while suspects != 0:
+        k = lowest_bit(suspects)
+        suspects &= suspects - 1
+        if _failure(at, lanes, k, x_bound, max_short) == CHATTER and _part(at, lanes, k):
+            parted |= 1 << k
+    return parted
+
+
+@internal
 def _settle(at, unclear, lanes, coefficients, work):
     """Commit the steps of the lanes whose crossing was unclear. The lanes that end with it."""
     done = 0
@@ -194,6 +236,7 @@ def _attend(layout, packed, run, limits):
     bad = (packed >> 2 * at.width) & at.all_lanes
     recording = (packed >> 3 * at.width) & at.all_lanes
     done |= _settle(at, unclear, lanes, run.coefficients, run.work)
+    bad &= ~_parted(at, unclear | bad, lanes, x_bound, max_short)
     failed = _failed(at, unclear | bad, lanes, x_bound, max_short)
     recording &= ~failed
     if recording != 0:
