@@ -1,5 +1,6 @@
 """The report: its sentences follow from the data, and no text of a user's becomes markup."""
 
+import csv
 import io
 import json
 import re
@@ -256,6 +257,23 @@ def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(
     ]
     assert [">tanh-1e4: use<" in one for one in shown] == [True, True]
     assert [">poly-13: no<" in one for one in shown] == [True, False]
+
+
+def test_contacts_at_one_frequency_share_a_figure(tmp_path):
+    study = tables(LABELS, [9.0], **HALF)
+    study["sweep"][0]["gap"] = [[0.4e-3, 0.4e-3], [0.0, 0.8e-3]]
+    responses, attractors = datasets(tmp_path, study, amplitudes(EQUAL))
+    compared = agreement(responses, attractors)
+    path = tmp_path / "page" / "index.html"
+    text = write_report(path, responses, compared, timing(responses)).read_text()
+    assert re.findall(r'<figure id="([^"]*)"', text) == ["figure-contacts"]
+    assert text.count("<caption>Agreement with the exact law") == 2
+    lines = (path.parent / "figures" / "figure-contacts.csv").read_text().splitlines()
+    rows = [row for row in csv.DictReader(line for line in lines if line[0] != "#")]
+    shown = {(row["series"], row["x"]): float(row["y"]) for row in rows}
+    gaps = ("gap 0.4/0.4 mm", "gap 0/0.8 mm")
+    laws = [label for label in LABELS if "@" not in label]
+    assert shown == {(law, gap): EQUAL[law] for law in laws for gap in gaps}
 
 
 def test_numbers_of_the_map_fit_a_phone():

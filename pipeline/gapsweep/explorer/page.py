@@ -55,7 +55,8 @@ _NOTE = (
     f"{N_OMEGA} frequencies, every response from rest, then sweeps of the exact law; "
     "compiled engine, rtol 1e-6, atol 1e-9 m. Transients are given "
     f"{DECAY_TIMES:g} decay times: what takes longer may look chaotic here, and "
-    "<code>gapsweep run</code> waits for it. Click a dot, a start or a place in the map to look at its motion."
+    "<code>gapsweep run</code> waits for it. "
+    "Click a dot, a start or a place in the map to look at its motion."
 )
 # Hues survive the turn that makes black white: the figures of a light page, in the dark.
 _STYLE = """

@@ -2,7 +2,9 @@
 
 import math
 from collections.abc import Iterable, Mapping
+from typing import Any
 
+import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,6 +13,7 @@ from gapsweep.report import drawing
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.maps import Picture, draw
 from gapsweep.report.scales import axis_label, drawn, is_log
+from gapsweep.report.style import colour
 
 _WIDTH = 9.5  # inches, the report's column
 _FEW = 60  # frequencies, whose dots may be larger
@@ -90,6 +93,33 @@ def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
         axes.xaxis.set_tick_params(labelbottom=True)
     for axes in panels[::n_columns]:
         axes.set_ylabel(axis_label(found["x_max"], "peak"))
+    return figure
+
+
+def by_contact(contacts: Mapping[str, xr.Dataset]) -> Figure:
+    """Peak at one frequency in every contact, a dot per representation and start.
+
+    Parameters
+    ----------
+    contacts : mapping of str to Dataset
+        What to call each contact; its peaks, dimensions representation and initial_condition.
+    """
+    figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
+    axes: Any = figure.subplots()
+    peaks = {name: one["x_max"] for name, one in contacts.items()}
+    axes.xaxis.update_units(list(peaks))  # in this order
+    for label in dict.fromkeys(label for one in contacts.values() for label in labels_of(one)):
+        ours = {name: one for name, one in peaks.items() if label in one["representation"]}
+        ys = [drawn(one.sel(representation=label)) for one in ours.values()]
+        words = np.repeat(list(ours), [y.size for y in ys])
+        size, order = (7.0, 1) if label == "piecewise" else (3.5, 2)
+        (line,) = axes.plot(words, np.concatenate(ys), "o", label=label, color=colour(label))
+        line.set(markersize=size, zorder=order)
+    axes.set_ylabel(axis_label(next(iter(peaks.values())), "peak"))
+    axes.set_ylim(bottom=0)
+    axes.tick_params("x", rotation=30 if len(peaks) > _MANY else 0)
+    if len(axes.lines) > 1:
+        axes.legend(ncols=2)
     return figure
 
 

@@ -30,7 +30,7 @@ from gapsweep.report.answer import (
 from gapsweep.report.bench import bench_parts
 from gapsweep.report.drawing import labels_of, said_of_walls
 from gapsweep.report.figures import attractors as attractor_panels
-from gapsweep.report.figures import beside_exact, bifurcation, frequency_response
+from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
 from gapsweep.report.findings import findings, outcomes
 from gapsweep.report.heat import GROUPS, heads, heat
 from gapsweep.report.overview import is_wide, overview
@@ -233,23 +233,54 @@ def _scenes(
     timing: xr.Dataset,
     attractors: xr.Dataset | None,
 ) -> Iterator[Part]:
-    """Everything about one scene after the other."""
+    """Everything about one scene after the other; at one frequency, figures of all in one."""
     scenes = Scenes(responses)
-    for at in all_scenes(responses, scene_dims(responses["status"].dims)):
-        here = scenes.at(at)
-        if here is None:
-            continue
+    is_curve = responses.sizes["omega"] > 1 or sum(1 for _ in _found(scenes, responses)) == 1
+    if not is_curve:
+        yield _at_one_frequency(scenes, responses)
+    for at, here in _found(scenes, responses):
         labels = labels_of(here)
-        others = "".join(f", {named(here[name])}" for name in beside(here))
-        title = f"{named(here['K_c'])}, gap {gap_label(here)} mm{others}"
+        title = _title(here)
         compared = None if agreement is None else agreement.isel(at)
         yield Part(
             anchor_of(at),
             title,
             [outcomes(here)],
             scene_tables(compared, timing.isel(at), labels),
-            _scene_figures(_without_protocols(here), attractors, at, title),
+            _scene_figures(_without_protocols(here), attractors, at, title) if is_curve else (),
         )
+
+
+def _found(scenes: Scenes, responses: xr.Dataset) -> Iterator[tuple[At, xr.Dataset]]:
+    """Every scene that was swept, and where it is."""
+    for at in all_scenes(responses, scene_dims(responses["status"].dims)):
+        here = scenes.at(at)
+        if here is not None:
+            yield at, here
+
+
+def _title(scene: xr.Dataset) -> str:
+    return ", ".join(_said(scene))
+
+
+def _said(scene: xr.Dataset) -> list[str]:
+    """What a scene has one value of."""
+    others = [named(scene[name]) for name in beside(scene)]
+    return [named(scene["K_c"]), f"gap {gap_label(scene)} mm", *others]
+
+
+def _at_one_frequency(scenes: Scenes, responses: xr.Dataset) -> Part:
+    """One figure in place of one of a single column of dots for each scene."""
+    omega = f"{responses['omega'].item():g} Hz"
+    said, peaks = [], []
+    for _, here in _found(scenes, responses):
+        said.append(_said(here))
+        peaks.append(_without_protocols(here)[["x_max"]].isel(omega=0).load())
+    differs = [len(set(column)) > 1 for column in zip(*said, strict=True)]
+    names = [", ".join(word for word, d in zip(each, differs, strict=True) if d) for each in said]
+    caption = "Peak displacement of the steady response from every start."
+    figure = Figured(by_contact(dict(zip(names, peaks, strict=True))), caption, f"Peaks at {omega}")
+    return Part("contacts", f"All contacts at {omega}", [], (), [figure])
 
 
 def _scene_figures(

@@ -179,7 +179,7 @@ def _part(at, lanes, k):
                 reach += abs(along) * lanes[at.reach + i, k]
         slack = _ROUNDING * reach
         lower, upper = lanes[at.lower + contact, k], lanes[at.upper + contact, k]
-        is_on = place == lower or place == upper
+        is_on = place in (lower, upper)
         if is_on and abs(speed) <= slack * lanes[at.rate, k]:
             lanes[at.lower + contact, k] -= slack if place == lower else 0.0
             lanes[at.upper + contact, k] += slack if place == upper else 0.0
