@@ -229,7 +229,7 @@ def test_what_is_the_exact_law_is_no_stand_in(tmp_path, label):
     exact = judged(label, "exact here", price=0.5)
     assert in_words([contact(exact)]) == ["Take the exact law: no stand-in can be used."]
     said = found_in(tmp_path, contact(judged("tanh-1e4"), exact))
-    assert "Of 1 pairs of contact and stand-in" in said
+    assert "Of 1 pair of contact and stand-in" in said
     assert label not in said
 
 
@@ -271,4 +271,4 @@ def test_overlapping_intervals_and_floors_name_none(tmp_path):
 
 def test_prices_are_counted_by_what_is_beyond_doubt(tmp_path):
     laws = [judged("poly-13", "no", 0.5), judged("tanh-1e4"), judged("arctan-1e4", price=1.05)]
-    assert "Of 3 pairs of contact and stand-in, 1 cost more" in found_in(tmp_path, contact(*laws))
+    assert "Of 3 pairs of contact and stand-in 1 cost more" in found_in(tmp_path, contact(*laws))

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from tests.made import datasets, failed, periodic, tables
 
 from gapsweep.analysis.agreement import agreement
+from gapsweep.analysis.systems import OF_SYSTEM
 from gapsweep.analysis.timing import timing
 from gapsweep.errors import StoreError
 from gapsweep.report.answer import Contact, Judged, contacts
@@ -68,6 +69,26 @@ def test_failures_are_counted_once_and_never_ranked(tmp_path):
     )
     assert "Closest" not in " ".join(sentences)
     assert {one.law: one.verdict for one in found[0].laws} == {"tanh-1e4": "use", "poly-13": "no"}
+
+
+def test_several_attractors_are_told(tmp_path):
+    def answer(label, omega, start):
+        return periodic([((1.0 + start * (omega > 2.0)) * 1e-3, 0.0)], omega)
+
+    responses, attractors = datasets(tmp_path, tables(LABELS, OMEGA, starts=2, **HALF), answer)
+    said = findings(responses, [], None, attractors=attractors)
+    assert said[1:] == ["piecewise has several attractors in 2 of 4 places, at most 2."]
+
+
+def test_what_stand_ins_keep_of_systems_is_told(tmp_path):
+    responses, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
+    # These are of an oscillator, whose stand-ins are judged instead.
+    assert len(findings(responses, [], None, agreement=compared)) == 1
+    as_system = responses.assign_attrs({OF_SYSTEM: "x"})
+    *_, tanh, poly = findings(as_system, [], None, agreement=compared)
+    kept = "keeps 95 % of the amplitudes within"
+    assert tanh == f"tanh-1e4 {kept} 2 % of the exact law's and finds 100 % of its attractors."
+    assert poly == f"poly-13 {kept} 30 % of the exact law's and finds 0 % of its attractors."
 
 
 def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):

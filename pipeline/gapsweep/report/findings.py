@@ -8,8 +8,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.analysis.grid import scene_dims
+from gapsweep.analysis.scenes import EXACT
+from gapsweep.analysis.systems import is_of_systems
 from gapsweep.report.answer import Contact, Judged
-from gapsweep.report.tables import VERDICTS
+from gapsweep.report.drawing import labels_of
+from gapsweep.report.tables import VERDICTS, condensed, percent
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
@@ -19,6 +23,9 @@ def findings(
     found: Sequence[Contact],
     decided: Mapping[str, Any] | None,
     advice: xr.Dataset | None = None,
+    *,
+    attractors: xr.Dataset | None = None,
+    agreement: xr.Dataset | None = None,
 ) -> list[str]:
     """The main findings of a run.
 
@@ -32,8 +39,15 @@ def findings(
         What stands in ``claims.json``.
     advice : Dataset, optional
         As stored in ``advice.nc``.
+    attractors, agreement : Dataset, optional
+        As stored in the run's folder; of a run of systems, whose stand-ins are not judged, how far
+        these agree is said in numbers.
     """
     sentences = [outcomes(responses)]
+    if attractors is not None:
+        sentences += _coexisting(attractors)
+    if agreement is not None and is_of_systems(responses):
+        sentences += _agreeing(agreement)
     sentences += _closest(found)
     sentences += _prices(found)
     if advice is not None:
@@ -72,6 +86,34 @@ def _counted(values: NDArray[np.integer]) -> Counter[int]:
     return Counter(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
 
 
+def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
+    """In how many places several attractors were found, of the exact law if that was swept."""
+    labels = labels_of(attractors)
+    label = EXACT if EXACT in labels else labels[0]
+    n = attractors["n_attractors"].sel(representation=label).values
+    n_places, n_several = int((n > 0).sum()), int((n > 1).sum())
+    if n_several:
+        places = f"{n_several} of {n_places} places"
+        yield f"{label} has several attractors in {places}, at most {n.max()}."
+
+
+def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
+    """What every stand-in keeps of the exact law, in the coordinate where it keeps least."""
+    floors = str(agreement.attrs["floor_representations"]).split()
+    names = ["amplitude_error_p95", "recall_pooled", "n_compared"]
+    of_scenes = agreement[names].sel(regime="all").load()
+    is_many = any(of_scenes.sizes[dim] > 1 for dim in scene_dims(of_scenes.dims))
+    pooled, over = condensed(of_scenes), ", medians over scenes" if is_many else ""
+    for label in labels_of(pooled):
+        row = pooled.sel(representation=label)
+        error, found = float(row[names[0]].max()), float(row[names[1]].min())
+        if label not in (EXACT, *floors) and np.isfinite(error):
+            yield (
+                f"{label} keeps 95 % of the amplitudes within {percent(error)} of the exact law's "
+                f"and finds {percent(found)} of its attractors{over}."
+            )
+
+
 def _closest(found: Sequence[Contact]) -> Iterator[str]:
     """Which laws are closest beyond doubt, among those that stand in the same contact."""
     names = [_closest_in(contact) for contact in found if len(_models(contact)) > 1]
@@ -107,10 +149,11 @@ def _prices(found: Sequence[Contact]) -> Iterator[str]:
     laws = [o for c in found for o in c.laws if o.is_stand_in and np.isfinite(o.price)]
     dearer, cheaper = sum(one.low > 1.0 for one in laws), sum(one.high < 1.0 for one in laws)
     if laws:
+        pairs = f"{len(laws)} pair{'s' * (len(laws) > 1)}"
         yield (
-            f"Of {len(laws)} pairs of contact and stand-in, {dearer} cost more processor time per "
-            f"forcing period than the exact law, {cheaper} less; {len(laws) - dearer - cheaper} "
-            "cannot be told from it."
+            f"Of {pairs} of contact and stand-in {dearer} cost more processor time per forcing "
+            f"period than the exact law, {cheaper} less; {len(laws) - dearer - cheaper} cannot be "
+            "told from it."
         )
 
 

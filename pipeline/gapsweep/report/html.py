@@ -111,7 +111,9 @@ def write_report(
         title=responses.attrs["title"],
         made_from=made_from,
         study=responses.attrs["study"],
-        findings=findings(responses, found, claims, advice),
+        findings=findings(
+            responses, found, claims, advice, attractors=attractors, agreement=agreement
+        ),
         contacts=told,
         answer=in_words(found),
         signs=SIGNS,

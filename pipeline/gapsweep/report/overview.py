@@ -67,10 +67,11 @@ def overview(
     n_scenes = int(asked.any((REPRESENTATION, *swept(asked))).sum())
     axes = _axes(responses)
     names = [str(responses[axis].attrs.get("long_name", axis)) for axis in axes]
+    of_all = ", of all else at one value, in place of figures of each scene" if n_scenes > 1 else ""
     sentence = (
-        f"{n_scenes} scene{'s' * (n_scenes > 1)} with {int(n_points.sum())} sweep points: "
-        f"pictures over {' and '.join(names) or 'nothing'}, of all else at one value, in place of "
-        "figures of each scene. ds.gapsweep.map() and bifurcation() draw any other."
+        f"{n_scenes} scene{'s' * (n_scenes > 1)} with {int(n_points.sum())} sweep points"
+        f"{': pictures over ' * bool(names)}{' and '.join(names)}{of_all}. "
+        "ds.gapsweep.map() and bifurcation() draw any other."
     )
     over = f", median over {n_scenes} scenes" if n_scenes > 1 else ""
     plain = [label for label in labels if "@" not in label] or labels
@@ -111,19 +112,22 @@ def _figures(
     at = _most(asked, label, [_START] if axes[0] in _STATE else axes)
     here = responses.isel(at)
     found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
-    where = f"{label}, {_where(responses, here)}"
+    n_starts = responses.sizes[_START]
+    is_one = n_starts > 1 and here[_START].ndim == 0
+    start = f", start {int(here[_START]) + 1} of {n_starts}" if is_one else ""
     for part, suffix in by_coordinate(here):
         of_part = found
         if found is not None and suffix:
             of_part = found.sel({COORDINATE: part[COORDINATE].values})
-        yield from _pictures(part, of_part, axes, f"{where}{suffix}")
+        where = f"{', '.join([label, *_where(responses, here)])}{suffix}"
+        yield from _pictures(part, of_part, axes, where, start)
 
 
 def _pictures(
-    here: xr.Dataset, found: xr.Dataset | None, axes: list[str], where: str
+    here: xr.Dataset, found: xr.Dataset | None, axes: list[str], where: str, start: str
 ) -> Iterator[Figured]:
     if len(axes) == 1:
-        yield from _curves(here, found, axes[0], where)
+        yield from _curves(here, found, axes[0], where, start)
         return
     parts = [(here, name) for name in ("response_class", "period_multiple", "amplitude")]
     if axes[0] in _STATE:
@@ -131,20 +135,21 @@ def _pictures(
     elif found is not None:
         parts.append((found, "n_attractors"))
     pictures = (picture(part, name, axes[0], axes[1], {})[0] for part, name in parts)
+    where += start
     yield Figured(
         maps(pictures), f"Class, period, amplitude and attractors: {where}.", f"Maps, {where}"
     )
 
 
 def _curves(
-    here: xr.Dataset, found: xr.Dataset | None, along: str, where: str
+    here: xr.Dataset, found: xr.Dataset | None, along: str, where: str, start: str
 ) -> Iterator[Figured]:
     """Diagrams over the only axis: from one start, and of the attractors from all."""
     shown = here[["extrema", "response_class"]].load().expand_dims([REPRESENTATION, _START])
     yield Figured(
         bifurcation(shown, along),
-        f"All steady zero-velocity displacements: {where}.{said_of_walls(here)}",
-        f"Bifurcation diagram, {where}",
+        f"All steady zero-velocity displacements: {where}{start}.{said_of_walls(here)}",
+        f"Bifurcation diagram, {where}{start}",
     )
     if found is not None:
         shown = found[["x_max", "basin_share", "response_class"]].load()
@@ -166,13 +171,11 @@ def _most(asked: xr.DataArray, label: str, over: list[str]) -> dict[str, int]:
     }
 
 
-def _where(responses: xr.Dataset, here: xr.Dataset) -> str:
+def _where(responses: xr.Dataset, here: xr.Dataset) -> list[str]:
     """The values that a part is of, and among how many they are."""
     words = []
     for name in places(here):
         if here[name].ndim == 0:
             n = responses.sizes.get(name, 1)
             words.append(named(here[name]) + (f" (one of {n})" if n > 1 else ""))
-    if responses.sizes[_START] > 1 and here[_START].ndim == 0:
-        words.append(f"start {here[_START].item()} (one of {responses.sizes[_START]})")
-    return ", ".join(words)
+    return words
