@@ -157,6 +157,14 @@ def test_what_stands_in_the_place_of_a_file_is_one_line(finished, tmp_path):
         assert gapsweep(finished, *command).returncode == 0
 
 
+def test_a_link_to_nowhere_is_one_line(finished, tmp_path):
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere" / "else")
+    done = gapsweep(tmp_path, "run", os.fspath(finished / "tiny.toml"), "--out", "dangling")
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert done.stderr.splitlines()[-1] == "error: dangling: File exists"
+
+
 @pytest.mark.parametrize("said", ["x{", "[]", "3"])
 def test_damaged_settings_of_a_dataset_are_made_again(finished, tmp_path, said):
     out = shutil.copytree(finished / "out", tmp_path / "out")

@@ -68,6 +68,10 @@ def exit_code(arguments: list[str] | None = None) -> int:
             for line in str(error).splitlines():
                 click.echo(f"error: {line}", err=True)
             return FAULT
+        except OSError as error:  # of files, wherever one was met that is none of the usual
+            where = f"{error.filename}: " if error.filename else ""
+            click.echo(f"error: {where}{error.strerror or error}", err=True)
+            return FAULT
         except click.ClickException as error:
             error.show()
             return error.exit_code

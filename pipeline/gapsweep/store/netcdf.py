@@ -65,6 +65,7 @@ def passing(attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
     _close_forgotten()
     with (
         _LOCK,
+        _errors(Path(tempfile.gettempdir())),
         tempfile.TemporaryDirectory() as folder,
         netCDF4.Dataset(Path(folder) / "passing.nc", "w") as dataset,
     ):
