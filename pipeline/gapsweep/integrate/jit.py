@@ -47,7 +47,7 @@ SHIPPED = Path(__file__).parents[1] / "machine_code"
 SHIP_TO = "GAPSWEEP_SHIP_TO"
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
+class _Cache(FunctionCache):
     """The machine code of a function on disk; what came with the package stands first."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
