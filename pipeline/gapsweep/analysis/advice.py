@@ -86,8 +86,6 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
 
 def _screened(study: Study, error: float) -> tuple[list[str], dict[str, Any]]:
     """The study's smooth laws and the least adequate ones, and how they do in every scene."""
-    if study.systems is not None:
-        raise StudyError([f"{study.source}: system: advice rests on bounds for an oscillator"])
     grid = study.grid
     own = dict.fromkeys(label.partition("@")[0] for label in grid.representations)
     smooth = [r for r in own if r != AUTO and ":" not in r and not r.startswith("piecewise")]
