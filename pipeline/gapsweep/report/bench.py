@@ -177,7 +177,7 @@ def _work_precision_part(bench: xr.Dataset) -> Part:
     n_corners = len({(row["K_c"], row["gap"]) for row in said.numbers["cheapest"]})
     sentences = said.sentences[: len(said.sentences) - n_corners * len(TARGETS)]
     machine = (
-        f"Measured on {bench.attrs['processor']} ({bench.attrs.get('machine', 'not stored yet')}), "
+        f"Measured on {bench.attrs['processor']} ({bench.attrs['machine']}), "
         f"load {bench.attrs['load_average']:.2g} from elsewhere; "
         f"{int(bench['n_lanes'].max())} points per compiled call, one for scipy; medians of up to "
         f"{bench.attrs['n_repeats']} rounds, methods in turns. First calls, which compile or load "

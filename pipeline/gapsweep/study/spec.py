@@ -209,16 +209,6 @@ class ModuleTable(Table):
 class ClaimsTable(ModuleTable):
     """Presence asks for verdicts."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _not_of_old(cls, given: Any) -> Any:
-        if isinstance(given, dict) and "file" in given:
-            raise ValueError(
-                f"file = {given['file']!r}: claims are functions now: write them in Python and put "
-                'module = "claims.py" here instead, see docs/claims.md'
-            )
-        return given
-
 
 class ReportTable(ModuleTable):
     """Presence asks for sections of the study's own in the report."""
