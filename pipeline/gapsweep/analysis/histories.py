@@ -19,7 +19,7 @@ from gapsweep.execution.alone import Alone, CallError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.simulate import simulate
-from gapsweep.model.labels import contact_law
+from gapsweep.model.labels import contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
@@ -202,7 +202,7 @@ def _asked(study: Study, table: HistoryTable, label: str) -> _Asked:
     x_0, v_0 = table.start
     return _Asked(
         oscillator=study.oscillator,
-        representation=label.partition("@")[0],
+        representation=law_of(label),
         K_c=table.K_c,
         gap=_gap(table),
         omega=table.omega,

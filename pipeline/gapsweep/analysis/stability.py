@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from gapsweep.analysis.closed_forms import closed_form, energy_drift, plain_duffing
 from gapsweep.analysis.force_error import in_gap
 from gapsweep.analysis.scenes import (
-    EXACT,
     Method,
     Scene,
     coordinates,
@@ -49,6 +48,7 @@ from gapsweep.model.equilibria import (
     linear_stiffness,
     restoring_slope,
 )
+from gapsweep.model.labels import EXACT
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.status import Status
 from gapsweep.study.schema import STATUS_FLAGS, Variable

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from gapsweep.analysis.costs import cost
 from gapsweep.analysis.pareto import on_front
 from gapsweep.analysis.scenes import (
-    EXACT,
     Method,
     Scene,
     coordinates,
@@ -46,6 +45,7 @@ from gapsweep.execution.alone import Alone, CallError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import Piecewise
+from gapsweep.model.labels import EXACT
 from gapsweep.response.attractors import NONE, attractors_of_scenes
 from gapsweep.response.ensemble import Scene as Asked
 from gapsweep.response.respond import respond_all

@@ -10,6 +10,7 @@ import xarray as xr
 
 from gapsweep.analysis.pareto import TARGETS, corners
 from gapsweep.analysis.stability import Outcome
+from gapsweep.model.labels import EXACT, law_of
 from gapsweep.report.bench_figures import (
     STATUS_LETTERS,
     atlas,
@@ -50,9 +51,9 @@ def conclusions(dataset: xr.Dataset) -> Conclusions:
 # ---- Work-precision -------------------------------------------------------------------------
 
 
-def is_exact_located(label: str) -> bool:
-    """Whether a method is the exact law with located contacts, by any solver."""
-    return label.partition("@")[0] == "piecewise"
+def _is_exact(label: str) -> bool:
+    """Whether a method is labelled as the exact law, whatever its solver makes of contacts."""
+    return law_of(label) == EXACT
 
 
 def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
@@ -62,7 +63,7 @@ def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
     for scene in bench["scene"].values.tolist():
         there = shown.sel(scene=scene).any("tolerance")
         others = [m for m in bench["method"].values[there.values].tolist()]
-        others = [m for m in others if not is_exact_located(m)]
+        others = [m for m in others if not _is_exact(m)]
         if others:
             found[scene] = others
     return found
@@ -114,7 +115,7 @@ def _cheapest(bench: xr.Dataset) -> list[dict[str, Any]]:
         for K_c, gap, cost in corners(bench, target):
             ranked = cost.to_series().dropna().sort_values()
             best = str(ranked.index[0]) if len(ranked) else ""
-            rivals = [m for m in ranked.index if _law(m) != _law(best)]
+            rivals = [m for m in ranked.index if law_of(m) != law_of(best)]
             rows.append(
                 {
                     "K_c": K_c,
@@ -127,10 +128,6 @@ def _cheapest(bench: xr.Dataset) -> list[dict[str, Any]]:
                 }
             )
     return rows
-
-
-def _law(label: str) -> str:
-    return label.partition("@")[0]
 
 
 def _cheapest_table(bench: xr.Dataset) -> Table:

@@ -18,6 +18,7 @@ from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.grid import scenes as all_scenes
 from gapsweep.analysis.systems import is_of_systems
 from gapsweep.errors import StoreError
+from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import (
     MOST_CONTACTS,
     SIGNS,
@@ -178,9 +179,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
         return None
     said = f"Peaks at {contact.place}, some laws on the exact one's larger dots"
     with matplotlib.rc_context(MATPLOTLIB):
-        figure = beside_exact(
-            swept(scene.sel(representation=["piecewise", *laws])), "piecewise", laws
-        )
+        figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
         looks = "dashed: walls; pale: not periodic; triangles: outside"
         made = drawn(Figured(figure, f"{said}; {looks}.", said))
     (part,) = for_page([{"anchor": "hero", "figures": [made]}])

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.labels import family
+from gapsweep.model.labels import family, law_of
 
 _NOEVENTS = "#999999"  # the exact law, like one that is not
 # What is not periodic is red in every map; pale is what is most common.
@@ -39,7 +39,7 @@ MATPLOTLIB: dict[Any, Any] = {
 
 def colour(label: str) -> str:
     """Colour of a representation, by its family."""
-    label = label.partition("@")[0]
+    label = law_of(label)
     law = family(label) or ContactLaw
     return law.colour if law is not Piecewise or label == Piecewise.family else _NOEVENTS
 

@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from gapsweep.errors import ModelError
-from gapsweep.model.labels import canonical_label
+from gapsweep.model.labels import canonical_representation
 
 MAX_POINTS = 10**7
 _LARGEST = 1e100  # of what a model is made of nothing comes near it
@@ -49,18 +49,6 @@ class OscillatorTable(Table):
 
 # What is a dimension only where it is swept; K_ratio is 1 elsewhere.
 SWEEPABLE = (*OscillatorTable.model_fields, "K_ratio")
-
-
-def canonical_representation(label: str) -> str:
-    """Canonical label, its protocol suffix kept.
-
-    Raises
-    ------
-    ModelError
-        If it is unknown.
-    """
-    law, at, protocol = label.partition("@")
-    return canonical_label(law) + at + protocol
 
 
 def _canonical(label: str) -> str:
