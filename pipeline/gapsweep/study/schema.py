@@ -95,6 +95,22 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
 }
 
 
+# Units as engineers write them, by their UDUNITS text.
+_WRITTEN = {"1": "", "N m-1": "N/m", "N m-3": "N/m³", "m s-1": "m/s", "s-1": "1/s"}
+
+
+def written(units: str) -> str:
+    """A unit as engineers write it."""
+    return _WRITTEN.get(units, units)
+
+
+# Of the numbers that a study of an oscillator may sweep.
+UNITS = {
+    name: written(variable.units)
+    for name, (dim, variable) in COORDINATES.items()
+    if variable.dtype == "f8" and variable.units != "1" and dim != START
+}
+
 PARAMETER = "parameter"  # of a system: what its coordinate's long name begins with
 # Of systems in place of x_0 and v_0.
 _STARTS_OF_SYSTEMS = {
