@@ -3,7 +3,7 @@
 Written down once, here; the writer, the analyses and the documentation read this table.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -59,6 +59,25 @@ class Variable:
             attributes["flag_values"] = np.array(values, dtype=self.dtype)
             attributes["flag_meanings"] = " ".join(names)
         return attributes
+
+
+# Of every variable the dimensions, and what it is.
+Described = Mapping[str, tuple[tuple[str, ...], Variable]]
+
+
+def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
+    """Arrays of a table's variables, in which all is missing."""
+    return {
+        name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
+        for name, (dims, variable) in table.items()
+    }
+
+
+def described(table: Described, arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays with their dimensions and attributes, as a dataset takes them."""
+    return {
+        name: (dims, arrays[name], variable.attributes) for name, (dims, variable) in table.items()
+    }
 
 
 STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
