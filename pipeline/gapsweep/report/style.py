@@ -1,5 +1,6 @@
 """One colour per representation, the same in every figure; safe for colour-blind readers."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -55,10 +56,14 @@ def sequence(n: int) -> list[str]:
 
 def lines(labels: Sequence[str]) -> dict[str, str]:
     """Line style of every representation: the first of a colour solid, the next dashed, ..."""
-    used: dict[str, int] = {}
-    styles = {}
+    return by_colour(labels, _LINES)
+
+
+def by_colour(labels: Sequence[str], looks: Sequence[str]) -> dict[str, str]:
+    """A look for every label: the first one of a colour has the first, the next the second, ..."""
+    used: Counter[str] = Counter()
+    found = {}
     for label in labels:
-        n = used.setdefault(colour(label), 0)
-        styles[label] = _LINES[n % len(_LINES)]
+        found[label] = looks[used[colour(label)] % len(looks)]
         used[colour(label)] += 1
-    return styles
+    return found
