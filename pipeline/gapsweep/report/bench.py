@@ -1,7 +1,7 @@
 """What the report and the command line say about benchmarks, from the two datasets alone."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,7 +70,13 @@ def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
 
 
 def _front_conclusions(bench: xr.Dataset) -> Conclusions:
-    exceptions = beaten(bench)
+    exceptions, rows = beaten(bench), _cheapest(bench)
+    sentences = [*_on_front(bench, exceptions), *map(_price, rows)]
+    return Conclusions(sentences, {"cheapest": rows, "not_exact_on_front": exceptions})
+
+
+def _on_front(bench: xr.Dataset, exceptions: dict[str, list[str]]) -> list[str]:
+    """What is on the front, and what failed."""
     n = bench.sizes["scene"]
     sentences = [
         f"Exact with located contacts makes the whole front at errors of 1e-2 and below in "
@@ -83,17 +89,17 @@ def _front_conclusions(bench: xr.Dataset) -> Conclusions:
     failed = _failures(bench)
     if failed:
         sentences.append(f"Failed runs: {failed}.")
-    rows = _cheapest(bench)
-    for row in rows:
-        runner_up = (
-            f"; next {row['next']} at {row['ratio']:.2g} times the cost" if row["next"] else ""
-        )
-        sentences.append(
-            f"K_c = {plain(row['K_c'])} N/m, {row['gap']} mm, error {row['error']:.0e}: "
-            + (f"{row['method']}, {1e6 * row['cpu_time']:.3g} µs per simulated second{runner_up}"
-               if row["method"] else "no method")
-        )  # fmt: skip
-    return Conclusions(sentences, {"cheapest": rows, "not_exact_on_front": exceptions})
+    return sentences
+
+
+def _price(row: Mapping[str, Any]) -> str:
+    """The cheapest method of a corner at a target error."""
+    corner = f"K_c = {plain(row['K_c'])} N/m, {row['gap']} mm, error {row['error']:.0e}"
+    if not row["method"]:
+        return f"{corner}: no method"
+    runner_up = f"; next {row['next']} at {row['ratio']:.2g} times the cost" if row["next"] else ""
+    seconds = f"{1e6 * row['cpu_time']:.3g} µs per simulated second"
+    return f"{corner}: {row['method']}, {seconds}{runner_up}"
 
 
 def _failures(bench: xr.Dataset) -> str:
@@ -170,9 +176,6 @@ def _work_precision_part(bench: xr.Dataset) -> Part:
             "Tolerance asked for and error got",
         )
     )
-    said = _front_conclusions(bench)
-    n_corners = len({(row["K_c"], row["gap"]) for row in said.numbers["cheapest"]})
-    sentences = said.sentences[: len(said.sentences) - n_corners * len(TARGETS)]
     machine = (
         f"Measured on {bench.attrs['processor']} ({bench.attrs['machine']}), "
         f"load {bench.attrs['load_average']:.2g} from elsewhere; "
@@ -181,9 +184,12 @@ def _work_precision_part(bench: xr.Dataset) -> Part:
         f"code, took up to {float(bench['first_call_time'].max()):.2g} s and are left out."
     )
     return Part(
-        "work-precision", "Work and precision", [*sentences, machine], [_cheapest_table(bench)],
+        "work-precision",
+        "Work and precision",
+        [*_on_front(bench, beaten(bench)), machine],
+        [_cheapest_table(bench)],
         figures,
-    )  # fmt: skip
+    )
 
 
 # ---- Stability --------------------------------------------------------------------------------
