@@ -1,6 +1,7 @@
 """The architecture, enforced: who may import whom, and where outside libraries may appear."""
 
 import ast
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,11 @@ def level(name):
     return next(i for i, names in enumerate(LAYERS) if name in names)
 
 
+def dotted(path):
+    """A module's name; a package's ends in `__init__`."""
+    return ".".join(["gapsweep", *path.relative_to(PACKAGE).with_suffix("").parts])
+
+
 def imports(path):
     """Modules imported at the top of a file, and those imported inside functions."""
     tree = ast.parse(path.read_text())
@@ -63,7 +69,10 @@ def imports(path):
         if isinstance(node, ast.Import):
             yield from ((alias.name, id(node) in top) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            yield from ((f"{node.module}.{a.name}", id(node) in top) for a in node.names)
+            # Of level 1 is the module's own package, of level 2 the one above it.
+            above = dotted(path).split(".")[: -node.level] if node.level else []
+            start = ".".join([*above, *filter(None, [node.module])])
+            yield from ((f"{start}.{a.name}", id(node) in top) for a in node.names)
 
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -84,6 +93,31 @@ def test_modules_import_only_what_stands_below_them(path):
             assert at_top or late, f"{name} is imported inside a function"
         elif library in FENCES:
             assert here in FENCES[library], f"{library} does not belong into {here}"
+
+
+def test_relative_imports_are_followed():
+    path = PACKAGE / "integrate" / "taylor" / "exact.py"
+    assert ("gapsweep.integrate.taylor.record", True) in imports(path)
+    assert ("gapsweep.integrate.taylor.roots.work_space", True) in imports(path)
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    # The package itself loads all others, when they are asked for.
+    known = {dotted(path): path for path in MODULES if path != PACKAGE / "__init__.py"}
+
+    def module(name):
+        above = name.rpartition(".")[0]
+        places = name, f"{name}.__init__", above, f"{above}.__init__"
+        return next((place for place in places if place in known), None)
+
+    graph = {
+        one: {module(name) for name, at_top in imports(path) if at_top} - {None}
+        for one, path in known.items()
+    }
+    assert "gapsweep.integrate.taylor.record" in graph["gapsweep.integrate.taylor.exact"]
+    assert "gapsweep.model.own_law" in graph["gapsweep.model.labels"]
+    # Raises CycleError, which names the modules.
+    TopologicalSorter(graph).prepare()
 
 
 def test_public_names_exist_and_are_sorted():

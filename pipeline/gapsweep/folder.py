@@ -17,6 +17,7 @@ from gapsweep.study.spec import check
 from gapsweep.study.study import Study
 
 RUNS = Path("data/runs")
+# Walls so many times as far away as any motion leads: their distances must be of another unit.
 _FAR = 10.0
 # The files by which one sees whose folder it is.
 _OWNED = (RESPONSES, WORK_PRECISION, STABILITY)

@@ -15,8 +15,6 @@ from gapsweep.errors import StoreError, StudyError
 from gapsweep.folder import alone_in_run, check_owner
 from gapsweep.stages import (
     CLAIMS,
-    CLAIMS_MODULE,
-    REPORT_MODULE,
     SECTIONS,
     MadeFrom,
     Stage,
@@ -187,10 +185,7 @@ def _write(
 
 
 def stored(path: Path) -> dict[str, Any] | None:
-    """Verdicts or sections of a run; None if there are none, or none of these responses.
-
-    Those of earlier versions, made without code beside a study, are none either.
-    """
+    """Verdicts or sections of a run; None if there are none, or none of these responses."""
     if not path.exists():
         return None
     if not (intact := is_intact(path)):
@@ -200,5 +195,4 @@ def stored(path: Path) -> dict[str, Any] | None:
             f"{path}: {why}; 'gapsweep {command} {path.parent} --study FILE' makes it again"
         )
     found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    is_of_now = CLAIMS_MODULE in found["made_from"] or REPORT_MODULE in found["made_from"]
-    return found if is_of_now and is_of_run(path) else None
+    return found if is_of_run(path) else None

@@ -17,7 +17,7 @@ from typing import Any
 from gapsweep import beside
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.execution.plan import Plan
-from gapsweep.model.labels import AUTO
+from gapsweep.model.labels import AUTO, EXACT, law_of
 from gapsweep.store.artefact import digests, is_intact, sha256
 from gapsweep.store.cache import Cache
 from gapsweep.store.netcdf import attributes
@@ -35,7 +35,6 @@ REPORT = "report/index.html"
 MadeFrom = Mapping[str, str]
 
 DAMAGED = "damaged"  # why a stage runs whose file is not as it was written
-_EXACT = "piecewise"
 _META = r'<meta name="gapsweep-made-from" content="([^"]*)">'
 
 
@@ -142,7 +141,7 @@ def stages_of(study: Study) -> list[Stage]:
     stated = [scene.expected is not None for scene in bench.scene] if bench else []
     left_out = {
         STATIC: labels == (AUTO,) or study.systems is not None,  # it is of one displacement
-        AGREEMENT: _EXACT not in labels or len(labels) == 1,
+        AGREEMENT: EXACT not in labels or len(labels) == 1,
         ADVICE: AUTO not in labels,
         HISTORIES: not study.spec.history,
         WORK_PRECISION: all(stated),
@@ -211,7 +210,7 @@ def _own_laws(study: Study) -> str:
     for label in labels:
         # A law that cannot be imported is a matter of its motion's status.
         with suppress(ModelError):
-            codes.append(law_code(label.partition("@")[0]))
+            codes.append(law_code(law_of(label)))
     return "".join(code for code in codes if code != OURS)
 
 

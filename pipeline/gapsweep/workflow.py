@@ -47,7 +47,6 @@ if TYPE_CHECKING:
 
 
 DEFAULT_CACHE = Path("data/cache.sqlite")
-# Walls so many times as far away as any motion leads: their distances must be of another unit.
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,11 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 from tests.conftest import golden
+from tests.engines import smooth as integrate
 
 from gapsweep.integrate.runge_kutta import interpolant, loop, tableaux
 from gapsweep.integrate.runge_kutta import lanes as ln
 from gapsweep.integrate.runge_kutta import representations as rp
-from gapsweep.integrate.runge_kutta.smooth import integrate
 
 ZETA, OMEGA_N, MASS, ALPHA, FORCING = 0.03, 5.0, 3.0, 7e8, 4.0
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
@@ -282,7 +282,7 @@ def test_points_do_not_depend_on_their_batch(law):
 def test_another_process_gives_the_same_bits():
     code = (
         "from gapsweep.integrate.runge_kutta import representations as rp\n"
-        "from gapsweep.integrate.runge_kutta.smooth import integrate\n"
+        "from tests.engines import smooth as integrate\n"
         "r = integrate(rp.tanh(1.4e4, 4e-4, 4e-4, 1e4), omega=9.0, t_end=1.0)\n"
         "print(r.x[0].hex(), r.v[0].hex())"
     )
@@ -580,7 +580,7 @@ def test_ode45_controller_takes_the_steps_of_ode45(law, force, n, rtol, atol):
         law, omega=11.0, t_end=0.6, rtol=rtol, atol=atol, controller="ode45",
         dense_output=True, record_from=0.0,
     )  # fmt: skip
-    steps = run._of_kind(ln.STEP, 0)
+    steps = run.rows(ln.STEP)
     assert steps[:n, ln.E_T] == pytest.approx(times[:-1][:n], abs=1e-7)
     if n is None:
         assert (run.n_steps[0], run.n_rejected[0]) == (len(times) - 1, n_failed)

@@ -119,11 +119,6 @@ def test_too_few_frequencies_for_an_interval_settle_nothing(tmp_path):
     assert "beyond doubt" in in_words([contact])[0]
 
 
-def test_files_of_earlier_versions_answer_nothing(tmp_path):
-    files = datasets(tmp_path, tables(["piecewise", "tanh-1e4"], [1.0]), lambda *_: failed())
-    assert contacts(agreement(*files).drop_vars("cpu_time_per_period_ratio")) == []
-
-
 def test_without_floors_the_rule_is_the_same(tmp_path):
     _, (contact,) = made(tmp_path, {n: v for n, v in LAWS.items() if "@" not in n})
     said = {one.law: (one.verdict, one.cost) for one in contact.laws}

@@ -238,11 +238,6 @@ def test_the_papers_own_code_is_sound(name):
         ({"report": {"module": "deep.py"}}, "report.module: .*deep.py cannot be read: Is a dir"),
         ({"claims": {"module": "a.toml"}}, "claims.module = 'a.toml': must be .* Python file"),
         ({"report": {"module": "a-b.py"}}, "report.module = 'a-b.py': must be .* Python file"),
-        (
-            {"claims": {"file": "x.toml"}},
-            r"claims: file = 'x.toml': claims are functions now: .* module = \"claims.py\" here "
-            r"instead, see docs/claims.md$",
-        ),
     ],
 )
 def test_a_study_refuses_modules_in_one_line(tables, tmp_path, own, said):

@@ -136,7 +136,7 @@ def test_condition_is_a_matter_of_the_basis(rungs):
 
 def test_smallest_degree_is_the_first_that_leaks_little():
     force = np.array([[3.0, 0.3, 0.5], [9.0, 8.0, 7.0]])
-    assert thresholds.smallest_degree(force, (3, 5, 7), -4.0).tolist() == [5, 0]
+    assert ladder.smallest_degree(force, (3, 5, 7), -4.0).tolist() == [5, 0]
 
 
 def test_harder_contact_needs_a_higher_degree(rungs):

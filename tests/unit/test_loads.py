@@ -178,3 +178,16 @@ def test_the_force_before_the_wall_counts():
     law = gs.Tanh(1.4e4, SYMMETRIC, 1e4)
     (largest,) = largest_forces([law], np.array([-0.38e-3]), np.array([0.38e-3]))
     assert largest > 1.2 * abs(float(law.force(0.38e-3)))
+
+
+def test_only_a_users_own_code_may_fail(monkeypatch):
+    # What a bug in one of ours raised made the largest force too small.
+    def broken(self, x):
+        raise ArithmeticError("no law of a user's")
+
+    x = np.array([0.5e-3])
+    assert largest_forces([UserLaw(0.0, GAPS[0], walled)], -2.0 * x, x) == [40.0]
+    law = gs.Tanh(1e4, GAPS[0], 1e4, K_ratio=0.5)
+    monkeypatch.setattr(gs.Tanh, "derivative", broken)
+    with pytest.raises(ArithmeticError):
+        largest_forces([law], -x, x)

@@ -340,6 +340,24 @@ def test_every_figure_lies_beside_the_page_as_files(page):
     assert is_picture((folder / "figure-scene-0-0.svg").read_text())
 
 
+def test_figures_that_a_report_no_longer_has_are_removed(tmp_path):
+    responses, compared = made(tmp_path, EQUAL)
+    given = responses, compared, timing(responses)
+    page = tmp_path / "report" / "index.html"
+    folder = write_report(page, *given, own_parts=NAMED).parent / "figures"
+    assert (folder / "figure-2b.svg").exists()
+    (folder / "figure-notes.txt").touch()
+    (folder / "notes.svg").touch()
+    (folder / "figure-folder.svg").mkdir()
+    (tmp_path / "mine.svg").touch()
+    (folder / "figure-linked.svg").symlink_to(tmp_path / "mine.svg")
+    not_ours = {"figure-notes.txt", "notes.svg", "figure-folder.svg", "figure-linked.svg"}
+    write_report(page, *given)
+    shown = set(re.findall(r'href="figures/([^"]*)"', page.read_text()))
+    assert {path.name for path in folder.iterdir()} == shown | not_ours | {SUMS}
+    assert {line.split()[1] for line in (folder / SUMS).read_text().splitlines()} == shown
+
+
 def test_figures_are_not_written_where_a_link_leads(tmp_path):
     responses, compared = made(tmp_path, EQUAL)
     (tmp_path / "page").mkdir()

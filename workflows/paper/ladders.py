@@ -4,6 +4,7 @@ All errors here are per unit contact stiffness [m]: the force of every built-in 
 proportional to `K_c`, and so are its errors; R² does not depend on `K_c` at all.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
-from gapsweep.analysis.thresholds import LEAK, smallest_degree, tanh_threshold
+from gapsweep.analysis.thresholds import tanh_threshold
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import Arctan, LogArctan, Tanh, static_error
 from gapsweep.model.fit import N_FIT_POINTS, goodness, unit_force
@@ -35,6 +36,8 @@ BASES = ("monomial in m", "Chebyshev")
 CONSTRAINTS = ("none", "no constant or linear term")
 
 _N_IN_GAP = 2001
+# Largest share of the forcing that a law may exert between the walls.
+_LEAK = 0.1
 
 LADDER: dict[str, tuple[tuple[str, ...], Variable]] = {
     name: (dims, Variable(dtype, units, long_name))
@@ -50,7 +53,7 @@ LADDER: dict[str, tuple[tuple[str, ...], Variable]] = {
         ("poly_condition", ("basis", "degree"), "f8", "1",
          "condition number of the least-squares matrix"),
         ("poly_smallest_degree", ("K_c", "gap"), "i4", "1",
-         f"smallest degree with an in-gap force below {LEAK:g} of the forcing, 0: none"),
+         f"smallest degree with an in-gap force below {_LEAK:g} of the forcing, 0: none"),
         ("ratpoly_rmse", ("gap", "ratio"), "f8", "m",
          "RMS force error of a rational polynomial per unit contact stiffness"),
         ("ratpoly_r_squared", ("gap", "ratio"), "f8", "1",
@@ -67,6 +70,14 @@ LADDER: dict[str, tuple[tuple[str, ...], Variable]] = {
          "convergence parameter above which tanh has no false well, by search"),
     )
 }  # fmt: skip
+
+
+def smallest_degree(
+    in_gap_force: Array, degrees: Sequence[int], forcing: float
+) -> NDArray[np.intp]:
+    """First of the degrees (last axis) whose force [N] is below `_LEAK` of the forcing, or 0."""
+    enough = in_gap_force < _LEAK * abs(forcing)
+    return np.where(enough.any(axis=-1), np.array(degrees)[enough.argmax(axis=-1)], 0)
 
 
 def ladders(study: Study) -> xr.Dataset:

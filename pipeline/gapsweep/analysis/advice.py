@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.errors import ModelError, StudyError
-from gapsweep.model.labels import AUTO
+from gapsweep.model.contact import Piecewise
+from gapsweep.model.labels import family, law_of
 from gapsweep.model.oscillator import Gap
 from gapsweep.study.advice import Model, StandIn, stand_in, stand_ins
 from gapsweep.study.schema import Variable, coordinates
@@ -86,11 +87,9 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
 
 def _screened(study: Study, error: float) -> tuple[list[str], dict[str, Any]]:
     """The study's smooth laws and the least adequate ones, and how they do in every scene."""
-    if study.systems is not None:
-        raise StudyError([f"{study.source}: system: advice rests on bounds for an oscillator"])
     grid = study.grid
-    own = dict.fromkeys(label.partition("@")[0] for label in grid.representations)
-    smooth = [r for r in own if r != AUTO and ":" not in r and not r.startswith("piecewise")]
+    own = dict.fromkeys(law_of(label) for label in grid.representations)
+    smooth = [r for r in own if family(r) not in (None, Piecewise)]
     others = tuple(i for i, dim in enumerate(grid.dims) if dim not in grid.scene_dims)
     asked = grid.requested.any(axis=others)
     screened = {}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.bands import band_metrics
 from gapsweep.analysis.classes import CLASSES
 from gapsweep.analysis.curves import curve_metrics
-from gapsweep.analysis.floors import REFERENCE, floor_labels
+from gapsweep.analysis.floors import floor_labels
 from gapsweep.analysis.grid import (
     REPRESENTATION,
     SWEPT,
@@ -33,6 +33,7 @@ from gapsweep.analysis.slab import Slab, slab
 from gapsweep.analysis.starts import start_metrics
 from gapsweep.analysis.summary import summaries
 from gapsweep.analysis.systems import is_of_systems, of_coordinate, section_rate
+from gapsweep.model.labels import EXACT
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
@@ -57,7 +58,7 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
         The variables of `gapsweep.analysis.metrics.variables`.
     """
     labels = [str(label) for label in responses["representation"].values]
-    if REFERENCE not in labels:
+    if EXACT not in labels:
         return None
     if COORDINATE in responses.dims:
         return _of_systems(responses, attractors)
@@ -79,7 +80,7 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
         swept = np.flatnonzero(requested.isel(at)).tolist()
         if not swept:
             continue
-        exact = slab(responses, attractors, {**at, REPRESENTATION: labels.index(REFERENCE)})
+        exact = slab(responses, attractors, {**at, REPRESENTATION: labels.index(EXACT)})
         walls = responses[[name for name in _WALLS if name in responses.coords]]
         walls = walls.isel(at, missing_dims="ignore")
         if is_of_systems(responses):  # its walls bound no coordinate
@@ -90,7 +91,7 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
             width = _width(j_1 + j_2, exact)
         for r in swept:
             here = {**at, REPRESENTATION: r}
-            ours = exact if labels[r] == REFERENCE else slab(responses, attractors, here)
+            ours = exact if labels[r] == EXACT else slab(responses, attractors, here)
             # Infinity and NaN are what comes of a response that ran away, or of none.
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 for name, values in _compared(ours, exact, width, symmetric=is_symmetric):
@@ -174,6 +175,6 @@ def _dataset(tables: Tables, responses: xr.Dataset, floors: list[str]) -> xr.Dat
     )
     return result.assign_attrs(
         of_study(responses),
-        reference=REFERENCE,
+        reference=EXACT,
         floor_representations=" ".join(floors),
     )

@@ -17,8 +17,8 @@ import json
 from typing import Any
 
 from gapsweep.integrate.problem import Solver
+from gapsweep.model.labels import EXACT
 
-REFERENCE = "piecewise"
 # A start moved by more [m] is another start.
 _LARGEST_JITTER = 1e-8
 
@@ -40,7 +40,7 @@ def floor_labels(study_json: str, labels: list[str]) -> list[str]:
     found = []
     for label in labels:
         law, _, name = label.partition("@")
-        if law == REFERENCE and name in protocols and _is_floor(plain, protocols[name]):
+        if law == EXACT and name in protocols and _is_floor(plain, protocols[name]):
             found.append(label)
     return found
 

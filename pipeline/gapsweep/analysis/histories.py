@@ -19,13 +19,13 @@ from gapsweep.execution.alone import Alone, CallError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.simulate import simulate
-from gapsweep.model.labels import contact_law
+from gapsweep.model.labels import contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import canonical
-from gapsweep.study.schema import COORDINATES, STATUS_FLAGS, Variable
+from gapsweep.study.schema import COORDINATES, STATUS_FLAGS, Variable, described, empty
 from gapsweep.study.spec import HistoryTable
 from gapsweep.study.study import Study
 
@@ -96,10 +96,7 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
         "sample": n_samples,
         "frequency_bin": n_samples // 2 + 1,
     }
-    arrays = {
-        name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
-        for name, (dims, variable) in (VARIABLES | AXES).items()
-    }
+    arrays = empty(VARIABLES | AXES, sizes)
     with Alone(timeout) as alone:
         for h, table in enumerate(tables):
             t, frequency = sampled(table.omega, table.t_end)
@@ -116,9 +113,9 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
             name: ("history", [_scene(table)[name] for table in tables], variable.attributes)
             for name, variable in SCENE.items()
         },
-        **{name: (dims, arrays[name], v.attributes) for name, (dims, v) in AXES.items()},
+        **described(AXES, arrays),
     }
-    variables = {name: (dims, arrays[name], v.attributes) for name, (dims, v) in VARIABLES.items()}
+    variables = described(VARIABLES, arrays)
     variables["spectrum"][2]["window"] = _WINDOW
     attributes = {
         **study.attributes,
@@ -202,7 +199,7 @@ def _asked(study: Study, table: HistoryTable, label: str) -> _Asked:
     x_0, v_0 = table.start
     return _Asked(
         oscillator=study.oscillator,
-        representation=label.partition("@")[0],
+        representation=law_of(label),
         K_c=table.K_c,
         gap=_gap(table),
         omega=table.omega,

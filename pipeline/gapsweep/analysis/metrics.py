@@ -11,8 +11,9 @@ from gapsweep.analysis.bands import FINENESS
 from gapsweep.analysis.bootstrap import BLOCK, FEWEST_BLOCKS, LEVEL, N_DRAWS
 from gapsweep.analysis.classes import CLASSES
 from gapsweep.analysis.curves import JUMP, STEEPER, WINDOW
-from gapsweep.analysis.sets import CLOSE, CLOUD_CLOSE, CLOUD_SHARE
+from gapsweep.analysis.sets import CLOSE
 from gapsweep.analysis.starts import PARTIAL
+from gapsweep.response.section import CLOUD_CLOSE, CLOUD_SHARE
 from gapsweep.study.schema import POINT_DIMS
 
 SCENE = POINT_DIMS[:3]

@@ -9,14 +9,13 @@ import numpy as np
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.labels import contact_law
+from gapsweep.model.labels import EXACT, contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.bench import SceneTable
 from gapsweep.study.points import canonical
 from gapsweep.study.schema import COORDINATES, Variable
 from gapsweep.study.study import Study
 
-EXACT = "piecewise"
 COORDS = {name: COORDINATES[name][1] for name in ("K_c", "j_1", "j_2", "omega", "x_0", "v_0")}
 _GAP = COORDINATES["gap"][1]
 
@@ -78,7 +77,7 @@ class Method:
 
     @property
     def representation(self) -> str:
-        return self.label.partition("@")[0]
+        return law_of(self.label)
 
     @property
     def own(self) -> str:

@@ -2,11 +2,11 @@
 
 Two attractors are close if the distance of their stroboscopic sections is within a tolerance:
 
-* ``0.05 G`` for the Hausdorff distance, if at least one of the two is periodic, or for two places
-  of rest, these as far as they are known;
-* for two chaotic ones, a quarter of the larger extent (or ``0.05 G``) for the distance below
-  which 80 % of the points of either have a neighbour in the other: the rule by which
-  ``attractors.nc`` takes two chaotic responses for one attractor.
+* ``0.05 G`` for the Hausdorff distance, for two places of rest as far as they are known;
+* for two chaotic ones, or two tori, a quarter of the larger extent (or ``0.05 G``) for the
+  distance below which 80 % of the points of either have a neighbour in the other.
+  ``attractors.nc`` takes responses for one attractor also where their points are mixed, which
+  alone is no match here.
 
 For symmetric gaps mirror images are one: an attractor found has an image, whether a start was
 there to find it or not. The section of an image is known where it was found too; where neither
@@ -23,12 +23,10 @@ from gapsweep.analysis.matching import assignment
 from gapsweep.analysis.slab import Found, Slab
 from gapsweep.response.attractors import NONE
 from gapsweep.response.result import ResponseClass
-from gapsweep.response.section import DEVIATIONS
+from gapsweep.response.section import CLOUD_CLOSE, CLOUD_SHARE, DEVIATIONS
 
 # Of the gap width.
 CLOSE = 0.05
-CLOUD_SHARE = 0.8
-CLOUD_CLOSE = 0.25
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from gapsweep.analysis.closed_forms import closed_form, energy_drift, plain_duffing
 from gapsweep.analysis.force_error import in_gap
 from gapsweep.analysis.scenes import (
-    EXACT,
     Method,
     Scene,
     coordinates,
@@ -49,9 +48,10 @@ from gapsweep.model.equilibria import (
     linear_stiffness,
     restoring_slope,
 )
+from gapsweep.model.labels import EXACT
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.status import Status
-from gapsweep.study.schema import STATUS_FLAGS, Variable
+from gapsweep.study.schema import STATUS_FLAGS, Variable, described, empty
 from gapsweep.study.study import Study
 
 Array = NDArray[np.float64]
@@ -151,10 +151,7 @@ def stability(
         "method": len(ladder),
         "tolerance": max(len(method.rungs) for method in ladder),
     }
-    arrays = {
-        name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
-        for name, (dims, variable) in VARIABLES.items()
-    }
+    arrays = empty(VARIABLES, sizes)
     with Alone(timeout) as alone:
         for s, scene in enumerate(found):
             if say is not None:
@@ -169,7 +166,7 @@ def stability(
     coords = coordinates(found, ladder) | rtol
     coords["expected"] = ("scene", stated, {"units": "1", "long_name": "known right answer"})
     return xr.Dataset(
-        {name: (dims, arrays[name], v.attributes) for name, (dims, v) in VARIABLES.items()},
+        described(VARIABLES, arrays),
         coords,
         {
             **study.attributes,

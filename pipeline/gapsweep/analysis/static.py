@@ -19,7 +19,7 @@ from gapsweep.analysis.thresholds import tanh_threshold
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw, static_error
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
-from gapsweep.model.labels import AUTO, contact_law
+from gapsweep.model.labels import AUTO, contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.schema import COORDINATES, Variable
@@ -90,7 +90,7 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
         With title, study, study_json as attributes.
     """
     grid, x_max = study.grid, study.spec.fit.range
-    labels = tuple(dict.fromkeys(r.partition("@")[0] for r in grid.representations if r != AUTO))
+    labels = tuple(dict.fromkeys(law_of(r) for r in grid.representations if r != AUTO))
     x = displacements(grid.gaps, x_max)
     walls: dict[str, Sequence[Any]] = {
         "K_c": grid.K_c,

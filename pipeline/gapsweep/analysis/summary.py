@@ -4,7 +4,7 @@ Periodic and chaotic motion apart: a point belongs to the regime of the exact re
 frequency is chaotic if any exact response at it is, periodic if all are.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ def summaries(ours: Slab, exact: Slab, values: dict[str, Array]) -> Summaries:
             yield from _spread(name, values[name], regimes[values[name].ndim], block)
     yield from _set_ratios(values, regimes[1], block)
     for name, sums in cost_sums(ours, exact).items():
-        yield from _pooled(name, sums, regimes[2], block, ratio)
+        yield from _pooled(name, sums, regimes[2], block)
     yield from _classes(ours, exact, regimes[2], block)
 
 
@@ -73,7 +73,7 @@ def _spread(
 def _means(name: str, values: Array, regimes: list[Bools], block: Ints) -> Summaries:
     known = np.isfinite(values)
     sums = np.stack([np.where(known, values, 0.0), known], axis=-1)
-    yield from _pooled(f"{name}_mean", sums, regimes, block, ratio)
+    yield from _pooled(f"{name}_mean", sums, regimes, block)
 
 
 def _set_ratios(values: dict[str, Array], regimes: list[Bools], block: Ints) -> Summaries:
@@ -84,7 +84,7 @@ def _set_ratios(values: dict[str, Array], regimes: list[Bools], block: Ints) -> 
         "f1_pooled": (2.0 * n_matched, n + n_exact),
     }
     for name, (top, bottom) in shares.items():
-        yield from _pooled(name, np.stack([top, bottom], axis=-1), regimes, block, ratio)
+        yield from _pooled(name, np.stack([top, bottom], axis=-1), regimes, block)
 
 
 def _classes(ours: Slab, exact: Slab, regimes: list[Bools], block: Ints) -> Summaries:
@@ -111,18 +111,12 @@ def _flat_kappa(tables: Array) -> Array:
     return kappa(tables.reshape(*tables.shape[:-1], n, n))
 
 
-def _pooled(
-    name: str,
-    sums: Array,
-    regimes: list[Bools],
-    block: Ints,
-    statistic: Callable[[Array], Array],
-) -> Summaries:
-    """A statistic of sums over all axes but the last, per regime."""
+def _pooled(name: str, sums: Array, regimes: list[Bools], block: Ints) -> Summaries:
+    """The ratio of sums over all axes but the last, per regime."""
     found = []
     for regime in regimes:
         chosen = np.where(regime[..., None], sums, 0.0)
         by_frequency = chosen.sum(axis=1) if chosen.ndim == 3 else chosen
-        found.append(pooled(by_frequency, block, statistic))
+        found.append(pooled(by_frequency, block, ratio))
     yield name, [estimate for estimate, _ in found]
     yield f"{name}_ci", [interval for _, interval in found]

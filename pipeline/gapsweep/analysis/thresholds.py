@@ -1,9 +1,6 @@
-"""What a law needs to serve a stiffness: polynomial degree, sharpness of tanh."""
-
-from collections.abc import Sequence
+"""How sharp tanh must be to serve a stiffness."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gapsweep.model.contact import Tanh
 from gapsweep.model.equilibria import (
@@ -15,20 +12,8 @@ from gapsweep.model.equilibria import (
 )
 from gapsweep.model.oscillator import Gap, Oscillator
 
-Array = NDArray[np.float64]
-
-# Largest share of the forcing that a law may exert between the walls.
-LEAK = 0.1
 # Largest z(1 - tanh z)/2, in closed form W(1/e)/2 with Lambert's W.
 TANH_LOBE = 0.13923227138
-
-
-def smallest_degree(
-    in_gap_force: Array, degrees: Sequence[int], forcing: float
-) -> NDArray[np.intp]:
-    """First of the degrees (last axis) whose force [N] is below `LEAK` of the forcing, or 0."""
-    enough = in_gap_force < LEAK * abs(forcing)
-    return np.where(enough.any(axis=-1), np.array(degrees)[enough.argmax(axis=-1)], 0)
 
 
 def predicted_threshold(

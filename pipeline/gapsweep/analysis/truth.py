@@ -7,7 +7,7 @@ can be measured at all.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,11 +76,7 @@ def motion(scene: Scene, law: ContactLaw | None, solver: Solver, later: int = 0)
         scene.v_0,
         t_0=t_0,
         t_end=t_end,
-        engine=solver.engine,
-        rtol=solver.rtol,
-        atol=solver.atol,
-        controller=solver.controller,
-        restart=solver.restart,
+        **asdict(solver),
     )
     section = run.section
     if run.status is Status.OK:
@@ -215,7 +211,6 @@ def growth(scene: Scene, law: ContactLaw, section: Array) -> Array:
     starts = np.vstack([[scene.x_0, scene.v_0], section[:-1]])
     omega = np.full(len(starts), scene.omega)
     located = isinstance(law, Piecewise)
-    tight = replace(TIGHT["compiled"], rtol=1e-9, atol=1e-12)
     run = simulate(
         scene.oscillator,
         Piecewise(scene.K_c, scene.gap) if located else law,
@@ -223,8 +218,8 @@ def growth(scene: Scene, law: ContactLaw, section: Array) -> Array:
         starts[:, 0],
         starts[:, 1],
         t_end=1.0 / scene.omega,
-        rtol=tight.rtol,
-        atol=tight.atol,
+        rtol=1e-9,
+        atol=1e-12,
         tangent=True,
     )
     omega_rad = max(2.0 * math.pi * scene.omega, scene.oscillator.omega_n_rad)

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from gapsweep.analysis.costs import cost
 from gapsweep.analysis.pareto import on_front
 from gapsweep.analysis.scenes import (
-    EXACT,
     Method,
     Scene,
     coordinates,
@@ -46,13 +45,14 @@ from gapsweep.execution.alone import Alone, CallError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import Piecewise
+from gapsweep.model.labels import EXACT
 from gapsweep.response.attractors import NONE, attractors_of_scenes
 from gapsweep.response.ensemble import Scene as Asked
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses, Steady
 from gapsweep.response.section import unit_of
 from gapsweep.status import Status
-from gapsweep.study.schema import STATUS_FLAGS, Variable
+from gapsweep.study.schema import STATUS_FLAGS, Variable, described, empty
 from gapsweep.study.study import Study
 
 Array = NDArray[np.float64]
@@ -178,10 +178,6 @@ def work_precision(
             if say is not None:
                 say(f"work-precision: {name} of {len(found)} scenes, {len(ladder)} methods")
             step()
-    variables = {
-        name: (dims, bench.arrays[name], variable.attributes)
-        for name, (dims, variable) in VARIABLES.items()
-    }
     attributes = {
         **study.attributes,
         "error_scale": ERROR_SCALE,
@@ -190,7 +186,7 @@ def work_precision(
         "load_average": load,
     }
     coords = coordinates(bench.scenes, ladder) | tolerances(ladder)
-    return xr.Dataset(variables, coords, attributes)
+    return xr.Dataset(described(VARIABLES, bench.arrays), coords, attributes)
 
 
 def processor() -> str:
@@ -286,10 +282,7 @@ class Bench:
             "method": len(self.methods),
             "tolerance": max(len(method.rungs) for method in self.methods),
         }
-        self.arrays: dict[str, Any] = {
-            name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
-            for name, (dims, variable) in VARIABLES.items()
-        }
+        self.arrays = empty(VARIABLES, sizes)
         self.arrays["n_lanes"][:] = self.n_lanes
         self.arrays["n_periods"][:] = [scene.n_periods for scene in self.scenes]
 

@@ -15,16 +15,11 @@ from gapsweep.store.maintenance import contents_of, readable
 from gapsweep.store.slab import Slab, Stored
 from gapsweep.study.grid import Starts
 from gapsweep.study.points import UNEQUAL, Points, with_ratio
+from gapsweep.study.schema import UNITS
 from gapsweep.study.study import Study
 
 # Fields in which two points differ: what is asked for, and what is stored.
 Differences = dict[str, tuple[str, str]]
-
-# As engineers write them.
-UNITS = {
-    **{"K_c": "N/m", "j_1": "m", "j_2": "m", "omega": "Hz", "omega_n": "Hz"},
-    **{"mass": "kg", "alpha": "N/m³", "forcing": "N"},
-}
 
 
 @dataclass(frozen=True, slots=True)

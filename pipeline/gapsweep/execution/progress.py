@@ -1,8 +1,7 @@
 """What a run tells while it goes on."""
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 DEFAULT_TIMEOUT = 600.0  # s that one point may take
 
@@ -21,14 +20,8 @@ class Progress:
     n_computed: int = 0
     n_failed: int = 0
     n_shared: int = 0  # computed meanwhile by another run on the same cache
-    started: float = field(default_factory=time.monotonic)
     stage: str = ""
 
     @property
     def n_done(self) -> int:
         return self.n_hits + self.n_computed + self.n_shared
-
-    @property
-    def rate(self) -> float:
-        """Computed points per second."""
-        return self.n_computed / max(time.monotonic() - self.started, 1e-9)

@@ -28,7 +28,6 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 # Called from compiled code alone: without the wrappers for Python and C, which take longer to
 # compile than a small function itself.
 _BARE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-allocating = njit(**_BARE)
 # Nor does a function count references to arrays unless it makes one: its callers own those that
 # it works on, and the atomic counts at each call would cost more than recording a step. numba
 # refuses to compile a function that does allocate under this option.
@@ -48,7 +47,7 @@ SHIPPED = Path(__file__).parents[1] / "machine_code"
 SHIP_TO = "GAPSWEEP_SHIP_TO"
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
+class _Cache(FunctionCache):
     """The machine code of a function on disk; what came with the package stands first."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -79,7 +78,7 @@ def _file(folder: Path, function: Callable[..., Any]) -> IndexDataCacheFile:
 def shipped_for() -> tuple[str, ...]:
     """Names of the folders whose machine code runs here, the best first.
 
-    None if numba was told what to compile for.
+    Empty if numba was told what to compile for.
     """
     if config.CPU_NAME or config.CPU_FEATURES is not None:
         return ()
@@ -152,9 +151,12 @@ def code_folder() -> Path:
 
 @cache
 def source_fingerprint() -> str:
-    """Hash (16 hex digits) of all sources below this module's folder, names included."""
+    """Hash (16 hex digits) of all sources below this module's folder, names included.
+
+    With them the module whose numbers are constants of the code.
+    """
     here = Path(__file__).parent
     digest = hashlib.sha256()
-    for path in sorted(here.rglob("*.py")):
-        digest.update(path.relative_to(here).as_posix().encode() + b"\0" + path.read_bytes())
+    for path in sorted([*here.rglob("*.py"), here.parent / "status.py"]):
+        digest.update(path.relative_to(here.parent).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]

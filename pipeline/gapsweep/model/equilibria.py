@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.fitted import Polynomial, RationalPolynomial
+from gapsweep.model.fitted import Fitted
 from gapsweep.model.oscillator import Oscillator
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ def panels(points: Array) -> tuple[Array, Array]:
 
 def _near_poles(law: ContactLaw) -> list[float]:
     """Real parts [m] of the poles of a rational fit that are close to its range."""
-    if not isinstance(law, Polynomial | RationalPolynomial):
+    if not isinstance(law, Fitted):
         return []
     roots = chebyshev.chebroots(chebyshev.chebtrim(law.coefficients[1], tol=1e-14))
     near = np.abs(roots.imag) < _NEAR_POLE

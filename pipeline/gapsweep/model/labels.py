@@ -36,7 +36,10 @@ AUTO = "auto"
 EXAMPLES = (
     "piecewise, piecewise-noevents, poly-13, ratpoly-5/3, tanh-1e4, arctan-1e4, logarctan-1e4"
 )
-_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+# The label of the exact law, which others are measured against.
+EXACT = Piecewise.family
+# Of what a user has written, as ``module:name``.
+FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 # Every law that a label names, by its family, in the order of the user guide.
@@ -66,7 +69,7 @@ def canonical_label(label: str) -> str:
     """
     if not isinstance(label, str):
         raise ModelError(f"representation = {label!r}: must be a label, one of {EXAMPLES}")
-    if label == AUTO or _FUNCTION.fullmatch(label):
+    if label == AUTO or FUNCTION.fullmatch(label):
         return label
     name, dash, parameter = label.partition("-")
     law = family(label)
@@ -85,6 +88,23 @@ def _likely(label: str) -> str:
     return f"did you mean {'-'.join(filter(None, [alike[0], parameter]))}? Or " if alike else ""
 
 
+def law_of(label: str) -> str:
+    """The law of a label without the protocol that may follow it, as in ``tanh-1e4@loose``."""
+    return label.partition("@")[0]
+
+
+def canonical_representation(label: str) -> str:
+    """Canonical label, its protocol suffix kept.
+
+    Raises
+    ------
+    ModelError
+        If it is unknown.
+    """
+    law, at, protocol = label.partition("@")
+    return canonical_label(law) + at + protocol
+
+
 def is_fitted(label: str) -> bool:
     """Whether the law of a label is fitted over a range."""
     law = family(label)
@@ -98,7 +118,7 @@ def is_even_handed(label: str) -> bool:
     """
     if ":" not in label:
         return True
-    own = own_law.named(label.partition("@")[0])
+    own = own_law.named(law_of(label))
     return not isinstance(own, ForceTable) or own.is_odd
 
 

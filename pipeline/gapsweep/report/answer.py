@@ -149,16 +149,12 @@ class Contact:
 def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Contact]:
     """Every contact of a study with what stands in there, the softest and narrowest first.
 
-    Empty where prices per period are not stored, as in files of earlier versions.
-
     Parameters
     ----------
     agreement, static : Dataset
         As stored in the run's folder; without `static`, thresholds of tanh are not known.
     """
     names = [*_SHOWN.values(), _PRICE]
-    if _PRICE not in agreement:
-        return []
     pooled = agreement[[*names, *(f"{n}_ci" for n in names), "n_points"]].sel(regime="all").load()
     pooled["n_exact"] = agreement["n_attractors_exact"].sum("omega")
     exact = str(agreement.attrs["floor_representations"]).split()

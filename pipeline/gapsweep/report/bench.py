@@ -1,7 +1,7 @@
 """What the report and the command line say about benchmarks, from the two datasets alone."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import xarray as xr
 
 from gapsweep.analysis.pareto import TARGETS, corners
 from gapsweep.analysis.stability import Outcome
+from gapsweep.model.labels import EXACT, law_of
 from gapsweep.report.bench_figures import (
     STATUS_LETTERS,
     atlas,
@@ -50,9 +51,9 @@ def conclusions(dataset: xr.Dataset) -> Conclusions:
 # ---- Work-precision -------------------------------------------------------------------------
 
 
-def is_exact_located(label: str) -> bool:
-    """Whether a method is the exact law with located contacts, by any solver."""
-    return label.partition("@")[0] == "piecewise"
+def _is_exact(label: str) -> bool:
+    """Whether a method is labelled as the exact law, whatever its solver makes of contacts."""
+    return law_of(label) == EXACT
 
 
 def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
@@ -62,14 +63,20 @@ def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
     for scene in bench["scene"].values.tolist():
         there = shown.sel(scene=scene).any("tolerance")
         others = [m for m in bench["method"].values[there.values].tolist()]
-        others = [m for m in others if not is_exact_located(m)]
+        others = [m for m in others if not _is_exact(m)]
         if others:
             found[scene] = others
     return found
 
 
 def _front_conclusions(bench: xr.Dataset) -> Conclusions:
-    exceptions = beaten(bench)
+    exceptions, rows = beaten(bench), _cheapest(bench)
+    sentences = [*_on_front(bench, exceptions), *map(_price, rows)]
+    return Conclusions(sentences, {"cheapest": rows, "not_exact_on_front": exceptions})
+
+
+def _on_front(bench: xr.Dataset, exceptions: dict[str, list[str]]) -> list[str]:
+    """What is on the front, and what failed."""
     n = bench.sizes["scene"]
     sentences = [
         f"Exact with located contacts makes the whole front at errors of 1e-2 and below in "
@@ -82,17 +89,17 @@ def _front_conclusions(bench: xr.Dataset) -> Conclusions:
     failed = _failures(bench)
     if failed:
         sentences.append(f"Failed runs: {failed}.")
-    rows = _cheapest(bench)
-    for row in rows:
-        runner_up = (
-            f"; next {row['next']} at {row['ratio']:.2g} times the cost" if row["next"] else ""
-        )
-        sentences.append(
-            f"K_c = {plain(row['K_c'])} N/m, {row['gap']} mm, error {row['error']:.0e}: "
-            + (f"{row['method']}, {1e6 * row['cpu_time']:.3g} µs per simulated second{runner_up}"
-               if row["method"] else "no method")
-        )  # fmt: skip
-    return Conclusions(sentences, {"cheapest": rows, "not_exact_on_front": exceptions})
+    return sentences
+
+
+def _price(row: Mapping[str, Any]) -> str:
+    """The cheapest method of a corner at a target error."""
+    corner = f"K_c = {plain(row['K_c'])} N/m, {row['gap']} mm, error {row['error']:.0e}"
+    if not row["method"]:
+        return f"{corner}: no method"
+    runner_up = f"; next {row['next']} at {row['ratio']:.2g} times the cost" if row["next"] else ""
+    seconds = f"{1e6 * row['cpu_time']:.3g} µs per simulated second"
+    return f"{corner}: {row['method']}, {seconds}{runner_up}"
 
 
 def _failures(bench: xr.Dataset) -> str:
@@ -114,7 +121,7 @@ def _cheapest(bench: xr.Dataset) -> list[dict[str, Any]]:
         for K_c, gap, cost in corners(bench, target):
             ranked = cost.to_series().dropna().sort_values()
             best = str(ranked.index[0]) if len(ranked) else ""
-            rivals = [m for m in ranked.index if _law(m) != _law(best)]
+            rivals = [m for m in ranked.index if law_of(m) != law_of(best)]
             rows.append(
                 {
                     "K_c": K_c,
@@ -127,10 +134,6 @@ def _cheapest(bench: xr.Dataset) -> list[dict[str, Any]]:
                 }
             )
     return rows
-
-
-def _law(label: str) -> str:
-    return label.partition("@")[0]
 
 
 def _cheapest_table(bench: xr.Dataset) -> Table:
@@ -173,20 +176,20 @@ def _work_precision_part(bench: xr.Dataset) -> Part:
             "Tolerance asked for and error got",
         )
     )
-    said = _front_conclusions(bench)
-    n_corners = len({(row["K_c"], row["gap"]) for row in said.numbers["cheapest"]})
-    sentences = said.sentences[: len(said.sentences) - n_corners * len(TARGETS)]
     machine = (
-        f"Measured on {bench.attrs['processor']} ({bench.attrs.get('machine', 'not stored yet')}), "
+        f"Measured on {bench.attrs['processor']} ({bench.attrs['machine']}), "
         f"load {bench.attrs['load_average']:.2g} from elsewhere; "
         f"{int(bench['n_lanes'].max())} points per compiled call, one for scipy; medians of up to "
         f"{bench.attrs['n_repeats']} rounds, methods in turns. First calls, which compile or load "
         f"code, took up to {float(bench['first_call_time'].max()):.2g} s and are left out."
     )
     return Part(
-        "work-precision", "Work and precision", [*sentences, machine], [_cheapest_table(bench)],
+        "work-precision",
+        "Work and precision",
+        [*_on_front(bench, beaten(bench)), machine],
+        [_cheapest_table(bench)],
         figures,
-    )  # fmt: skip
+    )
 
 
 # ---- Stability --------------------------------------------------------------------------------

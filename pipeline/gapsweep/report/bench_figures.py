@@ -10,7 +10,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from gapsweep.analysis.stability import Outcome
-from gapsweep.report.style import colour, lines
+from gapsweep.report.style import by_colour, colour, lines
 from gapsweep.status import Status
 
 _WIDTH = 9.5  # inches, the report's column
@@ -81,19 +81,8 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     return figure
 
 
-def _marks(labels: list[str]) -> dict[str, str]:
-    """A marker per method: another one where the colour is taken already."""
-    used: dict[str, int] = {}
-    marks = {}
-    for label in labels:
-        n = used.setdefault(colour(label), 0)
-        marks[label] = _MARKERS[n % len(_MARKERS)]
-        used[colour(label)] += 1
-    return marks
-
-
 def _panel(axes: Axes, scene: xr.Dataset, labels: list[str]) -> None:
-    styles, marks = lines(labels), _marks(labels)
+    styles, marks = lines(labels), by_colour(labels, _MARKERS)
     axes.set_xscale("log")
     axes.set_yscale("log")
     shown = (scene["status"] == Status.OK) & (scene["at_reference_floor"] == 0)
@@ -163,7 +152,7 @@ def tolerance_figure(bench: xr.Dataset) -> Figure:
     figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
     panels = figure.subplots(1, len(_QUANTITIES))
     labels = bench["method"].values.tolist()
-    styles, marks = lines(labels), _marks(labels)
+    styles, marks = lines(labels), by_colour(labels, _MARKERS)
     for axes, (name, title) in zip(panels, _QUANTITIES.items(), strict=True):
         axes.set_xscale("log")
         axes.set_yscale("log")

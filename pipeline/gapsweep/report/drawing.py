@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.model.labels import EXACT
 from gapsweep.report.scales import drawn, factor, is_log, shown_unit
 from gapsweep.report.style import BANDS, colour, lines
 from gapsweep.response.result import ResponseClass
@@ -115,7 +116,7 @@ def curves(axes: "Axes", variable: xr.DataArray, along: str) -> None:
         y = drawn(variable.sel(representation=label).transpose("initial_condition", along))
         if not np.isfinite(y).any():
             continue
-        exact = label == "piecewise"
+        exact = label == EXACT
         few = x.size <= _FEW
         for start, curve in enumerate(y):
             # A start may be swept at every second frequency only: dots show which.

@@ -1,7 +1,7 @@
 """Figures of the report, each from a dataset to a matplotlib figure."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from gapsweep.model.labels import EXACT
 from gapsweep.report import drawing
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.maps import Picture, draw
@@ -46,23 +47,14 @@ def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
 
     Behind it are pale bands where any start is not periodic.
     """
-    labels = labels_of(responses)
-    n_columns = min(3 if len(labels) > _MANY else 2, len(labels))
-    n_rows = math.ceil(len(labels) / n_columns)
-    figure = Figure(figsize=(_WIDTH, 0.7 + 2.1 * n_rows))
-    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for axes, label in zip(panels, labels, strict=False):
-        drawing.walls(axes, responses, along)
-        drawing.bands(axes, responses.sel(representation=label), along)
-        drawing.extrema(axes, responses.sel(representation=label), along)
-        axes.set_title(label, fontsize=9, loc="left")
-    for axes in panels[len(labels) :]:
-        axes.set_visible(False)
-    for axes in panels[max(0, len(labels) - n_columns) : len(labels)]:
-        _axis(axes, responses[along])
-        axes.xaxis.set_tick_params(labelbottom=True)
-    for axes in panels[::n_columns]:
-        axes.set_ylabel(axis_label(responses["extrema"], "extrema"))
+
+    def extrema(axes: Axes, one: xr.Dataset) -> None:
+        drawing.bands(axes, one, along)
+        drawing.extrema(axes, one, along)
+
+    n_columns = 3 if len(labels_of(responses)) > _MANY else 2
+    label = axis_label(responses["extrema"], "extrema")
+    figure = _grid(responses, along, label, n_columns, extrema)
     drawing.key_of_bands(figure)
     return figure
 
@@ -77,23 +69,11 @@ def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
     along : str
         Numeric dimension of the horizontal axis.
     """
-    labels = labels_of(found)
-    n_columns = min(3, len(labels))
-    n_rows = math.ceil(len(labels) / n_columns)
-    figure = Figure(figsize=(_WIDTH, 0.7 + 2.1 * n_rows))
-    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for axes, label in zip(panels, labels, strict=False):
-        drawing.walls(axes, found, along)
-        drawing.attractor_peaks(axes, found.sel(representation=label), along)
-        axes.set_title(label, fontsize=9, loc="left")
-    for axes in panels[len(labels) :]:
-        axes.set_visible(False)
-    for axes in panels[max(0, len(labels) - n_columns) : len(labels)]:
-        _axis(axes, found[along])
-        axes.xaxis.set_tick_params(labelbottom=True)
-    for axes in panels[::n_columns]:
-        axes.set_ylabel(axis_label(found["x_max"], "peak"))
-    return figure
+
+    def peaks(axes: Axes, one: xr.Dataset) -> None:
+        drawing.attractor_peaks(axes, one, along)
+
+    return _grid(found, along, axis_label(found["x_max"], "peak"), 3, peaks)
 
 
 def by_contact(contacts: Mapping[str, xr.Dataset]) -> Figure:
@@ -112,7 +92,7 @@ def by_contact(contacts: Mapping[str, xr.Dataset]) -> Figure:
         ours = {name: one for name, one in peaks.items() if label in one["representation"]}
         ys = [drawn(one.sel(representation=label)) for one in ours.values()]
         words = np.repeat(list(ours), [y.size for y in ys])
-        size, order = (7.0, 1) if label == "piecewise" else (3.5, 2)
+        size, order = (7.0, 1) if label == EXACT else (3.5, 2)
         (line,) = axes.plot(words, np.concatenate(ys), "o", label=label, color=colour(label))
         line.set(markersize=size, zorder=order)
     axes.set_ylabel(axis_label(next(iter(peaks.values())), "peak"))
@@ -174,6 +154,33 @@ def maps(pictures: Iterable[Picture]) -> Figure:
         draw(next(panels), shown)
     for axes in panels:
         axes.set_visible(False)
+    return figure
+
+
+def _grid(
+    found: xr.Dataset,
+    along: str,
+    y_label: str,
+    n_columns: int,
+    drawn_in: Callable[[Axes, xr.Dataset], None],
+) -> Figure:
+    """A panel per representation, walls behind, in so many columns or fewer."""
+    labels = labels_of(found)
+    n_columns = min(n_columns, len(labels))
+    n_rows = math.ceil(len(labels) / n_columns)
+    figure = Figure(figsize=(_WIDTH, 0.7 + 2.1 * n_rows))
+    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for axes, label in zip(panels, labels, strict=False):
+        drawing.walls(axes, found, along)
+        drawn_in(axes, found.sel(representation=label))
+        axes.set_title(label, fontsize=9, loc="left")
+    for axes in panels[len(labels) :]:
+        axes.set_visible(False)
+    for axes in panels[max(0, len(labels) - n_columns) : len(labels)]:
+        _axis(axes, found[along])
+        axes.xaxis.set_tick_params(labelbottom=True)
+    for axes in panels[::n_columns]:
+        axes.set_ylabel(y_label)
     return figure
 
 

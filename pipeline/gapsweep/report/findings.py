@@ -9,8 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.grid import scene_dims
-from gapsweep.analysis.scenes import EXACT
 from gapsweep.analysis.systems import is_of_systems
+from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact, Judged
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.tables import VERDICTS, condensed, percent

@@ -3,7 +3,8 @@
 import base64
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.grid import scenes as all_scenes
 from gapsweep.analysis.systems import is_of_systems
 from gapsweep.errors import StoreError
+from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import (
     MOST_CONTACTS,
     SIGNS,
@@ -42,9 +44,11 @@ from gapsweep.report.selection import anchor_of, beside, gap_label
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.report.tables import VERDICTS, Row, claim_rows, number, percent, scene_tables
 from gapsweep.status import Status
-from gapsweep.store.artefact import is_recorded, recording
+from gapsweep.store.artefact import is_recorded, recording, remove
 
 FIGURES = "figures"  # the folder of their files, beside the page
+# What stands there under such a name, reports have written.
+_FIGURE = re.compile(r"figure-[a-z0-9-]*\.(svg|pdf|csv|html)")
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -63,7 +67,7 @@ def write_report(
     stability: xr.Dataset | None = None,
     made_from: str = "",
 ) -> Path:
-    """Write the report; complete or not at all.
+    """Write the report: the files of its figures, and the page last.
 
     Parameters
     ----------
@@ -86,13 +90,6 @@ def write_report(
     made_from : str
         Kept in a meta element, so that the report is made again only if that changes.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     files = (responses, agreement, timing, attractors)
     ours = chain(
         bench_parts(work_precision, stability),
@@ -105,8 +102,7 @@ def write_report(
     told = found[:MOST_CONTACTS]
     hero = _hero(responses, told)
     figures = [*([hero] if hero else []), *(one for part in parts for one in part["figures"])]
-    filters = {"number": number, "percent": percent, "times": times, "colour": colour}
-    environment.filters.update(**filters, plain=plain, digest=_digest)
+    environment = _environment()
     page = environment.get_template("report.html").render(
         title=responses.attrs["title"],
         made_from=made_from,
@@ -133,11 +129,26 @@ def write_report(
         version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
         fingerprint=responses.attrs["numerics_fingerprint"],
     )
+    folder, written = path.parent / FIGURES, set[str]()
     for figure in figures:
-        _write_files(path.parent / FIGURES, figure, _page(environment, figure))
+        written |= _write_files(folder, figure, _page(environment, figure))
     with recording(path, _is_ours) as temporary:
         temporary.write_text(page, encoding="utf-8")
+    _remove_others(folder, written)
     return path
+
+
+def _environment() -> jinja2.Environment:
+    found = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    filters = {"number": number, "percent": percent, "times": times, "colour": colour}
+    found.filters.update(**filters, plain=plain, digest=_digest)
+    return found
 
 
 def _page(environment: jinja2.Environment, figure: Mapping[str, Any]) -> str:
@@ -158,15 +169,26 @@ def _script(name: str) -> Markup:
     return Markup((_TEMPLATES / f"{name}.js").read_text(encoding="utf-8"))
 
 
-def _write_files(folder: Path, figure: Mapping[str, Any], page: str) -> None:
-    """A figure as files beside the report."""
+def _write_files(folder: Path, figure: Mapping[str, Any], page: str) -> set[str]:
+    """A figure as files beside the report; returns their names."""
     if folder.is_symlink():
         raise StoreError(f"{folder}: a symbolic link, which could lead anywhere: remove it")
     pages = {"html": page.encode()} if page else {}
-    for kind, data in (figure["files"] | pages).items():
+    files = {f"{figure['id']}.{kind}": data for kind, data in (figure["files"] | pages).items()}
+    for name, data in files.items():
         # In this folder all of such a name are ours, also where SHA256SUMS is lost.
-        with recording(folder / f"{figure['id']}.{kind}", lambda path: True) as temporary:
+        with recording(folder / name, lambda path: True) as temporary:
             temporary.write_bytes(data)
+    return set(files)
+
+
+def _remove_others(folder: Path, written: Collection[str]) -> None:
+    """Remove figures that a report before this one had."""
+    if folder.is_symlink() or not folder.is_dir():
+        return
+    files = [path for path in folder.iterdir() if path.is_file() and not path.is_symlink()]
+    ours = {path.name for path in files if _FIGURE.fullmatch(path.name)}
+    remove(folder, ours - set(written))
 
 
 def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | None:
@@ -180,9 +202,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
         return None
     said = f"Peaks at {contact.place}, some laws on the exact one's larger dots"
     with matplotlib.rc_context(MATPLOTLIB):
-        figure = beside_exact(
-            swept(scene.sel(representation=["piecewise", *laws])), "piecewise", laws
-        )
+        figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
         looks = "dashed: walls; pale: not periodic; triangles: outside"
         made = drawn(Figured(figure, f"{said}; {looks}.", said))
     (part,) = for_page([{"anchor": "hero", "figures": [made]}])

@@ -9,18 +9,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.study.schema import written
 from gapsweep.study.selection import is_numeric
 
 _WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
-# UDUNITS text to a factor and what stands on an axis.
-_SHOWN_UNITS = {
-    "m": (1e3, "mm"),
-    "m s-1": (1e3, "mm/s"),
-    "N m-1": (1.0, "N/m"),
-    "N m-3": (1.0, "N/m³"),
-    "s-1": (1.0, "1/s"),
-    "1": (1.0, ""),
-}
+# What is drawn in millimetres, by its UDUNITS text.
+_IN_MILLIMETRES = {"m": "mm", "m s-1": "mm/s"}
 
 
 def factor(variable: xr.DataArray) -> float:
@@ -69,4 +63,5 @@ def is_log(coordinate: xr.DataArray) -> bool:
 def shown_unit(variable: xr.DataArray) -> tuple[float, str]:
     """Factor and unit in which a variable is drawn."""
     units = str(variable.attrs.get("units", "1"))
-    return _SHOWN_UNITS.get(units, (1.0, units))
+    is_length = units in _IN_MILLIMETRES
+    return (1e3, _IN_MILLIMETRES[units]) if is_length else (1.0, written(units))

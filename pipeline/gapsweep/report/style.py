@@ -1,10 +1,11 @@
 """One colour per representation, the same in every figure; safe for colour-blind readers."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.labels import family
+from gapsweep.model.labels import family, law_of
 
 _NOEVENTS = "#999999"  # the exact law, like one that is not
 # What is not periodic is red in every map; pale is what is most common.
@@ -39,7 +40,7 @@ MATPLOTLIB: dict[Any, Any] = {
 
 def colour(label: str) -> str:
     """Colour of a representation, by its family."""
-    label = label.partition("@")[0]
+    label = law_of(label)
     law = family(label) or ContactLaw
     return law.colour if law is not Piecewise or label == Piecewise.family else _NOEVENTS
 
@@ -55,10 +56,14 @@ def sequence(n: int) -> list[str]:
 
 def lines(labels: Sequence[str]) -> dict[str, str]:
     """Line style of every representation: the first of a colour solid, the next dashed, ..."""
-    used: dict[str, int] = {}
-    styles = {}
+    return by_colour(labels, _LINES)
+
+
+def by_colour(labels: Sequence[str], looks: Sequence[str]) -> dict[str, str]:
+    """A look for every label: the first one of a colour has the first, the next the second, ..."""
+    used: Counter[str] = Counter()
+    found = {}
     for label in labels:
-        n = used.setdefault(colour(label), 0)
-        styles[label] = _LINES[n % len(_LINES)]
+        found[label] = looks[used[colour(label)] % len(looks)]
         used[colour(label)] += 1
-    return styles
+    return found

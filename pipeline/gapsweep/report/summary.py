@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.report.selection import places
-from gapsweep.study.schema import STATUS_FLAGS
+from gapsweep.study.schema import STATUS_FLAGS, written
 from gapsweep.study.selection import is_numeric, listed
 
 _FEW = 6  # values that are named one by one
@@ -17,8 +17,9 @@ _PADDING = (_NOT_REQUESTED, "none")  # cells that are no sweep point or no attra
 
 def as_text(dataset: xr.Dataset) -> str:
     """A line per fact."""
-    width = max((len(name) for name, _ in _facts(dataset)), default=0)
-    lines = [f"  {name:<{width}}  {text}" for name, text in _facts(dataset)]
+    facts = list(_facts(dataset))
+    width = max((len(name) for name, _ in facts), default=0)
+    lines = [f"  {name:<{width}}  {text}" for name, text in facts]
     return "\n".join([f"gapsweep: {_title(dataset)}", *lines])
 
 
@@ -69,8 +70,8 @@ def _counts(variable: xr.DataArray) -> str:
 
 def _values(coordinate: xr.DataArray) -> str:
     values = np.atleast_1d(coordinate.values)
-    units = str(coordinate.attrs.get("units", "1"))
-    unit = "" if units == "1" else f" {units.replace('N m-1', 'N/m')}"
+    written_unit = written(str(coordinate.attrs.get("units", "1")))
+    unit = f" {written_unit}" if written_unit else ""
     if values.size > _FEW and is_numeric(values):
         return f"{values.size} values, {values.min():g} to {values.max():g}{unit}"
     return listed(values) + unit

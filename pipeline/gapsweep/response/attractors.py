@@ -14,7 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.response.lists import spans
 from gapsweep.response.result import ResponseClass, Responses
-from gapsweep.response.section import DEVIATIONS, cloud_distances, own_neighbours, reach_of, scaled
+from gapsweep.response.section import (
+    CLOUD_CLOSE,
+    DEVIATIONS,
+    cloud_distances,
+    own_neighbours,
+    reach_of,
+    scaled,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -29,10 +36,9 @@ _SAME_ORBIT = 1e-3
 _SAME_REST = 1e-6
 # Two orbits about which their solver rattles are known to this share only.
 _SAME_RATTLE = 0.1
-# Two chaotic samples are of one attractor if they overlap this well, in shares of their extent.
-_SAME_CLOUD = 0.25
-# Or if no more of their points than this have their nearest neighbour in their own sample. Of 32
-# points of one distribution half have; three quarters or more have in one case of a thousand.
+# Two chaotic samples are of one attractor if they overlap as well as `CLOUD_CLOSE` says, or if no
+# more of their points than this have their nearest neighbour in their own sample. Of 32 points of
+# one distribution half have; three quarters or more have in one case of a thousand.
 _MIXED = 0.75
 # A coordinate that moves by less than this share of the others is as good as still.
 _ROUNDING = 1e-3
@@ -283,7 +289,7 @@ def _same_clouds(points: Array, begin: Numbers, n_points: Numbers) -> Same:
                 p = points[:, begin[a[some], None] + np.arange(n_a)]
                 q = points[:, begin[b[some], None] + np.arange(n_b)]
                 extent = np.max([np.ptp(each, axis=2) for each in (p, q)], axis=(0, 1))
-                overlap = cloud_distances(p, q) <= _SAME_CLOUD * extent
+                overlap = cloud_distances(p, q) <= CLOUD_CLOSE * extent
                 found[some] = overlap | (own_neighbours(p, q) < _MIXED)
         return found
 
@@ -351,7 +357,7 @@ def _are_images(
     x_max, x_min, kind = columns["x_max"], columns["x_min"], columns["response_class"]
     is_chaotic = kind[a] == ResponseClass.CHAOTIC
     reach = np.maximum(np.abs(x_max[a]), np.abs(x_min[a]))
-    close = np.where(is_chaotic, _SAME_CLOUD, 2.0 * _SAME_ORBIT) * reach
+    close = np.where(is_chaotic, CLOUD_CLOSE, 2.0 * _SAME_ORBIT) * reach
     apart = np.maximum(np.abs(x_max[b] + x_min[a]), np.abs(x_min[b] + x_max[a]))
     n = columns["period_multiple"]
     may = (kind[a] == kind[b]) & (apart <= close) & (n[a] == n[b])

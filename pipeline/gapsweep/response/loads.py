@@ -16,9 +16,10 @@ from gapsweep.model.contact import (
     LogArctan,
     Piecewise,
     Tanh,
+    UserLaw,
 )
 from gapsweep.model.equilibria import search_points, sign_changes
-from gapsweep.model.fitted import Polynomial, RationalPolynomial
+from gapsweep.model.fitted import Fitted
 from gapsweep.model.table import ForceTable
 from gapsweep.response.ensemble import Call, Ensemble
 
@@ -54,7 +55,7 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
         return _largest_of_tanh(laws, x_min, x_max)
     if isinstance(law, Piecewise | Arctan | LogArctan):
         return _largest(_together(laws), x_min, x_max, ())
-    if isinstance(law, Polynomial | RationalPolynomial):
+    if isinstance(law, Fitted):
         return _largest(law, x_min, x_max, _fit_turns(law))
     if isinstance(law, ForceTable):
         return _largest(law, x_min, x_max, law.turns)
@@ -138,7 +139,7 @@ def _blend_slope(z: Array) -> Array:
 
 
 @lru_cache(maxsize=256)
-def _fit_turns(law: Polynomial | RationalPolynomial) -> tuple[float, ...]:
+def _fit_turns(law: Fitted) -> tuple[float, ...]:
     """Displacements [m] at which the force of a fit turns, and some at which it does not."""
     top, bottom = law.coefficients
     slope = chebyshev.chebsub(
@@ -155,19 +156,23 @@ def _fit_turns(law: Polynomial | RationalPolynomial) -> tuple[float, ...]:
 @lru_cache(maxsize=256)
 def _searched_turns(law: ContactLaw, reach: float) -> tuple[float, ...]:
     """Displacements [m] within ``±reach`` at which the force of any law turns."""
-    turns, _ = sign_changes(lambda x: _tolerant(law.derivative, x), search_points(law, reach))
+    turns, _ = sign_changes(lambda x: _values(law, law.derivative, x), search_points(law, reach))
     return tuple(turns.tolist())
 
 
 def _force(law: ContactLaw, x: Array) -> Array:
-    return np.asarray(_tolerant(law.force, x))
+    return np.asarray(_values(law, law.force, x))
+
+
+def _values(law: ContactLaw, function: Any, x: Any) -> Any:
+    """Values of a law's force or slope; NaN where a user's code raises."""
+    with np.errstate(all="ignore"):
+        return _tolerant(function, x) if isinstance(law, UserLaw) else function(x)
 
 
 def _tolerant(function: Any, x: Any) -> Any:
-    """Values of a function; NaN where a user's code raises, for there no motion has led."""
     try:
-        with np.errstate(all="ignore"):
-            return function(x)
+        return function(x)
     except Exception:  # the user's function may raise anything where no motion has led
         if not np.ndim(x):
             return np.nan

@@ -95,7 +95,7 @@ class Search:
         # Size of an early look's window.
         self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))
         self._size, self._largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
-        self._before, self._goal = np.zeros(n), np.zeros(n)  # distances from an orbit found
+        self._goal = np.zeros(n)  # distance from an orbit found
         self._found = Found(n)
 
     def responses(self) -> Responses:

@@ -17,6 +17,10 @@ Counts = NDArray[np.int64]
 Numbers = NDArray[np.intp]
 
 DEVIATIONS = 4.0  # of the predicted scatter, within which two points are the same
+# Two samples of one attractor: this share of either has a neighbour in the other, closer than
+# that share of their extent.
+CLOUD_SHARE = 0.8
+CLOUD_CLOSE = 0.25
 # Faded means of two halves differ by less than this share of the scatter: a sample's of some
 # hundred points by some hundredths, a curve's by a millionth.
 _SAME_MEAN = 1e-3
@@ -320,11 +324,11 @@ def _are_near(p: Array, q: Array, tolerance: Any) -> NDArray[np.bool_]:
     return np.asarray(near)
 
 
-def cloud_distances(a: Array, b: Array, share: float = 0.8) -> Array:
+def cloud_distances(a: Array, b: Array) -> Array:
     """Partial Hausdorff distances of pairs of point clouds [m].
 
-    The distance below which `share` of either cloud's points have a neighbour in the other:
-    the full Hausdorff distance of chaotic samples is ruled by one outlier.
+    The distance below which `CLOUD_SHARE` of either cloud's points have a neighbour in the
+    other: the full Hausdorff distance of chaotic samples is ruled by one outlier.
 
     Parameters
     ----------
@@ -335,7 +339,7 @@ def cloud_distances(a: Array, b: Array, share: float = 0.8) -> Array:
     ndarray, shape (m,)
     """
     distances = _apart(a, b)
-    nearest = [np.quantile(distances.min(axis=axis), share, axis=1) for axis in (1, 2)]
+    nearest = [np.quantile(distances.min(axis=axis), CLOUD_SHARE, axis=1) for axis in (1, 2)]
     return np.asarray(np.maximum(*nearest))
 
 

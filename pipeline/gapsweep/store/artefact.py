@@ -10,7 +10,7 @@ import os
 import platform
 import re
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -130,10 +130,31 @@ def _sums(folder: Path) -> list[tuple[str, str]]:
     return [(digest, name) for digest, _, name in (line.partition("  ") for line in lines)]
 
 
+def remove(folder: Path, names: Collection[str]) -> None:
+    """Remove files of a folder, and what is recorded of them.
+
+    Raises
+    ------
+    StoreError
+        If one cannot be removed.
+    """
+    if names:
+        _write_sums(folder, [pair for pair in _sums(folder) if pair[1] not in names])
+    for name in names:
+        try:
+            (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise StoreError(f"{folder / name}: cannot be removed: {error.strerror}") from None
+
+
 def _record(path: Path, known: list[str]) -> None:
     others = [pair for pair in _sums(path.parent) if pair[1] != path.name]
-    lines = sorted([*others, *((digest, path.name) for digest in known)], key=lambda p: p[1])
-    with replacing(path.parent / SUMS) as temporary:
+    _write_sums(path.parent, [*others, *((digest, path.name) for digest in known)])
+
+
+def _write_sums(folder: Path, sums: Iterable[tuple[str, str]]) -> None:
+    lines = sorted(sums, key=lambda pair: pair[1])
+    with replacing(folder / SUMS) as temporary:
         text = "".join(f"{digest}  {name}\n" for digest, name in lines)
         temporary.write_text(text, encoding="utf-8")
 

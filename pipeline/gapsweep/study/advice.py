@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw
+from gapsweep.model.contact import FIT_RANGE, ContactLaw
 from gapsweep.model.labels import FAMILIES, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 
@@ -178,7 +178,7 @@ def stand_in(
     forcing: float,
     *,
     error: float,
-    fit_range: float = 4e-3,
+    fit_range: float = FIT_RANGE,
     K_ratio: float = 1.0,
 ) -> StandIn:
     """Static screening of one smooth law.

@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from gapsweep.errors import ModelError
-from gapsweep.model.labels import canonical_label
+from gapsweep.model.labels import canonical_representation
 
 MAX_POINTS = 10**7
 _LARGEST = 1e100  # of what a model is made of nothing comes near it
@@ -28,7 +28,7 @@ Count = Annotated[int, Field(ge=1, le=MAX_POINTS)]
 Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 Pair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
 
-Value = TypeVar("Value")
+Value = TypeVar("Value", bound=float)
 
 
 class Table(BaseModel):
@@ -51,18 +51,6 @@ class OscillatorTable(Table):
 SWEEPABLE = (*OscillatorTable.model_fields, "K_ratio")
 
 
-def canonical_representation(label: str) -> str:
-    """Canonical label, its protocol suffix kept.
-
-    Raises
-    ------
-    ModelError
-        If it is unknown.
-    """
-    law, at, protocol = label.partition("@")
-    return canonical_label(law) + at + protocol
-
-
 def _canonical(label: str) -> str:
     try:
         return canonical_representation(label)
@@ -79,7 +67,7 @@ class _Grid(Table, Generic[Value]):
 
     @property
     def span(self) -> float:
-        return self.stop - self.start  # type: ignore[operator, no-any-return]  # both are numbers
+        return self.stop - self.start
 
     @model_validator(mode="after")
     def _ordered(self) -> "_Grid[Value]":
@@ -99,7 +87,7 @@ class StepGrid(_Grid[Value], Generic[Value]):
         return int(min(self.span / self.step, _LARGEST) + 1e-9) + 1
 
     def values(self) -> list[float]:
-        start = float(self.start)  # type: ignore[arg-type]  # a number
+        start = float(self.start)
         return [start + i * self.step for i in range(self.count)]
 
 
@@ -111,7 +99,7 @@ class NumGrid(_Grid[Value], Generic[Value]):
         return self.num
 
     def values(self) -> list[float]:
-        start = float(self.start)  # type: ignore[arg-type]  # a number
+        start = float(self.start)
         step = self.span / max(self.num - 1, 1)
         return [start + i * step for i in range(self.num)]
 

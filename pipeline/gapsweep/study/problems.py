@@ -5,6 +5,8 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from gapsweep.study.schema import UNITS
+
 _BOUNDS = {
     "greater_than": ("gt", ">"),
     "greater_than_equal": ("ge", ">="),
@@ -24,19 +26,7 @@ _WORDS = {
     "most, a letter or digit first",
 }
 # Of numbers, in what they are.
-_UNITS = {
-    "K_c": "N/m",
-    "j_1": "m",
-    "j_2": "m",
-    "omega": "Hz",
-    "omega_n": "Hz",
-    "mass": "kg",
-    "alpha": "N/m³",
-    "forcing": "N",
-    "t_end": "s",
-    "t_max": "s",
-    "range": "m",
-}
+_UNITS = {**UNITS, "t_end": "s", "t_max": "s", "range": "m"}
 # What to write where it is missing.
 _EXAMPLES = {
     "study": '[study] with name = "my-study"',

@@ -3,7 +3,7 @@
 Written down once, here; the writer, the analyses and the documentation read this table.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -61,6 +61,25 @@ class Variable:
         return attributes
 
 
+# Of every variable the dimensions, and what it is.
+Described = Mapping[str, tuple[tuple[str, ...], Variable]]
+
+
+def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
+    """Arrays of a table's variables, in which all is missing."""
+    return {
+        name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
+        for name, (dims, variable) in table.items()
+    }
+
+
+def described(table: Described, arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays with their dimensions and attributes, as a dataset takes them."""
+    return {
+        name: (dims, arrays[name], variable.attributes) for name, (dims, variable) in table.items()
+    }
+
+
 STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
 KIND_FLAGS = (("none", -9), *((k.name.lower(), int(k)) for k in ExtremumKind))
 # Of an oscillator that loses energy and is forced; others there are of systems alone.
@@ -94,6 +113,22 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "start": ("initial_condition", Variable("str", "1", "fixed, sweep_up or sweep_down")),
 }
 
+
+# Units as engineers write them, by their UDUNITS text.
+_WRITTEN = {"1": "", "N m-1": "N/m", "N m-3": "N/m³", "m s-1": "m/s", "s-1": "1/s"}
+
+
+def written(units: str) -> str:
+    """A unit as engineers write it."""
+    return _WRITTEN.get(units, units)
+
+
+# Of the numbers that a study of an oscillator may sweep.
+UNITS = {
+    name: written(variable.units)
+    for name, (dim, variable) in COORDINATES.items()
+    if variable.dtype == "f8" and variable.units != "1" and dim != START
+}
 
 PARAMETER = "parameter"  # of a system: what its coordinate's long name begins with
 # Of systems in place of x_0 and v_0.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.model.labels import canonical_label
+from gapsweep.model.labels import canonical_representation
 from gapsweep.study.points import canonical
 
 _MANY, _ENDS = 8, 3  # values in a message, and of more those at either end
@@ -98,8 +98,7 @@ def _key(name: str, axis: NDArray[Any], value: Any) -> Any:
             return canonical(value)
         text = str(value)
         if name == "representation":
-            law, at, protocol = text.partition("@")
-            return canonical_label(law) + at + protocol
+            return canonical_representation(text)
         if name == "gap":
             return tuple(canonical(float(distance)) for distance in text.split("/"))
     except (TypeError, ValueError, OverflowError):

@@ -23,7 +23,9 @@ from pydantic import (
 
 from gapsweep.errors import StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
+from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.labels import AUTO
+from gapsweep.response.result import Steady
 from gapsweep.study.advice import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ERROR
 from gapsweep.study.axes import (
     MAX_POINTS,
@@ -144,14 +146,17 @@ class SolverTable(Table):
     start_jitter: float = 0.0
 
 
+_STEADY = Steady()
+
+
 class SteadyTable(Table):
-    settle_tol: Annotated[float, Field(gt=0, le=0.1)] = 1e-6
-    max_decay_times: Positive = 113.0
-    max_periods: Annotated[int, Field(ge=1, le=10**7)] = 10_000
-    t_max: Positive | None = None
-    n_periods: Annotated[int, Field(ge=2, le=10**6)] = 64
-    max_period_multiple: Annotated[int, Field(ge=1, le=256)] = 32
-    max_extrema: Annotated[int, Field(ge=1, le=65536)] = 256
+    settle_tol: Annotated[float, Field(gt=0, le=0.1)] = _STEADY.settle_tol
+    max_decay_times: Positive = _STEADY.max_decay_times
+    max_periods: Annotated[int, Field(ge=1, le=10**7)] = _STEADY.max_periods
+    t_max: Positive | None = _STEADY.t_max
+    n_periods: Annotated[int, Field(ge=2, le=10**6)] = _STEADY.n_periods
+    max_period_multiple: Annotated[int, Field(ge=1, le=256)] = _STEADY.max_period_multiple
+    max_extrema: Annotated[int, Field(ge=1, le=65536)] = _STEADY.max_extrema
 
     @model_validator(mode="after")
     def _long_enough(self) -> "SteadyTable":
@@ -164,7 +169,7 @@ class SteadyTable(Table):
 
 
 class FitTable(Table):
-    range: Positive = 4e-3
+    range: Positive = FIT_RANGE
 
 
 class HistoryTable(Table):
@@ -208,16 +213,6 @@ class ModuleTable(Table):
 
 class ClaimsTable(ModuleTable):
     """Presence asks for verdicts."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _not_of_old(cls, given: Any) -> Any:
-        if isinstance(given, dict) and "file" in given:
-            raise ValueError(
-                f"file = {given['file']!r}: claims are functions now: write them in Python and put "
-                'module = "claims.py" here instead, see docs/claims.md'
-            )
-        return given
 
 
 class ReportTable(ModuleTable):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.labels import AUTO
+from gapsweep.model.labels import AUTO, EXACT, law_of
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import Structure
 from gapsweep.response.result import Steady
@@ -204,7 +204,7 @@ class Study:
         tables: list[Sweep | HistoryTable] = [*self.spec.sweep, *self.spec.history]
         labels = [label for table in tables for label in table.representation]
         labels += [method.label for method in self.spec.bench.method] if self.spec.bench else []
-        return tuple(dict.fromkeys(x.partition("@")[0] for x in labels if ":" in x))
+        return tuple(dict.fromkeys(law_of(x) for x in labels if ":" in x))
 
     @property
     def names_code(self) -> bool:
@@ -370,7 +370,7 @@ class Study:
         return np.stack([np.broadcast_to(columns[name], n) for name in UNEQUAL], axis=1)
 
     def _kind(self, label: str, start: str, numbers: tuple[str, ...]) -> Kind:
-        representation = label.partition("@")[0]
+        representation = law_of(label)
         return Kind(
             representation=representation,
             solver=self.solver(label),
@@ -402,7 +402,7 @@ class Study:
         for one in np.unique(rtol).tolist():
             rows = np.flatnonzero(rtol == one)
             solver = table.kind.solver.with_rtol(one)
-            kind = replace(table.kind, representation="piecewise", solver=solver)
+            kind = replace(table.kind, representation=EXACT, solver=solver)
             found.append((rows, Points(kind, numbers[rows])))
         return found
 

@@ -1,6 +1,5 @@
 """The tables of a study file that describe a system: matrices, or a function of named numbers."""
 
-import re
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 
@@ -8,6 +7,7 @@ from pydantic import Field, model_validator
 
 from gapsweep.errors import ModelError, StudyError, described
 from gapsweep.model import own_law, systems
+from gapsweep.model.labels import FUNCTION
 from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
 from gapsweep.study.axes import Label, NonNegative, Pair, Table
 
@@ -16,7 +16,6 @@ Matrix = Annotated[list[Vector], Field(min_length=1)]
 
 # The functions of `gapsweep.systems`: each has one beside it that returns its law.
 READY_MADE = tuple(name for name in systems.__all__ if f"{name}_law" in systems.__all__)
-_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 class CubicTable(Table):
@@ -66,7 +65,7 @@ class SystemTable(Table):
         if self.function is None and (self.mass is None or self.stiffness is None):
             raise ValueError("give mass and stiffness, or function")
         if self.function is not None and not (
-            self.function in READY_MADE or _FUNCTION.fullmatch(self.function)
+            self.function in READY_MADE or FUNCTION.fullmatch(self.function)
         ):
             raise ValueError(
                 f"function = {self.function!r}: must be module:function, or one of "

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import StudyError
+from gapsweep.model.labels import AUTO, law_of
 from gapsweep.model.structure import Structure
 from gapsweep.model.system import System
 from gapsweep.study.axes import count, forms
@@ -156,7 +157,7 @@ class Systems:
                 found.append(f"{name}: no contact takes it: give one value")
         unknown = [name for name in block.parameter if name not in self.spec.parameters]
         found += [f"{name}: is none of [parameters]" for name in unknown]
-        if any(label.partition("@")[0] == "auto" for label in block.representation):
+        if any(law_of(label) == AUTO for label in block.representation):
             found.append("representation: 'auto' chooses for oscillators; name the representation")
         return found
 

@@ -1,5 +1,4 @@
-"""One attempted Runge-Kutta step of all lanes: stages, error, step control, and what needs
-attention.
+"""One attempted Runge-Kutta step of all lanes: stages, error, step control, what needs attention.
 
 Everything here is branch-free over lanes. The outcome is one word of lane bits per question
 (`Outcome`); only lanes with a bit set are looked at one by one afterwards.
@@ -41,9 +40,7 @@ class Outcome(NamedTuple):
 
 @inlined
 def _error(at, tableau, lane, k, settings, h):
-    """Error estimate over tolerance; accepted up to 1. Maximum norm for ode45, root mean square
-    else.
-    """
+    """Error estimate over tolerance; up to 1: accepted. Largest for ode45, else mean square."""
     rtol, atol = settings[ln.S_RTOL], settings[ln.S_ATOL]
     e5, e3, worst, lost = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
     for i in range(at.n_rates):
@@ -82,8 +79,7 @@ def _next_step(settings, error, h, after_failure, accepted):
     if settings[ln.S_ODE45] > 0.0:
         grown = select(after_failure, h, h * minimum(0.8 * scaled, 5.0))
         shrunk = select(after_failure, 0.5 * h, h * maximum(0.8 * scaled, 0.1))
-        # A NaN error: ode45 would end in NaN; here the step is halved until it underflows with a
-        # status.
+        # A NaN error: ode45 would end in NaN; here the step is halved until it underflows.
         return select(accepted, grown, select(error > 1.0, shrunk, 0.5 * h))
     factor = minimum(
         maximum(SAFETY * scaled, SHRINK_LIMIT), select(after_failure, simd.splat(1.0), GROW_LIMIT)
@@ -112,9 +108,7 @@ def _keep_start(at, lane, h):
 
 @inlined
 def _commit(at, lane, commit, ended, h):
-    """Move committed lanes to the end of the step; the mask of those that passed a whole turn is
-    returned.
-    """
+    """Move committed lanes to the end of the step; returns which of them passed a whole turn."""
     for i in range(at.n_states + at.n_rates):
         store(lane, at.q + i, select(commit, load(lane, at.q_1 + i), load(lane, at.q + i)))
     for i in range(at.n):
@@ -335,9 +329,8 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     if laws.is_located(kinds):
         stopped = stopped | (commit & (exact == 2.0))
 
-    since_start = (
-        (load(lane, at.turns) - 0.0) + (load(lane, at.tau) - load(lane, at.phase_0))
-    ) * load(lane, at.period)
+    turns = load(lane, at.turns) + (load(lane, at.tau) - load(lane, at.phase_0))
+    since_start = turns * load(lane, at.period)
     h_min = maximum(3.6e-15 * since_start, load(lane, at.h_min))
     underflow = ~accepted & ~probing & (h <= h_min)
     exhausted = load(lane, at.n_attempts) >= settings[ln.S_MAX_ATTEMPTS]

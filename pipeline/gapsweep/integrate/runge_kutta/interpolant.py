@@ -1,11 +1,9 @@
 """Roots of a step's interpolant, on [0, 1], by Bernstein coefficients: none can be missed.
 
 A polynomial has at most as many roots in (0, 1) as its Bernstein coefficients have sign changes,
-and
-exactly as many modulo two. So no change proves "no root", one change proves "one root"; anything
-else
-is halved (de Casteljau) until one of the two holds. This is the proof that end-point signs cannot
-give.
+and exactly as many modulo two. So no change proves "no root", one change proves "one root";
+anything else is halved (de Casteljau) until one of the two holds. This is the proof that end-point
+signs cannot give.
 """
 
 import numpy as np
@@ -68,9 +66,7 @@ def _monomials(b):
 
 @internal
 def _single_root(b):
-    """The one root of a polynomial with one sign change: Newton's method, kept inside a shrinking
-    bracket.
-    """
+    """The one root of a polynomial with one sign change: Newton's method in a shrinking bracket."""
     p0, p1, p2, p3, p4, p5 = _monomials(b)
     low, high = 0.0, 1.0
     rises = b[b.size - 1] > 0.0
@@ -107,11 +103,9 @@ def roots(b, found, stack):
     """Roots in (0, 1], ascending, into `found`; their number is returned.
 
     A root at 0 is left out: it was the root at 1 of the step before. Where halving does not
-    separate
-    two roots by `MAX_DEPTH` (a touching root, or one blurred by rounding) the interval counts as
-    one
-    root, an inflection. `stack` is work space of shape (MAX_DEPTH + 2, 8): coefficients, start,
-    depth.
+    separate two roots by `MAX_DEPTH` (a touching root, or one blurred by rounding) the interval
+    counts as one root, an inflection. `stack` is work space of shape (MAX_DEPTH + 2, 8):
+    coefficients, start, depth.
     """
     n, count, top = b.size, 0, 1
     for j in range(n):
@@ -144,8 +138,6 @@ def roots(b, found, stack):
 
 @internal
 def derivative_coefficients(b, d):
-    """Bernstein coefficients of the derivative with respect to theta, up to the factor of the
-    degree.
-    """
+    """Bernstein coefficients of the derivative by theta, over the degree."""
     for j in range(d.size):
         d[j] = b[j + 1] - b[j]

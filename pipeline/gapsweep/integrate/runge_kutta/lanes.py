@@ -1,5 +1,4 @@
-"""Where everything about the point in a lane is kept: names of rows, and loading a point into a
-lane.
+"""Where everything about the point in a lane is kept: names of rows, and loading a point there.
 
 All state lives in two arrays, so the stepping loop can be left at any attempt (a full buffer) and
 entered again, and its memory does not depend on the number of points or the length of a run.
@@ -13,6 +12,7 @@ import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.taylor.layout import Layout
+from gapsweep.status import Status
 
 from . import parameters
 
@@ -124,8 +124,7 @@ class Rows(Layout):
 PLAIN = Rows.of(Layout())
 
 # --- rows of the integer block `lane_int`, shape (N_INT_ROWS, WIDTH) ---
-# LANDING: 1 while a step is being cut; LANDED: 1 when it has arrived and the contact mode must
-# flip.
+# LANDING: 1 while a step is being cut; LANDED: 1 when it has arrived and the contact mode flips.
 # KIND, WHICH: of the event that is being probed.
 MODE, POINT, N_PROBES, PROBE, TRIES, LANDING, LANDED, KIND, WHICH = range(9)
 N_INT_ROWS = 9
@@ -164,16 +163,13 @@ EXTREMUM, SECTION, STEP, CONTACT, CONTACT_LOW = range(5)
 # --- counters shared by all lanes ---
 NEXT_POINT, N_EVENTS = range(2)
 
-# Codes of DESIGN.md section 5 that this engine can give.
-OK, OUT_OF_FIT_RANGE, DIVERGED, MODEL_INVALID, STEP_UNDERFLOW, CHATTER, TIMED_OUT = (
-    0,
-    3,
-    4,
-    5,
-    6,
-    7,
-    8,
-)
+# What this engine can answer, as plain numbers for compiled code.
+OK = int(Status.OK)
+OUT_OF_FIT_RANGE = int(Status.OUT_OF_FIT_RANGE)
+DIVERGED = int(Status.DIVERGED)
+MODEL_INVALID = int(Status.MODEL_INVALID)
+STEP_UNDERFLOW = int(Status.STEP_UNDERFLOW)
+TIMED_OUT = int(Status.TIMED_OUT)
 
 
 def aligned(*shape):

@@ -3,8 +3,7 @@
 Each law is a named tuple *type*, and `acceleration` is an overload that looks at the type alone. So
 the stepping loop is one numba function with one specialisation per law: the law is inlined, and
 numba's disk cache finds the specialisation in another process (a law passed as a function would be
-a
-new type, hence a cache miss, in every process).
+a new type, hence a cache miss, in every process).
 
 What differs from point to point sits in the rows of a parameter block `q`, for every contact of
 shape (N_PARAMETERS, WIDTH); what a batch shares (fit coefficients) sits in the named tuple.
@@ -76,9 +75,7 @@ class Polynomial(NamedTuple):
 
 
 class RationalPolynomial(NamedTuple):
-    """Quotient of two Chebyshev series in x / range [N]; the denominator is positive inside the
-    range.
-    """
+    """Quotient of Chebyshev series in x / range [N]; the denominator is positive in the range."""
 
     numerator: NDArray[np.float64]
     denominator: NDArray[np.float64]

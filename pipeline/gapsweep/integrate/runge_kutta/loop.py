@@ -1,7 +1,10 @@
 """The stepping loop of the Runge-Kutta methods: lanes that each take the next point when done."""
 
+from typing import Any
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import entry
@@ -12,6 +15,9 @@ from .attempt import attempt
 from .lanes import load_first_points, load_point, unload_point
 from .probing import new_scratch
 from .recording import attend
+from .tableaux import Tableau
+
+Array = NDArray[np.float64]
 
 # Attempts per call: keyboard interrupts are seen between calls.
 _ATTEMPTS_PER_CALL = 2_000_000
@@ -101,7 +107,14 @@ _advance_cached = entry(_advance)
 _advance_user = njit(nogil=True)(_advance)
 
 
-def drained(at, kinds, tableau, table, queue, settings):
+def drained(
+    at: ln.Rows,
+    kinds: tuple[Any, ...],
+    tableau: Tableau,
+    table: Array,
+    queue: NDArray[np.intp],
+    settings: Array,
+) -> tuple[Array, Array]:
     """Result table and records of a point table; the queue says in which order they are loaded."""
     width, n_stages = simd.WIDTH, tableau.c.size
     lane, q = ln.aligned(at.n_rows, width), ln.aligned(at.contacts, parameters.N_PARAMETERS, width)

@@ -15,11 +15,9 @@ SATURATION = 9  # tanh: distance from a wall beyond which the law is exactly pie
 RATIO = 10  # stiffness of the lower wall over that of the upper
 N_PARAMETERS = 11
 
-# |epsilon (x - j)| from which tanh is exactly +-1 in double precision, so the force exactly
-# piecewise.
+# |epsilon (x - j)| from which tanh is +-1 in double precision, so the force exactly piecewise.
 TANH_SATURATION = 19.0625
 # arctan only decays like 1/z and never saturates: nothing may be skipped. Within 4 units of the
 # wall it turns by 84 %; outside that the remaining curvature is on the scale of the distance
-# itself,
-# which the error estimate sees.
+# itself, which the error estimate sees.
 ARCTAN_LAYER = 4.0

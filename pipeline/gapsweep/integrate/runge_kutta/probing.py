@@ -25,9 +25,7 @@ from .interpolant import (
 
 
 class Scratch(NamedTuple):
-    """Work space for one lane: Bernstein coefficients of x and dx, roots, and the stack of the root
-    finder.
-    """
+    """Work space for one lane: Bernstein coefficients of x and dx, roots, the finder's stack."""
 
     b: NDArray[np.float64]
     found: NDArray[np.float64]
@@ -39,8 +37,7 @@ def new_scratch():
     return Scratch(np.zeros(11), np.zeros(ln.MAX_TURNS), np.zeros(STACK_SHAPE))
 
 
-# A probe this close to the extremum (in units of the step) leaves the parabola through it exact to
-# rounding.
+# A probe this close to the extremum (in steps) leaves the parabola through it exact to rounding.
 CLOSE_ENOUGH = 1e-5
 CLOSE_TO_RETURN = 1e-8
 MAX_TRIES = 8
@@ -48,9 +45,7 @@ MAX_TRIES = 8
 
 @internal
 def coefficients(at, lane, b, which, i):
-    """Interpolant of a coordinate or a gap over the last attempt: x into b[:6], its derivative into
-    b[6:].
-    """
+    """Interpolant of a coordinate or a gap over the last attempt in b[:6], its slope in b[6:]."""
     r = ln.ends(at, which)
     position_coefficients(
         lane[at.old_h, i], lane[r[0], i], lane[r[1], i], lane[r[2], i],
@@ -149,9 +144,7 @@ def _is_outside(x, q, kind, contact, i):
 
 @internal
 def _passing(b, q, kind, contact, left, right, i):
-    """Theta between `left` and `right`, which lie on different sides of a wall, where it is
-    passed.
-    """
+    """Theta at which a wall is passed between `left` and `right`, on different sides of it."""
     was_outside = _is_outside(evaluate(b[:6], left), q, kind, contact, i)
     for _ in range(20):
         middle = 0.5 * (left + right)
@@ -259,9 +252,7 @@ def _send_probe(at, lane, lane_int, probes, i):
 
 @internal
 def begin_probing(at, lane, lane_int, probes, i):
-    """Set the lane back to the start of the step and send the first probe; false if there is
-    none.
-    """
+    """Set the lane back to the step's start and send the first probe; false if there is none."""
     for j in range(at.n_start):
         lane[at.kept + j, i] = lane[at.q + j, i]
     lane[at.step_h, i] = lane[at.old_h, i]

@@ -24,9 +24,7 @@ from .probing import (
 
 @internal
 def first_step(at, lane, settings, exponent, i):
-    """Length of a first step from rest: ode45's rule (also the native one), from the size of y'
-    alone.
-    """
+    """Length of a first step from rest by the size of y' alone: ode45's rule, also the native."""
     threshold, rate = settings[ln.S_ATOL] / settings[ln.S_RTOL], 0.0
     for j in range(at.n_states):
         # Derivatives of the state: speeds, accelerations, rates of first-order states.

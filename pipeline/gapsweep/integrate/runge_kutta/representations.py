@@ -1,42 +1,53 @@
-"""Contact laws with their numbers, as the compiled loop wants them. All parameters may be arrays
-over points.
-"""
+"""Contact laws with their numbers, or arrays over points, as the compiled loop wants them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.model.contact import SLOPE_LENGTH, SLOPE_STEP
 
 from . import laws, parameters
 from .laws import Law
 
+Array = NDArray[np.float64]
+
 _WALLS = parameters.STIFFNESS, parameters.WALL_LOW, parameters.WALL_HIGH, parameters.RATIO
 
 
-def _rows(K_c, j_1, j_2, K_ratio=1.0, **extra):
+def _rows(
+    K_c: ArrayLike,
+    j_1: ArrayLike,
+    j_2: ArrayLike,
+    K_ratio: ArrayLike = 1.0,
+    **extra: ArrayLike,
+) -> tuple[Array, Sequence[Array]]:
+    """Parameter rows, and the numbers in `extra` as their walls are: one, or one a point."""
     given = K_c, -np.asarray(j_1), j_2, K_ratio, *extra.values()
     values = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in given))
     q = np.zeros((*values[0].shape, parameters.N_PARAMETERS))
     for row, value in zip(_WALLS, values, strict=False):
         q[..., row] = value
-    return q.reshape(-1, parameters.N_PARAMETERS) if q.ndim > 1 else q, values[len(_WALLS) :]
+    others = values[len(_WALLS) :]
+    if q.ndim == 1:
+        return q, others
+    return q.reshape(-1, parameters.N_PARAMETERS), [each.ravel() for each in others]
 
 
 def tanh(
     K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike, K_ratio: ArrayLike = 1.0
 ) -> Law:
     """Freeplay smoothed with tanh; K_c [N/m], j_1, j_2 [m], epsilon [1/m], K_ratio [-]."""
-    q, (epsilon,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
-    epsilon = epsilon.ravel() if q.ndim > 1 else epsilon
+    q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
     half_gap = 0.5 * (q[..., parameters.WALL_HIGH] - q[..., parameters.WALL_LOW])
-    q[..., parameters.SHARPNESS], q[..., parameters.HALF_GAP] = epsilon, half_gap
+    q[..., parameters.SHARPNESS], q[..., parameters.HALF_GAP] = sharpness, half_gap
     q[..., parameters.CENTRE] = 0.5 * (q[..., parameters.WALL_HIGH] + q[..., parameters.WALL_LOW])
-    q[..., parameters.DECAY] = np.exp(-4.0 * epsilon * half_gap)
-    q[..., parameters.LAYER] = q[..., parameters.SATURATION] = parameters.TANH_SATURATION / epsilon
+    q[..., parameters.DECAY] = np.exp(-4.0 * sharpness * half_gap)
+    layer = parameters.TANH_SATURATION / sharpness
+    q[..., parameters.LAYER] = q[..., parameters.SATURATION] = layer
     return Law(laws.Tanh(), q)
 
 
@@ -44,8 +55,8 @@ def arctan(
     K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike, K_ratio: ArrayLike = 1.0
 ) -> Law:
     """Freeplay smoothed with (2/pi) arctan; epsilon [1/m]."""
-    q, (epsilon,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
-    q[..., parameters.SHARPNESS] = epsilon.ravel() if q.ndim > 1 else epsilon
+    q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
+    q[..., parameters.SHARPNESS] = sharpness
     q[..., parameters.LAYER] = parameters.ARCTAN_LAYER / q[..., parameters.SHARPNESS]
     return Law(laws.Arctan(), q)
 
@@ -54,18 +65,17 @@ def log_arctan(
     K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, gamma: ArrayLike, K_ratio: ArrayLike = 1.0
 ) -> Law:
     """Integral of the arctan-smoothed stiffness, anchored at F_c(0) = 0; gamma [1/m]."""
-    q, (gamma,) = _rows(K_c, j_1, j_2, K_ratio, gamma=gamma)
-    gamma = gamma.ravel() if q.ndim > 1 else gamma
+    q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, gamma=gamma)
     below, above = -q[..., parameters.WALL_LOW], -q[..., parameters.WALL_HIGH]  # x - wall at x = 0
-    ratio, square = q[..., parameters.RATIO], 1.0 + (gamma * below) ** 2
-    logarithm = np.log(square / (1.0 + (gamma * above) ** 2)) + (ratio - 1.0) * np.log(square)
+    ratio, square = q[..., parameters.RATIO], 1.0 + (sharpness * below) ** 2
+    logarithm = np.log(square / (1.0 + (sharpness * above) ** 2)) + (ratio - 1.0) * np.log(square)
     at_zero = (
-        above * np.arctan(gamma * above)
-        - ratio * below * np.arctan(gamma * below)
-        + logarithm / (2.0 * gamma)
+        above * np.arctan(sharpness * above)
+        - ratio * below * np.arctan(sharpness * below)
+        + logarithm / (2.0 * sharpness)
     )
-    q[..., parameters.SHARPNESS], q[..., parameters.OFFSET] = gamma, -at_zero
-    q[..., parameters.LAYER] = parameters.ARCTAN_LAYER / gamma
+    q[..., parameters.SHARPNESS], q[..., parameters.OFFSET] = sharpness, -at_zero
+    q[..., parameters.LAYER] = parameters.ARCTAN_LAYER / sharpness
     return Law(laws.LogArctan(), q)
 
 
@@ -77,9 +87,7 @@ def piecewise(
     *,
     restart: bool = False,
 ) -> Law:
-    """Exact freeplay without event location, or (`restart`) located with a fresh start at every
-    contact.
-    """
+    """Exact freeplay, contacts not located, or (`restart`) with a fresh start at each."""
     q, _ = _rows(K_c, j_1, j_2, K_ratio)
     return Law(laws.Located() if restart else laws.Piecewise(), q)
 
@@ -127,12 +135,12 @@ def user(
 
 
 @njit
-def _central(force, x, h):
+def _central(force: Any, x: float, h: float) -> Any:
     return (force(x + h) - force(x - h)) / (2.0 * h)
 
 
 @lru_cache(maxsize=64)
-def _user_kind(function, slope):
+def _user_kind(function: Any, slope: Any) -> laws.User:
     # The dispatchers are part of the kernel's type: new ones would compile the kernel anew.
     force = function if hasattr(function, "py_func") else njit(function)
     if slope is None:

@@ -1,9 +1,8 @@
-"""The compiled engine for smooth laws, users' laws, and the exact law without (or with restarted)
-location.
+"""The compiled engine for all laws but the exact one with contacts located inside the step.
 
 `scenes` prepares one table row per oscillator, `system_scenes` per system; `run` puts starts into
 copies of the rows and runs them in SIMD lanes: each lane has its own clock, step and end, and takes
-the next point of the batch when it is done. `integrate` does both for oscillators.
+the next point of the batch when it is done.
 """
 
 from collections.abc import Sequence
@@ -21,8 +20,12 @@ from . import laws, parameters, tableaux
 from .laws import Law
 from .loop import drained
 
+Array = NDArray[np.float64]
+
 # At this tolerance and tighter the order-8 method is the cheaper one on the benchmark's scenes.
 _HIGH_ORDER_FROM = 1e-2
+_FARTHEST = 1e3  # [m]: beyond it a point has diverged
+_MOST_ATTEMPTS = 1e9  # after which a point is timed out
 _CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
 
 
@@ -46,75 +49,45 @@ class Run:
     tangent : ndarray, shape (n_points, n_states, n_states)
         Monodromy matrix of the run (identity unless asked for).
     records : ndarray, shape (n_records, n_event_columns)
-        See `extrema`, `section`, `steps`.
+        Columns and kinds as in `lanes`.
     """
 
     at: ln.Rows
-    state: NDArray[np.float64]
-    t: NDArray[np.float64]
+    state: Array
+    t: Array
     status: NDArray[np.int64]
     n_contacts: NDArray[np.int64]
     n_steps: NDArray[np.int64]
     n_rejected: NDArray[np.int64]
     nfev: NDArray[np.int64]
-    reach: NDArray[np.float64]
-    tangent: NDArray[np.float64]
-    records: NDArray[np.float64]
+    reach: Array
+    tangent: Array
+    records: Array
     _replay: dict[str, Any] = field(repr=False)
 
-    def _of_kind(self, kind: int, point: int) -> NDArray[np.float64]:
-        first, last = np.searchsorted(self.records[:, ln.E_POINT], [point, point + 1])
-        rows = self.records[first:last]
-        return rows[rows[:, ln.E_KIND] == kind]
-
-    @property
-    def x(self) -> NDArray[np.float64]:
-        """First coordinate reached [m]."""
-        return self.state[:, 0]
-
-    @property
-    def v(self) -> NDArray[np.float64]:
-        """Its velocity [m/s]."""
-        return self.state[:, self.at.n]
-
-    def extrema(self, point: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times [s] and displacements [m] of zero velocity."""
-        rows = self._of_kind(ln.EXTREMUM, point)
-        return rows[:, ln.E_T], rows[:, ln.E_STATE]
-
-    def section(self, point: int = 0) -> NDArray[np.float64]:
-        """Times and states at whole forcing periods, shape (n, 1 + n_states)."""
-        return self._of_kind(ln.SECTION, point)[:, [ln.E_T, *self._state_columns]]
-
-    def contacts(self, point: int = 0) -> NDArray[np.float64]:
-        """Times and states of wall passings, shape (n, 1 + n_states)."""
-        return self._of_kind(ln.CONTACT, point)[:, [ln.E_T, *self._state_columns]]
-
-    @property
-    def _state_columns(self) -> range:
-        return range(ln.E_STATE, ln.E_STATE + self.at.n_states)
-
-    def sample(self, t: ArrayLike, point: int = 0) -> NDArray[np.float64]:
+    def sample(self, t: ArrayLike, point: int = 0) -> Array:
         """States at times t [s], shape (n_states, n_t); needs ``dense_output=True``.
 
         Each value is one step of the same method from the start of the accepted step that holds
         t: as accurate as the run itself, where an interpolant would lose orders.
         """
-        steps = self._of_kind(ln.STEP, point)
+        first, last = np.searchsorted(self.records[:, ln.E_POINT], [point, point + 1])
+        rows = self.records[first:last]
+        steps = rows[rows[:, ln.E_KIND] == ln.STEP]
         t = np.atleast_1d(np.asarray(t, dtype=float))
         if steps.size == 0:
             raise ValueError(
                 "nothing to sample: run with dense_output=True and a record_from before t"
             )
-        first, last = steps[0, ln.E_T], steps[-1, ln.E_T] + steps[-1, ln.E_H]
-        slack = 1e-12 * max(1.0, abs(last))
-        if t.min() < first - slack or t.max() > last + slack:
-            raise ValueError(f"t must lie in the recorded span [{first}, {last}] s")
+        start, end = steps[0, ln.E_T], steps[-1, ln.E_T] + steps[-1, ln.E_H]
+        slack = 1e-12 * max(1.0, abs(end))
+        if t.min() < start - slack or t.max() > end + slack:
+            raise ValueError(f"t must lie in the recorded span [{start}, {end}] s")
         at = np.clip(np.searchsorted(steps[:, ln.E_T], t, side="right") - 1, 0, len(steps) - 1)
         return _replay_steps(self.at, self._replay, point, steps[at], t)
 
 
-def _replay_steps(at, replay, point, steps, t):
+def _replay_steps(at: ln.Rows, replay: dict[str, Any], point: int, steps: Array, t: Array) -> Array:
     """One step of length t - t_step from each stored step start."""
     n = len(t)
     table = np.repeat(replay["table"][point : point + 1], n, axis=0)
@@ -132,13 +105,11 @@ def _replay_steps(at, replay, point, steps, t):
     settings[off] = 0.0
     settings[ln.S_FIRST_STEP] = 1e100
     results, _ = drained(at, replay["kinds"], replay["tableau"], table, np.arange(n), settings)
-    return results[:, ln.R_STATE : ln.R_STATE + at.n_states].T
+    return np.asarray(results[:, ln.R_STATE : ln.R_STATE + at.n_states].T)
 
 
-def _split_turns(start_phase, span, frequency):
-    """Whole turns and phase at the end, snapped to a whole turn where rounding alone separates
-    them.
-    """
+def _split_turns(start_phase: Array, span: Array, frequency: Array) -> tuple[Array, Array]:
+    """Whole turns and phase at the end, snapped to a whole turn that only rounding misses."""
     end = start_phase + span * frequency
     whole = np.rint(end)
     # No whole turn is meant as no time at all.
@@ -153,8 +124,7 @@ def _phase(t_0: float, frequency: float) -> float:
         return 0.0
     turns = Fraction(t_0) * Fraction(frequency)
     fraction = float(turns - round(turns))
-    # Half a unit in the last place of t_0 and of the frequency is all that the caller can have
-    # meant.
+    # Half a unit in the last place of t_0 and of the frequency is all that can have been meant.
     if abs(fraction) <= 2.3e-16 * abs(float(turns)):
         return 0.0
     return fraction % 1.0
@@ -177,71 +147,19 @@ class Scenes:
 
     at: ln.Rows
     kinds: tuple[Any, ...]
-    table: NDArray[np.float64]
+    table: Array
     method: tableaux.Tableau
-    settings: NDArray[np.float64]
-
-
-def integrate(
-    law: Law,
-    *,
-    omega: ArrayLike,
-    t_end: ArrayLike,
-    t_0: ArrayLike = 0.0,
-    x_0: ArrayLike = 0.0,
-    v_0: ArrayLike = 0.0,
-    record_from: ArrayLike = np.inf,
-    zeta: ArrayLike = 0.03,
-    omega_n: ArrayLike = 5.0,
-    mass: ArrayLike = 3.0,
-    alpha: ArrayLike = 7e8,
-    forcing: ArrayLike = 4.0,
-    tangent: bool = False,
-    dense_output: bool = False,
-    contacts: bool = False,
-    **options: Any,
-) -> Run:
-    """Integrate many points of one law.
-
-    All array arguments broadcast together.
-
-    Parameters
-    ----------
-    law, omega, zeta, omega_n, mass, alpha, forcing, **options
-        As in `scenes`.
-    x_0, v_0, t_0, t_end, record_from, tangent, dense_output, contacts
-        As in `run`.
-
-    Returns
-    -------
-    Run
-        Flat over points, in the order of the broadcast arrays.
-    """
-    given = zeta, omega_n, mass, alpha, forcing, omega, x_0, v_0, t_0, t_end, record_from
-    broadcast = np.broadcast_arrays(*given, law.q[..., 0])[:-1]
-    arrays = [np.ravel(a).astype(float) for a in broadcast]
-    of_law = scenes(law, *arrays[:6], **options)
-    which = np.arange(arrays[0].size)
-    start = np.stack(arrays[6:8], axis=1)
-    return run(
-        of_law,
-        which,
-        start,
-        *arrays[8:],
-        tangent=tangent,
-        dense_output=dense_output,
-        contacts=contacts,
-    )
+    settings: Array
 
 
 def scenes(
     law: Law,
-    zeta: NDArray[np.float64],
-    omega_n: NDArray[np.float64],
-    mass: NDArray[np.float64],
-    alpha: NDArray[np.float64],
-    forcing: NDArray[np.float64],
-    omega: NDArray[np.float64],
+    zeta: Array,
+    omega_n: Array,
+    mass: Array,
+    alpha: Array,
+    forcing: Array,
+    omega: Array,
     **options: Any,
 ) -> Scenes:
     """Prepare oscillators; `run` then starts them as often as wanted.
@@ -300,16 +218,12 @@ def system_scenes(kernel_laws: Sequence[Law], exact: ExactScenes, **options: Any
 def prepared(
     at: ln.Rows,
     kernel_laws: Sequence[Law],
-    mass: NDArray[np.float64],
-    table: NDArray[np.float64],
+    mass: Array,
+    table: Array,
     *,
     rtol: float = 1e-9,
     atol: float = 1e-12,
     controller: str = "native",
-    method: tableaux.Tableau | None = None,
-    x_bound: float = 1e3,
-    max_attempts: float = 1e9,
-    stop_at_layer: bool = True,
 ) -> Scenes:
     """Scenes whose equations stand in a table; `scenes` and `system_scenes` make it.
 
@@ -319,37 +233,26 @@ def prepared(
         Tolerances; error per step below ``atol + rtol * abs(y)``.
     controller : {"native", "ode45"}
         "ode45" is Dormand-Prince 5(4) with the step control of MATLAB's ode45.
-    method : Tableau, optional
-        Overrides the choice by tolerance.
-    x_bound : float
-        |x| beyond which a point is diverged [m].
-    max_attempts : float
-        Attempts after which a point is timed out.
-    stop_at_layer : bool
-        End native steps at the edges of a smoothing layer thinner than the step.
     """
     if controller not in ("native", "ode45"):
         raise ValueError(f"controller must be 'native' or 'ode45', not {controller!r}")
     if not (rtol > 0.0 and atol >= 0.0):
         raise ValueError(f"need rtol > 0 and atol >= 0, got {rtol} and {atol}")
-    if method is None:
-        method = (
-            tableaux.DP5 if controller == "ode45" or rtol > _HIGH_ORDER_FROM else tableaux.DOP853
-        )
+    is_low = controller == "ode45" or rtol > _HIGH_ORDER_FROM
+    method = tableaux.DP5 if is_low else tableaux.DOP853
     parts = [table]
     for law in kernel_laws:
         rows = law.rows(mass, len(table))
         if isinstance(law.kind, laws.Tanh):
-            # Where the tail, exp(-2 |z|), is far below the tolerance, the layer has no edge to stop
-            # at yet.
+            # Where its tail, exp(-2 |z|), is far below the tolerance, the layer has no edge yet.
             reach = (3.0 - 0.5 * np.log(rtol)) / parameters.TANH_SATURATION
             rows[:, parameters.LAYER] *= min(1.0, max(0.1, reach))
         parts.append(rows)
     settings = np.zeros(ln.N_SETTINGS)
     settings[ln.S_RTOL], settings[ln.S_ATOL] = rtol, atol
-    settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = x_bound, max_attempts
+    settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = _FARTHEST, _MOST_ATTEMPTS
     settings[ln.S_ODE45] = controller == "ode45"
-    settings[ln.S_STOP_AT_LAYER] = stop_at_layer and controller != "ode45"
+    settings[ln.S_STOP_AT_LAYER] = controller != "ode45"
     settings[ln.S_EXPONENT] = method.exponent
     return Scenes(at, tuple(law.kind for law in kernel_laws), np.hstack(parts), method, settings)
 
@@ -357,10 +260,10 @@ def prepared(
 def run(
     prepared: Scenes,
     which: NDArray[np.intp],
-    start: NDArray[np.float64],
-    t_0: NDArray[np.float64],
-    t_end: NDArray[np.float64],
-    record_from: NDArray[np.float64],
+    start: Array,
+    t_0: Array,
+    t_end: Array,
+    record_from: Array,
     *,
     queue: NDArray[np.intp] | None = None,
     section_only: bool = False,
@@ -402,12 +305,14 @@ def run(
     settings[ln.S_CONTACTS], settings[ln.S_SECTION_ONLY] = contacts, section_only
     queue = np.arange(len(which)) if queue is None else queue
     results, records = drained(at, prepared.kinds, prepared.method, table, queue, settings)
-    replay = {"kinds": prepared.kinds, "tableau": prepared.method}
+    replay: dict[str, Any] = {"kinds": prepared.kinds, "tableau": prepared.method}
     replay |= {"table": table, "settings": settings}
     return _result(at, replay, results, records, t_0, t_end)
 
 
-def _set_starts(at, table, start, t_0, t_end, record_from):
+def _set_starts(
+    at: ln.Rows, table: Array, start: Array, t_0: Array, t_end: Array, record_from: Array
+) -> None:
     """Put starts and ends into copies of rows of `Scenes`."""
     omega = table[:, at.omega]
     phase = np.zeros(len(table))
@@ -422,7 +327,9 @@ def _set_starts(at, table, start, t_0, t_end, record_from):
     table[:, at.record_turns] = phase + (np.maximum(record_from, t_0) - t_0) * omega
 
 
-def _result(at, replay, results, records, t_0, t_end):
+def _result(
+    at: ln.Rows, replay: dict[str, Any], results: Array, records: Array, t_0: Array, t_end: Array
+) -> Run:
     counts = {name: results[:, column].astype(np.int64) for name, column in _COUNTS.items()}
     # Inside, times count from t_0 so that a late start loses no digits.
     records[:, ln.E_T] += t_0[records[:, ln.E_POINT].astype(np.int64)]

@@ -1,11 +1,10 @@
-"""Elementary functions of a `Vec`, all lanes at once, accurate to about two units in the last
-place.
+"""Elementary functions of a `Vec`, all lanes at once, to about two units in the last place.
 
 Each is an argument reduction and a polynomial interpolated at Chebyshev nodes with 50 digits
 (relative truncation errors: exp 4e-18, sine 3e-19, arctangent 5e-20, logarithm 1e-18). Vectors of
-the
-C library are not used: numba cannot rely on one being installed, and results must not depend on it.
-Every function is exactly odd or even where its name promises it, so mirrored runs stay mirrored.
+the C library are not used: numba cannot rely on one being installed, and results must not depend on
+it. Every function is exactly odd or even where its name promises it, so mirrored runs stay
+mirrored.
 """
 
 from gapsweep.integrate import simd
@@ -79,8 +78,7 @@ def exp(z):
     z = simd.minimum(simd.maximum(z, -700.0), 700.0)
     whole = simd.nearest(z * _LOG2_E)
     r = fma(whole, -_LN2_LOW, fma(whole, -_LN2_HIGH, z))
-    # Estrin's scheme: four short chains instead of one of eleven steps, which would be latency-
-    # bound.
+    # Estrin's scheme: four short chains instead of one of eleven steps, bound by its latency.
     r2 = r * r
     r4 = r2 * r2
     p0 = fma(fma(r, _E[3], _E[2]), r2, fma(r, _E[1], _E[0]))

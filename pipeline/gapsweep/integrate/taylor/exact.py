@@ -2,11 +2,10 @@
 
 The compiled engine behind ``simulate(..., engine="compiled")`` for the piecewise law. `scenes`
 prepares one table row per system, `run` puts starts into copies of the rows, runs
-`exact_kernel.advance` on them and drains its buffers; `integrate` does both for an oscillator.
+`exact_kernel.advance` on them and drains its buffers.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,13 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from . import record
 from .exact_kernel import BUDGET_SPENT, BUFFER_FULL, FINISHED, OK, RUNNING, Run, advance
 from .layout import Layout
-from .roots import MAX_DEGREE, work_space
+from .roots import work_space
 from .sample import sample_steps
-from .scenes import Scenes, check, scenes, set_modes_on_walls
+from .scenes import Scenes, check, set_modes_on_walls
 from .starts import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 
 FloatArray = NDArray[np.float64]
 
+_FARTHEST = 1e3  # [m]: a point with a coordinate beyond it has diverged
+# Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as chatter.
+_MOST_SHORT = 100.0
 _LOG_ROWS = 1 << 14
 _DENSE_ROWS = 1 << 11
 _BUDGET = 1 << 16  # vector steps per call of the kernel, about 20 ms: Ctrl-C is answered in between
@@ -49,8 +51,8 @@ class Exact:
         Derivative of the state at the end by that at the start.
     log : ndarray, shape (n_events, 4 + n_states)
         Recorded events as in `record`, sorted by point, then in time within each kind.
-    dense : ndarray, shape (n_rows, 3 + n_series * n_terms), or None
-        Recorded steps (point, start, length, coefficients), sorted by point and time.
+    dense : ndarray, shape (n_rows, DENSE_HEAD + (n + m) * n_terms), or None
+        Recorded steps (point, start, length, coefficients of q and z), sorted by point and time.
     """
 
     at: Layout
@@ -65,37 +67,17 @@ class Exact:
     log: FloatArray = field(repr=False)
     dense: FloatArray | None = field(repr=False)
 
-    @property
-    def x(self) -> FloatArray:
-        """First coordinate at the end."""
-        return self.state[:, 0]
-
-    @property
-    def v(self) -> FloatArray:
-        """Its velocity."""
-        return self.state[:, self.at.n]
-
-    def events(self, point: int, *kinds: int) -> FloatArray:
-        """Recorded events of one point, all kinds or those given: columns t, x, v, kind."""
-        first, last = np.searchsorted(self.log[:, record.POINT], [point, point + 1])
-        rows = self.log[first:last]
-        if kinds:
-            rows = rows[np.isin(rows[:, record.KIND], kinds)]
-        return rows[:, [record.TIME, record.STATE, record.STATE + self.at.n, record.KIND]]
-
-    def sample(self, t: ArrayLike, points: ArrayLike | None = None) -> FloatArray:
+    def sample(self, t: ArrayLike) -> FloatArray:
         """States between the steps, from their own series.
 
         Parameters
         ----------
-        t : array_like, shape (n_t,) or (n_points, n_t)
+        t : array_like, shape (n_t,) or (n, n_t)
             Times [s] within the recorded part; one row for all points or one for each.
-        points : array_like of int, optional
-            Which points; default all.
 
         Returns
         -------
-        ndarray, shape (n_states, n_points, n_t)
+        ndarray, shape (n_states, n, n_t)
 
         Raises
         ------
@@ -103,61 +85,16 @@ class Exact:
             If dense output was not asked for, or a time lies outside the recorded part.
         """
         if self.dense is None:
-            raise ValueError("no dense output: call integrate(..., dense_output=True)")
-        points = np.arange(len(self.x)) if points is None else np.atleast_1d(points)
-        times = np.ascontiguousarray(
-            np.broadcast_to(t, (len(points), np.shape(t)[-1])), dtype=float
-        )
+            raise ValueError("no dense output: call run(..., dense_output=True)")
+        points = np.arange(len(self.t))
+        times = np.broadcast_to(t, (len(points), np.shape(t)[-1]))
         first, last = (np.searchsorted(self.dense[:, 0], points + k) for k in (0, 1))
-        states, outside = sample_steps(self.at.numbers, self.dense, first, last, times)
+        states, outside = sample_steps(
+            self.at.numbers, self.dense, first, last, np.ascontiguousarray(times, dtype=float)
+        )
         if outside >= 0:
-            raise ValueError(f"a time lies outside the recorded part of point {points[outside]}")
+            raise ValueError(f"a time lies outside the recorded part of point {outside}")
         return np.asarray(states)
-
-
-def integrate(
-    *,
-    zeta: ArrayLike,
-    omega_n: ArrayLike,
-    mass: ArrayLike,
-    alpha: ArrayLike,
-    forcing: ArrayLike,
-    K_c: ArrayLike,
-    j_1: ArrayLike,
-    j_2: ArrayLike,
-    omega: ArrayLike,
-    K_ratio: ArrayLike = 1.0,
-    x_0: ArrayLike = 0.0,
-    v_0: ArrayLike = 0.0,
-    t_0: ArrayLike = 0.0,
-    t_end: ArrayLike,
-    record_from: ArrayLike = np.inf,
-    rtol: float = 1e-9,
-    atol: float = 1e-12,
-    **options: Any,
-) -> Exact:
-    """Integrate the freeplay oscillator with every contact located, many points in lanes.
-
-    All array arguments broadcast to one shape (n,). A point's result does not depend, to the
-    last bit, on which others share the call.
-
-    Parameters
-    ----------
-    zeta, omega_n, mass, alpha, forcing, K_c, j_1, j_2, omega, K_ratio, rtol, atol
-        As in `scenes`.
-    x_0, v_0, t_0, t_end, record_from, **options
-        As in `run`.
-
-    Returns
-    -------
-    Exact
-    """
-    given = zeta, omega_n, mass, alpha, forcing, K_c, j_1, j_2, omega, K_ratio
-    given += x_0, v_0, t_0, t_end, record_from
-    arrays = [np.array(a, dtype=float).ravel() for a in np.broadcast_arrays(*np.atleast_1d(*given))]
-    prepared = scenes(*arrays[:10], rtol=rtol, atol=atol)
-    start = np.stack(arrays[10:12], axis=1)
-    return run(prepared, np.arange(arrays[0].size), start, *arrays[12:], **options)
 
 
 def run(
@@ -172,9 +109,6 @@ def run(
     section_only: bool = False,
     tangent: bool = False,
     dense_output: bool = False,
-    order: int | None = None,
-    x_bound: float = 1e3,
-    max_chatter: int = 100,
 ) -> Exact:
     """Integrate prepared systems from their starts.
 
@@ -199,19 +133,8 @@ def run(
         the contact force is continuous.
     dense_output : bool
         Keep every step's series from `record_from` on, for `Exact.sample`.
-    order : int, optional
-        Degree of the Taylor polynomial; default by the tolerance.
-    x_bound : float
-        A point with a coordinate beyond it has diverged.
-    max_chatter : int
-        Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as
-        chatter.
     """
-    at = replace(
-        prepared.at, tangent=int(tangent), order=prepared.at.order if order is None else order
-    )
-    if not 6 <= at.order <= MAX_DEGREE:
-        raise ValueError(f"order = {at.order}: must lie in [6, {MAX_DEGREE}]")
+    at = replace(prepared.at, tangent=int(tangent))
     points = np.empty((len(which) + 1, at.n_rows))
     given = start, t_0, t_end, record_from, section_only and not dense_output
     outcome = set_starts(
@@ -224,13 +147,21 @@ def run(
     if outcome == ON_WALL:
         set_modes_on_walls(at, points[:-1])
     statuses = np.full(len(which), RUNNING)
-    limits = prepared.rtol, x_bound, float(max_chatter)
+    limits = prepared.rtol, _FARTHEST, _MOST_SHORT
     queue = np.arange(len(which)) if queue is None else queue
     log, dense = _drained(at, points, queue, statuses, limits, dense_output, not section_only)
     return _outcome(at, points[:-1], statuses, t_end, log, dense)
 
 
-def _drained(at, points, queue, statuses, limits, dense_output, turns):
+def _drained(
+    at: Layout,
+    points: FloatArray,
+    queue: NDArray[np.intp],
+    statuses: NDArray[np.int64],
+    limits: tuple[float, float, float],
+    dense_output: bool,
+    turns: bool,
+) -> tuple[FloatArray, FloatArray | None]:
     """Call the kernel until all points have ended; returns what it recorded."""
     is_recording = bool(np.isfinite(points[:-1, at.record_clock]).any())
     room = record.rows_per_step.py_func(at) + 1
@@ -263,7 +194,7 @@ def _drained(at, points, queue, statuses, limits, dense_output, turns):
     return _by_point(logs), _by_point(denses) if dense_output else None
 
 
-def _by_point(pieces):
+def _by_point(pieces: list[FloatArray]) -> FloatArray:
     """All rows in the order of their points; rows of one point keep theirs."""
     rows = np.concatenate(pieces) if len(pieces) > 1 else pieces[0]
     if not len(rows):
@@ -277,7 +208,14 @@ def _by_point(pieces):
     return rows.take(order, axis=0)
 
 
-def _outcome(at, points, statuses, t_end, log, dense):
+def _outcome(
+    at: Layout,
+    points: FloatArray,
+    statuses: NDArray[np.int64],
+    t_end: FloatArray,
+    log: FloatArray,
+    dense: FloatArray | None,
+) -> Exact:
     table = points.T
     elapsed = table[at.cycle] + (table[at.tau] - table[at.tau_start])
     monodromy = None

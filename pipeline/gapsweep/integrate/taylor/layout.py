@@ -14,7 +14,7 @@ phase cannot drift apart however long the run.
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from itertools import accumulate
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import types
@@ -40,8 +40,7 @@ _ONE = (
     # phase and time [s] of the point's own start, and its end
     *("tau_start", "t_start", "end_cycle", "end_tau"),
     *("omega", "omega_rad", "period"),
-    # section points are recorded from this clock (whole periods + fraction) on, all events from
-    # another
+    # from these (whole periods + fraction) on section points are recorded, and all events
     *("record_clock", "event_clock"),
     "floor",  # absolute part of the step's tolerance [m/s]
     "rate",  # fastest angular frequency of the linear parts [rad/s]
@@ -193,7 +192,8 @@ class Layout:
 def _recorded(layout: Layout) -> np.record:
     names = [*(field.name for field in fields(layout)), *layout.derived, *layout.blocks]
     values = tuple(int(getattr(layout, name)) for name in names)
-    return np.rec.array([values], dtype=[(name, np.int64) for name in names])[0]
+    found: np.record = np.rec.array([values], dtype=[(name, np.int64) for name in names])[0]
+    return found
 
 
 class LayoutType(types.Opaque):
@@ -211,12 +211,12 @@ _typed = cache(LayoutType)  # every call from Python asks
 
 
 @typeof_impl.register(Layout)
-def _typeof(layout, context):
+def _typeof(layout: Layout, context: Any) -> LayoutType:
     return _typed(layout)
 
 
 @unbox(LayoutType)
-def _unbox(typ, value, c):
+def _unbox(typ: LayoutType, value: Any, c: Any) -> NativeValue:
     return NativeValue(c.context.get_dummy_value())
 
 
@@ -224,10 +224,10 @@ def _unbox(typ, value, c):
 class _Numbers(AttributeTemplate):
     key = LayoutType
 
-    def generic_resolve(self, typ, name):
+    def generic_resolve(self, typ: LayoutType, name: str) -> Any:
         return types.int64 if isinstance(getattr(typ.layout, name), int) else None
 
 
 @lower_getattr_generic(LayoutType)
-def _number(context, builder, typ, value, name):
+def _number(context: Any, builder: Any, typ: LayoutType, value: Any, name: str) -> Any:
     return context.get_constant(types.int64, int(getattr(typ.layout, name)))

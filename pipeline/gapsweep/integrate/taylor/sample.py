@@ -1,4 +1,4 @@
-"""x(t) and v(t) between steps, from the recorded series."""
+"""States between steps, from the recorded series."""
 
 import numpy as np
 
@@ -14,8 +14,8 @@ def sample_steps(at, steps, first, last, times):
 
     Parameters
     ----------
-    steps : array, shape (n_steps, DENSE_HEAD + degree + 1)
-        Rows (point, start, length, coefficients), sorted by point and time.
+    steps : array, shape (n_steps, DENSE_HEAD + (n + m) * n_terms)
+        Rows (point, start, length, coefficients of q and z), sorted by point and time.
     first, last : int array, shape (n_points,)
         Rows of each point.
     times : array, shape (n_points, n_t)

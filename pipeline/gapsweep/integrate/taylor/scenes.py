@@ -145,7 +145,7 @@ def _forced_size(
     springs = table[at.stiffness] + cubic + table[at.omega_rad] ** 2
     free = push / springs
     beyond = np.maximum(free - to_wall, 0.0)
-    return free - beyond * (contact / (springs + contact))
+    return np.asarray(free - beyond * (contact / (springs + contact)))
 
 
 def set_modes_on_walls(at: Layout, points: FloatArray) -> None:

@@ -1,6 +1,6 @@
 """Rows of systems for the kernel: their matrices per unit mass, and what steps are measured by."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,8 @@ from .layout import Layout
 from .scenes import MIN_STEP, Scenes, check, check_tolerances, empty_table, order_for, set_clock
 
 Array = NDArray[np.float64]
+# Writes the rows of one block.
+Put = Callable[[str, Array], None]
 
 # An eigenvalue of the springs below this part of the largest is zero: a motion that nothing holds.
 _LOOSE = 1e-12
@@ -178,7 +180,7 @@ def _fill(
     points[here] = table.T
 
 
-def _put_loads(at: Layout, table: Array, put, linear: _Linear) -> None:
+def _put_loads(at: Layout, table: Array, put: Put, linear: _Linear) -> None:
     """Forcing, periodic stiffness, and the speed that the forcing keeps up."""
     system = linear.system
     omega_rad, speed, push = table[at.omega_rad], np.zeros(table.shape[1]), []
@@ -200,7 +202,7 @@ def _put_loads(at: Layout, table: Array, put, linear: _Linear) -> None:
         table[at.depth_phase + i] = fraction(term.phase)
 
 
-def _put_lags(put, linear: _Linear) -> None:
+def _put_lags(put: Put, linear: _Linear) -> None:
     lags = linear.system.lags
     assert lags is not None, "asked for where there are some"
     put("lag_force", linear.inverse @ lags.force)

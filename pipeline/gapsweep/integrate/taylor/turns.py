@@ -72,8 +72,7 @@ def _emit_turns(builder, series, h, v_1, among):
     Returns
     -------
     is_single, is_none : Mask
-        Proved: exactly one zero, and found; none at all. Lanes outside the bits `among` do not
-        matter.
+        Proved: exactly one zero, and found; none at all. Lanes outside `among` do not matter.
     t, x : Vec
         Time of the single one within the step, and displacement there.
     """
