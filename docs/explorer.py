@@ -40,6 +40,8 @@ MOVE = """new Promise(done => {{
 }})"""
 SETTLED = "Bokeh.documents[0].get_model_by_name('response 0 sweep down').data.omega.length === 200"
 
+WHOLE = "Bokeh.documents[0].get_model_by_name('map 1 peaks').data.image[0]?.shape[0] === 40"
+
 
 @contextmanager
 def chromium() -> Iterator[str]:
@@ -78,11 +80,11 @@ async def timed(address: str, url: str) -> list[list[float]]:
 
 
 async def pictured(address: str, url: str) -> None:
-    async with tab(address, url, size=(1280, 940)) as opened:
+    async with tab(address, url, size=(1280, 1680)) as opened:
         await opened.until(SETTLED)
         await opened.ask(f"{model('omega')}.value = {CHAOTIC}")
         await opened.until(f"{model('status')}.text.includes('{CHAOTIC} Hz')")
-        await opened.until(SETTLED)
+        await opened.until(WHOLE)
         picture = await opened.call("Page.captureScreenshot", format="png")
         with Image.open(BytesIO(base64.b64decode(picture["data"]))) as shown:
             shown.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE).save(

@@ -201,7 +201,7 @@ def test_clicks_on_basins_and_map_show_the_motion_from_there(debugger):  # noqa:
             f"{model('status')}.text.includes('mm/s') && {model('status')}.text"
         )
         await opened.until(f"{source('map 0 peaks')}.image[0].shape[0] === 40")
-        await click(opened, "Peaks from rest: piecewise", 6.0, 5.0)
+        await click(opened, "Peaks from rest over ω and K_c: piecewise", 6.0, 5.0)
         await opened.until(f"{model('status')}.text.includes('from rest')")
         return shape, said, [await opened.ask(f"{model(name)}.value") for name in ("omega", "K_c")]
 
@@ -249,8 +249,25 @@ def test_a_click_on_a_stored_point_opens_it(debugger, tmp_path):  # noqa: F811
     assert "Motion at 6 Hz from x = 5 mm, v = 0 mm/s" in browse(debugger, page, click)
 
 
-def test_nothing_is_wider_than_the_window(debugger):  # noqa: F811
+@pytest.mark.parametrize("width", [900, 1280])
+def test_nothing_is_wider_than_the_window(debugger, width):  # noqa: F811
     async def measure(opened):
         return await opened.ask("document.documentElement.scrollWidth")
 
-    assert browse(debugger, gs.explore(), measure) <= 1280
+    assert browse(debugger, gs.explore(), measure, size=(width, 900)) <= width
+
+
+def test_a_map_over_another_number_is_not_shown_under_its_name(debugger):  # noqa: F811
+    async def change(opened):
+        await opened.until(f"{source('map 0 peaks')}.image?.[0]?.shape[0] === 40")
+        await opened.ask(f"{model('over')}.value = 'alpha'")
+        title = """[...Bokeh.index.all_views()].map(v => v.model.title?.text)
+          .find(text => text?.startsWith('Peaks from rest'))"""
+        await opened.until(f"({title}).includes('α')")
+        begun = await opened.ask(f"[{title}, {source('map 0 peaks')}.image.length]")
+        await opened.until(f"{source('map 0 peaks')}.image?.[0]?.shape[0] === 40")
+        return begun, await opened.ask(title)
+
+    (title, n_shown), done = browse(debugger, gs.explore(stand_ins=()), change)
+    assert "computing" in title or n_shown
+    assert done == "Peaks from rest over ω and α: piecewise"

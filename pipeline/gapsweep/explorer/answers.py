@@ -6,8 +6,8 @@ take a slow transient for chaos, a dataset may not.
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ BASINS, MAP = "basins", "map"
 # damping is so weak that a slider would have to wait.
 DECAY_TIMES, NATURAL_PERIODS = 10.0, 100.0
 # Of a motion: forcing periods of its section, and the last ones, which the other figures show.
-N_SECTION, N_PERIODS, SAMPLES_PER_PERIOD = 300, 60, 64
+N_SECTION, N_PERIODS, SAMPLES_PER_PERIOD = 300, 60, 128
 # Starts on either side of the plane of starts, and frequencies and values on those of the map.
 N_STARTS, N_MAP = 48, 40
 _BEYOND = 1.3  # how far starts lie beyond walls and the highest response
@@ -95,8 +95,8 @@ class Plane:
     name: str
     x: Array
     y: Array
-    x_max: Array
-    is_periodic: NDArray[np.bool_]
+    x_max: Array = field(default_factory=lambda: np.empty((0, 0)))
+    is_periodic: NDArray[np.bool_] = field(default_factory=lambda: np.empty((0, 0), bool))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,7 +267,7 @@ def basins(question: Question, label: str, reach: float) -> Iterator[Plane]:
     omega = np.full(N_STARTS, question.omega)
     starts = (np.stack([x, np.full(N_STARTS, each)]) for each in v)
     rows = (_curve(question, label, BASINS, omega, states) for states in starts)
-    return _planes(label, BASINS, x, v, rows)
+    return _planes(Plane(label, BASINS, x, v), (question.of_basins, reach), rows)
 
 
 def response_map(question: Question, label: str) -> Iterator[Plane]:
@@ -275,16 +275,30 @@ def response_map(question: Question, label: str) -> Iterator[Plane]:
     omega, states = np.linspace(*question.band, N_MAP), np.zeros((2, N_MAP))
     settings = (question.at(question.over, value) for value in question.over_values)
     rows = (_curve(each, label, MAP, omega, states) for each in settings)
-    return _planes(label, MAP, omega, np.array(question.over_values), rows)
+    values = np.array(question.over_values)
+    return _planes(Plane(label, MAP, omega, values), question.of_map, rows)
 
 
-def _planes(label: str, name: str, x: Array, y: Array, rows: Iterator[Curve]) -> Iterator[Plane]:
-    """One plane, with one row more each time."""
-    x_max, is_periodic = [], []
+# The latest whole ones: whoever clicks a start wants the same basins.
+_whole: dict[Hashable, Plane] = {}
+_N_WHOLE = 8
+
+
+def _planes(empty: Plane, basis: Hashable, rows: Iterator[Curve]) -> Iterator[Plane]:
+    """One plane, with one row more each time; at once if it is known."""
+    key = empty.label, empty.name, basis
+    if key in _whole:
+        yield _whole[key]
+        return
+    x_max, is_periodic, plane = [], [], empty
     for row in rows:
         x_max.append(row.x_max)
         is_periodic.append(row.is_periodic)
-        yield Plane(label, name, x, y, np.array(x_max), np.array(is_periodic))
+        plane = replace(empty, x_max=np.array(x_max), is_periodic=np.array(is_periodic))
+        yield plane
+    _whole[key] = plane
+    for oldest in list(_whole)[:-_N_WHOLE]:
+        _whole.pop(oldest, None)
 
 
 def _joined(parts: list[Curve]) -> Curve:
@@ -337,16 +351,17 @@ def motion(question: Question, label: str) -> Motion:
     n_bins = t.size // 2 + 1
     same = _SAME_POINT * float(np.max(np.abs(x)))
     latest = scaled(steady[-2 * N_PERIODS :], unit_of(omega))
+    n_periods = period_multiple(latest, same, N_PERIODS)
     return Motion(
         label,
         omega,
         t,
         x,
         v,
-        steady,
+        steady[-2 * N_PERIODS :] if n_periods else steady,  # without the last of a transient
         np.arange(n_bins, dtype=np.float64) * np.float64(omega / N_PERIODS),
         spectrum(x),
-        period_multiple(latest, same, N_PERIODS),
+        n_periods,
     )
 
 

@@ -5,23 +5,12 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from bokeh.models import (
-    ColorBar,
-    ColumnDataSource,
-    CustomJSTickFormatter,
-    DataRange1d,
-    HoverTool,
-    LinearColorMapper,
-    Range1d,
-    Span,
-)
+from bokeh.models import ColumnDataSource, DataRange1d, HoverTool, Range1d
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from gapsweep.explorer.answers import (
-    BASINS,
     DOWN,
-    MAP,
     REST,
     SAMPLES_PER_PERIOD,
     UP,
@@ -30,8 +19,9 @@ from gapsweep.explorer.answers import (
     Plane,
     Points,
 )
-from gapsweep.explorer.question import EXACT, MAX_STAND_INS, Dial, Question, numbers
-from gapsweep.report.style import NOT_PERIODIC, colour, lines, sequence
+from gapsweep.explorer.planes import Planes, blank, guide
+from gapsweep.explorer.question import EXACT, MAX_STAND_INS, Dial, Question
+from gapsweep.report.style import NOT_PERIODIC, colour, lines
 from gapsweep.response.result import ResponseClass
 
 _MM = 1e3
@@ -43,11 +33,9 @@ _EXACT_SIZE, _SIZE = 6, 3.5  # pixels: of dots; the exact law behind is larger
 _EXACT_WIDTH, _WIDTH = 3.0, 1.3  # of lines
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
 _PALE = 0.35  # of a stand-in's dots where its response is not periodic
-_TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 
 _RESPONSE = ("omega", "x_max", "colour", "alpha", "law", "protocol", "kind")
 _LINES = ("x", "y")
-_IMAGE = ("image", "x", "y", "dw", "dh")
 _TIPS = [
     ("law", "@law, @protocol"),
     ("ω", "@omega{0.000} Hz"),
@@ -62,21 +50,20 @@ class Figures:
     Attributes
     ----------
     response, phase, section, history, spectrum : figure
-    planes : dict of (str, int) to figure
-        Basins and maps, of the exact law (0) and the first stand-in (1).
+    planes : Planes
     """
 
     def __init__(self) -> None:
-        self.response = _figure("forcing frequency ω [Hz]", "peak displacement [mm]", 330)
+        self.response = blank("forcing frequency ω [Hz]", "peak displacement [mm]", 330)
         self.response.y_range = DataRange1d(start=0.0)
-        self.phase = _figure("displacement x [mm]", "velocity v [mm/s]", 300)
+        self.phase = blank("displacement x [mm]", "velocity v [mm/s]", 300)
         # A periodic motion's few points would fill a figure of their own with their noise.
-        self.section = _figure(
+        self.section = blank(
             "displacement x [mm]", "velocity v [mm/s]", 300,
             x_range=self.phase.x_range, y_range=self.phase.y_range,
         )  # fmt: skip
-        self.history = _figure("time t [s]", "displacement x [mm]", 230)
-        self.spectrum = _figure(
+        self.history = blank("time t [s]", "displacement x [mm]", 230)
+        self.spectrum = blank(
             "frequency [Hz]", "amplitude [mm]", 300, y_axis_type="log",
             x_range=Range1d(0.0, 1.0), y_range=Range1d(1e-6, 1.0),
         )  # fmt: skip
@@ -95,29 +82,12 @@ class Figures:
             name: [_line(shown, name, slot) for slot in range(MAX_STAND_INS + 1)]
             for name, shown in self._of_motions().items()
         }
-        self._peaks = {
-            name: LinearColorMapper(sequence(64), low=0.0, high=1.0, nan_color="#555555")
-            for name in (BASINS, MAP)
-        }
-        drawn = {
-            (name, slot): _plane(name, slot, self._peaks[name])
-            for name in (BASINS, MAP)
-            for slot in range(2)
-        }
-        self.planes = {at: shown for at, (shown, _) in drawn.items()}
-        self._images = {at: sources for at, (_, sources) in drawn.items()}
-        for name in (BASINS, MAP):  # looked at side by side
-            exact, other = (self.planes[name, slot] for slot in range(2))
-            other.x_range, other.y_range = exact.x_range, exact.y_range
-        self._marks = {
-            at: [_guide(shown, side) for side in ("height", "width")]
-            for at, shown in self.planes.items()
-        }
-        self._at = _guide(self.response, "height", "solid")
-        self._top = _guide(self.response, "width")
+        self.planes = Planes()
+        self._at = guide(self.response, "height", "solid")
+        self._top = guide(self.response, "width")
         across = [(shown, "height") for shown in (self.phase, self.section)]
         self._walls = [
-            [_guide(shown, side) for shown, side in (*across, (self.history, "width"))]
+            [guide(shown, side) for shown, side in (*across, (self.history, "width"))]
             for _ in range(2)
         ]
         self.response.add_tools(HoverTool(tooltips=_TIPS))
@@ -148,8 +118,7 @@ class Figures:
     def look_at(self, question: Question, over: Dial) -> None:
         """Move what marks the question: the frequency looked at, the walls and the start."""
         gap = question.gap
-        self._over = over
-        self._mark_planes(question, over)
+        self.planes.look_at(question, over)
         self._at.location = question.omega
         self._top.location = gap.j_2 * _MM
         for spans, wall in zip(self._walls, (-gap.j_1, gap.j_2), strict=True):
@@ -163,32 +132,12 @@ class Figures:
             for source, _ in drawn[len(question.stand_ins) + 1 :]:
                 source.data = _empty(_LINES)
 
-    def _mark_planes(self, question: Question, over: Dial) -> None:
-        places = {
-            BASINS: (question.start[0] * _MM, question.start[1] * _MM),
-            MAP: (question.omega, over.place(numbers(question)[over.name])),
-        }
-        for (name, _), marks in self._marks.items():
-            for mark, place in zip(marks, places[name], strict=True):
-                mark.location = place
-        labels = (EXACT, *question.stand_ins)
-        titles = {
-            BASINS: f"Peaks by start, {question.omega:.4g} Hz",
-            MAP: "Peaks from rest",
-        }
-        for (name, slot), shown in self.planes.items():
-            shown.visible = slot < len(labels)
-            shown.title.text = f"{titles[name]}: {labels[slot]}" if shown.visible else ""
-            if name == MAP:
-                shown.yaxis.axis_label = over.label
-                shown.yaxis.formatter = CustomJSTickFormatter(code=over.tick)
-
     def show(self, question: Question, answer: Curve | Motion | Plane) -> None:
         """Draw an answer to a question."""
         labels = (EXACT, *question.stand_ins)
         slot = labels.index(answer.label)
         if isinstance(answer, Plane):
-            self._show_plane(slot, answer)
+            self.planes.show(slot, answer)
         elif isinstance(answer, Curve):
             self._curves[slot, answer.protocol].data = _columns(answer)
         else:
@@ -216,27 +165,6 @@ class Figures:
             self.spectrum.y_range.update(start=_FLOOR * largest, end=largest)
             self.spectrum.x_range.end = _ORDERS * motion.omega
 
-    def _show_plane(self, slot: int, plane: Plane) -> None:
-        is_map, (m, n) = plane.name == MAP, plane.x_max.shape
-        x = plane.x if is_map else plane.x * _MM
-        y = np.array(list(map(self._over.place, plane.y))) if is_map else plane.y * _MM
-        wide, high = x[1] - x[0], y[1] - y[0]
-        corner = {
-            "x": [x[0] - wide / 2],
-            "y": [y[0] - high / 2],
-            "dw": [n * wide],
-            "dh": [m * high],
-        }
-        is_strange = ~plane.is_periodic & np.isfinite(plane.x_max)
-        pictures = plane.x_max * _MM, np.where(is_strange, 1.0, np.nan)
-        for source, picture in zip(self._images[plane.name, slot], pictures, strict=True):
-            source.data = {"image": [picture], **corner}
-        if slot == 0:
-            shown = self.planes[plane.name, slot]
-            shown.x_range.update(start=x[0] - wide / 2, end=x[-1] + wide / 2)
-            shown.y_range.update(start=y[0] - high / 2, end=y[-1] + high / 2)
-            self._peaks[plane.name].high = max(float(np.nanmax(pictures[0], initial=0.0)), 1e-9)
-
     def show_stored(self, points: Points) -> None:
         """Draw the points of a run."""
         n = len(points.omega)
@@ -262,7 +190,7 @@ def legend(question: Question, motions: Iterable[Motion]) -> str:
     )
     marks = (
         "● from rest&ensp;△ exact law, sweep up&ensp;▽ sweep down&ensp;"
-        f'<b style="color:{NOT_PERIODIC}">●</b> not periodic (stand-ins: pale)&ensp;┈ walls'
+        f'<b style="color:{NOT_PERIODIC}">●</b> not periodic (dots of stand-ins: pale)&ensp;┈ walls'
     )
     return f'{laws}<br><span style="color:#555">{marks}</span>'
 
@@ -271,7 +199,7 @@ def _kind(motion: Motion) -> str:
     if motion.problem:
         return "fails"
     n = motion.period_multiple
-    return f"period {n}" if n else "not periodic"
+    return f"period {n}" if n else "no period found"
 
 
 def _columns(curve: Curve) -> dict[str, Sequence[Any] | NDArray[Any]]:
@@ -294,52 +222,12 @@ def _columns(curve: Curve) -> dict[str, Sequence[Any] | NDArray[Any]]:
     }
 
 
-def _figure(x: str, y: str, height: int, **how: Any) -> figure:
-    made = figure(
-        height=height, sizing_mode="stretch_width", tools=_TOOLS, active_drag=None,
-        x_axis_label=x, y_axis_label=y, output_backend="canvas", min_width=200, **how,
-    )  # fmt: skip
-    made.toolbar.logo = None
-    made.toolbar.autohide = True
-    made.outline_line_color = None
-    made.grid.grid_line_color = "#dddddd"
-    made.axis.axis_label_text_font_style = "normal"
-    return made
-
-
 def _line(shown: figure, name: str, slot: int) -> tuple[ColumnDataSource, Any]:
     """Source and renderer of a law's motion in one figure."""
     source = ColumnDataSource(_empty(_LINES), name=f"{name} {slot}")
     if name == "section":
         return source, shown.scatter("x", "y", source=source, size=_SIZE if slot else _EXACT_SIZE)
     return source, shown.line("x", "y", source=source, line_width=_WIDTH if slot else _EXACT_WIDTH)
-
-
-def _plane(
-    name: str, slot: int, peaks: LinearColorMapper
-) -> tuple[figure, tuple[ColumnDataSource, ...]]:
-    """Figure of a plane, and its images: peaks, and what is not periodic over them."""
-    words = ("displacement x [mm]", "velocity v [mm/s]") if name == BASINS else ("ω [Hz]", "")
-    shown = _figure(*words, 330, x_range=Range1d(0.0, 1.0), y_range=Range1d(0.0, 1.0))
-    red = LinearColorMapper([NOT_PERIODIC], nan_color="#00000000")
-    sources = []
-    for mapper, what in ((peaks, "peaks"), (red, "not periodic")):
-        source = ColumnDataSource(_empty(_IMAGE), name=f"{name} {slot} {what}")
-        shown.image(**{each: each for each in _IMAGE}, source=source, color_mapper=mapper)
-        sources.append(source)
-    shown.grid.visible = False
-    shown.add_layout(ColorBar(color_mapper=peaks, title="peak [mm]", width=10), "right")
-    shown.add_tools(
-        HoverTool(tooltips=[("peak", "@image{0.0000} mm")], renderers=shown.renderers[:1])
-    )
-    return shown, tuple(sources)
-
-
-def _guide(shown: figure, dimension: str, dash: str = "dotted") -> Span:
-    """A grey line through the whole figure."""
-    span = Span(dimension=dimension, line_color="#888888", line_dash=dash)
-    shown.add_layout(span)
-    return span
 
 
 def _empty(columns: Sequence[str]) -> dict[str, Any]:

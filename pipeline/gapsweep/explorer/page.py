@@ -1,6 +1,7 @@
 """The page: sliders that ask, figures that answer."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from html import escape
 from typing import Any
@@ -102,7 +103,7 @@ class Page:
         self._figures = Figures()
         self._figures.look_at(question, self._dials[self._over.value])
         self._figures.response.on_event(Tap, self._clicked)
-        for (name, _), plane in self._figures.planes.items():
+        for (name, _), plane in self._figures.planes.figures.items():
             plane.on_event(Tap, self._start_clicked if name == BASINS else self._setting_clicked)
         document.add_root(self._layout())
         document.title = "gapsweep explore"
@@ -162,11 +163,9 @@ class Page:
             self._from_rest, self._over, note, width=_SIDE + 20, spacing=2,
         )  # fmt: skip
         shown = self._figures
-        below = row(shown.phase, shown.section, shown.spectrum, sizing_mode="stretch_width")
-        planes = [
-            row(shown.planes[name, 0], shown.planes[name, 1], sizing_mode="stretch_width")
-            for name in (BASINS, MAP)
-        ]
+        below = _side_by_side(shown.phase, shown.section, shown.spectrum)
+        figures = shown.planes.figures
+        planes = [_side_by_side(figures[name, 0], figures[name, 1]) for name in (BASINS, MAP)]
         main = column(
             self._legend, shown.response, below, shown.history, *planes,
             sizing_mode="stretch_width",
@@ -274,7 +273,9 @@ class Page:
         """Called from the thread; done when the document is free."""
 
         def soon(*given: Any) -> None:
-            self._document.add_next_tick_callback(partial(what, *given))
+            # The visitor may have left meanwhile, and with them what the document is made of.
+            with suppress(AttributeError):
+                self._document.add_next_tick_callback(partial(what, *given))
 
         return soon
 
@@ -311,6 +312,11 @@ class Page:
 # --- sliders --------------------------------------------------------------------------------------
 
 _STEPS = 400
+
+
+def _side_by_side(*figures: Any) -> Any:
+    """In a row as far as there is room."""
+    return row(*figures, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
 
 
 def _slider(dial: Dial) -> Slider:

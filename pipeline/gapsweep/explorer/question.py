@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -67,11 +67,25 @@ class Question:
         """The contact law of a label, at this contact."""
         return contact_law(label, self.K_c, self.gap, self.fit_range, K_ratio=self.K_ratio)
 
+    @property
+    def of_basins(self) -> "Question":
+        """The same for all that have the same basins."""
+        return replace(self, band=(1.0, 2.0), over="", over_values=(), **_OF_NO_PLANE)
+
+    @property
+    def of_map(self) -> "Question":
+        """The same for all that have the same map."""
+        here = self.at(self.over, self.over_values[0]) if self.over_values else self
+        return replace(here, omega=1.0, **_OF_NO_PLANE)
+
     def at(self, name: str, value: float) -> "Question":
         """The same with another value of a number that has a slider."""
         others = ("stand_ins", "start", "fit_range", "over", "over_values")
         kept = {each: getattr(self, each) for each in others}
         return asked(numbers(self) | {name: value}, self.band, **kept)
+
+
+_OF_NO_PLANE: dict[str, Any] = {"stand_ins": (), "start": (0.0, 0.0)}
 
 
 def labels(text: str) -> tuple[str, ...]:

@@ -1,0 +1,157 @@
+"""Basins and maps of the page: peaks over two numbers, the exact law beside a stand-in."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from bokeh.models import (
+    BasicTicker,
+    ColorBar,
+    ColumnDataSource,
+    CustomJSTickFormatter,
+    HoverTool,
+    LinearColorMapper,
+    Range1d,
+    SingleIntervalTicker,
+    Span,
+)
+from bokeh.plotting import figure
+
+from gapsweep.explorer.answers import BASINS, MAP, Plane
+from gapsweep.explorer.question import EXACT, Dial, Question, numbers
+from gapsweep.report.style import NOT_PERIODIC, sequence
+
+_MM = 1e3
+_SLOTS = 2  # the exact law and the first stand-in
+_SHADES = 64
+_FAILED = "#555555"
+_IMAGE = ("image", "x", "y", "dw", "dh")
+_TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
+
+
+class Planes:
+    """The figures of all planes, empty to begin with.
+
+    Attributes
+    ----------
+    figures : mapping of (str, int) to figure
+        Basins and maps, of the exact law (0) and the first stand-in (1).
+    """
+
+    def __init__(self) -> None:
+        # One scale of colours for both laws, and one of places.
+        self._peaks = {
+            name: LinearColorMapper(sequence(_SHADES), low=0.0, high=1.0, nan_color=_FAILED)
+            for name in (BASINS, MAP)
+        }
+        drawn = {
+            (name, slot): _plane(name, slot, mapper)
+            for name, mapper in self._peaks.items()
+            for slot in range(_SLOTS)
+        }
+        self.figures: Mapping[tuple[str, int], figure] = {at: one for at, (one, _) in drawn.items()}
+        self._images = {at: sources for at, (_, sources) in drawn.items()}
+        for name in (BASINS, MAP):
+            exact, other = (self.figures[name, slot] for slot in range(_SLOTS))
+            other.x_range, other.y_range = exact.x_range, exact.y_range
+        self._marks = {
+            at: [guide(shown, side) for side in ("height", "width")]
+            for at, shown in self.figures.items()
+        }
+        self._shown: dict[tuple[str, int], Any] = {}
+
+    def look_at(self, question: Question, over: Dial) -> None:
+        """Mark where the question is; what is of another one goes."""
+        self._over = over
+        here = {
+            BASINS: (question.start[0] * _MM, question.start[1] * _MM),
+            MAP: (question.omega, over.place(numbers(question)[over.name])),
+        }
+        depends_on = {BASINS: question.of_basins, MAP: question.of_map}
+        self._titles = {
+            BASINS: f"Peaks by start, {question.omega:.4g} Hz",
+            MAP: f"Peaks from rest over ω and {over.title.split()[-1]}",
+        }
+        self._labels = (EXACT, *question.stand_ins)[:_SLOTS]
+        for (name, slot), shown in self.figures.items():
+            for mark, place in zip(self._marks[name, slot], here[name], strict=True):
+                mark.location = place
+            shown.visible = slot < len(self._labels)
+            wanted = shown.visible and (self._labels[slot], depends_on[name])
+            if self._shown.get((name, slot)) != wanted:
+                self._shown[name, slot] = wanted
+                self._clear(name, slot)
+
+    def _clear(self, name: str, slot: int) -> None:
+        for source in self._images[name, slot]:
+            source.data = {each: [] for each in _IMAGE}
+        shown = self.figures[name, slot]
+        shown.axis.visible = False
+        if shown.visible:
+            shown.title.text = f"{self._titles[name]}, {self._labels[slot]}: computing …"
+
+    def show(self, slot: int, plane: Plane) -> None:
+        """Draw as much of a plane as is computed."""
+        is_map, (m, n) = plane.name == MAP, plane.x_max.shape
+        x = plane.x if is_map else plane.x * _MM
+        y = np.array(list(map(self._over.place, plane.y))) if is_map else plane.y * _MM
+        wide, high = x[1] - x[0], y[1] - y[0]
+        left, bottom = x[0] - wide / 2, y[0] - high / 2
+        corner = {"x": [left], "y": [bottom], "dw": [n * wide], "dh": [m * high]}
+        is_strange = ~plane.is_periodic & np.isfinite(plane.x_max)
+        pictures = plane.x_max * _MM, np.where(is_strange, 1.0, np.nan)
+        for source, picture in zip(self._images[plane.name, slot], pictures, strict=True):
+            source.data = {"image": [picture], **corner}
+        shown = self.figures[plane.name, slot]
+        shown.title.text = f"{self._titles[plane.name]}: {self._labels[slot]}"
+        shown.axis.visible = True
+        if is_map:
+            shown.yaxis.axis_label = self._over.label
+            shown.yaxis.formatter = CustomJSTickFormatter(code=self._over.tick)
+            decades = SingleIntervalTicker(interval=1.0, num_minor_ticks=0)
+            shown.yaxis.ticker = decades if self._over.is_log else BasicTicker()
+        if slot == 0:
+            shown.x_range.update(start=left, end=left + len(x) * wide)
+            shown.y_range.update(start=bottom, end=bottom + len(y) * high)
+            self._peaks[plane.name].high = max(float(np.nanmax(pictures[0], initial=0.0)), 1e-9)
+
+
+def _plane(
+    name: str, slot: int, peaks: LinearColorMapper
+) -> tuple[figure, tuple[ColumnDataSource, ...]]:
+    """Figure of a plane, and its images: peaks, and what is not periodic over them."""
+    words = ("displacement x [mm]", "velocity v [mm/s]") if name == BASINS else ("ω [Hz]", "")
+    ranges = {"x_range": Range1d(0.0, 1.0), "y_range": Range1d(0.0, 1.0)}
+    shown = blank(*words, 330, min_width=320, **ranges)
+    red = LinearColorMapper([NOT_PERIODIC], nan_color="#00000000")
+    sources = []
+    for mapper, what in ((peaks, "peaks"), (red, "not periodic")):
+        source = ColumnDataSource({each: [] for each in _IMAGE}, name=f"{name} {slot} {what}")
+        shown.image(**{each: each for each in _IMAGE}, source=source, color_mapper=mapper)
+        sources.append(source)
+    shown.grid.visible = False
+    shown.add_layout(ColorBar(color_mapper=peaks, title="peak [mm]", width=10), "right")
+    tips = [("peak", "@image{0.0000} mm")]
+    shown.add_tools(HoverTool(tooltips=tips, renderers=shown.renderers[:1]))
+    return shown, tuple(sources)
+
+
+def blank(x: str, y: str, height: int, *, min_width: int = 250, **how: Any) -> figure:
+    """An empty figure with these labels."""
+    made = figure(
+        height=height, sizing_mode="stretch_width", tools=_TOOLS, active_drag=None,
+        x_axis_label=x, y_axis_label=y, output_backend="canvas", min_width=min_width, **how,
+    )  # fmt: skip
+    made.toolbar.logo = None
+    made.toolbar.autohide = True
+    made.outline_line_color = None
+    made.grid.grid_line_color = "#dddddd"
+    made.axis.axis_label_text_font_style = "normal"
+    return made
+
+
+def guide(shown: figure, dimension: str, dash: str = "dotted") -> Span:
+    """A grey line through the whole figure."""
+    span = Span(dimension=dimension, line_color="#888888", line_dash=dash)
+    shown.add_layout(span)
+    return span
