@@ -1,5 +1,6 @@
 """Machine code on disk: never stale, safe to share, and in a folder that can be written."""
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -54,6 +55,13 @@ def copy(tmp_path):
     return tmp_path / "source"
 
 
+@pytest.fixture(scope="module")
+def machine_code(tmp_path_factory):
+    """A package, a folder of its machine code, and the numbers that it gives."""
+    folder = tmp_path_factory.mktemp("code")
+    return SOURCES.parent, folder, printed(start(SOURCES.parent, folder))
+
+
 def test_edited_helper_gives_new_numbers_in_the_next_process(copy, tmp_path):
     before = printed(start(copy, tmp_path / "code"))
     # Sampling enters compiled code in sample.py and evaluates polynomials in roots.py.
@@ -80,6 +88,40 @@ def test_a_killed_process_leaves_no_lock_behind(copy, tmp_path):
     first.kill()
     first.communicate()
     assert printed(start(copy, tmp_path / "code"))
+
+
+@pytest.mark.parametrize("damage", [lambda code: b"", lambda code: code[:-9] + b"x" * 9])
+def test_damaged_machine_code_is_made_again(machine_code, damage):
+    package, folder, numbers = machine_code
+    (file,) = folder.glob("gapsweep/compiled-*/*set_starts-*.code")
+    file.write_bytes(damage(file.read_bytes()))
+    assert printed(start(package, folder)) == numbers
+    found = file.read_bytes()
+    assert found[:32] == hashlib.sha256(found[32:]).digest()
+
+
+def test_machine_code_under_anothers_name_is_not_run(machine_code):
+    """As a race could leave it, or a name that stands for two signatures."""
+    package, folder, numbers = machine_code
+    names = ("sample_steps", "set_starts")
+    wrong, other = (next(folder.glob(f"gapsweep/compiled-*/*{n}-*.code")) for n in names)
+    wrong.write_bytes(other.read_bytes())
+    assert printed(start(package, folder)) == numbers
+
+
+def test_code_in_a_folder_of_somebody_else_is_not_run(copy, tmp_path):
+    temporary = tmp_path / "temporary"
+    (temporary / f"gapsweep-{os.getuid()}").mkdir(parents=True)
+    (temporary / f"gapsweep-{os.getuid()}").chmod(0o777)
+    where = "from gapsweep.integrate.jit import code_folder; print(code_folder())"
+    blocked = tmp_path / "file"
+    blocked.touch()
+    variables = {"XDG_CACHE_HOME": str(blocked), "TMPDIR": str(temporary)}
+    folder = Path(printed(start(copy, blocked, where, **variables)))
+    assert temporary in folder.parents
+    private = temporary / folder.relative_to(temporary).parts[0]
+    assert private.name != f"gapsweep-{os.getuid()}"
+    assert not private.stat().st_mode & 0o077
 
 
 def test_unwritable_folders_fall_back_to_the_next(copy, tmp_path):

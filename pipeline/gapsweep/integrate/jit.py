@@ -12,18 +12,25 @@ gives the same bits. Where none fits, by processor, Python, numba or sources, it
 
 import hashlib
 import os
+import pickle
+import stat
 import sys
 import sysconfig
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
+import numba
 from filelock import FileLock, Timeout
 from llvmlite.binding import get_host_cpu_features
 from numba import config, njit
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import FunctionCache
+from numba.core.serialize import dumps
+from numba.core.sigutils import normalize_signature
 
 # Called from compiled code alone: without the wrappers for Python and C, which take longer to
 # compile than a small function itself.
@@ -41,10 +48,47 @@ _LEVELS = {
     "x86-64-v4": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
     "x86-64-v3": {"avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"},
 }
+_CHECKSUM = hashlib.sha256().digest_size
 _LONGEST_WAIT = 120.0  # seconds for what another process compiles
 SHIPPED = Path(__file__).parents[1] / "machine_code"
 # Where code that is made to be shipped is written to, by the variable's name in the environment.
 SHIP_TO = "GAPSWEEP_SHIP_TO"
+
+
+class _Code:
+    """Machine code of a function in a folder: one file for every key, with its checksum.
+
+    numba's own files have an index, in which processes that compile at once for two signatures
+    can write the name of one for the code of the other; and nothing tells that a file is damaged.
+    """
+
+    def __init__(self, folder: Path, function: Callable[..., Any]) -> None:
+        self._folder, self._name = folder, f"{function.__module__}.{function.__qualname__}"
+
+    def _file(self, key: Any) -> Path:
+        made_with = source_fingerprint(), numba.__version__, sys.version_info[:2]
+        digest = hashlib.sha256(repr((*made_with, key)).encode()).hexdigest()
+        return self._folder / f"{self._name}-{digest[:32]}.code"
+
+    def load(self, key: Any) -> Any:
+        """What was saved; None if there is nothing, or it is damaged."""
+        try:
+            found = self._file(key).read_bytes()
+        except OSError:
+            return None
+        checksum, data = found[:_CHECKSUM], found[_CHECKSUM:]
+        return pickle.loads(data) if hashlib.sha256(data).digest() == checksum else None
+
+    def save(self, key: Any, code: Any) -> None:
+        """Keep it, if there is room."""
+        data, file = dumps(code), self._file(key)
+        temporary = file.with_name(f"{file.stem}.{uuid4().hex}")
+        try:
+            temporary.write_bytes(hashlib.sha256(data).digest() + data)
+            temporary.replace(file)
+        except OSError:
+            with suppress(OSError):
+                temporary.unlink()
 
 
 class _Cache(FunctionCache):
@@ -52,26 +96,25 @@ class _Cache(FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._came = [_file(SHIPPED / folder, function) for folder in shipped_for()]
+        self._kept = _Code(code_folder(), function)
+        self._came = [_Code(SHIPPED / folder, function) for folder in shipped_for()]
         target = os.environ.get(SHIP_TO)
-        self._made = _file(Path(target), function) if target else None
+        self._made = _Code(Path(target), function) if target else None
 
     def _load_overload(self, signature: Any, target: Any) -> Any:
-        for file in self._came:
-            data = file.load(signature)
+        kept = self._kept.load(self._index_key(signature, target.codegen()))
+        for data in (*(file.load(signature) for file in self._came), kept):
             if data is not None:
-                return self._impl.rebuild(target, data)
-        return super()._load_overload(signature, target)
+                found = self._impl.rebuild(target, data)
+                if found.signature.args == normalize_signature(signature)[0]:
+                    return found
+        return None
 
     def _save_overload(self, signature: Any, data: Any) -> None:
-        super()._save_overload(signature, data)
+        code = self._impl.reduce(data)
+        self._kept.save(self._index_key(signature, data.codegen), code)
         if self._made is not None:
-            self._made.save(signature, self._impl.reduce(data))
-
-
-def _file(folder: Path, function: Callable[..., Any]) -> IndexDataCacheFile:
-    name = f"{function.__module__}.{function.__qualname__}"
-    return IndexDataCacheFile(str(folder), name, source_fingerprint())
+            self._made.save(signature, code)
 
 
 @cache
@@ -98,16 +141,10 @@ def folder_of(level: str) -> str:
 
 def entry(function: Callable[..., Any]) -> Any:
     """Compile a function that Python calls, and keep the machine code on disk."""
-    users_choice = config.CACHE_DIR
-    # numba looks at the setting when it decorates, so the user's own functions never see ours.
-    config.CACHE_DIR = str(code_folder())
-    try:
-        found = njit(nogil=True)(function)
-        found._cache = _Cache(function)
-        found.compile = _by_one_process(function, found.compile)
-        return found
-    finally:
-        config.CACHE_DIR = users_choice
+    found = njit(nogil=True)(function)
+    found._cache = _Cache(function)
+    found.compile = _by_one_process(function, found.compile)
+    return found
 
 
 def _by_one_process(function: Callable[..., Any], usual: Callable[..., Any]) -> Callable[..., Any]:
@@ -136,17 +173,33 @@ def code_folder() -> Path:
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     users = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    for parent in filter(None, (chosen, users)):
+        with suppress(OSError):
+            return _made(Path(parent))
+    try:
+        return _made(_private())
+    except OSError:
+        said = "no folder for compiled code can be written: set NUMBA_CACHE_DIR to one"
+        raise OSError(said) from None
+
+
+def _made(parent: Path) -> Path:
+    folder = parent / "gapsweep" / f"compiled-{source_fingerprint()}"
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder):
+        return folder
+
+
+def _private() -> Path:
+    """A folder of our own where everybody can write: what lies in it will be run."""
     owner = os.getuid() if hasattr(os, "getuid") else "user"
-    parents = [users, os.path.join(tempfile.gettempdir(), f"gapsweep-{owner}")]
-    for parent in [chosen, *parents] if chosen else parents:
-        folder = Path(parent) / "gapsweep" / f"compiled-{source_fingerprint()}"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
-                return folder
-        except OSError:
-            continue
-    raise OSError("no folder for compiled code can be written: set NUMBA_CACHE_DIR to one")
+    folder = Path(tempfile.gettempdir()) / f"gapsweep-{owner}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    is_ours = stat.S_ISDIR(found.st_mode) and not found.st_mode & 0o022
+    if is_ours and (owner == "user" or found.st_uid == owner):
+        return folder
+    return Path(tempfile.mkdtemp(prefix="gapsweep-"))
 
 
 @cache
