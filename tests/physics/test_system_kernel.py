@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg
 from scipy.integrate import solve_ivp
 from tests import piecewise_linear as exact
 from tests.random_systems import LAGS, TOLERANCE, Case, as_gapsweep, random_case, relative
@@ -446,6 +447,21 @@ def test_a_mass_in_equilibrium_on_its_wall_stays_there_and_lets_the_others_move(
     run = gs.simulate(system, law, q_0=[start, 0.5], t_end=50.0, rtol=1e-10, atol=1e-13)
     assert run.status == gs.Status.OK
     assert run.q == pytest.approx([1.0, 0.5 * np.cos(100.0)], abs=1e-8)
+
+
+def test_a_contact_without_a_gap_that_rests_on_its_walls_is_a_spring():
+    """From rest nothing but its tangent shows it."""
+    system = gs.System(
+        mass=np.eye(2),
+        damping=0.5 * np.eye(2),
+        stiffness=np.diag([80.0, 20.0]),
+        contacts={"hold": [0.0, 1.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
+    )
+    law = gs.Piecewise(100.0, gs.Gap(0.0, 0.0))
+    run = gs.simulate(system, law, 2.0, t_end=0.5, tangent=True, rtol=1e-11)
+    expected = scipy.linalg.expm(0.5 * np.array([[0.0, 1.0], [-120.0, -0.5]]))
+    assert run.monodromy[np.ix_([1, 3], [1, 3])] == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("K_c", [1e3, 1e8])

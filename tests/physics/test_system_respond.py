@@ -249,6 +249,28 @@ def test_a_part_too_light_to_be_seen_is_not_judged():
     assert "too little to be told" in found.message
 
 
+@pytest.mark.parametrize(
+    ("K_c", "gap", "said"),
+    [(87.0, 0.1, gs.Status.UNRESOLVED), (87.0, 0.0, gs.Status.DIVERGED), (0.0, 0.1, gs.Status.OK)],
+)
+def test_nothing_is_claimed_of_a_motion_along_its_wall(K_c, gap, said):
+    """Two equal machines that move alike never press on the stop between them.
+
+    What the stop does to a disturbance is another thing: out of contact it decays; held by a spring
+    of this stiffness it grows, by matrix exponentials 3.3 times in a period.
+    """
+    one = np.array([[90.0, 55.0], [-55.0, 200.0]])
+    system = gs.System(
+        mass=np.eye(4), damping=0.3 * np.eye(4), stiffness=np.kron(np.eye(2), one),
+        contacts={"stop": [1.0, 0.0, -1.0, 0.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.5, 1.0, 0.5])],
+    )  # fmt: skip
+    law = gs.Piecewise(K_c, gs.Gap(0.0, gap))
+    for apart in (0.0, 1e-12):
+        found = gs.respond(system, law, 1.1, q_0=[0.013, 0.0, 0.013 + apart, 0.0])
+        assert found.status in (said, gs.Status.DIVERGED if K_c and apart else said)
+
+
 def test_a_torus_beside_a_part_that_repeats_is_found():
     # Without loss the first coordinate keeps its own frequency for ever; no contact is reached.
     system = gs.System(

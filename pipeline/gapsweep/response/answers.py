@@ -230,7 +230,10 @@ def _read_off(
     found_out = found.is_chaotic | found.is_quasiperiodic | stays
     share = walks.contact_share[:, points]
     faint = 0.5 * (gap_max - gap_min) < _FAINT * ensemble.gap_units(points) * walks.reach[points]
-    hidden = (faint & (share > 0.0) & (share < 1.0)).any(axis=0)
+    margin = ensemble.solver.rtol * ensemble.gap_units(points) * walks.reach[points]
+    kinks = ensemble.kinks[:, :, points]
+    near = ((gap_min - margin <= kinks) & (kinks <= gap_max + margin)).any(axis=0)
+    hidden = (faint & near).any(axis=0) & ~found.is_at_rest[points]
     found.hide(points[hidden])
     is_known = (is_orbit | found_out[points]) & ~hidden
     status = np.where(is_known, Status.OK, Status.UNRESOLVED)

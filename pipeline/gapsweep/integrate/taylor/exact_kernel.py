@@ -181,9 +181,11 @@ def _part(at, lanes, k):
         lower, upper = lanes[at.lower + contact, k], lanes[at.upper + contact, k]
         is_on = place in (lower, upper)
         if is_on and abs(speed) <= slack * lanes[at.rate, k]:
+            has_gap = lower < upper  # without one it stays in contact
             lanes[at.lower + contact, k] -= slack if place == lower else 0.0
-            lanes[at.upper + contact, k] += slack if place == upper else 0.0
-            lanes[at.mode + contact, k] = 0.0
+            outward = slack if has_gap else -slack
+            lanes[at.upper + contact, k] += outward if place == upper else 0.0
+            lanes[at.mode + contact, k] = 0.0 if has_gap else 1.0
             is_parted = True
     if is_parted:
         lanes[at.n_short, k] = 0.0

@@ -152,7 +152,8 @@ def set_modes_on_walls(at: Layout, points: FloatArray) -> None:
     """Contact modes of points that start on a wall.
 
     The first derivative of the gap that is not zero decides. None depends on that contact's mode as
-    long as the lower ones are zero, and if as many are zero as there are states, it stays there.
+    long as the lower ones are zero, and if as many are zero as there are states, it stays there:
+    in the gap, if there is one.
 
     Parameters
     ----------
@@ -170,6 +171,7 @@ def set_modes_on_walls(at: Layout, points: FloatArray) -> None:
             heading = np.where(heading == 0.0, np.sign(slope), heading)
             if heading.all():
                 break
+        heading[(heading == 0.0) & is_high[here] & is_low[here]] = 1.0
         mode[here] = (is_high[here] & (heading > 0.0)) * 1.0 - (is_low[here] & (heading < 0.0))
 
 
