@@ -15,6 +15,8 @@ fails numerically raises nothing: its `Status` is part of the result.
 
 from collections.abc import Sequence
 
+_LONGEST = 300  # characters of an error that is somebody else's
+
 
 class GapsweepError(Exception):
     """Base of all errors that a user can cause and mend."""
@@ -57,4 +59,4 @@ def described(error: BaseException) -> str:
         first = str(error).splitlines()[:1]
     except BaseException:  # its own __str__ may raise anything, SystemExit too
         first = []
-    return f"{name}: {first[0]}" if first and first[0] else name
+    return f"{name}: {first[0][:_LONGEST]}" if first and first[0] else name

@@ -358,6 +358,15 @@ def test_figures_that_a_report_no_longer_has_are_removed(tmp_path):
     assert {line.split()[1] for line in (folder / SUMS).read_text().splitlines()} == shown
 
 
+def test_no_two_figures_of_a_page_share_an_id():
+    names = ["hero", "Fig. 7", "7", "x", "x", "x-2", "A" * 300, "A" * 299]
+    part = Part("own", "Own", [], (), [Figured(panelled(), "c", "d", name) for name in names])
+    (shown,) = for_page(rendered([part]), taken=["figure-hero"])
+    ids = [figure["id"] for figure in shown["figures"]]
+    assert len({*ids, "figure-hero"}) == len(names) + 1
+    assert max(map(len, ids)) < 80
+
+
 def test_figures_are_not_written_where_a_link_leads(tmp_path):
     responses, compared = made(tmp_path, EQUAL)
     (tmp_path / "page").mkdir()

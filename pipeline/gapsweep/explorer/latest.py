@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Generic, TypeVar
 
-from gapsweep.errors import GapsweepError
+from gapsweep.errors import GapsweepError, described
 
 Q = TypeVar("Q")
 A = TypeVar("A")
@@ -66,3 +66,5 @@ class Latest(Generic[Q, A]):
                         break
             except GapsweepError as error:
                 self._refuse(question, str(error))
+            except Exception as error:  # whatever it is, the next question wants its answer
+                self._refuse(question, described(error))

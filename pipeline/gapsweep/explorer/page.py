@@ -48,6 +48,7 @@ from gapsweep.explorer.question import (
     numbers,
 )
 from gapsweep.explorer.stored import Stored
+from gapsweep.model.labels import AUTO
 
 _MM = 1e3
 _SIDE = 300  # pixels
@@ -102,9 +103,10 @@ class Page:
         self._controls(question, ranges)
         self._figures = Figures()
         self._figures.look_at(question, self._dials[self._over.value])
-        self._figures.response.on_event(Tap, self._clicked)
+        self._figures.response.on_event(Tap, self._heeding(self._clicked))
         for (name, _), plane in self._figures.planes.figures.items():
-            plane.on_event(Tap, self._start_clicked if name == BASINS else self._setting_clicked)
+            heed = self._start_clicked if name == BASINS else self._setting_clicked
+            plane.on_event(Tap, self._heeding(heed))
         document.add_root(self._layout())
         document.title = "gapsweep explore"
         document.template = _TEMPLATE
@@ -222,6 +224,17 @@ class Page:
             self._put[name] = place, value
         self._is_setting = False
 
+    def _heeding(self, handler: Callable[[Tap], None]) -> Callable[[Tap], None]:
+        """What a click does, or a word on why it cannot."""
+
+        def heeded(event: Tap) -> None:
+            try:
+                handler(event)
+            except GapsweepError as error:
+                self._refuse(self._question, str(error))
+
+        return heeded
+
     def _clicked(self, event: Tap) -> None:
         """Look at the motion of the response that is nearest."""
         shown: list[Curve | Points] = [*self._curves.values()]
@@ -242,7 +255,9 @@ class Page:
     def _setting_clicked(self, event: Tap) -> None:
         """Look at the motion from rest where the map is clicked."""
         over = self._dials[self._over.value]
-        self._set({"omega": event.x, over.name: over.at(event.y)})
+        low, high = self._question.band
+        value = min(max(event.y, over.scaled(over.low)), over.scaled(over.high))
+        self._set({"omega": min(max(event.x, low), high), over.name: over.at(value)})
         self._ask(start=(0.0, 0.0))
 
     def _highest(self) -> float:
@@ -253,7 +268,7 @@ class Page:
     def _have(self, label: str) -> None:
         """Show a stored point's law too, in the last one's place if there are enough."""
         ours = labels(self._laws.value)
-        if label == EXACT or label in ours or ":" in label:
+        if label in (EXACT, AUTO, *ours) or ":" in label:
             return
         self._is_setting = True
         self._laws.value = ", ".join((*ours[: MAX_STAND_INS - 1], label))

@@ -10,7 +10,7 @@ import numpy as np
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import FIT_RANGE, ContactLaw, Piecewise
 from gapsweep.model.labels import AUTO, canonical_label, contact_law
-from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.oscillator import Gap, Oscillator, checked
 from gapsweep.study.study import Study
 
 EXACT = Piecewise.family
@@ -59,6 +59,9 @@ class Question:
     over_values: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        checked("omega", self.omega, low=0.0, strict=True)
+        for name, value in zip(("x_0", "v_0"), self.start, strict=True):
+            checked(name, value)
         low, high = self.band
         if not 0.0 < low < high:
             raise ModelError(f"frequencies {low:g} to {high:g} Hz: must be > 0 Hz and ascend")

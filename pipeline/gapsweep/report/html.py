@@ -95,7 +95,7 @@ def write_report(
         bench_parts(work_precision, stability),
         [overview(*files)] if is_wide(responses) else _scenes(*files),
     )
-    parts = for_page([*own_parts, *rendered(ours)])
+    parts = for_page([*own_parts, *rendered(ours)], taken=["figure-hero"])
     # Its rules are those of one displacement between two walls.
     is_judged = not is_of_systems(responses)
     found = contacts(agreement, static) if agreement is not None and is_judged else []

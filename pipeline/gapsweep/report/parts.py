@@ -6,10 +6,10 @@ and pictures, fit for JSON: what is stored is shown later without running what m
 
 import re
 import zlib
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, count
 from typing import Any
 
 import matplotlib
@@ -25,6 +25,8 @@ from gapsweep.report.pictures import (
     unpacked,
 )
 from gapsweep.report.style import MATPLOTLIB
+
+_LONGEST = 64  # characters of an id, which names files
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,16 +142,24 @@ def drawn(figured: Figured) -> dict[str, str]:
     return {**words, **pictures(figured.figure)}
 
 
-def for_page(parts: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Parts that were stored, their figures with ids of their own and addresses of pictures."""
-    made, used = [], Counter[str]()
+def for_page(parts: Iterable[Mapping[str, Any]], taken: Iterable[str] = ()) -> list[dict[str, Any]]:
+    """Parts that were stored, their figures with ids of their own and addresses of pictures.
+
+    Parameters
+    ----------
+    parts : iterable of mapping
+    taken : iterable of str
+        Ids of the page's other figures.
+    """
+    made, used = [], set(taken)
     for part in parts:
         figures = [shown(each) for each in part["figures"] if _is_sound(each)]
         for figure in figures:
             slug = re.sub("[^a-z0-9]+", "-", (figure.get("name") or part["anchor"]).lower())
-            used[slug] += 1
-            again = f"-{used[slug]}" if used[slug] > 1 else ""
-            figure["id"] = f"figure-{slug.removeprefix('fig-')}{again}"
+            plain = f"figure-{slug.removeprefix('fig-')[:_LONGEST]}"
+            others = (f"{plain}-{n}" for n in count(2))
+            figure["id"] = next(each for each in chain([plain], others) if each not in used)
+            used.add(figure["id"])
         made.append({**part, "figures": figures})
     return made
 

@@ -181,7 +181,7 @@ def _rows(marks: Marks) -> Iterator[Row]:
         return
     ends = [_text(end) for end in marks.x_end] or [""] * len(marks.x)
     rows = [
-        (marks.series, marks.kind, _text(at), _text(value), end)
+        (_cell(marks.series), marks.kind, _text(at), _text(value), end)
         for at, value, end in zip(marks.x, marks.y, ends, strict=True)
     ]
     yield from dict.fromkeys(rows) if marks.kind == "point" else rows
@@ -190,8 +190,13 @@ def _rows(marks: Marks) -> Iterator[Row]:
 def _text(value: Any) -> str:
     """A number, nothing for none, or one of the words of an axis of words."""
     if isinstance(value, str):
-        return value
+        return _cell(value)
     return f"{float(value):.6g}" if np.isfinite(value) else ""
+
+
+def _cell(text: str) -> str:
+    """A text that no spreadsheet takes for a formula."""
+    return f"'{text}" if text[:1] in tuple("=+-@\t\r") else text
 
 
 def _series(artist: Any) -> str:

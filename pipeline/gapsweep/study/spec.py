@@ -350,7 +350,7 @@ def parse(text: str, source: str = "study") -> StudySpec:
     """
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # numbers too long, and brackets too deep, too
         raise StudyError([f"{source}: not valid TOML: {error}"]) from None
     return check(tables, source)
 
