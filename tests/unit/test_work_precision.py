@@ -260,6 +260,9 @@ def test_another_law_on_the_front_is_named(measured):
     changed = measured.copy(deep=True)
     changed["on_front"].loc[{"method": "tanh-1e4"}] = 1
     changed["total_error"].loc[{"method": "tanh-1e4"}] = 1e-3
+    # Cheaper beyond doubt, whatever else ran beside the measurement.
+    for name in ("cpu_time", "cpu_time_q25", "cpu_time_q75"):
+        changed[name].loc[{"method": "tanh-1e4"}] = 1e-3 * float(measured[name].min())
     assert beaten(changed) == {"soft": ["tanh-1e4"]}
 
 
