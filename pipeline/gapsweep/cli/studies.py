@@ -205,7 +205,11 @@ def explain(
     from gapsweep import workflow
 
     loaded = options.loaded(study, engine)
-    for point in workflow.explain(loaded, cache, limit, **options.selected(wanted)):
+    points = workflow.explain(loaded, cache, limit + 1, **options.selected(wanted))
+    for n, point in enumerate(points):
+        if n == limit:
+            click.echo(f"and more: --limit {10 * limit}")
+            break
         click.echo(f"{point.label}: {point.status}{f' on {point.host}' if point.host else ''}")
         if point.message:
             click.echo(f"  {point.message}")

@@ -55,6 +55,8 @@ _EITHER = {"step": "give step or num", "sobol": "give sobol or grid"}
 _TAGS = {"list", "step", "num", "sobol", "grid", "sweep", "several"}
 _OF_WHAT = {"oscillator", "system"}  # of which a block of points is: the tag behind its number
 
+_PARAMETERS = "parameter"  # the field that holds what is swept by names of the user's own
+
 Loc = tuple[str | int, ...]
 
 
@@ -122,10 +124,17 @@ def _form_at(loc: Loc) -> str:
 
 def _likely(loc: Loc, spec: type[BaseModel]) -> str:
     """Which key of the same table is meant, if one is alike, else all of them."""
-    keys = (key for table in _tables(loc[:-1], spec) for key in table.model_fields)
-    known = [key for key in dict.fromkeys(keys) if key != loc[-1]]  # another form may have it
+    tables = _tables(loc[:-1], spec)
+    of_system = [table for table in tables if _PARAMETERS in table.model_fields]
+    is_of_system = loc[2:3] == ("system",) and bool(of_system)
+    keys = (key for table in (of_system if is_of_system else tables) for key in table.model_fields)
+    # Another form may have it.
+    known = [key for key in dict.fromkeys(keys) if key not in (loc[-1], _PARAMETERS)]
     alike = difflib.get_close_matches(str(loc[-1]), known, n=1)
-    return f"; did you mean {alike[0]}?" if alike else f"; there are {', '.join(known)}"
+    if alike:
+        return f"; did you mean {alike[0]}?"
+    more = "; an argument of the system's function is named in [parameters] first" * is_of_system
+    return f"; there are {', '.join(known)}{more}"
 
 
 def _tables(loc: Loc, spec: type[BaseModel]) -> list[type[BaseModel]]:
