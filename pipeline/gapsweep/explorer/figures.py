@@ -20,7 +20,7 @@ from gapsweep.explorer.answers import (
     Points,
 )
 from gapsweep.explorer.planes import Planes, blank, guide
-from gapsweep.explorer.question import EXACT, MAX_STAND_INS, Dial, Question
+from gapsweep.explorer.question import EXACT, MAX_STAND_INS, Question
 from gapsweep.report.style import NOT_PERIODIC, colour, lines
 from gapsweep.response.result import ResponseClass
 
@@ -115,10 +115,9 @@ class Figures:
         )  # fmt: skip
         return source
 
-    def look_at(self, question: Question, over: Dial) -> None:
-        """Move what marks the question: the frequency looked at, the walls and the start."""
+    def look_at(self, question: Question) -> None:
+        """Move what marks the question: the frequency looked at and the walls."""
         gap = question.gap
-        self.planes.look_at(question, over)
         self._at.location = question.omega
         self._top.location = gap.j_2 * _MM
         for spans, wall in zip(self._walls, (-gap.j_1, gap.j_2), strict=True):

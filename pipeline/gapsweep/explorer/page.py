@@ -102,7 +102,7 @@ class Page:
         self._points: Points | None = None
         self._controls(question, ranges)
         self._figures = Figures()
-        self._figures.look_at(question, self._dials[self._over.value])
+        self._figures.look_at(question)
         self._figures.response.on_event(Tap, self._heeding(self._clicked))
         for (name, _), plane in self._figures.planes.figures.items():
             heed = self._start_clicked if name == BASINS else self._setting_clicked
@@ -202,7 +202,7 @@ class Page:
             self._refuse(self._question, str(error))
             return
         self._question = question
-        self._figures.look_at(question, over)
+        self._figures.look_at(question)
         self._latest.ask(question)
 
     def _read(self, name: str) -> float:
@@ -303,6 +303,9 @@ class Page:
         if is_first:
             self._curves, self._motions = {}, {}
         self._figures.show(question, answer)
+        if is_first:
+            # Once the curve is drawn: they take the browser as long as it does.
+            self._later(self._figures.planes.look_at)(question, self._dials[question.over])
         if isinstance(answer, Plane):
             return
         if isinstance(answer, Curve):

@@ -24,6 +24,7 @@ from gapsweep.report.style import NOT_PERIODIC, sequence
 _MM = 1e3
 _SLOTS = 2  # the exact law and the first stand-in
 _SHADES = 64
+_ROWS = 8  # computed between two looks: the browser takes longer to draw than one is computed
 _FAILED = "#555555"
 _IMAGE = ("image", "x", "y", "dw", "dh")
 _TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
@@ -84,15 +85,17 @@ class Planes:
 
     def _clear(self, name: str, slot: int) -> None:
         for source in self._images[name, slot]:
-            source.data = {each: [] for each in _IMAGE}
+            if source.data["image"]:
+                source.data = {each: [] for each in _IMAGE}
         shown = self.figures[name, slot]
-        shown.axis.visible = False
         if shown.visible:
             shown.title.text = f"{self._titles[name]}, {self._labels[slot]}: computing …"
 
     def show(self, slot: int, plane: Plane) -> None:
-        """Draw as much of a plane as is computed."""
+        """Draw as much of a plane as is computed, every few rows."""
         is_map, (m, n) = plane.name == MAP, plane.x_max.shape
+        if m % _ROWS and m < len(plane.y):
+            return
         x = plane.x if is_map else plane.x * _MM
         y = np.array(list(map(self._over.place, plane.y))) if is_map else plane.y * _MM
         wide, high = x[1] - x[0], y[1] - y[0]
@@ -129,7 +132,7 @@ def _plane(
         source = ColumnDataSource({each: [] for each in _IMAGE}, name=f"{name} {slot} {what}")
         shown.image(**{each: each for each in _IMAGE}, source=source, color_mapper=mapper)
         sources.append(source)
-    shown.grid.visible = False
+    shown.grid.visible = shown.axis.visible = False
     shown.add_layout(ColorBar(color_mapper=peaks, title="peak [mm]", width=10), "right")
     tips = [("peak", "@image{0.0000} mm")]
     shown.add_tools(HoverTool(tooltips=tips, renderers=shown.renderers[:1]))
