@@ -543,3 +543,17 @@ def test_a_file_counts_where_no_digest_has_come_along(tmp_path):
     made_from = json.dumps({"responses.nc": sha256(responses)})
     xr.Dataset(attrs={"made_from": made_from}).to_netcdf(agreement)
     assert is_of_run(agreement)
+
+
+def test_keys_under_panels_fit_a_phone():
+    figure = Figure(figsize=(9.5, 7.4), layout="constrained")
+    names = [f"period {i}" for i in range(8)]
+    for axes in figure.subplots(2, 2).ravel():
+        below = axes.transAxes
+        for name in names:
+            axes.plot(range(9), label=name)
+        where = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.2), "bbox_transform": below}
+        axes.legend(ncols=4, title="kinds", **where)
+    narrow = pictures(figure)["narrow"]  # where panels have no room, matplotlib warns
+    assert words(narrow).count(names[7]) == 4
+    assert words(narrow).count("kinds") == 4
