@@ -170,12 +170,26 @@ def test_many_starts_at_one_place_are_a_map_of_the_starts(tmp_path):
     study["sweep"][0]["initial_condition"] = states
     responses, found = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 5.0))
     (figure,) = overview(responses, None, timing(responses), found).figures
-    amplitudes = figure.figure.axes[0]
-    assert amplitudes.get_xlabel() == "initial displacement [mm]"
-    assert amplitudes.images[0].get_array().shape[:2] == (20, 26)
+    axes = figure.figure.axes[0]
+    assert axes.get_xlabel() == "initial displacement [mm]"
+    assert axes.images[0].get_array().shape[:2] == (20, 26)
     assert figure.caption.endswith(
-        "Class: periodic everywhere. Period: P1 everywhere. Attractor: 0 everywhere."
+        "Class: periodic everywhere. Period: P1 everywhere. Attractor: 0 everywhere. "
+        "Amplitude: 1 mm everywhere."
     )
+
+
+def test_a_grid_of_starts_at_one_frequency_is_drawn_as_its_plane(tmp_path):
+    study = tables(["piecewise", "tanh-1e4"], [5.0])
+    states = [[1e-5 * i, 1e-3 * k] for i in range(6) for k in range(5)]
+    study["sweep"][0]["initial_condition"] = states
+
+    def two(label, omega, start):
+        return periodic([(1e-3 * (1 + start % 2), 0.0)], omega)
+
+    page = page_of(tmp_path, datasets(tmp_path, study, two))
+    assert page.count("Attractor, peak: ") == 2
+    assert "zero-velocity displacements" not in page
 
 
 def test_coordinates_share_maps_of_classes_and_have_amplitudes_of_their_own(tmp_path):

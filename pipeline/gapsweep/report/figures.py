@@ -149,7 +149,7 @@ def basins(found: xr.Dataset) -> Figure:
 def maps(pictures: Sequence[Picture]) -> Figure:
     """Pictures of one representation, two in a row."""
     n_rows = math.ceil(len(pictures) / 2)
-    figure = Figure(figsize=(_WIDTH, 3.7 * n_rows))
+    figure = Figure(figsize=(_WIDTH, 1.0 + 3.4 * n_rows))
     panels = iter(figure.subplots(n_rows, 2, squeeze=False).ravel())
     for shown in pictures:
         draw(next(panels), shown)

@@ -15,11 +15,11 @@ from gapsweep.errors import DatasetError
 from gapsweep.report.drawing import said_of_walls
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, frequency_response, maps
-from gapsweep.report.maps import numeric_axes, on_grid, picture
+from gapsweep.report.maps import Picture, numeric_axes, on_grid, picture
 from gapsweep.report.parts import Figured, Part
-from gapsweep.report.scales import named
+from gapsweep.report.scales import named, shown_unit
 from gapsweep.report.selection import places
-from gapsweep.report.tables import scene_tables
+from gapsweep.report.tables import number, scene_tables
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
@@ -29,6 +29,7 @@ _START = SWEPT[1]
 _STATE = ("x_0", "v_0")
 _FEW_STARTS = 500
 _LEAST = 5  # values of an axis of a map; of fewer, each has curves of its own
+_NOISE = 1e-4  # of numbers, relative: colours of what differs by less would show nothing
 # What maps show, in the words of a caption.
 _WORDS = {
     "response_class": "class",
@@ -126,9 +127,8 @@ def plane_of(responses: xr.Dataset) -> list[str]:
     """The two states that the starts form a grid of; none if they form none worth a map."""
     if "x_0" not in responses.coords:
         return []
-    starts = responses[list(_STATE)].reset_coords().set_coords(_STATE)
     try:
-        sizes = on_grid(starts).sizes
+        sizes = on_grid(responses.coords.to_dataset()).sizes
     except DatasetError:
         return []
     return list(_STATE) if min(sizes.values()) >= _LEAST else []
@@ -192,17 +192,23 @@ def maps_of(
     where : str
         What of, for the caption.
     """
-    shown, names, constant = [], [], []
-    for part, name in parts:
-        one = picture(part, name, axes[0], axes[1], {})[0]
-        if len(one.names) == 1 and (one.kind == 0).all():
-            constant.append(f" {_WORDS[name].capitalize()}: {one.names[0]} everywhere.")
-        else:
-            shown.append(one)
-            names.append(_WORDS[name])
-    if shown:
-        said = f"{', '.join(dict.fromkeys(names))}: {where}.{''.join(constant)}"
-        yield Figured(maps(shown), said[0].upper() + said[1:], f"Maps, {where}")
+    pictures = [(name, picture(part, name, axes[0], axes[1], {})[0]) for part, name in parts]
+    alike = [(name, value) for name, one in pictures if (value := _everywhere(one))]
+    shown = [(name, one) for name, one in pictures if not _everywhere(one)] or pictures[:1]
+    drawn = dict.fromkeys(_WORDS[name] for name, _ in shown)
+    said = f"{', '.join(drawn)}: {where}."
+    said += "".join(f" {_WORDS[name].capitalize()}: {value} everywhere." for name, value in alike)
+    yield Figured(maps([one for _, one in shown]), said[0].upper() + said[1:], f"Maps, {where}")
+
+
+def _everywhere(one: Picture) -> str:
+    """What a map would show in every cell; empty if there are several things."""
+    values = one.numbers.values
+    if len(one.names) == 1 and (one.kind == 0).all():
+        return one.names[0]
+    scale, unit = shown_unit(one.numbers)
+    is_even = (one.kind < 0).all() and np.ptp(values) < _NOISE * np.abs(values).max()
+    return f"{number(scale * values.mean())} {unit}".strip() if is_even else ""
 
 
 def _curves(
