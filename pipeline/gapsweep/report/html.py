@@ -34,7 +34,8 @@ from gapsweep.report.drawing import labels_of, said_of_walls
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
 from gapsweep.report.findings import findings, outcomes
-from gapsweep.report.heat import GROUPS, heads, heat
+from gapsweep.report.heat import GROUPS, MANY, heads, heat
+from gapsweep.report.heat import beside as beside_contacts
 from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import Figured, Part, drawn, for_page, rendered
 from gapsweep.report.provenance import as_toml, provenance
@@ -114,7 +115,10 @@ def write_report(
         answer=in_words(found),
         signs=SIGNS,
         groups=GROUPS,
-        heads=list(heads(told)),
+        stiffnesses=heads(contact.K_c for contact in told),
+        gaps=heads((contact.K_c, contact.gap) for contact in told),
+        beside=beside_contacts(told) if any(contact.others for contact in told) else None,
+        is_many=len(told) > MANY,
         heat=heat(told),
         anchors={part["anchor"] for part in parts},
         hero=hero,
