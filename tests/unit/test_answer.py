@@ -190,7 +190,7 @@ def test_contacts_of_one_stiffness_and_gap_are_told_apart():
     """A study that sweeps the forcing has several: one may pay where another does not."""
     cheap, dear = judged("poly-13", price=0.5), judged("poly-13", price=3.0)
     said = in_words([contact(cheap, others="p 3 N"), contact(dear, others="p 4 N")])
-    assert said[0].startswith("A stand-in saves time in 1 of 2 contacts: poly-13 for 10000 N/m")
+    assert said[0].startswith("A stand-in saves time in 1 of 2 settings: poly-13 for 10000 N/m")
     assert "at p 3 N" in said[0]
     assert "at p 4 N" in said[1]
 
@@ -248,20 +248,21 @@ def test_closest_is_who_is_closest_in_the_same_contact(tmp_path):
     alone = judged("arctan-1e4", median=1e-6)
     exact = judged("piecewise-noevents", median=1e-9)
     said = found_in(tmp_path, contact(near, far, exact), contact(alone))
-    assert "tanh-1e4 in 1 of 1 contacts with several" in said
+    assert "tanh-1e4 in the only contact with several stand-ins." in said
     assert "arctan" not in said
     assert "noevents" not in said
 
 
 def test_overlapping_intervals_and_floors_name_none(tmp_path):
     near, level = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.0112)
-    assert "beyond the 95 % intervals: no single one in 1 of 1" in found_in(
-        tmp_path, contact(near, level)
-    )
+    none = "In no contact is one stand-in clearly closest in amplitude."
+    assert none in found_in(tmp_path, contact(near, level))
     far = judged("poly-13", median=0.3)
-    assert "no single one in 1 of 1" in found_in(tmp_path, contact(near, far, floor=0.5))
+    several = found_in(tmp_path, contact(near, level), contact(near, far))
+    assert "tanh-1e4 in 1, no single one in 1 of 2 contacts with several stand-ins." in several
+    assert none in found_in(tmp_path, contact(near, far, floor=0.5))
     unknown = judged("poly-13", median=0.3, width=np.nan)
-    assert "no single one in 1 of 1" in found_in(tmp_path, contact(near, unknown))
+    assert none in found_in(tmp_path, contact(near, unknown))
 
 
 def test_prices_are_counted_by_what_is_beyond_doubt(tmp_path):

@@ -13,6 +13,7 @@ from gapsweep.analysis.verdicts import NotInRunError, Run
 from gapsweep.report.answer import contacts, in_words, lines
 from gapsweep.report.html import write_report
 from gapsweep.report.overview import is_wide, overview
+from gapsweep.study.grid import COORDINATE
 
 LABELS = ["piecewise", "piecewise@half", "tanh-1e4"]
 HALF = {"protocol": {"half": {"rtol": 5e-10}}}
@@ -137,13 +138,14 @@ def page_of(folder, files):
     return write_report(path, responses, compared, costs, attractors=attractors).read_text()
 
 
-def test_the_report_of_another_axis_shows_maps_and_medians(forced, tmp_path):
+def test_few_values_of_another_axis_have_curves_each_and_medians(forced, tmp_path):
     page = page_of(tmp_path, forced)
     assert 'id="overview"' in page
     assert 'id="scene-' not in page
-    assert "2 scenes with 54 sweep points: pictures over forcing frequency and forcing" in page
-    assert page.count("Class, period, amplitude and attractors:") == 2  # protocols have none
-    assert "piecewise, K_c = 14000 N/m, gap 0.4/0.4 mm, start 0 (one of 3)" in page
+    assert "2 scenes with 54 sweep points: pictures over forcing frequency," in page
+    for force in FORCING:  # too few for an axis
+        where = f"piecewise, K_c = 14000 N/m, gap 0.4/0.4 mm, forcing = {force:g} N"
+        assert f"Peak displacement of every attractor: {where}" in page
     part = overview(forced[0], agreement(*forced), timing(forced[0]), forced[1])
     (compared, costs) = part.tables
     assert [row[0] for row in compared.rows] == ["tanh-1e4", "exact against exact"]
@@ -168,8 +170,41 @@ def test_many_starts_at_one_place_are_a_map_of_the_starts(tmp_path):
     study["sweep"][0]["initial_condition"] = states
     responses, found = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 5.0))
     (figure,) = overview(responses, None, timing(responses), found).figures
-    assert figure.figure.axes[0].get_xlabel() == "initial displacement [mm]"
-    assert all(axes.images[0].get_array().shape[:2] == (20, 26) for axes in figure.figure.axes[:4])
+    axes = figure.figure.axes[0]
+    assert axes.get_xlabel() == "initial displacement [mm]"
+    assert axes.images[0].get_array().shape[:2] == (20, 26)
+    assert figure.caption.endswith(
+        "Class: periodic everywhere. Period: P1 everywhere. Attractor: 0 everywhere. "
+        "Amplitude: 1 mm everywhere."
+    )
+
+
+def test_a_grid_of_starts_at_one_frequency_is_drawn_as_its_plane(tmp_path):
+    study = tables(["piecewise", "tanh-1e4"], [5.0])
+    states = [[1e-5 * i, 1e-3 * k] for i in range(6) for k in range(5)]
+    study["sweep"][0]["initial_condition"] = states
+
+    def two(label, omega, start):
+        return periodic([(1e-3 * (1 + start % 2), 0.0)], omega)
+
+    page = page_of(tmp_path, datasets(tmp_path, study, two))
+    assert page.count("Attractor, peak: ") == 2
+    assert "zero-velocity displacements" not in page
+
+
+def test_coordinates_share_maps_of_classes_and_have_amplitudes_of_their_own(tmp_path):
+    forces = (1.0, 2.0, 3.0, 4.0, 5.0)
+    omega = np.arange(5.0, 10.0)
+    study = tables(LABELS[2:], omega)
+    responses, _ = over_forcing(tmp_path, study, answer, forces)
+    names = ["amplitude", "x_max", "x_min", "extrema"]
+    both = [responses[names]] * 2
+    two = xr.concat(both, xr.DataArray(["q_1", "q_2"], dims=COORDINATE, name=COORDINATE))
+    responses = responses.drop_vars(names).assign(two.transpose(..., COORDINATE))
+    (figure,) = overview(responses, None, timing(responses), None).figures
+    labels = [axes.get_ylabel() for axes in figure.figure.axes if axes.get_label() == "<colorbar>"]
+    assert [label.partition(",")[2] for label in labels] == [" q_1 [mm]", " q_2 [mm]"]
+    assert figure.caption.startswith("Class, period, amplitude: tanh-1e4, K_c")
 
 
 def test_scenes_with_swept_walls_of_one_distance_have_their_figures(tmp_path):

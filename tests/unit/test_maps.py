@@ -156,8 +156,15 @@ def test_edges_lie_halfway_and_cells_touch(values):
         assert np.all((ends[:-1] < values) & (values < ends[1:]))
 
 
+def test_what_is_positive_has_no_cells_below_zero():
+    assert_allclose(edges(np.array([1e4, 1e5]), log=False), [0.0, 5.5e4, 1.45e5])
+    assert_allclose(edges(np.array([0.0, 1.0]), log=False), [-0.5, 0.5, 1.5])
+
+
 def far_enough(values):
-    """Cells of a few pixels at least, on either scale."""
+    """Cells of a few pixels at least, on either scale; the first one may end at zero."""
+    if values[0] < 0.03 * values[-1]:
+        return False
     for scale in (values, np.log(values)):
         if np.diff(scale).min() < 0.03 * (scale[-1] - scale[0]):
             return False
@@ -199,6 +206,8 @@ def test_drawings_keep_every_cell():
         ("K_c", np.linspace(1e3, 1e6, 50), False),
         ("K_c", np.array([1.4e4, 1.4e6]), True),
         ("K_c", np.array([1.4e4, 2.8e4]), False),
+        ("K_c", np.array([1e3, 2e3, 4e3, 8e3]), True),
+        ("K_c", np.array([1.00e3, 1.01e3, 1.02e3]), False),
         ("omega", np.geomspace(0.1, 100.0, 50), False),
         ("alpha", np.array([-1e9, 0.0, 1e9]), False),
     ],

@@ -21,7 +21,7 @@ from gapsweep.analysis.timing import timing
 from gapsweep.errors import StoreError
 from gapsweep.report.answer import Contact, Judged, contacts
 from gapsweep.report.findings import findings
-from gapsweep.report.heat import heads, heat
+from gapsweep.report.heat import beside, heads, heat
 from gapsweep.report.html import write_report
 from gapsweep.report.parts import Figured, Part, Table, drawn, for_page, rendered
 from gapsweep.report.pictures import VIEWS, is_picture, pictures
@@ -263,7 +263,12 @@ def test_the_map_is_darker_where_a_law_is_worse():
             row.cells[group][i].shade for row, i in ((first, 0), (first, 1), (second, 0))
         )
         assert 0.0 < good < fair < bad < 1.0
-    assert list(heads([soft, hard])) == [(1.4e4, 1), (1.4e6, 1)]
+    assert heads([soft.K_c, soft.K_c, hard.K_c]) == [(1.4e4, 2), (1.4e6, 1)]
+
+
+def test_what_is_swept_beside_contacts_is_named_once():
+    both = [contact({}, others=f"forcing = {force} N, zeta = 0.1") for force in (1, 2.5)]
+    assert beside(both) == ("forcing [N], zeta", ["1, 0.1", "2.5, 0.1"])
 
 
 def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(tmp_path):
@@ -552,3 +557,17 @@ def test_a_file_counts_where_no_digest_has_come_along(tmp_path):
     made_from = json.dumps({"responses.nc": sha256(responses)})
     xr.Dataset(attrs={"made_from": made_from}).to_netcdf(agreement)
     assert is_of_run(agreement)
+
+
+def test_keys_under_panels_fit_a_phone():
+    figure = Figure(figsize=(9.5, 7.4), layout="constrained")
+    names = [f"period {i}" for i in range(8)]
+    for axes in figure.subplots(2, 2).ravel():
+        below = axes.transAxes
+        for name in names:
+            axes.plot(range(9), label=name)
+        where = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.2), "bbox_transform": below}
+        axes.legend(ncols=4, title="kinds", **where)
+    narrow = pictures(figure)["narrow"]  # where panels have no room, matplotlib warns
+    assert words(narrow).count(names[7]) == 4
+    assert words(narrow).count("kinds") == 4

@@ -52,6 +52,8 @@ def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
     else:
         inner = 0.5 * (at[1:] + at[:-1])
         ends = np.concatenate([[2.0 * at[0] - inner[0]], inner, [2.0 * at[-1] - inner[-1]]])
+        if at[0] > 0.0 and not log:
+            ends[0] = max(ends[0], 0.0)  # what is positive has no cells below zero
     return np.exp(ends) if log else ends
 
 

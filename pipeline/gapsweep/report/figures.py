@@ -1,7 +1,7 @@
 """Figures of the report, each from a dataset to a matplotlib figure."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -146,10 +146,11 @@ def basins(found: xr.Dataset) -> Figure:
     return figure
 
 
-def maps(pictures: Iterable[Picture]) -> Figure:
-    """Up to four pictures of one representation, two in a row; each is let go once it is drawn."""
-    figure = Figure(figsize=(_WIDTH, 7.4))
-    panels = iter(figure.subplots(2, 2).ravel())
+def maps(pictures: Sequence[Picture]) -> Figure:
+    """Pictures of one representation, two in a row."""
+    n_rows = math.ceil(len(pictures) / 2)
+    figure = Figure(figsize=(_WIDTH, 1.0 + 3.4 * n_rows))
+    panels = iter(figure.subplots(n_rows, 2, squeeze=False).ravel())
     for shown in pictures:
         draw(next(panels), shown)
     for axes in panels:

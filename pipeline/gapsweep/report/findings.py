@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.grid import scene_dims
 from gapsweep.analysis.systems import is_of_systems
 from gapsweep.model.labels import EXACT
-from gapsweep.report.answer import Contact, Judged
+from gapsweep.report.answer import Contact, Judged, share
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.tables import VERDICTS, condensed, percent
 from gapsweep.response.result import ResponseClass
@@ -116,17 +116,20 @@ def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
 
 def _closest(found: Sequence[Contact]) -> Iterator[str]:
     """Which laws are closest beyond doubt, among those that stand in the same contact."""
-    names = [_closest_in(contact) for contact in found if len(_models(contact)) > 1]
-    if not names:
-        return
-    counts = Counter(names)
+    several = [contact for contact in found if len(_models(contact)) > 1]
+    counts = Counter(_closest_in(contact) for contact in several)
     undecided = counts.pop("", 0)
+    if not counts:
+        if several:
+            yield "In no contact is one stand-in clearly closest in amplitude."
+        return
     parts = [f"{name} in {n}" for name, n in counts.most_common()]
     parts += [f"no single one in {undecided}"] if undecided else []
-    yield (
-        f"Closest in amplitude beyond the 95 % intervals: {', '.join(parts)} of {len(names)} "
-        "contacts with several stand-ins."
-    )
+    # The last number is part of how many they are of.
+    *others, last = parts
+    first, _, n = last.rpartition(" ")
+    said = ", ".join([*others, f"{first} {share(int(n), several)}"])
+    yield f"Closest in amplitude beyond the 95 % intervals: {said} with several stand-ins."
 
 
 def _closest_in(contact: Contact) -> str:

@@ -11,8 +11,10 @@ cost
     these reach the same error.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,8 +26,10 @@ GROUPS = {
     "found": "Attractors found [%]",
     "cost": "Cost at equal error [×]",
 }
+MANY = 10  # contacts, of which more stand beside each other in one group only
 _LEAST, _MOST = 0.005, 1.0  # errors that are pale and dark
 _DEAREST = 10.0  # of costs
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +121,13 @@ def _short(value: float) -> str:
     return f"{value:.0f}" if value >= 9.95 else f"{round(float(f'{value:.2g}'), 2):g}"
 
 
-def heads(found: Sequence[Contact]) -> Iterator[tuple[float, int]]:
-    """Stiffnesses over the columns of a group, each with how many it stands over."""
-    stiffnesses = [contact.K_c for contact in found]
-    for K_c in dict.fromkeys(stiffnesses):
-        yield K_c, stiffnesses.count(K_c)
+def heads(found: Iterable[T]) -> list[tuple[T, int]]:
+    """What stands over the columns of a group, each with how many it stands over."""
+    return [(head, len(list(same))) for head, same in groupby(found)]
+
+
+def beside(found: Sequence[Contact]) -> tuple[str, list[str]]:
+    """What is swept beside contacts: its names with units, and its values of every contact."""
+    pairs = [[word.partition(" = ")[::2] for word in c.others.split(", ")] for c in found]
+    names = [f"{n} [{unit}]" if (unit := v.partition(" ")[2]) else n for n, v in pairs[0]]
+    return ", ".join(names), [", ".join(v.partition(" ")[0] for _, v in each) for each in pairs]

@@ -34,8 +34,9 @@ from gapsweep.report.drawing import labels_of, said_of_walls
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
 from gapsweep.report.findings import findings, outcomes
-from gapsweep.report.heat import GROUPS, heads, heat
-from gapsweep.report.overview import is_wide, overview
+from gapsweep.report.heat import GROUPS, MANY, heads, heat
+from gapsweep.report.heat import beside as beside_contacts
+from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import Figured, Part, drawn, for_page, rendered
 from gapsweep.report.provenance import as_toml, provenance
 from gapsweep.report.scales import named, plain
@@ -114,7 +115,10 @@ def write_report(
         answer=in_words(found),
         signs=SIGNS,
         groups=GROUPS,
-        heads=list(heads(told)),
+        stiffnesses=heads(contact.K_c for contact in told),
+        gaps=heads((contact.K_c, contact.gap) for contact in told),
+        beside=beside_contacts(told) if any(contact.others for contact in told) else None,
+        is_many=len(told) > MANY,
         heat=heat(told),
         anchors={part["anchor"] for part in parts},
         hero=hero,
@@ -308,6 +312,11 @@ def _at_one_frequency(scenes: Scenes, responses: xr.Dataset) -> Part:
 def _scene_figures(
     scene: xr.Dataset, attractors: xr.Dataset | None, at: At, title: str
 ) -> Iterator[Figured]:
+    if scene.sizes["omega"] == 1 and (plane := plane_of(scene)):
+        for label in labels_of(scene):
+            one = scene.sel(representation=label).isel(omega=0)
+            yield from maps_of([(one, "attractor"), (one, "x_max")], plane, f"{label}, {title}")
+        return
     found = _attractors(attractors, scene, at)
     if found is None:  # curves of many starts would cross between attractors
         caption = "Amplitude (half the range) of the steady response."

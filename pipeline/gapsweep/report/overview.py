@@ -4,7 +4,7 @@ Everything is drawn as meshes over two axes, the others at one value: neither th
 memory grows with the number of scenes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import xarray as xr
@@ -14,12 +14,12 @@ from gapsweep.analysis.systems import by_coordinate, is_of_systems
 from gapsweep.errors import DatasetError
 from gapsweep.report.drawing import said_of_walls
 from gapsweep.report.figures import attractors as attractors_figure
-from gapsweep.report.figures import bifurcation, maps
-from gapsweep.report.maps import numeric_axes, on_grid, picture
+from gapsweep.report.figures import bifurcation, frequency_response, maps
+from gapsweep.report.maps import Picture, numeric_axes, on_grid, picture
 from gapsweep.report.parts import Figured, Part
-from gapsweep.report.scales import named
+from gapsweep.report.scales import named, shown_unit
 from gapsweep.report.selection import places
-from gapsweep.report.tables import scene_tables
+from gapsweep.report.tables import number, scene_tables
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
@@ -28,6 +28,17 @@ _TOLD_APART = ("K_c", "gap")  # by these alone scenes have always had a figure e
 _START = SWEPT[1]
 _STATE = ("x_0", "v_0")
 _FEW_STARTS = 500
+_LEAST = 5  # values of an axis of a map; of fewer, each has curves of its own
+_NOISE = 1e-4  # of numbers, relative: colours of what differs by less would show nothing
+# What maps show, in the words of a caption.
+_WORDS = {
+    "response_class": "class",
+    "period_multiple": "period",
+    "n_attractors": "number of attractors",
+    "attractor": "attractor",
+    "amplitude": "amplitude",
+    "x_max": "peak",
+}
 
 
 def is_wide(responses: xr.Dataset) -> bool:
@@ -65,7 +76,7 @@ def overview(
     n_points = asked.sum([dim for dim in asked.dims if dim != REPRESENTATION])
     labels = [str(label) for label in asked[REPRESENTATION].values[n_points.values > 0]]
     n_scenes = int(asked.any((REPRESENTATION, *swept(asked))).sum())
-    axes = _axes(responses)
+    axes, cuts = _axes(responses)
     names = [str(responses[axis].attrs.get("long_name", axis)) for axis in axes]
     of_all = ", of all else at one value, in place of figures of each scene" if n_scenes > 1 else ""
     sentence = (
@@ -84,21 +95,43 @@ def overview(
             figure
             for label in plain
             if axes
-            for figure in _figures(responses, attractors, asked, label, axes)
+            for cut in cuts
+            for figure in _figures(
+                responses.isel(cut),
+                None if attractors is None else attractors.isel(cut, missing_dims="ignore"),
+                asked.isel(cut),
+                label,
+                axes,
+            )
         ),
     )
 
 
-def _axes(responses: xr.Dataset) -> list[str]:
-    """The two longest axes, frequency the horizontal one; states that many starts form, if none."""
+def _axes(responses: xr.Dataset) -> tuple[list[str], list[dict[str, list[int]]]]:
+    """What pictures are over, frequency the horizontal axis, and the parts to draw one by one.
+
+    The two longest axes, or the longest one for each of the few values of the second; states that
+    many starts form, if there are no two.
+    """
     axes = numeric_axes(responses["status"].to_dataset())[:2]
-    if len(axes) < 2 and responses.sizes[_START] > _FEW_STARTS and "x_0" in responses.coords:
-        starts = responses[list(_STATE)].reset_coords()
-        try:
-            return [str(dim) for dim in on_grid(starts.set_coords(_STATE)).dims][::-1]
-        except DatasetError:
-            pass
-    return sorted(axes, key=lambda axis: axis != "omega")
+    if len(axes) < 2 and responses.sizes[_START] > _FEW_STARTS and (plane := plane_of(responses)):
+        return plane, [{}]
+    cuts: list[dict[str, list[int]]] = [{}]
+    if axes[1:] and responses.sizes[axes[1]] < _LEAST:
+        few = axes.pop()
+        cuts = [{few: [i]} for i in range(responses.sizes[few])]
+    return sorted(axes, key=lambda axis: axis != "omega"), cuts
+
+
+def plane_of(responses: xr.Dataset) -> list[str]:
+    """The two states that the starts form a grid of; none if they form none worth a map."""
+    if "x_0" not in responses.coords:
+        return []
+    try:
+        sizes = on_grid(responses.coords.to_dataset()).sizes
+    except DatasetError:
+        return []
+    return list(_STATE) if min(sizes.values()) >= _LEAST else []
 
 
 def _figures(
@@ -115,43 +148,89 @@ def _figures(
     n_starts = responses.sizes[_START]
     is_one = n_starts > 1 and here[_START].ndim == 0
     start = f", start {int(here[_START]) + 1} of {n_starts}" if is_one else ""
+    where = ", ".join([label, *_where(responses, here)])
+    if len(axes) > 1:
+        yield from _maps(here, found, axes, where + start)
+        return
     for part, suffix in by_coordinate(here):
         of_part = found
         if found is not None and suffix:
             of_part = found.sel({COORDINATE: part[COORDINATE].values})
-        where = f"{', '.join([label, *_where(responses, here)])}{suffix}"
-        yield from _pictures(part, of_part, axes, where, start)
+        yield from _curves(part, of_part, axes[0], where + suffix, start, n_starts)
 
 
-def _pictures(
-    here: xr.Dataset, found: xr.Dataset | None, axes: list[str], where: str, start: str
+def _maps(
+    here: xr.Dataset, found: xr.Dataset | None, axes: list[str], where: str
 ) -> Iterator[Figured]:
-    if len(axes) == 1:
-        yield from _curves(here, found, axes[0], where, start)
-        return
-    parts = [(here, name) for name in ("response_class", "period_multiple", "amplitude")]
+    """Class, period and attractors, which all coordinates share, and the amplitude of each."""
+    parts = [(here, "response_class"), (here, "period_multiple")]
     if axes[0] in _STATE:
         parts.append((here, "attractor"))
     elif found is not None:
         parts.append((found, "n_attractors"))
-    pictures = (picture(part, name, axes[0], axes[1], {})[0] for part, name in parts)
-    where += start
-    yield Figured(
-        maps(pictures), f"Class, period, amplitude and attractors: {where}.", f"Maps, {where}"
-    )
+    yield from maps_of(parts + [(part, "amplitude") for part in _named(here)], axes, where)
+
+
+def _named(here: xr.Dataset) -> Iterator[xr.Dataset]:
+    """A dataset coordinate by coordinate, whose amplitudes say of which they are."""
+    for part, suffix in by_coordinate(here):
+        part["amplitude"].attrs["long_name"] = f"{part['amplitude'].attrs['long_name']}{suffix}"
+        yield part
+
+
+def maps_of(
+    parts: Sequence[tuple[xr.Dataset, str]], axes: list[str], where: str
+) -> Iterator[Figured]:
+    """One figure of maps; a kind that is everywhere is said in its caption.
+
+    Parameters
+    ----------
+    parts : sequence of (Dataset, str)
+        What to show, and of which dataset.
+    axes : list of str
+        The horizontal and the vertical one.
+    where : str
+        What of, for the caption.
+    """
+    pictures = [(name, picture(part, name, axes[0], axes[1], {})[0]) for part, name in parts]
+    alike = [(name, value) for name, one in pictures if (value := _everywhere(one))]
+    shown = [(name, one) for name, one in pictures if not _everywhere(one)] or pictures[:1]
+    drawn = dict.fromkeys(_WORDS[name] for name, _ in shown)
+    said = f"{', '.join(drawn)}: {where}."
+    said += "".join(f" {_WORDS[name].capitalize()}: {value} everywhere." for name, value in alike)
+    yield Figured(maps([one for _, one in shown]), said[0].upper() + said[1:], f"Maps, {where}")
+
+
+def _everywhere(one: Picture) -> str:
+    """What a map would show in every cell; empty if there are several things."""
+    values = one.numbers.values
+    if len(one.names) == 1 and (one.kind == 0).all():
+        return one.names[0]
+    scale, unit = shown_unit(one.numbers)
+    is_even = (one.kind < 0).all() and np.ptp(values) < _NOISE * np.abs(values).max()
+    return f"{number(scale * values.mean())} {unit}".strip() if is_even else ""
 
 
 def _curves(
-    here: xr.Dataset, found: xr.Dataset | None, along: str, where: str, start: str
+    here: xr.Dataset,
+    found: xr.Dataset | None,
+    along: str,
+    where: str,
+    start: str,
+    n_starts: int,
 ) -> Iterator[Figured]:
-    """Diagrams over the only axis: from one start, and of the attractors from all."""
+    """Diagrams over the only axis: of one start, and amplitudes or the attractors from all."""
     shown = here[["extrema", "response_class"]].load().expand_dims([REPRESENTATION, _START])
     yield Figured(
         bifurcation(shown, along),
         f"All steady zero-velocity displacements: {where}{start}.{said_of_walls(here)}",
         f"Bifurcation diagram, {where}{start}",
     )
-    if found is not None:
+    if n_starts == 1:
+        shown = here[["amplitude"]].load().expand_dims([REPRESENTATION, _START])
+        caption = f"Amplitude (half the range) of the steady response: {where}."
+        yield Figured(frequency_response(shown, along), caption, f"Response curve, {where}")
+    elif found is not None:
         shown = found[["x_max", "basin_share", "response_class"]].load()
         yield Figured(
             attractors_figure(shown.expand_dims(REPRESENTATION), along),

@@ -18,6 +18,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import ScaledTranslation
 from PIL import Image
 
 from gapsweep.report.points import as_csv, as_json, label_of
@@ -29,8 +30,10 @@ _DRAWING = {
     "tspan",
 }  # fmt: skip
 _NARROW = 3.6  # inches: a phone shows points of a font as large as a page does
+_INDENT = 0.45  # inches: what labels take beside a panel at least
 _SMALLEST = 8.5  # points of a font, 11 pixels
 _LONG = 18  # letters of a label of which two do not fit beside each other there
+_SPACES = ("handlelength", "handletextpad", "columnspacing", "borderpad")  # of a legend
 _COLOURS = 64  # of points drawn as pixels
 _PIXELS = re.compile("data:image/png;base64,([^\"']*)")
 # Hundredths of a point are enough, but not of the numbers in texts.
@@ -156,13 +159,28 @@ def stack(figure: Figure) -> None:
         for axis in (axes.xaxis, axes.yaxis):
             if isinstance(locator := axis.get_major_locator(), MaxNLocator):
                 locator.set_params(nbins=5)
-    for legend in figure.legends:
-        names = [text.get_text() for text in legend.get_texts()]
-        ncols = 2 if max(map(len, names), default=0) < _LONG else 1
-        look: dict[str, Any] = {"ncols": ncols, "fontsize": _SMALLEST}
-        handles = filter(None, legend.legend_handles)
-        figure.legend(handles, names, loc="outside upper left", **look)
-        legend.remove()
+    for legend in [*figure.legends, *filter(None, (axes.get_legend() for axes in shown))]:
+        _set_narrow(legend)
+
+
+def _set_narrow(legend: Any) -> None:
+    """Set a legend anew in one or two columns, unless it lies within its panel."""
+    names = [text.get_text() for text in legend.get_texts()]
+    look = {name: getattr(legend, name) for name in _SPACES}
+    look["ncols"] = 2 if max(map(len, names), default=0) < _LONG else 1
+    look |= {"title": legend.get_title().get_text(), "alignment": legend.get_alignment()}
+    look |= {"fontsize": _SMALLEST, "title_fontsize": _SMALLEST}
+    if legend.axes is None:
+        look["loc"] = "outside upper left"
+    elif (anchor := legend.get_bbox_to_anchor()) is not legend.axes.bbox:
+        look |= {"loc": legend._loc, "bbox_to_anchor": anchor}
+        # Under the labels too: what overhangs on the right, the panels of a column lose.
+        look["bbox_transform"] = ScaledTranslation(-_INDENT, 0.0, legend.figure.dpi_scale_trans)
+    else:
+        return
+    parent = legend.axes or legend.get_figure()
+    legend.remove()
+    parent.legend(list(filter(None, legend.legend_handles)), names, **look)
 
 
 def address(picture: str) -> Markup:

@@ -13,6 +13,7 @@ from gapsweep.study.schema import written
 from gapsweep.study.selection import is_numeric
 
 _WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
+_APART = 1.05  # of values that are multiples: those closer are as even on a linear axis
 # What is drawn in millimetres, by its UDUNITS text.
 _IN_MILLIMETRES = {"m": "mm", "m s-1": "mm/s"}
 
@@ -57,7 +58,16 @@ def is_crowded_low(values: NDArray[np.float64]) -> bool:
 
 def is_log(coordinate: xr.DataArray) -> bool:
     """Whether an axis over a coordinate is logarithmic; one over frequency never is."""
-    return coordinate.name != "omega" and is_crowded_low(coordinate.values)
+    values = coordinate.values
+    return coordinate.name != "omega" and (is_crowded_low(values) or _is_geometric(values))
+
+
+def _is_geometric(values: NDArray[np.float64]) -> bool:
+    """Whether each value is the same multiple of the one before."""
+    if values.size < 3 or not (values > 0.0).all():
+        return False
+    ratios = np.sort(values)[1:] / np.sort(values)[:-1]
+    return bool(ratios.min() > _APART and np.ptp(ratios) < 0.01 * ratios.min())
 
 
 def shown_unit(variable: xr.DataArray) -> tuple[float, str]:
