@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import numpy as np
-
 from gapsweep.errors import StoreError, StudyError
 from gapsweep.stages import RESPONSES, STABILITY, WORK_PRECISION
 from gapsweep.store import netcdf
@@ -17,8 +15,6 @@ from gapsweep.study.spec import check
 from gapsweep.study.study import Study
 
 RUNS = Path("data/runs")
-# Walls so many times as far away as any motion leads: their distances must be of another unit.
-_FAR = 10.0
 # The files by which one sees whose folder it is.
 _OWNED = (RESPONSES, WORK_PRECISION, STABILITY)
 # Tables of a study that every response rests on.
@@ -105,18 +101,3 @@ def check_writable(folder: Path) -> None:
             f"{folder}: cannot be written: {existing}: {error.strerror}; name another folder with "
             "--out"
         ) from None
-
-
-def far_walls(folder: Path) -> str:
-    """That no motion comes near a wall, as where a gap is given in millimetres; else nothing."""
-    x, walls = (
-        np.abs(np.concatenate([netcdf.values(folder / RESPONSES, name).ravel() for name in names]))
-        for names in (("x_min", "x_max"), ("j_1", "j_2"))
-    )
-    largest = np.max(x, initial=0.0, where=np.isfinite(x))
-    if not (walls.size and 0.0 < _FAR * largest < walls.min()):
-        return ""
-    return (
-        f"no motion comes near a wall: the largest displacement is {1e3 * largest:.3g} mm, the "
-        f"nearest wall stands at {1e3 * walls.min():.3g} mm; gaps are in metres, as 4e-4"
-    )

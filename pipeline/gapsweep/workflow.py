@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gapsweep.analysis.walls import far_walls
 from gapsweep.console import progress_bar
 from gapsweep.errors import StoreError
 from gapsweep.execution.assemble import attributes_of, fill
@@ -25,7 +26,7 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.recorder import Recorder
-from gapsweep.folder import changed_since, check_owner, check_writable, far_walls, run_folder
+from gapsweep.folder import changed_since, check_owner, check_writable, run_folder
 from gapsweep.make import (
     failed_motions,
     try_out_own_laws,
@@ -271,7 +272,8 @@ def carry_out(
                     retry_failed=retry_failed,
                     say=partial(_tell, recorder, progress),
                 )
-    if study.spec.system is None and (said := far_walls(folder)):
+    values = partial(netcdf.values, folder / RESPONSES)
+    if study.spec.system is None and (said := far_walls(values)):
         warnings.warn(said, stacklevel=3)
     motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
     failed = {file: counts for file, counts in motions.items() if counts}

@@ -71,6 +71,21 @@ def test_failures_are_counted_once_and_never_ranked(tmp_path):
     assert {one.law: one.verdict for one in found[0].laws} == {"tanh-1e4": "use", "poly-13": "no"}
 
 
+@pytest.mark.parametrize(("wall", "is_far"), [(0.4e-3, False), (0.009, False), (0.4, True)])
+def test_walls_that_nothing_comes_near_are_the_first_finding(tmp_path, wall, is_far):
+    study = tables(LABELS[:1], OMEGA, gap=(wall, wall))
+    responses, _ = datasets(tmp_path, study, amplitudes(EQUAL))
+    first = findings(responses, [], None)[0]
+    assert (
+        first.startswith(
+            "No motion comes near a wall: the largest displacement is 1 mm, the "
+            "nearest wall stands at 400 mm"
+        )
+        == is_far
+    )
+    assert len(findings(responses.assign_attrs({OF_SYSTEM: "x"}), [], None)) == 1
+
+
 def test_several_attractors_are_told(tmp_path):
     def answer(label, omega, start):
         return periodic([((1.0 + start * (omega > 2.0)) * 1e-3, 0.0)], omega)

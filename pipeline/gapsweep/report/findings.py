@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.grid import scene_dims
 from gapsweep.analysis.systems import is_of_systems
+from gapsweep.analysis.walls import far_walls
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact, Judged, share
 from gapsweep.report.drawing import labels_of
@@ -43,7 +44,10 @@ def findings(
         As stored in the run's folder; of a run of systems, whose stand-ins are not judged, how far
         these agree is said in numbers.
     """
-    sentences = [outcomes(responses)]
+    # First, as it says that nothing else here is about contacts.
+    far = "" if is_of_systems(responses) else far_walls(lambda name: responses[name].values)
+    sentences = [f"{far[0].upper()}{far[1:]}."] if far else []
+    sentences.append(outcomes(responses))
     if attractors is not None:
         sentences += _coexisting(attractors)
     if agreement is not None and is_of_systems(responses):
