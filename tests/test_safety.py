@@ -9,7 +9,7 @@ import gapsweep
 
 SOURCES = Path(gapsweep.__file__).parent
 FORBIDDEN_MODULES = {"pickle", "cloudpickle", "dill", "marshal", "shelve", "joblib", "yaml"}
-# Machine code is code: it is read with its checksum, from a folder that is ours (test_compiled_code).
+# Machine code is code: read with its checksum, from a folder that is ours (test_compiled_code).
 MAY_READ_CODE = {"jit.py": {"pickle"}}
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
 
