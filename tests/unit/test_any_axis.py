@@ -142,7 +142,7 @@ def test_few_values_of_another_axis_have_curves_each_and_medians(forced, tmp_pat
     page = page_of(tmp_path, forced)
     assert 'id="overview"' in page
     assert 'id="scene-' not in page
-    assert "2 scenes with 54 sweep points: pictures over forcing frequency," in page
+    assert "pictures over forcing frequency, for each of 2 values of forcing. ds." in page
     for force in FORCING:  # too few for an axis
         where = f"piecewise, K_c = 14000 N/m, gap 0.4/0.4 mm, forcing = {force:g} N"
         assert f"Peak displacement of every attractor: {where}" in page

@@ -78,10 +78,13 @@ def overview(
     n_scenes = int(asked.any((REPRESENTATION, *swept(asked))).sum())
     axes, cuts = _axes(responses)
     names = [str(responses[axis].attrs.get("long_name", axis)) for axis in axes]
-    of_all = ", of all else at one value, in place of figures of each scene" if n_scenes > 1 else ""
+    few = "".join(cuts[0])
+    each = f", for each of {len(cuts)} values of {few}" if few else ""
+    is_part = n_scenes > len(cuts)
+    of_all = ", of all else at one value, in place of figures of each scene" if is_part else ""
     sentence = (
         f"{n_scenes} scene{'s' * (n_scenes > 1)} with {int(n_points.sum())} sweep points"
-        f"{': pictures over ' * bool(names)}{' and '.join(names)}{of_all}. "
+        f"{': pictures over ' * bool(names)}{' and '.join(names)}{each}{of_all}. "
         "ds.gapsweep.map() and bifurcation() draw any other."
     )
     over = f", median over {n_scenes} scenes" if n_scenes > 1 else ""
