@@ -12,7 +12,7 @@ gives the same bits. Where none fits, by processor, Python, numba or sources, it
 
 import hashlib
 import os
-import pickle
+import pickle  # the form in which numba gives machine code away; read from our own folders alone
 import stat
 import sys
 import sysconfig
@@ -77,7 +77,9 @@ class _Code:
         except OSError:
             return None
         checksum, data = found[:_CHECKSUM], found[_CHECKSUM:]
-        return pickle.loads(data) if hashlib.sha256(data).digest() == checksum else None
+        if hashlib.sha256(data).digest() != checksum:
+            return None
+        return pickle.loads(data)  # code by nature: whole, and from a folder that is ours
 
     def save(self, key: Any, code: Any) -> None:
         """Keep it, if there is room."""
