@@ -226,7 +226,7 @@ class _Walls(NamedTuple):
 
 
 @inlined
-def _walls(at, kinds, q, lane, settings, commit, ordinary, h, h_next):
+def _walls(at, q, lane, settings, commit, ordinary, h, h_next):
     """Look at the gap of every contact; counts what walls are passed."""
     none = ordinary & (h < 0.0)
     turns_back, dipped, stopped, passes = none, none, none, none
@@ -237,15 +237,17 @@ def _walls(at, kinds, q, lane, settings, commit, ordinary, h, h_next):
         turns_back = turns_back | hull.turns_back
         # Where the motion turns back, its ends do not tell how often it has passed a wall.
         dips = ((hull.low <= high) & (hull.high > high)) | ((hull.low < low) & (hull.high >= low))
-        if laws.has_range(kinds):
+        if settings[ln.S_HAS_RANGE] > 0.0:
             centre, reach = load(q_i, parameters.CENTRE), load(q_i, parameters.RANGE)
             has_one = reach > 0.0
             out = commit & (simd.absolute(hull.x_1 - centre) > reach) & has_one
             store(lane, at.out_of_range, select(out, 1.0, load(lane, at.out_of_range)))
             dips = dips | (((hull.high - centre > reach) | (hull.low - centre < -reach)) & has_one)
-        if laws.has_layer(kinds) and settings[ln.S_STOP_AT_LAYER] > 0.0:
+        if settings[ln.S_STOP_AT_LAYER] > 0.0:
             layers = _layers(q_i, hull, commit, ordinary, layers)
-        if laws.is_located(kinds):  # counted where the step is cut: x is exactly on the wall there
+        if (
+            settings[ln.S_LOCATED] > 0.0
+        ):  # counted where the step is cut: x is exactly on the wall there
             stopped = stopped | (commit & ordinary & _leaves_mode(q_i, hull))
         else:
             dipped = dipped | (commit & hull.turns_back & dips)
@@ -253,7 +255,7 @@ def _walls(at, kinds, q, lane, settings, commit, ordinary, h, h_next):
             passes = passes | (passings > 0.0)
             count = load(lane, at.n_contacts + i)
             store(lane, at.n_contacts + i, count + select(commit, passings, 0.0))
-    if laws.has_layer(kinds) and settings[ln.S_STOP_AT_LAYER] > 0.0:
+    if settings[ln.S_STOP_AT_LAYER] > 0.0:
         back = select(layers.leaves, maximum(h_next, load(lane, at.h_saved)), h_next)
         h_next, stopped = minimum(back, layers.limit), layers.cut
     return _Walls(turns_back, dipped, stopped, passes, h_next)
@@ -274,7 +276,7 @@ def _is_invalid(at, kinds, q, lane, settings):
     invalid = simd.absolute(load(lane, at.q_1)) > settings[ln.S_BOUND]
     for i in range(1, at.n):
         invalid = invalid | (simd.absolute(load(lane, at.q_1 + i)) > settings[ln.S_BOUND])
-    if laws.has_range(kinds):
+    if settings[ln.S_HAS_RANGE] > 0.0:
         for i in range(at.contacts):
             store(lane, at.gap + i, load(lane, ln.ends(at, at.gaps_from + i)[3]))
         laws.denominators(kinds, q, lane, at.gap, at.force)
@@ -324,9 +326,9 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     commit = accepted & ~probing
     after_failure = load(lane, at.failed) > 0.0
     h_next = _next_step(settings, error, h, after_failure, accepted)
-    walls = _walls(at, kinds, q, lane, settings, commit, ordinary, h, h_next)
+    walls = _walls(at, q, lane, settings, commit, ordinary, h, h_next)
     stopped = walls.stopped
-    if laws.is_located(kinds):
+    if settings[ln.S_LOCATED] > 0.0:
         stopped = stopped | (commit & (exact == 2.0))
 
     turns = load(lane, at.turns) + (load(lane, at.tau) - load(lane, at.phase_0))

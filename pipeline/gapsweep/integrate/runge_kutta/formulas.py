@@ -173,13 +173,13 @@ def _clenshaw_value(c, u):
 
 @inlined
 def polynomial_force(law, q, x):
-    return load(q, STIFFNESS) * _clenshaw_value(law.coefficients, x / load(q, RANGE))
+    return load(q, STIFFNESS) * _clenshaw_value(law.numerator, x / load(q, RANGE))
 
 
 @inlined
 def polynomial_slope(law, q, x):
     reach = load(q, RANGE)
-    return load(q, STIFFNESS) * _clenshaw(law.coefficients, x / reach)[1] / reach
+    return load(q, STIFFNESS) * _clenshaw(law.numerator, x / reach)[1] / reach
 
 
 @inlined

@@ -150,8 +150,10 @@ IDLE, START, STEPPING, PROBING = range(4)
     S_FIRST_STEP,
     S_CONTACTS,
     S_SECTION_ONLY,
-) = range(12)
-N_SETTINGS = 12
+    S_LOCATED,
+    S_HAS_RANGE,
+) = range(14)
+N_SETTINGS = 14
 
 # --- columns of the event buffer, and kinds of records ---
 # WHICH: of an extremum the coordinate or, after all coordinates, the gap, whose value stands where

@@ -1,9 +1,9 @@
 """Compiled contact laws: acceleration ``F_c(x) / m`` and its slope, for all lanes at once.
 
-Each law is a named tuple *type*, and `acceleration` is an overload that looks at the type alone. So
-the stepping loop is one numba function with one specialisation per law: the law is inlined, and
-numba's disk cache finds the specialisation in another process (a law passed as a function would be
-a new type, hence a cache miss, in every process).
+The laws of this package are one type, `Formula`, which says by a number which it is: the stepping
+loop is compiled once for them all, and looks at the number where it needs a force. (All lanes have
+the same law: the branch is foreseen.) A user's function is part of its type, `User`: the loop is
+compiled with it.
 
 What differs from point to point sits in the rows of a parameter block `q`, for every contact of
 shape (N_PARAMETERS, WIDTH); what a batch shares (fit coefficients) sits in the named tuple.
@@ -38,54 +38,30 @@ class Law:
         return rows
 
 
-class Tanh(NamedTuple):
-    """Walls smoothed with tanh; `unused` only because numba has no empty named tuple."""
-
-    unused: float = 0.0
-
-
-class Arctan(NamedTuple):
-    """Walls smoothed with arctan."""
-
-    unused: float = 0.0
+# Numbers of the formulas. PIECEWISE chooses its branch at every stage: a step does not know that it
+# crosses a wall. LOCATED is one contact mode, frozen inside a step: the loop ends steps at walls.
+TANH, ARCTAN, LOG_ARCTAN, PIECEWISE, LOCATED, POLYNOMIAL, RATIONAL, TABLE = range(8)
+_NONE = np.zeros(1)
 
 
-class LogArctan(NamedTuple):
-    """Integral of the arctan-smoothed stiffness."""
+class Formula(NamedTuple):
+    """A law of this package.
 
-    unused: float = 0.0
+    Attributes
+    ----------
+    number : int
+        Which one.
+    numerator, denominator : ndarray
+        Chebyshev series in x / range [N], of fits; the denominator is positive in the range.
+    points, pieces : ndarray
+        Of a table: where its pieces begin [m], and `gapsweep.ForceTable.pieces`.
+    """
 
-
-class Piecewise(NamedTuple):
-    """Exact force, branch chosen at every stage: a step does not know that it crosses a wall."""
-
-    unused: float = 0.0
-
-
-class Located(NamedTuple):
-    """Exact force of one contact mode, frozen inside a step; the loop ends steps at the walls."""
-
-    unused: float = 0.0
-
-
-class Polynomial(NamedTuple):
-    """Chebyshev series in x / range [N]."""
-
-    coefficients: NDArray[np.float64]
-
-
-class RationalPolynomial(NamedTuple):
-    """Quotient of Chebyshev series in x / range [N]; the denominator is positive in the range."""
-
-    numerator: NDArray[np.float64]
-    denominator: NDArray[np.float64]
-
-
-class Table(NamedTuple):
-    """Piecewise cubic: points [m], and `gapsweep.ForceTable.pieces`."""
-
-    points: NDArray[np.float64]
-    pieces: NDArray[np.float64]
+    number: int
+    numerator: NDArray[np.float64] = _NONE
+    denominator: NDArray[np.float64] = _NONE
+    points: NDArray[np.float64] = _NONE
+    pieces: NDArray[np.float64] = np.zeros((1, 5))
 
 
 class User(NamedTuple):
@@ -110,79 +86,77 @@ def denominator(law, q, x):
     raise NotImplementedError("compiled code only")
 
 
-def has_layer(kinds):
-    """Whether one of some laws has a smoothing layer (a compile-time constant)."""
-    raise NotImplementedError("compiled code only")
+# --- which function belongs to which law ----------------------------------------------------------
 
 
-def is_located(kinds):
-    """Whether the loop has to end steps at the walls (a compile-time constant)."""
-    raise NotImplementedError("compiled code only")
+@inlined
+def _force_by_formula(law, q, x):
+    number = law.number
+    if number == TANH:
+        return formulas.tanh_force(q, x)
+    if number == ARCTAN:
+        return formulas.arctan_force(q, x)
+    if number == LOG_ARCTAN:
+        return formulas.logarctan_force(q, x)
+    if number == PIECEWISE:
+        return formulas.piecewise_force(q, x)
+    if number == LOCATED:
+        return formulas.located_force(q, x)
+    if number == POLYNOMIAL:
+        return formulas.polynomial_force(law, q, x)
+    if number == RATIONAL:
+        return formulas.rational_force(law, q, x)
+    return formulas.table_force(law, q, x)
 
 
-def has_range(kinds):
-    """Whether one is a fit or a table, with a range (a compile-time constant)."""
-    raise NotImplementedError("compiled code only")
+@inlined
+def _slope_by_formula(law, q, x):
+    number = law.number
+    if number == TANH:
+        return formulas.tanh_slope(q, x)
+    if number == ARCTAN:
+        return formulas.arctan_slope(q, x)
+    if number == LOG_ARCTAN:
+        return formulas.logarctan_slope(q, x)
+    if number == PIECEWISE:
+        return formulas.piecewise_slope(q, x)
+    if number == LOCATED:
+        return formulas.located_slope(q, x)
+    if number == POLYNOMIAL:
+        return formulas.polynomial_slope(law, q, x)
+    if number == RATIONAL:
+        return formulas.rational_slope(law, q, x)
+    return formulas.table_slope(law, q, x)
 
 
-# --- which function belongs to which type ---------------------------------------------------------
+@inlined
+def _denominator_by_formula(law, q, x):
+    if law.number == RATIONAL:
+        return formulas.rational_denominator(law, q, x)
+    return simd.splat(1.0)
 
 
-def _without_law(function):
-    """Give a force that needs only parameters the common signature."""
-
-    @inlined
-    def with_law(law, q, x):
-        return function(q, x)
-
-    return with_law
-
-
-_FORCES = {
-    Tanh: _without_law(formulas.tanh_force),
-    Arctan: _without_law(formulas.arctan_force),
-    LogArctan: _without_law(formulas.logarctan_force),
-    Piecewise: _without_law(formulas.piecewise_force),
-    Located: _without_law(formulas.located_force),
-    Polynomial: formulas.polynomial_force,
-    RationalPolynomial: formulas.rational_force,
-    Table: formulas.table_force,
-    User: formulas.user_force,
-}
-_SLOPES = {
-    Tanh: _without_law(formulas.tanh_slope),
-    Arctan: _without_law(formulas.arctan_slope),
-    LogArctan: _without_law(formulas.logarctan_slope),
-    Piecewise: _without_law(formulas.piecewise_slope),
-    Located: _without_law(formulas.located_slope),
-    Polynomial: formulas.polynomial_slope,
-    RationalPolynomial: formulas.rational_slope,
-    Table: formulas.table_slope,
-    User: formulas.user_slope,
-}
-
-
-def _kind(law):
-    return getattr(law, "instance_class", None)
+def _is_users(law):
+    return law.instance_class is User
 
 
 @overload(acceleration)
 def _acceleration(law, q, x):
-    function = _FORCES[_kind(law)]
+    function = formulas.user_force if _is_users(law) else _force_by_formula
     return lambda law, q, x: function(law, q, x)
 
 
 @overload(slope)
 def _slope(law, q, x):
-    function = _SLOPES[_kind(law)]
+    function = formulas.user_slope if _is_users(law) else _slope_by_formula
     return lambda law, q, x: function(law, q, x)
 
 
 @overload(denominator)
 def _denominator(law, q, x):
-    if _kind(law) is RationalPolynomial:
-        return lambda law, q, x: formulas.rational_denominator(law, q, x)
-    return lambda law, q, x: simd.splat(1.0)
+    if _is_users(law):
+        return lambda law, q, x: simd.splat(1.0)
+    return lambda law, q, x: _denominator_by_formula(law, q, x)
 
 
 def _of_every_contact(one):
@@ -212,16 +186,3 @@ def _of_every_contact(one):
 accelerations = _of_every_contact(acceleration)
 slopes = _of_every_contact(slope)
 denominators = _of_every_contact(denominator)
-
-
-def _compile_time_flag(name, families):
-    def typed(kinds):
-        value = any(_kind(law) in families for law in kinds.types)
-        return lambda kinds: value
-
-    overload(name, inline="always")(typed)
-
-
-_compile_time_flag(has_layer, (Tanh, Arctan, LogArctan))
-_compile_time_flag(is_located, (Located,))
-_compile_time_flag(has_range, (Polynomial, RationalPolynomial, Table))

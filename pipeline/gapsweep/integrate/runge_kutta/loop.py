@@ -51,7 +51,6 @@ def _advance(
     for it is the stepping loop: what it calls is compiled into it. An attempt is compiled for its
     `rows`; what looks after a lane takes the same numbers from the record `at`.
     """
-    is_located = laws.is_located(kinds)
     all_lanes = (np.int64(1) << simd.WIDTH) - 1
     watched = all_lanes  # lanes that are not simply stepping
     for _ in range(_ATTEMPTS_PER_CALL):
@@ -83,7 +82,6 @@ def _advance(
                     counters,
                     settings,
                     outcome,
-                    is_located,
                     i,
                 )
                 if status >= 0:
@@ -101,7 +99,7 @@ def _advance(
     return _PAUSED
 
 
-# One function, one specialisation per law type. A user's law is a type that exists in this process
+# One function for all laws of this package. A user's law is a type that exists in this process
 # only, so it goes through a second dispatcher that leaves the disk cache alone.
 _advance_cached = entry(_advance)
 _advance_user = njit(nogil=True)(_advance)

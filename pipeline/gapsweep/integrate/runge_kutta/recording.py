@@ -233,7 +233,7 @@ def after_events(at, lane, lane_int, q, i):
 
 
 @internal
-def _begun(at, lane, lane_int, q, settings, is_located, i):
+def _begun(at, lane, lane_int, q, settings, i):
     """What follows once the derivative at the start is known: a status, or -1."""
     if not _is_within(at, lane, settings, at.q, i):
         return ln.DIVERGED
@@ -241,7 +241,7 @@ def _begun(at, lane, lane_int, q, settings, is_located, i):
         if not np.isfinite(lane[at.a_1 + j, i]):
             return ln.DIVERGED
     started(at, lane, lane_int, settings, settings[ln.S_EXPONENT], i)
-    if is_located:
+    if settings[ln.S_LOCATED] > 0.0:
         if _corrects_mode(at, lane, q, i):
             ln.begin_start(at, lane, lane_int, i)  # the acceleration was that of another mode
             return -1
@@ -252,29 +252,26 @@ def _begun(at, lane, lane_int, q, settings, is_located, i):
 
 
 @internal
-def _recorded(
-    at, lane, lane_int, q, probes, scratch, events, counters, settings, is_located, has_dipped, i
-):
+def _recorded(at, lane, lane_int, q, probes, scratch, events, counters, settings, has_dipped, i):
     """Record what an accepted step holds; whether probes have been sent for it."""
     if settings[ln.S_DENSE] > 0.0:
         start = lane[at.old_turns, i] + (lane[at.old_tau, i] - lane[at.phase_0, i])
         t = start * lane[at.period, i]
         record(at, lane, lane_int, events, counters, ln.STEP, t, 0, at.old_q, i)
-    lists_passings = settings[ln.S_CONTACTS] > 0.0 and not is_located
+    lists_passings = settings[ln.S_CONTACTS] > settings[ln.S_LOCATED]
     section_only = settings[ln.S_SECTION_ONLY] > 0.0
     plan_probes(at, lane, lane_int, q, probes, scratch, section_only, lists_passings, has_dipped, i)
     return begin_probing(at, lane, lane_int, probes, i)
 
 
 @internal
-def attend(
-    at, lane, lane_int, q, probes, scratch, events, counters, settings, outcome, is_located, i
-):
+def attend(at, lane, lane_int, q, probes, scratch, events, counters, settings, outcome, i):
     """Look after lane i; the status if its point is over, else -1."""
+    is_located = settings[ln.S_LOCATED] > 0.0
     mode = lane_int[ln.MODE, i]
     bit = np.int64(1) << i
     if mode == ln.START:
-        return _begun(at, lane, lane_int, q, settings, is_located, i)
+        return _begun(at, lane, lane_int, q, settings, i)
     if mode == ln.PROBING:
         if not probed(at, lane, lane_int, q, probes, events, counters, i):
             return -1
@@ -297,8 +294,7 @@ def attend(
         for contact in range(at.contacts):
             count_dips(at, lane, q, scratch, contact, i)
     if outcome.recorded & bit and _recorded(
-        at, lane, lane_int, q, probes, scratch, events, counters, settings, is_located,
-        has_dipped, i,
-    ):  # fmt: skip
+        at, lane, lane_int, q, probes, scratch, events, counters, settings, has_dipped, i
+    ):
         return -1
     return ln.OK if after_events(at, lane, lane_int, q, i) else -1

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.model.contact import SLOPE_LENGTH, SLOPE_STEP
 
 from . import laws, parameters
-from .laws import Law
+from .laws import Formula, Law
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def tanh(
     q[..., parameters.DECAY] = np.exp(-4.0 * sharpness * half_gap)
     layer = parameters.TANH_SATURATION / sharpness
     q[..., parameters.LAYER] = q[..., parameters.SATURATION] = layer
-    return Law(laws.Tanh(), q)
+    return Law(Formula(laws.TANH), q)
 
 
 def arctan(
@@ -58,7 +58,7 @@ def arctan(
     q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
     q[..., parameters.SHARPNESS] = sharpness
     q[..., parameters.LAYER] = parameters.ARCTAN_LAYER / q[..., parameters.SHARPNESS]
-    return Law(laws.Arctan(), q)
+    return Law(Formula(laws.ARCTAN), q)
 
 
 def log_arctan(
@@ -76,7 +76,7 @@ def log_arctan(
     )
     q[..., parameters.SHARPNESS], q[..., parameters.OFFSET] = sharpness, -at_zero
     q[..., parameters.LAYER] = parameters.ARCTAN_LAYER / sharpness
-    return Law(laws.LogArctan(), q)
+    return Law(Formula(laws.LOG_ARCTAN), q)
 
 
 def piecewise(
@@ -89,14 +89,15 @@ def piecewise(
 ) -> Law:
     """Exact freeplay, contacts not located, or (`restart`) with a fresh start at each."""
     q, _ = _rows(K_c, j_1, j_2, K_ratio)
-    return Law(laws.Located() if restart else laws.Piecewise(), q)
+    return Law(Formula(laws.LOCATED if restart else laws.PIECEWISE), q)
 
 
 def polynomial(coefficients: ArrayLike, fit_range: float, j_1: float, j_2: float) -> Law:
     """Chebyshev coefficients [N] in x / fit_range; the walls only serve to count passings."""
     q, _ = _rows(1.0, j_1, j_2)
     q[parameters.RANGE] = fit_range
-    return Law(laws.Polynomial(np.ascontiguousarray(coefficients, dtype=float)), q)
+    series = np.ascontiguousarray(coefficients, dtype=float)
+    return Law(Formula(laws.POLYNOMIAL, numerator=series), q)
 
 
 def rational_polynomial(
@@ -108,7 +109,7 @@ def rational_polynomial(
     top, bottom = np.array(numerator, dtype=float), np.array(denominator, dtype=float)
     # The loop takes a denominator that is not positive for a pole passed.
     sign = np.sign(np.polynomial.chebyshev.chebval(0.0, bottom))
-    return Law(laws.RationalPolynomial(sign * top, sign * bottom), q)
+    return Law(Formula(laws.RATIONAL, numerator=sign * top, denominator=sign * bottom), q)
 
 
 def table(points: ArrayLike, pieces: ArrayLike, j_1: float, j_2: float) -> Law:
@@ -117,7 +118,8 @@ def table(points: ArrayLike, pieces: ArrayLike, j_1: float, j_2: float) -> Law:
     q, _ = _rows(1.0, j_1, j_2)
     q[parameters.CENTRE] = 0.5 * (points[0] + points[-1])
     q[parameters.RANGE] = 0.5 * (points[-1] - points[0])
-    return Law(laws.Table(points, np.ascontiguousarray(pieces, dtype=float)), q)
+    kept = np.ascontiguousarray(pieces, dtype=float)
+    return Law(Formula(laws.TABLE, points=points, pieces=kept), q)
 
 
 def user(

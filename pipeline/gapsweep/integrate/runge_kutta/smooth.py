@@ -243,16 +243,23 @@ def prepared(
     parts = [table]
     for law in kernel_laws:
         rows = law.rows(mass, len(table))
-        if isinstance(law.kind, laws.Tanh):
-            # Where its tail, exp(-2 |z|), is far below the tolerance, the layer has no edge yet.
-            reach = (3.0 - 0.5 * np.log(rtol)) / parameters.TANH_SATURATION
-            rows[:, parameters.LAYER] *= min(1.0, max(0.1, reach))
+        # Where the tail of tanh, exp(-2 |z|), is far below the tolerance, its layer has no edge.
+        reach = (3.0 - 0.5 * np.log(rtol)) / parameters.TANH_SATURATION
+        rows[rows[:, parameters.SATURATION] > 0.0, parameters.LAYER] *= min(1.0, max(0.1, reach))
         parts.append(rows)
     settings = np.zeros(ln.N_SETTINGS)
     settings[ln.S_RTOL], settings[ln.S_ATOL] = rtol, atol
     settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = _FARTHEST, _MOST_ATTEMPTS
     settings[ln.S_ODE45] = controller == "ode45"
-    settings[ln.S_STOP_AT_LAYER] = controller != "ode45"
+    has_layer, has_range = (
+        any((rows[:, row] > 0.0).any() for rows in parts[1:])
+        for row in (parameters.LAYER, parameters.RANGE)
+    )
+    settings[ln.S_STOP_AT_LAYER] = has_layer and controller != "ode45"
+    settings[ln.S_HAS_RANGE] = has_range
+    settings[ln.S_LOCATED] = any(
+        getattr(law.kind, "number", None) == laws.LOCATED for law in kernel_laws
+    )
     settings[ln.S_EXPONENT] = method.exponent
     return Scenes(at, tuple(law.kind for law in kernel_laws), np.hstack(parts), method, settings)
 
