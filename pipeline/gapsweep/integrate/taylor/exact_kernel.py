@@ -355,5 +355,5 @@ def advance(layout, run, limits, budget):
             return BUFFER_FULL
         packed = taylor_step(layout, run.lanes, run.coefficients, rtol, x_bound, max_short)
         if packed != 0:
-            _attend(layout, packed, run, limits)
+            _attend(layout.of_motion, packed, run, limits)
     return FINISHED if run.progress[1] == len(run.statuses) else BUDGET_SPENT

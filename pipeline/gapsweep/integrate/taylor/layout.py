@@ -107,6 +107,11 @@ class Layout:
         return replace(self, order=0, tangent=0, width=0)
 
     @property
+    def of_motion(self) -> "Layout":
+        """The same without the tangent, whose rows no other code looks at."""
+        return replace(self, tangent=0)
+
+    @property
     def all_lanes(self) -> int:
         """All lanes as a mask."""
         return (1 << self.width) - 1
@@ -225,9 +230,15 @@ class _Numbers(AttributeTemplate):
     key = LayoutType
 
     def generic_resolve(self, typ: LayoutType, name: str) -> Any:
-        return types.int64 if isinstance(getattr(typ.layout, name), int) else None
+        found = getattr(typ.layout, name)
+        if isinstance(found, Layout):
+            return _typed(found)
+        return types.int64 if isinstance(found, int) else None
 
 
 @lower_getattr_generic(LayoutType)
 def _number(context: Any, builder: Any, typ: LayoutType, value: Any, name: str) -> Any:
-    return context.get_constant(types.int64, int(getattr(typ.layout, name)))
+    found = getattr(typ.layout, name)
+    if isinstance(found, Layout):
+        return context.get_dummy_value()
+    return context.get_constant(types.int64, int(found))
