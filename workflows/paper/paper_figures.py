@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from gapsweep.report import drawing
+from gapsweep.report import backdrop, drawing
 from gapsweep.report.drawing import MANY, labels_of
 from gapsweep.report.scales import drawn
 from gapsweep.report.style import NOT_PERIODIC, colour, lines
@@ -28,7 +28,7 @@ Overlay = tuple[str, str, NDArray[np.float64]]
 def peak_curves(scene: xr.Dataset) -> Figure:
     """Peak displacements in a scene, a panel per law with the exact one behind it."""
     labels = labels_of(scene)
-    figure, panels = _panels(scene, "peak displacement [mm]", len(labels), 3, 2.4)
+    figure, panels = _panels(scene, "peak displacement [mm]", len(labels), 3, 2.4, of_peaks=True)
     low, high = drawing.frame(scene, "x_max", _exact(scene))
     for axes, label in zip(panels, labels, strict=True):
         for one, size in {_exact(scene): _DOT + _REAR, label: _DOT}.items():
@@ -45,13 +45,13 @@ def stacked_bifurcations(scene: xr.Dataset) -> Figure:
     low, high = drawing.frame(scene, "x_min", _exact(scene))
     for axes, label in zip(panels, labels, strict=True):
         one = scene.sel(representation=label)
-        drawing.bands(axes, one)
+        backdrop.bands(axes, one)
         _extrema(axes, one, _DOT)
         _title(axes, one)
         drawing.outside(axes, omega[drawn(one["x_max"]) > high], high, "^", label)
         drawing.outside(axes, omega[drawn(one["x_min"]) < low], low, "v", label)
     panels[0].set_ylim(low, high)
-    drawing.key_of_bands(figure)
+    backdrop.key_of_bands(figure, scene)
     return figure
 
 
@@ -78,7 +78,7 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
     panels = figure.subplots(n, 2, squeeze=False)
     for h, (motion, spectrum) in enumerate(panels):
         one = histories.isel(history=h)
-        drawing.walls(motion, one)
+        backdrop.walls(motion, one)
         for label, line in lines(labels).items():
             own = one.sel(representation=label)
             style = {"color": colour(label), "linewidth": widths.get(_law(label), 0.9)}
@@ -116,7 +116,13 @@ def _last_periods(own: xr.Dataset) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def _panels(
-    scene: xr.Dataset, label: str, n: int, n_columns: int, height: float
+    scene: xr.Dataset,
+    label: str,
+    n: int,
+    n_columns: int,
+    height: float,
+    *,
+    of_peaks: bool = False,
 ) -> tuple[Figure, NDArray[np.object_]]:
     """Panels over frequency on common axes, with walls."""
     n_rows = -(-n // n_columns)
@@ -127,7 +133,7 @@ def _panels(
     for axes in panels[max(n - n_columns, 0) : n]:
         axes.xaxis.set_tick_params(labelbottom=True)
     for axes in panels[:n]:
-        drawing.walls(axes, scene)
+        backdrop.walls(axes, scene, of_peaks=of_peaks)
     omega = drawn(scene["omega"])
     pad = 0.01 * float(np.ptp(omega)) or 0.5
     panels[0].set_xlim(max(0.0, omega.min() - pad), omega.max() + pad)

@@ -12,7 +12,7 @@ import xarray as xr
 
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
-from gapsweep.report import drawing, maps
+from gapsweep.report import backdrop, drawing, maps
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.scales import axis_label, is_log, named
 from gapsweep.report.selection import missing_variable, places, scene
@@ -85,7 +85,7 @@ class GapsweepAccessor:
         labels = labels_of(shown)
         other = NOT_PERIODIC if len(labels) == 1 else None
         axes = _axes(ax)
-        drawing.walls(axes, shown, along)
+        backdrop.walls(axes, shown, along)
         for label in labels:
             drawing.extrema(axes, shown.sel(representation=label), along, other=other)
             axes.plot([], [], ".", color=colour(label), label=label)
@@ -112,7 +112,7 @@ class GapsweepAccessor:
         needed = {"x_max": _CURVES, "response_class": _CURVES}
         shown = self._along(along, needed, {**wanted, "representation": [a, b]})
         axes = _axes(ax)
-        drawing.walls(axes, shown, along)
+        backdrop.walls(axes, shown, along, of_peaks=True)
         for label, size in ((a, _RIM), (b, _DOT)):
             one = selected(shown, {"representation": label})
             drawing.peaks(axes, one, size, along=along)
@@ -149,7 +149,7 @@ class GapsweepAccessor:
         )
         shown = self._along(along, needed, wanted)
         axes = _axes(ax)
-        drawing.walls(axes, shown, along)
+        backdrop.walls(axes, shown, along, of_peaks=True)
         for label in labels_of(shown):
             drawing.attractor_peaks(axes, shown.sel(representation=label), along)
             axes.plot([], [], "o", color=colour(label), markersize=4, label=label)

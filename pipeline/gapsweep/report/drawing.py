@@ -14,21 +14,19 @@ from numpy.typing import NDArray
 
 from gapsweep.model.labels import EXACT
 from gapsweep.report.scales import drawn, factor, is_log, shown_unit
-from gapsweep.report.style import BANDS, colour, lines
+from gapsweep.report.style import WALL, colour, lines
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
-from gapsweep.study.grid import COORDINATE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
 MANY = 60  # points as vectors would make a file heavy
 _MOST_NAMES = 24  # that fit beside a colour bar
 _FINENESS = 2000  # cells of one width along an axis of uneven ones
 _SPARE = 0.5  # room around the exact law, in widths of its range
 _FEW = 60  # points on a curve that can be told apart
+_DOT = 12.0  # points², of an attractor whose basin is not known
 
 
 def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
@@ -136,48 +134,6 @@ def curves(axes: "Axes", variable: xr.DataArray, along: str) -> None:
             )
 
 
-def said_of_walls(scene: xr.Dataset) -> str:
-    """What a caption says of walls, with a blank before: nothing where none is drawn.
-
-    A system's walls bound the gap of its contact, whatever coordinates that is made of.
-    """
-    return "" if COORDINATE in scene.coords else " Dashed: walls."
-
-
-def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega") -> None:
-    """Both walls of the gap, where they can be drawn; one that moves `along` is a curve."""
-    if not said_of_walls(scene):
-        return
-    for name, sign in (("j_1", -1.0), ("j_2", 1.0)):
-        if name == along:
-            axes.plot(drawn(scene[name]), sign * drawn(scene[name]), label="_wall", **WALL)
-        elif name in scene.coords and scene[name].ndim == 0:
-            axes.axhline(sign * float(drawn(scene[name])), **WALL)
-
-
-def bands(axes: "Axes", one: xr.Dataset, along: str = "omega") -> None:
-    """Pale bands behind one representation where any start is chaotic or unresolved."""
-    x = drawn(one[along])
-    width = np.gradient(x) if x.size > 1 else np.ones(1)
-    kinds = one["response_class"].transpose(along, ...).values.reshape(x.size, -1)
-    left = np.ones(x.size, dtype=bool)
-    for kind, shade in BANDS.items():
-        where = left & (kinds == ResponseClass[kind.upper()]).any(axis=1)
-        left &= ~where
-        look: dict[str, Any] = {"color": shade, "zorder": 0, "antialiased": False}
-        bars = axes.bar(x[where], 1.0, width[where], transform=axes.get_xaxis_transform(), **look)
-        for bar in bars:
-            bar.set_label(f"_{kind}")
-
-
-def key_of_bands(figure: "Figure") -> None:
-    """What the bands mean."""
-    from matplotlib.patches import Patch
-
-    handles = [Patch(color=shade, label=kind) for kind, shade in BANDS.items()]
-    figure.legend(handles=handles, loc="outside upper right", ncols=2, fontsize=8)
-
-
 def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = None) -> None:
     """All steady extrema of one representation.
 
@@ -279,8 +235,8 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
     height = drawn(one["x_max"].transpose(*order))
     x = np.broadcast_to(drawn(one[along])[:, None], height.shape)
     share = one["basin_share"].transpose(*order).values
-    # No share is known of what only sweeps reach.
-    area = 4.0 + 20.0 * np.where(np.isfinite(share), share, 0.0)
+    # No share is known of what only sweeps reach: a dot like any other.
+    area = np.where(np.isfinite(share), 4.0 + 20.0 * share, _DOT)
     periodic = one["response_class"].transpose(*order).values == ResponseClass.PERIODIC
     label, shade = _label(one), colour(_label(one))
     for where, face, kind in ((periodic, shade, "periodic"), (~periodic, "none", "not periodic")):
@@ -295,6 +251,17 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
             rasterized=bool(shown.sum() > MANY / 4),  # each dot is a path of its own
             label=f"_{label}, {kind}",
         )
+
+
+def said_of_peaks(found: xr.Dataset) -> str:
+    """What a caption says of the dots of attractors, with a blank before."""
+    has_peak = np.isfinite(found["x_max"].values)
+    said = []
+    if np.isfinite(found["basin_share"].values).any():
+        said.append("The area of a dot is the share of the starts that end on it")
+    if (has_peak & (found["response_class"].values != ResponseClass.PERIODIC)).any():
+        said.append("hollow: not periodic" if said else "Hollow: not periodic")
+    return f" {'; '.join(said)}." if said else ""
 
 
 def sections(axes: "Axes", one: xr.Dataset) -> None:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gapsweep.model.labels import EXACT
-from gapsweep.report import drawing
+from gapsweep.report import backdrop, drawing
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.maps import Picture, draw
 from gapsweep.report.scales import axis_label, drawn, is_log
@@ -49,13 +49,14 @@ def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
     """
 
     def extrema(axes: Axes, one: xr.Dataset) -> None:
-        drawing.bands(axes, one, along)
+        backdrop.walls(axes, responses, along)
+        backdrop.bands(axes, one, along)
         drawing.extrema(axes, one, along)
 
     n_columns = 3 if len(labels_of(responses)) > _MANY else 2
     label = axis_label(responses["extrema"], "extrema")
     figure = _grid(responses, along, label, n_columns, extrema)
-    drawing.key_of_bands(figure)
+    backdrop.key_of_bands(figure, responses)
     return figure
 
 
@@ -71,6 +72,7 @@ def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
     """
 
     def peaks(axes: Axes, one: xr.Dataset) -> None:
+        backdrop.walls(axes, found, along, of_peaks=True)
         drawing.attractor_peaks(axes, one, along)
 
     return _grid(found, along, axis_label(found["x_max"], "peak"), 3, peaks)
@@ -120,7 +122,7 @@ def beside_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Fi
     low, high = drawing.frame(scene, "x_max", exact)
     sizes = (7.0, 3.2) if scene.sizes["omega"] <= _FEW else (3.4, 1.6)
     for axes, (label, title) in zip(panels, titles.items(), strict=True):
-        drawing.walls(axes, scene)
+        backdrop.walls(axes, scene, of_peaks=True)
         for one, size in zip((exact, label), sizes, strict=True):
             drawing.peaks(axes, scene.sel(representation=one), size, low, high)
         axes.set_title(title, fontsize=9, loc="left")
@@ -165,14 +167,13 @@ def _grid(
     n_columns: int,
     drawn_in: Callable[[Axes, xr.Dataset], None],
 ) -> Figure:
-    """A panel per representation, walls behind, in so many columns or fewer."""
+    """A panel per representation, in so many columns or fewer."""
     labels = labels_of(found)
     n_columns = min(n_columns, len(labels))
     n_rows = math.ceil(len(labels) / n_columns)
     figure = Figure(figsize=(_WIDTH, 0.7 + 2.1 * n_rows))
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, label in zip(panels, labels, strict=False):
-        drawing.walls(axes, found, along)
         drawn_in(axes, found.sel(representation=label))
         axes.set_title(label, fontsize=9, loc="left")
     for axes in panels[len(labels) :]:

@@ -22,7 +22,7 @@ from gapsweep.report.answer import SIGNS, Contact, Judged
 from gapsweep.report.tables import number, percent
 
 GROUPS = {
-    "error": "Amplitude error [%] that 95 % of points keep",
+    "error": "Amplitude error of attractors [%] that 95 % keep",
     "found": "Attractors found [%]",
     "cost": "Cost at equal error [×]",
 }

@@ -29,8 +29,9 @@ from gapsweep.report.answer import (
     in_words,
     times,
 )
+from gapsweep.report.backdrop import said_of_bands, said_of_walls
 from gapsweep.report.bench import bench_parts
-from gapsweep.report.drawing import labels_of, said_of_walls
+from gapsweep.report.drawing import labels_of, said_of_peaks
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
 from gapsweep.report.findings import findings, outcomes
@@ -323,15 +324,14 @@ def _scene_figures(
         yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
     yield Figured(
         bifurcation(scene),
-        "All steady zero-velocity displacements. Bands: some start is not periodic."
-        f"{said_of_walls(scene)}",
+        f"All steady zero-velocity displacements.{said_of_bands(scene)}{said_of_walls(scene)}",
         f"Bifurcation diagram, {title}",
     )
     if found is not None:
         yield Figured(
             attractor_panels(found),
-            "Peak displacement of every attractor that the starts reach. The area of a dot is the "
-            "share of the starts that end on it; hollow: not periodic.",
+            "Peak displacement of every attractor that the starts reach."
+            f"{said_of_peaks(found)}{said_of_walls(scene, of_peaks=True)}",
             f"Attractors and their basins, {title}",
         )
 

@@ -12,7 +12,8 @@ import xarray as xr
 from gapsweep.analysis.grid import REPRESENTATION, SWEPT, scene_dims, swept
 from gapsweep.analysis.systems import by_coordinate, is_of_systems
 from gapsweep.errors import DatasetError
-from gapsweep.report.drawing import said_of_walls
+from gapsweep.report.backdrop import said_of_bands, said_of_walls
+from gapsweep.report.drawing import said_of_peaks
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, frequency_response, maps
 from gapsweep.report.maps import Picture, numeric_axes, on_grid, picture
@@ -226,7 +227,8 @@ def _curves(
     shown = here[["extrema", "response_class"]].load().expand_dims([REPRESENTATION, _START])
     yield Figured(
         bifurcation(shown, along),
-        f"All steady zero-velocity displacements: {where}{start}.{said_of_walls(here)}",
+        f"All steady zero-velocity displacements: {where}{start}."
+        f"{said_of_bands(shown)}{said_of_walls(here)}",
         f"Bifurcation diagram, {where}{start}",
     )
     if n_starts == 1:
@@ -237,8 +239,8 @@ def _curves(
         shown = found[["x_max", "basin_share", "response_class"]].load()
         yield Figured(
             attractors_figure(shown.expand_dims(REPRESENTATION), along),
-            f"Peak displacement of every attractor: {where}. The area of a dot is the share of "
-            "all starts that end on it; hollow: not periodic.",
+            f"Peak displacement of every attractor: {where}.{said_of_peaks(shown)}"
+            f"{said_of_walls(here, of_peaks=True)}",
             f"Attractors and their basins, {where}",
         )
 

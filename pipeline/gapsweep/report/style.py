@@ -19,7 +19,8 @@ CLASS_COLOURS = {
     "failed": "#555555",
 }
 # Backgrounds by class: light enough for every point colour, and told apart by depth.
-BANDS = {"chaotic": "#fbd9d3", "unresolved": "#c8d8e6"}
+BANDS = {"chaotic": "#fbd9d3", "quasiperiodic": "#e6d6ee", "unresolved": "#c8d8e6"}
+WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
 # Light to dark in blue and green, apart from red and orange, also for colour-blind readers.
 _SEQUENCE = "YlGnBu"
 _LINES = ("-", "--", ":", "-.")

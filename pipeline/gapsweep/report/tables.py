@@ -60,7 +60,7 @@ def _agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[list[s
 
 _AGREEMENT = [
     "Representation",
-    "Amplitude error, median (95 % interval)",
+    "Amplitude error, start by start, median (95 % interval)",
     "95th percentile",
     "Attractors found",
     "Attractors right",
