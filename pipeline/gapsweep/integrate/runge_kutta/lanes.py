@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
-from gapsweep.integrate.taylor.layout import Layout
+from gapsweep.integrate.taylor.layout import Layout, known
 from gapsweep.status import Status
 
 from . import parameters
@@ -41,7 +41,7 @@ class Rows(Layout):
     @classmethod
     def of(cls, at: Layout) -> "Rows":
         """The rows of a system's points."""
-        return cls(**{each.name: getattr(at.bare, each.name) for each in fields(Layout)})
+        return known(cls(**{each.name: getattr(at.bare, each.name) for each in fields(Layout)}))
 
     @cached_property
     def blocks(self) -> dict[str, int]:

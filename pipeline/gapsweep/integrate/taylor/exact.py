@@ -5,7 +5,7 @@ prepares one table row per system, `run` puts starts into copies of the rows, ru
 `exact_kernel.advance` on them and drains its buffers.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -134,7 +134,7 @@ def run(
     dense_output : bool
         Keep every step's series from `record_from` on, for `Exact.sample`.
     """
-    at = replace(prepared.at, tangent=int(tangent))
+    at = prepared.at.of_tangent if tangent else prepared.at
     points = np.empty((len(which) + 1, at.n_rows))
     given = start, t_0, t_end, record_from, section_only and not dense_output
     outcome = set_starts(

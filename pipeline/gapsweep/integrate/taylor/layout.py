@@ -14,7 +14,7 @@ phase cannot drift apart however long the run.
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from itertools import accumulate
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 from numba import types
@@ -109,7 +109,12 @@ class Layout:
     @property
     def of_motion(self) -> "Layout":
         """The same without the tangent, whose rows no other code looks at."""
-        return replace(self, tangent=0)
+        return known(replace(self, tangent=0))
+
+    @cached_property
+    def of_tangent(self) -> "Layout":
+        """The same with the tangent."""
+        return known(replace(self, tangent=1))
 
     @property
     def all_lanes(self) -> int:
@@ -181,24 +186,31 @@ class Layout:
     def n_rows(self) -> int:
         return sum(self.blocks.values())
 
-    @property
+    @cached_property
     def numbers(self) -> np.record:
         """All of them, with the same names, as a record for code that is compiled once."""
-        return _recorded(self)
+        names = [*(field.name for field in fields(self)), *self.derived, *self.blocks]
+        values = tuple(int(getattr(self, name)) for name in names)
+        found: np.record = np.rec.array([values], dtype=[(name, np.int64) for name in names])[0]
+        return found
 
     def __getattr__(self, name: str) -> int:
-        """First row of a block."""
+        """First row of a block; from then on an attribute like any other."""
         if name.startswith("_") or name not in self.blocks:
             raise AttributeError(name)
+        self.__dict__[name] = self.first[name]
         return self.first[name]
 
 
-@cache  # equal layouts are made for every call
-def _recorded(layout: Layout) -> np.record:
-    names = [*(field.name for field in fields(layout)), *layout.derived, *layout.blocks]
-    values = tuple(int(getattr(layout, name)) for name in names)
-    found: np.record = np.rec.array([values], dtype=[(name, np.int64) for name in names])[0]
-    return found
+_L = TypeVar("_L", bound=Layout)
+
+
+_KNOWN: dict[Layout, Layout] = {}
+
+
+def known(layout: _L) -> _L:
+    """The first of all layouts that equal this one: its rows are looked up once."""
+    return cast(_L, _KNOWN.setdefault(layout, layout))
 
 
 class LayoutType(types.Opaque):

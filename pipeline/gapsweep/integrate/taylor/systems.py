@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from gapsweep.model.system import System, fastest_mode, fraction
 
-from .layout import Layout
+from .layout import Layout, known
 from .scenes import MIN_STEP, Scenes, check, check_tolerances, empty_table, order_for, set_clock
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def system_scenes(
     of_each = np.array([id(system) for system in systems])
     _, firsts, which = np.unique(of_each, return_index=True, return_inverse=True)
     (layout,) = {layout_of(systems[first]) for first in firsts}
-    at = replace(layout, order=order_for(rtol))
+    at = known(replace(layout, order=order_for(rtol)))
     points, table = empty_table(at, len(systems))
     stiffnesses = walls.K_ratio * walls.K_c, walls.K_c
     for number, first in enumerate(firsts):
