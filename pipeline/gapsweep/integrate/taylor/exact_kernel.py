@@ -193,18 +193,6 @@ def _part(at, lanes, k):
 
 
 @internal
-def _parted(at, suspects, lanes, x_bound, max_short):
-    """Those of the lanes `suspects` that chattered and may go on."""
-    parted = 0
-    while suspects != 0:
-        k = lowest_bit(suspects)
-        suspects &= suspects - 1
-        if _failure(at, lanes, k, x_bound, max_short) == CHATTER and _part(at, lanes, k):
-            parted |= 1 << k
-    return parted
-
-
-@internal
 def _settle(at, unclear, lanes, coefficients, work):
     """Commit the steps of the lanes whose crossing was unclear. The lanes that end with it."""
     done = 0
@@ -217,15 +205,20 @@ def _settle(at, unclear, lanes, coefficients, work):
 
 
 @internal
-def _failed(at, suspects, lanes, x_bound, max_short):
-    """Those of the lanes `suspects` whose last step is not part of the motion."""
-    failed = 0
+def _judged(at, suspects, lanes, x_bound, max_short):
+    """Those of the lanes `suspects` whose last step is no part of the motion, and those that
+    chattered and may go on.
+    """
+    failed = parted = 0
     while suspects != 0:
         k = lowest_bit(suspects)
         suspects &= suspects - 1
-        if _failure(at, lanes, k, x_bound, max_short) != RUNNING:
+        outcome = _failure(at, lanes, k, x_bound, max_short)
+        if outcome == CHATTER and _part(at, lanes, k):
+            parted |= 1 << k
+        elif outcome != RUNNING:
             failed |= 1 << k
-    return failed
+    return failed, parted
 
 
 @internal
@@ -238,8 +231,8 @@ def _attend(layout, packed, run, limits):
     bad = (packed >> 2 * at.width) & at.all_lanes
     recording = (packed >> 3 * at.width) & at.all_lanes
     done |= _settle(at, unclear, lanes, run.coefficients, run.work)
-    bad &= ~_parted(at, unclear | bad, lanes, x_bound, max_short)
-    failed = _failed(at, unclear | bad, lanes, x_bound, max_short)
+    failed, parted = _judged(at, unclear | bad, lanes, x_bound, max_short)
+    bad &= ~parted
     recording &= ~failed
     if recording != 0:
         record_steps(layout, recording, run)
