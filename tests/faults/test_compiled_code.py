@@ -129,6 +129,11 @@ def test_unwritable_folders_fall_back_to_the_next(copy, tmp_path):
     blocked.write_text("no folder can be made below a file")
     temporary = tmp_path / "temporary"
     temporary.mkdir()
+    for module in list(copy.rglob("*.py")):  # nor beside the sources, as where they are read-only
+        beside = module.parent / "__pycache__"
+        if not beside.is_file():
+            shutil.rmtree(beside, ignore_errors=True)
+            beside.write_text("no folder can be made here")
     run = start(copy, blocked, XDG_CACHE_HOME=str(blocked), TMPDIR=str(temporary))
     assert printed(run)
     assert list(temporary.glob("gapsweep-*/gapsweep/compiled-*"))

@@ -1,9 +1,8 @@
 """How the numerics are compiled, and where the machine code is kept.
 
-numba compiles an entry point together with all it calls and keeps the result on disk. It knows
-that a file has changed only for the file that holds the entry point: after an edit in a module
-that this one imports, a new process would load old machine code and return old numbers. Hence
-the folder of compiled code carries a hash of all sources in its name.
+An entry point is compiled together with all it calls, and kept on disk in a file named by a hash
+of all sources of this folder, besides what it is compiled for: after an edit in any of them, no
+process loads old machine code and returns old numbers.
 
 Machine code may also have come with the package (``tools/machine_code.py``), for a level of x86-64
 that many processors have in common: it is what numba makes of the same sources for that level, and
@@ -29,17 +28,57 @@ from filelock import FileLock, Timeout
 from llvmlite.binding import get_host_cpu_features
 from numba import config, njit
 from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
+from numba.extending import overload
+
+
+class _Part(JITCodeLibrary):
+    """Code that runs only as a part of other code, which is optimised with all its parts.
+
+    numba optimises every function by itself as well and makes machine code of it, with all that
+    it calls: the innermost as often as calls are nested, a third of the time in all.
+    """
+
+    def _optimize_final_module(self) -> None:
+        """Left to what it is a part of."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+    def get_pointer_to_function(self, _name: str) -> int:
+        """None: there is no machine code."""
+        return 0
+
+    @property
+    def codegen(self) -> "_Part":
+        return self
+
+    def set_env(self, _name: str, _environment: Any) -> None:
+        """What Python objects a function holds: none."""
+
+
+class _PartCompiler(Compiler):
+    def compile_extra(self, function: Callable[..., Any]) -> Any:
+        self.state.library = _Part(self.state.targetctx.codegen(), function.__qualname__)
+        return super().compile_extra(function)
+
 
 # Called from compiled code alone: without the wrappers for Python and C, which take longer to
 # compile than a small function itself.
-_BARE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_PART = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
 # Nor does a function count references to arrays unless it makes one: its callers own those that
 # it works on, and the atomic counts at each call would cost more than recording a step. numba
 # refuses to compile a function that does allocate under this option.
-internal = njit(**_BARE, _nrt=False)
-inlined = njit(forceinline=True, **_BARE, _nrt=False)
+internal = njit(**_PART, _nrt=False)
+inlined = njit(forceinline=True, **_PART, _nrt=False)
+
+
+def chosen_by_type(function: Callable[..., Any]) -> Any:
+    """Decorate what chooses, by the types of its arguments, the code of a function."""
+    return overload(function, jit_options=_PART)
 
 
 # Levels of x86-64, the best first, and what a processor of each has beyond the next. Below these,
@@ -97,15 +136,22 @@ class _Cache(FunctionCache):
     """The machine code of a function on disk; what came with the package stands first."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
+        # numba looks for a folder of its own, and refuses the function where it finds none.
+        users, config.CACHE_DIR = config.CACHE_DIR, str(code_folder())
+        try:
+            super().__init__(function)
+        finally:
+            config.CACHE_DIR = users
         self._kept = _Code(code_folder(), function)
         self._came = [_Code(SHIPPED / folder, function) for folder in shipped_for()]
         target = os.environ.get(SHIP_TO)
         self._made = _Code(Path(target), function) if target else None
 
     def _load_overload(self, signature: Any, target: Any) -> Any:
-        kept = self._kept.load(self._index_key(signature, target.codegen()))
-        for data in (*(file.load(signature) for file in self._came), kept):
+        places = [(each, signature) for each in self._came]
+        places.append((self._kept, self._index_key(signature, target.codegen())))
+        for place, key in places:
+            data = place.load(key)
             if data is not None:
                 found = self._impl.rebuild(target, data)
                 if found.signature.args == normalize_signature(signature)[0]:
@@ -113,6 +159,8 @@ class _Cache(FunctionCache):
         return None
 
     def _save_overload(self, signature: Any, data: Any) -> None:
+        if not self._impl.check_cachable(data):  # it holds addresses of this process
+            return
         code = self._impl.reduce(data)
         self._kept.save(self._index_key(signature, data.codegen), code)
         if self._made is not None:
@@ -194,12 +242,13 @@ def _made(parent: Path) -> Path:
 
 def _private() -> Path:
     """A folder of our own where everybody can write: what lies in it will be run."""
-    owner = os.getuid() if hasattr(os, "getuid") else "user"
-    folder = Path(tempfile.gettempdir()) / f"gapsweep-{owner}"
+    if not hasattr(os, "getuid"):  # Windows, where temporary folders are of one user
+        return Path(tempfile.gettempdir())
+    folder = Path(tempfile.gettempdir()) / f"gapsweep-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
-    is_ours = stat.S_ISDIR(found.st_mode) and not found.st_mode & 0o022
-    if is_ours and (owner == "user" or found.st_uid == owner):
+    is_closed = stat.S_ISDIR(found.st_mode) and not found.st_mode & 0o022
+    if is_closed and found.st_uid == os.getuid():
         return folder
     return Path(tempfile.mkdtemp(prefix="gapsweep-"))
 

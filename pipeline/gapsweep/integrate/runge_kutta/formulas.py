@@ -7,7 +7,7 @@ shares is in `law`.
 from numba import njit
 
 from gapsweep.integrate import simd
-from gapsweep.integrate.jit import inlined
+from gapsweep.integrate.jit import inlined, internal
 from gapsweep.integrate.simd import bits, fma, load, select
 
 from . import vecmath
@@ -206,7 +206,7 @@ def rational_denominator(law, q, x):
 # --- a table ------------------------------------------------------------------------------------
 
 
-@njit
+@internal
 def _piece(points, x):
     """How many points are not above x; 0 of NaN."""
     low, high = 0, points.size
@@ -219,7 +219,7 @@ def _piece(points, x):
     return low
 
 
-@njit
+@internal
 def _table_terms(law, x):
     """Distance from where the piece of every lane begins, and the piece's coefficients."""
     d = c_3 = c_2 = c_1 = c_0 = simd.splat(0.0)

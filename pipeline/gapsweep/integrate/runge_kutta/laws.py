@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
-from gapsweep.integrate.jit import inlined
+from gapsweep.integrate.jit import chosen_by_type, inlined
 from gapsweep.integrate.simd import load
 
 from . import formulas
@@ -140,19 +139,19 @@ def _is_users(law):
     return law.instance_class is User
 
 
-@overload(acceleration)
+@chosen_by_type(acceleration)
 def _acceleration(law, q, x):
     function = formulas.user_force if _is_users(law) else _force_by_formula
     return lambda law, q, x: function(law, q, x)
 
 
-@overload(slope)
+@chosen_by_type(slope)
 def _slope(law, q, x):
     function = formulas.user_slope if _is_users(law) else _slope_by_formula
     return lambda law, q, x: function(law, q, x)
 
 
-@overload(denominator)
+@chosen_by_type(denominator)
 def _denominator(law, q, x):
     if _is_users(law):
         return lambda law, q, x: simd.splat(1.0)
@@ -169,7 +168,7 @@ def _of_every_contact(one):
     def every(kinds, q, lane, source, target):
         raise NotImplementedError("compiled code only")
 
-    @overload(every)
+    @chosen_by_type(every)
     def _every(kinds, q, lane, source, target):
         if not len(kinds):
             return lambda kinds, q, lane, source, target: None

@@ -2,10 +2,8 @@
 everything stays in registers, and a system's, whose stage stands in rows of the lane.
 """
 
-from numba.extending import overload
-
 from gapsweep.integrate import simd
-from gapsweep.integrate.jit import inlined
+from gapsweep.integrate.jit import chosen_by_type, inlined
 from gapsweep.integrate.simd import fma, load, store
 
 from . import laws, vecmath
@@ -23,13 +21,13 @@ def tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h):
     raise NotImplementedError("compiled code only")
 
 
-@overload(stages)
+@chosen_by_type(stages)
 def _stages(at, kinds, q, lane, tableau, k, h):
     one = _oscillator_stages if at.layout.is_plain else _system_stages
     return lambda at, kinds, q, lane, tableau, k, h: one(at, kinds, q, lane, tableau, k, h)
 
 
-@overload(tangent_stages)
+@chosen_by_type(tangent_stages)
 def _tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h):
     one = _oscillator_tangents if at.layout.is_plain else _system_tangents
     return lambda at, kinds, q, lane, tableau, k, k_tangent, h: one(
