@@ -11,8 +11,10 @@ from gapsweep.analysis.grid import over, scene_dims
 from gapsweep.analysis.timing import timing
 from gapsweep.analysis.verdicts import NotInRunError, Run
 from gapsweep.report.answer import contacts, in_words, lines
-from gapsweep.report.html import write_report
+from gapsweep.report.html import _at_one_frequency, write_report
 from gapsweep.report.overview import is_wide, overview
+from gapsweep.report.scenes import Scenes
+from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
 LABELS = ["piecewise", "piecewise@half", "tanh-1e4"]
@@ -142,7 +144,7 @@ def test_few_values_of_another_axis_have_curves_each_and_medians(forced, tmp_pat
     page = page_of(tmp_path, forced)
     assert 'id="overview"' in page
     assert 'id="scene-' not in page
-    assert "pictures over forcing frequency, for each of 2 values of forcing. ds." in page
+    assert "pictures over forcing frequency, for each of 2 values of forcing amplitude. ds." in page
     for force in FORCING:  # too few for an axis
         where = f"piecewise, K_c = 14000 N/m, gap 0.4/0.4 mm, forcing = {force:g} N"
         assert f"Peak displacement of every attractor: {where}" in page
@@ -190,6 +192,38 @@ def test_a_grid_of_starts_at_one_frequency_is_drawn_as_its_plane(tmp_path):
     page = page_of(tmp_path, datasets(tmp_path, study, two))
     assert page.count("Attractor, peak: ") == 2
     assert "zero-velocity displacements" not in page
+
+
+@pytest.mark.parametrize("stiffnesses", [[1.4e4, 2e4], [1.4e4, 1.40000001e4, 2e4]])
+def test_planes_of_several_contacts_have_pictures_of_each(tmp_path, stiffnesses):
+    study = tables(["piecewise"], [5.0])
+    states = [[1e-5 * i, 1e-3 * k] for i in range(6) for k in range(5)]
+    study["sweep"][0] |= {"initial_condition": states, "K_c": stiffnesses}
+    page = page_of(tmp_path, datasets(tmp_path, study, answer))
+    assert page.count("Attractor, peak: ") == len(stiffnesses)
+
+
+def test_contacts_that_print_alike_stand_apart_in_one_figure(tmp_path):
+    study = tables(["piecewise"], [5.0])
+    study["sweep"][0]["K_c"] = [1.4e4, 1.40000001e4, 2e4]
+    scenes = Scenes(datasets(tmp_path, study, answer)[0])
+    at = [{"K_c": i, "gap": 0} for i in range(3)]
+    (figure,) = _at_one_frequency(scenes, at, "5 Hz").figures
+    (axes,) = figure.figure.axes
+    ticks = [text.get_text() for text in axes.get_xticklabels()]
+    assert ticks == [f"K_c = {name}" for name in ("14000 N/m (1)", "14000 N/m (2)", "20000 N/m")]
+    assert [len(line.get_xdata()) for line in axes.lines] == [3]
+
+
+def test_a_law_has_no_empty_pictures_where_it_was_not_swept(forced):
+    responses, attractors = (ds.copy() for ds in forced)
+    here = responses["representation"] == "tanh-1e4", responses["forcing"] == FORCING[1]
+    is_left = here[0] & here[1]
+    responses["status"] = responses["status"].where(~is_left, Status.NOT_REQUESTED)
+    figures = list(overview(responses, None, timing(responses), attractors).figures)
+    of_tanh = [one.description for one in figures if "tanh" in one.description]
+    assert of_tanh
+    assert all(f"forcing = {FORCING[0]:g} N" in said for said in of_tanh)
 
 
 def test_coordinates_share_maps_of_classes_and_have_amplitudes_of_their_own(tmp_path):

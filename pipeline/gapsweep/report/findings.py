@@ -127,12 +127,11 @@ def _closest(found: Sequence[Contact]) -> Iterator[str]:
         if several:
             yield "In no contact is one stand-in clearly closest in amplitude."
         return
-    parts = [f"{name} in {n}" for name, n in counts.most_common()]
-    parts += [f"no single one in {undecided}"] if undecided else []
+    pairs = [*counts.most_common(), *([("no single one", undecided)] if undecided else [])]
     # The last number is part of how many they are of.
-    *others, last = parts
-    first, _, n = last.rpartition(" ")
-    said = ", ".join([*others, f"{first} {share(int(n), several)}"])
+    *others, (last, n) = pairs
+    parts = [*(f"{name} in {k}" for name, k in others), f"{last} in {share(n, several)}"]
+    said = ", ".join(parts)
     yield f"Closest in amplitude beyond the 95 % intervals: {said} with several stand-ins."
 
 

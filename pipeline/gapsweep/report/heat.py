@@ -126,7 +126,7 @@ def heads(found: Iterable[T]) -> list[tuple[T, int]]:
     return [(head, len(list(same))) for head, same in groupby(found)]
 
 
-def beside(found: Sequence[Contact]) -> tuple[str, list[str]]:
+def swept_columns(found: Sequence[Contact]) -> tuple[str, list[str]]:
     """What is swept beside contacts: its names with units, and its values of every contact."""
     pairs = [[word.partition(" = ")[::2] for word in c.others.split(", ")] for c in found]
     names = [f"{n} [{unit}]" if (unit := v.partition(" ")[2]) else n for n, v in pairs[0]]

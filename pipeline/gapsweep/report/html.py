@@ -35,8 +35,7 @@ from gapsweep.report.drawing import labels_of, said_of_peaks
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
 from gapsweep.report.findings import findings, outcomes
-from gapsweep.report.heat import GROUPS, MANY, heads, heat
-from gapsweep.report.heat import beside as beside_contacts
+from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
 from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import Figured, Part, drawn, for_page, rendered
 from gapsweep.report.provenance import as_toml, provenance
@@ -118,7 +117,7 @@ def write_report(
         groups=GROUPS,
         stiffnesses=heads(contact.K_c for contact in told),
         gaps=heads((contact.K_c, contact.gap) for contact in told),
-        beside=beside_contacts(told) if any(contact.others for contact in told) else None,
+        beside=swept_columns(told) if any(contact.others for contact in told) else None,
         is_many=len(told) > MANY,
         heat=heat(told),
         anchors={part["anchor"] for part in parts},
@@ -208,8 +207,8 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     said = f"Peaks at {contact.place}, some laws on the exact one's larger dots"
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
-        looks = "dashed: walls; pale: not periodic; triangles: outside"
-        made = drawn(Figured(figure, f"{said}; {looks}.", said))
+        looks = f"{said_of_walls(scene, of_peaks=True)} Pale: not periodic; triangles: outside."
+        made = drawn(Figured(figure, f"{said}.{looks}", said))
     (part,) = for_page([{"anchor": "hero", "figures": [made]}])
     return dict(part["figures"][0])
 
@@ -260,11 +259,12 @@ def _scenes(
     timing: xr.Dataset,
     attractors: xr.Dataset | None,
 ) -> Iterator[Part]:
-    """Everything about one scene after the other; at one frequency, figures of all in one."""
+    """Everything about one scene after the other; what would be columns of dots, in one figure."""
     scenes = Scenes(responses)
-    is_curve = responses.sizes["omega"] > 1 or sum(1 for _ in _found(scenes, responses)) == 1
-    if not is_curve:
-        yield _at_one_frequency(scenes, responses)
+    columns = list(_columns(scenes, responses)) if responses.sizes["omega"] == 1 else []
+    is_joint = len(columns) > 1
+    if is_joint:
+        yield _at_one_frequency(scenes, columns, f"{responses['omega'].item():g} Hz")
     for at, here in _found(scenes, responses):
         labels = labels_of(here)
         title = _title(here)
@@ -274,7 +274,9 @@ def _scenes(
             title,
             [outcomes(here)],
             scene_tables(compared, timing.isel(at), labels),
-            _scene_figures(_without_protocols(here), attractors, at, title) if is_curve else (),
+            ()
+            if is_joint and at in columns
+            else _scene_figures(_without_protocols(here), attractors, at, title),
         )
 
 
@@ -296,17 +298,24 @@ def _said(scene: xr.Dataset) -> list[str]:
     return [named(scene["K_c"]), f"gap {gap_label(scene)} mm", *others]
 
 
-def _at_one_frequency(scenes: Scenes, responses: xr.Dataset) -> Part:
+def _columns(scenes: Scenes, responses: xr.Dataset) -> Iterator[At]:
+    """Scenes of one frequency whose starts form no plane to be drawn."""
+    return (at for at, here in _found(scenes, responses) if not plane_of(here))
+
+
+def _at_one_frequency(scenes: Scenes, columns: Sequence[At], omega: str) -> Part:
     """One figure in place of one of a single column of dots for each scene."""
-    omega = f"{responses['omega'].item():g} Hz"
-    said, peaks = [], []
-    for _, here in _found(scenes, responses):
-        said.append(_said(here))
-        peaks.append(_without_protocols(here)[["x_max"]].isel(omega=0).load())
+    here = [scene for scene in map(scenes.at, columns) if scene is not None]
+    peaks = [_without_protocols(scene)[["x_max"]].isel(omega=0).load() for scene in here]
+    said = [_said(scene) for scene in here]
     differs = [len(set(column)) > 1 for column in zip(*said, strict=True)]
     names = [", ".join(word for word, d in zip(each, differs, strict=True) if d) for each in said]
+    told = [  # of what differs by less than is printed, the first, the second, ...
+        f"{name} ({names[: i + 1].count(name)})" if names.count(name) > 1 else name
+        for i, name in enumerate(names)
+    ]
     caption = "Peak displacement of the steady response from every start."
-    figure = Figured(by_contact(dict(zip(names, peaks, strict=True))), caption, f"Peaks at {omega}")
+    figure = Figured(by_contact(dict(zip(told, peaks, strict=True))), caption, f"Peaks at {omega}")
     return Part("contacts", f"All contacts at {omega}", [], (), [figure])
 
 

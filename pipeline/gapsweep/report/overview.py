@@ -1,7 +1,8 @@
 """The section of the report in place of one per scene, where these would be too many.
 
-Everything is drawn as meshes over two axes, the others at one value: neither the page nor the
-memory grows with the number of scenes.
+Everything is drawn over two axes, the others at one value: neither the page nor the memory grows
+with the number of scenes. Over two long axes it is meshes; over one, or for each of a few values of
+the other, curves.
 """
 
 from collections.abc import Iterator, Sequence
@@ -77,11 +78,14 @@ def overview(
     n_points = asked.sum([dim for dim in asked.dims if dim != REPRESENTATION])
     labels = [str(label) for label in asked[REPRESENTATION].values[n_points.values > 0]]
     n_scenes = int(asked.any((REPRESENTATION, *swept(asked))).sum())
-    axes, cuts = _axes(responses)
-    names = [str(responses[axis].attrs.get("long_name", axis)) for axis in axes]
-    few = "".join(cuts[0])
-    each = f", for each of {len(cuts)} values of {few}" if few else ""
-    is_part = n_scenes > len(cuts)
+    axes, few = _axes(responses)
+    cuts = [{axis: [i]} for axis in few for i in range(responses.sizes[axis])] or [{}]
+    names, one_by_one = (
+        [str(responses[axis].attrs.get("long_name", axis)) for axis in some] for some in (axes, few)
+    )
+    each = f", for each of {len(cuts)} values of {one_by_one[0]}" if few else ""
+    others = {REPRESENTATION, _START, *axes, *few}
+    is_part = any(size > 1 for dim, size in asked.sizes.items() if dim not in others)
     of_all = ", of all else at one value, in place of figures of each scene" if is_part else ""
     sentence = (
         f"{n_scenes} scene{'s' * (n_scenes > 1)} with {int(n_points.sum())} sweep points"
@@ -100,6 +104,7 @@ def overview(
             for label in plain
             if axes
             for cut in cuts
+            if asked.isel(cut).sel({REPRESENTATION: label}).any()
             for figure in _figures(
                 responses.isel(cut),
                 None if attractors is None else attractors.isel(cut, missing_dims="ignore"),
@@ -111,20 +116,18 @@ def overview(
     )
 
 
-def _axes(responses: xr.Dataset) -> tuple[list[str], list[dict[str, list[int]]]]:
-    """What pictures are over, frequency the horizontal axis, and the parts to draw one by one.
+def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:
+    """What pictures are over, frequency the horizontal axis; and the axis drawn value by value.
 
     The two longest axes, or the longest one for each of the few values of the second; states that
     many starts form, if there are no two.
     """
     axes = numeric_axes(responses["status"].to_dataset())[:2]
     if len(axes) < 2 and responses.sizes[_START] > _FEW_STARTS and (plane := plane_of(responses)):
-        return plane, [{}]
-    cuts: list[dict[str, list[int]]] = [{}]
-    if axes[1:] and responses.sizes[axes[1]] < _LEAST:
-        few = axes.pop()
-        cuts = [{few: [i]} for i in range(responses.sizes[few])]
-    return sorted(axes, key=lambda axis: axis != "omega"), cuts
+        return plane, []
+    few = axes[1:] if len(axes) > 1 and responses.sizes[axes[1]] < _LEAST else []
+    drawn = [axis for axis in axes if axis not in few]
+    return sorted(drawn, key=lambda axis: axis != "omega"), few
 
 
 def plane_of(responses: xr.Dataset) -> list[str]:
