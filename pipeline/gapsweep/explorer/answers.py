@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.analysis.histories import spectrum
-from gapsweep.explorer.question import EXACT, Question
+from gapsweep.explorer.question import Question
 from gapsweep.integrate.simulate import simulate
 from gapsweep.model.contact import ContactLaw
+from gapsweep.model.labels import EXACT
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.response.respond import respond
 from gapsweep.response.result import ResponseClass, Steady
@@ -147,7 +148,8 @@ class Motion:
     t, x, v : ndarray, shape (n,)
         Times [s] from the first sample on, displacements [m], velocities [m/s].
     section : ndarray, shape (m, 2)
-        Displacements and velocities at every whole forcing period.
+        Displacements and velocities at the last whole forcing periods: 300, or 120 of a motion
+        that is found to repeat.
     frequency, spectrum : ndarray
         Frequencies [Hz] and amplitudes [m].
     period_multiple : int
@@ -256,7 +258,9 @@ def _curve(question: Question, label: str, protocol: str, omega: Array, states: 
 
 
 def _height(curve: Curve, omega: float) -> float:
-    """The peak [m] at the frequency that is nearest."""
+    """The peak [m] at the frequency that is nearest; none of a sweep that is still under way."""
+    if curve.omega.size < N_OMEGA:
+        return 0.0
     return float(np.nan_to_num(curve.x_max[np.argmin(np.abs(curve.omega - omega))]))
 
 
@@ -296,6 +300,8 @@ def _planes(empty: Plane, basis: Hashable, rows: Iterator[Curve]) -> Iterator[Pl
         is_periodic.append(row.is_periodic)
         plane = replace(empty, x_max=np.array(x_max), is_periodic=np.array(is_periodic))
         yield plane
+    if not x_max:
+        return
     _whole[key] = plane
     for oldest in list(_whole)[:-_N_WHOLE]:
         _whole.pop(oldest, None)

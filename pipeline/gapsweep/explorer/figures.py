@@ -20,7 +20,8 @@ from gapsweep.explorer.answers import (
     Points,
 )
 from gapsweep.explorer.planes import Planes, blank, guide
-from gapsweep.explorer.question import EXACT, MAX_STAND_INS, Question
+from gapsweep.explorer.question import MAX_STAND_INS, Question
+from gapsweep.model.labels import EXACT
 from gapsweep.report.style import NOT_PERIODIC, colour, lines
 from gapsweep.response.result import ResponseClass
 

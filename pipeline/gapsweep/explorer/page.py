@@ -38,7 +38,6 @@ from gapsweep.explorer.answers import (
 from gapsweep.explorer.figures import Figures, legend
 from gapsweep.explorer.latest import Latest
 from gapsweep.explorer.question import (
-    EXACT,
     MAX_STAND_INS,
     Dial,
     Question,
@@ -48,7 +47,7 @@ from gapsweep.explorer.question import (
     numbers,
 )
 from gapsweep.explorer.stored import Stored
-from gapsweep.model.labels import AUTO
+from gapsweep.model.labels import AUTO, EXACT
 
 _MM = 1e3
 _SIDE = 300  # pixels
@@ -254,7 +253,7 @@ class Page:
 
     def _setting_clicked(self, event: Tap) -> None:
         """Look at the motion from rest where the map is clicked."""
-        over = self._dials[self._over.value]
+        over = self._dials[self._question.over]  # which the map is drawn over
         low, high = self._question.band
         value = min(max(event.y, over.scaled(over.low)), over.scaled(over.high))
         self._set({"omega": min(max(event.x, low), high), over.name: over.at(value)})

@@ -18,7 +18,8 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from gapsweep.explorer.answers import BASINS, MAP, Plane
-from gapsweep.explorer.question import EXACT, Dial, Question, numbers
+from gapsweep.explorer.question import Dial, Question, numbers
+from gapsweep.model.labels import EXACT
 from gapsweep.report.style import NOT_PERIODIC, sequence
 
 _MM = 1e3
@@ -60,6 +61,10 @@ class Planes:
             for at, shown in self.figures.items()
         }
         self._shown: dict[tuple[str, int], Any] = {}
+        # Of the question that is looked at.
+        self._over: Dial
+        self._titles: dict[str, str] = {}
+        self._labels: tuple[str, ...] = ()
 
     def look_at(self, question: Question, over: Dial) -> None:
         """Mark where the question is; what is of another one goes."""

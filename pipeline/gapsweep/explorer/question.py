@@ -9,11 +9,10 @@ import numpy as np
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import FIT_RANGE, ContactLaw, Piecewise
-from gapsweep.model.labels import AUTO, canonical_label, contact_law
+from gapsweep.model.labels import AUTO, EXACT, canonical_label, contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 from gapsweep.study.study import Study
 
-EXACT = Piecewise.family
 MAX_STAND_INS = 3
 DEFAULT_STAND_INS = ("tanh-1e4",)
 # Natural frequencies that a page looks at first: beyond the resonance, where contacts matter.
@@ -314,4 +313,4 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
 
 def _plain(representations: Sequence[str]) -> list[str]:
     """Labels without their protocols, each once."""
-    return list(dict.fromkeys(label.partition("@")[0] for label in representations))
+    return list(dict.fromkeys(map(law_of, representations)))

@@ -9,8 +9,10 @@ import xarray as xr
 
 from gapsweep.explorer.answers import Points
 from gapsweep.explorer.question import of_study
+from gapsweep.model.labels import law_of
 from gapsweep.stages import RESPONSES
 from gapsweep.store import netcdf
+from gapsweep.study.schema import written
 from gapsweep.study.study import Study
 
 _OF_A_POINT = ("representation", "omega", "initial_condition")
@@ -45,7 +47,7 @@ class Stored:
         x_max = scene["x_max"].transpose(*_OF_A_POINT)
         first = scene[["section_x", "section_v"]].isel(section_point=0).transpose(*_OF_A_POINT)
         label, omega, _ = np.meshgrid(
-            [text.partition("@")[0] for text in scene["representation"].values.tolist()],
+            [law_of(text) for text in scene["representation"].values.tolist()],
             scene["omega"].values,
             scene["initial_condition"].values,
             indexing="ij",
@@ -73,14 +75,9 @@ def _scenes(dataset: xr.Dataset) -> Any:
 def _named(scene: xr.Dataset, dims: list[Any]) -> str:
     def words(dim: str) -> str:
         value, units = scene[dim].item(), scene[dim].attrs.get("units", "1")
-        return (
-            f"{dim} {value if isinstance(value, str) else f'{value:g}'} {_UNITS.get(units, units)}"
-        )
+        return f"{dim} {value if isinstance(value, str) else f'{value:g}'} {written(units)}"
 
     return ", ".join(words(dim).strip() for dim in dims)
-
-
-_UNITS = {"1": "", "N m-1": "N/m", "N m-3": "N/m³"}
 
 
 def _numbers(scene: xr.Dataset) -> dict[str, float]:
