@@ -417,7 +417,8 @@ def _shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
     """What is missing, in random order of blocks of neighbours, which cost alike.
 
     A block is as large as a task may be, of one representation, and made of whole sweeps. One of
-    the study's first representation leads: mostly the exact law, whose kernel is another.
+    each representation leads, in the study's order: the exact law is mostly the first, and its
+    kernel is another than that of the second.
     """
     if not missing.size:
         return iter(())
@@ -427,5 +428,8 @@ def _shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
     is_new = (np.diff(representation, prepend=-1) != 0) | (np.diff(block, prepend=-1) > 0)
     blocks = np.split(missing, firsts[is_new][1:])
     random.shuffle(blocks)
-    leading = min(range(len(blocks)), key=lambda i: blocks[i][0])
-    return iter([blocks.pop(leading), *blocks])
+    _, leading = np.unique(
+        plan.representation(np.array([block[0] for block in blocks])), return_index=True
+    )
+    others = np.setdiff1d(np.arange(len(blocks)), leading)
+    return iter([blocks[i] for i in (*leading, *others)])
