@@ -92,6 +92,8 @@ def changed_since(study: Study, folder: Path) -> list[str]:
 
 def check_writable(folder: Path) -> None:
     """Fail before anything is computed if the results could not be stored."""
+    if folder.is_symlink() and not folder.exists():
+        raise StoreError(f"{folder}: is a link to nothing; remove it, or name another folder")
     existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
     try:
         with tempfile.TemporaryFile(dir=existing):

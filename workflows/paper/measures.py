@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.floors import floor_labels
 from gapsweep.analysis.verdicts import Number, Run, Test, mean, ratio_of_sums, share
+from gapsweep.model.labels import law_of
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
@@ -37,7 +38,7 @@ NAMES = {"poly": "Poly", "ratpoly": "RatPoly", "logarctan": "log-arctan", "piece
 
 def named(label: str) -> str:
     """The paper's name of a representation."""
-    law = label.partition("@")[0]
+    law = law_of(label)
     if law == "piecewise-noevents":
         return "the exact law without events"
     family, _, parameter = law.partition("-")

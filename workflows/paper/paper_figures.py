@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from gapsweep.model.labels import law_of
 from gapsweep.report import backdrop, drawing
 from gapsweep.report.drawing import MANY, labels_of
 from gapsweep.report.scales import drawn
@@ -66,7 +67,7 @@ def overlaid_bifurcations(scene: xr.Dataset, overlays: Sequence[Overlay]) -> Fig
         _extrema(axes, scene.sel(representation=front), _DOT)
         edge = axes.get_xaxis_transform()
         axes.vlines(apart, 1.0, 1.04, NOT_PERIODIC, transform=edge, clip_on=False, label="_differ")
-        axes.set_title(f"{_law(front)} over {_law(rear)}", fontsize=9, loc="left", pad=7)
+        axes.set_title(f"{law_of(front)} over {law_of(rear)}", fontsize=9, loc="left", pad=7)
     return figure
 
 
@@ -81,7 +82,7 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
         backdrop.walls(motion, one)
         for label, line in lines(labels).items():
             own = one.sel(representation=label)
-            style = {"color": colour(label), "linewidth": widths.get(_law(label), 0.9)}
+            style = {"color": colour(label), "linewidth": widths.get(law_of(label), 0.9)}
             style["label"] = f"_{label}"
             motion.plot(*_last_periods(own), line, **style)
             multiple = own["frequency"] / one["omega"]
@@ -98,12 +99,8 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
     return figure
 
 
-def _law(label: str) -> str:
-    return label.partition("@")[0]
-
-
 def _exact(scene: xr.Dataset) -> str:
-    return next(label for label in labels_of(scene) if _law(label) == EXACT)
+    return next(label for label in labels_of(scene) if law_of(label) == EXACT)
 
 
 def _last_periods(own: xr.Dataset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -33,9 +33,7 @@ class Outcome(NamedTuple):
     failed: int
     stopped: int  # it has to be cut at a wall or at the edge of a smoothing layer
     recorded: int  # it may hold an event to record
-    dipped: (
-        int  # it turns back near a wall (or the edge of a fit's range): pieces must be looked at
-    )
+    dipped: int  # it turns back near a wall or the edge of a fit's range: look at its pieces
 
 
 @inlined
@@ -245,9 +243,8 @@ def _walls(at, q, lane, settings, commit, ordinary, h, h_next):
             dips = dips | (((hull.high - centre > reach) | (hull.low - centre < -reach)) & has_one)
         if settings[ln.S_STOP_AT_LAYER] > 0.0:
             layers = _layers(q_i, hull, commit, ordinary, layers)
-        if (
-            settings[ln.S_LOCATED] > 0.0
-        ):  # counted where the step is cut: x is exactly on the wall there
+        if settings[ln.S_LOCATED] > 0.0:
+            # Passings are counted where the step is cut: x is exactly on the wall there.
             stopped = stopped | (commit & ordinary & _leaves_mode(q_i, hull))
         else:
             dipped = dipped | (commit & hull.turns_back & dips)

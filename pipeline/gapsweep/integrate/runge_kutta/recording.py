@@ -258,7 +258,7 @@ def _recorded(at, lane, lane_int, q, probes, scratch, events, counters, settings
         start = lane[at.old_turns, i] + (lane[at.old_tau, i] - lane[at.phase_0, i])
         t = start * lane[at.period, i]
         record(at, lane, lane_int, events, counters, ln.STEP, t, 0, at.old_q, i)
-    lists_passings = settings[ln.S_CONTACTS] > settings[ln.S_LOCATED]
+    lists_passings = settings[ln.S_CONTACTS] > 0.0 and not settings[ln.S_LOCATED] > 0.0
     section_only = settings[ln.S_SECTION_ONLY] > 0.0
     plan_probes(at, lane, lane_int, q, probes, scratch, section_only, lists_passings, has_dipped, i)
     return begin_probing(at, lane, lane_int, probes, i)

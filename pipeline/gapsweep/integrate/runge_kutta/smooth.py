@@ -76,9 +76,7 @@ class Run:
         steps = rows[rows[:, ln.E_KIND] == ln.STEP]
         t = np.atleast_1d(np.asarray(t, dtype=float))
         if steps.size == 0:
-            raise ValueError(
-                "nothing to sample: run with dense_output=True and a record_from before t"
-            )
+            raise ValueError("nothing to sample: ask for dense_output=True")
         start, end = steps[0, ln.E_T], steps[-1, ln.E_T] + steps[-1, ln.E_H]
         slack = 1e-12 * max(1.0, abs(end))
         if t.min() < start - slack or t.max() > end + slack:

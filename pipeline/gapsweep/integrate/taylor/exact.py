@@ -18,7 +18,7 @@ from .sample import sample_steps
 from .scenes import Scenes, check, set_modes_on_walls
 from .starts import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 
-FloatArray = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 _FARTHEST = 1e3  # [m]: a point with a coordinate beyond it has diverged
 # Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as chatter.
@@ -56,18 +56,18 @@ class Exact:
     """
 
     at: Layout
-    state: FloatArray
-    t: FloatArray
+    state: Array
+    t: Array
     mode: NDArray[np.int64]
     status: NDArray[np.int64]
     n_contacts: NDArray[np.int64]
     n_steps: NDArray[np.int64]
-    reach: FloatArray
-    monodromy: FloatArray | None
-    log: FloatArray = field(repr=False)
-    dense: FloatArray | None = field(repr=False)
+    reach: Array
+    monodromy: Array | None
+    log: Array = field(repr=False)
+    dense: Array | None = field(repr=False)
 
-    def sample(self, t: ArrayLike) -> FloatArray:
+    def sample(self, t: ArrayLike) -> Array:
         """States between the steps, from their own series.
 
         Parameters
@@ -85,7 +85,7 @@ class Exact:
             If dense output was not asked for, or a time lies outside the recorded part.
         """
         if self.dense is None:
-            raise ValueError("no dense output: call run(..., dense_output=True)")
+            raise ValueError("nothing to sample: ask for dense_output=True")
         points = np.arange(len(self.t))
         times = np.broadcast_to(t, (len(points), np.shape(t)[-1]))
         first, last = (np.searchsorted(self.dense[:, 0], points + k) for k in (0, 1))
@@ -100,10 +100,10 @@ class Exact:
 def run(
     prepared: Scenes,
     which: NDArray[np.intp],
-    start: FloatArray,
-    t_0: FloatArray,
-    t_end: FloatArray,
-    record_from: FloatArray,
+    start: Array,
+    t_0: Array,
+    t_end: Array,
+    record_from: Array,
     *,
     queue: NDArray[np.intp] | None = None,
     section_only: bool = False,
@@ -155,13 +155,13 @@ def run(
 
 def _drained(
     at: Layout,
-    points: FloatArray,
+    points: Array,
     queue: NDArray[np.intp],
     statuses: NDArray[np.int64],
     limits: tuple[float, float, float],
     dense_output: bool,
     turns: bool,
-) -> tuple[FloatArray, FloatArray | None]:
+) -> tuple[Array, Array | None]:
     """Call the kernel until all points have ended; returns what it recorded."""
     is_recording = bool(np.isfinite(points[:-1, at.record_clock]).any())
     room = record.rows_per_step.py_func(at) + 1
@@ -194,7 +194,7 @@ def _drained(
     return _by_point(logs), _by_point(denses) if dense_output else None
 
 
-def _by_point(pieces: list[FloatArray]) -> FloatArray:
+def _by_point(pieces: list[Array]) -> Array:
     """All rows in the order of their points; rows of one point keep theirs."""
     rows = np.concatenate(pieces) if len(pieces) > 1 else pieces[0]
     if not len(rows):
@@ -210,11 +210,11 @@ def _by_point(pieces: list[FloatArray]) -> FloatArray:
 
 def _outcome(
     at: Layout,
-    points: FloatArray,
+    points: Array,
     statuses: NDArray[np.int64],
-    t_end: FloatArray,
-    log: FloatArray,
-    dense: FloatArray | None,
+    t_end: Array,
+    log: Array,
+    dense: Array | None,
 ) -> Exact:
     table = points.T
     elapsed = table[at.cycle] + (table[at.tau] - table[at.tau_start])

@@ -24,7 +24,7 @@ FINISHED, BUFFER_FULL, BUDGET_SPENT = 0, 1, 2
 IDLE = -1
 LARGEST = np.finfo(float).max
 HALVED = 2.0**MAX_HALVINGS
-_ROUNDING = 2.0**-40  # of its reach: where a motion lies after thousands of steps without error
+_ROUNDING = 2.0**-40  # share of its reach by which the rounding of many steps moves a motion
 
 
 @internal
@@ -166,7 +166,8 @@ def _part(at, lanes, k):
     """Move walls out of the way of a motion that stays on them but for rounding. Whether any was.
 
     Two masses that move alike neither leave the wall between them nor press on it. Where rounding
-    alone passes it, on and on, it is put back by as little.
+    alone passes it, on and on, it is put back by as little, for the rest of this run: by
+    `_ROUNDING` of the largest displacement so far, each time.
     """
     is_parted = False
     for contact in range(at.contacts):
@@ -206,9 +207,7 @@ def _settle(at, unclear, lanes, coefficients, work):
 
 @internal
 def _judged(at, suspects, lanes, x_bound, max_short):
-    """Those of the lanes `suspects` whose last step is no part of the motion, and those that
-    chattered and may go on.
-    """
+    """Those of some lanes whose last step is no motion, and those that chatter and may go on."""
     failed = parted = 0
     while suspects != 0:
         k = lowest_bit(suspects)

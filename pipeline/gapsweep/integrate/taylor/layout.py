@@ -101,12 +101,12 @@ class Layout:
         """Length of a state (q, v, z)."""
         return 2 * self.n + self.m
 
-    @property
+    @cached_property
     def bare(self) -> "Layout":
         """The same rows, whatever the method does with them: less is compiled for it."""
-        return replace(self, order=0, tangent=0, width=0)
+        return known(replace(self, order=0, tangent=0, width=0))
 
-    @property
+    @cached_property
     def of_motion(self) -> "Layout":
         """The same without the tangent, whose rows no other code looks at."""
         return known(replace(self, tangent=0))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .layout import Layout, known
 
-FloatArray = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 # Degree of the Taylor polynomial by relative tolerance: the cheapest measured on the benchmark
 # scenes. (smallest rtol it is used for, degree)
@@ -40,22 +40,22 @@ class Scenes:
     """
 
     at: Layout
-    table: FloatArray
+    table: Array
     rtol: float
     atol: float
 
 
 def scenes(
-    zeta: FloatArray,
-    omega_n: FloatArray,
-    mass: FloatArray,
-    alpha: FloatArray,
-    forcing: FloatArray,
-    K_c: FloatArray,
-    j_1: FloatArray,
-    j_2: FloatArray,
-    omega: FloatArray,
-    K_ratio: FloatArray,
+    zeta: Array,
+    omega_n: Array,
+    mass: Array,
+    alpha: Array,
+    forcing: Array,
+    K_c: Array,
+    j_1: Array,
+    j_2: Array,
+    omega: Array,
+    K_ratio: Array,
     *,
     rtol: float,
     atol: float,
@@ -103,7 +103,7 @@ def check_tolerances(rtol: float, atol: float) -> None:
         raise ValueError(f"atol = {atol}: must be finite and >= 0")
 
 
-def empty_table(at: Layout, n: int) -> tuple[FloatArray, FloatArray]:
+def empty_table(at: Layout, n: int) -> tuple[Array, Array]:
     """A table of n scenes and the idle point; the same without that, as columns."""
     points = np.zeros((n + 1, at.n_rows))
     table = points[:-1].T
@@ -113,7 +113,7 @@ def empty_table(at: Layout, n: int) -> tuple[FloatArray, FloatArray]:
     return points, table
 
 
-def set_clock(at: Layout, table: FloatArray, omega: FloatArray) -> None:
+def set_clock(at: Layout, table: Array, omega: Array) -> None:
     """Forcing frequency [Hz] of every column."""
     table[at.omega], table[at.omega_rad], table[at.period] = omega, 2 * np.pi * omega, 1.0 / omega
 
@@ -123,7 +123,7 @@ _NOT_NEGATIVE = ("zeta", "K_c", "K_ratio", "j_1", "j_2")
 _MAY_BE_INFINITE = ("j_1", "j_2", "record_from")
 
 
-def check(**values: FloatArray) -> None:
+def check(**values: Array) -> None:
     """Refuse what would make the kernel's arithmetic meaningless; names the offending value."""
     for name, array in values.items():
         is_bad = np.isnan(array) if name in _MAY_BE_INFINITE else ~np.isfinite(array)
@@ -136,9 +136,7 @@ def check(**values: FloatArray) -> None:
             raise ValueError(f"{name} = {array[is_bad][0]}: must be {rule}")
 
 
-def _forced_size(
-    at: Layout, table: FloatArray, to_wall: FloatArray, contact: FloatArray
-) -> FloatArray:
+def _forced_size(at: Layout, table: Array, to_wall: Array, contact: Array) -> Array:
     """Displacement [m] that the forcing keeps up against the springs, and a wall if it is met."""
     push = np.abs(table[at.push])
     cubic = np.cbrt(np.abs(table[at.cubic]) * push**2)
@@ -148,7 +146,7 @@ def _forced_size(
     return np.asarray(free - beyond * (contact / (springs + contact)))
 
 
-def set_modes_on_walls(at: Layout, points: FloatArray) -> None:
+def set_modes_on_walls(at: Layout, points: Array) -> None:
     """Contact modes of points that start on a wall.
 
     The first derivative of the gap that is not zero decides. None depends on that contact's mode as
@@ -175,14 +173,14 @@ def set_modes_on_walls(at: Layout, points: FloatArray) -> None:
         mode[here] = (is_high[here] & (heading > 0.0)) * 1.0 - (is_low[here] & (heading < 0.0))
 
 
-def _slopes(at: Layout, points: FloatArray, contact: int) -> Iterator[FloatArray]:
+def _slopes(at: Layout, points: Array, contact: int) -> Iterator[Array]:
     """Taylor coefficients of a contact's gap from the first on, that contact left out."""
 
-    def matrix(name: str, *shape: int) -> FloatArray:
+    def matrix(name: str, *shape: int) -> Array:
         block = slice(at.first[name], at.first[name] + at.blocks[name])
         return points[:, block].reshape(len(points), *shape)
 
-    def series(name: str, size: int, multiple: str, phase: str, k: int) -> FloatArray:
+    def series(name: str, size: int, multiple: str, phase: str, k: int) -> Array:
         """Coefficient k of the sum of some harmonics, of which block `name` holds amplitudes."""
         amplitudes = matrix(name, -1, size)
         multiples = matrix(multiple, -1) if at.blocks[multiple] else np.ones(amplitudes.shape[:2])
@@ -228,20 +226,18 @@ def _slopes(at: Layout, points: FloatArray, contact: int) -> Iterator[FloatArray
             z.append((new + _along(matrix("of_lag", m, m), z[k])) / (k + 1))
 
 
-def _convolved(
-    a: list[FloatArray], b: list[FloatArray], k: int, *, whole: bool = False
-) -> list[FloatArray]:
+def _convolved(a: list[Array], b: list[Array], k: int, *, whole: bool = False) -> list[Array]:
     """Coefficient k of a product of series; all up to it with `whole`."""
     wanted = range(k + 1) if whole else (k,)
     return [np.sum([a[i] * b[j - i] for i in range(j + 1)], axis=0) for j in wanted]
 
 
-def _along(directions: FloatArray, vectors: FloatArray) -> FloatArray:
+def _along(directions: Array, vectors: Array) -> Array:
     """Projections, shape (n, k), of vectors, shape (n, m), on directions, shape (n, k, m)."""
     return np.asarray(np.einsum("pij,pj->pi", directions, vectors))
 
 
-def _cos_sin_of_period(tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _cos_sin_of_period(tau: Array) -> tuple[Array, Array]:
     """cos and sin of 2 pi tau, exactly 0 or 1 at quarter periods as in the kernel."""
     quarter = np.rint(4 * tau)
     angle = (4 * tau - quarter) * (np.pi / 2)
@@ -249,7 +245,7 @@ def _cos_sin_of_period(tau: FloatArray) -> tuple[FloatArray, FloatArray]:
     return z.real, z.imag
 
 
-def _set_idle(at: Layout, point: FloatArray) -> None:
+def _set_idle(at: Layout, point: Array) -> None:
     """Rest without forcing, walls or end: what a lane does when no point waits for it."""
     point[[at.omega, at.period, at.floor, at.rate]] = 1.0
     point[at.lower : at.lower + at.contacts] = -1.0
