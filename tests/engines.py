@@ -99,7 +99,7 @@ def exact(
     start = np.stack(arrays[10:12], axis=1)
     with pytest.MonkeyPatch.context() as patch:
         if x_bound is not None:
-            patch.setattr(taylor, "_FARTHEST", x_bound)
+            patch.setattr(taylor, "DIVERGED_AT", x_bound)
         if max_chatter is not None:
             patch.setattr(taylor, "_MOST_SHORT", float(max_chatter))
         return Exact(

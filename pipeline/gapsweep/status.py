@@ -2,6 +2,10 @@
 
 from enum import IntEnum
 
+# A displacement [m] that no machine survives: a motion beyond it has diverged. Finite, so that
+# blow-up is caught early.
+DIVERGED_AT = 1e3
+
 
 class Status(IntEnum):
     """How a simulation or a sweep point ended; the order is part of the dataset schema.

@@ -43,13 +43,11 @@ from gapsweep.integrate.reference_scenes import (
     State,
     SystemScene,
 )
-from gapsweep.status import Status
+from gapsweep.status import DIVERGED_AT, Status
 
 Array = NDArray[np.float64]
 Event = Callable[[float, Sequence[float]], float]
 
-# A displacement [m] that no machine survives; finite, so that blow-up is caught early.
-DIVERGED_AT = 1e3
 _MAX_STALLED = 100
 _NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it has just passed
 

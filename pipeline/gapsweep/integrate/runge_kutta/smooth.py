@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.integrate.taylor.scenes import Scenes as ExactScenes
+from gapsweep.status import DIVERGED_AT
 
 from . import lanes as ln
 from . import laws, parameters, tableaux
@@ -24,7 +25,6 @@ Array = NDArray[np.float64]
 
 # At this tolerance and tighter the order-8 method is the cheaper one on the benchmark's scenes.
 _HIGH_ORDER_FROM = 1e-2
-_FARTHEST = 1e3  # [m]: beyond it a point has diverged
 _MOST_ATTEMPTS = 1e9  # after which a point is timed out
 _CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
 
@@ -247,7 +247,7 @@ def prepared(
         parts.append(rows)
     settings = np.zeros(ln.N_SETTINGS)
     settings[ln.S_RTOL], settings[ln.S_ATOL] = rtol, atol
-    settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = _FARTHEST, _MOST_ATTEMPTS
+    settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = DIVERGED_AT, _MOST_ATTEMPTS
     settings[ln.S_ODE45] = controller == "ode45"
     has_layer, has_range = (
         any((rows[:, row] > 0.0).any() for rows in parts[1:])

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.status import DIVERGED_AT
+
 from . import record
 from .exact_kernel import BUDGET_SPENT, BUFFER_FULL, FINISHED, OK, RUNNING, Run, advance
 from .layout import Layout
@@ -20,7 +22,6 @@ from .starts import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 
 Array = NDArray[np.float64]
 
-_FARTHEST = 1e3  # [m]: a point with a coordinate beyond it has diverged
 # Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as chatter.
 _MOST_SHORT = 100.0
 _LOG_ROWS = 1 << 14
@@ -147,7 +148,7 @@ def run(
     if outcome == ON_WALL:
         set_modes_on_walls(at, points[:-1])
     statuses = np.full(len(which), RUNNING)
-    limits = prepared.rtol, _FARTHEST, _MOST_SHORT
+    limits = prepared.rtol, DIVERGED_AT, _MOST_SHORT
     queue = np.arange(len(which)) if queue is None else queue
     log, dense = _drained(at, points, queue, statuses, limits, dense_output, not section_only)
     return _outcome(at, points[:-1], statuses, t_end, log, dense)
