@@ -19,7 +19,8 @@ from gapsweep.explorer.answers import (
     Plane,
     Points,
 )
-from gapsweep.explorer.planes import Planes, blank, guide
+from gapsweep.explorer.canvas import blank, guide
+from gapsweep.explorer.planes import Planes
 from gapsweep.explorer.question import MAX_STAND_INS, Question
 from gapsweep.model.labels import EXACT
 from gapsweep.report.style import NOT_PERIODIC, colour, lines

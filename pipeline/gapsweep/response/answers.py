@@ -231,8 +231,9 @@ def _read_off(
     share = walks.contact_share[:, points]
     faint = 0.5 * (gap_max - gap_min) < _FAINT * ensemble.gap_units(points) * walks.reach[points]
     margin = ensemble.solver.rtol * ensemble.gap_units(points) * walks.reach[points]
-    kinks = ensemble.kinks[:, :, points]
-    near = ((gap_min - margin <= kinks) & (kinks <= gap_max + margin)).any(axis=0)
+    # A smooth law changes its stiffness about the same places: faint there is hidden, too.
+    walls = ensemble.felt_walls[:, :, points]
+    near = ((gap_min - margin <= walls) & (walls <= gap_max + margin)).any(axis=0)
     hidden = (faint & near).any(axis=0) & ~found.is_at_rest[points]
     found.hide(points[hidden])
     is_known = (is_orbit | found_out[points]) & ~hidden

@@ -226,8 +226,8 @@ class Ensemble:
         Lowest and highest gaps at which the laws hold [m].
     walls : ndarray, shape (2, n_contacts, n)
         Places of the lower and of the upper walls in the contacts' gaps [m].
-    kinks : ndarray, shape (2, n_contacts, n)
-        The same, NaN where nothing changes at a wall.
+    felt_walls : ndarray, shape (2, n_contacts, n)
+        The same, NaN where the stiffness is no other beyond the wall.
     is_modulated : ndarray of bool, shape (n_contacts, n)
         Whether the force of a contact changes with time.
     has_own_tangent : bool
@@ -254,7 +254,9 @@ class Ensemble:
         walls = [(-law.gap.j_1, law.gap.j_2) for each in laws for law in each]
         self.walls = np.array(walls).reshape(shape).T
         self._directions: Array | None = None
-        self.kinks = np.array([_kinks(law) for each in laws for law in each]).reshape(shape).T
+        self.felt_walls = (
+            np.array([_felt_walls(law) for each in laws for law in each]).reshape(shape).T
+        )
         self.is_modulated = np.zeros(self.walls.shape[1:], bool)
         if not self.is_plain:
             self._directions = _of_models(models, lambda model: model.directions)
@@ -416,8 +418,8 @@ def _of_models(models: Sequence[Any], value: Callable[[Any], Any]) -> NDArray[An
     return np.array([known[id(model)] for model in models])
 
 
-def _kinks(law: ContactLaw) -> tuple[float, float]:
-    """Places of the walls at which the stiffness changes."""
+def _felt_walls(law: ContactLaw) -> tuple[float, float]:
+    """Places of the walls at which the stiffness changes, at once or, of a smooth law, around."""
     upper, lower = law.K_c, law.K_c * law.K_ratio
     if law.gap.j_1 == law.gap.j_2 == 0.0:
         upper = lower = upper - lower
