@@ -11,6 +11,7 @@ import shutil
 import subprocess
 
 import pytest
+from matplotlib.figure import Figure
 from tests.made import datasets, periodic, tables
 from tests.unit.test_paper_figures import LIMITS, STRONG, WEAK, responses_of
 from tests.unit.test_report import HOSTILE, decided
@@ -21,7 +22,7 @@ from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.timing import timing
 from gapsweep.analysis.verdicts import Run
 from gapsweep.report.html import write_report
-from gapsweep.report.parts import rendered
+from gapsweep.report.parts import Figured, Part, rendered
 from gapsweep.report.tables import VERDICTS
 from gapsweep.status import Status
 
@@ -370,3 +371,34 @@ def test_a_picture_comes_to_life_in_its_place(debugger, page):
     assert 100.0 < heights[2] < heights[0]  # the picture is back
     assert heights[0] == pytest.approx(heights[1], abs=1.0)
     assert not {event["method"] for event in events} & {"Runtime.exceptionThrown", "Log.entryAdded"}
+
+
+@pytest.fixture(scope="module")
+def far_out(page, tmp_path_factory):
+    """A figure whose axis is linear below .1 and logarithmic above, with ticks of its own."""
+    figure = Figure()
+    axes = figure.subplots()
+    axes.plot(OMEGA, PEAKS, "o", label="_piecewise")
+    axes.set_yscale("symlog", linthresh=0.1)
+    axes.set_yticks([0.0, 0.1, 0.3, 1.0, 3.0])
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.set(ylim=(0.0, 8.0), xlabel="forcing frequency [Hz]", ylabel="peak [mm]")
+    part = Part("far", "Far out", [], (), [Figured(figure, "Far out.", "Far out")])
+    folder = tmp_path_factory.mktemp("far")
+    study = tables(("piecewise",), (1.0, 2.0))
+    responses, _ = datasets(folder, study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
+    write_report(
+        folder / "index.html", responses, None, timing(responses), own_parts=rendered([part])
+    )
+    (found,) = (folder / "figures").glob("figure-far*.html")
+    return found
+
+
+OMEGA, PEAKS = (1.0, 2.0, 3.0, 4.0), (0.05, 0.09, 0.4, 6.0)
+
+
+def test_numbers_on_an_axis_with_ticks_of_its_own_are_told_as_they_are(debugger, far_out):
+    (said, ends), _ = ask(debugger, far_out, POINTED, "document.querySelector('canvas').dataset.y")
+    told = {(float(x), float(y)) for _, x, y in named(said)}
+    assert told == set(zip(OMEGA, PEAKS, strict=True))
+    assert [float(end) for end in ends.split()] == pytest.approx([0.0, 8.0], abs=0.05)

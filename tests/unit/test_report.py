@@ -21,7 +21,7 @@ from gapsweep.analysis.timing import timing
 from gapsweep.errors import StoreError
 from gapsweep.report.answer import Contact, Judged, contacts
 from gapsweep.report.findings import findings
-from gapsweep.report.heat import beside, heads, heat
+from gapsweep.report.heat import heads, heat, swept_columns
 from gapsweep.report.html import write_report
 from gapsweep.report.parts import Figured, Part, Table, drawn, for_page, rendered
 from gapsweep.report.pictures import VIEWS, is_picture, pictures
@@ -283,7 +283,7 @@ def test_the_map_is_darker_where_a_law_is_worse():
 
 def test_what_is_swept_beside_contacts_is_named_once():
     both = [contact({}, others=f"forcing = {force} N, zeta = 0.1") for force in (1, 2.5)]
-    assert beside(both) == ("forcing [N], zeta", ["1, 0.1", "2.5, 0.1"])
+    assert swept_columns(both) == ("forcing [N], zeta", ["1, 0.1", "2.5, 0.1"])
 
 
 def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(tmp_path):

@@ -4,6 +4,7 @@ import base64
 import csv
 import io
 import json
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -235,7 +236,16 @@ def _scale(axis: Any) -> dict[str, Any]:
         places = axis.get_majorticklocs()
         names = axis.get_major_formatter().format_ticks(places)
         scale["words"] = [[float(p), name] for p, name in zip(places, names, strict=True)]
+        # Places have names, unless what stands there is only the number.
+        scale["named"] = not all(map(_is_number, places, names))
     return scale
+
+
+def _is_number(place: float, name: str) -> bool:
+    try:
+        return math.isclose(float(name.replace("\N{MINUS SIGN}", "-")), place, rel_tol=1e-9)
+    except ValueError:
+        return not name
 
 
 def _note(axes: Any, text: Any) -> dict[str, Any]:

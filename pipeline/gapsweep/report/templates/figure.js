@@ -40,7 +40,8 @@
     ticks(room) {
       const [low, high] = [...this.view].sort((a, b) => a - b);
       if (this.words) {
-        const shown = this.words.filter(([at]) => at >= low && at <= high);
+        const placed = this.words.map(([value, word]) => [this.to(value), word]);
+        const shown = placed.filter(([at]) => at >= low && at <= high);
         return shown.filter((_, n) => n % Math.ceil(shown.length / room) === 0);
       }
       if (this.now === "log" && high - low > 0.6 && high - low < 2.5) {
@@ -260,7 +261,8 @@
       if (first) Object.assign($("ring").style, { left: `${box.left + first.x}px`, top: `${box.top + first.y}px` });
     }
     told(which, value) {
-      return this[which].words?.find(([at]) => at === Math.round(value))?.[1] ?? written(value);
+      const { words, named } = this[which];
+      return (named && words.find(([at]) => at === Math.round(value))?.[1]) || written(value);
     }
 
     zoom(factor, x, y) {
