@@ -11,6 +11,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -194,7 +195,7 @@ def test_cache_commands(finished):
     assert (done.returncode, done.stdout) == (0, "4 points, 0 damaged\n")
     assert "4 points in copy.sqlite" in gapsweep(finished, "cache", "export", "copy.sqlite").stdout
     assert "0 points could be deleted" in gapsweep(finished, "cache", "gc").stdout
-    with sqlite3.connect(finished / "copy.sqlite") as db:
+    with closing(sqlite3.connect(finished / "copy.sqlite")) as db, db:
         db.execute("UPDATE slabs SET host = 'nobody' WHERE rowid = 2")
     db.close()
     copy = ("--cache", "copy.sqlite")

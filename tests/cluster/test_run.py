@@ -253,7 +253,7 @@ with Claims(cache, keys) as claims:
     count = 0
     while count < wanted:
         time.sleep(0.05)
-        with sqlite3.connect(f"file:{cache}?mode=ro", uri=True) as db:
+        with closing(sqlite3.connect(f"file:{cache}?mode=ro", uri=True)) as db, db:
             count = db.execute("SELECT count(*) FROM slabs").fetchone()[0]
 """
 

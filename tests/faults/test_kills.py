@@ -8,7 +8,7 @@ import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -64,7 +64,7 @@ def finish(process):
 
 def stored(path):
     try:
-        with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as db:
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as db, db:
             return db.execute("SELECT sum(length(status)) FROM slabs").fetchone()[0] or 0
     except sqlite3.OperationalError:
         return 0

@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -229,7 +230,10 @@ def test_reading_commands_need_no_room_beside_the_cache(tmp_path):
     for suffix in ("-wal", "-shm"):
         (tmp_path / f"c.sqlite{suffix}").mkdir()
     before = (tmp_path / "c.sqlite").read_bytes()
-    with pytest.raises(sqlite3.OperationalError), sqlite3.connect(tmp_path / "c.sqlite") as db:
+    with (
+        pytest.raises(sqlite3.OperationalError),
+        closing(sqlite3.connect(tmp_path / "c.sqlite")) as db,
+    ):
         db.execute("SELECT count(*) FROM slabs")
     for arguments, said in (
         (("plan", "tiny.toml", "--out", "out"), "hits  3"),

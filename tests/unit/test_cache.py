@@ -7,6 +7,7 @@ import subprocess
 import sys
 import weakref
 import zlib
+from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -144,7 +145,7 @@ def test_damaged_row_is_missing_and_counted(tmp_path, change):
     path = tmp_path / "cache.sqlite"
     with Cache(path) as cache:
         cache.commit([row(1), row(2)])
-    with sqlite3.connect(path) as db:
+    with closing(sqlite3.connect(path)) as db, db:
         db.execute("PRAGMA ignore_check_constraints = ON")
         try:
             db.execute(f"UPDATE slabs SET {change} WHERE rowid = 1")
@@ -162,7 +163,7 @@ def test_a_row_whose_points_cannot_be_told_is_missing(tmp_path, change):
     path = tmp_path / "cache.sqlite"
     with Cache(path) as cache:
         cache.commit([row(1), row(2)])
-    with sqlite3.connect(path) as db:
+    with closing(sqlite3.connect(path)) as db, db:
         db.execute(f"UPDATE slabs SET {change} WHERE rowid = 1")
     db.close()
     with Cache(path) as cache:
@@ -223,7 +224,7 @@ def test_export_copies_sound_rows_and_refuses_to_replace(tmp_path):
 @pytest.mark.parametrize("text", ["nothing of a cache", ""])
 def test_export_of_what_is_no_cache_leaves_nothing_behind(tmp_path, text):
     path, copy = tmp_path / "cache.sqlite", tmp_path / "copy.sqlite"
-    with sqlite3.connect(path) as db:
+    with closing(sqlite3.connect(path)) as db, db:
         db.execute("PRAGMA user_version = 1")
     db.close()
     if text:
@@ -272,7 +273,7 @@ def test_file_that_is_no_database_is_refused(tmp_path):
 @pytest.mark.parametrize("version", [1, 3, SCHEMA_VERSION + 1])
 def test_cache_of_another_format_is_refused(tmp_path, version):
     path = tmp_path / "cache.sqlite"
-    with sqlite3.connect(path) as db:
+    with closing(sqlite3.connect(path)) as db, db:
         db.execute("CREATE TABLE results (x)")
         db.execute(f"PRAGMA user_version = {version}")
     db.close()

@@ -204,7 +204,6 @@ CHOSEN = {
     "deque": "import collections\nT = collections.deque([float(X)])\n",
     "array.array": "import array\nT = array.array('d', [float(X)])\n",
     "bytearray": "T = bytearray(X.encode())\n",
-    "repeat": "import itertools\nT = itertools.repeat(float(X))\n",
     "attrgetter": "import operator\nT = operator.attrgetter('a' if X == '1.0' else 'b')\n",
     "configuration": (
         "import configparser\nT = configparser.ConfigParser()\n"
