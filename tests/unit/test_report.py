@@ -116,7 +116,7 @@ def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):
     responses, _ = datasets(tmp_path, tables(["poly-13"], OMEGA), answer)
     assert findings(responses, [], None)[0].endswith(
         "and 1 without a steady response (1 out of fit range); "
-        "1 of the others left the range of their fit."
+        "1 with a steady response beyond the range of their fit."
     )
 
 

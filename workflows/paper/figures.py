@@ -38,7 +38,7 @@ SHOWN = {
     "9": (scenes.HARD_SYMMETRIC, STRONG),
 }
 _PEAKS_SAY = (
-    "Peaks from all starts. Black: the exact law, alone and behind the others: black that shows is "
+    "Peaks from all starts. The exact law stands alone, and behind the others: what shows of it is "
     "missed, colour without it invented. Pale: not periodic; triangles: above; dashed: walls."
 )
 _EXTREMA_SAY = "All steady zero-velocity displacements from rest; dashed: walls."
@@ -138,7 +138,9 @@ def _counts(scene: xr.Dataset) -> str:
     highest = 1e3 * height.max([dim for dim in height.dims if dim != "representation"]).values
     peaks = (f"{label} {number(x)}" for label, x in zip(labels_of(scene), highest, strict=True))
     return (
-        f"{status.size} points, {np.sum(status == Status.UNRESOLVED)} unresolved, "
+        f"{np.sum(status != Status.NOT_REQUESTED)} points, "
+        f"{np.sum(status == Status.UNRESOLVED)} unresolved, "
+        f"{np.sum(status == Status.OUT_OF_FIT_RANGE)} beyond the range of their fit, "
         f"{np.sum(status > Status.OUT_OF_FIT_RANGE)} failed. Largest peaks [mm]: {listed(peaks)}."
     )
 

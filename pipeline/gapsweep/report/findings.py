@@ -80,7 +80,7 @@ def outcomes(responses: xr.Dataset) -> str:
         f"{counts[ResponseClass.CHAOTIC]} chaotic, {counts[ResponseClass.UNRESOLVED]} unresolved "
         f"and {counts[ResponseClass.FAILED]} without a steady response"
         f"{f' ({reasons})' if reasons else ''}"
-        f"{f'; {left} of the others left the range of their fit' if left else ''}."
+        f"{f'; {left} with a steady response beyond the range of their fit' if left else ''}."
     )
 
 

@@ -79,6 +79,13 @@ def heat(found: Sequence[Contact]) -> list[Row]:
     ]
 
 
+def _cost(one: Judged) -> str:
+    """The price in short; in doubt where nothing says how far it repeats."""
+    if one.cost.startswith("≈"):
+        return "≈\u00a01"
+    return f"{_short(one.price)}{'?' if np.isnan(one.low) else ''}"
+
+
 def _rank(everywhere: Sequence[Judged]) -> tuple[float, float]:
     """Where a law stands: by its verdicts, the worst last, then by its errors."""
     verdicts = [list(SIGNS).index(one.verdict) for one in everywhere]
@@ -93,7 +100,7 @@ def _cell(group: str, contact: Contact, one: Judged) -> Cell:
         "error": (_short(100.0 * error), _between(error, _LEAST, _MOST)),
         "found": (_short(100.0 * share), np.sqrt(1.0 - share)),
         "cost": (
-            ("≈\u00a01" if one.cost.startswith("≈") else _short(one.price)) if is_usable else "–",
+            _cost(one) if is_usable else "–",
             _between(one.price, 1.0, _DEAREST) if is_usable else np.nan,
         ),
     }[group]

@@ -207,7 +207,11 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     said = f"Peaks at {contact.place}, some laws on the exact one's larger dots"
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
-        looks = f"{said_of_walls(scene, of_peaks=True)} Pale: not periodic; triangles: outside."
+        lines = [line for axes in figure.axes for line in axes.lines]
+        marks = {str(line.get_label()) for line in lines if np.size(line.get_xdata())}
+        kinds = {"not periodic": "Pale: not periodic.", "outside": "Triangles: outside the frame."}
+        shown = (said for kind, said in kinds.items() if any(m.endswith(kind) for m in marks))
+        looks = " ".join([said_of_walls(scene, of_peaks=True), *shown])
         made = drawn(Figured(figure, f"{said}.{looks}", said))
     (part,) = for_page([{"anchor": "hero", "figures": [made]}])
     return dict(part["figures"][0])

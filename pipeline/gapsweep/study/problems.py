@@ -21,7 +21,7 @@ _WORDS = {
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
     "union_tag_invalid": "must be { sobol = ... }, 'sweep_up' or 'sweep_down'; pairs [x, v] stand "
-    "in a list of their own, in another [[sweep]]",
+    "in a list of their own, in another [[sweep]]; rest is [0, 0]",
     "string_pattern_mismatch": "must be letters, digits, '.', '_' and '-', without spaces; 64 at "
     "most, a letter or digit first",
 }
