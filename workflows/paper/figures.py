@@ -140,8 +140,8 @@ def _counts(scene: xr.Dataset) -> str:
     return (
         f"{np.sum(status != Status.NOT_REQUESTED)} points, "
         f"{np.sum(status == Status.UNRESOLVED)} unresolved, "
-        f"{np.sum(status == Status.OUT_OF_FIT_RANGE)} beyond the range of their fit, "
-        f"{np.sum(status > Status.OUT_OF_FIT_RANGE)} failed. Largest peaks [mm]: {listed(peaks)}."
+        f"{np.sum(status > Status.OUT_OF_FIT_RANGE)} failed, "
+        f"{np.sum(status == Status.OUT_OF_FIT_RANGE)} beyond the range of their fit. Largest peaks [mm]: {listed(peaks)}."
     )
 
 
