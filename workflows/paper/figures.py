@@ -39,7 +39,7 @@ SHOWN = {
 }
 _PEAKS_SAY = (
     "Peaks from all starts. The exact law stands alone, and behind the others: what shows of it is "
-    "missed, colour without it invented. Pale: not periodic; triangles: above; dashed: walls."
+    "missed, colour without it invented. Pale: not periodic; dashed: the upper wall."
 )
 _EXTREMA_SAY = "All steady zero-velocity displacements from rest; dashed: walls."
 
@@ -66,12 +66,15 @@ def figures(run: Run) -> Iterator[Figured]:
     for name, (at, laws) in SHOWN.items():
         if name[0] in "67":
             if (scene := _scene(found, at, laws)) is not None:
-                yield _figured(draw.peak_curves(scene), name, at, TIGHT, _PEAKS_SAY, _counts(scene))
+                figure = draw.peak_curves(scene)
+                words = (_PEAKS_SAY, *_outside(figure), _counts(scene))
+                yield _figured(figure, name, at, TIGHT, *words)
             continue
         for protocol in (TIGHT, PAPER):
             if (scene := _scene(found, at, laws, protocol)) is not None:
-                words = (_EXTREMA_SAY, "Triangles: outside the frame.", _counts(scene))
-                yield _figured(draw.stacked_bifurcations(scene), name, at, protocol, *words)
+                figure = draw.stacked_bifurcations(scene)
+                words = (_EXTREMA_SAY, *_outside(figure), _counts(scene))
+                yield _figured(figure, name, at, protocol, *words)
     for protocol in (TIGHT, PAPER):
         scene = _scene(found, HARD_ASYMMETRIC, LIMITS[1:], protocol)
         if scene is not None and scene.sizes["representation"] == len(LIMITS):
@@ -80,11 +83,19 @@ def figures(run: Run) -> Iterator[Figured]:
         yield from _histories(run["histories"])
 
 
+def _outside(figure: Figure) -> Iterator[str]:
+    """What triangles mean, if there are any."""
+    lines = [line for axes in figure.axes for line in axes.lines]
+    if any(str(line.get_label()).endswith("outside") for line in lines):
+        yield "Triangles: outside the frame."
+
+
 def _figured(figure: Figure, name: str, at: Scene, protocol: str, *sentences: str) -> Figured:
     """A figure whose caption says its scene, and everything that is seen in it."""
-    where = ", ".join(filter(None, (f"K_c = {plain(at[0])} N/m", f"gap {at[1]} mm", protocol)))
+    solver = f"the paper's solver ({protocol})" if protocol == PAPER else protocol
+    where = ", ".join(filter(None, (f"K_c = {plain(at[0])} N/m", f"gap {at[1]} mm", solver)))
     words = f"Figure {name}. {where}. {' '.join(sentences)}"
-    return Figured(figure, words, words, f"Fig. {name}")
+    return Figured(figure, words, words, f"Fig. {name}{', their solver' * (protocol == PAPER)}")
 
 
 def _static_figures(run: Run) -> Iterator[Figured]:
@@ -100,15 +111,20 @@ def _static_figures(run: Run) -> Iterator[Figured]:
         "4": forces_of(static, smooth),
     }.items():
         leaks = listed(f"{law} {np.max(np.abs(f[within])):.2g}" for law, f in forces.items())
+        fits = "Fits are least-squares optima. " * any("poly" in law for law in forces)
+        fits += "Constrained ones have no constant and linear terms. " * (name == "2b")
         words = (
-            "Shade: the gap. Fits are least-squares optima, constrained ones without constant and "
-            f"linear terms. Largest force in the gap [N]: {leaks}; the forcing is "
+            f"Shade: the gap. {fits}Largest force in the gap [N]: {leaks}; the forcing is "
             f"{abs(static['forcing'].item()):g} N. Forces are proportional to K_c."
         )
         yield _figured(force_curves(static, forces), name, SOFT_SYMMETRIC, TIGHT, words)
     if "ladders" in run.datasets:
         figure = static_convergence(run.select("ladders", gap=SYMMETRIC))
-        words = "Errors of smooth laws are integrals. Dotted: the paper's bound for its weak grade."
+        words = (
+            "Errors of the smooth laws are integrals over the range, those of fits means over "
+            "their points; none is shown below 1e-15, where all is rounding. Dotted: the paper's "
+            "bound for its weak grade."
+        )
         yield _figured(figure, "5", SOFT_SYMMETRIC, TIGHT, words)
 
 
@@ -141,7 +157,8 @@ def _counts(scene: xr.Dataset) -> str:
         f"{np.sum(status != Status.NOT_REQUESTED)} points, "
         f"{np.sum(status == Status.UNRESOLVED)} unresolved, "
         f"{np.sum(status > Status.OUT_OF_FIT_RANGE)} failed, "
-        f"{np.sum(status == Status.OUT_OF_FIT_RANGE)} beyond the range of their fit. Largest peaks [mm]: {listed(peaks)}."
+        f"{np.sum(status == Status.OUT_OF_FIT_RANGE)} beyond the range of their fit. "
+        f"Largest peaks [mm]: {listed(peaks)}."
     )
 
 

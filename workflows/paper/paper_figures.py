@@ -148,6 +148,7 @@ def _scale(axes: Axes, scene: xr.Dataset, low: float, high: float) -> None:
         axes.set_yticks([0.0, *(tick for tick in ticks if linear <= tick <= high)])
         axes.yaxis.set_major_formatter("{x:g}")
         axes.minorticks_off()
+        axes.figure.supylabel(f"peak displacement [mm], logarithmic above {linear:g}", fontsize=9)
         low = max(low, float(np.nanmin(drawn(scene["x_max"]))) - 0.3 * linear)
     axes.set_ylim(low, high)
 

@@ -96,6 +96,8 @@ def static_convergence(ladders: xr.Dataset) -> Figure:
         for axes in row:
             axes.set_yscale("log")
             axes.axhline(bound, color="#777777", linewidth=0.8, linestyle=":")
+    for axes, title in zip(panels[0], ("polynomials", "rational", "smooth"), strict=True):
+        axes.set_title(title, fontsize=9, loc="left")
     panels[0, 0].set_ylabel("RMS error [N]")
     panels[1, 0].set_ylabel("1 − R²")
     panels[1, 0].set_xlabel("degree")

@@ -192,6 +192,7 @@ def _axis(axes: Axes, coordinate: xr.DataArray) -> None:
     if is_log(coordinate):
         axes.set_xscale("log")
         return
-    pad = 0.02 * (values.max() - values.min()) or 0.5
+    # A few values would stand on the frame.
+    pad = max(0.02, 0.25 / values.size) * (values.max() - values.min()) or 0.5
     low = values.min() - pad
     axes.set_xlim(max(0.0, low) if values.min() >= 0.0 else low, values.max() + pad)
