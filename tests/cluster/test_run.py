@@ -244,6 +244,7 @@ def test_histories_are_kept_and_made_once(tables, client, tmp_path):
 
 _HOLDER = """
 import sqlite3, sys, time
+from contextlib import closing
 from pathlib import Path
 from gapsweep.store.claims import Claims
 cache, keys, wanted = Path(sys.argv[1]), bytes.fromhex(sys.argv[2]), int(sys.argv[3])

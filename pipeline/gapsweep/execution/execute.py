@@ -289,17 +289,18 @@ class _Execution:
     # --- receiving -------------------------------------------------------------------------------
 
     def _receive(self, future: Future, job: _Job) -> None:
-        if future.status in ("cancelled", "lost"):
-            raise ClusterError(_CLUSTER_LOST)
+        if _is_gone(future):
+            self.suspects.append(job)
+            return
         try:
             result = future.result()
         except ClusterError:  # of the worker itself, so of none of its points
             raise
         except Exception as error:  # whatever a task raised, or Dask about its worker
-            # Also a worker's that died with a result which nobody had fetched yet.
-            if future.status != "error":
-                raise ClusterError(_CLUSTER_LOST) from None
-            self._take_up(job, error)
+            if _is_gone(future):
+                self.suspects.append(job)
+            else:
+                self._take_up(job, error)
         else:
             self._keep(job, result)
 
@@ -349,6 +350,19 @@ class _Execution:
         with suppress(Exception):  # Dask may raise anything if the cluster has gone already
             self.client.cancel(list(self.in_flight))
         self.in_flight.clear()
+
+
+def _is_gone(future: Future) -> bool:
+    """Whether a result went with its worker before anybody fetched it.
+
+    Raises
+    ------
+    ClusterError
+        If the cluster itself is gone.
+    """
+    if future.status == "cancelled":
+        raise ClusterError(_CLUSTER_LOST) from None
+    return future.status in ("lost", "pending")
 
 
 def _repeated(plan: Plan) -> NDArray[np.bool_]:
