@@ -88,48 +88,45 @@ def denominator(law, q, x):
 # --- which function belongs to which law ----------------------------------------------------------
 
 
-@inlined
-def _force_by_formula(law, q, x):
-    number = law.number
-    if number == TANH:
-        return formulas.tanh_force(q, x)
-    if number == ARCTAN:
-        return formulas.arctan_force(q, x)
-    if number == LOG_ARCTAN:
-        return formulas.logarctan_force(q, x)
-    if number == PIECEWISE:
-        return formulas.piecewise_force(q, x)
-    if number == LOCATED:
-        return formulas.located_force(q, x)
-    if number == POLYNOMIAL:
-        return formulas.polynomial_force(law, q, x)
-    if number == RATIONAL:
-        return formulas.rational_force(law, q, x)
-    return formulas.table_force(law, q, x)
+def _by_number(tanh, arctan, log_arctan, piecewise, located, polynomial, rational, table):
+    """One function of all formulas: it calls that of the law's number."""
+
+    @inlined
+    def chosen(law, q, x):
+        number = law.number
+        if number == TANH:
+            return tanh(q, x)
+        if number == ARCTAN:
+            return arctan(q, x)
+        if number == LOG_ARCTAN:
+            return log_arctan(q, x)
+        if number == PIECEWISE:
+            return piecewise(q, x)
+        if number == LOCATED:
+            return located(q, x)
+        if number == POLYNOMIAL:
+            return polynomial(law, q, x)
+        if number == RATIONAL:
+            return rational(law, q, x)
+        return table(law, q, x)
+
+    return chosen
+
+
+_force_by_number = _by_number(
+    formulas.tanh_force, formulas.arctan_force, formulas.logarctan_force, formulas.piecewise_force,
+    formulas.located_force, formulas.polynomial_force, formulas.rational_force,
+    formulas.table_force,
+)  # fmt: skip
+_slope_by_number = _by_number(
+    formulas.tanh_slope, formulas.arctan_slope, formulas.logarctan_slope, formulas.piecewise_slope,
+    formulas.located_slope, formulas.polynomial_slope, formulas.rational_slope,
+    formulas.table_slope,
+)  # fmt: skip
 
 
 @inlined
-def _slope_by_formula(law, q, x):
-    number = law.number
-    if number == TANH:
-        return formulas.tanh_slope(q, x)
-    if number == ARCTAN:
-        return formulas.arctan_slope(q, x)
-    if number == LOG_ARCTAN:
-        return formulas.logarctan_slope(q, x)
-    if number == PIECEWISE:
-        return formulas.piecewise_slope(q, x)
-    if number == LOCATED:
-        return formulas.located_slope(q, x)
-    if number == POLYNOMIAL:
-        return formulas.polynomial_slope(law, q, x)
-    if number == RATIONAL:
-        return formulas.rational_slope(law, q, x)
-    return formulas.table_slope(law, q, x)
-
-
-@inlined
-def _denominator_by_formula(law, q, x):
+def _denominator_by_number(law, q, x):
     if law.number == RATIONAL:
         return formulas.rational_denominator(law, q, x)
     return simd.splat(1.0)
@@ -141,13 +138,13 @@ def _is_users(law):
 
 @chosen_by_type(acceleration)
 def _acceleration(law, q, x):
-    function = formulas.user_force if _is_users(law) else _force_by_formula
+    function = formulas.user_force if _is_users(law) else _force_by_number
     return lambda law, q, x: function(law, q, x)
 
 
 @chosen_by_type(slope)
 def _slope(law, q, x):
-    function = formulas.user_slope if _is_users(law) else _slope_by_formula
+    function = formulas.user_slope if _is_users(law) else _slope_by_number
     return lambda law, q, x: function(law, q, x)
 
 
@@ -155,7 +152,7 @@ def _slope(law, q, x):
 def _denominator(law, q, x):
     if _is_users(law):
         return lambda law, q, x: simd.splat(1.0)
-    return lambda law, q, x: _denominator_by_formula(law, q, x)
+    return lambda law, q, x: _denominator_by_number(law, q, x)
 
 
 def _of_every_contact(one):
