@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from gapsweep.analysis.verdicts import NotInRunError, Run
-from gapsweep.report.drawing import labels_of
+from gapsweep.report.drawing import labels_of, said_of_marks
 from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.scales import plain
 from gapsweep.report.scenes import Scenes, swept
@@ -39,7 +39,7 @@ SHOWN = {
 }
 _PEAKS_SAY = (
     "Peaks from all starts. The exact law stands alone, and behind the others: what shows of it is "
-    "missed, colour without it invented. Pale: not periodic; dashed: the upper wall."
+    "missed, colour without it invented. Dashed: the upper wall."
 )
 _EXTREMA_SAY = "All steady zero-velocity displacements from rest; dashed: walls."
 
@@ -67,13 +67,13 @@ def figures(run: Run) -> Iterator[Figured]:
         if name[0] in "67":
             if (scene := _scene(found, at, laws)) is not None:
                 figure = draw.peak_curves(scene)
-                words = (_PEAKS_SAY, *_outside(figure), _counts(scene))
+                words = (f"{_PEAKS_SAY}{said_of_marks(figure)}", _counts(scene))
                 yield _figured(figure, name, at, TIGHT, *words)
             continue
         for protocol in (TIGHT, PAPER):
             if (scene := _scene(found, at, laws, protocol)) is not None:
                 figure = draw.stacked_bifurcations(scene)
-                words = (_EXTREMA_SAY, *_outside(figure), _counts(scene))
+                words = (f"{_EXTREMA_SAY}{said_of_marks(figure)}", _counts(scene))
                 yield _figured(figure, name, at, protocol, *words)
     for protocol in (TIGHT, PAPER):
         scene = _scene(found, HARD_ASYMMETRIC, LIMITS[1:], protocol)
@@ -81,13 +81,6 @@ def figures(run: Run) -> Iterator[Figured]:
             yield _overlay(run, scene, protocol)
     if "histories" in run.datasets:
         yield from _histories(run["histories"])
-
-
-def _outside(figure: Figure) -> Iterator[str]:
-    """What triangles mean, if there are any."""
-    lines = [line for axes in figure.axes for line in axes.lines]
-    if any(str(line.get_label()).endswith("outside") for line in lines):
-        yield "Triangles: outside the frame."
 
 
 def _figured(figure: Figure, name: str, at: Scene, protocol: str, *sentences: str) -> Figured:

@@ -20,6 +20,7 @@ from gapsweep.status import Status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MANY = 60  # points as vectors would make a file heavy
 _MOST_NAMES = 24  # that fit beside a colour bar
@@ -189,6 +190,14 @@ def peaks(
         _points(axes, places[shown], height[shown], alpha=alpha, **style)
     outside(axes, places[below], low, "v", label)
     outside(axes, places[above], high, "^", label)
+
+
+def said_of_marks(figure: "Figure") -> str:
+    """What a caption says of pale dots and of triangles, with blanks before; of those there are."""
+    lines = [line for axes in figure.axes for line in axes.lines]
+    labels = {str(line.get_label()) for line in lines if np.size(line.get_xdata())}
+    kinds = {"not periodic": " Pale: not periodic.", "outside": " Triangles: outside the frame."}
+    return "".join(v for kind, v in kinds.items() if any(name.endswith(kind) for name in labels))
 
 
 def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:

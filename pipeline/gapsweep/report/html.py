@@ -31,7 +31,7 @@ from gapsweep.report.answer import (
 )
 from gapsweep.report.backdrop import said_of_bands, said_of_walls
 from gapsweep.report.bench import bench_parts
-from gapsweep.report.drawing import labels_of, said_of_peaks
+from gapsweep.report.drawing import labels_of, said_of_marks, said_of_peaks
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
 from gapsweep.report.findings import findings, outcomes
@@ -207,11 +207,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     said = f"Peaks at {contact.place}, some laws on the exact one's larger dots"
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
-        lines = [line for axes in figure.axes for line in axes.lines]
-        marks = {str(line.get_label()) for line in lines if np.size(line.get_xdata())}
-        kinds = {"not periodic": "Pale: not periodic.", "outside": "Triangles: outside the frame."}
-        shown = (said for kind, said in kinds.items() if any(m.endswith(kind) for m in marks))
-        looks = " ".join([said_of_walls(scene, of_peaks=True), *shown])
+        looks = f"{said_of_walls(scene, of_peaks=True)}{said_of_marks(figure)}"
         made = drawn(Figured(figure, f"{said}.{looks}", said))
     (part,) = for_page([{"anchor": "hero", "figures": [made]}])
     return dict(part["figures"][0])
@@ -309,9 +305,12 @@ def _columns(scenes: Scenes, responses: xr.Dataset) -> Iterator[At]:
 
 def _at_one_frequency(scenes: Scenes, columns: Sequence[At], omega: str) -> Part:
     """One figure in place of one of a single column of dots for each scene."""
-    here = [scene for scene in map(scenes.at, columns) if scene is not None]
-    peaks = [_without_protocols(scene)[["x_max"]].isel(omega=0).load() for scene in here]
-    said = [_said(scene) for scene in here]
+    said, peaks = [], []
+    for at in columns:  # one after the other in memory
+        scene = scenes.at(at)
+        assert scene is not None, "a column is of a scene that was swept"
+        said.append(_said(scene))
+        peaks.append(_without_protocols(scene)[["x_max"]].isel(omega=0).load())
     differs = [len(set(column)) > 1 for column in zip(*said, strict=True)]
     names = [", ".join(word for word, d in zip(each, differs, strict=True) if d) for each in said]
     told = [  # of what differs by less than is printed, the first, the second, ...
