@@ -297,7 +297,7 @@ class _Execution:
         except ClusterError:  # of the worker itself, so of none of its points
             raise
         except Exception as error:  # whatever a task raised, or Dask about its worker
-            if _is_gone(future):
+            if _is_gone(future) or future.status != "error":  # there again, perhaps, by now
                 self.suspects.append(job)
             else:
                 self._take_up(job, error)
