@@ -1,5 +1,6 @@
 """Engines through the public calls: against each other, an oracle, and in any company."""
 
+import cmath
 import math
 import tracemalloc
 from dataclasses import replace
@@ -55,6 +56,30 @@ def test_random_scenes_reach_the_end_state_of_an_independent_method(
     assert run.n_contacts == n_contacts
     assert abs(run.x - x) < allowed
     assert abs(run.v - v) / (oscillator.omega_n_rad + 2 * math.pi * omega) < 10 * allowed
+
+
+@pytest.mark.parametrize(
+    ("label", "gap"), [("piecewise", 100.0), ("piecewise", 0.0), ("tanh-1e4", 100.0)]
+)
+def test_a_thousand_fast_cycles_in_no_time_of_a_slow_forcing_keep_their_clock(label, gap):
+    # 10^-4 of a forcing period: at every step its phase is rounded by more than the steps' error.
+    # A gap of nothing makes walls of one stiffness a spring, passed through every half cycle.
+    osc = gs.Oscillator(zeta=1e-5, omega_n=1e4, mass=1.0, alpha=0.0, forcing=1.0)
+    law = gs.contact_law(label, K_c=1e9, gap=gs.Gap(gap, gap))
+    omega, t_0, t_end = 1e-3, 400.0, 400.100025
+    stiffness = osc.omega_n_rad**2 + (law.K_c if gap == 0.0 else 0.0)
+    x_0 = 3.0 / stiffness
+    run = gs.simulate(osc, law, omega, x_0, t_0=t_0, t_end=t_end, rtol=1e-12, atol=1e-30)
+    w, time = 2.0 * math.pi * omega, t_end - t_0
+    root = -osc.decay_rate + 1j * math.sqrt(stiffness - osc.decay_rate**2)
+    driven = cmath.exp(1j * w * t_0) / (stiffness - w**2 + 2j * osc.decay_rate * w)
+    # the free part starts where the driven one does not
+    free = x_0 - driven.real
+    free += 1j * (root.real * free + (1j * w * driven).real) / root.imag
+    x = (driven * cmath.exp(1j * w * time)).real + (free * cmath.exp(root * time)).real
+    assert run.n_contacts == 0 if gap else run.n_contacts > 2000
+    # the end's phase is rounded once, and the cycles to some 1e-12
+    assert abs(run.x - x) < x_0 * (2.0**-54 / omega * abs(root) + 1e-10)
 
 
 @pytest.mark.parametrize("label", LABELS)

@@ -113,13 +113,17 @@ def _commit(at, lane, commit, ended, h):
         reach = load(lane, at.reach + i)
         farther = maximum(reach, simd.absolute(load(lane, at.q_1 + i)))
         store(lane, at.reach + i, select(commit, farther, reach))
-    tau, turns = load(lane, at.tau), load(lane, at.turns)
-    # The clock counts turns of the forcing: the phase stays in [0, 1) however long the run is.
-    tau1 = fma(h, load(lane, at.omega), tau)
+    tau, tau_low, turns = load(lane, at.tau), load(lane, at.tau_low), load(lane, at.turns)
+    # The clock counts turns of the forcing: the phase stays in [0, 1) however long the run is. What
+    # the sum's rounding cuts off is kept (Kahan): many short steps of a long period lose nothing.
+    turned = fma(h, load(lane, at.omega), tau_low)
+    tau1 = tau + turned
+    low1 = select(ended, 0.0, turned - (tau1 - tau))
     whole = simd.floor(tau1)
     tau1 = select(ended, load(lane, at.end_tau), tau1 - whole)
     turns1 = select(ended, load(lane, at.end_turns), turns + whole)
     store(lane, at.tau, select(commit, tau1, tau))
+    store(lane, at.tau_low, select(commit, low1, tau_low))
     store(lane, at.turns, select(commit, turns1, turns))
     return commit & (turns1 > turns)
 
@@ -311,7 +315,8 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     left = (load(lane, at.end_turns) - load(lane, at.turns)) + (
         load(lane, at.end_tau) - load(lane, at.tau)
     )
-    left = left * load(lane, at.period)
+    # a landing's rounding may pass the end
+    left = maximum((left - load(lane, at.tau_low)) * load(lane, at.period), simd.splat(0.0))
     to_end = ordinary & (h_asked * STRETCH >= left)
     h = select(to_end, left, h_asked)
 

@@ -50,8 +50,9 @@ class Rows(Layout):
         several = not self.is_plain
         equation = Layout.blocks.func(self)
         return {
-            # Start of the next attempt: state, its derivative (of speeds, and of lags), clock.
-            **{"q": n, "v": n, "z": m, "a": n, "w": m, "tau": 1, "turns": 1, "h": 1},
+            # Start of the next attempt: state, its derivative (of speeds, and of lags), clock with
+            # the digits that its sum has lost.
+            **{"q": n, "v": n, "z": m, "a": n, "w": m, "tau": 1, "tau_low": 1, "turns": 1, "h": 1},
             # Where the clock starts and ends, where recording starts, shortest and longest step.
             **dict.fromkeys(("phase_0", "end_turns", "end_tau", "record_turns"), 1),
             **{"h_min": 1, "h_max": 1},
@@ -60,7 +61,7 @@ class Rows(Layout):
             # not, and its start and length.
             **{"q_1": n, "v_1": n, "z_1": m, "a_1": n, "w_1": m},
             **{"old_q": n, "old_v": n, "old_z": m, "old_a": n, "old_w": m},
-            **{"old_tau": 1, "old_turns": 1, "old_h": 1},
+            **{"old_tau": 1, "old_tau_low": 1, "old_turns": 1, "old_h": 1},
             # State to return to once the events of an accepted step are polished.
             "kept": self.n_start,
             # Gaps of several contacts, their speeds and accelerations, at both ends of it.
@@ -206,7 +207,8 @@ def elapsed(at, lane, i):
 def remaining(at, lane, i):
     """Seconds to the point's end."""
     turns = lane[at.end_turns, i] - lane[at.turns, i]
-    return (turns + (lane[at.end_tau, i] - lane[at.tau, i])) * lane[at.period, i]
+    turns += lane[at.end_tau, i] - lane[at.tau, i] - lane[at.tau_low, i]
+    return turns * lane[at.period, i]
 
 
 @internal

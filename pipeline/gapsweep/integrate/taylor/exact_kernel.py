@@ -41,12 +41,14 @@ def _interval(at, lanes, k, contact):
 def _commit_clock(at, lanes, k, step, is_done):
     """As `taylor_step` does for decided lanes."""
     if is_done:
-        tau_1, cycle_1 = lanes[at.end_tau, k], lanes[at.end_cycle, k]
+        tau_1, low_1, cycle_1 = lanes[at.end_tau, k], 0.0, lanes[at.end_cycle, k]
     else:
-        tau_1, cycle_1 = lanes[at.tau, k] + lanes[at.omega, k] * step, lanes[at.cycle, k]
+        turned = lanes[at.tau_low, k] + lanes[at.omega, k] * step
+        tau_1, cycle_1 = lanes[at.tau, k] + turned, lanes[at.cycle, k]
+        low_1 = turned - (tau_1 - lanes[at.tau, k])
         if tau_1 >= 1.0:
             tau_1, cycle_1 = tau_1 - 1.0, cycle_1 + 1.0
-    lanes[at.tau, k], lanes[at.cycle, k] = tau_1, cycle_1
+    lanes[at.tau, k], lanes[at.tau_low, k], lanes[at.cycle, k] = tau_1, low_1, cycle_1
 
 
 @internal
@@ -114,11 +116,9 @@ def _commit_contacts(at, lanes, k, step, work):
 @internal
 def _resolve(at, lanes, k, coefficients, work):
     """Commit the step of a lane whose crossing was unclear. True if that ends the point."""
-    left = max(
-        ((lanes[at.end_cycle, k] - lanes[at.cycle, k]) + (lanes[at.end_tau, k] - lanes[at.tau, k]))
-        * lanes[at.period, k],
-        0.0,
-    )
+    turns = lanes[at.end_cycle, k] - lanes[at.cycle, k]
+    turns += lanes[at.end_tau, k] - lanes[at.tau, k] - lanes[at.tau_low, k]
+    left = max(turns * lanes[at.period, k], 0.0)
     h = lanes[at.step, k]
     if h < lanes[at.min_step, k] and left <= h * HALVED:
         # halved as often as may be for a motion that stays on its wall, until nothing is left

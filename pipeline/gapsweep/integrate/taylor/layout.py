@@ -35,8 +35,8 @@ WIDTH = 16
 
 # Names of the blocks of rows and, by the counts of a `Layout`, how many rows each has.
 _ONE = (
-    # the clock, and the last step: its length, and where it began
-    *("tau", "cycle", "step", "tau_0", "cycle_0"),
+    # the clock, with the digits that its sum has lost; of the last step the length and beginning
+    *("tau", "tau_low", "cycle", "step", "tau_0", "cycle_0"),
     # phase and time [s] of the point's own start, and its end
     *("tau_start", "t_start", "end_cycle", "end_tau"),
     *("omega", "omega_rad", "period"),

@@ -55,6 +55,15 @@ def value_and_slope(series, t):
     return value, slope
 
 
+def compensated_sum(total, term):
+    """Sum, and what its rounding has cut off (Kahan), to the rounding of `term`.
+
+    A clock that adds many short steps to a long period would lose as much at every one of them.
+    """
+    rounded = total + term
+    return rounded, term - (rounded - total)
+
+
 def _tail_bound(series, h):
     """``sum(n (n-1) |x_n| h^n, n >= 4)``: bounds the tail of h^2 x'', thrice that of h x' and
     twelve times that of x (all tails from degree 4 on)."""
@@ -301,9 +310,9 @@ def _emit_step(builder, layout, arrays, scalars):
         for n, term in enumerate(series):
             coefficients[number * layout.n_terms + n] = term
     free_step = step_size(lanes, motion, Sizes(lanes, modes, motion), rtol)
-    period, tau, cycle = lanes["period"], lanes["tau"], lanes["cycle"]
+    period, tau, tau_low, cycle = (lanes[name] for name in ("period", "tau", "tau_low", "cycle"))
     end_cycle, end_tau = lanes["end_cycle"], lanes["end_tau"]
-    left = maximum(((end_cycle - cycle) + (end_tau - tau)) * period, 0.0 * period)
+    left = maximum(((end_cycle - cycle) + (end_tau - tau) - tau_low) * period, 0.0 * period)
     h = minimum(free_step, period * MAX_PERIODS_PER_STEP)
     is_last = h >= left
     h = where(is_last, left, h)
@@ -318,7 +327,7 @@ def _emit_step(builder, layout, arrays, scalars):
 
     # 4. commit
     is_done = is_last & ~crosses & ~is_unclear
-    tau_1 = fma(lanes["omega"], step, tau)
+    tau_1, low_1 = compensated_sum(tau, fma(lanes["omega"], step, tau_low))
     wraps = tau_1 >= 1.0
     tau_1 = where(is_done, end_tau, where(wraps, tau_1 - 1.0, tau_1))
     cycle_1 = where(is_done, end_cycle, where(wraps, cycle + 1.0, cycle))
@@ -344,6 +353,7 @@ def _emit_step(builder, layout, arrays, scalars):
     for i, reach in enumerate(lanes.rows("reach")):
         lanes[layout.reach + i] = where(is_unclear, reach, maximum(reach, absolute(state[i])))
     lanes["tau"] = where(is_unclear, tau, tau_1)
+    lanes["tau_low"] = where(is_unclear, tau_low, where(is_done, 0.0 * one, low_1))
     lanes["cycle"] = where(is_unclear, cycle, cycle_1)
     lanes["n_steps"] = lanes["n_steps"] + where(is_unclear, 0.0 * one, 1.0)
     lanes["n_contacts"] = lanes["n_contacts"] + n_walls
