@@ -11,6 +11,7 @@ import time
 from contextlib import closing, suppress
 from pathlib import Path
 
+import psutil
 import pytest
 import xarray as xr
 
@@ -113,6 +114,24 @@ def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
     again = (tmp_path / "storm.log").stat().st_size / once - n_points // 2
     print(f"{n_kills} kills: {again:g} of the counted half of {n_points} points computed again")
     assert again <= n_kills * (IN_FLIGHT + BATCH), "what was in flight, and one commit"
+
+
+def test_a_worker_killed_while_the_cluster_starts_is_one_line(tmp_path):
+    (tmp_path / "storm.toml").write_text(study_text(60))
+    process = start(tmp_path, "c.sqlite", "out")
+    is_killed = False
+    while process.poll() is None and not is_killed:
+        for child in psutil.Process(process.pid).children():
+            with suppress(psutil.NoSuchProcess):
+                if "spawn_main" in " ".join(child.cmdline()):
+                    child.kill()
+                    is_killed = True
+        time.sleep(0.01)
+    _, errors = process.communicate(timeout=60)
+    assert is_killed
+    assert process.returncode == 1, errors
+    assert "error: no local cluster of 2 workers" in errors.splitlines()[-1]
+    assert "Traceback" not in errors
 
 
 def test_status_of_a_killed_run_says_so(tmp_path):

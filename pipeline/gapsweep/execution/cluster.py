@@ -40,7 +40,7 @@ def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
     Raises
     ------
     ClusterError
-        If the scheduler cannot be reached.
+        If the scheduler cannot be reached, or no local cluster starts.
     """
     if scheduler is None:
         # Free ports on the loopback: nobody else may look in, no other cluster is disturbed.
@@ -54,7 +54,13 @@ def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
         options["silence_logs"] = logging.CRITICAL
         with dask.config.set(_LOCAL_SETTINGS), _without_main(), ExitStack() as opened:
             with _deaf_to_interrupts():
-                local = opened.enter_context(LocalCluster(n_workers=workers, **options))
+                try:
+                    local = opened.enter_context(LocalCluster(n_workers=workers, **options))
+                except RuntimeError as error:  # what Dask makes of a worker that died too early
+                    raise ClusterError(
+                        f"no local cluster of {workers} workers ({first_line(error)}): a worker "
+                        "process died as it started, perhaps for lack of memory; run again"
+                    ) from None
             yield opened.enter_context(Client(local))
         return
     try:

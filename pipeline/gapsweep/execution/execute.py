@@ -54,6 +54,7 @@ _COMMIT_SECONDS = 0.5
 _COMMIT_POINTS = 4096
 # Workers that a suspect may lose, before it is taken for guilty although it was alone.
 _MAX_ATTEMPTS = 5
+_MAX_LOSSES = 20  # no fault of the job: far more than workers die of anything else
 _WAIT_SECONDS = 0.1
 _CLUSTER_LOST = "the cluster was lost; run again to resume"
 
@@ -63,7 +64,7 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Job:
-    """What one task computes, and how often its worker was lost.
+    """What one task computes, how often its worker died of it, and its result with a worker.
 
     Attributes
     ----------
@@ -81,6 +82,7 @@ class _Job:
     tiles: list[Tile]
     rest: Rows
     attempts: int = 0
+    losses: int = 0
 
 
 def execute(
@@ -290,7 +292,7 @@ class _Execution:
 
     def _receive(self, future: Future, job: _Job) -> None:
         if _is_gone(future):
-            self.suspects.append(job)
+            self._compute_anew(job)
             return
         try:
             result = future.result()
@@ -298,11 +300,19 @@ class _Execution:
             raise
         except Exception as error:  # whatever a task raised, or Dask about its worker
             if _is_gone(future) or future.status != "error":  # there again, perhaps, by now
-                self.suspects.append(job)
+                self._compute_anew(job)
             else:
                 self._take_up(job, error)
         else:
             self._keep(job, result)
+
+    def _compute_anew(self, job: _Job) -> None:
+        if job.losses == _MAX_LOSSES:
+            raise ClusterError(
+                f"a result was lost {_MAX_LOSSES} times, as its workers died before it was "
+                "fetched: see their logs, and run again to resume"
+            )
+        self.suspects.append(replace(job, losses=job.losses + 1))
 
     def _take_up(self, job: _Job, error: Exception) -> None:
         """Compute a job that failed as a whole once more, alone; or give it up."""
