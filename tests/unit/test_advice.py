@@ -191,6 +191,22 @@ def test_advice_covers_every_frequency_once():
     assert start["start"] == "rest"
 
 
+def test_starts_that_need_the_same_model_are_told_together():
+    starts = [[0.0, 0.0], [1e-5, 0.0], [1.0, 0.0]]  # the last one beyond the walls
+    study = gs.Study.from_dict(
+        AUTO | {"sweep": [AUTO["sweep"][0] | {"initial_condition": starts, "omega": [30.0]}]}
+    )
+    (scene,) = sentences(advice(study))
+    near, far = scene["starts"]
+    assert near["start"] == "rest; x = 0.01 mm, v = 0 mm/s"
+    assert far["start"] == "x = 1000 mm, v = 0 mm/s"
+    assert [part["model"] for part in far["advice"]] == ["exact"]
+    # what holds of both is what holds of the one that moves farther
+    alone = AUTO["sweep"][0] | {"initial_condition": starts[1:2], "omega": [30.0]}
+    (only,) = sentences(advice(gs.Study.from_dict(AUTO | {"sweep": [alone]})))
+    assert near["advice"] == only["starts"][0]["advice"]
+
+
 def test_command_advises_without_computing(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(

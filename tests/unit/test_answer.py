@@ -214,6 +214,10 @@ def test_a_cheap_law_in_doubt_does_not_hide_a_sure_one():
 def test_nothing_to_use_is_said():
     bad = judged("poly-13", "with care")
     assert in_words([contact(bad)]) == ["Take the exact law: no stand-in can be used."]
+    open_ = judged("poly-13", "with care", firm=False)
+    assert in_words([contact(open_)]) == [
+        "Take the exact law: no stand-in has been shown to be adequate."
+    ]
     said = in_words([contact(bad), contact(judged("tanh-1e4"), gap="0/1")])
     assert "none of those swept for 10000 N/m with 0.4/0.4 mm" in said[1]
 
@@ -222,7 +226,7 @@ def test_nothing_to_use_is_said():
 def test_what_is_the_exact_law_is_no_stand_in(tmp_path, label):
     """Neither in the answer and its prices, nor among those that are counted."""
     exact = judged(label, "exact here", price=0.5)
-    assert in_words([contact(exact)]) == ["Take the exact law: no stand-in can be used."]
+    assert in_words([contact(exact)]) == ["Take the exact law: no stand-in was swept."]
     said = found_in(tmp_path, contact(judged("tanh-1e4"), exact))
     assert "Of 1 pair of contact and stand-in" in said
     assert label not in said

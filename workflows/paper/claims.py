@@ -113,7 +113,7 @@ def _slope(rungs: xr.DataArray) -> float:
 
 
 def _where(scene: Scene) -> str:
-    return f"{scene[0]:.3g} N/m, {scene[1]} mm"
+    return f"{scene[0]:g} N/m, {scene[1]} mm"
 
 
 def _ahead(

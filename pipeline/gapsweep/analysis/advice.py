@@ -3,6 +3,7 @@
 What the choice rests on stands in `gapsweep.study.advice`.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from gapsweep.model.contact import Piecewise
 from gapsweep.model.labels import family, law_of
 from gapsweep.model.oscillator import Gap
 from gapsweep.study.advice import Model, StandIn, stand_in, stand_ins
+from gapsweep.study.grid import START
 from gapsweep.study.schema import Variable, coordinates
 from gapsweep.study.study import Study
 
@@ -31,6 +33,7 @@ SCREENED = {
         "i1", "1", "whether the smooth law meets the error", -1, (("no", 0), ("yes", 1))
     ),
 }
+_MOST_STARTS = 3  # that are named one by one
 _PART = 65_536  # points whose numbers are in memory at a time
 
 
@@ -51,7 +54,12 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
         per family, the one with the smallest adequate power of ten. Attribute `error`.
     """
     if study.systems is not None:
-        raise StudyError([f"{study.source}: system: advice rests on bounds for an oscillator"])
+        raise StudyError(
+            [
+                f"{study.source}: system: advice rests on bounds for an oscillator; run the study "
+                "and let its report say which law is adequate where"
+            ]
+        )
     grid = study.grid
     error = study.spec.auto.error if error is None else error
     asked = grid.requested.any(axis=0)
@@ -130,8 +138,9 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        ``K_c``, ``gap``, what else is swept by name, ``starts`` and ``advice``, a list of
-        ``from``, ``to`` [Hz], ``model`` and ``reason``; ``stand_ins``, a sentence.
+        ``K_c``, ``gap``, what else is swept by name, ``starts``, a list of ``start``, which says
+        those that need the same models, and ``advice``, a list of ``from``, ``to`` [Hz], ``model``
+        and ``reason``; ``stand_ins``, a sentence.
     """
     scenes = []
     dims = found["force_error"].dims[:-1]
@@ -145,17 +154,29 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
                 **{str(dim): float(here[dim]) for dim in dims if dim != "gap"},
                 "gap": Gap(j_1, j_2).label,
                 "starts": [
-                    {"start": _start(one), "advice": _ranges(one)}
-                    for one in (
-                        here.isel(initial_condition=i)
-                        for i in range(here.sizes["initial_condition"])
-                    )
-                    if (one["model"] >= 0).any()
+                    {"start": _starts(some), "advice": _ranges(some)} for some in _alike(here)
                 ],
                 "stand_ins": _stand_ins(here),
             }
         )
     return scenes
+
+
+def _alike(here: xr.Dataset) -> Iterator[xr.Dataset]:
+    """The starts of a scene, those together that need the same model at every frequency."""
+    groups: dict[bytes, list[int]] = {}
+    for i, models in enumerate(here["model"].transpose(START, "omega").values):
+        if (models >= 0).any():
+            groups.setdefault(models.tobytes(), []).append(i)
+    return (here.isel({START: some}) for some in groups.values())
+
+
+def _starts(some: xr.Dataset) -> str:
+    n = some.sizes[START]
+    if n > _MOST_STARTS:
+        first, last = (_start(some.isel({START: i})) for i in (0, -1))
+        return f"{n} starts, {first} to {last}"
+    return "; ".join(_start(some.isel({START: i})) for i in range(n))
 
 
 def _start(one: xr.Dataset) -> str:
@@ -165,11 +186,12 @@ def _start(one: xr.Dataset) -> str:
     return "rest" if x == v == 0.0 else f"x = {1e3 * x:.4g} mm, v = {1e3 * v:.4g} mm/s"
 
 
-def _ranges(one: xr.Dataset) -> list[dict[str, Any]]:
-    """Neighbouring frequencies that need the same model, together."""
+def _ranges(some: xr.Dataset) -> list[dict[str, Any]]:
+    """Neighbouring frequencies at which starts need the same model, together."""
+    one = some.isel({START: 0})
     asked = np.flatnonzero(one["model"].values >= 0)
-    names = ("omega", "model", "bound", "rtol")
-    omega, model, bound, rtol = (one[name].values[asked] for name in names)
+    omega, model, rtol = (one[name].values[asked] for name in ("omega", "model", "rtol"))
+    bound = some["bound"].max(START).values[asked]
     starts = [0, *(np.flatnonzero(np.diff(model)) + 1).tolist()]
     ends = [*starts[1:], len(model)]
     return [

@@ -269,7 +269,11 @@ def _said(found: Sequence[Contact]) -> list[str]:
     if paying:
         said = f"A stand-in saves time in {share(len(paying), found)}: {_picked(paying)}"
     elif not picks:
-        said = "Take the exact law: no stand-in can be used"
+        laws = [one for contact in found for one in contact.laws if one.is_stand_in]
+        is_known = all(one.is_firm for one in laws)
+        how = "can be used" if is_known else "has been shown to be adequate"
+        how = how if laws else "was swept"
+        said = f"Take the exact law: no stand-in {how}"
     elif any(not one.low > 1.0 for one in picks):
         said = f"Take the exact law: a stand-in can be used in {some}, none saves time beyond doubt"
     else:

@@ -128,6 +128,7 @@ def write_report(
         scripts=[_script("figures"), *([_script("claims")] if claims else [])],
         parts=parts,
         measured_on=timing.attrs["measured_on"],
+        has_protocols=any("@" in label for label in labels_of(responses)),
         provenance=provenance(responses),
         toml=as_toml(json.loads(responses.attrs["study_json"])),
         version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
@@ -336,7 +337,8 @@ def _scene_figures(
         yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
     yield Figured(
         bifurcation(scene),
-        f"All steady zero-velocity displacements.{said_of_bands(scene)}{said_of_walls(scene)}",
+        f"All steady zero-velocity displacements{_said_of_starts(scene)}."
+        f"{said_of_bands(scene)}{said_of_walls(scene)}",
         f"Bifurcation diagram, {title}",
     )
     if found is not None:
@@ -346,6 +348,19 @@ def _scene_figures(
             f"{said_of_peaks(found)}{said_of_walls(scene, of_peaks=True)}",
             f"Attractors and their basins, {title}",
         )
+
+
+def _said_of_starts(scene: xr.Dataset) -> str:
+    """From how many starts the panels of a scene show responses, where that is not always one."""
+    asked = (scene["status"] != Status.NOT_REQUESTED).any("omega").sum("initial_condition")
+    groups: dict[int, list[str]] = {}
+    for label, n in zip(labels_of(scene), asked.values.tolist(), strict=True):
+        groups.setdefault(n, []).append(label)
+    first, *others = sorted(groups, key=lambda n: -len(groups[n]))
+    if not others:
+        return f" from {first} starts" if first > 1 else ""
+    said = [f"of {', '.join(groups[n])} from {n}" for n in others]
+    return f"{', '.join(['', *said])}, of the other laws from {first} start{'s' * (first > 1)}"
 
 
 def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.Dataset | None:

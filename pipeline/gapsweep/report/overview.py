@@ -92,7 +92,10 @@ def overview(
         f"{': pictures over ' * bool(names)}{' and '.join(names)}{each}{of_all}. "
         "ds.gapsweep.map() and bifurcation() draw any other."
     )
-    over = f", median over {n_scenes} scenes" if n_scenes > 1 else ""
+    n_of_each = asked.any(swept(asked)).sum(scene_dims(asked.dims)).sel({REPRESENTATION: labels})
+    is_alike = bool((n_of_each == n_scenes).all())
+    over = f", median over {'' if is_alike else 'those that a law has of '}{n_scenes} scenes"
+    over = over if n_scenes > 1 else ""
     plain = [label for label in labels if "@" not in label] or labels
     return Part(
         "overview",

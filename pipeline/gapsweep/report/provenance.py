@@ -23,9 +23,12 @@ def provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
     asked = responses["status"].values != Status.NOT_REQUESTED
     seconds = float(responses["cpu_time"].where(asked).sum())
     versions = json.loads(attributes["versions"]).items()
+    study = json.loads(attributes["study_json"])
+    protocols = {f"Solver of @{name}": own for name, own in study.get("protocol", {}).items()}
     return [
         ("Study", attributes["study"]),
-        ("Solver", _solver(json.loads(attributes["study_json"]).get("solver", {}))),
+        ("Solver", _solver(study.get("solver", {}))),
+        *((name, _solver(own)) for name, own in protocols.items()),
         ("Created", attributes["created"]),
         ("Processor time", f"{seconds / 60.0:.3g} min for {asked.sum()} sweep points"),
         ("Numerics fingerprint", attributes["numerics_fingerprint"]),
