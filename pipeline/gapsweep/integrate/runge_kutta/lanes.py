@@ -88,8 +88,8 @@ class Rows(Layout):
 
     @property
     def n_start(self) -> int:
-        """Rows of the start of an attempt."""
-        return self.n_states + self.n_rates + 3
+        """Rows of the start of an attempt: state, derivative, the clock's three, length."""
+        return self.n_states + self.n_rates + 4
 
     @property
     def n_rates(self) -> int:

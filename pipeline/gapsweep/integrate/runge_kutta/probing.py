@@ -228,7 +228,8 @@ def _section_theta(at, lane, i):
     whole = lane[at.next_whole, i]
     if whole > lane[at.kept + at.turns, i]:
         return 2.0
-    until = ((whole - lane[at.old_turns, i]) - lane[at.old_tau, i]) * lane[at.period, i]
+    turns = whole - lane[at.old_turns, i] - lane[at.old_tau, i] - lane[at.old_tau_low, i]
+    until = turns * lane[at.period, i]  # as long as the step that ends there, to the last bit
     return min(until / lane[at.step_h, i], 1.0)
 
 
