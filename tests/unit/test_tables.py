@@ -11,6 +11,7 @@ import xarray as xr
 from gapsweep.cli.main import FINISHED, exit_code
 from gapsweep.cli.table import Form, written
 from gapsweep.console import print_table, print_text
+from gapsweep.report.scales import shortened
 
 WIDTH = 80
 LONG = "the exact law, contacts located, is the cheapest adequate one, and this goes on and on"
@@ -153,3 +154,11 @@ def test_tables_are_for_terminals(monkeypatch, is_terminal, output, kind):
 def test_forms_that_cannot_be_are_refused(arguments, said):
     with pytest.raises(click.UsageError, match=said):
         Form.of(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("label", "said"),
+    [("1000000/1", "1e6/1"), ("0.4/0.4", "0.4/0.4"), ("1200000/0.0000001", "1200000/0.0000001")],
+)
+def test_rows_of_zeros_are_told_as_powers(label, said):
+    assert shortened(label) == said

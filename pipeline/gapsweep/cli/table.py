@@ -134,7 +134,9 @@ def _units(responses: xr.Dataset, name: str) -> str:
 
 
 def _head(responses: xr.Dataset, name: str) -> str:
-    title = name.replace("_", "_\n", 1) if len(name) > _LONG else name
+    base, bracket, of = name.partition("[")
+    title = base.replace("_", "_\n", 1) if len(base) > _LONG else base
+    title += f"\n{bracket}{of}" if of else ""
     units = _units(responses, name)
     return f"{title}\n[{units.strip()}]" if units else title
 

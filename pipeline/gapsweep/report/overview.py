@@ -83,13 +83,14 @@ def overview(
     names, one_by_one = (
         [str(responses[axis].attrs.get("long_name", axis)) for axis in some] for some in (axes, few)
     )
+    both = " and ".join(names)
     each = f", for each of {len(cuts)} values of {one_by_one[0]}" if few else ""
     others = {REPRESENTATION, _START, *axes, *few}
     is_part = any(size > 1 for dim, size in asked.sizes.items() if dim not in others)
     of_all = ", of all else at one value, in place of figures of each scene" if is_part else ""
     sentence = (
         f"{n_scenes} scene{'s' * (n_scenes > 1)} with {int(n_points.sum())} sweep points"
-        f"{': pictures over ' * bool(names)}{' and '.join(names)}{each}{of_all}. "
+        f"{': pictures over ' * bool(names)}{both}{each}{of_all}. "
         "ds.gapsweep.map() and bifurcation() draw any other."
     )
     n_of_each = asked.any(swept(asked)).sum(scene_dims(asked.dims)).sel({REPRESENTATION: labels})
@@ -99,7 +100,7 @@ def overview(
     plain = [label for label in labels if "@" not in label] or labels
     return Part(
         "overview",
-        f"All scenes over {' and '.join(names)}" if names else "All scenes",
+        " over ".join(["All scenes" if n_scenes > 1 else "The scene", *([both] if both else [])]),
         [sentence],
         scene_tables(agreement, timing, labels, over),
         (

@@ -38,7 +38,7 @@ def axis_label(variable: xr.DataArray, words: str = "") -> str:
 def named(coordinate: xr.DataArray) -> str:
     """A coordinate's one value with its name and unit, as ``K_c = 14000 N/m``."""
     name, held = str(coordinate.name), coordinate.values
-    value = plain(drawn(coordinate).item()) if is_numeric(held) else str(held.item())
+    value = plain(drawn(coordinate).item()) if is_numeric(held) else shortened(str(held.item()))
     names = {"scene": "", "representation": "", "gap": "gap ", "regime": "regime: "}
     return f"{names.get(name, f'{name} = ')}{value} {shown_unit(coordinate)[1]}".strip()
 
@@ -46,6 +46,11 @@ def named(coordinate: xr.DataArray) -> str:
 def plain(value: float) -> str:
     """A number as it was given: 14000, and 1.4e6 for 1.4e+06."""
     return re.sub(r"e([+-])0*", lambda m: "e" + m[1].strip("+"), f"{value:g}")
+
+
+def shortened(label: str) -> str:
+    """A label without rows of zeros: of a gap whose one wall is out of reach, ``1e6/1``."""
+    return re.sub(r"(?<![\d.])(\d)(0{5,})(?![\d.])", lambda m: f"{m[1]}e{len(m[2])}", label)
 
 
 def is_crowded_low(values: NDArray[np.float64]) -> bool:

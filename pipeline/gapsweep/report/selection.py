@@ -9,6 +9,7 @@ import xarray as xr
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.report.scales import shortened
 from gapsweep.study.schema import PARAMETER
 from gapsweep.study.selection import listed
 
@@ -86,8 +87,8 @@ def beside(scene: xr.Dataset) -> list[str]:
 def gap_label(scene: xr.Dataset) -> str:
     """Wall distances of a scene [mm], whether its gap has a label or they are swept as numbers."""
     if "gap" in scene.coords:
-        return str(scene["gap"].item())
-    return Gap(float(scene["j_1"]), float(scene["j_2"])).label
+        return shortened(str(scene["gap"].item()))
+    return shortened(Gap(float(scene["j_1"]), float(scene["j_2"])).label)
 
 
 def anchor_of(at: Mapping[str, int]) -> str:
