@@ -17,6 +17,7 @@ from gapsweep.report.answer import (
     verdict,
 )
 from gapsweep.report.findings import findings
+from gapsweep.report.scales import Told
 
 NOTHING = {name: np.full(1, np.nan) for name in ("median", "p95", "found")}
 OMEGA = tuple(np.arange(1.0, 13.0, 0.5))  # 24 blocks: enough for every interval
@@ -171,8 +172,8 @@ def judged(law, verdict="use", price=4.0, width=1.1, firm=True, median=0.01):
     return Judged(law, values, 9, verdict, firm, price, price / width, price * width)
 
 
-def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0, others=""):
-    return Contact(K_c, gap, {"median": np.full(3, floor)}, list(laws), "any ε", others)
+def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0, swept=()):
+    return Contact(K_c, gap, {"median": np.full(3, floor)}, list(laws), "any ε", swept)
 
 
 def test_the_answer_names_what_saves_time():
@@ -189,10 +190,11 @@ def test_the_answer_names_what_saves_time():
 def test_contacts_of_one_stiffness_and_gap_are_told_apart():
     """A study that sweeps the forcing has several: one may pay where another does not."""
     cheap, dear = judged("poly-13", price=0.5), judged("poly-13", price=3.0)
-    said = in_words([contact(cheap, others="p 3 N"), contact(dear, others="p 4 N")])
+    of_3, of_4 = [Told("p", "3", "N")], [Told("p", "4", "N")]
+    said = in_words([contact(cheap, swept=of_3), contact(dear, swept=of_4)])
     assert said[0].startswith("A stand-in saves time in 1 of 2 settings: poly-13 for 10000 N/m")
-    assert "at p 3 N" in said[0]
-    assert "at p 4 N" in said[1]
+    assert "at p = 3 N" in said[0]
+    assert "at p = 4 N" in said[1]
 
 
 def test_prices_that_intervals_do_not_part_stand_together():

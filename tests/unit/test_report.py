@@ -26,6 +26,7 @@ from gapsweep.report.html import write_report
 from gapsweep.report.parts import Figured, Part, Table, drawn, for_page, rendered
 from gapsweep.report.pictures import VIEWS, is_picture, pictures
 from gapsweep.report.provenance import as_toml
+from gapsweep.report.scales import Told
 from gapsweep.report.tables import VERDICTS, number, outcome, percent
 from gapsweep.stages import is_of_run
 from gapsweep.status import Status
@@ -282,7 +283,8 @@ def test_the_map_is_darker_where_a_law_is_worse():
 
 
 def test_what_is_swept_beside_contacts_is_named_once():
-    both = [contact({}, others=f"forcing = {force} N, zeta = 0.1") for force in (1, 2.5)]
+    zeta = Told("zeta", "0.1", "")
+    both = [contact({}, swept=[Told("forcing", force, "N"), zeta]) for force in ("1", "2.5")]
     assert swept_columns(both) == ("forcing [N], zeta", ["1, 0.1", "2.5, 0.1"])
 
 

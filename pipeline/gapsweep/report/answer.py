@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.grid import At, scene_dims, scenes
 from gapsweep.analysis.statistics import repeatability, widened
 from gapsweep.model.labels import AUTO
-from gapsweep.report.scales import named, plain
+from gapsweep.report.scales import Told, plain
 from gapsweep.report.selection import anchor_of, beside, gap_label
 from gapsweep.report.tables import number
 
@@ -99,7 +99,7 @@ class Judged:
 class Contact:
     """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in.
 
-    `others` names the values of what the study sweeps beside, `at` is its position in the files.
+    `swept` are the values of what the study sweeps beside, `at` is its position in the files.
     """
 
     K_c: float
@@ -107,8 +107,13 @@ class Contact:
     floors: Values
     laws: list[Judged]
     threshold: str
-    others: str = ""
+    swept: Sequence[Told] = ()
     at: At = field(default_factory=dict)
+
+    @property
+    def others(self) -> str:
+        """What is swept beside, in words."""
+        return ", ".join(map(str, self.swept))
 
     @property
     def place(self) -> str:
@@ -179,8 +184,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         floors = _worst([_values(where[label]) for label in exact])
         judged = [_judged(law, where[law], floors, noise) for law in here_too]
         here = pooled.coords.to_dataset().isel(at)
-        gap, others = gap_label(here), ", ".join(named(here[name]) for name in beside(here))
-        known = _threshold(static, here), others, at
+        gap, swept = gap_label(here), [Told.of(here[name]) for name in beside(here)]
+        known = _threshold(static, here), swept, at
         contact = Contact(float(here["K_c"]), gap, floors, judged, *known)
         order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
         found.append((contact.K_c, *order, contact))

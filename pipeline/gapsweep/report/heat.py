@@ -135,6 +135,5 @@ def heads(found: Iterable[T]) -> list[tuple[T, int]]:
 
 def swept_columns(found: Sequence[Contact]) -> tuple[str, list[str]]:
     """What is swept beside contacts: its names with units, and its values of every contact."""
-    pairs = [[word.partition(" = ")[::2] for word in c.others.split(", ")] for c in found]
-    names = [f"{n} [{unit}]" if (unit := v.partition(" ")[2]) else n for n, v in pairs[0]]
-    return ", ".join(names), [", ".join(v.partition(" ")[0] for _, v in each) for each in pairs]
+    names = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in found[0].swept]
+    return ", ".join(names), [", ".join(one.value for one in c.swept) for c in found]

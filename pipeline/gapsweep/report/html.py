@@ -117,7 +117,7 @@ def write_report(
         groups=GROUPS,
         stiffnesses=heads(contact.K_c for contact in told),
         gaps=heads((contact.K_c, contact.gap) for contact in told),
-        beside=swept_columns(told) if any(contact.others for contact in told) else None,
+        beside=swept_columns(told) if any(contact.swept for contact in told) else None,
         is_many=len(told) > MANY,
         heat=heat(told),
         anchors={part["anchor"] for part in parts},

@@ -4,6 +4,7 @@ Units come from the dataset; lengths are drawn in millimetres.
 """
 
 import re
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -35,12 +36,30 @@ def axis_label(variable: xr.DataArray, words: str = "") -> str:
     return f"{words} [{unit}]" if unit else words
 
 
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A coordinate's one value as it is said, with its name and its unit, empty if it has none."""
+
+    name: str
+    value: str
+    unit: str
+
+    @classmethod
+    def of(cls, coordinate: xr.DataArray) -> "Told":
+        """Of a coordinate that has one value."""
+        held = coordinate.values
+        value = plain(drawn(coordinate).item()) if is_numeric(held) else shortened(str(held.item()))
+        return cls(str(coordinate.name), value, shown_unit(coordinate)[1])
+
+    def __str__(self) -> str:
+        """As ``K_c = 14000 N/m``."""
+        names = {"scene": "", "representation": "", "gap": "gap ", "regime": "regime: "}
+        return f"{names.get(self.name, f'{self.name} = ')}{self.value} {self.unit}".strip()
+
+
 def named(coordinate: xr.DataArray) -> str:
     """A coordinate's one value with its name and unit, as ``K_c = 14000 N/m``."""
-    name, held = str(coordinate.name), coordinate.values
-    value = plain(drawn(coordinate).item()) if is_numeric(held) else shortened(str(held.item()))
-    names = {"scene": "", "representation": "", "gap": "gap ", "regime": "regime: "}
-    return f"{names.get(name, f'{name} = ')}{value} {shown_unit(coordinate)[1]}".strip()
+    return str(Told.of(coordinate))
 
 
 def plain(value: float) -> str:
