@@ -23,7 +23,7 @@ from gapsweep.report.answer import Contact, Judged, contacts
 from gapsweep.report.findings import findings
 from gapsweep.report.heat import heads, heat, swept_columns
 from gapsweep.report.html import write_report
-from gapsweep.report.parts import Figured, Part, Table, drawn, for_page, rendered
+from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered
 from gapsweep.report.pictures import VIEWS, is_picture, pictures
 from gapsweep.report.provenance import as_toml
 from gapsweep.report.scales import Told
@@ -212,7 +212,7 @@ def test_data_of_a_figure_cannot_end_their_element(tmp_path):
     figure = Figure()
     figure.subplots().plot([1.0], [1.0], label=HOSTILE)
     figure.axes[0].set_title("</script>", loc="left")
-    drawn_once = drawn(Figured(figure, HOSTILE, HOSTILE))
+    drawn_once = pictured(Figured(figure, HOSTILE, HOSTILE))
     study = tables(LABELS[:1], OMEGA)
     responses, attractors = datasets(tmp_path, study, amplitudes(EQUAL))
     parts = [{**PART, "anchor": "part", "figures": [drawn_once]}]

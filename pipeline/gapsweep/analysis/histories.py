@@ -25,7 +25,7 @@ from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import canonical
-from gapsweep.study.schema import COORDINATES, STATUS_FLAGS, Variable, described, empty
+from gapsweep.study.schema import COORDINATES, STATUS_FLAGS, Variable, empty, with_attributes
 from gapsweep.study.spec import HistoryTable
 from gapsweep.study.study import Study
 
@@ -113,9 +113,9 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
             name: ("history", [_scene(table)[name] for table in tables], variable.attributes)
             for name, variable in SCENE.items()
         },
-        **described(AXES, arrays),
+        **with_attributes(AXES, arrays),
     }
-    variables = described(VARIABLES, arrays)
+    variables = with_attributes(VARIABLES, arrays)
     variables["spectrum"][2]["window"] = _WINDOW
     attributes = {
         **study.attributes,

@@ -51,7 +51,7 @@ from gapsweep.model.equilibria import (
 from gapsweep.model.labels import EXACT
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.status import Status
-from gapsweep.study.schema import STATUS_FLAGS, Variable, described, empty
+from gapsweep.study.schema import STATUS_FLAGS, Variable, empty, with_attributes
 from gapsweep.study.study import Study
 
 Array = NDArray[np.float64]
@@ -166,7 +166,7 @@ def stability(
     coords = coordinates(found, ladder) | rtol
     coords["expected"] = ("scene", stated, {"units": "1", "long_name": "known right answer"})
     return xr.Dataset(
-        described(VARIABLES, arrays),
+        with_attributes(VARIABLES, arrays),
         coords,
         {
             **study.attributes,

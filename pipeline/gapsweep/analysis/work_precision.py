@@ -52,7 +52,7 @@ from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses, Steady
 from gapsweep.response.section import unit_of
 from gapsweep.status import Status
-from gapsweep.study.schema import STATUS_FLAGS, Variable, described, empty
+from gapsweep.study.schema import STATUS_FLAGS, Variable, empty, with_attributes
 from gapsweep.study.study import Study
 
 Array = NDArray[np.float64]
@@ -186,7 +186,7 @@ def work_precision(
         "load_average": load,
     }
     coords = coordinates(bench.scenes, ladder) | tolerances(ladder)
-    return xr.Dataset(described(VARIABLES, bench.arrays), coords, attributes)
+    return xr.Dataset(with_attributes(VARIABLES, bench.arrays), coords, attributes)
 
 
 def processor() -> str:

@@ -255,12 +255,12 @@ def _threshold(static: xr.Dataset | None, here: xr.Dataset) -> str:
 def in_words(found: Sequence[Contact]) -> list[str]:
     """What to take, what a stand-in costs where it must be one, and what is not told in full."""
     if len(found) > MOST_CONTACTS:
-        cut = f"Told one by one are the first {share(MOST_CONTACTS, found)}."
+        cut = f"Told one by one are the first {how_many(MOST_CONTACTS, found)}."
         return [*_said(found), f"{cut} All are in agreement.nc."]
     return _said(found)
 
 
-def share(n: int, found: Sequence[Contact]) -> str:
+def how_many(n: int, found: Sequence[Contact]) -> str:
     """So many of some contacts, in words; settings where more is swept than these."""
     noun = "contact" if len({contact.others for contact in found}) < 2 else "setting"
     return f"the only {noun}" if len(found) == 1 else f"{n} of {len(found)} {noun}s"
@@ -270,9 +270,9 @@ def _said(found: Sequence[Contact]) -> list[str]:
     paying = [c for c in found if c.is_paying]
     others = [c for c in found if not c.is_paying]
     picks = [one for contact in others for one in contact.picks]
-    some = share(sum(bool(c.picks) for c in found), found)
+    some = how_many(sum(bool(c.picks) for c in found), found)
     if paying:
-        said = f"A stand-in saves time in {share(len(paying), found)}: {_picked(paying)}"
+        said = f"A stand-in saves time in {how_many(len(paying), found)}: {_picked(paying)}"
     elif not picks:
         laws = [one for contact in found for one in contact.laws if one.is_stand_in]
         is_known = all(one.is_firm for one in laws)

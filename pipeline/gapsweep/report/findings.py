@@ -12,7 +12,7 @@ from gapsweep.analysis.grid import scene_dims
 from gapsweep.analysis.systems import is_of_systems
 from gapsweep.analysis.walls import far_walls
 from gapsweep.model.labels import EXACT
-from gapsweep.report.answer import Contact, Judged, share
+from gapsweep.report.answer import Contact, Judged, how_many
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.tables import VERDICTS, condensed, percent
 from gapsweep.response.result import ResponseClass
@@ -130,7 +130,7 @@ def _closest(found: Sequence[Contact]) -> Iterator[str]:
     pairs = [*counts.most_common(), *([("no single one", undecided)] if undecided else [])]
     # The last number is part of how many they are of.
     *others, (last, n) = pairs
-    parts = [*(f"{name} in {k}" for name, k in others), f"{last} in {share(n, several)}"]
+    parts = [*(f"{name} in {k}" for name, k in others), f"{last} in {how_many(n, several)}"]
     said = ", ".join(parts)
     yield f"Closest in amplitude beyond the 95 % intervals: {said} with several stand-ins."
 

@@ -37,7 +37,7 @@ from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequ
 from gapsweep.report.findings import findings, outcomes
 from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
 from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
-from gapsweep.report.parts import Figured, Part, drawn, for_page, rendered
+from gapsweep.report.parts import Figured, Part, for_page, pictured, rendered
 from gapsweep.report.provenance import as_toml, provenance
 from gapsweep.report.scales import named, plain
 from gapsweep.report.scenes import Scenes, swept
@@ -209,7 +209,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
         looks = f"{said_of_walls(scene, of_peaks=True)}{said_of_marks(figure)}"
-        made = drawn(Figured(figure, f"{said}.{looks}", said))
+        made = pictured(Figured(figure, f"{said}.{looks}", said))
     (part,) = for_page([{"anchor": "hero", "figures": [made]}])
     return dict(part["figures"][0])
 

@@ -131,11 +131,11 @@ def _rendered(part: Part) -> dict[str, Any]:
             {"title": t.title, "header": list(t.header), "rows": [list(row) for row in t.rows]}
             for t in part.tables
         ],
-        "figures": [drawn(each) for each in part.figures],
+        "figures": [pictured(each) for each in part.figures],
     }
 
 
-def drawn(figured: Figured) -> dict[str, str]:
+def pictured(figured: Figured) -> dict[str, str]:
     """A figure as pictures, with its words."""
     names = ("name", "caption", "description")
     words = {name: getattr(figured, name) for name in names}

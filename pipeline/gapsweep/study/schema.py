@@ -73,7 +73,7 @@ def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
     }
 
 
-def described(table: Described, arrays: Mapping[str, Any]) -> dict[str, Any]:
+def with_attributes(table: Described, arrays: Mapping[str, Any]) -> dict[str, Any]:
     """Arrays with their dimensions and attributes, as a dataset takes them."""
     return {
         name: (dims, arrays[name], variable.attributes) for name, (dims, variable) in table.items()
