@@ -125,8 +125,8 @@ def test_orbits_of_coupled_masses_are_where_brute_force_settles():
             dense_output=True,
         )
         q = run.sample(t := np.linspace(0.0, n / omega[k], 20001))[0]
-        if np.abs(q[-1] - q[0]).max() > 1e-7:
-            continue  # settles later than that
+        if np.abs(q[-1] - q[0]).max() > 1e-7 * (1.0 - found.multiplier_abs[k]):
+            continue  # settles later than that: the orbit is as many returns away as it shrinks
         n_checked += 1
         assert_allclose(found.x_max[k], q.max(axis=0), atol=1e-7)
         assert_allclose(found.x_min[k], q.min(axis=0), atol=1e-7)

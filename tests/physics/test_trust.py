@@ -161,7 +161,9 @@ def test_a_rattling_solver_is_not_chaotic():
 
 
 def test_chaos_stays_chaos():
-    frequencies = np.array([1.5, 2.6, 3.9, 14.0, 14.2, 14.5])
+    # Where no other attractor is known: each of 200 starts ends so. At 3.9 Hz most end on period 1,
+    # and rounding decides where the one from rest does.
+    frequencies = np.array([1.5, 2.6, 4.1, 14.0, 14.2, 14.5])
     for law, solver in (
         (gs.Piecewise(HARD, ASYMMETRIC), Solver.of()),
         (
