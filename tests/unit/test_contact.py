@@ -5,12 +5,13 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given
+from numpy.polynomial import chebyshev
 from numpy.testing import assert_allclose
 from tests import strategies as own
 
 import gapsweep as gs
 from gapsweep.model.contact import FIT_RANGE
-from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates
+from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates, unit_force
 
 SOFT = 1.4e4
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
@@ -62,6 +63,25 @@ def test_rational_fit_beats_polynomial_of_as_many_coefficients():
     rational = gs.contact_law("ratpoly-5/3", SOFT, ASYMMETRIC)
     assert not poles(rational.fit.denominator, rational.fit_range)
     assert rational.rmse < 0.5 * gs.contact_law("poly-9", SOFT, ASYMMETRIC).rmse
+
+
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC])
+def test_no_denominator_near_that_of_a_rational_fit_is_better(gap):
+    """However little it is moved, with the best numerator of each."""
+    fit = gs.contact_law("ratpoly-5/3", 1.0, gap).fit
+    u = np.linspace(-1.0, 1.0, 401)
+    exact = unit_force(u * FIT_RANGE, gap)
+
+    def least(denominator):
+        basis = chebyshev.chebvander(u, 5) / chebyshev.chebval(u, denominator)[:, None]
+        return np.sum((basis @ np.linalg.lstsq(basis, exact, rcond=None)[0] - exact) ** 2)
+
+    best = least(fit.denominator)
+    for k in (1, 2, 3):
+        for moved in (-1e-3, -1e-4, 1e-4, 1e-3):
+            other = np.array(fit.denominator)
+            other[k] += moved
+            assert least(other) > best * (1.0 - 1e-12)
 
 
 def test_rational_fit_with_a_pole_in_range_is_refused_by_name():

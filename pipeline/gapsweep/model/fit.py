@@ -11,6 +11,7 @@ equations well conditioned at every degree allowed (the monomial basis does not)
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -199,25 +200,33 @@ class _Projection:
     def has_pole(self, d: Array) -> bool:
         return bool(np.min(1.0 + self.denominator_basis @ d) <= 0.0)
 
-    def columns(self, d: Array) -> Array:
+    def denominator(self, d: Array) -> Array:
         values = 1.0 + self.denominator_basis @ d
         # A grid point may fall on a root while the search passes over it.
-        values = np.where(np.abs(values) < 1e-12, 1e-12, values)
-        return np.asarray(self.numerator_basis / values[:, None])
+        return np.where(np.abs(values) < 1e-12, 1e-12, values)
+
+    def columns(self, d: Array) -> Array:
+        return np.asarray(self.numerator_basis / self.denominator(d)[:, None])
 
     def residual(self, d: Array) -> Array:
         orthonormal = np.linalg.qr(self.columns(d))[0]
         return np.asarray(self.exact - orthonormal @ (orthonormal.T @ self.exact))
 
-    def sum_of_squares(self, d: Array) -> float:
-        return float(np.sum(self.residual(d) ** 2))
+    def jacobian(self, d: Array) -> Array:
+        """Derivative of `residual`, shape (N_RATIONAL_POINTS, n); Golub & Pereyra's formula."""
+        orthonormal = np.linalg.qr(self.columns(d))[0]
+        fitted = orthonormal @ (orthonormal.T @ self.exact)
+        by_column = self.denominator_basis / self.denominator(d)[:, None]
+        moved, turned = by_column * fitted[:, None], by_column * (self.exact - fitted)[:, None]
+        return np.asarray(moved + orthonormal @ (orthonormal.T @ (turned - moved)))
 
     def minimise(self, d: Array) -> Array:
         if not d.size:
             return d
         from scipy.optimize import least_squares  # slow to import, and most laws need no fit
 
-        return np.asarray(least_squares(self.residual, d, xtol=1e-12, ftol=1e-13, gtol=1e-14).x)
+        given: dict[str, Any] = {"xtol": 1e-12, "ftol": 1e-13, "gtol": 1e-14}
+        return np.asarray(least_squares(self.residual, d, self.jacobian, method="lm", **given).x)
 
     def fit(self, d: Array) -> Fit:
         numerator, denominator = np.zeros(self.n + 1), np.zeros(self.m + 1)
