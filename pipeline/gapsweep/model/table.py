@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PchipInterpolator
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw, checked_gap
@@ -98,6 +97,10 @@ class ForceTable(ContactLaw):
         Shape (n + 1, 5): the straight line below the table, the pieces, that above it. A
         displacement belongs to the piece whose number is that of the table's points not above it.
         """
+        from scipy.interpolate import (
+            PchipInterpolator,
+        )  # slow to import, and most laws are formulas
+
         x, curve = self._places, PchipInterpolator(self.x, self.F)
         found = np.zeros((len(x) + 1, 5))
         found[:, 0] = x[[0, *range(len(x))]]
