@@ -1,5 +1,6 @@
 """The command ``gapsweep``, and how errors become exit codes."""
 
+import gc
 import os
 import sys
 import warnings
@@ -54,6 +55,9 @@ def main() -> None:
     """Entry point: every known error becomes a line on stderr, never a traceback."""
     # In worker processes, too, no module of the current folder may stand in for a library.
     os.environ["PYTHONSAFEPATH"] = "1"
+    # What imports and figures make lives on: looked through as often as usual, it takes an eighth
+    # of the time of a short run.
+    gc.set_threshold(20_000, 25, 25)
     sys.exit(exit_code())
 
 
