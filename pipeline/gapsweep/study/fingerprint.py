@@ -13,7 +13,7 @@ from pathlib import Path
 
 import gapsweep.model
 from gapsweep.errors import ClusterError
-from gapsweep.source import Source, read, with_parents
+from gapsweep.source import Source, read, short_digest, with_parents
 
 _PACKAGE = Path(gapsweep.model.__file__).parents[1]
 # What decides a result, from a point's numbers to its response.
@@ -32,6 +32,27 @@ def numerics_fingerprint(package: Path = _PACKAGE) -> str:
     ClusterError
         If one was edited since this process has begun to load the package: it may run either.
     """
+    return _digest(package, _numerics(package))
+
+
+@cache
+def numerics_bytes(package: Path = _PACKAGE) -> str:
+    """SHA-256 (16 hex digits) of the same modules to the last byte, comments included.
+
+    By this two processes know in no time whether they run the same; the other one is for keys.
+
+    Raises
+    ------
+    ClusterError
+        As `numerics_fingerprint`.
+    """
+    files = sorted(_numerics(package))
+    parts = ((path.relative_to(package).as_posix().encode(), path.read_bytes()) for path in files)
+    return short_digest(b"\0".join(part for named in parts for part in named))
+
+
+def _numerics(package: Path) -> list[Path]:
+    """The files of the modules in `NUMERICS`, if none was edited since they were loaded."""
     paths = (package / name for name in NUMERICS)
     files = [m for p in paths for m in (p.rglob("*.py") if p.is_dir() else [p])]
     if package == _PACKAGE:
@@ -42,7 +63,7 @@ def numerics_fingerprint(package: Path = _PACKAGE) -> str:
                 raise ClusterError(
                     f"{file}: edited after this process loaded gapsweep: start it again"
                 )
-    return _digest(package, files)
+    return files
 
 
 @cache
