@@ -202,7 +202,7 @@ def _in_one_go(usual: Callable[..., Any]) -> Callable[..., Any]:
     """A `compile` that no garbage collection interrupts.
 
     What numba makes lives until it is done: to look through it again and again finds nothing, and
-    takes an eighth of the time.
+    takes 7 % of the time.
     """
 
     def compiled(signature: Any) -> Any:

@@ -97,9 +97,7 @@ class ForceTable(ContactLaw):
         Shape (n + 1, 5): the straight line below the table, the pieces, that above it. A
         displacement belongs to the piece whose number is that of the table's points not above it.
         """
-        from scipy.interpolate import (
-            PchipInterpolator,
-        )  # slow to import, and most laws are formulas
+        from scipy.interpolate import PchipInterpolator  # slow to import, and few laws are tables
 
         x, curve = self._places, PchipInterpolator(self.x, self.F)
         found = np.zeros((len(x) + 1, 5))
