@@ -184,6 +184,8 @@ def test_user_law_is_evaluated_and_differentiated():
         (lambda: gs.Oscillator(omega_n=0.0), r"omega_n = 0: must be > 0"),
         (lambda: gs.Oscillator(mass="heavy"), r"mass = 'heavy': must be a number"),
         (lambda: gs.law(lambda x: 1 / x, SOFT, SYMMETRIC), r"raised ZeroDivisionError"),
+        (lambda: gs.law(lambda x: "12", SOFT, SYMMETRIC), r"must return a number, not '12'"),
+        (lambda: gs.law(lambda x: x > 1.0, SOFT, SYMMETRIC), r"must return a number, not False"),
     ],
 )
 def test_bad_parameters_are_refused_by_name(build, message):

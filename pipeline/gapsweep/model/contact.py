@@ -364,7 +364,7 @@ class UserLaw(ContactLaw):
                 "for the law of a label use gapsweep.contact_law(label, K_c, gap)"
             )
         try:
-            value = float(self.function(0.0))
+            value = _number(self.function(0.0))
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # the user's code may raise anything, SystemExit too
@@ -382,12 +382,19 @@ class UserLaw(ContactLaw):
 
     def force(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
-        return np.reshape([float(self.function(float(v))) for v in x.ravel()], x.shape)
+        return np.reshape([_number(self.function(float(v))) for v in x.ravel()], x.shape)
 
     def derivative(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
         h = SLOPE_STEP * np.maximum(np.abs(x), SLOPE_LENGTH)
         return np.asarray((self.force(x + h) - self.force(x - h)) / (2.0 * h))
+
+
+def _number(force: Any) -> float:
+    """What a function returned, if it is a number: `float` would read text and truth as one."""
+    if isinstance(force, str | bytes | bool | np.bool_):
+        raise TypeError(f"must return a number, not {force!r:.40}")
+    return float(force)
 
 
 def checked_gap(gap: Gap) -> Gap:
