@@ -76,6 +76,8 @@ class _Watch:
 
     def __call__(self, progress: Progress) -> None:
         now = time.monotonic()
+        if progress.n_computed and not self.progress.n_computed:
+            self._seen.clear()  # until the first points came, machine code was made or loaded
         self.progress = progress
         if self.stage != self._stage:
             self._stage, self._begun = self.stage, now
@@ -223,11 +225,12 @@ def sentence(progress: Progress, rate: float) -> str:
     # The first tasks are small, whose points cost ten times as much as those of a full one.
     is_early = progress.n_computed < min(_EARLY, 0.05 * (progress.n_points - progress.n_hits))
     known = rate > 0.0 and not is_early
-    left = duration(missing / rate) if known and missing else "unknown" if missing else "0:00:00"
+    left = f"{duration(missing / rate)} left" if known and missing else "time left unknown"
+    left = left if missing else "0:00:00 left"
     stored = f"{progress.n_hits} from the cache, " if progress.n_hits else ""
     return (
         f"{progress.n_done}/{progress.n_points} points, {rate:.{0 if rate >= 100.0 else 1}f}/s, "
-        f"{stored}{progress.n_failed} failed, {left} left"
+        f"{stored}{progress.n_failed} failed, {left}"
     )
 
 

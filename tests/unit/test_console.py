@@ -22,9 +22,13 @@ def clock(monkeypatch):
 @pytest.mark.parametrize(
     ("progress", "rate", "said"),
     [
-        (Progress(10, 2), 0.0, "2/10 points, 0.0/s, 2 from the cache, 0 failed, unknown left"),
+        (
+            Progress(10, 2),
+            0.0,
+            "2/10 points, 0.0/s, 2 from the cache, 0 failed, time left unknown",
+        ),
         (Progress(10, 2, 4), 2.0, "6/10 points, 2.0/s, 2 from the cache, 0 failed, 0:00:02 left"),
-        (Progress(9999, 0, 64), 8.0, "64/9999 points, 8.0/s, 0 failed, unknown left"),
+        (Progress(9999, 0, 64), 8.0, "64/9999 points, 8.0/s, 0 failed, time left unknown"),
         (
             Progress(9999, 9979, 2),
             1.0,

@@ -20,6 +20,7 @@ import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement import agreement
 from gapsweep.report.drawing import edges, mesh
+from gapsweep.report.maps import numbered_as
 from gapsweep.report.scales import is_log
 from gapsweep.report.style import CLASS_COLOURS, colour
 from gapsweep.study.points import canonical
@@ -291,3 +292,24 @@ def test_many_starts_that_form_a_grid_are_one_mesh(tmp_path, ax, lost, n_images)
             "P1, peak 1 mm",
             "P1, peak 2 mm",
         ]
+
+
+def starts_on(attractors, peaks, periods):
+    """Every start's attractor, with what that is."""
+    at = np.array(attractors)
+    return xr.Dataset(
+        {
+            "attractor": ("initial_condition", at),
+            "x_max": ("initial_condition", np.array(peaks)[at]),
+            "period_multiple": ("initial_condition", np.array(periods)[at]),
+        }
+    )
+
+
+def test_attractors_of_a_law_are_numbered_as_the_exact_ones_that_they_are_like():
+    exact = starts_on([0, 1, 2], peaks=[1.0, 2.0, 3.0], periods=[1, 1, 3])
+    # the second first, another period, one that the exact law has not, and a start without one
+    law = starts_on([0, 1, 2, 0], peaks=[2.02, 1.01, 3.0], periods=[1, 1, 1])
+    law["attractor"][3] = -1
+    assert numbered_as(law, exact)["attractor"].values.tolist() == [1, 0, 3, -1]
+    assert numbered_as(exact, exact)["attractor"].values.tolist() == [0, 1, 2]

@@ -93,7 +93,9 @@ def test_several_attractors_are_told(tmp_path):
 
     responses, attractors = datasets(tmp_path, tables(LABELS, OMEGA, starts=2, **HALF), answer)
     said = findings(responses, [], None, attractors=attractors)
-    assert said[1:] == ["piecewise has several attractors in 2 of 4 places, at most 2."]
+    assert said[1:] == [
+        "piecewise has several attractors in 2 of 4 scenes and frequencies, at most 2."
+    ]
 
 
 def test_what_stand_ins_keep_of_systems_is_told(tmp_path):

@@ -228,6 +228,7 @@ def _stand_ins(here: xr.Dataset) -> str:
     ]
     good = ", ".join(f"{label} ({value:.2g})" for label, value, yes in rows if yes)
     bad = ", ".join(f"{label} ({value:.2g})" for label, value, yes in rows if not yes)
-    text = f"adequate where contacts cannot be located: {good or 'none'}"
-    text = f"{text}; not adequate: {bad}" if bad else text
-    return f"{text}; in brackets the largest force error over the forcing" if rows else text
+    text = f"where contacts cannot be located, by their force alone: {good or 'none'}"
+    text = f"{text}; not {bad}" if bad else text
+    how = "in brackets the largest error of the force over the forcing, which bounds no amplitude"
+    return f"{text}; {how}: a run measures that" if rows else text

@@ -254,7 +254,7 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
         for one in scene["starts"]:
             click.echo(f"\nfrom {one['start']}:")
             print_table(
-                ("from [Hz]", "to [Hz]", "least model", "rtol", "for"),
+                ("from [Hz]", "to [Hz]", "least model", "rtol", "because"),
                 [
                     (*(f"{part[end]:g}" for end in ("from", "to")), part["model"],
                      f"{part['rtol']:g}", part["reason"])
@@ -267,9 +267,12 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
 
 
 def _scene(scene: dict[str, Any]) -> str:
+    from gapsweep.study.schema import UNITS
+
     words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
     swept = scene.keys() - {"K_c", "gap", "starts", "stand_ins", "j_1", "j_2"}
-    return ", ".join(words + [f"{name} = {scene[name]:g}" for name in sorted(swept)])
+    others = [f"{name} = {scene[name]:g} {UNITS.get(name, '')}".strip() for name in sorted(swept)]
+    return ", ".join(words + others)
 
 
 @click.command()

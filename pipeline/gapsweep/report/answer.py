@@ -22,7 +22,7 @@ time. ±: the ends of the intervals lie on both sides of a line between "use", "
 or the frequencies are too few for intervals.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any
@@ -50,6 +50,7 @@ _NO_STAND_INS = ("piecewise-noevents", AUTO)
 # Of each number the estimate, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
 Row = dict[str, Any]  # variables of one law in one contact
+_NEAR = 1.5  # prices whose interval lies within this factor about 1 are called 1
 MOST_CONTACTS = 16  # that are told one by one
 
 
@@ -87,7 +88,8 @@ class Judged:
         if np.isnan(self.low):
             return f"{times(self.price)} ?"
         if self.low <= 1.0 <= self.high:
-            return "≈ 1\u00a0×"
+            is_near = max(self.high, 1.0 / self.low) <= _NEAR
+            return "≈ 1\u00a0×" if is_near else f"{times(self.low)} to {times(self.high)}"
         return (
             times(self.price)
             if self.low > 1.0
@@ -99,7 +101,8 @@ class Judged:
 class Contact:
     """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in.
 
-    `swept` are the values of what the study sweeps beside, `at` is its position in the files.
+    `swept` are the values of what the study sweeps beside, `at` is its position in the files,
+    `floor_price` what the exact law with other settings costs over itself.
     """
 
     K_c: float
@@ -108,6 +111,7 @@ class Contact:
     laws: list[Judged]
     threshold: str
     swept: Sequence[Told] = ()
+    floor_price: float = np.nan
     at: At = field(default_factory=dict)
 
     @property
@@ -185,7 +189,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         judged = [_judged(law, where[law], floors, noise) for law in here_too]
         here = pooled.coords.to_dataset().isel(at)
         gap, swept = gap_label(here), [Told.of(here[name]) for name in beside(here)]
-        known = _threshold(static, here), swept, at
+        known = _threshold(static, here), swept, _floor_price(where, exact), at
         contact = Contact(float(here["K_c"]), gap, floors, judged, *known)
         order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
         found.append((contact.K_c, *order, contact))
@@ -215,6 +219,12 @@ def _values(row: Row) -> Values:
         low, high = row[f"{long}_ci"]
         values[name] = np.array([row[long], *((high, low) if name == "found" else (low, high))])
     return values
+
+
+def _floor_price(where: Mapping[str, Row], exact: Sequence[str]) -> float:
+    """Price of the exact law's other settings, the farthest from 1; NaN if there are none."""
+    prices = [price for label in exact if np.isfinite(price := float(where[label][_PRICE]))]
+    return max(prices, key=lambda price: abs(np.log(price)), default=np.nan)
 
 
 def _worst(exact: Sequence[Values]) -> Values:
@@ -322,7 +332,8 @@ def times(price: float) -> str:
     """A ratio of processor times, two digits."""
     if not np.isfinite(price):
         return "–"
-    return f"{price:.0f}\u00a0×" if price >= 9.95 else f"{price:.1f}\u00a0×"
+    digits = ".0f" if price >= 9.95 else ".1f" if price >= 0.95 else ".2g"
+    return f"{price:{digits}}\u00a0×"
 
 
 def lines(found: Sequence[Contact]) -> Iterator[list[str]]:

@@ -8,7 +8,7 @@ import xarray as xr
 from gapsweep.report.scales import drawn
 from gapsweep.report.style import BANDS, WALL
 from gapsweep.response.result import ResponseClass
-from gapsweep.study.grid import COORDINATE
+from gapsweep.study.grid import COORDINATE, START
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,4 +74,5 @@ def said_of_bands(scene: xr.Dataset) -> str:
     """What a caption says of bands, with a blank before."""
     if not (kinds := _has(scene)):
         return ""
-    return f" Bands: the response from some start is {' or '.join(kinds)}."
+    whose = " from some start" if scene.sizes.get(START, 1) > 1 else ""
+    return f" Bands: the response{whose} is {' or '.join(kinds)}."

@@ -97,7 +97,7 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
     n = attractors["n_attractors"].sel(representation=label).values
     n_places, n_several = int((n > 0).sum()), int((n > 1).sum())
     if n_several:
-        places = f"{n_several} of {n_places} places"
+        places = f"{n_several} of {n_places} scenes and frequencies"
         yield f"{label} has several attractors in {places}, at most {n.max()}."
 
 
@@ -124,7 +124,9 @@ def _closest(found: Sequence[Contact]) -> Iterator[str]:
     counts = Counter(_closest_in(contact) for contact in several)
     undecided = counts.pop("", 0)
     if not counts:
-        if several:
+        if several and all(_is_unknown(contact) for contact in several):
+            yield "Which stand-in is closest is not decided: the frequencies are too few."
+        elif several:
             yield "In no contact is one stand-in clearly closest in amplitude."
         return
     pairs = [*counts.most_common(), *([("no single one", undecided)] if undecided else [])]
@@ -146,6 +148,11 @@ def _closest_in(contact: Contact) -> str:
     return first.law if told else ""
 
 
+def _is_unknown(contact: Contact) -> bool:
+    """Whether no stand-in's error has an interval."""
+    return all(np.isnan(one.values["median"][1:]).all() for one in _models(contact))
+
+
 def _models(contact: Contact) -> list[Judged]:
     """The stand-ins with any amplitudes."""
     return [o for o in contact.laws if o.is_stand_in and np.isfinite(o.values["median"][0])]
@@ -154,7 +161,12 @@ def _models(contact: Contact) -> list[Judged]:
 def _prices(found: Sequence[Contact]) -> Iterator[str]:
     laws = [o for c in found for o in c.laws if o.is_stand_in and np.isfinite(o.price)]
     dearer, cheaper = sum(one.low > 1.0 for one in laws), sum(one.high < 1.0 for one in laws)
-    if laws:
+    if laws and all(np.isnan(one.low) for one in laws):
+        yield (
+            "Which stand-ins cost more than the exact law is not decided: the study does not sweep "
+            "it twice, or has too few frequencies, so that nothing says how far prices repeat."
+        )
+    elif laws:
         pairs = f"{len(laws)} pair{'s' * (len(laws) > 1)}"
         yield (
             f"Of {pairs} of contact and stand-in {dearer} cost more processor time per forcing "

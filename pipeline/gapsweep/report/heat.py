@@ -83,6 +83,8 @@ def _cost(one: Judged) -> str:
     """The price in short; in doubt where nothing says how far it repeats."""
     if one.cost.startswith("≈"):
         return "≈\u00a01"
+    if one.low <= 1.0 <= one.high:
+        return f"{_short(one.low)}–{_short(one.high)}"
     return f"{_short(one.price)}{'?' if np.isnan(one.low) else ''}"
 
 

@@ -36,6 +36,7 @@ from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
 from gapsweep.report.findings import findings, outcomes
 from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
+from gapsweep.report.maps import numbered_as
 from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import Figured, Part, for_page, pictured, rendered
 from gapsweep.report.provenance import as_toml, provenance
@@ -128,6 +129,7 @@ def write_report(
         scripts=[_script("figures"), *([_script("claims")] if claims else [])],
         parts=parts,
         measured_on=timing.attrs["measured_on"],
+        is_compared=agreement is not None,
         has_protocols=any("@" in label for label in labels_of(responses)),
         provenance=provenance(responses),
         toml=as_toml(json.loads(responses.attrs["study_json"])),
@@ -327,9 +329,13 @@ def _scene_figures(
     scene: xr.Dataset, attractors: xr.Dataset | None, at: At, title: str
 ) -> Iterator[Figured]:
     if scene.sizes["omega"] == 1 and (plane := plane_of(scene)):
+        at_once = scene.isel(omega=0)
+        exact = at_once.sel(representation=EXACT) if EXACT in labels_of(scene) else None
         for label in labels_of(scene):
-            one = scene.sel(representation=label).isel(omega=0)
-            yield from maps_of([(one, "attractor"), (one, "x_max")], plane, f"{label}, {title}")
+            one, where = at_once.sel(representation=label), f"{title}, {named(scene['omega'][0])}"
+            if exact is not None and label != EXACT:
+                one = numbered_as(one, exact)
+            yield from maps_of([(one, "attractor"), (one, "x_max")], plane, f"{label}, {where}")
         return
     found = _attractors(attractors, scene, at)
     if found is None:  # curves of many starts would cross between attractors

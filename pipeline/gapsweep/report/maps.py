@@ -23,8 +23,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _START = "initial_condition"
-_MOST_KINDS = 9  # colours that can be told apart; whole numbers beyond have a colour bar
+_MOST_KINDS = 8  # colours that can be told apart; whole numbers beyond have a colour bar
 _TAIL = 0.005  # share of the numbers at either end that may lie beyond the colour bar
+_ALIKE = 0.05  # of the peak: attractors of two laws that one would call the same in a diagram
+# Colours of attractors, which no order of lightness may seem to rank (Okabe & Ito, 2008).
+_NAMED = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#F0E442", "#999999")
 _NO_PICTURE = ("unresolved", "failed")
 
 
@@ -160,6 +163,50 @@ def as_basins(starts: xr.Dataset) -> xr.Dataset:
     )
 
 
+def numbered_as(starts: xr.Dataset, exact: xr.Dataset) -> xr.Dataset:
+    """The starts of a law, its attractors numbered as those of the exact law that they are like.
+
+    Alike are those of one period whose peaks are within `_ALIKE`, the closest pair first; what is
+    like none is counted on after the exact law's.
+
+    Parameters
+    ----------
+    starts, exact : Dataset
+        ``attractor(initial_condition)``, ``period_multiple`` and ``x_max`` of either.
+    """
+    ours, theirs = _attractors(starts), _attractors(exact)
+    pairs = sorted(
+        (abs(peak - their_peak), own, other)
+        for own, (period, peak) in ours.items()
+        for other, (their_period, their_peak) in theirs.items()
+        if period == their_period and abs(peak - their_peak) <= _ALIKE * abs(their_peak)
+    )
+    number: dict[int, int] = {}
+    for _, own, other in pairs:
+        if own not in number and other not in number.values():
+            number[own] = other
+    free = max(theirs, default=-1) + 1
+    for own in ours:
+        if own not in number:
+            number[own], free = free, free + 1
+    found = starts["attractor"].copy()
+    for own, other in number.items():
+        found = found.where(starts["attractor"] != own, other)
+    return starts.assign(attractor=found)
+
+
+def _attractors(starts: xr.Dataset) -> dict[int, tuple[int, float]]:
+    """Period multiple and peak of every attractor that a start ends on."""
+    attractor = starts["attractor"].values
+    return {
+        int(i): (
+            int(starts["period_multiple"].values[attractor == i][0]),
+            float(np.median(starts["x_max"].values[attractor == i])),
+        )
+        for i in np.unique(attractor[attractor >= 0])
+    }
+
+
 def draw(axes: "Axes", shown: Picture) -> None:
     """The mesh, a colour bar of its numbers and a legend of everything else."""
     from matplotlib.cm import ScalarMappable
@@ -273,7 +320,9 @@ def _mark_whole_numbers(made: Picture, values: xr.DataArray) -> None:
     if not known and len(there) > _MOST_KINDS:
         made.numbers = made.numbers.where(whole >= first)
         return
-    shades = sequence(len(there))
+    # Those of attractors are names: one number has one colour in the maps of all laws.
+    is_name = values.name == "attractor"
+    shades = [_NAMED[n % len(_NAMED)] for n in there] if is_name else sequence(len(there))
     for number, shade in zip(there, shades, strict=True):
         name = known.get(number, str(number))
         made.mark(whole == number, name.replace("_", " "), CLASS_COLOURS.get(name, shade))

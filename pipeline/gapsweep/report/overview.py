@@ -13,11 +13,12 @@ import xarray as xr
 from gapsweep.analysis.grid import REPRESENTATION, SWEPT, scene_dims, swept
 from gapsweep.analysis.systems import by_coordinate, is_of_systems
 from gapsweep.errors import DatasetError
+from gapsweep.model.labels import EXACT
 from gapsweep.report.backdrop import said_of_bands, said_of_walls
 from gapsweep.report.drawing import said_of_peaks
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, frequency_response, maps
-from gapsweep.report.maps import Picture, numeric_axes, on_grid, picture
+from gapsweep.report.maps import Picture, numbered_as, numeric_axes, on_grid, picture
 from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scales import named, shown_unit
 from gapsweep.report.selection import places
@@ -158,9 +159,12 @@ def _figures(
     found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
     n_starts = responses.sizes[_START]
     is_one = n_starts > 1 and here[_START].ndim == 0
-    start = f", start {int(here[_START]) + 1} of {n_starts}" if is_one else ""
+    start = f", {_said_of_start(here)} of {n_starts}" if is_one else ""
     where = ", ".join([label, *_where(responses, here)])
     if len(axes) > 1:
+        exact = responses[REPRESENTATION].values == EXACT
+        if axes[0] in _STATE and label != EXACT and exact.any() and not is_of_systems(responses):
+            here = numbered_as(here, responses.isel({**at, REPRESENTATION: int(exact.argmax())}))
         yield from _maps(here, found, axes, where + start)
         return
     for part, suffix in by_coordinate(here):
@@ -168,6 +172,12 @@ def _figures(
         if found is not None and suffix:
             of_part = found.sel({COORDINATE: part[COORDINATE].values})
         yield from _curves(part, of_part, axes[0], where + suffix, start, n_starts)
+
+
+def _said_of_start(here: xr.Dataset) -> str:
+    kind = str(here["start"].values)
+    swept_from = "" if kind == "fixed" else f" ({kind.replace('_', ' ')})"
+    return f"start {int(here[_START]) + 1}{swept_from}"
 
 
 def _maps(
@@ -208,6 +218,7 @@ def maps_of(
     shown = [(name, one) for name, one in pictures if not _everywhere(one)] or pictures[:1]
     drawn = dict.fromkeys(_WORDS[name] for name, _ in shown)
     said = f"{', '.join(drawn)}: {where}."
+    said += " Attractors have the same number and colour in all laws." * ("attractor" in drawn)
     said += "".join(f" {_WORDS[name].capitalize()}: {value} everywhere." for name, value in alike)
     yield Figured(maps([one for _, one in shown]), said[0].upper() + said[1:], f"Maps, {where}")
 

@@ -8,7 +8,10 @@ from gapsweep.status import Status
 from gapsweep.study.selection import positions
 
 # What figures and sentences use.
-_SHOWN = ("status", "response_class", "amplitude", "attractor", "x_max", "x_min", "extrema")
+_SHOWN = (
+    *("status", "response_class", "period_multiple", "amplitude", "attractor"),
+    *("x_max", "x_min", "extrema"),
+)
 _PADDED = "extremum"
 
 
