@@ -82,6 +82,28 @@ def test_a_thousand_fast_cycles_in_no_time_of_a_slow_forcing_keep_their_clock(la
     assert abs(run.x - x) < x_0 * (2.0**-54 / omega * abs(root) + 1e-10)
 
 
+@pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents"])
+def test_a_start_on_a_whole_period_has_no_section_just_after_it(label):
+    law = gs.contact_law(label, K_c=1.4e4, gap=SYMMETRIC)
+    for omega in np.random.default_rng(3).uniform(2.0, 30.0, 40).tolist():
+        for n in (1, 3, 7):
+            t_0 = n / omega
+            run = gs.simulate(gs.Oscillator(), law, omega, t_0=t_0, t_end=t_0 + 2.5 / omega)
+            assert_allclose(run.t_section, [(n + 1) / omega, (n + 2) / omega], rtol=1e-12)
+
+
+def test_an_end_on_a_wall_and_on_a_whole_period_has_one_section():
+    """To the last bit: the landing rounds its clock up to the period, what it owes unmakes that."""
+    run = gs.simulate(
+        gs.Oscillator(zeta=0.01, forcing=0.0, alpha=0.0),
+        gs.contact_law("piecewise", K_c=1.4e4, gap=SYMMETRIC),
+        omega=19.683221843643295, x_0=8.005878267864099e-06, v_0=0.027973520499627154,
+        t_end=0.05080469081452488, controller="ode45", restart=True,
+    )  # fmt: skip
+    assert abs(abs(run.x) - 4e-4) < 1e-15
+    assert_allclose(run.t_section, [0.05080469081452488], rtol=1e-12)
+
+
 @pytest.mark.parametrize("label", LABELS)
 def test_a_point_is_the_same_alone_and_in_any_company(label):
     law = gs.contact_law(label, 1.4e5, gs.Gap(0.0, 0.8e-3))

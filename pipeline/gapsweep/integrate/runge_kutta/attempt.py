@@ -119,7 +119,8 @@ def _commit(at, lane, commit, ended, h):
     turned = fma(h, load(lane, at.omega), tau_low)
     tau1 = tau + turned
     low1 = select(ended, 0.0, turned - (tau1 - tau))
-    whole = simd.floor(tau1)
+    # A landing rounded up to a whole turn is past it: what it owes takes it below, but not back.
+    whole = maximum(simd.floor(tau1), simd.splat(0.0))
     tau1 = select(ended, load(lane, at.end_tau), tau1 - whole)
     turns1 = select(ended, load(lane, at.end_turns), turns + whole)
     store(lane, at.tau, select(commit, tau1, tau))

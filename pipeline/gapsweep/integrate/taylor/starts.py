@@ -17,6 +17,7 @@ from gapsweep.integrate.jit import entry, internal
 FLOOR_SHARE = 1e-3
 READY, ON_WALL, NOT_FINITE, BACKWARD = range(4)
 _CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
+_START_ROUNDING = 1.5 * np.finfo(float).eps
 
 
 @entry
@@ -169,11 +170,14 @@ def _swing(at, point):
 
 @internal
 def _set_clocks(at, point, t_0, t_end, record_from):
-    # The product is rounded to a whole number if t_0 was meant as one: its rounding and that of
-    # t_0 are of one size. Everything later counts from the start, so nothing else is lost.
+    # A start that the roundings of t_0, omega and their product separate from a whole period is
+    # meant as one: else its section would be recorded just after it, and in two runs end to end
+    # twice. Everything later counts from the start, so nothing else is lost.
     omega = point[at.omega]
     start, stop = t_0 * omega, t_end * omega
     tau = start - np.floor(start)
+    if abs(start - np.rint(start)) <= _START_ROUNDING * abs(start):
+        tau = 0.0
     end = tau + (t_end - t_0) * omega
     if tau == 0.0 and stop == np.rint(stop):
         end = stop - start
