@@ -16,6 +16,7 @@ from gapsweep import workflow
 from gapsweep.execution import execute
 from gapsweep.execution.cluster import cluster
 from gapsweep.execution.plan import plan
+from gapsweep.execution.portions import Costs
 from gapsweep.model.labels import contact_law
 from gapsweep.store.cache import Cache
 from gapsweep.study.schema import POINT_DIMS, VARIABLES, coordinates
@@ -85,7 +86,7 @@ def test_workers_and_batches_do_not_change_a_bit(tables, client, tmp_path):
 
 @pytest.mark.parametrize("timeout", [0.5, 5.0, 600.0])
 def test_a_task_aims_at_less_than_the_time_that_a_point_may_take(timeout):
-    costs = execute._Costs("compiled", timeout)
+    costs = Costs("compiled", timeout)
     costs.add(0, n_points=100, seconds=1.0)
     assert 1 < costs.room(0) <= 0.5 * timeout * 100
 

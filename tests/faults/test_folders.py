@@ -16,7 +16,7 @@ from tests.stored import damaged_row
 
 import gapsweep as gs
 from gapsweep import make, workflow
-from gapsweep.execution.execute import _SWEEP_PART
+from gapsweep.execution.portions import SWEEP_PART
 from gapsweep.folder import changed_since
 from gapsweep.store.artefact import alone_in
 from gapsweep.store.state import RunState
@@ -180,7 +180,7 @@ def test_damaged_settings_of_a_dataset_are_made_again(finished, tmp_path, said):
 def test_one_lost_row_of_a_sweep_is_one_point_to_compute(finished):
     path = finished / "c.sqlite"
     n_lost = 2 * damaged_row(path)
-    assert 0 < n_lost <= 2 * _SWEEP_PART
+    assert 0 < n_lost <= 2 * SWEEP_PART
     done = gapsweep(finished, "run", "tiny.toml", "--out", "out")
     assert done.returncode == 0, done.stderr
     # One part of the sweep of twenty, for each label, and none that comes behind it.

@@ -7,22 +7,29 @@ worker is lost, its points are computed again one by one where they can harm nob
 fails alone is marked as failed.
 """
 
-import random
 import time
 from collections import deque
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from distributed import Client, Future, as_completed
 from distributed.scheduler import KilledWorker
-from numpy.typing import NDArray
 
 from gapsweep.errors import ClusterError
 from gapsweep.execution.alone import LONGEST, compute_alone
 from gapsweep.execution.cluster import check_software, check_workers
 from gapsweep.execution.plan import Plan
+from gapsweep.execution.portions import (
+    MAX_BATCH,
+    Costs,
+    Rows,
+    cut,
+    is_first_of_sweep,
+    once,
+    repeated,
+    shuffled,
+)
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.sweeps import start_of
 from gapsweep.execution.task import Task, TaskResult, Tile, compute, process
@@ -36,19 +43,9 @@ from gapsweep.study.points import KEY
 from gapsweep.study.software import software
 from gapsweep.study.study import Study
 
-# Short against a user's patience and against what a kill may cost; until then, the more points
-# share the lanes, the less each costs: half in 4,096 of what it costs in 250.
-_TASK_SECONDS = 4.0
-# A task has the time of one point: it aims at so much of it, for costs differ.
-_PART_OF_TIMEOUT = 0.25
-_MAX_BATCH = 4096
 # A task takes at most this part of a thread's share of what is left, so that all end together.
 _PART_OF_SHARE = 0.5
 _MIN_BATCH = 64
-# Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
-_FIRST_BATCH = {"compiled": 16, "scipy": 1}
-# A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.
-_SWEEP_PART = 16
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
 _COMMIT_POINTS = 4096
@@ -57,9 +54,6 @@ _MAX_ATTEMPTS = 5
 _MAX_LOSSES = 20  # no fault of the job: far more than workers die of anything else
 _WAIT_SECONDS = 0.1
 _CLUSTER_LOST = "the cluster was lost; run again to resume"
-
-# Numbers of points in the plan, ascending.
-Rows = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,14 +142,14 @@ class _Execution:
         self.client, self.batch, self.timeout = client, batch, timeout
         # The last windows of all points of a task are in memory at once, state by state.
         structure = study.structure
-        self.largest_batch = 2 * _MAX_BATCH // (structure.n_states if structure else 2)
+        self.largest_batch = 2 * MAX_BATCH // (structure.n_states if structure else 2)
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
         # What must be computed although it is stored: failures, and what follows them in a sweep.
         self.is_stale = plan.is_missing & (plan.status >= 0)
         self.progress = Progress(plan.n_points, plan.n_hits)
-        self.is_repeated = _repeated(plan)
-        missing = _once(plan, self.is_repeated)
-        self.blocks = _shuffled(plan, missing)
+        self.is_repeated = repeated(plan)
+        missing = once(plan, self.is_repeated)
+        self.blocks = shuffled(plan, missing)
         self.n_new = len(missing)
         self.n_once = plan.n_missing - len(missing)  # computed under another label only
         # What comes before new points: the rest of a block, and of long sweeps.
@@ -168,7 +162,7 @@ class _Execution:
         self.arrived: list[Slab] = []
         self.held: list[tuple[int, int]] = []  # claims on the points of those slabs
         self.last_commit = time.monotonic()
-        self.costs = _Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout)
+        self.costs = Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout)
 
     def finish(self, on_progress: OnProgress | None) -> None:
         completed = as_completed(loop=self.client.loop)
@@ -236,7 +230,7 @@ class _Execution:
         if not self.begun:
             return None
         rows = self.begun.popleft()
-        drawn, rest, others = _cut(rows, self.plan.follows, self._room(rows[0]))
+        drawn, rest, others = cut(rows, self.plan.follows, self._room(rows[0]))
         if others.size:
             self.begun.appendleft(others)
         return drawn, rest
@@ -275,7 +269,7 @@ class _Execution:
 
     def _tiles(self, rows: Rows) -> list[Tile]:
         keys, previous = self.plan.keys[rows], self.plan.previous(rows)
-        is_first = _is_first(rows, self.plan.follows)
+        is_first = is_first_of_sweep(rows, self.plan.follows)
         tiles = []
         for at, points in self.study.points(self.plan.cells[rows]):
             firsts = np.flatnonzero(is_first[at])
@@ -373,87 +367,3 @@ def _is_gone(future: Future) -> bool:
     if future.status == "cancelled":
         raise ClusterError(_CLUSTER_LOST) from None
     return future.status in ("lost", "pending")
-
-
-def _repeated(plan: Plan) -> NDArray[np.bool_]:
-    """Which points a study names under several labels."""
-    # By the first eight bytes: numbers are sorted faster than whole keys, and in less memory.
-    heads = plan.keys.view(np.uint64)[:: plan.keys.itemsize // 8]
-    _, number, counts = np.unique(heads, return_inverse=True, return_counts=True)
-    return np.asarray(counts[number] > 1)
-
-
-def _once(plan: Plan, is_repeated: NDArray[np.bool_]) -> Rows:
-    """What is missing; of fixed starts that are named under several labels, the first."""
-    in_sweep = plan.follows | np.append(plan.follows[1:], False)
-    alone = np.flatnonzero(plan.is_missing & is_repeated & ~in_sweep)
-    _, first = np.unique(plan.keys[alone], return_index=True)
-    is_left = plan.is_missing.copy()
-    is_left[np.delete(alone, first)] = False
-    return np.flatnonzero(is_left)
-
-
-def _is_first(rows: Rows, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which points begin a sweep, or go on with one of which the part before is not among them."""
-    is_next = np.diff(rows, prepend=-2) == 1
-    return np.asarray(~(is_next & follows[rows]))
-
-
-def _cut(rows: Rows, follows: NDArray[np.bool_], room: int) -> tuple[Rows, Rows, Rows]:
-    """As many points as there is room for, what follows in their sweeps, and all others."""
-    is_first = _is_first(rows, follows)
-    sweep = np.cumsum(is_first) - 1
-    firsts = np.flatnonzero(is_first)
-    is_late = np.arange(len(rows)) - firsts[sweep] >= _SWEEP_PART
-    size = np.cumsum(np.bincount(sweep[~is_late]))
-    n_sweeps = max(int(np.searchsorted(size, room, side="right")), 1)
-    is_drawn = sweep < n_sweeps
-    return rows[is_drawn & ~is_late], rows[is_drawn & is_late], rows[~is_drawn]
-
-
-class _Costs:
-    """Mean cost of the points of each representation, as far as it is known."""
-
-    def __init__(self, engine: str, timeout: float) -> None:
-        self.unknown = _FIRST_BATCH[engine]
-        self.aim = min(_TASK_SECONDS, _PART_OF_TIMEOUT * timeout)  # s for a task
-        self.seconds: dict[int, float] = {}
-        self.n_points: dict[int, int] = {}
-
-    def add(self, representation: int, n_points: int, seconds: float) -> None:
-        """Learn from a task."""
-        self.seconds[representation] = self.seconds.get(representation, 0.0) + seconds
-        self.n_points[representation] = self.n_points.get(representation, 0) + n_points
-
-    def knows(self, representation: int) -> bool:
-        """Whether a point of this representation has been computed."""
-        return representation in self.n_points
-
-    def room(self, representation: int) -> int:
-        """Points that fill a task."""
-        if not self.knows(representation):
-            return self.unknown
-        price = self.seconds[representation] / self.n_points[representation]
-        return int(min(max(self.aim / max(price, 1e-9), 1.0), _MAX_BATCH))
-
-
-def _shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
-    """What is missing, in random order of blocks of neighbours, which cost alike.
-
-    A block is as large as a task may be, of one representation, and made of whole sweeps. One of
-    each representation leads, in the study's order: the exact law is mostly the first, and its
-    kernel is another than that of the second.
-    """
-    if not missing.size:
-        return iter(())
-    firsts = np.flatnonzero(_is_first(missing, plan.follows))
-    representation = plan.representation(missing[firsts])
-    block = np.cumsum(np.diff(firsts, append=len(missing))) // _MAX_BATCH
-    is_new = (np.diff(representation, prepend=-1) != 0) | (np.diff(block, prepend=-1) > 0)
-    blocks = np.split(missing, firsts[is_new][1:])
-    random.shuffle(blocks)
-    _, leading = np.unique(
-        plan.representation(np.array([block[0] for block in blocks])), return_index=True
-    )
-    others = np.setdiff1d(np.arange(len(blocks)), leading)
-    return iter([blocks[i] for i in (*leading, *others)])

@@ -1,0 +1,107 @@
+"""Which missing points make a task: in what order they come, and how many of them fill one."""
+
+import random
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.execution.plan import Plan
+
+# Short against a user's patience and against what a kill may cost; until then, the more points
+# share the lanes, the less each costs: half in 4,096 of what it costs in 250.
+_TASK_SECONDS = 4.0
+# A task has the time of one point: it aims at so much of it, for costs differ.
+_PART_OF_TIMEOUT = 0.25
+MAX_BATCH = 4096
+# Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
+_FIRST_BATCH = {"compiled": 16, "scipy": 1}
+# A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.
+SWEEP_PART = 16
+
+# Numbers of points in the plan, ascending.
+Rows = NDArray[np.intp]
+
+
+def repeated(plan: Plan) -> NDArray[np.bool_]:
+    """Which points a study names under several labels."""
+    # By the first eight bytes: numbers are sorted faster than whole keys, and in less memory.
+    heads = plan.keys.view(np.uint64)[:: plan.keys.itemsize // 8]
+    _, number, counts = np.unique(heads, return_inverse=True, return_counts=True)
+    return np.asarray(counts[number] > 1)
+
+
+def once(plan: Plan, is_repeated: NDArray[np.bool_]) -> Rows:
+    """What is missing; of fixed starts that are named under several labels, the first."""
+    in_sweep = plan.follows | np.append(plan.follows[1:], False)
+    alone = np.flatnonzero(plan.is_missing & is_repeated & ~in_sweep)
+    _, first = np.unique(plan.keys[alone], return_index=True)
+    is_left = plan.is_missing.copy()
+    is_left[np.delete(alone, first)] = False
+    return np.flatnonzero(is_left)
+
+
+def is_first_of_sweep(rows: Rows, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which points begin a sweep, or go on with one of which the part before is not among them."""
+    is_next = np.diff(rows, prepend=-2) == 1
+    return np.asarray(~(is_next & follows[rows]))
+
+
+def cut(rows: Rows, follows: NDArray[np.bool_], room: int) -> tuple[Rows, Rows, Rows]:
+    """As many points as there is room for, what follows in their sweeps, and all others."""
+    is_first = is_first_of_sweep(rows, follows)
+    sweep = np.cumsum(is_first) - 1
+    firsts = np.flatnonzero(is_first)
+    is_late = np.arange(len(rows)) - firsts[sweep] >= SWEEP_PART
+    size = np.cumsum(np.bincount(sweep[~is_late]))
+    n_sweeps = max(int(np.searchsorted(size, room, side="right")), 1)
+    is_drawn = sweep < n_sweeps
+    return rows[is_drawn & ~is_late], rows[is_drawn & is_late], rows[~is_drawn]
+
+
+class Costs:
+    """Mean cost of the points of each representation, as far as it is known."""
+
+    def __init__(self, engine: str, timeout: float) -> None:
+        self.unknown = _FIRST_BATCH[engine]
+        self.aim = min(_TASK_SECONDS, _PART_OF_TIMEOUT * timeout)  # s for a task
+        self.seconds: dict[int, float] = {}
+        self.n_points: dict[int, int] = {}
+
+    def add(self, representation: int, n_points: int, seconds: float) -> None:
+        """Learn from a task."""
+        self.seconds[representation] = self.seconds.get(representation, 0.0) + seconds
+        self.n_points[representation] = self.n_points.get(representation, 0) + n_points
+
+    def knows(self, representation: int) -> bool:
+        """Whether a point of this representation has been computed."""
+        return representation in self.n_points
+
+    def room(self, representation: int) -> int:
+        """Points that fill a task."""
+        if not self.knows(representation):
+            return self.unknown
+        price = self.seconds[representation] / self.n_points[representation]
+        return int(min(max(self.aim / max(price, 1e-9), 1.0), MAX_BATCH))
+
+
+def shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
+    """What is missing, in random order of blocks of neighbours, which cost alike.
+
+    A block is as large as a task may be, of one representation, and made of whole sweeps. One of
+    each representation leads, in the study's order: the exact law is mostly the first, and its
+    kernel is another than that of the second.
+    """
+    if not missing.size:
+        return iter(())
+    firsts = np.flatnonzero(is_first_of_sweep(missing, plan.follows))
+    representation = plan.representation(missing[firsts])
+    block = np.cumsum(np.diff(firsts, append=len(missing))) // MAX_BATCH
+    is_new = (np.diff(representation, prepend=-1) != 0) | (np.diff(block, prepend=-1) > 0)
+    blocks = np.split(missing, firsts[is_new][1:])
+    random.shuffle(blocks)
+    _, leading = np.unique(
+        plan.representation(np.array([block[0] for block in blocks])), return_index=True
+    )
+    others = np.setdiff1d(np.arange(len(blocks)), leading)
+    return iter([blocks[i] for i in (*leading, *others)])
