@@ -244,6 +244,13 @@ def test_little_damping_bounds_what_a_redraw_costs():
     assert steady.t_max == pytest.approx(100.0 / 5.0)
 
 
+def test_no_motion_is_asked_for_an_exponent():
+    curve = from_rest(of_model(law=gs.Piecewise(1.4e6, gs.Gap(0.4e-3, 0.4e-3))), EXACT)
+    wild = curve.response_class[~curve.is_periodic]
+    assert wild.size
+    assert set(wild.tolist()) == {gs.ResponseClass.UNRESOLVED}
+
+
 def test_the_nearest_response_is_found():
     curve = from_rest(of_model(LINEAR, FREE), EXACT)
     spot = nearest([curve], curve.omega[70] + 1e-4, curve.x_max[70], (1.0, 1e-3))

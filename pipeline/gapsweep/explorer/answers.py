@@ -1,8 +1,8 @@
 """What the page shows: pure functions from a question to arrays, in the order of their haste.
 
 Every response begins from rest, whatever was shown before, so that the same sliders show the same
-figure. It is settled by rules looser than a study's (`settled`): a figure that follows a slider may
-take a slow transient for chaos, a dataset may not.
+figure. It is given less time to settle than a study's (`settled`): a figure that follows a slider
+may show a slow transient as not periodic, a dataset may not.
 """
 
 import math
@@ -31,7 +31,8 @@ REST, UP, DOWN = "from rest", "sweep up", "sweep down"
 BASINS, MAP = "basins", "map"
 # Decay times after which a transient counts as gone, and natural periods that bound them where
 # damping is so weak that a slider would have to wait.
-DECAY_TIMES, NATURAL_PERIODS = 10.0, 100.0
+DECAY_TIMES, NATURAL_PERIODS = 13.0, 100.0
+_NEVER = 1e-9  # of a disturbance: what is left of it after 20 decay times
 # Of a motion: forcing periods of its section, and the last ones, which the other figures show.
 N_SECTION, N_PERIODS, SAMPLES_PER_PERIOD = 300, 60, 128
 # Starts on either side of the plane of starts, and frequencies and values on those of the map.
@@ -314,21 +315,28 @@ def _joined(parts: list[Curve]) -> Curve:
 
 
 def settled(oscillator: Oscillator) -> Steady:
-    """When a response counts as steady on the page."""
+    """When a response counts as steady on the page: when it repeats itself in good time.
+
+    A motion that does not is asked no exponent, which would take longer than all others together:
+    no time that it is given lets so little of a disturbance be left.
+    """
     return Steady(
-        settle_tol=1e-3,
-        max_decay_times=DECAY_TIMES,
-        t_max=NATURAL_PERIODS / oscillator.omega_n,
+        settle_tol=_NEVER,
+        t_max=_transient(oscillator),
         n_periods=32,
         max_period_multiple=16,
     )
 
 
+def _transient(oscillator: Oscillator) -> float:
+    """How long [s] motions are given to settle."""
+    bound, rate = NATURAL_PERIODS / oscillator.omega_n, oscillator.settling_rate
+    return min(bound, DECAY_TIMES / rate) if rate else bound
+
+
 def _settling(oscillator: Oscillator, omega: float) -> int:
     """Forcing periods that transients take."""
-    bound = NATURAL_PERIODS / oscillator.omega_n
-    rate = oscillator.settling_rate
-    return math.ceil(omega * min(bound, DECAY_TIMES / rate if rate else bound))
+    return math.ceil(omega * _transient(oscillator))
 
 
 def motion(question: Question, label: str) -> Motion:

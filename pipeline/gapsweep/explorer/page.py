@@ -51,11 +51,12 @@ from gapsweep.model.labels import AUTO, EXACT
 
 _MM = 1e3
 _SIDE = 300  # pixels
+_FRAME = 60  # ms in which a browser draws one figure, before others keep it busy
 _WARMING = "Compiling the engine: the first time takes up to a minute …"
 _NOTE = (
     f"{N_OMEGA} frequencies, every response from rest, then sweeps of the exact law; "
     "compiled engine, rtol 1e-6, atol 1e-9 m. Transients are given "
-    f"{DECAY_TIMES:g} decay times: what takes longer may look chaotic here, and "
+    f"{DECAY_TIMES:g} decay times: what takes longer is shown as not periodic, and "
     "<code>gapsweep run</code> waits for it. "
     "Click a dot, a start or a place in the map to look at its motion."
 )
@@ -109,7 +110,7 @@ class Page:
         document.add_root(self._layout())
         document.title = "gapsweep explore"
         document.template = _TEMPLATE
-        self._latest = Latest(answers, self._later(self._show), self._later(self._refuse))
+        self._latest = Latest(answers, self._later(self._receive), self._later(self._refuse))
         document.on_session_destroyed(lambda _: self.stop())
         if stored is None:
             self._ask()
@@ -201,7 +202,6 @@ class Page:
             self._refuse(self._question, str(error))
             return
         self._question = question
-        self._figures.look_at(question)
         self._latest.ask(question)
 
     def _read(self, name: str) -> float:
@@ -293,26 +293,31 @@ class Page:
 
         return soon
 
+    def _receive(self, question: Question, answer: Curve | Motion | Plane) -> None:
+        """Show the first response at once, and what follows it when that is drawn."""
+        if _is_first(answer):
+            self._show(question, answer)
+        else:
+            self._document.add_timeout_callback(partial(self._show, question, answer), _FRAME)
+
     def _show(self, question: Question, answer: Curve | Motion | Plane) -> None:
         """Draw an answer, and say what it is."""
-        is_first = isinstance(answer, Curve) and (answer.label, answer.protocol) == (EXACT, REST)
+        is_first = _is_first(answer)
         # A slider that never rests is followed by first answers; the others would be of the past.
         if question is not self._question and not is_first:
             return
         if is_first:
             self._curves, self._motions = {}, {}
+            self._figures.look_at(question)
         self._figures.show(question, answer)
-        if is_first:
-            # Once the curve is drawn: they take the browser as long as it does.
-            self._later(self._figures.planes.look_at)(question, self._dials[question.over])
-        if isinstance(answer, Plane):
-            return
         if isinstance(answer, Curve):
             self._curves[answer.label, answer.protocol] = answer
-        else:
+        if isinstance(answer, Motion):
+            # Not with the first curve: words lay out the page anew, which takes the browser longer.
             self._motions[answer.label] = answer
-        self._status.text = self._words(question)
-        self._legend.text = legend(question, self._motions.values())
+            self._figures.planes.look_at(question, self._dials[question.over])
+            self._status.text = self._words(question)
+            self._legend.text = legend(question, self._motions.values())
 
     def _words(self, question: Question) -> str:
         x, v = question.start
@@ -324,6 +329,10 @@ class Page:
     def _refuse(self, _question: Question, problem: str) -> None:
         """Say what is wrong; the figures stay as they are."""
         self._status.text = f'<span style="color:#c00000">{escape(problem)}</span>'
+
+
+def _is_first(answer: Curve | Motion | Plane) -> bool:
+    return isinstance(answer, Curve) and (answer.label, answer.protocol) == (EXACT, REST)
 
 
 # --- sliders --------------------------------------------------------------------------------------
