@@ -403,22 +403,22 @@ def _computed(
     from gapsweep.execution.execute import execute
 
     joined = nullcontext(client) if client is not None else cluster(workers, scheduler)
-    with joined as connected:
+    # The cache first: one that cannot be written is found before anybody waits for workers.
+    with Cache(cache_path(cache)) as store, joined as connected:
         if begin is not None:
             begin()
-        with Cache(cache_path(cache)) as store:
-            if store.on_network:
-                warnings.warn(
-                    f"{store.path}: on a network file system, so without SQLite's write-ahead log: "
-                    "slower; a local disk (--cache) is better",
-                    stacklevel=3,
-                )
-            try:
-                done = execute(study, planned, store, connected, on_progress=on_progress, **how)
-            except KeyboardInterrupt as interrupt:
-                _tell(on_progress, before, "interrupted, stopping")
-                interrupt.add_note(f"{store.path} keeps what was computed: run again to resume")
-                raise
+        if store.on_network:
+            warnings.warn(
+                f"{store.path}: on a network file system, so without SQLite's write-ahead log: "
+                "slower; a local disk (--cache) is better",
+                stacklevel=3,
+            )
+        try:
+            done = execute(study, planned, store, connected, on_progress=on_progress, **how)
+        except KeyboardInterrupt as interrupt:
+            _tell(on_progress, before, "interrupted, stopping")
+            interrupt.add_note(f"{store.path} keeps what was computed: run again to resume")
+            raise
         if client is None and not scheduler:
             _tell(on_progress, done, "stopping the workers")
     return done

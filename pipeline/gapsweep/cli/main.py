@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 import sys
 import warnings
 from typing import TextIO
@@ -80,6 +81,8 @@ def exit_code(arguments: list[str] | None = None) -> int:
             error.show()
             return error.exit_code
         except (click.Abort, KeyboardInterrupt):
+            # All is said: whoever presses Ctrl-C once more shall see no library's clean-up break.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
             click.echo("interrupted; run again to resume", err=True)
             return INTERRUPTED
     return int(result or FINISHED)

@@ -41,7 +41,7 @@ from gapsweep.study.software import software
 
 Result = TypeVar("Result")
 
-LONGEST = 1e8  # s: what watches over time limits knows no longer ones
+_LONGEST = 1e8  # s: what watches over time limits knows no longer ones
 _START_SECONDS = 120.0
 _LOOK_SECONDS = 0.1
 _LEAVE_SECONDS = 2.0
@@ -54,6 +54,19 @@ _HEAD = struct.Struct(">8sQQ")
 _PIECE = 2**20
 _OTHERWISE = "its process answered with something else"
 _CHILD = "from gapsweep.execution.alone import child; child()"
+
+
+def time_limit(timeout: float) -> float:
+    """A time limit [s] that is a number > 0, and none that nobody would live to see.
+
+    Raises
+    ------
+    ClusterError
+        If it is none.
+    """
+    if not timeout > 0.0:
+        raise ClusterError(f"timeout = {timeout:g} s: must be > 0")
+    return min(timeout, _LONGEST)
 
 
 class CallError(Exception):
@@ -83,7 +96,7 @@ class Alone:
     """
 
     def __init__(self, timeout: float) -> None:
-        self.timeout = min(timeout, LONGEST)
+        self.timeout = time_limit(timeout)
         self._child: _Child | None = None
 
     def __enter__(self) -> "Alone":
@@ -195,6 +208,7 @@ class _Child:
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            start_new_session=True,  # whatever a law starts ends with it
         )
         theirs.close()
         self.n_calls, self.is_busy = 0, True
@@ -278,7 +292,8 @@ class _Child:
         self.connection.close()
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(0.0 if self.is_busy else _LEAVE_SECONDS)
-        self.process.kill()
+        with suppress(ProcessLookupError):  # nobody is left
+            os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
 
 

@@ -17,7 +17,7 @@ from distributed import Client, Future, as_completed
 from distributed.scheduler import KilledWorker
 
 from gapsweep.errors import ClusterError
-from gapsweep.execution.alone import LONGEST, compute_alone
+from gapsweep.execution.alone import compute_alone, time_limit
 from gapsweep.execution.cluster import check_software, check_workers
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.portions import (
@@ -109,9 +109,7 @@ def execute(
         If the workers run other code, or the cluster is lost; what arrived is stored. Or if the
         time limit is none.
     """
-    if not timeout > 0.0:
-        raise ClusterError(f"timeout = {timeout:g} s: must be > 0")
-    timeout = min(timeout, LONGEST)
+    timeout = time_limit(timeout)
     check_workers(client)
     with Claims(cache.path, plan.keys.data) as claims:
         run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)

@@ -92,8 +92,10 @@ class RunState:
             raise StoreError(f"{path}: no such file; 'gapsweep run' makes it") from None
         except NotADirectoryError:
             raise StoreError(f"{folder}: {NO_FOLDER}") from None
-        except (OSError, ValueError, TypeError) as error:
-            raise StoreError(f"{path}: cannot be read: {error}; run the study again") from None
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be read: {error.strerror}") from None
+        except (ValueError, TypeError):
+            raise StoreError(f"{path}: is no state of a run; run the study again") from None
         if is_dead:
             return replace(found, state=DIED, message="its process is gone; run again to resume")
         return found

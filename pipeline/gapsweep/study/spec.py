@@ -320,7 +320,8 @@ class StudySpec(Table):
                 wrong.append(f"sweep: give {name} in every block, or in none")
         n_points = sum(block.count for block in self.sweep)
         if n_points > MAX_POINTS:
-            wrong.append(f"{n_points} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
+            said = n_points if n_points < 10**15 else "more than 10^15"
+            wrong.append(f"{said} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
         wrong += [
             f"bench.scene {scene.name!r}: {problem}"
             for scene in scenes

@@ -115,10 +115,11 @@ class Study:
         return study
 
     def _checked(self) -> "Study":
-        try:
-            _ = self._protocols
-        except ModelError as error:
-            raise StudyError([f"{self.source}: solver: {error}"]) from None
+        for table, read in (("solver", lambda: self._protocols), ("sweep", lambda: self._axes)):
+            try:
+                read()
+            except ModelError as error:
+                raise StudyError([f"{self.source}: {table}: {error}"]) from None
         self._check_modules()
         if self.systems is not None:
             self.systems.check()
