@@ -79,3 +79,12 @@ def working(seconds: float) -> float:
             pass
         time.sleep(0.02)
     return seconds
+
+
+def forking() -> int:
+    """Number of a process that stays behind."""
+    pid = os.fork()
+    if not pid:
+        time.sleep(600.0)
+        os._exit(0)
+    return pid

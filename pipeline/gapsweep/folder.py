@@ -90,16 +90,21 @@ def changed_since(study: Study, folder: Path) -> list[str]:
     return changed + [n for n, old in axes.items() if {*old} - {*study.grid.axes.get(n, ())}]
 
 
-def check_writable(folder: Path) -> None:
-    """Fail before anything is computed if the results could not be stored."""
+def check_writable(folder: Path, other: str = "another folder with --out") -> None:
+    """Fail before anything is computed if the results could not be stored.
+
+    Raises
+    ------
+    StoreError
+        If nothing can be written in a folder; `other` is what to name then.
+    """
     if folder.is_symlink() and not folder.exists():
-        raise StoreError(f"{folder}: is a link to nothing; remove it, or name another folder")
+        raise StoreError(f"{folder}: is a link to nothing; remove it, or name {other}")
     existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
     try:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
         raise StoreError(
-            f"{folder}: cannot be written: {existing}: {error.strerror}; name another folder with "
-            "--out"
+            f"{folder}: cannot be written: {existing}: {error.strerror}; name {other}"
         ) from None

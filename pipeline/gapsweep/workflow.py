@@ -397,28 +397,30 @@ def _computed(
             begin()
         return Progress(planned.n_points, planned.n_hits)
     before = Progress(planned.n_points, planned.n_hits)
+    # Now, before anybody waits for workers.
+    check_writable(cache_path(cache).parent, "a cache elsewhere with --cache")
     if client is None:
         _tell(on_progress, before, f"joining {scheduler}" if scheduler else "starting the workers")
     from gapsweep.execution.cluster import cluster
     from gapsweep.execution.execute import execute
 
     joined = nullcontext(client) if client is not None else cluster(workers, scheduler)
-    # The cache first: one that cannot be written is found before anybody waits for workers.
-    with Cache(cache_path(cache)) as store, joined as connected:
+    with joined as connected:
         if begin is not None:
             begin()
-        if store.on_network:
-            warnings.warn(
-                f"{store.path}: on a network file system, so without SQLite's write-ahead log: "
-                "slower; a local disk (--cache) is better",
-                stacklevel=3,
-            )
-        try:
-            done = execute(study, planned, store, connected, on_progress=on_progress, **how)
-        except KeyboardInterrupt as interrupt:
-            _tell(on_progress, before, "interrupted, stopping")
-            interrupt.add_note(f"{store.path} keeps what was computed: run again to resume")
-            raise
+        with Cache(cache_path(cache)) as store:
+            if store.on_network:
+                warnings.warn(
+                    f"{store.path}: on a network file system, so without SQLite's write-ahead log: "
+                    "slower; a local disk (--cache) is better",
+                    stacklevel=3,
+                )
+            try:
+                done = execute(study, planned, store, connected, on_progress=on_progress, **how)
+            except KeyboardInterrupt as interrupt:
+                _tell(on_progress, before, "interrupted, stopping")
+                interrupt.add_note(f"{store.path} keeps what was computed: run again to resume")
+                raise
         if client is None and not scheduler:
             _tell(on_progress, done, "stopping the workers")
     return done

@@ -4,6 +4,7 @@ import math
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 from tests import calls
 
@@ -26,6 +27,13 @@ def test_a_process_that_closes_its_pipe_and_stays_is_ended():
         assert lost(alone, calls.closing) == (Status.TIMED_OUT, "took longer than 2 s")
         assert time.monotonic() - began < 20.0
         assert alone(calls.same, 3) == 3
+
+
+def test_what_a_call_has_started_ends_with_its_process():
+    with Alone(10.0) as alone:
+        left_behind = psutil.Process(alone(calls.forking))
+    _, alive = psutil.wait_procs([left_behind], timeout=10.0)
+    assert not alive
 
 
 OTHERWISE = Status.KILLED, "its process answered with something else"

@@ -162,8 +162,19 @@ def test_a_link_to_nowhere_is_one_line(finished, tmp_path):
     done = gapsweep(tmp_path, "run", os.fspath(finished / "tiny.toml"), "--out", "dangling")
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
-    said = "error: dangling: is a link to nothing; remove it, or name another folder"
+    said = "error: dangling: is a link to nothing; remove it, or name another folder with --out"
     assert done.stderr.splitlines()[-1] == said
+
+
+@pytest.mark.parametrize("place", ["/proc/nowhere/c.sqlite", "dangling/c.sqlite"])
+def test_a_cache_where_nothing_can_be_written_waits_for_no_workers(finished, tmp_path, place):
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    study = os.fspath(finished / "tiny.toml")
+    done = gapsweep(tmp_path, "run", study, "--out", "out", "--cache", place)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert "starting the workers" not in done.stderr
+    assert done.stderr.splitlines()[-1].endswith("name a cache elsewhere with --cache")
 
 
 @pytest.mark.parametrize("said", ["x{", "[]", "3"])
@@ -317,6 +328,8 @@ def test_a_state_that_no_run_has_written_is_one_line(tmp_path, wrong):
     whole.write(tmp_path)
     assert RunState.read(tmp_path).state == "running"
     (tmp_path / "run.json").write_text(json.dumps(asdict(replace(whole, **wrong))))
-    with pytest.raises(gs.StoreError, match=r"run\.json: cannot be read: .*run the study again"):
+    with pytest.raises(
+        gs.StoreError, match=r"run\.json: is no state of a run; run the study again"
+    ):
         RunState.read(tmp_path)
     assert not whole.is_hidden_in(tmp_path)

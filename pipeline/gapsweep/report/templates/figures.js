@@ -9,7 +9,7 @@
     button.textContent = opened ? "explore" : "close";
     if (opened) return opened.replaceWith(figure.picture);
     const picture = (figure.picture = figure.querySelector("a.live")), frame = document.createElement("iframe");
-    Object.assign(frame, { src: picture.href, title: picture.querySelector("img").alt });
+    Object.assign(frame, { src: picture.href, title: picture.firstElementChild.alt });
     frame.style.height = `${picture.offsetHeight}px`;
     picture.replaceWith(frame);
     button.focus();
@@ -18,10 +18,5 @@
     const frame = [...document.querySelectorAll("iframe")].find((one) => one.contentWindow === source);
     if (frame && data.figure > 0) frame.style.height = `${data.figure}px`;
   });
-  // On paper stand the wide pictures, whatever the window was.
-  const narrow = document.querySelectorAll("picture source"), phone = narrow[0]?.media;
-  for (const [moment, media] of [["beforeprint", "not all"], ["afterprint", phone]]) {
-    addEventListener(moment, () => narrow.forEach((source) => (source.media = media)));
-  }
   for (const link of document.querySelectorAll("a.live, a.explore")) link.addEventListener("click", toggle);
 }
