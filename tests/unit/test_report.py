@@ -298,7 +298,8 @@ def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(
         path = tmp_path / str(len(laws)) / "index.html"
         pages.append(write_report(path, *part, timing(part[0])).read_text())
     shown = [
-        unquote(re.search(r'id="figure-hero".*?<img src="([^"]*)"', p, re.S)[1]) for p in pages
+        unquote(re.search(r'id="figure-hero".*?<img class="wide" src="([^"]*)"', p, re.S)[1])
+        for p in pages
     ]
     assert [">tanh-1e4: use<" in one for one in shown] == [True, True]
     assert [">poly-13: no<" in one for one in shown] == [True, False]
