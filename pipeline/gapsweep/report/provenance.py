@@ -3,10 +3,12 @@
 import json
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict, fields
 from typing import Any
 
 import xarray as xr
 
+from gapsweep.integrate.problem import Solver
 from gapsweep.report.scales import plain
 from gapsweep.status import Status
 
@@ -24,11 +26,11 @@ def provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
     seconds = float(responses["cpu_time"].where(asked).sum())
     versions = json.loads(attributes["versions"]).items()
     study = json.loads(attributes["study_json"])
-    protocols = {f"Solver of @{name}": own for name, own in study.get("protocol", {}).items()}
+    usual, protocols = study.get("solver", {}), study.get("protocol", {})
     return [
         ("Study", attributes["study"]),
-        ("Solver", _solver(study.get("solver", {}))),
-        *((name, _solver(own)) for name, own in protocols.items()),
+        ("Solver", _solver(usual)),
+        *((f"Solver of @{name}", _solver(usual, own)) for name, own in protocols.items()),
         ("Created", attributes["created"]),
         ("Processor time", f"{seconds / 60.0:.3g} min for {asked.sum()} sweep points"),
         ("Numerics fingerprint", attributes["numerics_fingerprint"]),
@@ -37,10 +39,16 @@ def provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
     ]
 
 
-def _solver(table: Mapping[str, Any]) -> str:
-    set_there = {name: value for name, value in table.items() if value}
-    parts = (f"{n} {plain(v) if isinstance(v, float) else v}" for n, v in set_there.items())
-    return ", ".join(parts) or "defaults of this version"
+def _solver(*tables: Mapping[str, Any]) -> str:
+    """All settings of a solver: what later tables give, then earlier ones, then the defaults."""
+    given = {name: value for table in tables for name, value in table.items() if value}
+    own = {each.name: given.pop(each.name) for each in fields(Solver) if each.name in given}
+    settings = asdict(Solver.of(**own)) | given  # what is no solver's own: how starts are moved
+    shown = {name: value for name, value in settings.items() if value}
+    return ", ".join(
+        f"{name} {plain(value) if isinstance(value, float) else value}"
+        for name, value in shown.items()
+    )
 
 
 def as_toml(study: Mapping[str, Any]) -> str:
