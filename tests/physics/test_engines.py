@@ -92,6 +92,19 @@ def test_a_start_on_a_whole_period_has_no_section_just_after_it(label):
             assert_allclose(run.t_section, [(n + 1) / omega, (n + 2) / omega], rtol=1e-12)
 
 
+@pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents"])
+def test_runs_end_to_end_at_whole_periods_have_every_section_once(label):
+    law = gs.contact_law(label, K_c=1.4e4, gap=SYMMETRIC)
+    rng = np.random.default_rng(4)
+    for n in (1, 7, 100, 1000, 5000, 10**6):
+        for omega in [*rng.uniform(2.0, 30.0, 30).tolist(), 19.83492724500072, 17.22149976103184]:
+            for first, last in ((n, n + 1), (n + 1, n + 3)):
+                t_0, t_end = first / omega, last / omega
+                run = gs.simulate(gs.Oscillator(), law, omega, t_0=t_0, t_end=t_end)
+                expected = [k / omega for k in range(first + 1, last + 1)]
+                assert_allclose(run.t_section, expected, rtol=1e-12)
+
+
 def test_an_end_on_a_wall_and_on_a_whole_period_has_one_section():
     """To the last bit: the landing rounds its clock up to the period, what it owes unmakes that."""
     run = gs.simulate(

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 _HIGH_ORDER_FROM = 1e-2
 _MOST_ATTEMPTS = 1e9  # after which a point is timed out
 _CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
+_PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of two numbers that are rounded, and it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +107,15 @@ def _replay_steps(at: ln.Rows, replay: dict[str, Any], point: int, steps: Array,
     return np.asarray(results[:, ln.R_STATE : ln.R_STATE + at.n_states].T)
 
 
-def _split_turns(start_phase: Array, span: Array, frequency: Array) -> tuple[Array, Array]:
+def _split_turns(
+    start_phase: Array, t_0: Array, t_end: Array, frequency: Array
+) -> tuple[Array, Array]:
     """Whole turns and phase at the end, snapped to a whole turn that only rounding misses."""
-    end = start_phase + span * frequency
+    first, last = t_0 * frequency, t_end * frequency
+    # Late times round so coarsely that their difference is no whole turn where both are.
+    are_whole = (start_phase == 0.0) & (np.abs(last - np.rint(last)) <= _PRODUCT_ROUNDING * last)
+    turns = np.where(are_whole, np.rint(last) - np.rint(first), (t_end - t_0) * frequency)
+    end = start_phase + turns
     whole = np.rint(end)
     # No whole turn is meant as no time at all.
     is_whole = (whole > 0.0) & (np.abs(end - whole) <= 1e-13 * (1.0 + np.abs(end)))
@@ -328,7 +335,7 @@ def _set_starts(
     # A clock that starts at a phase cannot tell shorter steps from none.
     coarse = _CLOCK_ROUNDING * phase * table[:, at.period]
     table[:, at.h_min] = np.maximum(table[:, at.h_min], coarse)
-    table[:, at.end_turns], table[:, at.end_tau] = _split_turns(phase, t_end - t_0, omega)
+    table[:, at.end_turns], table[:, at.end_tau] = _split_turns(phase, t_0, t_end, omega)
     table[:, at.record_turns] = phase + (np.maximum(record_from, t_0) - t_0) * omega
 
 

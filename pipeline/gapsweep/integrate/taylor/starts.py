@@ -17,7 +17,7 @@ from gapsweep.integrate.jit import entry, internal
 FLOOR_SHARE = 1e-3
 READY, ON_WALL, NOT_FINITE, BACKWARD = range(4)
 _CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
-_START_ROUNDING = 1.5 * np.finfo(float).eps
+_PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of two numbers that are rounded, and it is
 
 
 @entry
@@ -169,15 +169,23 @@ def _swing(at, point):
 
 
 @internal
+def _periods(t, omega):
+    """Forcing periods in a time; a whole number if only roundings separate it from one.
+
+    They are those of t, omega and their product. A start beside it would have its section just
+    after it, and of two runs end to end both or neither would have the one between.
+    """
+    found = t * omega
+    whole = np.rint(found)
+    return whole if abs(found - whole) <= _PRODUCT_ROUNDING * abs(found) else found
+
+
+@internal
 def _set_clocks(at, point, t_0, t_end, record_from):
-    # A start that the roundings of t_0, omega and their product separate from a whole period is
-    # meant as one: else its section would be recorded just after it, and in two runs end to end
-    # twice. Everything later counts from the start, so nothing else is lost.
     omega = point[at.omega]
-    start, stop = t_0 * omega, t_end * omega
+    start, stop = _periods(t_0, omega), _periods(t_end, omega)
+    # Everything later counts from the start, so that no more is lost.
     tau = start - np.floor(start)
-    if abs(start - np.rint(start)) <= _START_ROUNDING * abs(start):
-        tau = 0.0
     end = tau + (t_end - t_0) * omega
     if tau == 0.0 and stop == np.rint(stop):
         end = stop - start
