@@ -32,6 +32,8 @@ N_RATIONAL_POINTS = 401
 _N_STARTS = 48
 _SEED = 20260
 _SAME_RMSE = 1.0 + 1e-6
+# Half-ranges: a pole this little beyond an end is in effect at it, where forces are asked for.
+_BESIDE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +120,11 @@ def best_pole_free(candidates: Sequence[Fit], fit_range: float, name: str) -> Fi
 
     Ties within rounding go to the earlier one.
     """
-    pole_free = [c for c in candidates if not poles(c.denominator, fit_range)]
+    pole_free = [
+        c for c in candidates if np.isfinite(c.rmse) and not poles(c.denominator, fit_range)
+    ]
     if not pole_free:
-        best = min(candidates, key=lambda c: c.rmse)
+        best = min(candidates, key=lambda c: np.nan_to_num(c.rmse, nan=np.inf))
         where = ", ".join(f"{1e3 * p:.4g}" for p in poles(best.denominator, fit_range))
         raise ModelError(
             f"{name}: the best fit on ±{1e3 * fit_range:g} mm has a pole at x = {where} mm; "
@@ -131,11 +135,11 @@ def best_pole_free(candidates: Sequence[Fit], fit_range: float, name: str) -> Fi
 
 
 def poles(denominator: tuple[float, ...], fit_range: float) -> list[float]:
-    """Real roots of the denominator inside ``±fit_range`` [m], ascending."""
+    """Real roots of the denominator inside ``±fit_range`` [m] or right beside it, ascending."""
     # Vanishing leading coefficients would put spurious roots at infinity.
     roots = chebyshev.chebroots(chebyshev.chebtrim(np.asarray(denominator), tol=1e-14))
     real = roots.real[np.abs(roots.imag) < 1e-7]
-    return [float(r) * fit_range for r in np.sort(real) if abs(r) <= 1.0]
+    return [float(r) * fit_range for r in np.sort(real) if abs(r) <= 1.0 + _BESIDE]
 
 
 def _is_odd(gap: Gap, K_ratio: float) -> bool:
@@ -234,6 +238,7 @@ class _Projection:
         numerator[self.top] = solution * self.fit_range
         denominator[0] = 1.0
         denominator[self.bottom] = d
-        values = chebyshev.chebval(self.u, numerator) / chebyshev.chebval(self.u, denominator)
-        rmse, r_squared = goodness(values, self.exact * self.fit_range)
+        with np.errstate(all="ignore"):  # of a fit with a pole, which is left out
+            values = chebyshev.chebval(self.u, numerator) / chebyshev.chebval(self.u, denominator)
+            rmse, r_squared = goodness(values, self.exact * self.fit_range)
         return Fit(tuple(numerator.tolist()), tuple(denominator.tolist()), rmse, r_squared)
