@@ -392,7 +392,7 @@ class UserLaw(ContactLaw):
 
 def _number(force: Any) -> float:
     """What a function returned, if it is a number: `float` would read text and truth as one."""
-    if isinstance(force, str | bytes | bool | np.bool_):
+    if np.asarray(force).dtype.kind in "bSU":
         raise TypeError(f"must return a number, not {force!r:.40}")
     return float(force)
 

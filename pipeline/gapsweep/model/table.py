@@ -15,6 +15,7 @@ from gapsweep.model.system import floats
 Array = NDArray[np.float64]
 
 MAX_POINTS = 10_000
+_NO_WALL = 1e-12  # of the other chord: the ratio of two needs both
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -60,8 +61,8 @@ class ForceTable(ContactLaw):
         places, forces = _column("x", x), _column("F", F)
         _check(places, forces)
         gap = _zero_stretch(places, forces) if gap is None else checked_gap(gap)
-        upper = _chord(places[-1] - gap.j_2, forces[-1])
         lower = _chord(-places[0] - gap.j_1, -forces[0])
+        upper = _chord(places[-1] - gap.j_2, forces[-1]) or _NO_WALL * lower
         given: dict[str, Any] = {"x": tuple(places.tolist()), "F": tuple(forces.tolist())}
         given |= {"gap": gap, "K_c": upper, "K_ratio": lower / upper if upper else 1.0}
         for name, value in given.items():
