@@ -26,7 +26,8 @@ from gapsweep.status import Status
 Array = NDArray[np.float64]
 
 N_OMEGA = 200
-RTOL, ATOL = 1e-6, 1e-9
+RTOL = 1e-6
+_ATOL, _OF_DEFLECTION = 1e-9, 1e-6  # m, or less: of what the largest force does to the spring
 REST, UP, DOWN = "from rest", "sweep up", "sweep down"
 BASINS, MAP = "basins", "map"
 # Decay times after which a transient counts as gone, and natural periods that bound them where
@@ -231,10 +232,10 @@ def _carried(
     oscillator: Oscillator, law: ContactLaw, omega: Array, state: tuple[float, float]
 ) -> Array:
     """States, shape (2, n), in which a sweep ends at each frequency."""
-    found = []
+    found, atol = [], _atol(oscillator)
     for at in omega.tolist():
         run = simulate(
-            oscillator, law, at, *state, t_end=_settling(oscillator, at) / at, rtol=RTOL, atol=ATOL
+            oscillator, law, at, *state, t_end=_settling(oscillator, at) / at, rtol=RTOL, atol=atol
         )
         # A motion that has failed leaves no state: the sweep goes on from rest.
         state = (run.x, run.v) if run.status == Status.OK else (0.0, 0.0)
@@ -250,7 +251,7 @@ def _curve(question: Question, label: str, protocol: str, omega: Array, states: 
         omega,
         *states,
         rtol=RTOL,
-        atol=ATOL,
+        atol=_atol(question.oscillator),
         steady=settled(question.oscillator),
     )
     columns = (found.x_max, found.x_end, found.v_end)
@@ -292,8 +293,9 @@ _N_WHOLE = 8
 def _planes(empty: Plane, basis: Hashable, rows: Iterator[Curve]) -> Iterator[Plane]:
     """One plane, with one row more each time; at once if it is known."""
     key = empty.label, empty.name, basis
-    if key in _whole:
-        yield _whole[key]
+    # Another visitor's thread may forget it meanwhile.
+    if (known := _whole.get(key)) is not None:
+        yield known
         return
     x_max, is_periodic, plane = [], [], empty
     for row in rows:
@@ -328,6 +330,13 @@ def settled(oscillator: Oscillator) -> Steady:
     )
 
 
+def _atol(oscillator: Oscillator) -> float:
+    """Absolute tolerance [m], small against a motion that may be of micrometres."""
+    stiffness = oscillator.mass * (2.0 * math.pi * oscillator.omega_n) ** 2
+    deflection = abs(oscillator.forcing) / stiffness
+    return min(_ATOL, _OF_DEFLECTION * deflection) if deflection else _ATOL
+
+
 def _transient(oscillator: Oscillator) -> float:
     """How long [s] motions are given to settle."""
     bound, rate = NATURAL_PERIODS / oscillator.omega_n, oscillator.settling_rate
@@ -351,7 +360,7 @@ def motion(question: Question, label: str) -> Motion:
         *question.start,
         t_end=n / omega,
         rtol=RTOL,
-        atol=ATOL,
+        atol=_atol(oscillator),
         dense_output=True,
     )
     t = np.arange(N_PERIODS * SAMPLES_PER_PERIOD) / (SAMPLES_PER_PERIOD * omega)

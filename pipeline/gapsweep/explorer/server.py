@@ -7,6 +7,8 @@ from typing import Any
 
 from gapsweep.errors import GapsweepError
 
+_LARGEST_PORT = 65535
+
 
 class Explorer:
     """A running page; in a notebook it shows itself.
@@ -23,8 +25,10 @@ class Explorer:
         # Fills a visitor's document, and returns what ends the work for it.
         self._fill = fill
         self._ends: list[Callable[[], None]] = []
+        if not 0 <= port <= _LARGEST_PORT:
+            raise GapsweepError(f"port {port}: must be 0 to {_LARGEST_PORT}; 0: any that is free")
         self._is_up = threading.Event()
-        self._failure = ""
+        self._failure = "cannot be opened"
         self._thread = threading.Thread(target=self._serve, args=(port,), daemon=True)
         self._thread.start()
         self._is_up.wait()
@@ -50,17 +54,19 @@ class Explorer:
                 address="127.0.0.1",
                 io_loop=self._loop,
             )
+            self._server.start()
+            self.url, self._failure = f"http://localhost:{self._server.port}/", ""
         except OSError as error:
             self._failure = str(error.strerror)
-            self._is_up.set()
             return
-        self.url = f"http://localhost:{self._server.port}/"
-        self._server.start()
-        self._is_up.set()
+        finally:
+            self._is_up.set()
         self._loop.start()
 
     def _filled(self, doc: Any) -> None:
-        self._ends.append(self._fill(doc))
+        end = self._fill(doc)
+        self._ends.append(end)
+        doc.on_session_destroyed(lambda _: self._ends.remove(end))
 
     def wait(self) -> None:
         """Until it is stopped or interrupted."""

@@ -75,7 +75,7 @@ def _scenes(dataset: xr.Dataset) -> Any:
 def _named(scene: xr.Dataset, dims: list[Any]) -> str:
     def words(dim: str) -> str:
         value, units = scene[dim].item(), scene[dim].attrs.get("units", "1")
-        return f"{dim} {value if isinstance(value, str) else f'{value:g}'} {written(units)}"
+        return f"{dim} {value if isinstance(value, str) else f'{value:.12g}'} {written(units)}"
 
     return ", ".join(words(dim).strip() for dim in dims)
 
