@@ -59,7 +59,11 @@ def main() -> None:
     # What imports and figures make lives on: looked through as often as usual, it takes an eighth
     # of the time of a short run.
     gc.set_threshold(20_000, 25, 25)
-    sys.exit(exit_code())
+    code = exit_code()
+    if code == INTERRUPTED:
+        # All is said: whoever presses Ctrl-C once more shall see no library's clean-up break.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def exit_code(arguments: list[str] | None = None) -> int:
@@ -81,8 +85,6 @@ def exit_code(arguments: list[str] | None = None) -> int:
             error.show()
             return error.exit_code
         except (click.Abort, KeyboardInterrupt):
-            # All is said: whoever presses Ctrl-C once more shall see no library's clean-up break.
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
             click.echo("interrupted; run again to resume", err=True)
             return INTERRUPTED
     return int(result or FINISHED)

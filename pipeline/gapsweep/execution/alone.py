@@ -208,7 +208,6 @@ class _Child:
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,  # whatever a law starts ends with it
         )
         theirs.close()
         self.n_calls, self.is_busy = 0, True
@@ -289,12 +288,24 @@ class _Child:
 
     def end(self) -> None:
         """End the process: it goes by itself, and cleans up, unless it is held up by a call."""
+        started = _started_by(self.process.pid)
         self.connection.close()
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(0.0 if self.is_busy else _LEAVE_SECONDS)
-        with suppress(ProcessLookupError):  # nobody is left
-            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.kill()
         self.process.wait()
+        for process in started:
+            with suppress(psutil.Error):  # it has ended
+                process.kill()
+
+
+def _started_by(pid: int) -> list[psutil.Process]:
+    """What a law has started, if its process is still there to tell."""
+    try:
+        found: list[psutil.Process] = psutil.Process(pid).children(recursive=True)
+    except psutil.Error:
+        return []
+    return found
 
 
 def _is_whole(said: bytes, number: int) -> bool:
