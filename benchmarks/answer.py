@@ -64,7 +64,7 @@ def numbers(contact: Contact) -> str:
         for one in contact.laws
     ]
     floors = [percent(contact.floors[name][0]) for name in ("median", "p95", "found")]
-    rows.append(["exact against exact", "", *floors, times(1.0), ""])
+    rows.append(["exact against exact", "", *floors, times(contact.floor_price), ""])
     return f"### {contact.place}\n\n{table(NUMBERS, rows)}"
 
 

@@ -70,15 +70,16 @@ class _Watch:
     """What a run has told last, in words that are right whenever they are asked for."""
 
     def __init__(self) -> None:
-        self.progress = Progress(0, 0)
+        self.progress, self._n_computed = Progress(0, 0), 0
         self._stage, self._begun = "", time.monotonic()
         self._seen: deque[tuple[float, int]] = deque()
 
     def __call__(self, progress: Progress) -> None:
         now = time.monotonic()
-        if progress.n_computed and not self.progress.n_computed:
+        if progress.n_computed and not self._n_computed:
             self._seen.clear()  # until the first points came, machine code was made or loaded
-        self.progress = progress
+        # The number too: whoever tells may count on in the same object.
+        self.progress, self._n_computed = progress, progress.n_computed
         if self.stage != self._stage:
             self._stage, self._begun = self.stage, now
         self._seen.append((now, progress.n_done))

@@ -175,7 +175,8 @@ def _starts(some: xr.Dataset) -> str:
     n = some.sizes[START]
     if n > _MOST_STARTS:
         first, last = (_start(some.isel({START: i})) for i in (0, -1))
-        return f"{n} starts, {first} to {last}"
+        is_row = np.ptp(some[START].values) == n - 1
+        return f"{n} starts, {first} to {last}" if is_row else f"{n} starts, as {first}, {last}"
     return "; ".join(_start(some.isel({START: i})) for i in range(n))
 
 

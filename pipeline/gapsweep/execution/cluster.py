@@ -151,8 +151,8 @@ def check_software(worker: str, theirs: Mapping[str, str]) -> None:
     for name, ours in software().items():
         if name == "numerics" and theirs[name] != ours:
             raise ClusterError(
-                f"{worker} runs other numerics ({theirs[name]}, here {ours}): install the same "
-                "gapsweep there and start it again"
+                f"{worker} runs other numerics (sources {theirs[name]}, here {ours}): install the "
+                "same gapsweep there and start it again"
             )
         if theirs[name] != ours:
             raise ClusterError(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.classes import CHAOTIC, CLASSES, class_numbers
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
+from gapsweep.model.labels import EXACT
 from gapsweep.report import drawing
 from gapsweep.report.scales import axis_label, drawn, is_crowded_low
 from gapsweep.report.selection import missing_variable, scene
@@ -192,7 +193,7 @@ def numbered_as(starts: xr.Dataset, exact: xr.Dataset) -> xr.Dataset:
     found = starts["attractor"].copy()
     for own, other in number.items():
         found = found.where(starts["attractor"] != own, other)
-    return starts.assign(attractor=found)
+    return starts.assign(attractor=found.assign_attrs(numbered_as=EXACT))
 
 
 def _attractors(starts: xr.Dataset) -> dict[int, tuple[int, float]]:
@@ -321,8 +322,8 @@ def _mark_whole_numbers(made: Picture, values: xr.DataArray) -> None:
         made.numbers = made.numbers.where(whole >= first)
         return
     # Those of attractors are names: one number has one colour in the maps of all laws.
-    is_name = values.name == "attractor"
-    shades = [_NAMED[n % len(_NAMED)] for n in there] if is_name else sequence(len(there))
+    is_name = values.name == "attractor" and max(there, default=0) < len(_NAMED)
+    shades = [_NAMED[n] for n in there] if is_name else sequence(len(there))
     for number, shade in zip(there, shades, strict=True):
         name = known.get(number, str(number))
         made.mark(whole == number, name.replace("_", " "), CLASS_COLOURS.get(name, shade))

@@ -218,7 +218,8 @@ def maps_of(
     shown = [(name, one) for name, one in pictures if not _everywhere(one)] or pictures[:1]
     drawn = dict.fromkeys(_WORDS[name] for name, _ in shown)
     said = f"{', '.join(drawn)}: {where}."
-    said += " Attractors have the same number and colour in all laws." * ("attractor" in drawn)
+    if "attractor" in drawn and any("numbered_as" in part[name].attrs for part, name in parts):
+        said += " Attractors have the numbers and colours of the exact law's that they are like."
     said += "".join(f" {_WORDS[name].capitalize()}: {value} everywhere." for name, value in alike)
     yield Figured(maps([one for _, one in shown]), said[0].upper() + said[1:], f"Maps, {where}")
 

@@ -232,6 +232,7 @@ def _scale(axis: Any) -> dict[str, Any]:
     scale: dict[str, Any] = {"scale": axis.get_scale()}
     if hasattr(transform, "linthresh"):
         scale["threshold"] = float(transform.linthresh)
+        scale["decades"] = float(transform.linscale / (1.0 - 1.0 / transform.base))
     if isinstance(axis.get_major_locator(), FixedLocator | StrCategoryLocator):
         places = axis.get_majorticklocs()
         names = axis.get_major_formatter().format_ticks(places)

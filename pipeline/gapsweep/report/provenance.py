@@ -41,7 +41,8 @@ def provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
 
 def _solver(*tables: Mapping[str, Any]) -> str:
     """All settings of a solver: what later tables give, then earlier ones, then the defaults."""
-    given = {name: value for table in tables for name, value in table.items() if value}
+    unset = "start_jitter", 0.0
+    given = dict(item for table in tables for item in table.items() if item != unset)
     own = {each.name: given.pop(each.name) for each in fields(Solver) if each.name in given}
     settings = asdict(Solver.of(**own)) | given  # what is no solver's own: how starts are moved
     shown = {name: value for name, value in settings.items() if value}

@@ -48,7 +48,9 @@ class Told:
     def of(cls, coordinate: xr.DataArray) -> "Told":
         """Of a coordinate that has one value."""
         held = coordinate.values
-        value = plain(drawn(coordinate).item()) if is_numeric(held) else shortened(str(held.item()))
+        value = plain(drawn(coordinate).item()) if is_numeric(held) else str(held.item())
+        if coordinate.name == "gap":
+            value = shortened(value)
         return cls(str(coordinate.name), value, shown_unit(coordinate)[1])
 
     def __str__(self) -> str:

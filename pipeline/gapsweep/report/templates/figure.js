@@ -14,9 +14,10 @@
   const SCALES = {
     linear: () => ({ to: (v) => v, from: (u) => u }),
     log: () => ({ to: (v) => (v > 0 ? Math.log10(v) : NaN), from: (u) => 10 ** u }),
-    symlog: ({ threshold }) => ({
-      to: (v) => (Math.abs(v) <= threshold ? v / threshold : Math.sign(v) * (1 + Math.log10(Math.abs(v) / threshold))),
-      from: (u) => (Math.abs(u) <= 1 ? u * threshold : Math.sign(u) * threshold * 10 ** (Math.abs(u) - 1)),
+    // The linear part is as high as some decades.
+    symlog: ({ threshold, decades }) => ({
+      to: (v) => (Math.abs(v) <= threshold ? (decades * v) / threshold : Math.sign(v) * (decades + Math.log10(Math.abs(v) / threshold))),
+      from: (u) => (Math.abs(u) <= decades ? (u * threshold) / decades : Math.sign(u) * threshold * 10 ** (Math.abs(u) - decades)),
     }),
   };
 
@@ -177,6 +178,7 @@
       pen.globalAlpha = opacity;
       pen.strokeStyle = pen.fillStyle = colour;
       pen.lineWidth = (size[0] * 4) / 3;
+      pen.lineJoin = "round"; // a mitre would stand above a peak
       pen.setLineDash({ "--": [6, 4], ":": [2, 3], "-.": [7, 3, 2, 3] }[dashes] ?? []);
     }
     line(pen, mark) {
