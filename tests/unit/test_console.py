@@ -56,6 +56,15 @@ def test_the_time_left_is_that_of_recent_points(clock):
     assert watch.said == "590/1000 points, 10.0/s, 0 failed, 0:00:41 left"
 
 
+def test_the_time_left_forgets_how_long_the_first_point_took(clock):
+    """A minute of compilers, then ten points a second, counted on in one object as a run does."""
+    watch, progress = _Watch(), Progress(1000, 0)
+    for clock[0] in range(65):
+        progress.n_computed = max(0, 10 * (clock[0] - 60))
+        watch(progress)
+    assert watch.rate == pytest.approx(10.0)
+
+
 def test_stages_are_named_with_the_time_they_take(clock):
     watch = _Watch()
     assert watch.said == ""

@@ -90,6 +90,21 @@ def test_rational_fit_with_a_pole_in_range_is_refused_by_name():
         best_pole_free([with_pole], 4e-3, "ratpoly-1/1")
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("share", [0.97, 0.9975, 0.9999, 0.999999])
+@pytest.mark.parametrize("degrees", [(5, 3), (5, 5), (3, 2), (1, 1)])
+def test_where_the_gap_fills_the_range_a_rational_fit_is_no_worse_than_none(share, degrees):
+    gap = gs.Gap(share * FIT_RANGE, share * FIT_RANGE)
+    try:
+        law = gs.RationalPolynomial(1.4e4, gap, *degrees)
+    except gs.ModelError:  # every fit has a pole
+        return
+    x = np.linspace(-FIT_RANGE, FIT_RANGE, 100_001)
+    wrong = law.force(x) - law.exact.force(x)
+    assert np.abs(wrong).max() < 2.0 * np.abs(law.exact.force(x)).max()
+    assert law.r_squared > 0.0
+
+
 def test_fit_without_pole_is_preferred_to_a_better_one_with_pole():
     with_pole = Fit((0.0, 1.0), (1.0, 2.0), rmse=1.0, r_squared=0.9)
     without = Fit((0.0, 1.0), (1.0, 0.5), rmse=2.0, r_squared=0.8)

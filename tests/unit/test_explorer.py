@@ -244,6 +244,30 @@ def test_little_damping_bounds_what_a_redraw_costs():
     assert steady.t_max == pytest.approx(100.0 / 5.0)
 
 
+def test_motions_of_micrometres_are_as_good_as_those_of_millimetres():
+    """Lengths and forces 1e-6 of the others, stiffnesses the same: so are the motions."""
+    small = 1e-6
+    large = of_model(
+        gs.Oscillator(alpha=0.0), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), stand_ins=()
+    )
+    tiny = of_model(
+        gs.Oscillator(alpha=0.0, forcing=4.0 * small),
+        gs.Piecewise(1.4e4, gs.Gap(4e-4 * small, 4e-4 * small)),
+        stand_ins=(),
+    )
+    ours, theirs = from_rest(tiny, EXACT), from_rest(large, EXACT)
+    same = ours.is_periodic & theirs.is_periodic & (ours.period_multiple == theirs.period_multiple)
+    assert same.mean() > 0.8
+    apart = np.abs(ours.x_max / small / theirs.x_max - 1.0)[same]
+    assert np.quantile(apart, 0.9) < 1e-4
+
+
+@pytest.mark.parametrize("port", [-1, 65536, 70000])
+def test_a_port_that_is_none_is_refused(port):
+    with pytest.raises(GapsweepError, match=rf"port {port}: must be 0 to 65535"):
+        gs.explore(port=port)
+
+
 def test_no_motion_is_asked_for_an_exponent():
     curve = from_rest(of_model(law=gs.Piecewise(1.4e6, gs.Gap(0.4e-3, 0.4e-3))), EXACT)
     wild = curve.response_class[~curve.is_periodic]

@@ -316,3 +316,11 @@ def test_a_mistake_in_a_table_names_the_module_it_stands_in(bench):
     np.savetxt(bench, np.transpose([X[::-1], F]), delimiter=",")
     with pytest.raises(gs.ModelError, match=r"'bench_spring:spring': x\[1\] = .*must be > x\[0\]"):
         gs.contact_law("bench_spring:spring", 1.0, GAP)
+
+
+def test_a_stop_below_only_is_the_mirror_image_of_one_above_only():
+    above = gs.ForceTable([-1e-3, -4e-4, 4e-4, 1e-3], [0.0, 0.0, 0.0, 8.0])
+    below = gs.ForceTable([-1e-3, -4e-4, 4e-4, 1e-3], [-8.0, 0.0, 0.0, 0.0])
+    x = np.linspace(-1e-3, 1e-3, 101)
+    np.testing.assert_allclose(below.exact.force(x), -above.exact.force(-x), atol=1e-9)
+    np.testing.assert_allclose(gs.static_error(below, 1e-3), gs.static_error(above, 1e-3))

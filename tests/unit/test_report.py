@@ -25,7 +25,7 @@ from gapsweep.report.heat import heads, heat, swept_columns
 from gapsweep.report.html import write_report
 from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered
 from gapsweep.report.pictures import VIEWS, is_picture, pictures
-from gapsweep.report.provenance import as_toml
+from gapsweep.report.provenance import as_toml, provenance
 from gapsweep.report.scales import Told
 from gapsweep.report.tables import VERDICTS, number, outcome, percent
 from gapsweep.stages import is_of_run
@@ -288,6 +288,22 @@ def test_what_is_swept_beside_contacts_is_named_once():
     zeta = Told("zeta", "0.1", "")
     both = [contact({}, swept=[Told("forcing", force, "N"), zeta]) for force in ("1", "2.5")]
     assert swept_columns(both) == ("forcing [N], zeta", ["1, 0.1", "2.5, 0.1"])
+
+
+def test_solvers_are_told_with_what_they_take_from_elsewhere(tmp_path):
+    responses, _ = made(tmp_path, EQUAL)
+    study = json.loads(responses.attrs["study_json"]) | {
+        "solver": {"controller": "ode45", "restart": True, "rtol": 1e-4},
+        "protocol": {
+            "off": {"restart": False, "start_jitter": 0.0},
+            "moved": {"start_jitter": 1e-9},
+        },
+    }
+    told = dict(provenance(responses.assign_attrs(study_json=json.dumps(study))))
+    usual = "engine compiled, rtol 0.0001, atol 1e-12, controller ode45"
+    assert told["Solver"] == f"{usual}, restart True"
+    assert told["Solver of @off"] == usual
+    assert told["Solver of @moved"] == f"{usual}, restart True, start_jitter 1e-9"
 
 
 def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(tmp_path):

@@ -15,6 +15,7 @@ from gapsweep.report.drawing import labels_of
 from gapsweep.report.maps import Picture, draw
 from gapsweep.report.scales import axis_label, drawn, is_log
 from gapsweep.report.style import colour
+from gapsweep.status import Status
 
 _WIDTH = 9.5  # inches, the report's column
 _FEW = 60  # frequencies, whose dots may be larger
@@ -123,13 +124,21 @@ def beside_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Fi
     sizes = (7.0, 3.2) if scene.sizes["omega"] <= _FEW else (3.4, 1.6)
     for axes, (label, title) in zip(panels, titles.items(), strict=True):
         backdrop.walls(axes, scene, of_peaks=True)
-        for one, size in zip((exact, label), sizes, strict=True):
-            drawing.peaks(axes, scene.sel(representation=one), size, low, high)
+        law = scene.sel(representation=label)
+        for one, size in zip((_where_asked(law, scene, exact), law), sizes, strict=True):
+            drawing.peaks(axes, one, size, low, high)
         axes.set_title(title, fontsize=9, loc="left")
         _axis(axes, scene["omega"])
     panels[0].set_ylim(low, high)
     panels[0].set_ylabel(axis_label(scene["x_max"], "peak"))
     return figure
+
+
+def _where_asked(law: xr.Dataset, scene: xr.Dataset, exact: str) -> xr.Dataset:
+    """The exact law where another one was asked too: from fewer starts it could not do more."""
+    theirs, asked = scene.sel(representation=exact), law["status"] != Status.NOT_REQUESTED
+    known = {"x_max": np.nan, "status": int(Status.NOT_REQUESTED)}
+    return theirs.assign({name: theirs[name].where(asked, other) for name, other in known.items()})
 
 
 def basins(found: xr.Dataset) -> Figure:

@@ -207,7 +207,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     laws = {one.law: f"{one.law}: {one.verdict}" for one in _telling(contact)}
     if scene is None or not laws:
         return None
-    said = f"Peaks at {contact.place}, some laws on the exact one's larger dots"
+    said = f"Peaks at {contact.place}, laws on the exact one's larger dots, from the same starts"
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
         looks = f"{said_of_walls(scene, of_peaks=True)}{said_of_marks(figure)}"
