@@ -71,8 +71,17 @@ class Outcome:
 
 
 def cache_path(cache: str | Path | None = None) -> Path:
-    """The cache to use: the argument, else ``GAPSWEEP_CACHE``, else ``data/cache.sqlite``."""
-    return Path(cache or os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE)
+    """The cache to use: the argument, else ``GAPSWEEP_CACHE``, else ``data/cache.sqlite``.
+
+    Raises
+    ------
+    StoreError
+        If it has no name.
+    """
+    path = Path(cache or os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE)
+    if not path.name:
+        raise StoreError(f"{path}: is a folder; name a file in it, as {path / DEFAULT_CACHE.name}")
+    return path
 
 
 def plan(

@@ -1,6 +1,8 @@
 """Calls in a child process: whatever they do to it, the caller gets its own answer or an error."""
 
 import math
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -33,6 +35,23 @@ def test_what_a_call_has_started_ends_with_its_process():
     with Alone(10.0) as alone:
         left_behind = psutil.Process(alone(calls.forking))
     _, alive = psutil.wait_procs([left_behind], timeout=10.0)
+    assert not alive
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the process is ended by Linux")
+def test_a_call_that_hangs_ends_with_its_killed_caller():
+    asks = "from tests import calls\nfrom gapsweep.execution.alone import Alone\n"
+    asks += "Alone(600.0)(calls.working, 600.0)"
+    caller = subprocess.Popen([sys.executable, "-c", asks], cwd=Path(__file__).parents[2])
+    deadline = time.monotonic() + 120.0
+    found = []
+    while not any(one.cpu_times().user > 1.5 for one in found):
+        assert time.monotonic() < deadline, "no call"
+        time.sleep(0.1)
+        found = psutil.Process(caller.pid).children()
+    caller.kill()
+    caller.wait()
+    _, alive = psutil.wait_procs(found, timeout=10.0)
     assert not alive
 
 

@@ -5,6 +5,7 @@ can tell which of its points was to blame. So are the motions of histories and b
 law of the user's own, which may end its process, hang or raise anything.
 """
 
+import ctypes
 import faulthandler
 import multiprocessing
 import os
@@ -53,6 +54,7 @@ _MARK = b"gapsweep"
 _HEAD = struct.Struct(">8sQQ")
 _PIECE = 2**20
 _OTHERWISE = "its process answered with something else"
+_PR_SET_PDEATHSIG = 1  # of Linux's prctl
 _CHILD = "from gapsweep.execution.alone import child; child()"
 
 
@@ -331,6 +333,7 @@ def child() -> None:
     """Answer until nobody asks any more."""
     # A terminal sends Ctrl-C to all processes; the client alone decides how a run ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _end_with(os.getppid())
     connection = Connection(int(sys.argv[1]))
     _say(connection, 0, None)
     while True:
@@ -338,10 +341,18 @@ def child() -> None:
             number, function, arguments, timeout = connection.recv()
         except EOFError:
             return
-        # Should the client have died, nobody else ends a call that hangs.
+        # Should the client have died, nobody else ends a call that hangs where there is no Linux.
         faulthandler.dump_traceback_later(timeout / _IDLE, exit=True)
         _say(connection, number, _answer(function, arguments))
         faulthandler.cancel_dump_traceback_later()
+
+
+def _end_with(parent: int) -> None:
+    """Let Linux end this process with its parent, who may be killed while a call hangs."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:  # it has gone meanwhile
+            os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _say(connection: Connection, number: int, answer: Any) -> None:
