@@ -418,7 +418,7 @@ def test_figures_are_not_written_where_a_link_leads(tmp_path):
 
 def test_the_page_says_how_it_was_made(page):
     text = page.read_text()
-    assert "<dd>engine compiled, rtol 1e-9</dd>" in text
+    assert "<dd>engine compiled, rtol 1e-9, atol 1e-12, controller native</dd>" in text
     assert "0.0333 min for 4 sweep points" in text  # half a second each
     assert "representation = [&#34;piecewise&#34;]" in text
 
