@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate import compiled, reference
 from gapsweep.integrate.motion import Motions
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Integrate, Models, Problems, Solver
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -20,12 +19,18 @@ Array = NDArray[np.float64]
 
 # Largest resolution of the clock, as a share of the natural period.
 _CLOCK_SHARE = 1e-9
-_ENGINES = {"compiled": compiled.prepared, "scipy": reference.prepared}
 
 
 def prepared(models: Models, solver: Solver) -> Integrate:
     """Integration of models, each as if it were alone: the same numbers in any company."""
-    return _ENGINES[solver.engine](models, solver)
+    # either takes tenths of a second to import, and few need both
+    if solver.engine == "scipy":
+        from gapsweep.integrate import reference
+
+        return reference.prepared(models, solver)
+    from gapsweep.integrate import compiled
+
+    return compiled.prepared(models, solver)
 
 
 def simulate(

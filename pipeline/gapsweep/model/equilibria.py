@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.fitted import Fitted
@@ -120,6 +119,8 @@ def sign_changes(function: Callable[[Array], Array], points: Array) -> tuple[Arr
         point at which the function is not zero are left out, as are poles and places next to
         which the function is not finite.
     """
+    from scipy.optimize import brentq  # slow to import, and most responses ask for no equilibria
+
     values = function(points)
     sign = np.where(np.isfinite(values), np.sign(values), np.nan)
     here = np.flatnonzero(sign != 0.0)
