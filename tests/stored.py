@@ -28,7 +28,12 @@ def made(names, responses, *, kind=KIND, host="machine"):
     """Rows of a cache that hold these responses of points of these names."""
     table = points(*names, kind=kind)
     nothing = np.zeros(len(table), KEY)
-    return list(slabs(table, table.keys(), nothing, Responses.of(responses), host, "Python 3"))
+    return list(
+        slabs(
+            *(table.kind.identity, table.numbers, table.keys(), nothing),
+            *(Responses.of(responses), host, "Python 3"),
+        )
+    )
 
 
 def commit(cache, study, answer, host="here"):
@@ -51,7 +56,12 @@ def commit(cache, study, answer, host="here"):
             if not has_ended and previous[row + 1] == planned.keys[here[row]]:
                 previous[row + 1] = previous[row]  # it started from where that did
         cache.commit(
-            list(slabs(table.take(kept), planned.keys[here], previous, responses, host, ""))
+            list(
+                slabs(
+                    *(table.kind.identity, table.numbers[kept], planned.keys[here], previous),
+                    *(responses, host, ""),
+                )
+            )
         )
 
 
@@ -96,7 +106,7 @@ def tile_rows(study, representation=0):
     rows = np.flatnonzero(planned.representation(np.arange(planned.n_points)) == representation)
     ((_, table),) = study.points(planned.cells[rows])
     nothing = np.zeros(len(rows), KEY)
-    tile = Tile(table, nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)), nothing[:1])
+    tile = Tile(table, "", nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)), nothing[:1])
     return respond_to(tile).rows()
 
 

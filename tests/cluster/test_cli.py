@@ -18,7 +18,6 @@ import pytest
 
 from gapsweep.store.cache import Cache
 from gapsweep.store.slab import slabs, stored
-from gapsweep.study.points import Points
 
 # A stage and its time, told of what takes longer than a moment.
 PROGRESS = re.compile(r", \d+:\d\d:\d\d$")
@@ -211,9 +210,8 @@ def test_verify_notices_a_wrong_number_with_a_right_checksum(finished):
         (_, slab), *_ = cache.slabs()
         contents = stored(slab)
         contents.responses.columns["x_max"] = np.ones(slab.n_points)
-        points = Points(slab.kind, contents.numbers)
-        parts = contents.keys, contents.previous, contents.responses
-        cache.commit(list(slabs(points, *parts, slab.host, slab.versions)))
+        parts = contents.numbers, contents.keys, contents.previous, contents.responses
+        cache.commit(list(slabs(slab.identity, *parts, slab.host, slab.versions)))
     done = gapsweep(finished, "cache", "verify", "--sample", "4")
     assert done.returncode == 1
     assert (

@@ -277,7 +277,8 @@ class _Execution:
             if points.kind.is_sweep:
                 for i, key in enumerate(previous[at[firsts], None]):
                     states[i], origins[[i]] = start_of(self.cache, key, states.shape[1])
-            tiles.append(Tile(points, keys[at], previous[at], lengths, states, origins))
+            of_points = points.kind.identity, keys[at], previous[at]
+            tiles.append(Tile(points, *of_points, lengths, states, origins))
         return tiles
 
     # --- receiving -------------------------------------------------------------------------------

@@ -52,6 +52,8 @@ class Tile:
     Attributes
     ----------
     points : Points
+    identity : str
+        Of their kind: the client's, whose numerics are the worker's.
     keys, previous : ndarray of void, shape (n,)
         Content keys of the points, and of those that they start from.
     lengths : ndarray of int, shape (m,)
@@ -66,6 +68,7 @@ class Tile:
     """
 
     points: Points
+    identity: str
     keys: NDArray[np.void]
     previous: NDArray[np.void]
     lengths: NDArray[np.int64]
@@ -79,7 +82,7 @@ class Tile:
     def of_one(cls, points: Points, state: States) -> "Tile":
         """A single point, and where it starts if it is one of a sweep."""
         nothing, state = np.zeros(1, KEY), state.reshape(1, -1)
-        return cls(points, nothing, nothing, np.ones(1, int), state, nothing)
+        return cls(points, "", nothing, nothing, np.ones(1, int), state, nothing)
 
     @property
     def firsts(self) -> NDArray[np.int64]:
@@ -89,7 +92,9 @@ class Tile:
     def slabs(self, responses: Responses, host: str) -> list[Slab]:
         """Responses of all points in the form in which they are stored."""
         said = ", ".join(f"{name} {number}" for name, number in versions().items())
-        return list(slabs(self.points, self.keys, self._started(responses), responses, host, said))
+        started = self._started(responses)
+        tables = self.points.numbers, self.keys, started, responses
+        return list(slabs(self.identity, *tables, host, said))
 
     def _started(self, responses: Responses) -> NDArray[np.void]:
         """Keys of the points that each one really started from."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gapsweep.model.structure import Structure
 from gapsweep.response.result import LISTS, Responses, columns_of
 from gapsweep.status import Status
-from gapsweep.study.points import KEY, Kind, Points
+from gapsweep.study.points import KEY, Kind
 
 # Few enough that damage costs little, and that picking out a point reads little.
 SLAB = 64
@@ -114,23 +114,24 @@ class Stored:
 
 
 def slabs(
-    points: Points,
+    identity: str,
+    numbers: NDArray[np.float64],
     keys: NDArray[np.void],
     previous: NDArray[np.void],
     responses: Responses,
     host: str,
     versions: str,
 ) -> Iterator[Slab]:
-    """Responses in the form in which they are stored; keys as of `Stored`."""
-    identity, created = points.kind.identity, datetime.now(UTC).isoformat(timespec="seconds")
-    for first in range(0, len(points), SLAB):
-        rows = np.arange(first, min(first + SLAB, len(points)))
+    """Responses in the form in which they are stored; the rest as of `Slab` and `Stored`."""
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    for first in range(0, len(numbers), SLAB):
+        rows = np.arange(first, min(first + SLAB, len(numbers)))
         part = responses.take(rows)
         slab = Slab(
             identity,
             keys[rows].tobytes(),
             part.columns["status"].astype("i1").tobytes(),
-            _packed(previous[rows], points.numbers[rows], part),
+            _packed(previous[rows], numbers[rows], part),
             json.dumps({str(row): text for row, text in part.messages.items()}),
             float(np.nansum(part.columns["cpu_time"])),
             host,
