@@ -29,7 +29,7 @@ def seconds(home: Path, *arguments: str) -> float:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(
         [sys.executable, "-c", *arguments],
-        env={"HOME": str(home), "PATH": os.environ["PATH"], "PYTHONPATH": str(ROOT / "pipeline")},
+        env={"HOME": str(home), "PATH": os.environ["PATH"], "PYTHONPATH": str(SHIPPED.parents[1])},
         cwd=home,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
