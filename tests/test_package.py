@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from rattler_build import RattlerBuildError, RenderConfig, Stage0Recipe, VariantConfig
 
 from gapsweep.cli.init import STUDIES
 
@@ -146,6 +147,18 @@ def test_one_author_and_licence_everywhere():
     assert cited["authors"] == [{"name": author}]
     assert author in (ROOT / "LICENSE").read_text()
     assert PROJECT["license"] == cited["license"] == recipe()["about"]["license"] == "MIT"
+
+
+def test_the_builder_of_conda_packages_understands_the_recipe(tmp_path):
+    """It refuses fields that it does not know, and fills in what is given by name."""
+    path = ROOT / ".ci" / "conda" / "recipe.yaml"
+    (made,) = Stage0Recipe.from_file(path).render(VariantConfig(), RenderConfig())
+    found = made.recipe.to_dict()
+    assert found["package"] == {"name": "gapsweep", "version": PROJECT["version"]}
+    assert found["build"]["noarch"] == "python"
+    (tmp_path / "recipe.yaml").write_text(path.read_text().replace("noarch:", "no_arch:"))
+    with pytest.raises(RattlerBuildError, match="no_arch"):
+        Stage0Recipe.from_file(tmp_path / "recipe.yaml")
 
 
 def test_the_recipe_asks_for_the_same_libraries():
