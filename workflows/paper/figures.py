@@ -19,7 +19,17 @@ from gapsweep.status import Status
 from . import paper_figures as draw
 from . import scenes
 from .claims import TABLE_2, TABLE_SCENES
-from .measures import Band, Scene, frequencies, listed, per_period, ranges, same_picture
+from .measures import (
+    Band,
+    Scene,
+    frequencies,
+    late_periods,
+    listed,
+    moved_on,
+    per_period,
+    ranges,
+    same_picture,
+)
 from .scenes import EXACT, HARD_ASYMMETRIC, NO_EVENTS, SOFT_SYMMETRIC, STRONG, SYMMETRIC, WEAK
 from .static_figures import constrained_forces, force_curves, forces_of, static_convergence
 
@@ -80,7 +90,7 @@ def figures(run: Run) -> Iterator[Figured]:
         if scene is not None and scene.sizes["representation"] == len(LIMITS):
             yield _overlay(run, scene, protocol)
     if "histories" in run.datasets:
-        yield from _histories(run["histories"])
+        yield from _histories(run)
 
 
 def _figured(figure: Figure, name: str, at: Scene, protocol: str, *sentences: str) -> Figured:
@@ -194,22 +204,28 @@ def _not_periodic(run: Run, protocol: str) -> Iterator[str]:
         yield f"What the tight solver finds periodic, the paper's scatters: {so}."
 
 
-def _histories(histories: xr.Dataset) -> Iterator[Figured]:
+def _histories(run: Run) -> Iterator[Figured]:
     """Figure 11."""
-    K_c, gap = HARD_ASYMMETRIC
+    (K_c, gap), histories = HARD_ASYMMETRIC, run["histories"]
     here = (histories["K_c"] == K_c) & (histories["gap"] == gap)
     laws = [law + PAPER for law in LIMITS if law + PAPER in labels_of(histories)]
     scene = swept(histories.isel(history=here.values).sel(representation=laws).load())
     if EXACT + PAPER not in labels_of(scene):
         return
-    found = scene["period_multiple"].transpose("representation", "history").values.tolist()
     kinds = (
         f"{label} {', '.join(f'P{n}' if n else 'none' for n in periods)}"
-        for label, periods in zip(labels_of(scene), found, strict=True)
+        for label, periods in zip(labels_of(scene), late_periods(scene).T.tolist(), strict=True)
     )
+    moved = [
+        f"{label} at {omega:g} Hz from P{early} to P{late}"
+        for (omega, label), (early, late) in moved_on(run, HARD_ASYMMETRIC).items()
+    ]
+    so = "The solver's errors move motions from one attractor to another in time: the response from"
+    so = f" {so} the same start is an earlier part of it; {listed(moved)}." if moved else ""
     words = (
         f"Last {draw.SHOWN_PERIODS} forcing periods from rest, and spectrum (Hann window): between "
-        f"the exact law's lines is what the others add. Exact periods, by row: {'; '.join(kinds)}."
+        f"the exact law's lines is what the others add. Periods as far as a plot shows, 2 % of the "
+        f"gap, by row: {'; '.join(kinds)}.{so}"
     )
     yield _figured(draw.histories_and_spectra(scene), "11", HARD_ASYMMETRIC, PAPER, words)
 

@@ -6,13 +6,15 @@ with the exact law, the same number of another exact law; of a share, its standa
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.floors import floor_labels
-from gapsweep.analysis.verdicts import Number, Run, Test, mean, ratio_of_sums, share
+from gapsweep.analysis.histories import SAMPLES_PER_PERIOD
+from gapsweep.analysis.verdicts import NotInRunError, Number, Run, Test, mean, ratio_of_sums, share
 from gapsweep.model.labels import law_of
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -31,6 +33,7 @@ HALF = 0.5  # "captures", "most": more of it than not
 TENTH = 0.1  # "captures none": at most
 TWENTIETH = 0.05  # "does not occur": of the frequencies
 ALIKE = 1.1  # "nearly the same": within a tenth
+AS_DRAWN = 0.02  # of the gap's width: what a plot shows
 _BANDS_SHOWN = 3
 
 NAMES = {"poly": "Poly", "ratpoly": "RatPoly", "logarctan": "log-arctan", "piecewise": "exact law"}
@@ -154,7 +157,7 @@ def same_picture(
     other: str,
     scene: Scene,
     where: Bools | None = None,
-    resolution: float = 0.02,
+    resolution: float = AS_DRAWN,
 ) -> Number:
     """Share of the frequencies at which two laws from rest have the same peak and trough.
 
@@ -167,6 +170,56 @@ def same_picture(
     apart = abs(ours[ends] - theirs[ends]).to_dataarray().max("variable")
     hits = apart <= resolution * width(scene)
     return share(hits if where is None else hits[where])
+
+
+# --- of one motion ------------------------------------------------------------------------------
+
+
+def late_periods(histories: xr.Dataset) -> NDArray[np.int64]:
+    """Forcing periods after which the ends of histories repeat, as far as a plot shows; 0: none.
+
+    The smallest number at which their strobes scatter by no more about their means.
+
+    Returns
+    -------
+    ndarray of int, shape (n_histories, n_representations)
+    """
+    x = histories["x"].sel(part="steady").transpose("history", "representation", "sample").values
+    strobes = x[..., ::SAMPLES_PER_PERIOD]
+    near = AS_DRAWN * (histories["j_1"] + histories["j_2"]).values[:, None]
+    found = np.zeros(strobes.shape[:2], np.int64)
+    for n in range(strobes.shape[-1] // 2, 0, -1):
+        last = strobes[..., strobes.shape[-1] % n :]
+        scatter = last.reshape(*found.shape, -1, n).std(axis=2)
+        found[(scatter <= near[..., None]).all(axis=-1)] = n
+    return found
+
+
+def moved_on(run: Run, scene: Scene) -> dict[tuple[float, str], tuple[int, int]]:
+    """Motions whose periods differ early and late: the response from rest, the end of the history.
+
+    With a solver's errors a motion leaves an attractor in time for another that coexists.
+
+    Returns
+    -------
+    dict
+        From frequency [Hz] and label to the two periods, where both are known.
+    """
+    if "histories" not in run.datasets:
+        return {}
+    histories = run["histories"]
+    here = (histories["K_c"] == scene[0]) & (histories["gap"] == scene[1])
+    histories = histories.isel(history=here.values).load()
+    omegas, labels = (histories[name].values.tolist() for name in ("omega", "representation"))
+    found = {}
+    for omega, periods in zip(omegas, late_periods(histories).tolist(), strict=True):
+        for label, late in zip(labels, periods, strict=True):
+            with suppress(NotInRunError):
+                points = run.points(label, *scene, "period_multiple", band=(omega, omega))
+                early = int(points["period_multiple"].values[0])
+                if 0 < early != late > 0:
+                    found[omega, label] = early, late
+    return found
 
 
 # --- of one law ---------------------------------------------------------------------------------

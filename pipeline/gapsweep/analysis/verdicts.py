@@ -282,17 +282,17 @@ def claim(id: int, place: str, text: str, why: str) -> Callable[[Callable[["Run"
 
 
 def verdict(holds: Iterable[bool | None]) -> str:
-    """Of the decided tests all hold: confirmed; none: refuted; some: partly.
+    """All tests hold: confirmed; none of the decided: refuted; else partly.
 
     Undecidable if fewer than half of the tests are decided, unless these disagree.
     """
     outcomes = list(holds)
     decided = {outcome for outcome in outcomes if outcome is not None}
-    if len(decided) == 2:
-        return PARTLY
-    if not decided or 2 * outcomes.count(None) > len(outcomes):
+    if not decided or (len(decided) == 1 and 2 * outcomes.count(None) > len(outcomes)):
         return UNDECIDABLE
-    return CONFIRMED if True in decided else REFUTED
+    if True not in decided:
+        return REFUTED
+    return CONFIRMED if all(outcomes) else PARTLY
 
 
 def counted(decided: list[dict[str, Any]]) -> dict[str, Any]:
