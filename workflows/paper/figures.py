@@ -11,7 +11,7 @@ from gapsweep.analysis.verdicts import NotInRunError, Run
 from gapsweep.report.drawing import labels_of, said_of_marks
 from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.scales import plain
-from gapsweep.report.scenes import Scenes, swept
+from gapsweep.report.scenes import Scenes, said_of_starts, swept
 from gapsweep.report.tables import number, percent
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -48,7 +48,7 @@ SHOWN = {
     "9": (scenes.HARD_SYMMETRIC, STRONG),
 }
 _PEAKS_SAY = (
-    "Peaks from all starts. The exact law stands alone, and behind the others: what shows of it is "
+    "The exact law stands alone, and behind the others: what shows of it is "
     "missed, colour without it invented. Dashed: the upper wall."
 )
 _EXTREMA_SAY = "All steady zero-velocity displacements from rest; dashed: walls."
@@ -77,7 +77,8 @@ def figures(run: Run) -> Iterator[Figured]:
         if name[0] in "67":
             if (scene := _scene(found, at, laws)) is not None:
                 figure = draw.peak_curves(scene)
-                words = (f"{_PEAKS_SAY}{said_of_marks(figure)}", _counts(scene))
+                peaks = f"Peaks{said_of_starts(scene)}. {_PEAKS_SAY}"
+                words = (f"{peaks}{said_of_marks(figure)}", _counts(scene))
                 yield _figured(figure, name, at, TIGHT, *words)
             continue
         for protocol in (TIGHT, PAPER):

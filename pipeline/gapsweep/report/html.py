@@ -41,7 +41,7 @@ from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import Figured, Part, for_page, pictured, rendered
 from gapsweep.report.provenance import as_toml, provenance
 from gapsweep.report.scales import named, plain
-from gapsweep.report.scenes import Scenes, swept
+from gapsweep.report.scenes import Scenes, said_of_starts, swept
 from gapsweep.report.selection import anchor_of, beside, gap_label
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.report.tables import VERDICTS, Row, claim_rows, number, percent, scene_tables
@@ -343,7 +343,7 @@ def _scene_figures(
         yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
     yield Figured(
         bifurcation(scene),
-        f"All steady zero-velocity displacements{_said_of_starts(scene)}."
+        f"All steady zero-velocity displacements{said_of_starts(scene)}."
         f"{said_of_bands(scene)}{said_of_walls(scene)}",
         f"Bifurcation diagram, {title}",
     )
@@ -354,19 +354,6 @@ def _scene_figures(
             f"{said_of_peaks(found)}{said_of_walls(scene, of_peaks=True)}",
             f"Attractors and their basins, {title}",
         )
-
-
-def _said_of_starts(scene: xr.Dataset) -> str:
-    """From how many starts the panels of a scene show responses, where that is not always one."""
-    asked = (scene["status"] != Status.NOT_REQUESTED).any("omega").sum("initial_condition")
-    groups: dict[int, list[str]] = {}
-    for label, n in zip(labels_of(scene), asked.values.tolist(), strict=True):
-        groups.setdefault(n, []).append(label)
-    first, *others = sorted(groups, key=lambda n: -len(groups[n]))
-    if not others:
-        return f" from {first} starts" if first > 1 else ""
-    said = [f"of {', '.join(groups[n])} from {n}" for n in others]
-    return f"{', '.join(['', *said])}, of the other laws from {first} start{'s' * (first > 1)}"
 
 
 def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.Dataset | None:

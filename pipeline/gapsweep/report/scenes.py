@@ -2,8 +2,10 @@
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from gapsweep.analysis.grid import At
+from gapsweep.report.drawing import labels_of
 from gapsweep.status import Status
 from gapsweep.study.selection import positions
 
@@ -91,3 +93,25 @@ def swept(scene: xr.Dataset) -> xr.Dataset:
         others = [other for other in asked.dims if other != dim]
         scene = scene.isel({dim: np.flatnonzero(asked.any(others).values)})
     return scene
+
+
+def said_of_starts(scene: xr.Dataset) -> str:
+    """From how many starts the laws of a scene show responses; empty where that is one for all."""
+    asked = (scene["status"] != Status.NOT_REQUESTED).sum("initial_condition")
+    groups: dict[str, list[str]] = {}
+    for label in labels_of(scene):
+        counts = asked.sel(representation=label).values
+        groups.setdefault(_from_to(counts[counts > 0]), []).append(label)
+    most, *others = sorted(groups, key=lambda said: -len(groups[said]))
+    if not others:
+        return "" if most == "1 start" else f" from {most}"
+    said = [f"of {', '.join(groups[one])} from {one}" for one in others]
+    return f", {', '.join(said)}, of the other laws from {most}"
+
+
+def _from_to(counts: NDArray[np.int64]) -> str:
+    if not counts.size:
+        return "none"
+    least, most = int(counts.min()), int(counts.max())
+    noun = f"start{'s' * (most > 1)}"
+    return f"{most} {noun}" if least == most else f"{least} to {most} {noun} a frequency"
