@@ -17,7 +17,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from rattler_build import RattlerBuildError, RenderConfig, Stage0Recipe, VariantConfig
 
 from gapsweep.cli.init import STUDIES
 
@@ -151,14 +150,16 @@ def test_one_author_and_licence_everywhere():
 
 def test_the_builder_of_conda_packages_understands_the_recipe(tmp_path):
     """It refuses fields that it does not know, and fills in what is given by name."""
+    builder = pytest.importorskip("rattler_build")  # not on every platform
     path = ROOT / ".ci" / "conda" / "recipe.yaml"
-    (made,) = Stage0Recipe.from_file(path).render(VariantConfig(), RenderConfig())
+    read = builder.Stage0Recipe.from_file
+    (made,) = read(path).render(builder.VariantConfig(), builder.RenderConfig())
     found = made.recipe.to_dict()
     assert found["package"] == {"name": "gapsweep", "version": PROJECT["version"]}
     assert found["build"]["noarch"] == "python"
     (tmp_path / "recipe.yaml").write_text(path.read_text().replace("noarch:", "no_arch:"))
-    with pytest.raises(RattlerBuildError, match="no_arch"):
-        Stage0Recipe.from_file(tmp_path / "recipe.yaml")
+    with pytest.raises(builder.RattlerBuildError, match="no_arch"):
+        read(tmp_path / "recipe.yaml")
 
 
 def test_the_recipe_asks_for_the_same_libraries():

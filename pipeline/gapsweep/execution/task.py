@@ -12,13 +12,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, described
+from gapsweep.integrate.simulate import loaded
 from gapsweep.model import own_law
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
@@ -29,6 +30,7 @@ from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
+from gapsweep.study.fingerprint import check_unedited
 from gapsweep.study.points import KEY, OF_CONTACT, OSCILLATOR, OURS, Kind, Points, with_ratio
 from gapsweep.study.software import software, versions
 
@@ -53,7 +55,8 @@ class Tile:
     ----------
     points : Points
     identity : str
-        Of their kind: the client's, whose numerics are the worker's.
+        Of their kind, as the client says it: it keeps results of the same `software` only. Empty
+        for what is not stored.
     keys, previous : ndarray of void, shape (n,)
         Content keys of the points, and of those that they start from.
     lengths : ndarray of int, shape (m,)
@@ -135,6 +138,8 @@ class TaskResult:
 
 def compute(task: Task) -> TaskResult:
     """Body of a Dask task."""
+    for tile in task.tiles:
+        load(tile.points.kind.solver.engine)
     ours, begin = software(), time.thread_time()  # of what runs now: it may be edited meanwhile
     found, n_warm = [], len(_warm)
     with _ending_after(task.timeout) if task.client != process() else nullcontext():
@@ -144,6 +149,20 @@ def compute(task: Task) -> TaskResult:
     if len(_warm) > n_warm:  # that held compiling, which comes but once
         seconds = sum(slab.seconds for slab in found)
     return TaskResult(found, seconds, ours)
+
+
+@cache
+def load(engine: str) -> None:
+    """Load an engine into this process.
+
+    Raises
+    ------
+    ClusterError
+        If the numerics were edited before: what `software` says of this process would not be what
+        is loaded now.
+    """
+    loaded(engine)
+    check_unedited()
 
 
 def process() -> tuple[str, int]:

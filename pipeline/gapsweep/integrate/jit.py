@@ -21,6 +21,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from uuid import uuid4
 
@@ -35,7 +36,7 @@ from numba.core.compiler_machinery import PassManager
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from numba.core.typed_passes import InlineOverloads, NopythonRewrites
-from numba.core.untyped_passes import InlineClosureLikes, WithLifting
+from numba.core.untyped_passes import InlineClosureLikes, InlineInlinables, WithLifting
 from numba.extending import overload
 
 
@@ -65,22 +66,25 @@ class _Part(JITCodeLibrary):
 
 
 class _Flags(Flags):
-    """Options of a compilation that change no more, of which equal ones are one object.
+    """Options of a compilation that cannot change, of which equal ones are one object.
 
     numba looks functions up by them at every call that it types, and would compare all forty each
     time, a twelfth of the time in all.
     """
 
-    __slots__ = ()
     __eq__, __hash__ = object.__eq__, object.__hash__
+
+    def __init__(self, options: Flags) -> None:
+        super().__init__(options)
+        self._values: Any = MappingProxyType(self._values)
 
     def copy(self) -> "_Flags":
         return self
 
 
 _known_flags = cache(_Flags)
-# What numba does for closures, blocks under ``with``, whole arrays and overloads that are inlined.
-_NEEDLESS = {InlineClosureLikes, WithLifting, NopythonRewrites, InlineOverloads}
+# What numba does for closures, blocks under ``with``, whole arrays and functions that it inlines.
+_NEEDLESS = {InlineClosureLikes, WithLifting, NopythonRewrites, InlineInlinables, InlineOverloads}
 
 
 class _OurCompiler(Compiler):
@@ -88,7 +92,7 @@ class _OurCompiler(Compiler):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self.state.flags = _known_flags(self.state.flags)
+        self.state.flags = _known_flags(Flags(self.state.flags))
 
     def define_pipelines(self) -> list[PassManager]:
         (usual,) = super().define_pipelines()

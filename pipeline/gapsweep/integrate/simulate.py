@@ -1,7 +1,7 @@
 """One call for every engine, for one motion or many."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -23,14 +23,16 @@ _CLOCK_SHARE = 1e-9
 
 def prepared(models: Models, solver: Solver) -> Integrate:
     """Integration of models, each as if it were alone: the same numbers in any company."""
-    # either takes tenths of a second to import, and few need both
-    if solver.engine == "scipy":
-        from gapsweep.integrate import reference
+    return loaded(solver.engine)(models, solver)
 
-        return reference.prepared(models, solver)
-    from gapsweep.integrate import compiled
 
-    return compiled.prepared(models, solver)
+def loaded(engine: str) -> Callable[[Models, Solver], Integrate]:
+    """The function `prepared` of an engine; to load one takes tenths of a second."""
+    if engine == "scipy":
+        from gapsweep.integrate.reference import prepared
+    else:
+        from gapsweep.integrate.compiled import prepared
+    return prepared
 
 
 def simulate(

@@ -51,6 +51,17 @@ def numerics_bytes(package: Path = _PACKAGE) -> str:
     return short_digest(b"\0".join(part for named in parts for part in named))
 
 
+def check_unedited() -> None:
+    """Whether what is loaded from now on is what the fingerprints are of.
+
+    Raises
+    ------
+    ClusterError
+        As `numerics_fingerprint`.
+    """
+    _numerics(_PACKAGE)
+
+
 def _numerics(package: Path) -> list[Path]:
     """The files of the modules in `NUMERICS`, if none was edited since they were loaded."""
     paths = (package / name for name in NUMERICS)
