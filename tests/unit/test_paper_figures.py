@@ -12,6 +12,7 @@ from tests.figure_texts import overlaps
 from tests.redrawn import is_redrawn
 from workflows.paper import scenes
 from workflows.paper.figures import LIMITS, band_rows, costs, figures, sections
+from workflows.paper.measures import late_periods
 from workflows.paper.paper_figures import (
     histories_and_spectra,
     overlaid_bifurcations,
@@ -20,12 +21,13 @@ from workflows.paper.paper_figures import (
 )
 
 import gapsweep as gs
-from gapsweep.analysis.histories import histories
+from gapsweep.analysis.histories import N_PERIODS, SAMPLES_PER_PERIOD, histories
 from gapsweep.analysis.verdicts import Run
 from gapsweep.report.figures import bifurcation
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import VIEWS, is_picture
 from gapsweep.report.points import as_csv
+from gapsweep.report.scenes import said_of_starts
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -224,8 +226,8 @@ def test_figure_10_says_what_is_the_same_and_what_only_the_solver_makes_irregula
     responses["response_class"][5, ..., 4:6, :] = CHAOTIC
     responses["response_class"][1, ..., 5:6, :] = CHAOTIC
     tight, loose = (one for one in drawn_of(responses) if one.caption.startswith("Figure 10"))
-    assert "90 % (piecewise-noevents over piecewise)" in loose.caption
-    assert "100 % (piecewise-noevents over piecewise)" in tight.caption
+    assert "90 % (piecewise-noevents on piecewise)" in loose.caption
+    assert "100 % (piecewise-noevents on piecewise)" in tight.caption
     assert "piecewise-noevents: 2 chaotic (1 periodic with the tight solver)" in loose.caption
     assert "by 2 µm" in loose.caption
     assert "tight solver" not in tight.caption
@@ -368,3 +370,50 @@ def test_a_scene_without_any_result_draws(scene, tmp_path):
         scene[name][:] = np.nan
     peak_curves(scene).savefig(tmp_path / "peaks.png", dpi=30)
     stacked_bifurcations(scene.isel(initial_condition=0)).savefig(tmp_path / "stack.png", dpi=30)
+
+
+@pytest.mark.parametrize("n_kept", [60, 59, 31, 8])
+@pytest.mark.parametrize(
+    ("motion", "period"),
+    [
+        (lambda t: np.cos(2 * np.pi * t), 1),
+        (lambda t: np.cos(2 * np.pi * t) + 0.5 * np.sin(np.pi * t), 2),  # alike at whole periods
+        (lambda t: np.cos(2 * np.pi * t) + 0.5 * np.sin(2 * np.pi * t / 3), 3),
+        (lambda t: np.cos(2 * np.pi * t) + 0.01 * np.sin(np.pi * t), 1),  # less than a plot shows
+        (lambda t: np.cos(2 * np.pi * t) + t, 0),
+        (lambda t: np.full(t.size, np.nan), 0),
+    ],
+)
+def test_the_period_at_the_end_of_a_history_is_what_a_plot_shows(motion, period, n_kept):
+    x = np.full(N_PERIODS * SAMPLES_PER_PERIOD, np.nan)
+    here = slice(n_kept * SAMPLES_PER_PERIOD)
+    x[here] = 1e-3 * motion(np.arange(x[here].size) / SAMPLES_PER_PERIOD)
+    dims = ("history", "representation", "part", "sample")
+    history = xr.Dataset(
+        {"x": (dims, x[None, None, None])},
+        {"part": ["steady"], "j_1": ("history", [4e-4]), "j_2": ("history", [4e-4]),
+         "n_periods": ("history", [n_kept])},
+    )  # fmt: skip
+    assert late_periods(history).tolist() == [[period]]
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"a": ["1", "1"], "b": ["1", "1"]}, ""),
+        ({"a": ["12", "12"], "b": ["12", "12"]}, " from 2 starts"),
+        ({"a": ["1", "123"], "b": ["1", "123"]}, " from 1 to 3 starts a frequency"),
+        ({"a": ["1", "2"], "b": ["1", "2"]}, " from 1 of 2 starts a frequency"),
+        ({"a": ["12", "12"], "b": ["1", "1"]}, ", of b from 1 start, of a from 2 starts"),
+        (
+            {"a": ["12", "12"], "b": ["12", "12"], "c": ["1", ""]},
+            ", of c from 1 start, of the other laws from 2 starts",
+        ),
+    ],
+)
+def test_captions_say_how_many_starts_there_are(asked, said):
+    wanted = [[[str(n) in at for n in (1, 2, 3)] for at in of_law] for of_law in asked.values()]
+    status = np.where(wanted, Status.OK, Status.NOT_REQUESTED)
+    dims = ("representation", "omega", "initial_condition")
+    scene = xr.Dataset({"status": (dims, status)}, {"representation": list(asked)})
+    assert said_of_starts(scene) == said

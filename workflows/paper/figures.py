@@ -77,7 +77,7 @@ def figures(run: Run) -> Iterator[Figured]:
         if name[0] in "67":
             if (scene := _scene(found, at, laws)) is not None:
                 figure = draw.peak_curves(scene)
-                peaks = f"Peaks{said_of_starts(scene)}. {_PEAKS_SAY}"
+                peaks = f"Peaks{said_of_starts(scene) or ' from 1 start'}. {_PEAKS_SAY}"
                 words = (f"{peaks}{said_of_marks(figure)}", _counts(scene))
                 yield _figured(figure, name, at, TIGHT, *words)
             continue
@@ -155,13 +155,15 @@ def _scene(
 def _counts(scene: xr.Dataset) -> str:
     """How many points there are, and how high each law peaks."""
     status, height = scene["status"].values, scene["x_max"]
+    beyond, is_steady = status == Status.OUT_OF_FIT_RANGE, np.isfinite(height.values)
     highest = 1e3 * height.max([dim for dim in height.dims if dim != "representation"]).values
     peaks = (f"{label} {number(x)}" for label, x in zip(labels_of(scene), highest, strict=True))
     return (
         f"{np.sum(status != Status.NOT_REQUESTED)} points, "
         f"{np.sum(status == Status.UNRESOLVED)} unresolved, "
         f"{np.sum(status > Status.OUT_OF_FIT_RANGE)} failed, "
-        f"{np.sum(status == Status.OUT_OF_FIT_RANGE)} beyond the range of their fit. "
+        f"{np.sum(beyond & is_steady)} beyond the range of their fit, "
+        f"{np.sum(beyond & ~is_steady)} that left it without a steady response. "
         f"Largest peaks [mm]: {listed(peaks)}."
     )
 
@@ -173,7 +175,7 @@ def _overlay(run: Run, scene: xr.Dataset, protocol: str) -> Figured:
         hits = same_picture(run, front + protocol, rear + protocol, HARD_ASYMMETRIC)
         omega = run.points(front + protocol, *HARD_ASYMMETRIC, "x_max")["omega"].values
         overlays.append((front + protocol, rear + protocol, omega[hits.each == 0.0]))
-        same.append(f"{percent(hits.value)} ({front} over {rear})")
+        same.append(f"{percent(hits.value)} ({front} on {rear})")
     seen = [
         f"{_EXTREMA_SAY} Larger: the law behind. Red: peak or trough differ by more than 2 % of "
         f"the gap; they are the same at {listed(same)} of the frequencies."
@@ -218,15 +220,15 @@ def _histories(run: Run) -> Iterator[Figured]:
         for label, periods in zip(labels_of(scene), late_periods(scene).T.tolist(), strict=True)
     )
     moved = [
-        f"{label} at {omega:g} Hz from P{early} to P{late}"
-        for (omega, label), (early, late) in moved_on(run, HARD_ASYMMETRIC).items()
+        f"{label} at {omega:g} Hz from {periods}"
+        for (omega, label), periods in moved_on(run, laws, HARD_ASYMMETRIC).items()
     ]
-    so = "The solver's errors move motions from one attractor to another in time: the response from"
-    so = f" {so} the same start is an earlier part of it; {listed(moved)}." if moved else ""
+    so = "With the paper's tolerances a motion can leave the orbit on which its response was taken:"
+    so = f" {so} {listed(moved)}." if moved else ""
     words = (
         f"Last {draw.SHOWN_PERIODS} forcing periods from rest, and spectrum (Hann window): between "
-        f"the exact law's lines is what the others add. Periods as far as a plot shows, 2 % of the "
-        f"gap, by row: {'; '.join(kinds)}.{so}"
+        f"the exact law's lines is what the others add. Periods to 2 % of the gap (root "
+        f"mean square), by row: {'; '.join(kinds)}.{so}"
     )
     yield _figured(draw.histories_and_spectra(scene), "11", HARD_ASYMMETRIC, PAPER, words)
 

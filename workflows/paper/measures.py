@@ -7,6 +7,7 @@ with the exact law, the same number of another exact law; of a share, its standa
 import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from itertools import product
 
 import numpy as np
 import xarray as xr
@@ -178,47 +179,64 @@ def same_picture(
 def late_periods(histories: xr.Dataset) -> NDArray[np.int64]:
     """Forcing periods after which the ends of histories repeat, as far as a plot shows; 0: none.
 
-    The smallest number at which their strobes scatter by no more about their means.
+    The smallest number after which a motion is off its mean there by no more than `AS_DRAWN` of
+    the gap's width (root mean square).
 
     Returns
     -------
     ndarray of int, shape (n_histories, n_representations)
     """
     x = histories["x"].sel(part="steady").transpose("history", "representation", "sample").values
-    strobes = x[..., ::SAMPLES_PER_PERIOD]
-    near = AS_DRAWN * (histories["j_1"] + histories["j_2"]).values[:, None]
-    found = np.zeros(strobes.shape[:2], np.int64)
-    for n in range(strobes.shape[-1] // 2, 0, -1):
-        last = strobes[..., strobes.shape[-1] % n :]
-        scatter = last.reshape(*found.shape, -1, n).std(axis=2)
-        found[(scatter <= near[..., None]).all(axis=-1)] = n
-    return found
+    widths, counts = (histories["j_1"] + histories["j_2"]).values, histories["n_periods"].values
+    return np.array(
+        [
+            [_repeats(motion[: n * SAMPLES_PER_PERIOD], AS_DRAWN * width) for motion in motions]
+            for motions, width, n in zip(x, widths, counts.tolist(), strict=True)
+        ]
+    )
 
 
-def moved_on(run: Run, scene: Scene) -> dict[tuple[float, str], tuple[int, int]]:
-    """Motions whose periods differ early and late: the response from rest, the end of the history.
+def _repeats(motion: NDArray[np.float64], near: float) -> int:
+    periods = motion.reshape(-1, SAMPLES_PER_PERIOD)
+    for n in range(1, max(len(periods) // 2, 1) + 1):
+        alike = periods[len(periods) % n :].reshape(-1, n, SAMPLES_PER_PERIOD)
+        if np.sqrt(np.mean(alike.var(axis=0))) <= near:
+            return n
+    return 0
 
-    With a solver's errors a motion leaves an attractor in time for another that coexists.
+
+def moved_on(run: Run, labels: Iterable[str], scene: Scene) -> dict[tuple[float, str], str]:
+    """Motions from rest that end, in their histories, on another orbit than their response.
+
+    Another: peak or trough differ as a plot shows, and the response was taken before the history's
+    last part begins.
 
     Returns
     -------
     dict
-        From frequency [Hz] and label to the two periods, where both are known.
+        From frequency [Hz] and label to the periods of both, in words.
     """
     if "histories" not in run.datasets:
         return {}
-    histories = run["histories"]
-    here = (histories["K_c"] == scene[0]) & (histories["gap"] == scene[1])
-    histories = histories.isel(history=here.values).load()
-    omegas, labels = (histories[name].values.tolist() for name in ("omega", "representation"))
-    found = {}
-    for omega, periods in zip(omegas, late_periods(histories).tolist(), strict=True):
-        for label, late in zip(labels, periods, strict=True):
-            with suppress(NotInRunError):
-                points = run.points(label, *scene, "period_multiple", band=(omega, omega))
-                early = int(points["period_multiple"].values[0])
-                if 0 < early != late > 0:
-                    found[omega, label] = early, late
+    histories, found = run["histories"], {}
+    names = ("K_c", "gap", "x_0", "v_0")
+    asked = zip(*(histories[name].values.tolist() for name in names), strict=True)
+    here = np.array([each == (*scene, 0.0, 0.0) for each in asked])
+    known = [label for label in labels if label in histories["representation"].values]
+    histories = histories.isel(history=here).sel(representation=known).load()
+    periods = late_periods(histories)
+    for (h, omega), (r, label) in product(enumerate(histories["omega"].values), enumerate(known)):
+        one = histories.isel(history=h, representation=r)
+        last = one["x"].sel(part="steady")
+        ends = [float(last.max()), float(last.min())]
+        with suppress(NotInRunError):
+            what = ("x_max", "x_min", "t_simulated", "period_multiple")
+            response = run.points(label, *scene, *what, band=(omega, omega)).isel(point=0)
+            apart = np.abs(response[["x_max", "x_min"]].to_dataarray() - ends).max()
+            is_earlier = response["t_simulated"] <= one["t_end"] - one["n_periods"] / omega
+            if is_earlier and apart > AS_DRAWN * width(scene):
+                early = response["period_multiple"].item()
+                found[float(omega), label] = f"P{early} to P{periods[h, r]}".replace("P0", "none")
     return found
 
 

@@ -67,7 +67,7 @@ def overlaid_bifurcations(scene: xr.Dataset, overlays: Sequence[Overlay]) -> Fig
         _extrema(axes, scene.sel(representation=front), _DOT)
         edge = axes.get_xaxis_transform()
         axes.vlines(apart, 1.0, 1.04, NOT_PERIODIC, transform=edge, clip_on=False, label="_differ")
-        axes.set_title(f"{law_of(front)} over {law_of(rear)}", fontsize=9, loc="left", pad=7)
+        axes.set_title(f"{law_of(front)} on {law_of(rear)}", fontsize=9, loc="left", pad=7)
     return figure
 
 
@@ -89,12 +89,12 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
             spectrum.plot(multiple, drawn(own["spectrum"]), line, **style)
         top = np.nanmax(drawn(one["spectrum"]), initial=0.0) or 1.0
         motion.set(xlim=(0.0, SHOWN_PERIODS), ylabel="displacement [mm]")
+        motion.set_xlabel("forcing periods")
+        spectrum.set_xlabel("frequency / forcing frequency")
         limits = (top * 10.0**-_DECADES, 2.0 * top)
         spectrum.set(xlim=(0.0, _HARMONICS), ylabel="amplitude [mm]", yscale="log", ylim=limits)
         spectrum.minorticks_off()
         motion.set_title(f"{float(one['omega']):g} Hz", fontsize=9, loc="left")
-    panels[-1, 0].set_xlabel("forcing periods")
-    panels[-1, 1].set_xlabel("frequency / forcing frequency")
     figure.legend(panels[0, 1].lines, labels, loc="outside upper center", ncols=4, fontsize=8)
     return figure
 

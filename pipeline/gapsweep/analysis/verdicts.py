@@ -284,7 +284,7 @@ def claim(id: int, place: str, text: str, why: str) -> Callable[[Callable[["Run"
 def verdict(holds: Iterable[bool | None]) -> str:
     """All tests hold: confirmed; none of the decided: refuted; else partly.
 
-    Undecidable if fewer than half of the tests are decided, unless these disagree.
+    Undecidable if there are none, or fewer than half are decided, unless these disagree.
     """
     outcomes = list(holds)
     decided = {outcome for outcome in outcomes if outcome is not None}

@@ -55,7 +55,7 @@ _FRAME = 60  # ms in which a browser draws one figure, before others keep it bus
 _WARMING = "Compiling the engine: the first time takes up to a minute …"
 _NOTE = (
     f"{N_OMEGA} frequencies, every response from rest, then sweeps of the exact law; "
-    "compiled engine, rtol 1e-6, atol 1e-9 m. Transients are given "
+    "compiled engine, rtol 1e-6, atol 1e-9 m at most. Transients are given "
     f"{DECAY_TIMES:g} decay times: what takes longer is shown as not periodic, and "
     "<code>gapsweep run</code> waits for it. "
     "Click a dot, a start or a place in the map to look at its motion."

@@ -36,7 +36,7 @@ T = TypeVar("T")
 class Cell:
     """One number of a law in a contact: in short, in full, how dark (0 to 1) and where it is drawn.
 
-    `verdict` is empty but for errors.
+    `verdict` is empty but for errors, `is_firm` whether it is.
     """
 
     text: str
@@ -44,6 +44,7 @@ class Cell:
     shade: float
     anchor: str
     verdict: str = ""
+    is_firm: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +112,8 @@ def _cell(group: str, contact: Contact, one: Judged) -> Cell:
         f"{percent(share)} of {one.n_exact} attractors found, cost {one.cost}"
     )
     dark = float(np.clip(np.nan_to_num(shade), 0.0, 1.0))
-    return Cell(text, said, dark, contact.anchor, one.verdict if group == "error" else "")
+    judged = (one.verdict, one.is_firm) if group == "error" else ()
+    return Cell(text, said, dark, contact.anchor, *judged)
 
 
 def _between(value: float, low: float, high: float) -> float:

@@ -236,9 +236,10 @@ def _claims(decided: Mapping[str, Any], parts: Sequence[Mapping[str, Any]]) -> l
 def _place(place: str, names: Mapping[str, str], parts: Sequence[Mapping[str, Any]]) -> str:
     """The id of the figure or section that a claim is about, the nearest by name; empty if none.
 
-    "Fig. 11ab" is about "Fig. 11", "Fig. 2" about the first of "Fig. 2a" and "Fig. 2b".
+    "Fig. 11ab" is about "Fig. 11" or "Fig. 11, their solver", "Fig. 2" about the first of "Fig. 2a"
+    and "Fig. 2b".
     """
-    near = [n for n in names if n and (place.startswith(n) or n.startswith(place))]
+    near = [n for n in names if n and (place.startswith(n.split(",")[0]) or n.startswith(place))]
     titled = [part["anchor"] for part in parts if part["title"].endswith(f" {place}")]
     return names[min(near, key=lambda n: n != place)] if near else next(iter(titled), "")
 

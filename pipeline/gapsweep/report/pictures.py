@@ -159,18 +159,23 @@ def stack(figure: Figure) -> None:
         for axis in (axes.xaxis, axes.yaxis):
             if isinstance(locator := axis.get_major_locator(), MaxNLocator):
                 locator.set_params(nbins=5)
-    for legend in [*figure.legends, *filter(None, (axes.get_legend() for axes in shown))]:
-        _set_narrow(legend)
+    legends = [*figure.legends, *filter(None, (axes.get_legend() for axes in shown))]
+    for legend in legends:
+        _set_narrow(legend, is_only=len(legends) == 1)
 
 
-def _set_narrow(legend: Any) -> None:
-    """Set a legend anew in one or two columns, unless it lies within its panel."""
+def _set_narrow(legend: Any, *, is_only: bool) -> None:
+    """Set a legend anew in one or two columns, the only one above; others stay within their panel.
+
+    A legend that finds room in a wide panel covers what a narrow one shows.
+    """
     names = [text.get_text() for text in legend.get_texts()]
     look = {name: getattr(legend, name) for name in _SPACES}
     look["ncols"] = 2 if max(map(len, names), default=0) < _LONG else 1
     look |= {"title": legend.get_title().get_text(), "alignment": legend.get_alignment()}
     look |= {"fontsize": _SMALLEST, "title_fontsize": _SMALLEST}
-    if legend.axes is None:
+    parent = legend.get_figure() if is_only else legend.axes or legend.get_figure()
+    if parent is not legend.axes:
         look["loc"] = "outside upper left"
     elif (anchor := legend.get_bbox_to_anchor()) is not legend.axes.bbox:
         look |= {"loc": legend._loc, "bbox_to_anchor": anchor}
@@ -178,7 +183,6 @@ def _set_narrow(legend: Any) -> None:
         look["bbox_transform"] = ScaledTranslation(-_INDENT, 0.0, legend.figure.dpi_scale_trans)
     else:
         return
-    parent = legend.axes or legend.get_figure()
     legend.remove()
     parent.legend(list(filter(None, legend.legend_handles)), names, **look)
 

@@ -96,22 +96,28 @@ def swept(scene: xr.Dataset) -> xr.Dataset:
 
 
 def said_of_starts(scene: xr.Dataset) -> str:
-    """From how many starts the laws of a scene show responses; empty where that is one for all."""
-    asked = (scene["status"] != Status.NOT_REQUESTED).sum("initial_condition")
+    """From how many starts each law of a scene was asked; empty where that is one for all."""
+    asked = (scene["status"] != Status.NOT_REQUESTED).transpose("representation", "omega", ...)
     groups: dict[str, list[str]] = {}
-    for label in labels_of(scene):
-        counts = asked.sel(representation=label).values
-        groups.setdefault(_from_to(counts[counts > 0]), []).append(label)
-    most, *others = sorted(groups, key=lambda said: -len(groups[said]))
+    for label, of_law in zip(labels_of(scene), asked.values, strict=True):
+        groups.setdefault(_many(of_law), []).append(label)
+    commonest, *others = sorted(groups, key=lambda said: -len(groups[said]))
     if not others:
-        return "" if most == "1 start" else f" from {most}"
+        return "" if commonest == "1 start" else f" from {commonest}"
     said = [f"of {', '.join(groups[one])} from {one}" for one in others]
-    return f", {', '.join(said)}, of the other laws from {most}"
+    laws = groups[commonest]
+    rest = "the other laws" if len(laws) > 1 else laws[0]
+    return f", {', '.join(said)}, of {rest} from {commonest}"
 
 
-def _from_to(counts: NDArray[np.int64]) -> str:
+def _many(asked: NDArray[np.bool_]) -> str:
+    """Starts at each frequency, in words; `asked` has shape (n_omega, n_starts)."""
+    counts = asked.sum(axis=1)[asked.any(axis=1)]
     if not counts.size:
         return "none"
-    least, most = int(counts.min()), int(counts.max())
-    noun = f"start{'s' * (most > 1)}"
-    return f"{most} {noun}" if least == most else f"{least} to {most} {noun} a frequency"
+    least, most, all_in_all = counts.min(), counts.max(), asked.any(axis=0).sum()
+    noun = f"start{'s' * int(all_in_all > 1)}"
+    if least == most == all_in_all:
+        return f"{most} {noun}"
+    of_all = f" of {all_in_all}" if all_in_all > most else ""
+    return f"{most if least == most else f'{least} to {most}'}{of_all} {noun} a frequency"

@@ -41,7 +41,9 @@ def scene_tables(
             title = f"Agreement with the exact law{suffix}{over}"
             tables.append(Table(title, _AGREEMENT, rows))
     rows = list(_timing_rows(timing, labels))
-    tables.append(Table(f"Cost per sweep point (medians){over}", _TIMING, rows))
+    tables.append(
+        Table(f"Cost per sweep point (medians of each law's own points){over}", _TIMING, rows)
+    )
     return [table for table in tables if table.rows]
 
 
