@@ -166,9 +166,10 @@ def _extrema(axes: Axes, one: xr.Dataset, size: float) -> None:
 def _title(axes: Axes, one: xr.Dataset) -> None:
     """Whose panel it is, and counts that must not go unseen."""
     status = one["status"].values
-    beyond = Status.OUT_OF_FIT_RANGE
-    lost = (status == Status.UNRESOLVED, status == beyond, status > beyond)
-    names = ("unresolved", "beyond the fit", "failed")
+    is_steady, fit = np.isfinite(one["x_max"].values), Status.OUT_OF_FIT_RANGE
+    beyond, left = (status == fit) & is_steady, (status == fit) & ~is_steady
+    lost = (status == Status.UNRESOLVED, beyond, left, status > fit)
+    names = ("unresolved", "beyond the fit", "left the fit", "failed")
     note = ", ".join(f"{n.sum()} {name}" for n, name in zip(lost, names, strict=True) if n.any())
     axes.set_title(str(one["representation"].values), fontsize=9, loc="left", pad=3)
     axes.set_title(note, fontsize=7, loc="right", color="#555555", pad=3)
