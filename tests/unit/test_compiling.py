@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from numba import njit
 from numba.core.compiler import Compiler, Flags
+from tests.stored import points
 
 import gapsweep
 from gapsweep.errors import ClusterError
-from gapsweep.execution.task import load
+from gapsweep.execution.task import Task, Tile, compute, load, process, software_with_engines
 from gapsweep.integrate import jit
+from gapsweep.study.software import software
 
 
 def chaos(x, out):
@@ -66,3 +68,14 @@ def test_no_engine_is_loaded_after_an_edit(monkeypatch):
     load.cache_clear()
     with pytest.raises(ClusterError, match="edited after this process loaded gapsweep"):
         load("scipy")
+
+
+def test_a_worker_computes_nothing_with_what_it_loads_after_an_edit(monkeypatch):
+    software()  # what a run asks every worker as it begins
+    monkeypatch.setattr(gapsweep, "LOADED", 0.0)
+    load.cache_clear()
+    tile = Tile.of_one(points(1.4e4), np.zeros(2))
+    with pytest.raises(ClusterError, match="edited"):
+        compute(Task([tile], 60.0, process()))
+    with pytest.raises(ClusterError, match="edited"):
+        software_with_engines()  # a process for laws of the user's own

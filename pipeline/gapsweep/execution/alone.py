@@ -32,6 +32,7 @@ from gapsweep.execution.task import (
     Tile,
     failure,
     respond_to,
+    software_with_engines,
     warm_up,
 )
 from gapsweep.model import own_law
@@ -138,7 +139,7 @@ class Alone:
 
     def _check(self) -> None:
         """Refuse a process that has loaded other code: it was edited since this one did."""
-        theirs = self.within(_START_SECONDS, software)
+        theirs = self.within(_START_SECONDS, software_with_engines)
         if theirs != software():
             self._end()
             raise ClusterError("gapsweep's source was edited during the run: start it again")

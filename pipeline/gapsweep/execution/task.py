@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, described
+from gapsweep.integrate.problem import ENGINES
 from gapsweep.integrate.simulate import loaded
 from gapsweep.model import own_law
 from gapsweep.model.contact import ContactLaw
@@ -163,6 +164,13 @@ def load(engine: str) -> None:
     """
     loaded(engine)
     check_unedited()
+
+
+def software_with_engines() -> Mapping[str, str]:
+    """`software` of this process, which loads no more of the numerics after that."""
+    for engine in ENGINES:
+        load(engine)
+    return software()
 
 
 def process() -> tuple[str, int]:
