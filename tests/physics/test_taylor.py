@@ -666,11 +666,12 @@ def test_e23_contacts_alternate_and_point_the_right_way(
 def safe_velocity_zeros(length, series):
     """Zeros of a step's velocity, as parts of the step, by eigenvalues of the companion matrix.
 
-    None if rounding may decide where one lies: next to another, or to the step's ends.
+    None if rounding may decide where one lies: next to another, to the step's ends, or in a motion
+    of the smallest numbers, which have no digits.
     """
     terms = series[1:] * np.arange(1, len(series)) * length ** np.arange(len(series) - 1)
     size = np.abs(terms).sum()
-    if length < 1e-8 or size == 0.0:
+    if length < 1e-8 or size < 1e-290:
         return None
     zeros = np.roots(terms[::-1] / size)
     zeros = zeros[(np.abs(zeros.imag) < 1e-4) & (np.abs(zeros.real - 0.5) < 0.5 + 1e-4)]
