@@ -25,7 +25,7 @@ from gapsweep.report.heat import heads, heat, swept_columns
 from gapsweep.report.html import write_report
 from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered
 from gapsweep.report.pictures import VIEWS, is_picture, pictures
-from gapsweep.report.provenance import as_toml, provenance
+from gapsweep.report.provenance import as_toml, model, provenance
 from gapsweep.report.scales import Told
 from gapsweep.report.tables import VERDICTS, number, outcome, percent
 from gapsweep.stages import is_of_run
@@ -304,6 +304,21 @@ def test_solvers_are_told_with_what_they_take_from_elsewhere(tmp_path):
     assert told["Solver"] == f"{usual}, restart True"
     assert told["Solver of @off"] == usual
     assert told["Solver of @moved"] == f"{usual}, restart True, start_jitter 1e-9"
+
+
+def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
+    study = tables(("piecewise", "piecewise@half", "tanh-1e4", "tanh-1e6"), OMEGA, **HALF)
+    study["oscillator"] = {"zeta": 0.07}
+    study["sweep"][0] |= {"forcing": [1.5, 2.5], "K_ratio": [0.5], "K_c": [2e4]}
+    responses, _ = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
+    told = dict(model(responses))
+    # Each law once, whatever its settings or parameter.
+    assert list(told) == ["Equation", "Numbers", "F of piecewise", "F of tanh"]
+    for number in ("ζ 0.07,", "p 1.5, 2.5 N", "K_c 20000 N/m", "upper 0.5", "ω 1, 2, 3, 4 Hz"):
+        assert number in told["Numbers"]
+    assert "0.4/0.4 mm" in told["Numbers"]
+    users = responses.assign_coords(representation=["piecewise", "mine:spring", *"ab"])
+    assert dict(model(users.isel(representation=[0, 1])))["F of mine:spring"] == "the user's own"
 
 
 def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(tmp_path):

@@ -47,6 +47,10 @@ SHOWN = {
     "8c": (scenes.HARD_SYMMETRIC, WEAK),
     "9": (scenes.HARD_SYMMETRIC, STRONG),
 }
+_PAPER = (
+    "The paper: Insights on the continuous representations of piecewise-smooth nonlinear systems: "
+    "limits of applicability and effectiveness."
+)
 _PEAKS_SAY = (
     "The exact law stands alone, and behind the others: what shows of it is "
     "missed, colour without it invented. Dashed: the upper wall."
@@ -56,7 +60,7 @@ _EXTREMA_SAY = "All steady zero-velocity displacements from rest; dashed: walls.
 
 def sections(run: Run) -> Iterator[Part]:
     """The paper's figures, its bands of frequencies and its Table 2, as far as the run has them."""
-    yield Part("paper", "The paper's figures", [], figures=figures(run))
+    yield Part("paper", "The paper's figures", [_PAPER], figures=figures(run))
     if rows := band_rows(run):
         yield Part("bands", "The paper's bands", [_BANDS_SAY], [Table("", _BANDS_HEAD, rows)])
     sentences, tables = costs(run)

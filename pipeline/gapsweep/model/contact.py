@@ -58,6 +58,8 @@ class ContactLaw:
     # colour-blind readers).
     family: ClassVar[str] = ""
     colour: ClassVar[str] = "#56B4E9"
+    # Its force, as a report says it.
+    formula: ClassVar[str] = "the user's own"
     # Whether laws of the family differ in numbers alone, so that one compiled form takes them all.
     is_numbers: ClassVar[bool] = False
     # Whether it has a convergence parameter: the larger, the nearer to the exact law.
@@ -138,6 +140,7 @@ class Piecewise(ContactLaw):
 
     family: ClassVar[str] = "piecewise"
     colour: ClassVar[str] = "#000000"
+    formula: ClassVar[str] = "K_c (x − j₂) for x > j₂, K_c (x + j₁) for x < −j₁, 0 between"
     is_numbers: ClassVar[bool] = True
 
     located: bool = True
@@ -248,6 +251,9 @@ class Tanh(_Switched):
 
     family: ClassVar[str] = "tanh"
     colour: ClassVar[str] = "#0072B2"
+    formula: ClassVar[str] = (
+        "½ K_c [(1 − tanh ε(x + j₁)) (x + j₁) + (1 + tanh ε(x − j₂)) (x − j₂)], ε [1/m] in its name"
+    )
 
     def _switch(self, z: Array) -> tuple[Array, Array]:
         s = np.tanh(z)
@@ -273,6 +279,7 @@ class Arctan(_Switched):
 
     family: ClassVar[str] = "arctan"
     colour: ClassVar[str] = "#009E73"
+    formula: ClassVar[str] = "as tanh, (2/π) arctan in its place"
 
     def _switch(self, z: Array) -> tuple[Array, Array]:
         return (2.0 / math.pi) * np.arctan(z), (2.0 / math.pi) / (1.0 + z * z)
@@ -302,6 +309,10 @@ class LogArctan(_Sharpened):
 
     family: ClassVar[str] = "logarctan"
     colour: ClassVar[str] = "#D55E00"
+    formula: ClassVar[str] = (
+        "0 at x = 0, of slope K_c [1 + (arctan γ(x − j₂) − arctan γ(x + j₁)) / π], γ [1/m] in its "
+        "name"
+    )
 
     gamma: float
 

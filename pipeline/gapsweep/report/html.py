@@ -39,7 +39,7 @@ from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import Figured, Part, for_page, pictured, rendered
-from gapsweep.report.provenance import as_toml, provenance
+from gapsweep.report.provenance import as_toml, model, provenance
 from gapsweep.report.scales import named, plain
 from gapsweep.report.scenes import Scenes, said_of_starts, swept
 from gapsweep.report.selection import anchor_of, beside, gap_label
@@ -131,6 +131,7 @@ def write_report(
         measured_on=timing.attrs["measured_on"],
         is_compared=agreement is not None,
         has_protocols=any("@" in label for label in labels_of(responses)),
+        model=model(responses),
         provenance=provenance(responses),
         toml=as_toml(json.loads(responses.attrs["study_json"])),
         version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
