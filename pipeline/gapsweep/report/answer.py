@@ -51,6 +51,7 @@ _NO_STAND_INS = ("piecewise-noevents", AUTO)
 Values = dict[str, NDArray[np.float64]]
 Row = dict[str, Any]  # variables of one law in one contact
 _NEAR = 1.5  # prices whose interval lies within this factor about 1 are called 1
+_WITH = "with this study's solver"  # as a price is the solver's as much as the law's
 MOST_CONTACTS = 16  # that are told one by one
 
 
@@ -282,17 +283,17 @@ def _said(found: Sequence[Contact]) -> list[str]:
     picks = [one for contact in others for one in contact.picks]
     some = how_many(sum(bool(c.picks) for c in found), found)
     if paying:
-        said = f"A stand-in saves time in {how_many(len(paying), found)}: {_picked(paying)}"
+        said = f"A stand-in saves time {_WITH} in {how_many(len(paying), found)}: {_picked(paying)}"
     elif not picks:
         laws = [one for contact in found for one in contact.laws if one.is_stand_in]
         is_known = all(one.is_firm for one in laws)
-        how = "can be used" if is_known else "has been shown to be adequate"
+        how = "is adequate" if is_known else "has been shown to be adequate"
         how = how if laws else "was swept"
         said = f"Take the exact law: no stand-in {how}"
-    elif any(not one.low > 1.0 for one in picks):
-        said = f"Take the exact law: a stand-in can be used in {some}, none saves time beyond doubt"
     else:
-        said = f"Take the exact law: a stand-in can be used in {some}, at {_range(picks)} its cost"
+        is_dearer = all(one.low > 1.0 for one in picks)
+        but = f"cost {_range(picks)} as much" if is_dearer else "none saves time beyond doubt"
+        said = f"Take the exact law: stand-ins are adequate in {some}, but {but} {_WITH}"
     if not others or not (picks or paying):
         return [f"{said}."]
     where = "Elsewhere take the exact law; if" if paying else "If"

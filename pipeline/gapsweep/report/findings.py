@@ -170,8 +170,8 @@ def _prices(found: Sequence[Contact]) -> Iterator[str]:
         pairs = f"{len(laws)} pair{'s' * (len(laws) > 1)}"
         yield (
             f"Of {pairs} of contact and stand-in {dearer} cost more processor time per forcing "
-            f"period than the exact law, {cheaper} less; {len(laws) - dearer - cheaper} cannot be "
-            "told from it."
+            f"period than the exact law with this study's solver, {cheaper} less; "
+            f"{len(laws) - dearer - cheaper} cannot be told from it."
         )
 
 
