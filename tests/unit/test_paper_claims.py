@@ -122,7 +122,7 @@ class Drawn(Run):
             dims = list(sizes)
             if variable in ("recall", "f1"):
                 dims = ["omega"]
-            if variable == "section_distance_median":
+            if variable in ("section_distance_median", "recall_pooled"):
                 found[variable] = ("regime", self.values(variable, representation, (K_c, gap), 3))
                 found = found.assign_coords(regime=["all", "periodic", "chaotic"])
                 continue

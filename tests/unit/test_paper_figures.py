@@ -238,7 +238,7 @@ def test_figure_10_needs_all_its_laws_but_not_the_tight_solver(limits):
     assert numbers(limits) == ["10"]
     assert numbers(limits.isel(representation=[0, 1, 2])) == []
     labels = [f"{law}@paper" for law in LIMITS]
-    assert numbers(limits.assign_coords(representation=labels)) == ["10"]
+    assert numbers(limits.assign_coords(representation=labels)) == ["10, their solver"]
 
 
 def test_histories_show_six_periods_and_the_lines_of_the_spectrum(kept):
@@ -274,7 +274,7 @@ def test_figures_are_those_the_run_has_points_for(kept):
     assert numbers(responses_of(STRONG, K_c=(1.4e6,))) == ["9"]
     hard = responses_of(LIMITS, K_c=(1.4e6,), gaps=[(0.0, 0.8)])
     paper = kept.assign_coords(representation=[f"{law}@paper" for law in LIMITS])
-    assert numbers(hard, histories=paper) == ["10", "11"]
+    assert numbers(hard, histories=paper) == ["10", "11, their solver"]
     assert numbers(responses_of(WEAK, K_c=(2e4,))) == []
 
 
@@ -339,7 +339,7 @@ def test_a_figure_from_rest_needs_a_start_at_rest():
 
 def test_diagrams_are_drawn_for_the_tight_solver_and_for_the_papers():
     labels = [*WEAK, *(f"{label}@paper" for label in WEAK), "piecewise@half"]
-    assert numbers(responses_of(labels)) == ["6b", "8b", "8b"]
+    assert numbers(responses_of(labels)) == ["6b", "8b", "8b, their solver"]
     drawn = drawn_of(responses_of(labels))
     assert ["@paper" in one.caption for one in drawn] == [False, False, True]
 

@@ -27,7 +27,7 @@ from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rend
 from gapsweep.report.pictures import VIEWS, is_picture, pictures
 from gapsweep.report.provenance import as_toml, model, provenance
 from gapsweep.report.scales import Told
-from gapsweep.report.tables import VERDICTS, number, outcome, percent
+from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent
 from gapsweep.stages import is_of_run
 from gapsweep.status import Status
 from gapsweep.store.artefact import SUMS, sha256
@@ -443,6 +443,23 @@ def test_claims_stand_in_the_page_with_their_numbers(page):
     assert [v for v in VERDICTS if f'data-verdict="{v}"' not in text] == []
     assert "1 refuted, 1 partly, 1 confirmed, 1 undecidable" in text
     assert text.count("1, not ≤ 2") == len(VERDICTS)
+
+
+@pytest.mark.parametrize(
+    ("holds", "said"),
+    [
+        ((True, None, True), "1 of 3 tests open, none failed"),
+        ((True, None, False), ""),
+        ((True, True), ""),
+        ((None, None), ""),
+        ((), ""),
+    ],
+)
+def test_what_is_partly_open_and_not_wrong_is_said(holds, said):
+    test = {"says": "a", "value": 1.0, "floor": None, "op": "<=", "threshold": 2.0, "n": 3}
+    tests = [test | {"holds": one} for one in holds]
+    (row,) = claim_rows({"claims": [{"verdict": "partly", "tests": tests}]})
+    assert row["open"] == said
 
 
 def test_the_page_asks_for_nothing_and_allows_only_its_own_script(page):

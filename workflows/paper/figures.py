@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import chain
 
 import numpy as np
 import xarray as xr
@@ -55,12 +56,17 @@ _PEAKS_SAY = (
     "The exact law stands alone, and behind the others: what shows of it is "
     "missed, colour without it invented. Dashed: the upper wall."
 )
+_OTHER_STIFFNESSES = {
+    name: f": Fig. {name[0]}c, at other stiffnesses, shows the same curves" for name in ("2a", "3a")
+}
 _EXTREMA_SAY = "All steady zero-velocity displacements from rest; dashed: walls."
 
 
 def sections(run: Run) -> Iterator[Part]:
     """The paper's figures, its bands of frequencies and its Table 2, as far as the run has them."""
-    yield Part("paper", "The paper's figures", [_PAPER], figures=figures(run))
+    drawn = figures(run)
+    if first := next(drawn, None):
+        yield Part("paper", "The paper's figures", [_PAPER], figures=chain([first], drawn))
     if rows := band_rows(run):
         yield Part("bands", "The paper's bands", [_BANDS_SAY], [Table("", _BANDS_HEAD, rows)])
     sentences, tables = costs(run)
@@ -102,8 +108,9 @@ def _figured(figure: Figure, name: str, at: Scene, protocol: str, *sentences: st
     """A figure whose caption says its scene, and everything that is seen in it."""
     solver = f"the paper's solver ({protocol})" if protocol == PAPER else protocol
     where = ", ".join(filter(None, (f"K_c = {plain(at[0])} N/m", f"gap {at[1]} mm", solver)))
-    words = f"Figure {name}. {where}. {' '.join(sentences)}"
-    return Figured(figure, words, words, f"Fig. {name}{', their solver' * (protocol == PAPER)}")
+    place = f"{name}{', their solver' * (protocol == PAPER)}"
+    words = f"Figure {place}. {where}. {' '.join(sentences)}"
+    return Figured(figure, words, words, f"Fig. {place}")
 
 
 def _static_figures(run: Run) -> Iterator[Figured]:
@@ -123,7 +130,8 @@ def _static_figures(run: Run) -> Iterator[Figured]:
         fits += "Constrained ones have no constant and linear terms. " * (name == "2b")
         words = (
             f"Shade: the gap. {fits}Largest force in the gap [N]: {leaks}; the forcing is "
-            f"{abs(static['forcing'].item()):g} N. Forces are proportional to K_c."
+            f"{abs(static['forcing'].item()):g} N. Forces are proportional to K_c"
+            f"{_OTHER_STIFFNESSES.get(name, '')}."
         )
         yield _figured(force_curves(static, forces), name, SOFT_SYMMETRIC, TIGHT, words)
     if "ladders" in run.datasets:

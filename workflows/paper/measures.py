@@ -101,8 +101,14 @@ def _of_sets(run: Run, name: str, label: str, scene: Scene, band: Band) -> Numbe
 
 
 def recall(run: Run, label: str, scene: Scene, band: Band = ALL) -> Number:
-    """Share of the exact attractors that a law has too."""
+    """Share of the exact attractors that a law has too, the mean over frequencies."""
     return _of_sets(run, "recall", label, scene, band)
+
+
+def recall_pooled(run: Run, label: str, scene: Scene) -> Number:
+    """The same of the attractors of all frequencies together, as the report's map shows it."""
+    pooled = run.scene("agreement", label, *scene, "recall_pooled")["recall_pooled"]
+    return mean(pooled.sel(regime="all"))
 
 
 def f1(run: Run, label: str, scene: Scene, band: Band = ALL) -> Number:

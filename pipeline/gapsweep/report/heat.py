@@ -34,17 +34,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One number of a law in a contact: in short, in full, how dark (0 to 1) and where it is drawn.
-
-    `verdict` is empty but for errors, `is_firm` whether it is.
-    """
+    """A number of a law in a contact: in short, in full, how dark (0 to 1), where it is drawn."""
 
     text: str
     said: str
     shade: float
     anchor: str
-    verdict: str = ""
-    is_firm: bool = True
+    verdict: str
+    is_firm: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +109,7 @@ def _cell(group: str, contact: Contact, one: Judged) -> Cell:
         f"{percent(share)} of {one.n_exact} attractors found, cost {one.cost}"
     )
     dark = float(np.clip(np.nan_to_num(shade), 0.0, 1.0))
-    judged = (one.verdict, one.is_firm) if group == "error" else ()
-    return Cell(text, said, dark, contact.anchor, *judged)
+    return Cell(text, said, dark, contact.anchor, one.verdict, one.is_firm)
 
 
 def _between(value: float, low: float, high: float) -> float:

@@ -120,6 +120,7 @@ def write_report(
         gaps=heads((contact.K_c, contact.gap) for contact in told),
         beside=swept_columns(told) if any(contact.swept for contact in told) else None,
         is_many=len(told) > MANY,
+        has_own_starts=any(len({law.n_exact for law in one.laws}) > 1 for one in told),
         heat=heat(told),
         anchors={part["anchor"] for part in parts},
         hero=hero,

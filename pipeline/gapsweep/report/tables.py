@@ -1,7 +1,7 @@
 """Tables of the report: rows of texts, from the datasets of a run."""
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -146,7 +146,20 @@ def claim_rows(decided: Mapping[str, Any]) -> Iterator[Row]:
             }
             for test in claim["tests"]
         ]
-        yield {**claim, "sign": _SIGNS[claim["verdict"]], "tests": tests}
+        yield {
+            **claim,
+            "sign": _SIGNS[claim["verdict"]],
+            "open": _open(claim["tests"]),
+            "tests": tests,
+        }
+
+
+def _open(tests: Sequence[Mapping[str, Any]]) -> str:
+    """How many tests of a claim are open where others hold: then none of it needs to be wrong."""
+    outcomes = [test["holds"] for test in tests]
+    if {None, True} != set(outcomes):
+        return ""
+    return f"{outcomes.count(None)} of {len(outcomes)} tests open, none failed"
 
 
 def outcome(test: Mapping[str, Any]) -> str:
