@@ -21,8 +21,9 @@ NUMBERS = ["law", "verdict", "error, median", "95 %", "attractors found", "cost"
 HOW = """\
 Every number is the cost: processor time per forcing period over that of the exact law, on the same
 fixed starts, with the solver of the study; above 1 × a law costs *more* than the exact one, ≈ 1 ×
-cannot be told from it: its 95 % interval covers the choice of frequencies and how far prices of
-exact against exact are from 1, in all contacts together. Another solver has other prices: this one
+cannot be told from it, and where the 95 % interval reaches far to both sides of 1 × it stands in
+place of the number. It covers the choice of frequencies and how far prices of exact against exact
+are from 1, in all contacts together. Another solver has other prices: this one
 locates contacts inside its steps, which makes the exact law cheap. A law that a row does not name
 was not swept there.
 
@@ -30,7 +31,8 @@ was not swept there.
   exact law's attractors are found; or both as often as by the exact law against itself, under
   tighter tolerances or from starts moved by at most 10 nm.
 - **with care**: half of both. **no**: less.
-- **±**: the 95 % intervals lie on both sides of a line, or the frequencies are too few for any.
+- **±**: the 95 % intervals, its own and those of exact against exact, leave open on which side of a
+  line it lies, or the frequencies are too few for any.
 - **tanh: one well**: where tanh has no false static equilibrium. That is needed and not enough:
   beside it stands the least ε of this study that may be used.
 - `piecewise-noevents` is the exact force, contacts not located: no stand-in; it shows what locating

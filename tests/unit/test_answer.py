@@ -114,6 +114,19 @@ def test_every_law_has_its_verdict_and_its_price(tmp_path):
     assert line[2] == "none"
 
 
+def test_a_law_that_misses_as_much_as_the_exact_law_by_itself_is_in_doubt(tmp_path):
+    """Where the exact law misses its own attractors, one more that is missed proves nothing."""
+    missed = {"piecewise@half": OMEGA[::12], "tanh-1e4": OMEGA[1::5], "poly-13": OMEGA}
+
+    def answer(label, omega, start):
+        return periodic([(1.5e-3 if omega in missed.get(label, ()) else 1e-3, 0.0)], omega)
+
+    study = tables(("piecewise", *missed), OMEGA, **HALF)
+    (contact,) = contacts(agreement(*datasets(tmp_path, study, answer)))
+    said = {one.law: (one.verdict, one.is_firm) for one in contact.laws}
+    assert said == {"tanh-1e4": ("with care", False), "poly-13": ("no", True)}
+
+
 def test_code_of_the_users_that_only_fails_is_no_stand_in(tmp_path):
     broken = {"tests.laws:raising": (None, 0.0)}
     _, (contact,) = made(tmp_path, LAWS | broken)

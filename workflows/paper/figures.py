@@ -248,8 +248,8 @@ def _histories(run: Run) -> Iterator[Figured]:
 # Figure, the paper's words, what is counted for them, within what [Hz], from which starts.
 BANDS = (
     ("6a", "superharmonic near 2", "largest amplitude", (1.2, 3.0), "rest"),
-    ("6a", "RatPoly: subharmonic 11-12", "period above 1", (4.0, 30.0), "any"),
-    ("6a", "RatPoly: peak below 0 from 22", "peak below 0", (15.0, 30.0), "any"),
+    ("6a", "RatPoly: subharmonic 11-12", "period above 1", (4.0, 30.0), "scattered"),
+    ("6a", "RatPoly: peak below 0 from 22", "peak below 0", (15.0, 30.0), "scattered"),
     ("6b", "subharmonic 17-21", "period 3", (10.0, 30.0), "scattered"),
     ("6b", "subharmonic 17-21", "period 3", (10.0, 30.0), "sweep_up"),
     ("6c", "jump near 12", "largest amplitude", (0.0, 30.0), "rest"),

@@ -18,8 +18,8 @@ price is processor time per forcing period, because totals also count how long e
 settle. The interval of a price covers the choice of frequencies and how far prices repeat: what
 exact against exact is away from 1, over all contacts of the study. A study that does not sweep the
 exact law twice has not measured that: its prices have no interval, and nothing is said to save
-time. ±: the ends of the intervals lie on both sides of a line between "use", "with care" and "no",
-or the frequencies are too few for intervals.
+time. ±: the intervals of a law and of exact against exact leave it open on which side of a line
+between "use", "with care" and "no" it lies, or the frequencies are too few for intervals.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -243,7 +243,9 @@ def _is_judged(label: str, row: Row) -> bool:
 
 def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
     values = _values(row)
-    said, *ends = verdict(values, floors)
+    # A law at its best against the floor at its worst, and the other way round: their intervals do
+    # not move together, and a law and the exact one that differ by less are not told apart.
+    said, *ends = verdict(values, {name: floor[[0, 2, 1]] for name, floor in floors.items()})
     is_firm = len({end.replace("exact here", "use") for end in ends}) == 1
     unknown = any(np.isnan(v[1:]).any() and np.isfinite(v[0]) for v in values.values())
     price = float(row[_PRICE])
