@@ -19,7 +19,7 @@ from gapsweep.status import Status
 
 _WIDTH = 9.5  # inches, the report's column
 _FEW = 60  # frequencies, whose dots may be larger
-_MANY = 4  # panels, of which more stand three in a row
+_MANY = 4  # names along an axis, of which more are turned
 
 
 def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
@@ -54,9 +54,7 @@ def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
         backdrop.bands(axes, one, along)
         drawing.extrema(axes, one, along)
 
-    n_columns = 3 if len(labels_of(responses)) > _MANY else 2
-    label = axis_label(responses["extrema"], "extrema")
-    figure = _grid(responses, along, label, n_columns, extrema)
+    figure = _grid(responses, along, axis_label(responses["extrema"], "extrema"), extrema)
     backdrop.key_of_bands(figure, responses)
     return figure
 
@@ -76,7 +74,7 @@ def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
         backdrop.walls(axes, found, along, of_peaks=True)
         drawing.attractor_peaks(axes, one, along)
 
-    return _grid(found, along, axis_label(found["x_max"], "peak"), 3, peaks)
+    return _grid(found, along, axis_label(found["x_max"], "peak"), peaks)
 
 
 def by_contact(contacts: Mapping[str, xr.Dataset]) -> Figure:
@@ -173,12 +171,11 @@ def _grid(
     found: xr.Dataset,
     along: str,
     y_label: str,
-    n_columns: int,
     drawn_in: Callable[[Axes, xr.Dataset], None],
 ) -> Figure:
-    """A panel per representation, in so many columns or fewer."""
+    """A panel per representation, hardly more rows than columns, so that two fit a printed page."""
     labels = labels_of(found)
-    n_columns = min(n_columns, len(labels))
+    n_columns = math.ceil(math.sqrt(len(labels)))
     n_rows = math.ceil(len(labels) / n_columns)
     figure = Figure(figsize=(_WIDTH, 0.7 + 2.1 * n_rows))
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
