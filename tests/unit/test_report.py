@@ -639,3 +639,15 @@ def test_keys_under_panels_fit_a_phone():
     narrow = pictures(figure)["narrow"]  # where panels have no room, matplotlib warns
     assert words(narrow).count(names[7]) == 4
     assert words(narrow).count("kinds") == 4
+
+
+def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):
+    study = tables(LABELS, OMEGA, starts=1, **HALF)
+    study["sweep"].append(study["sweep"][0] | {"omega": [2.0], "initial_condition": [[2e-5, 0.0]]})
+    files = datasets(tmp_path, study, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
+    path = write_report(
+        tmp_path / "page" / "index.html", files[0], agreement(*files), timing(files[0]),
+        attractors=files[1],
+    )  # fmt: skip
+    said = "every attractor that the starts reach, swept from several at 2 Hz only."
+    assert said in path.read_text()

@@ -52,6 +52,7 @@ FIGURES = "figures"  # the folder of their files, beside the page
 # What stands there under such a name, reports have written.
 _FIGURE = re.compile(r"figure-[a-z0-9-]*\.(svg|pdf|csv|html)")
 _TEMPLATES = Path(__file__).parent / "templates"
+_FEW = 5  # frequencies, which a caption names
 
 
 def write_report(
@@ -353,7 +354,7 @@ def _scene_figures(
     if found is not None:
         yield Figured(
             attractor_panels(found),
-            "Peak displacement of every attractor that the starts reach."
+            f"Peak displacement of every attractor that the starts reach{_where_few(found, scene)}."
             f"{said_of_peaks(found)}{said_of_walls(scene, of_peaks=True)}",
             f"Attractors and their basins, {title}",
         )
@@ -371,6 +372,14 @@ def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.
         representation=scene["representation"].values[here.values],
         omega=scene["omega"].values[several.any("representation").values],
     )
+
+
+def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
+    """At which few of its frequencies a scene was swept from several starts, in words."""
+    omega = found["omega"].values
+    if omega.size > min(_FEW, scene.sizes["omega"] - 1):
+        return ""
+    return f", swept from several at {', '.join(map(plain, omega))} Hz only"
 
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
