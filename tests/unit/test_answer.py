@@ -5,13 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.made import datasets, failed, periodic, tables
+from tests.made import chaotic, datasets, failed, periodic, tables
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.statistics import repeatability, widened
 from gapsweep.report.answer import (
+    COLUMNS,
     Contact,
     Judged,
+    _judged,
+    _values,
+    _worst,
     contacts,
     in_words,
     lines,
@@ -62,6 +66,39 @@ def test_rarely_found_attractors_are_asked_for_as_rarely():
     values = {"median": np.zeros(1), "p95": np.full(1, 0.03), "found": np.full(1, 0.8)}
     floors = {"median": np.zeros(1), "p95": np.full(1, 0.02), "found": np.full(1, 0.8)}
     assert verdict(values, floors) == ["use"]
+
+
+def test_rare_errors_of_the_exact_law_excuse_no_common_ones():
+    floors = {"median": np.full(1, 1e-9), "p95": np.full(1, 0.3), "found": np.full(1, 0.97)}
+    values = {"median": np.full(1, 0.2), "p95": np.full(1, 0.25), "found": np.full(1, 0.98)}
+    assert verdict(values, floors) == ["no"]
+    assert verdict(values | {"median": np.full(1, 0.04)}, floors) == ["exact here"]
+
+
+def numbers(p95, ci):
+    """A law's row of ``agreement.nc``: everything found, and these errors."""
+    row = {"amplitude_error_paired_median": 1e-9, "recall_pooled": 1.0, "n_exact": 9}
+    row |= {f"{name}_ci": (value, value) for name, value in row.items()}
+    row |= {"amplitude_error_paired_p95": p95, "amplitude_error_paired_p95_ci": ci}
+    price = {"cpu_time_per_period_ratio": 2.0, "cpu_time_per_period_ratio_ci": (1.9, 2.1)}
+    return row | price | {"periodic": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("several", "possible"),
+    [
+        # Known intervals, at both ends better than the exact law by itself.
+        ([(0.3, (0.28, 0.32))], {"use"}),
+        # A floor whose interval is not known leaves everything open,
+        ([(0.3, (np.nan, np.nan))], set(COLUMNS)),
+        # also where that of another one is known.
+        ([(0.3, (np.nan, np.nan)), (0.01, (0.005, 0.02))], set(COLUMNS)),
+    ],
+)
+def test_a_floor_without_an_interval_makes_no_verdict_firm(several, possible):
+    floors = _worst([_values(numbers(*each)) for each in several])
+    one = _judged("tanh-1e4", numbers(0.2, (0.15, 0.25)), floors, 0.1)
+    assert (one.verdict, one.possible) == ("exact here", possible)
 
 
 def made(folder, answers, omega=OMEGA):
@@ -125,6 +162,23 @@ def test_a_law_that_misses_as_much_as_the_exact_law_by_itself_is_in_doubt(tmp_pa
     (contact,) = contacts(agreement(*datasets(tmp_path, study, answer)))
     said = {one.law: (one.verdict, one.is_firm) for one in contact.laws}
     assert said == {"tanh-1e4": ("with care", False), "poly-13": ("no", True)}
+
+
+def test_a_price_of_all_motions_stands_beside_that_of_periodic_ones(tmp_path):
+    """Chaotic motions run longest, so that the total says most of them."""
+
+    def answer(label, omega, start):
+        is_exact = label.startswith("piecewise")
+        if omega < 5.0:
+            dear = {"t_simulated": 900.0, "cpu_time": 1.0 if is_exact else 20.0}
+            return chaotic([(1e-3, 0.0), (0.9e-3, 0.1e-3)], omega, **dear)
+        return periodic([(1e-3, 0.0)], omega, cpu_time=1.0 if is_exact else 2.0)
+
+    study = tables(("piecewise", "piecewise@half", "tanh-1e4"), OMEGA, **HALF)
+    (contact,) = contacts(agreement(*datasets(tmp_path, study, answer)))
+    (tanh,) = contact.laws
+    assert tanh.periodic_price == pytest.approx(2.0)
+    assert 2.0 < tanh.price < 20.0
 
 
 def test_code_of_the_users_that_only_fails_is_no_stand_in(tmp_path):
@@ -200,7 +254,8 @@ def test_about_one_is_said_of_what_is_known_to_be_near_it(high, said):
 
 def judged(law, verdict="use", price=4.0, width=1.1, firm=True, median=0.01):
     values = {"median": np.array([median, median / width, median * width])}
-    return Judged(law, values, 9, verdict, firm, price, price / width, price * width)
+    possible = frozenset({verdict.replace("exact here", "use"), *(() if firm else COLUMNS)})
+    return Judged(law, values, 9, verdict, possible, price, price / width, price * width)
 
 
 def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0, swept=()):
@@ -253,6 +308,16 @@ def test_nothing_to_use_is_said():
     ]
     said = in_words([contact(bad), contact(judged("tanh-1e4"), gap="0/1")])
     assert "none of those swept for 10000 N/m with 0.4/0.4 mm" in said[1]
+
+
+def test_a_contact_where_nothing_is_sure_is_called_open():
+    doubtful = judged("poly-13", "with care", firm=False)
+    headline, said = in_words([contact(doubtful), contact(judged("tanh-1e4"), gap="0/1")])
+    assert "adequate in 1 of 2 contacts and may be in 1 more, but" in headline
+    assert "none beyond doubt for 10000 N/m with 0.4/0.4 mm" in said
+    # What is cheap and sure stands for the contact, whatever is in doubt beside it.
+    sure = in_words([contact(doubtful, judged("tanh-1e4"))])
+    assert "adequate in the only contact, but" in sure[0]
 
 
 @pytest.mark.parametrize("label", ["piecewise-noevents", "auto"])

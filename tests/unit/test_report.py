@@ -258,7 +258,7 @@ def contact(laws, **where):
         Judged(
             law,
             {"median": np.array([error]), "p95": np.array([error]), "found": np.array([share])},
-            9, said, True, price, price, price,
+            9, said, frozenset({said}), price, price, price,
         )
         for law, (said, error, share, price) in laws.items()
     ]  # fmt: skip
@@ -332,8 +332,8 @@ def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(
         unquote(re.search(r'id="figure-hero".*?<img class="wide" src="([^"]*)"', p, re.S)[1])
         for p in pages
     ]
-    assert [">tanh-1e4: use<" in one for one in shown] == [True, True]
-    assert [">poly-13: no<" in one for one in shown] == [True, False]
+    assert [">tanh-1e4: use ±<" in one for one in shown] == [True, True]
+    assert [">poly-13: no ±<" in one for one in shown] == [True, False]
 
 
 def test_contacts_at_one_frequency_share_a_figure(tmp_path):
@@ -651,3 +651,7 @@ def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):
     )  # fmt: skip
     said = "every attractor that the starts reach, swept from several at 2 Hz only."
     assert said in path.read_text()
+    # The map says so too, below its contact.
+    assert '<th scope="row">starts a frequency</th><td class="error first">1–2</td>' in (
+        path.read_text()
+    )

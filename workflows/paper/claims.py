@@ -400,7 +400,7 @@ def higher_degrees(run: Run) -> Found:
     last = float(errors.sel(ratio="5/5") / errors.sel(ratio="5/3"))
     return tests, (
         f"5/5 and 7/5 leave {tests[0].number} and {tests[1].number} of the error of 3/2 (5/5 "
-        f"{last:.2g} of that of 5/3), at every stiffness alike."
+        f"{last:.2g} times that of 5/3), at every stiffness alike."
     )
 
 
@@ -499,7 +499,7 @@ def rational_convergence(run: Run) -> Found:
         Test("RMS error, 5/3 over 5/2", _plain(same), ">", 0.999),
     ]
     return tests, (
-        f"More coefficients can leave {rise:.3g} times the error; 5/3 has {same:.4g} of that of "
+        f"More coefficients can leave {rise:.3g} times the error; 5/3 has {same:.4g} times that of "
         "5/2: an odd law has no use for an odd power below."
     )
 
@@ -793,7 +793,7 @@ def _better(
 
 
 def _f1s(run: Run, labels: Iterable[str], scene: Scene) -> str:
-    return by_law({label: f1(run, label, scene) for label in labels}, ".2f")
+    return listed(f"{label} {f1(run, label, scene).value:.2f}" for label in labels)
 
 
 @claim(31, "Fig. 6c", "Tanh and arctan are best, and get worse with frequency.",
@@ -1366,9 +1366,9 @@ def _restarts(run: Run, least: float) -> Found:
         for label in (EXACT, POLY, RATPOLY)
     )
     return tests, (
-        f"Work of one method with over without restarts: {'; '.join(parts)}. What ode45's own "
-        f"overhead is the text does not say; over tanh, in its seconds and in work: {exact}; "
-        f"without any event {listed(others)} (weak)."
+        f"Right-hand sides of one method, with restarts over without: {'; '.join(parts)}. What "
+        f"ode45's own overhead is the text does not say; over tanh, in its seconds and in work: "
+        f"{exact}; without any event {listed(others)} (weak)."
     )
 
 
@@ -1677,9 +1677,13 @@ def worst_and_dearest(run: Run) -> Found:
     tests = _better(run, WEAK[2:], WEAK[:2], SOFT_ASYMMETRIC)
     tests += _better(run, STRONG[2:], STRONG[:2], SOFT_ASYMMETRIC)
     tests += _both(run, dear)
+    words = (
+        f"{named(label)} {test.number}"
+        for label, test in zip((*WEAK[:2], *STRONG[:2]), tests[-4:], strict=True)
+    )
     return tests, (
-        f"F1: {_f1s(run, (*WEAK, *STRONG), SOFT_ASYMMETRIC)}. Cost over the dearest tangent law: "
-        f"{listed(f'{t.says} {t.number}' for t in tests[-4:])}."
+        f"F1: {_f1s(run, (*WEAK, *STRONG), SOFT_ASYMMETRIC)}. Right-hand sides over those of the "
+        f"grade's dearest tangent law: {listed(words)}."
     )
 
 

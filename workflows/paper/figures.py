@@ -298,8 +298,9 @@ def _found(run: Run, place: str, counted: str, within: Band, start: str) -> Iter
 
 
 _TABLE_2_SAYS = (
-    "Right-hand sides and processor time (this machine's) per forcing period from rest, with the "
-    "paper's tolerances, step control and restarts, beside the paper's seconds for a whole diagram."
+    "Right-hand sides and processor time (this machine's) per forcing period from rest, the means "
+    "over frequencies, with the paper's tolerances, step control and restarts, beside the paper's "
+    "seconds for a whole diagram."
 )
 _COSTS = ("Right-hand sides", "Time [µs]", "Paper [s]")
 _TABLE_2_HEAD = ["Law", *(word for cost in _COSTS for word in (cost, "over exact"))]

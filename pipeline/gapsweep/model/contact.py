@@ -140,7 +140,10 @@ class Piecewise(ContactLaw):
 
     family: ClassVar[str] = "piecewise"
     colour: ClassVar[str] = "#000000"
-    formula: ClassVar[str] = "K_c (x − j₂) for x > j₂, K_c (x + j₁) for x < −j₁, 0 between"
+    formula: ClassVar[str] = (
+        "K_c (x − j₂) for x > j₂, K_c (x + j₁) for x < −j₁, 0 between; of -noevents too, whose "
+        "contacts are not located"
+    )
     is_numbers: ClassVar[bool] = True
 
     located: bool = True

@@ -12,19 +12,19 @@ with care
 no
     Less than that.
 
-Nothing is asked that the exact law against itself does not reach. Amplitudes are those of paired
-attractors, because start by start a moved basin boundary would count as a wrong amplitude. The
-price is processor time per forcing period, because totals also count how long each motion took to
-settle. The interval of a price covers the choice of frequencies and how far prices repeat: what
-exact against exact is away from 1, over all contacts of the study. A study that does not sweep the
-exact law twice has not measured that: its prices have no interval, and nothing is said to save
-time. ±: the intervals of a law and of exact against exact leave it open on which side of a line
-between "use", "with care" and "no" it lies, or the frequencies are too few for intervals.
+Each asks what those below it ask, and nothing that the exact law against itself does not reach: of
+the error that 95 % stay below, of that which half stay below, of the share found. Amplitudes are
+those of paired attractors, because start by start a moved basin boundary would count as a wrong
+amplitude. The price is processor time per forcing period, because totals also count how long each
+motion took to settle. The interval of a price covers the choice of frequencies and how far prices
+repeat: what exact against exact is away from 1, over all contacts of the study. A study that does
+not sweep the exact law twice has not measured that: its prices have no interval, and nothing is
+said to save time. ±: the intervals of a law and of exact against exact leave it open on which side
+of a line between "use", "with care" and "no" it lies, or the frequencies are too few for intervals.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,7 @@ _SHOWN = {
     "found": "recall_pooled",
 }
 _PRICE = "cpu_time_per_period_ratio"
+COLUMNS = ("use", "with care", "no")
 _NO_STAND_INS = ("piecewise-noevents", AUTO)
 # Of each number the estimate, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
@@ -57,16 +58,20 @@ MOST_CONTACTS = 16  # that are told one by one
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A law in a contact: its numbers, and what follows from them."""
+    """A law in a contact: its numbers, and what follows from them.
+
+    `possible` are the columns of the table that its intervals leave open.
+    """
 
     law: str
     values: Values
     n_exact: int
     verdict: str
-    is_firm: bool
+    possible: frozenset[str]
     price: float
     low: float
     high: float
+    periodic_price: float = np.nan  # where the exact law is periodic
 
     @property
     def is_stand_in(self) -> bool:
@@ -74,9 +79,14 @@ class Judged:
         return self.law not in _NO_STAND_INS
 
     @property
+    def is_firm(self) -> bool:
+        """Whether its intervals leave no other verdict open."""
+        return len(self.possible) == 1
+
+    @property
     def column(self) -> str:
         """Where it stands in the table."""
-        return "use" if self.verdict == "exact here" else self.verdict
+        return _column(self.verdict)
 
     @property
     def name(self) -> str:
@@ -135,7 +145,7 @@ class Contact:
     def columns(self) -> dict[str, list[Judged]]:
         """All laws by what may be done with them, the cheapest first."""
         laws = sorted(self.laws, key=lambda one: one.price)
-        return {v: [one for one in laws if one.column == v] for v in ("use", "with care", "no")}
+        return {v: [one for one in laws if one.column == v] for v in COLUMNS}
 
     @property
     def picks(self) -> list[Judged]:
@@ -143,6 +153,17 @@ class Contact:
         usable = [one for one in self.columns["use"] if one.is_stand_in]
         best = next((one for one in usable if one.is_firm), usable[0] if usable else None)
         return [one for one in usable if best and not one.low > best.high]
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether a stand-in may be used beyond doubt."""
+        return any(one.is_firm for one in self.picks)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether none may be used beyond doubt, and one may be."""
+        laws = [one for one in self.laws if one.is_stand_in]
+        return not self.is_sure and any("use" in one.possible for one in laws)
 
     @property
     def is_paying(self) -> bool:
@@ -176,6 +197,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
     pooled = pooled.transpose("representation", *dims, ...)
     # As arrays: a study may have a thousand contacts.
     tables = {str(name): pooled[name].values for name in pooled}
+    periodic = agreement[_PRICE].sel(regime="periodic")
+    tables["periodic"] = periodic.transpose("representation", *dims).values
     noise = repeatability(tables[_PRICE][[labels.index(label) for label in exact]])
     found = []
     for at in scenes(pooled, dims):
@@ -200,15 +223,17 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
 def verdict(values: Values, floors: Values) -> list[str]:
     """The first verdict whose demands are met, at each end of the intervals; NaN meets none."""
     known, floor = (
-        {name: np.where(np.isfinite(v), v, v[0]) for name, v in some.items()}
+        {name: np.where(np.isnan(v), v[0], v) for name, v in some.items()}
         for some in (values, floors)
     )
     median, p95, found = (known[name] for name in _SHOWN)
+    care = (median <= np.fmax(LINE, floor["median"])) & (found >= np.fmin(HALF, floor["found"]))
     demands = {
-        "exact here": (p95 <= floor["p95"]) & (found >= floor["found"]),
-        "use": (p95 <= np.fmax(LINE, floor["p95"])) & (found >= np.fmin(MOST, floor["found"])),
-        "with care": (median <= np.fmax(LINE, floor["median"]))
-        & (found >= np.fmin(HALF, floor["found"])),
+        "exact here": care & (p95 <= floor["p95"]) & (found >= floor["found"]),
+        "use": care
+        & (p95 <= np.fmax(LINE, floor["p95"]))
+        & (found >= np.fmin(MOST, floor["found"])),
+        "with care": care,
     }
     said: list[str] = np.select(list(demands.values()), list(demands), "no").tolist()
     return said
@@ -229,10 +254,13 @@ def _floor_price(where: Mapping[str, Row], exact: Sequence[str]) -> float:
 
 
 def _worst(exact: Sequence[Values]) -> Values:
-    """What the exact law reaches against itself; NaN if nothing says that."""
-    worst = {name: np.fmin if name == "found" else np.fmax for name in _SHOWN}
-    nothing = np.full(3, np.nan)
-    return {n: reduce(w, (values[n] for values in exact), nothing) for n, w in worst.items()}
+    """What the exact law reaches against itself, at each end; NaN if nothing says that."""
+    worst = {}
+    for name in _SHOWN:
+        measured = [values[name] for values in exact if np.isfinite(values[name][0])]
+        of_all = np.min if name == "found" else np.max  # NaN if an interval is not known
+        worst[name] = of_all(measured, axis=0) if measured else np.full(3, np.nan)
+    return worst
 
 
 def _is_judged(label: str, row: Row) -> bool:
@@ -245,14 +273,18 @@ def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
     values = _values(row)
     # A law at its best against the floor at its worst, and the other way round: their intervals do
     # not move together, and a law and the exact one that differ by less are not told apart.
-    said, *ends = verdict(values, {name: floor[[0, 2, 1]] for name, floor in floors.items()})
-    is_firm = len({end.replace("exact here", "use") for end in ends}) == 1
-    unknown = any(np.isnan(v[1:]).any() and np.isfinite(v[0]) for v in values.values())
+    ends = verdict(values, {name: floor[[0, 2, 1]] for name, floor in floors.items()})
+    numbers = [*values.values(), *floors.values()]
+    is_known = not any(np.isnan(v[1:]).any() and np.isfinite(v[0]) for v in numbers)
+    possible = frozenset(map(_column, ends) if is_known else COLUMNS)
     price = float(row[_PRICE])
-    low, high = widened(price, row[f"{_PRICE}_ci"], noise)
-    return Judged(
-        label, values, int(row["n_exact"]), said, is_firm and not unknown, price, low, high
-    )
+    costs = price, *widened(price, row[f"{_PRICE}_ci"], noise), float(row["periodic"])
+    return Judged(label, values, int(row["n_exact"]), ends[0], possible, *costs)
+
+
+def _column(verdict: str) -> str:
+    """Of the table, which does not tell what is exact from what may be used."""
+    return "use" if verdict == "exact here" else verdict
 
 
 def _threshold(static: xr.Dataset | None, here: xr.Dataset) -> str:
@@ -283,23 +315,30 @@ def _said(found: Sequence[Contact]) -> list[str]:
     paying = [c for c in found if c.is_paying]
     others = [c for c in found if not c.is_paying]
     picks = [one for contact in others for one in contact.picks]
-    some = how_many(sum(bool(c.picks) for c in found), found)
     if paying:
         said = f"A stand-in saves time {_WITH} in {how_many(len(paying), found)}: {_picked(paying)}"
     elif not picks:
         laws = [one for contact in found for one in contact.laws if one.is_stand_in]
-        is_known = all(one.is_firm for one in laws)
-        how = "is adequate" if is_known else "has been shown to be adequate"
-        how = how if laws else "was swept"
-        said = f"Take the exact law: no stand-in {how}"
+        is_open = any(contact.is_open for contact in found)
+        how = "has been shown to be adequate" if is_open else "is adequate"
+        said = f"Take the exact law: no stand-in {how if laws else 'was swept'}"
     else:
         is_dearer = all(one.low > 1.0 for one in picks)
         but = f"cost {_range(picks)} as much" if is_dearer else "none saves time beyond doubt"
-        said = f"Take the exact law: stand-ins are adequate in {some}, but {but} {_WITH}"
+        said = f"Take the exact law: stand-ins {_adequate(found)}, but {but} {_WITH}"
     if not others or not (picks or paying):
         return [f"{said}."]
     where = "Elsewhere take the exact law; if" if paying else "If"
     return [f"{said}.", f"{where} it must be a stand-in, the cheapest: {_picked(others)}."]
+
+
+def _adequate(found: Sequence[Contact]) -> str:
+    """In how many contacts stand-ins may be used, in words."""
+    n_sure, n_open = sum(c.is_sure for c in found), sum(c.is_open for c in found)
+    if not n_sure:
+        return f"may be adequate in {how_many(n_open, found)}"
+    more = f" and may be in {n_open} more" * bool(n_open)
+    return f"are adequate in {how_many(n_sure, found)}{more}"
 
 
 def _picked(found: Sequence[Contact]) -> str:
@@ -321,7 +360,8 @@ def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
     if len(some) > MOST_CONTACTS:
         places = f"{len(some)} contacts"
     if not laws:
-        return f"none of those swept for {places}"
+        none = "none beyond doubt" if any(one.is_open for one in some) else "none of those swept"
+        return f"{none} for {places}"
     names = " or ".join([", ".join(laws[:-1]), laws[-1]] if laws[1:] else laws)
     return f"{names} for {places} ({_range([one for contact in some for one in contact.picks])})"
 

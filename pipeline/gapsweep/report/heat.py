@@ -22,9 +22,9 @@ from gapsweep.report.answer import SIGNS, Contact, Judged
 from gapsweep.report.tables import number, percent
 
 GROUPS = {
-    "error": "Amplitude error of attractors [%] that 95 % keep",
-    "found": "Attractors found [%]",
-    "cost": "Cost at equal error [×]",
+    "error": "Amplitude error of paired attractors [%], 95th percentile",
+    "found": "Exact attractors found [%]",
+    "cost": "Cost of laws to use [×]",
 }
 MANY = 10  # contacts, of which more stand beside each other in one group only
 _LEAST, _MOST = 0.005, 1.0  # errors that are pale and dark

@@ -41,7 +41,7 @@ from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import Figured, Part, for_page, pictured, rendered
 from gapsweep.report.provenance import as_toml, model, provenance
 from gapsweep.report.scales import named, plain
-from gapsweep.report.scenes import Scenes, said_of_starts, swept
+from gapsweep.report.scenes import Scenes, said_of_starts, starts_of, swept
 from gapsweep.report.selection import anchor_of, beside, gap_label
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.report.tables import VERDICTS, Row, claim_rows, number, percent, scene_tables
@@ -123,6 +123,7 @@ def write_report(
         is_many=len(told) > MANY,
         has_own_starts=any(len({law.n_exact for law in one.laws}) > 1 for one in told),
         heat=heat(told),
+        starts=[starts_of(responses, EXACT, one.at) for one in told],
         anchors={part["anchor"] for part in parts},
         hero=hero,
         folder=FIGURES,
@@ -207,7 +208,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
         return None
     contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
     scene = Scenes(responses).at(contact.at)
-    laws = {one.law: f"{one.law}: {one.verdict}" for one in _telling(contact)}
+    laws = {o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in _telling(contact)}
     if scene is None or not laws:
         return None
     said = f"Peaks at {contact.place}, laws on the exact one's larger dots, from the same starts"

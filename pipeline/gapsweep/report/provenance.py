@@ -12,12 +12,12 @@ import xarray as xr
 from gapsweep.analysis.systems import is_of_systems
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.labels import AUTO, family, law_of
+from gapsweep.model.labels import AUTO, family, is_fitted, law_of
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.scales import plain, shortened
 from gapsweep.status import Status
 
-_EQUATION = "ẍ + 2ζω_n ẋ + ω_n² x + (α x³ + F) / m = (p / m) cos ωt"
+_EQUATION = "ẍ + 2ζω_n ẋ + ω_n² x + (α x³ + F) / m = (p / m) cos ωt, with ω and ω_n in rad/s"
 # Its numbers, in the order in which they are told: symbol and unit.
 _NUMBERS = {
     "zeta": ("ζ", ""),
@@ -42,7 +42,8 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
     """
     if is_of_systems(responses):
         return []
-    fixed = json.loads(responses.attrs["study_json"])["oscillator"]
+    study = json.loads(responses.attrs["study_json"])
+    fixed = study["oscillator"]
     held = {n: responses[n].values if n in responses else fixed.get(n) for n in _NUMBERS}
     told = [
         f"{symbol} {_told(held[name])} {unit}".strip()
@@ -50,10 +51,14 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
         if held[name] is not None
     ]
     gaps = _listed([shortened(str(gap)) for gap in responses["gap"].values])
+    told.append(f"walls at −j₁ and j₂: {gaps} mm")
+    labels = [label for label in labels_of(responses) if label != AUTO]
+    if any(map(is_fitted, labels)):
+        told.append(f"fits over ±{1e3 * study['fit']['range']:g} mm")
     return [
         ("Equation", _EQUATION),
-        ("Numbers", ", ".join([*told, f"walls at −j₁ and j₂: {gaps} mm"])),
-        *dict(_law(label) for label in labels_of(responses) if label != AUTO).items(),
+        ("Numbers", ", ".join(told)),
+        *dict(map(_law, labels)).items(),
     ]
 
 

@@ -110,6 +110,14 @@ def said_of_starts(scene: xr.Dataset) -> str:
     return f", {', '.join(said)}, of {rest} from {commonest}"
 
 
+def starts_of(responses: xr.Dataset, label: str, at: At) -> str:
+    """From how many starts a law was asked at each frequency of a scene, in short: ``1–19``."""
+    status = responses["status"].sel(representation=label).isel(at).transpose("omega", ...)
+    counts = (status.values != Status.NOT_REQUESTED).sum(axis=1)
+    several = np.unique(counts[counts > 0]).tolist()
+    return "–".join(map(str, dict.fromkeys([*several[:1], *several[-1:]])))
+
+
 def _many(asked: NDArray[np.bool_]) -> str:
     """Starts at each frequency, in words; `asked` has shape (n_omega, n_starts)."""
     counts = asked.sum(axis=1)[asked.any(axis=1)]
