@@ -34,7 +34,7 @@ cannot be told from it, and where the 95 % interval reaches far to both sides of
 place of the number. It covers the choice of frequencies and how far prices of exact against exact
 are from 1, in all contacts together. Another solver has other prices: this one
 locates contacts inside its steps, which makes the exact law cheap. A law that a row does not name
-was not swept there.
+was not swept there, or failed throughout.
 
 - **use**: 95 % of the amplitudes lie within 5 %, the thickness of a plotted line, and 95 % of the
   exact law's attractors are found; or both as often as by the exact law against itself, under
@@ -97,7 +97,10 @@ def main(folder: Path) -> None:
     page += "\n".join(map(numbers, found))
     (ROOT / "docs" / "answer.md").write_text(page.rstrip("\n") + "\n")
     readme = ROOT / "README.md"
-    readme.write_text(MARKS.sub(lambda m: m[1] + headline + m[2], readme.read_text()))
+    text, n_marked = MARKS.subn(lambda m: m[1] + headline + m[2], readme.read_text())
+    if n_marked != 1:
+        raise ValueError(f"{readme}: {n_marked} places marked <!-- answer -->, not 1")
+    readme.write_text(text)
 
 
 if __name__ == "__main__":

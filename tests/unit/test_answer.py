@@ -140,7 +140,7 @@ def test_every_law_has_its_verdict_and_its_price(tmp_path):
         "tanh-1e4": ("use", True, "4.0\u00a0×"),
         "tanh-1e6": ("use", True, "9.0\u00a0×"),
         "arctan-1e4": ("use", True, open_["arctan-1e4"]),
-        "poly-13": ("no", True, "saves 75\u00a0%"),
+        "poly-13": ("no", True, "0.25\u00a0×"),
         "poly-21": ("no", True, "– ?"),
         "piecewise-noevents": ("exact here", True, open_["piecewise-noevents"]),
     }
@@ -237,7 +237,7 @@ def test_prices_repeat_as_far_in_one_contact_as_in_another(tmp_path):
         return periodic([(1e-3, 0.0)], omega, cpu_time=0.5 if label == "poly-13" else 1.0)
 
     compared = agreement(*datasets(tmp_path, study, answer))
-    assert [contact.laws[0].cost for contact in contacts(compared)] == ["saves 50\u00a0%"] * 2
+    assert [contact.laws[0].cost for contact in contacts(compared)] == ["0.5\u00a0×"] * 2
     soft = {"representation": "piecewise@half", "K_c": 1.4e3}
     compared["cpu_time_per_period_ratio"].loc[soft] = 3.0
     assert [contact.laws[0].cost for contact in contacts(compared)] == [
@@ -290,6 +290,16 @@ def test_prices_that_intervals_do_not_part_stand_together():
     assert "arctan-1e4 or tanh-1e4 for" in said
     assert "(4.0\u00a0× to 4.5\u00a0×)" in said
     assert "poly-13" not in said
+
+
+def test_prices_without_intervals_are_not_called_alike():
+    unknown = {"width": np.nan}
+    near, far = judged("tanh-1e4", price=2.0, **unknown), judged("tanh-1e6", price=90.0, **unknown)
+    none = judged("poly-13", price=np.nan, **unknown)
+    for laws in ((near, far, none), (none, far, near)):
+        assert (
+            "tanh-1e4 for 10000 N/m with 0.4/0.4 mm (2.0\u00a0×)" in in_words([contact(*laws)])[1]
+        )
 
 
 def test_a_cheap_law_in_doubt_does_not_hide_a_sure_one():

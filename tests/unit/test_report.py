@@ -19,13 +19,17 @@ from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.systems import OF_SYSTEM
 from gapsweep.analysis.timing import timing
 from gapsweep.errors import StoreError
+from gapsweep.model.labels import FAMILIES, contact_law
+from gapsweep.model.oscillator import Gap
+from gapsweep.report import model as model_module
 from gapsweep.report.answer import Contact, Judged, contacts
 from gapsweep.report.findings import findings
 from gapsweep.report.heat import heads, heat, swept_columns
-from gapsweep.report.html import write_report
+from gapsweep.report.html import _place, write_report
+from gapsweep.report.model import model
 from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered
 from gapsweep.report.pictures import VIEWS, is_picture, pictures
-from gapsweep.report.provenance import as_toml, model, provenance
+from gapsweep.report.provenance import as_toml, provenance
 from gapsweep.report.scales import Told
 from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent
 from gapsweep.stages import is_of_run
@@ -268,6 +272,8 @@ def contact(laws, **where):
 def test_the_map_is_darker_where_a_law_is_worse():
     near, far = ("use", 0.01, 0.99, 3.0), ("no", 0.4, 0.2, 0.5)
     soft = contact({"poly-13": far, "tanh-1e4": near}, at={"K_c": 0, "gap": 1})
+    (failed_throughout,) = heat([contact({"poly-21": ("no", np.nan, 0.0, np.nan)})])
+    assert failed_throughout.cells["error"][0].shade == 1.0
     hard = contact({"tanh-1e4": ("with care", 0.1, 0.7, 9.0)}, K_c=1.4e6)
     first, second = heat([soft, hard])
     assert (first.law, second.law) == ("tanh-1e4", "poly-13")
@@ -314,7 +320,7 @@ def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
     told = dict(model(responses))
     # Each law once, whatever its settings or parameter.
     assert list(told) == ["Equation", "Numbers", "F of piecewise", "F of tanh"]
-    for told_of in ("ζ 0.07,", "p 1.5, 2.5 N", "K_c 20000 N/m", "upper 0.5", "ω 1, 2, 3, 4 Hz"):
+    for told_of in ("ζ 0.07,", "p 1.5, 2.5 N", "K_c 20000 N/m", "over K_c, 0.5", "ω 1, 2, 3, 4 Hz"):
         assert told_of in told["Numbers"]
     assert "0.4/0.4 mm" in told["Numbers"]
     users = responses.assign_coords(representation=["piecewise", "mine:spring", *"ab"])
@@ -375,10 +381,42 @@ def test_every_id_is_there_once_and_no_link_leads_nowhere(page):
     assert links - set(ids) == set()
 
 
+def test_forces_are_told_as_they_are():
+    """What the report says of tanh, arctan and log-arctan, by another hand; walls differ."""
+    K_c, r, gap, epsilon = 1.4e4, 0.5, Gap(0.3e-3, 0.5e-3), 2e3
+    x = np.linspace(-2e-3, 2e-3, 401)
+    told = model_module._FORCES
+    assert told.keys() == FAMILIES.keys()
+    for family, word, s in (
+        ("tanh", "tanh", np.tanh),
+        ("arctan", "(2/π) arctan", lambda z: 2.0 / np.pi * np.arctan(z)),
+    ):
+        s_1, s_2 = s(epsilon * (x + gap.j_1)), s(epsilon * (x - gap.j_2))
+        assert f"s₁ = {word} ε(x + j₁), s₂ = {word} ε(x − j₂)" in told[family]
+        assert told[family].startswith("½ K_c [r (1 − s₁) (x + j₁) + (1 + s₂) (x − j₂)]")
+        force = 0.5 * K_c * (r * (1.0 - s_1) * (x + gap.j_1) + (1.0 + s_2) * (x - gap.j_2))
+        law = contact_law(f"{family}-2e3", K_c, gap, K_ratio=r)
+        np.testing.assert_allclose(law.force(x), force, rtol=1e-12, atol=1e-12)
+    law = contact_law("logarctan-2e3", K_c, gap, K_ratio=r)
+    assert told["logarctan"].startswith("0 at x = 0, of slope ½ K_c [r (1 − s₁) + 1 + s₂]")
+    assert law.force(0.0) == 0.0
+    slope = 0.5 * K_c * (r * (1.0 - s_1) + 1.0 + s_2)  # of arctan
+    np.testing.assert_allclose(law.derivative(x), slope, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("place", "leads_to"),
+    [("Fig. 1", "1a"), ("Fig. 10", "10"), ("Fig. 11ab", "11"), ("Fig. 2", "")],
+)
+def test_a_claim_leads_to_the_figure_of_its_own_number(place, leads_to):
+    names = {"Fig. 10": "10", "Fig. 1a": "1a", "Fig. 11, their solver": "11"}
+    assert _place(place, names, []) == leads_to
+
+
 def test_a_study_as_toml_is_the_same_study():
     study = Study.from_dict(
         {
-            "study": {"name": "made", "title": 'Says "a\\b" and ±'},
+            "study": {"name": "made", "title": 'Says "a\\b", ± and \x7f'},
             "sweep": tables(LABELS, OMEGA)["sweep"] * 2,
             "protocol": {"half": {"rtol": 5e-10}, "a-b": {"restart": True}},
         }

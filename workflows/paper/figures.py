@@ -106,7 +106,7 @@ def figures(run: Run) -> Iterator[Figured]:
 
 def _figured(figure: Figure, name: str, at: Scene, protocol: str, *sentences: str) -> Figured:
     """A figure whose caption says its scene, and everything that is seen in it."""
-    solver = f"the paper's solver ({protocol})" if protocol == PAPER else protocol
+    solver = f"the paper's solver ({protocol})" if protocol == PAPER else ""
     where = ", ".join(filter(None, (f"K_c = {plain(at[0])} N/m", f"gap {at[1]} mm", solver)))
     place = f"{name}{', their solver' * (protocol == PAPER)}"
     words = f"Figure {place}. {where}. {' '.join(sentences)}"
@@ -193,7 +193,7 @@ def _overlay(run: Run, scene: xr.Dataset, protocol: str) -> Figured:
         f"the gap; they are the same at {listed(same)} of the frequencies."
     ]
     with suppress(NotInRunError):  # the tight solver may not have been asked
-        seen += _not_periodic(run, protocol)
+        seen += list(_not_periodic(run, protocol))
     figure = draw.overlaid_bifurcations(scene, overlays)
     return _figured(figure, "10", HARD_ASYMMETRIC, protocol, *seen)
 

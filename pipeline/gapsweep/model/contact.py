@@ -4,8 +4,8 @@ Every law has ``force(x)`` [N] and ``derivative(x)`` [N/m] on arrays of displace
 for symmetric, asymmetric and zero gaps. Formulas and labels are those of the user guide;
 `gapsweep.model.labels` builds any law from its label.
 
-A law is one class here, with all that the rest of the package asks of it, and one compiled form in
-`gapsweep.integrate.runge_kutta.laws`.
+A law is one class, here or in `gapsweep.model.fitted` and `gapsweep.model.table`, with all that the
+rest of the package asks of it, and one compiled form in `gapsweep.integrate.runge_kutta.laws`.
 """
 
 import math
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 FIT_RANGE = 4e-3
 _NOEVENTS = "noevents"
 # A user's law has central differences for its slope: over the part of x that balances truncation
-# and rounding, and never less than of a length [m] below which nothing moves.
+# and rounding, and of SLOPE_LENGTH [m] where x is smaller, as nothing moves by less.
 SLOPE_STEP, SLOPE_LENGTH = 6e-6, 1e-9
 
 
@@ -58,8 +58,6 @@ class ContactLaw:
     # colour-blind readers).
     family: ClassVar[str] = ""
     colour: ClassVar[str] = "#56B4E9"
-    # Its force, as a report says it.
-    formula: ClassVar[str] = "the user's own"
     # Whether laws of the family differ in numbers alone, so that one compiled form takes them all.
     is_numbers: ClassVar[bool] = False
     # Whether it has a convergence parameter: the larger, the nearer to the exact law.
@@ -127,7 +125,7 @@ class Piecewise(ContactLaw):
     Parameters
     ----------
     located : bool
-        Whether integration stops at every contact. False is the label
+        Whether every contact is located, within a step. False is the label
         ``piecewise-noevents``: the same force, its kinks left to step-size control.
 
     Examples
@@ -140,10 +138,6 @@ class Piecewise(ContactLaw):
 
     family: ClassVar[str] = "piecewise"
     colour: ClassVar[str] = "#000000"
-    formula: ClassVar[str] = (
-        "K_c (x − j₂) for x > j₂, K_c (x + j₁) for x < −j₁, 0 between; of -noevents too, whose "
-        "contacts are not located"
-    )
     is_numbers: ClassVar[bool] = True
 
     located: bool = True
@@ -254,9 +248,6 @@ class Tanh(_Switched):
 
     family: ClassVar[str] = "tanh"
     colour: ClassVar[str] = "#0072B2"
-    formula: ClassVar[str] = (
-        "½ K_c [(1 − tanh ε(x + j₁)) (x + j₁) + (1 + tanh ε(x − j₂)) (x − j₂)], ε [1/m] in its name"
-    )
 
     def _switch(self, z: Array) -> tuple[Array, Array]:
         s = np.tanh(z)
@@ -282,7 +273,6 @@ class Arctan(_Switched):
 
     family: ClassVar[str] = "arctan"
     colour: ClassVar[str] = "#009E73"
-    formula: ClassVar[str] = "as tanh, (2/π) arctan in its place"
 
     def _switch(self, z: Array) -> tuple[Array, Array]:
         return (2.0 / math.pi) * np.arctan(z), (2.0 / math.pi) / (1.0 + z * z)
@@ -312,10 +302,6 @@ class LogArctan(_Sharpened):
 
     family: ClassVar[str] = "logarctan"
     colour: ClassVar[str] = "#D55E00"
-    formula: ClassVar[str] = (
-        "0 at x = 0, of slope K_c [1 + (arctan γ(x − j₂) − arctan γ(x + j₁)) / π], γ [1/m] in its "
-        "name"
-    )
 
     gamma: float
 

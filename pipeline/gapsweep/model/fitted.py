@@ -91,7 +91,6 @@ class Polynomial(Fitted):
 
     family: ClassVar[str] = "poly"
     colour: ClassVar[str] = "#E69F00"
-    formula: ClassVar[str] = "polynomial of the degree in its name, a least-squares fit"
 
     degree: int
     fit_range: float = FIT_RANGE
@@ -135,7 +134,6 @@ class RationalPolynomial(Fitted):
 
     family: ClassVar[str] = "ratpoly"
     colour: ClassVar[str] = "#CC79A7"
-    formula: ClassVar[str] = "quotient of polynomials of the degrees in its name, fitted likewise"
 
     numerator: int
     denominator: int

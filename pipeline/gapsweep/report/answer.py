@@ -3,7 +3,7 @@
 Judged contact by contact (stiffness and gap), from ``agreement.nc``:
 
 exact here
-    Neither number worse than the exact law against itself: no study can tell them apart.
+    Neither number worse than the exact law against itself: this study cannot tell them apart.
 use
     95 % of the amplitudes within 5 %, the thickness of a plotted line, and 95 % of the exact
     attractors found: a diagram drawn with it reads the same.
@@ -101,11 +101,7 @@ class Judged:
         if self.low <= 1.0 <= self.high:
             is_near = max(self.high, 1.0 / self.low) <= _NEAR
             return "≈ 1\u00a0×" if is_near else f"{times(self.low)} to {times(self.high)}"
-        return (
-            times(self.price)
-            if self.low > 1.0
-            else f"saves {100.0 - 100.0 * self.price:.0f}\u00a0%"
-        )
+        return times(self.price)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +140,7 @@ class Contact:
     @property
     def columns(self) -> dict[str, list[Judged]]:
         """All laws by what may be done with them, the cheapest first."""
-        laws = sorted(self.laws, key=lambda one: one.price)
+        laws = sorted(self.laws, key=lambda one: (np.isnan(one.price), one.price))
         return {v: [one for one in laws if one.column == v] for v in COLUMNS}
 
     @property
@@ -152,7 +148,8 @@ class Contact:
         """The cheapest stand-in to use, and those whose price cannot be told from its."""
         usable = [one for one in self.columns["use"] if one.is_stand_in]
         best = next((one for one in usable if one.is_firm), usable[0] if usable else None)
-        return [one for one in usable if best and not one.low > best.high]
+        # Without an interval of either nothing says that their prices are alike.
+        return [one for one in usable if best and (one is best or one.low <= best.high)]
 
     @property
     def is_sure(self) -> bool:
@@ -367,7 +364,7 @@ def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
 
 
 def _range(laws: Sequence[Judged]) -> str:
-    prices = [one.price for one in laws]
+    prices = [one.price for one in laws if np.isfinite(one.price)] or [np.nan]
     return " to ".join(dict.fromkeys(times(price) for price in (min(prices), max(prices))))
 
 

@@ -173,7 +173,7 @@ def _grid(
     y_label: str,
     drawn_in: Callable[[Axes, xr.Dataset], None],
 ) -> Figure:
-    """A panel per representation, hardly more rows than columns, so that two fit a printed page."""
+    """A panel per representation, as many columns as rows or one more: two fit a printed page."""
     labels = labels_of(found)
     n_columns = math.ceil(math.sqrt(len(labels)))
     n_rows = math.ceil(len(labels) / n_columns)

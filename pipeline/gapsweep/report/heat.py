@@ -7,8 +7,7 @@ error
 found
     Share of the exact law's attractors.
 cost
-    Processor time per forcing period over the exact law's, of laws that may be used alone: only
-    these reach the same error.
+    Processor time per forcing period over the exact law's, of laws to use: no other is as close.
 """
 
 from collections.abc import Iterable, Sequence
@@ -97,7 +96,7 @@ def _cell(group: str, contact: Contact, one: Judged) -> Cell:
     error, share = (float(one.values[name][0]) for name in ("p95", "found"))
     is_usable = one.column == "use"
     text, shade = {
-        "error": (_short(100.0 * error), _between(error, _LEAST, _MOST)),
+        "error": (_short(100.0 * error), _between(error, _LEAST, _MOST) if error == error else 1.0),
         "found": (_short(100.0 * share), np.sqrt(1.0 - share)),
         "cost": (
             _cost(one) if is_usable else "–",

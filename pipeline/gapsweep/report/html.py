@@ -37,9 +37,10 @@ from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequ
 from gapsweep.report.findings import findings, outcomes
 from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
 from gapsweep.report.maps import numbered_as
+from gapsweep.report.model import model
 from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import Figured, Part, for_page, pictured, rendered
-from gapsweep.report.provenance import as_toml, model, provenance
+from gapsweep.report.provenance import as_toml, provenance
 from gapsweep.report.scales import named, plain
 from gapsweep.report.scenes import Scenes, said_of_starts, starts_of, swept
 from gapsweep.report.selection import anchor_of, beside, gap_label
@@ -243,9 +244,14 @@ def _place(place: str, names: Mapping[str, str], parts: Sequence[Mapping[str, An
     "Fig. 11ab" is about "Fig. 11" or "Fig. 11, their solver", "Fig. 2" about the first of "Fig. 2a"
     and "Fig. 2b".
     """
-    near = [n for n in names if n and (place.startswith(n.split(",")[0]) or n.startswith(place))]
+    near = [n for n in names if n and (_begins(place, n.split(",")[0]) or _begins(n, place))]
     titled = [part["anchor"] for part in parts if part["title"].endswith(f" {place}")]
     return names[min(near, key=lambda n: n != place)] if near else next(iter(titled), "")
+
+
+def _begins(text: str, start: str) -> bool:
+    """Whether a name begins with another one, of the same number."""
+    return text.startswith(start) and not text[len(start) : len(start) + 1].isdigit()
 
 
 def _digest(script: str) -> str:

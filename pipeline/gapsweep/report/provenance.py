@@ -1,82 +1,16 @@
-"""Where a report comes from: the model, the study, its solver, the machine, what it took."""
+"""Where a report comes from: the study, its solver, the machine, what it took."""
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.systems import is_of_systems
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.contact import ContactLaw
-from gapsweep.model.labels import AUTO, family, is_fitted, law_of
-from gapsweep.report.drawing import labels_of
-from gapsweep.report.scales import plain, shortened
+from gapsweep.report.scales import plain
 from gapsweep.status import Status
-
-_EQUATION = "ẍ + 2ζω_n ẋ + ω_n² x + (α x³ + F) / m = (p / m) cos ωt, with ω and ω_n in rad/s"
-# Its numbers, in the order in which they are told: symbol and unit.
-_NUMBERS = {
-    "zeta": ("ζ", ""),
-    "omega_n": ("ω_n", "Hz"),
-    "mass": ("m", "kg"),
-    "alpha": ("α", "N/m³"),
-    "forcing": ("p", "N"),
-    "K_c": ("K_c", "N/m"),
-    "K_ratio": ("lower wall's K_c over that of the upper", ""),
-    "omega": ("ω", "Hz"),
-}
-_MANY = 5  # values of a number, of which more are told by their ends
-
-
-def model(responses: xr.Dataset) -> list[tuple[str, str]]:
-    """The equation of a run, its numbers and its laws, by name; nothing of a run of systems.
-
-    Parameters
-    ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
-    """
-    if is_of_systems(responses):
-        return []
-    study = json.loads(responses.attrs["study_json"])
-    fixed = study["oscillator"]
-    held = {n: responses[n].values if n in responses else fixed.get(n) for n in _NUMBERS}
-    told = [
-        f"{symbol} {_told(held[name])} {unit}".strip()
-        for name, (symbol, unit) in _NUMBERS.items()
-        if held[name] is not None
-    ]
-    gaps = _listed([shortened(str(gap)) for gap in responses["gap"].values])
-    told.append(f"walls at −j₁ and j₂: {gaps} mm")
-    labels = [label for label in labels_of(responses) if label != AUTO]
-    if any(map(is_fitted, labels)):
-        told.append(f"fits over ±{1e3 * study['fit']['range']:g} mm")
-    return [
-        ("Equation", _EQUATION),
-        ("Numbers", ", ".join(told)),
-        *dict(map(_law, labels)).items(),
-    ]
-
-
-def _told(values: Any) -> str:
-    numbers = np.ravel(values)
-    return _listed([plain(number) for number in numbers])
-
-
-def _listed(texts: Sequence[str]) -> str:
-    return ", ".join(texts) if len(texts) <= _MANY else f"{texts[0]} to {texts[-1]}"
-
-
-def _law(label: str) -> tuple[str, str]:
-    """What the force is, under the name of the law's family or of the user's function."""
-    law = family(label)
-    if law is None:
-        return f"F of {law_of(label)}", ContactLaw.formula
-    return f"F of {law.family}", law.formula
 
 
 def provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
@@ -143,10 +77,10 @@ def _key(name: str) -> str:
 
 
 def _value(value: Any) -> str:
-    """A value as TOML writes it, which is JSON but for tables."""
+    """A value as TOML writes it, which is JSON but for tables and one character."""
     if isinstance(value, Mapping):
-        inside = (f"{_key(key)} = {_value(held)}" for key, held in value.items())
+        inside = (f"{_key(k)} = {_value(held)}" for k, held in value.items() if held is not None)
         return f"{{ {', '.join(inside)} }}"
     if isinstance(value, list):
         return f"[{', '.join(map(_value, value))}]"
-    return json.dumps(value, ensure_ascii=False)
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

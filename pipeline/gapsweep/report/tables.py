@@ -181,7 +181,7 @@ _SIGNS = {"confirmed": "✓", "refuted": "✗", "partly": "◐", "undecidable": 
 
 
 def number(value: float) -> str:
-    """Three significant digits, exponents only where they help."""
+    """Three significant digits, of whole numbers all; exponents only where they help."""
     if not np.isfinite(value):
         return "–"
     if value == 0.0 or 1e-3 <= abs(value) < 1e5:
