@@ -21,7 +21,7 @@ _NUMBERS = {
     "alpha": ("α", "N/m³"),
     "forcing": ("p", "N"),
     "K_c": ("K_c", "N/m"),
-    "K_ratio": ("r, the lower wall's stiffness over K_c,", ""),
+    "K_ratio": ("r", "(lower wall's stiffness over K_c)"),
     "omega": ("ω", "Hz"),
 }
 _FORCES = {
