@@ -325,6 +325,10 @@ def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
     assert "0.4/0.4 mm" in told["Numbers"]
     users = responses.assign_coords(representation=["piecewise", "mine:spring", *"ab"])
     assert dict(model(users.isel(representation=[0, 1])))["F of mine:spring"] == "the user's own"
+    del study["sweep"][0]["gap"]
+    study["sweep"][0] |= {"j_1": 0.4e-3, "j_2": [0.4e-3, 0.8e-3]}
+    responses, _ = datasets(tmp_path / "j", study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
+    assert "j₁ 0.4 mm, j₂ 0.4, 0.8 mm" in dict(model(responses))["Numbers"]
 
 
 def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(tmp_path):

@@ -96,7 +96,10 @@ def _cell(group: str, contact: Contact, one: Judged) -> Cell:
     error, share = (float(one.values[name][0]) for name in ("p95", "found"))
     is_usable = one.column == "use"
     text, shade = {
-        "error": (_short(100.0 * error), _between(error, _LEAST, _MOST) if error == error else 1.0),
+        "error": (
+            _short(100.0 * error),
+            1.0 if np.isnan(error) else _between(error, _LEAST, _MOST),
+        ),
         "found": (_short(100.0 * share), np.sqrt(1.0 - share)),
         "cost": (
             _cost(one) if is_usable else "–",

@@ -55,8 +55,7 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
     told = [
         f"{symbol} {_told(held[name])} {unit}".strip() for name, (symbol, unit) in _NUMBERS.items()
     ]
-    gaps = _listed([shortened(str(gap)) for gap in responses["gap"].values])
-    told.append(f"walls at −j₁ and j₂: {gaps} mm")
+    told.append(_walls(responses))
     labels = [label for label in labels_of(responses) if label != AUTO]
     if any(map(is_fitted, labels)):
         told.append(f"fits over ±{1e3 * study['fit']['range']:g} mm")
@@ -65,6 +64,15 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
         ("Numbers", ", ".join(told)),
         *dict(map(_law, labels)).items(),
     ]
+
+
+def _walls(responses: xr.Dataset) -> str:
+    """Where the walls are; their distances stand in place of the gap where these are swept."""
+    if "gap" in responses:
+        gaps = _listed([shortened(str(gap)) for gap in responses["gap"].values])
+        return f"walls at −j₁ and j₂: {gaps} mm"
+    j_1, j_2 = (_told(1e3 * responses[name].values) for name in ("j_1", "j_2"))
+    return f"walls at −j₁ and j₂: j₁ {j_1} mm, j₂ {j_2} mm"
 
 
 def _told(values: Any) -> str:
