@@ -38,11 +38,14 @@ class Exact(_Read):
 
     def events(self, point, *kinds):
         """Recorded events of one point, all kinds or those given: columns t, x, v, kind."""
-        first, last = np.searchsorted(self.log[:, record.POINT], [point, point + 1])
-        rows = self.log[first:last]
-        if kinds:
-            rows = rows[np.isin(rows[:, record.KIND], kinds)]
-        return rows[:, [record.TIME, record.STATE, record.STATE + self.at.n, record.KIND]]
+        rows = []
+        for log in (self.turns, self.contacts, self.sections):
+            first, last = np.searchsorted(log[:, record.POINT], [point, point + 1])
+            columns = [record.TIME, record.VALUE, record.VALUE + self.at.n, record.KIND]
+            wide = np.pad(log[first:last], ((0, 0), (0, self.at.n_states)))
+            rows.append(wide[:, columns])
+        found = np.concatenate(rows)
+        return found[np.isin(found[:, 3], kinds)] if kinds else found
 
 
 class Smooth(_Read):

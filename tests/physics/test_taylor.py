@@ -556,7 +556,7 @@ def test_e22_a_halt_without_return_is_one_inflection(t_touch):
 def test_recording_starts_when_told_and_changes_nothing():
     plain, late, early = run(5.0), run(5.0, record_from=3.0), run(5.0, record_from=0.0)
     assert same_bits([plain.x, plain.v], [late.x, late.v])
-    assert len(plain.log) == 0
+    assert len(plain.turns) == len(plain.contacts) == len(plain.sections) == 0
     all_events = early.events(0)
     assert np.array_equal(late.events(0), all_events[all_events[:, 0] >= 3.0])
     section = early.events(0, record.SECTION)
@@ -588,12 +588,11 @@ def test_dense_output_is_the_motion_at_any_time():
 def test_full_buffers_are_drained_and_nothing_is_lost(monkeypatch):
     points = {k: a[:20] for k, a in many().items()}
     whole = integrate(**points, record_from=0.0, dense_output=True)
-    monkeypatch.setattr(exact, "_LOG_ROWS", 500)
-    monkeypatch.setattr(exact, "_DENSE_ROWS", 40)
+    monkeypatch.setattr(exact, "_LOG_VALUES", 500)
     monkeypatch.setattr(exact, "_BUDGET", 7)
     drained = integrate(**points, record_from=0.0, dense_output=True)
-    assert same_bits(whole.log, drained.log)
-    assert same_bits(whole.dense, drained.dense)
+    for log in ("turns", "contacts", "sections", "steps"):
+        assert same_bits(getattr(whole, log), getattr(drained, log))
 
 
 SCENES = dict(
@@ -614,7 +613,7 @@ def test_no_step_holds_a_crossing_that_was_not_reported(order, rtol, **changes):
     # the tolerance that belongs to a lower order makes steps so long that their series is wild
     s = scene(**changes)
     result = run(1.0, s, rtol=rtol, order=order, record_from=0.0, dense_output=True, x_bound=10.0)
-    length, series = result.dense[:, 2:3], result.dense[:, 3:]
+    length, series = result.steps[:, 2:3], result.steps[:, 3:]
     part = np.linspace(0, 1, 65)
     x = sum(series[:, n : n + 1] * (length * part) ** n for n in range(order, -1, -1))
     low, high = x.min(axis=1), x.max(axis=1)
@@ -625,7 +624,7 @@ def test_no_step_holds_a_crossing_that_was_not_reported(order, rtol, **changes):
     lo, hi = -s["j_1"] - slack, s["j_2"] + slack
     in_gap, above, below = (low >= lo) & (high <= hi), low >= hi - 2 * slack, high <= lo + 2 * slack
     is_inside = in_gap | above | below
-    assert is_inside.all(), result.dense[~is_inside][0]
+    assert is_inside.all(), result.steps[~is_inside][0]
 
 
 @given(**SCENES)
@@ -683,7 +682,7 @@ def safe_velocity_zeros(length, series):
 def check_extrema(result, point):
     """Compare the recorded extrema with each step's zeros; the share of steps that are safe."""
     extrema, n_checked = result.events(point, *EXTREMA), 0
-    steps = result.dense[result.dense[:, 0] == point]
+    steps = result.steps[result.steps[:, 0] == point]
     for _, start, length, *series in steps:
         expected = safe_velocity_zeros(length, np.array(series))
         if expected is None:
@@ -768,4 +767,4 @@ def test_bad_input_is_named():
 
 def test_no_points_are_no_work():
     result = integrate(**scene(omega=np.empty(0)), t_end=1.0, record_from=0.0, dense_output=True)
-    assert len(result.x) == len(result.log) == 0
+    assert len(result.x) == len(result.turns) == 0

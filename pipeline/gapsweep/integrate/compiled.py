@@ -28,7 +28,6 @@ from gapsweep.model.fitted import Polynomial, RationalPolynomial
 from gapsweep.model.table import ForceTable
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 def prepared(models: Models, solver: Solver) -> Integrate:
@@ -103,10 +102,8 @@ def _exact(models: Models, solver: Solver) -> Integrate:
         run = exact.run(prepared_scenes, start=problems.start, **_given(problems))
 
         def events() -> Events:
-            point, kind, t, which, *state = run.log.T
-            # The kinds are numbered so: extrema, the section, then contacts.
-            masks = kind < record.SECTION, kind == record.SECTION, kind > record.SECTION
-            return _events(len(problems), point, t, which, np.stack(state, axis=1), *masks)
+            columns = record.POINT, record.TIME, record.WHICH, record.VALUE
+            return _events(len(problems), columns, run.turns, run.sections, run.contacts)
 
         return Motions(
             t=run.t,
@@ -152,9 +149,10 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
             raise  # not the user's fault
 
         def events() -> Events:
-            kind, point, t, _, _, which, *state = run.records.T
-            masks = (kind == each for each in (lanes.EXTREMUM, lanes.SECTION, lanes.CONTACT))
-            return _events(len(problems), point, t, which, np.stack(state, axis=1), *masks)
+            columns, kind = (lanes.E_POINT, lanes.E_T, lanes.E_WHICH, lanes.E_STATE), lanes.E_KIND
+            kinds = lanes.EXTREMUM, lanes.SECTION, lanes.CONTACT
+            rows = (run.records[run.records[:, kind] == each] for each in kinds)
+            return _events(len(problems), columns, *rows)
 
         def sampler(t: Array) -> Array:
             return np.stack([run.sample(t, i) for i in range(len(problems))], axis=1)
@@ -190,28 +188,31 @@ def _why_not_compiled(law: ContactLaw) -> str | None:
 
 
 def _events(
-    n: int,
-    point: Array,
-    t: Array,
-    which: Array,
-    state: Array,
-    extrema: Mask,
-    section: Mask,
-    contacts: Mask,
+    n: int, columns: Sequence[int], turns: Array, sections: Array, contacts: Array
 ) -> Events:
-    """Events of n motions from the columns of a record sorted by motion, and masks of its rows."""
-    number = point.astype(np.int64)
+    """Events of n motions from rows sorted by motion.
+
+    Parameters
+    ----------
+    columns : sequence of int, length 4
+        Where motion, time, and which of its quantities stand, and from where on values.
+    """
+    point, t, which, value = columns
+    n_extrema, n_section, n_contacts = (
+        np.bincount(rows[:, point].astype(np.int64), minlength=n)
+        for rows in (turns, sections, contacts)
+    )
     return Events(
-        t_extrema=t[extrema],
-        extrema=state[extrema, 0],
-        extrema_of=which[extrema].astype(np.int64),
-        t_contacts=t[contacts],
-        contacts_of=which[contacts].astype(np.int64),
-        t_section=t[section],
-        section=state[section],
-        n_extrema=np.bincount(number[extrema], minlength=n),
-        n_contacts=np.bincount(number[contacts], minlength=n),
-        n_section=np.bincount(number[section], minlength=n),
+        t_extrema=turns[:, t].copy(),
+        extrema=turns[:, value].copy(),
+        extrema_of=turns[:, which].astype(np.int64),
+        t_contacts=contacts[:, t].copy(),
+        contacts_of=contacts[:, which].astype(np.int64),
+        t_section=sections[:, t].copy(),
+        section=sections[:, value:].copy(),
+        n_extrema=n_extrema,
+        n_contacts=n_contacts,
+        n_section=n_section,
     )
 
 

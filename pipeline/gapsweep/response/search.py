@@ -92,9 +92,7 @@ class Search:
         self._phase = np.full(n, int(Phase.PAUSE))
         self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
         self._settled = np.zeros(n, bool)
-        # Size of an early look's window.
-        self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))
-        self._size, self._largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))  # size of the next window
         self._goal = np.zeros(n)  # distance from an orbit found
         self._found = Found(n)
 
@@ -123,7 +121,6 @@ class Search:
         self._fail(points[~is_ok])
         self._open(points[is_ok & (phase == Phase.PAUSE)])
         window = points[is_ok & (phase == Phase.WINDOW)]
-        self._size[window] *= 2
         self._look_at(window)
         self._arrive(points[is_ok & (phase == Phase.APPROACH)])
 
@@ -137,31 +134,23 @@ class Search:
     @_for_some
     def _open(self, points: Numbers) -> None:
         """After a pause: a window, as long as it takes once the motion must have settled."""
-        n_periods, was_settled = self._steady.n_periods, self._settled[points]
+        was_settled = self._settled[points]
         self._settled[points] = self._walks.n_periods[points] >= self._limits.settled[points]
-        self._largest[points] = np.where(self._settled[points], n_periods, self._look[points])
-        after = self._walks.n_periods[points] + self._largest[points]
+        self._look[points[was_settled]] = self._steady.n_periods
+        after = self._walks.n_periods[points] + self._look[points]
         # A growth costs more than the first look at a settled motion.
         is_new = self._settled[points] & ~was_settled
         is_last = (after >= self._limits.last[points]) & ~is_new
         self._finish(points[is_last])
         others = points[~is_last]
-        self._size[others] = _FIRST_WINDOW
         self._walks.forget(others)
-        self._record(others)
+        self._asked[others], self._phase[others] = self._look[others], Phase.WINDOW
 
     @_for_some
     def _record_last(self, points: Numbers) -> None:
         """A whole window, for the motion may be what is left when no orbit is found."""
         self._walks.forget(points)
-        self._asked[points] = self._largest[points] = self._steady.n_periods
-        self._phase[points] = Phase.LAST
-
-    @_for_some
-    def _record(self, points: Numbers) -> None:
-        wanted = np.minimum(self._size[points], self._largest[points])
-        self._asked[points] = wanted - self._walks.length[points]
-        self._phase[points] = Phase.WINDOW
+        self._asked[points], self._phase[points] = self._steady.n_periods, Phase.LAST
 
     @_for_some
     def _look_at(self, points: Numbers) -> None:
@@ -171,6 +160,7 @@ class Search:
             self._walks.section[:, points],
             self._walks.length[points],
             np.maximum(_CLOSE * reach, same),
+            same,
             self._steady.max_period_multiple,
         )
         shot = points[n > 0]
@@ -183,13 +173,10 @@ class Search:
 
     @_for_some
     def _go_on(self, points: Numbers) -> None:
-        """No orbit so far: the next part of the window, or the end of this look."""
-        is_full = self._walks.length[points] >= self._largest[points]
-        self._record(points[~is_full])
-        full = points[is_full]
-        is_settled = self._settled[full]
-        self._repeat(full[is_settled])
-        self._end_look(full[~is_settled])
+        """No orbit so far: what has settled may repeat itself all the same."""
+        is_full = self._walks.length[points] >= self._steady.n_periods
+        self._repeat(points[is_full & self._settled[points]])
+        self._end_look(points[~(is_full & self._settled[points])])
 
     # --- motion with its tangent -----------------------------------------------------------------
 
@@ -293,10 +280,7 @@ class Search:
     def _arrive(self, points: Numbers) -> None:
         is_near = self._distance(points) <= self._goal[points]
         self._close(points[is_near])
-        away = points[~is_near]
-        # A window that is to go on begins anew: what was not recorded would be a gap in it.
-        self._walks.forget(away[self._walks.length[away] < self._largest[away]])
-        self._go_on(away)
+        self._go_on(points[~is_near])
 
     def _distance(self, points: Numbers) -> Array:
         """Distances of motions, at whole periods of their orbits, from these' starts [m]."""

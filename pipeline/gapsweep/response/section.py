@@ -9,7 +9,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
@@ -171,12 +170,12 @@ def period_multiples(
 
 
 def converging_multiples(
-    sections: Array, lengths: Counts, closeness: Array, largest: int
+    sections: Array, lengths: Counts, closeness: Array, same: Array, largest: int
 ) -> Counts:
     """Smallest n towards whose repeat each section is contracting; 0 if it does not.
 
     Each of the last four points must be within `closeness` of the one n periods before, and the
-    later two of them not farther than the earlier two.
+    later two of them not farther than any point before them was: or as near as makes them the same.
 
     Parameters
     ----------
@@ -186,6 +185,8 @@ def converging_multiples(
         How many there are in each row.
     closeness : ndarray, shape (m,)
         Distance [m] from which shooting is worth a try.
+    same : ndarray, shape (m,)
+        Distance [m] below which two points are the same.
     largest : int
         Largest n tried; n + 4 points are needed for n.
 
@@ -193,18 +194,23 @@ def converging_multiples(
     -------
     ndarray of int, shape (m,)
     """
-    # Early windows are short: no more columns than the longest of them has points.
-    longest = int(lengths.max(initial=0))
-    latest = _latest(sections, lengths, max(3, min(largest + 3, longest - 1)))
-    # From the last one backwards; where there are too few points, NaN.
-    earlier = sliding_window_view(latest, 4, axis=2)[:, :, 1:]
+    latest = _latest(sections, lengths, max(4, int(lengths.max(initial=0)) - 1))
+    n_places = latest.shape[2]
+    near = closeness[:, None]
+    may = np.ones((len(lengths), max(0, min(largest, n_places - 4))), bool)
     with np.errstate(invalid="ignore"):
-        may = _are_near(latest[..., :1], earlier[..., 0], closeness[:, None])
-    # Mostly the last point alone decides. In the order of the sections, then of n.
+        for i in range(4):
+            earlier = latest[:, :, i + 1 : i + 1 + may.shape[1]]
+            may &= _are_near(latest[..., i : i + 1], earlier, near)
+    # In the order of the sections, then of n.
     section, before = np.nonzero(may)
-    steps = norm(latest[:, section, :4] - earlier[:, section, before])
-    contracts = steps[:, :2].max(axis=1) <= steps[:, 2:].max(axis=1)
-    converging = (steps.max(axis=1) < closeness[section]) & contracts
+    place = np.arange(n_places) + before[:, None] + 1
+    there = latest[:, section[:, None], np.minimum(place, n_places - 1)]
+    steps = norm(latest[:, section] - there)
+    steps[place >= n_places] = np.nan  # before the first point
+    before_them = np.fmax.reduce(steps[:, 2:], axis=1)
+    contracts = steps[:, :2].max(axis=1) <= np.maximum(before_them, same[section])
+    converging = (steps[:, :4].max(axis=1) < closeness[section]) & contracts
     found = np.zeros(len(lengths), np.int64)
     hits, first = np.unique(section[converging], return_index=True)
     found[hits] = before[converging][first] + 1

@@ -5,6 +5,7 @@ prepares one table row per system, `run` puts starts into copies of the rows, ru
 `exact_kernel.advance` on them and drains its buffers.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,8 +25,7 @@ Array = NDArray[np.float64]
 
 # Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as chatter.
 _MOST_SHORT = 100.0
-_LOG_ROWS = 1 << 14
-_DENSE_ROWS = 1 << 11
+_LOG_VALUES = 1 << 16  # of a log: it stays in the cache until it is drained
 _BUDGET = 1 << 16  # vector steps per call of the kernel, about 20 ms: Ctrl-C is answered in between
 
 
@@ -50,9 +50,10 @@ class Exact:
         Largest modulus of q at the start and at the ends of steps.
     monodromy : ndarray, shape (n, n_states, n_states), or None
         Derivative of the state at the end by that at the start.
-    log : ndarray, shape (n_events, 4 + n_states)
-        Recorded events as in `record`, sorted by point, then in time within each kind.
-    dense : ndarray, shape (n_rows, DENSE_HEAD + (n + m) * n_terms), or None
+    turns : ndarray, shape (n_events, 5)
+    contacts, sections : ndarray, shape (n_events, 4 + n_states)
+        Recorded events as in `record`, sorted by point, then in time for each `which`.
+    steps : ndarray, shape (n_rows, DENSE_HEAD + (n + m) * n_terms), or None
         Recorded steps (point, start, length, coefficients of q and z), sorted by point and time.
     """
 
@@ -65,8 +66,10 @@ class Exact:
     n_steps: NDArray[np.int64]
     reach: Array
     monodromy: Array | None
-    log: Array = field(repr=False)
-    dense: Array | None = field(repr=False)
+    turns: Array = field(repr=False)
+    contacts: Array = field(repr=False)
+    sections: Array = field(repr=False)
+    steps: Array | None = field(repr=False)
 
     def sample(self, t: ArrayLike) -> Array:
         """States between the steps, from their own series.
@@ -85,13 +88,13 @@ class Exact:
         ValueError
             If dense output was not asked for, or a time lies outside the recorded part.
         """
-        if self.dense is None:
+        if self.steps is None:
             raise ValueError("nothing to sample: ask for dense_output=True")
         points = np.arange(len(self.t))
         times = np.broadcast_to(t, (len(points), np.shape(t)[-1]))
-        first, last = (np.searchsorted(self.dense[:, 0], points + k) for k in (0, 1))
+        first, last = (np.searchsorted(self.steps[:, 0], points + k) for k in (0, 1))
         states, outside = sample_steps(
-            self.at.numbers, self.dense, first, last, np.ascontiguousarray(times, dtype=float)
+            self.at.numbers, self.steps, first, last, np.ascontiguousarray(times, dtype=float)
         )
         if outside >= 0:
             raise ValueError(f"a time lies outside the recorded part of point {outside}")
@@ -150,8 +153,12 @@ def run(
     statuses = np.full(len(which), RUNNING)
     limits = prepared.rtol, DIVERGED_AT, _MOST_SHORT
     queue = np.arange(len(which)) if queue is None else queue
-    log, dense = _drained(at, points, queue, statuses, limits, dense_output, not section_only)
-    return _outcome(at, points[:-1], statuses, t_end, log, dense)
+    is_recording = bool(np.isfinite(record_from).any())
+    # Where nothing forces the motion the section is passed at turns, whatever else is wanted.
+    has_events = is_recording and (not section_only or dense_output or at.is_free)
+    kept = has_events, has_events, is_recording, dense_output
+    *events, steps = _drained(at, points, queue, statuses, limits, kept, not section_only)
+    return _outcome(at, points[:-1], statuses, t_end, events, steps if dense_output else None)
 
 
 def _drained(
@@ -160,13 +167,12 @@ def _drained(
     queue: NDArray[np.intp],
     statuses: NDArray[np.int64],
     limits: tuple[float, float, float],
-    dense_output: bool,
+    kept: Sequence[bool],
     turns: bool,
-) -> tuple[Array, Array | None]:
-    """Call the kernel until all points have ended; returns what it recorded."""
-    is_recording = bool(np.isfinite(points[:-1, at.record_clock]).any())
-    room = record.rows_per_step.py_func(at) + 1
+) -> list[Array]:
+    """Call the kernel until all points have ended; returns the logs that are kept, by point."""
     n_kept = at.n_series + at.tangent * at.n_states * (at.n + at.m)
+    shapes = zip(kept, record.rows_per_step.py_func(at), record.log_columns(at), strict=True)
     run = Run(
         at=at.numbers,
         lanes=np.empty((at.n_rows, at.width)),
@@ -176,23 +182,23 @@ def _drained(
         statuses=statuses,
         progress=np.zeros(2, np.int64),
         coefficients=np.zeros((n_kept * at.n_terms, at.width)),
-        log=np.empty((max(_LOG_ROWS, room) if is_recording else room, record.STATE + at.n_states)),
-        dense=np.empty(
-            (_DENSE_ROWS if dense_output else 0, record.DENSE_HEAD + (at.n + at.m) * at.n_terms)
+        logs=tuple(
+            np.empty((max(_LOG_VALUES // columns, rows) if is_kept else 0, columns))
+            for is_kept, rows, columns in shapes
         ),
-        fill=np.zeros(2, np.int64),
+        fill=np.zeros(len(kept), np.int64),
         work=work_space(at.order, at.contacts),
         turns=turns,
     )
-    logs, denses = [], []
+    pieces: list[list[Array]] = [[] for _ in kept]
     outcome = BUDGET_SPENT
     while outcome != FINISHED:
         outcome = advance(at, run, limits, _BUDGET)
         if outcome in (BUFFER_FULL, FINISHED):
-            logs.append(run.log[: run.fill[0]].copy())
-            denses.append(run.dense[: run.fill[1]].copy())
+            for piece, log, n_rows in zip(pieces, run.logs, run.fill.tolist(), strict=True):
+                piece.append(log[:n_rows].copy())
             run.fill[:] = 0
-    return _by_point(logs), _by_point(denses) if dense_output else None
+    return [_by_point(each) for each in pieces]
 
 
 def _by_point(pieces: list[Array]) -> Array:
@@ -214,10 +220,11 @@ def _outcome(
     points: Array,
     statuses: NDArray[np.int64],
     t_end: Array,
-    log: Array,
-    dense: Array | None,
+    events: Sequence[Array],
+    steps: Array | None,
 ) -> Exact:
     table = points.T
+    turns, contacts, sections = events
     elapsed = table[at.cycle] + (table[at.tau] - table[at.tau_start])
     monodromy = None
     if at.tangent:
@@ -235,6 +242,8 @@ def _outcome(
         n_steps=table[at.n_steps].astype(np.int64),
         reach=points[:, at.reach : at.reach + at.n].copy(),
         monodromy=monodromy,
-        log=log,
-        dense=dense,
+        turns=turns,
+        contacts=contacts,
+        sections=sections,
+        steps=steps,
     )

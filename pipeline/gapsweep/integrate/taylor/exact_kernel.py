@@ -14,7 +14,7 @@ import numpy as np
 from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.vectors import lowest_bit
 
-from .record import load_series, record_steps, rows_per_step
+from .record import has_room, load_series, record_steps
 from .roots import Work, first_exit, polynomial
 from .step import MAX_HALVINGS, SHORT_STEP, taylor_step
 
@@ -289,10 +289,10 @@ class Run(NamedTuple):
         How many points of the queue are loaded; how many have ended.
     coefficients : array
         As of `taylor_step`.
-    log, dense : arrays
-        Buffers of `record_steps`; `dense` with no rows: not wanted.
-    fill : int array, shape (2,)
-        Rows used in `log` and `dense`. The caller drains the buffers and sets them to zero.
+    logs : tuple of arrays
+        Buffers of `record_steps`; with no rows: not wanted.
+    fill : int array, shape (4,)
+        Rows used in each. The caller drains the buffers and sets them to zero.
     work : roots.Work
         Work space for this degree.
     turns : bool
@@ -307,8 +307,7 @@ class Run(NamedTuple):
     statuses: np.ndarray
     progress: np.ndarray
     coefficients: np.ndarray
-    log: np.ndarray
-    dense: np.ndarray
+    logs: tuple
     fill: np.ndarray
     work: Work
     turns: bool
@@ -337,13 +336,10 @@ def advance(layout, run, limits, budget):
     for k in range(at.width):
         if run.lane_point[k] < IDLE:
             _load_next(at, run, k)
-    # a step of all lanes writes at most this many rows
-    log_room = len(run.log) - rows_per_step(at)
-    dense_room = len(run.dense) - at.width if len(run.dense) > 0 else 0
     for _ in range(budget):
         if run.progress[1] == len(run.statuses):
             return FINISHED
-        if run.fill[0] > log_room or run.fill[1] > dense_room:
+        if not has_room(at, run):
             return BUFFER_FULL
         packed = taylor_step(layout, run.lanes, run.coefficients, rtol, x_bound, max_short)
         if packed != 0:

@@ -1,9 +1,9 @@
 """What a step leaves behind when recording is on: extrema, section points, contacts, the series.
 
-Each record is a row (point, kind, t, which, q, v, z) of one log that all points share; a point's
-rows are in the order of time within each kind and `which`. That is the contact; of an extremum,
-whose value stands first, it is the coordinate, or a contact's gap after all coordinates. All others
-hold the whole state.
+Each record is a row (point, kind, t, which, ...) of a log that all points share; a point's rows are
+in the order of time for each `which`. That is the contact; of an extremum, whose value follows, it
+is the coordinate, or a contact's gap after all coordinates. All others are followed by the whole
+state (q, v, z).
 
 Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
 at once, that there is none or one, and finds it (`turns`). That leaves one step in some
@@ -33,8 +33,9 @@ from .turns import TOUCH, find_coordinate_turns, find_gap_turns
 
 MINIMUM, MAXIMUM, INFLECTION, SECTION = 0, 1, 2, 3
 ENTER_UPPER, LEAVE_UPPER, ENTER_LOWER, LEAVE_LOWER = 4, 5, 6, 7
-POINT, KIND, TIME, WHICH, STATE = range(5)
-DENSE_HEAD = 3  # point, start time, length; then the coefficients of q and z
+TURNS, CONTACTS, SECTIONS, STEPS = range(4)  # the logs
+POINT, KIND, TIME, WHICH, VALUE = range(5)
+DENSE_HEAD = 3  # of a step: point, start time, length; then the coefficients of q and z
 
 # A turn and its return that differ by less than this part of the displacement are rounding's
 # picture of one inflection (v = 0 and a = 0).
@@ -42,36 +43,52 @@ _SAME_DISPLACEMENT = 4e-16
 _FLANK = 1e-5  # of the step
 
 
+def log_columns(at):
+    """How wide the logs are."""
+    state = VALUE + at.n_states
+    return VALUE + 1, state, state, DENSE_HEAD + (at.n + at.m) * at.n_terms
+
+
 @internal
 def rows_per_step(at):
-    """Most rows that a step of all lanes writes to the log."""
-    n_turns = (at.n_turning + at.is_free) * (at.order + 1)
-    return at.width * (n_turns + 2 * at.contacts + 1)
+    """Most rows that a step of all lanes writes to each log."""
+    n_turns = at.n_turning * (at.order + 1)
+    n_sections = at.order + 1 if at.is_free else 1
+    return at.width * n_turns, at.width * 2 * at.contacts, at.width * n_sections, at.width
 
 
 @internal
-def _begin_row(run, point, kind, t, which):
-    """Number of a new row, whose state is left to the caller."""
-    i = run.fill[0]
-    run.log[i, POINT], run.log[i, KIND], run.log[i, TIME] = point, kind, t
-    run.log[i, WHICH] = which
-    run.fill[0] += 1
+def has_room(at, run):
+    """Whether the logs that are kept take another step of all lanes."""
+    needed, fits = rows_per_step(at), True
+    for log in range(4):
+        n_rows = len(run.logs[log])
+        fits = fits and (n_rows == 0 or run.fill[log] + needed[log] <= n_rows)
+    return fits
+
+
+@internal
+def _begin_row(run, log, k, kind, t, which):
+    """Number of a new row, whose values are left to the caller."""
+    i, rows = run.fill[log], run.logs[log]
+    rows[i, POINT], rows[i, KIND], rows[i, TIME] = run.lane_point[k], kind, t
+    rows[i, WHICH] = which
+    run.fill[log] += 1
     return i
 
 
 @internal
-def _write_turn(run, point, kind, t, which, value):
-    i = _begin_row(run, point, kind, t, which)
-    run.log[i, STATE:] = 0.0
-    run.log[i, STATE] = value
+def _write_turn(run, k, kind, t, which, value):
+    i = _begin_row(run, TURNS, k, kind, t, which)
+    run.logs[TURNS][i, VALUE] = value
 
 
 @internal
-def _write_state(at, run, k, kind, t, which, first):
+def _write_state(at, run, log, k, kind, t, which, first):
     """A row with the state that stands in the lanes from row `first` on."""
-    i = _begin_row(run, run.lane_point[k], kind, t, which)
+    i, rows = _begin_row(run, log, k, kind, t, which), run.logs[log]
     for j in range(at.n_states):
-        run.log[i, STATE + j] = run.lanes[first + j, k]
+        rows[i, VALUE + j] = run.lanes[first + j, k]
 
 
 @internal
@@ -84,17 +101,17 @@ def load_series(coefficients, first, k, series):
 @internal
 def _write_return(at, run, k, start, t):
     """A section point at a maximum of the first coordinate, from the step's own series."""
-    i = _begin_row(run, run.lane_point[k], SECTION, start + t, 0)
+    i, rows = _begin_row(run, SECTIONS, k, SECTION, start + t, 0), run.logs[SECTIONS]
     for j in range(at.n + at.m):
         value, slope = 0.0, 0.0
         for term in range(at.order, -1, -1):
             slope = slope * t + value
             value = value * t + run.coefficients[j * at.n_terms + term, k]
         if j < at.n:
-            run.log[i, STATE + j], run.log[i, STATE + at.n + j] = value, slope
+            rows[i, VALUE + j], rows[i, VALUE + at.n + j] = value, slope
         else:
-            run.log[i, STATE + at.n + j] = value
-    run.log[i, STATE + at.n] = 0.0  # to the last bit: the next motion begins here
+            rows[i, VALUE + at.n + j] = value
+    rows[i, VALUE + at.n] = 0.0  # to the last bit: the next motion begins here
 
 
 @internal
@@ -155,7 +172,7 @@ def _velocity_roots(step, v_1, work):
 @internal
 def _record_extrema(at, run, k, which, first):
     """The zeros of a velocity within a step that `_found_turns` left unclear."""
-    lanes, work, point = run.lanes, run.work, run.lane_point[k]
+    lanes, work = run.lanes, run.work
     load_series(run.coefficients, first, k, work.series)
     n_roots = _velocity_roots(lanes[at.step, k], lanes[at.turn_v, k], work)
     if n_roots == 0:
@@ -186,7 +203,7 @@ def _record_extrema(at, run, k, which, first):
             is_again = abs(x - halt) <= _SAME_DISPLACEMENT * abs(x)
             halt = x
         if t >= first and not is_again:
-            _write_turn(run, point, kind, start + t, which, x)
+            _write_turn(run, k, kind, start + t, which, x)
             if at.is_free and which == 0 and kind == MAXIMUM:
                 _write_return(at, run, k, start, t)
         i += 1
@@ -202,20 +219,20 @@ def _record_contact(at, run, k, contact):
     if mode == 0.0 or (not has_gap and mode_0 != 0.0):
         # out of contact: over its upper wall downward (side -1), over its lower one upward
         left = LEAVE_UPPER if side < 0.0 else LEAVE_LOWER
-        _write_state(at, run, k, left, end, contact, at.q)
+        _write_state(at, run, CONTACTS, k, left, end, contact, at.q)
     if mode != 0.0:
         entered = ENTER_UPPER if side > 0.0 else ENTER_LOWER
-        _write_state(at, run, k, entered, end, contact, at.q)
+        _write_state(at, run, CONTACTS, k, entered, end, contact, at.q)
 
 
 @internal
 def _record_dense(at, run, k):
     """The whole step's series of coordinates and first-order states."""
-    lanes, dense, i = run.lanes, run.dense, run.fill[1]
-    dense[i, 0], dense[i, 1] = run.lane_point[k], lanes[at.start_time, k]
-    dense[i, 2] = lanes[at.step, k]
-    load_series(run.coefficients, 0, k, dense[i, DENSE_HEAD:])
-    run.fill[1] += 1
+    lanes, steps, i = run.lanes, run.logs[STEPS], run.fill[STEPS]
+    steps[i, 0], steps[i, 1] = run.lane_point[k], lanes[at.start_time, k]
+    steps[i, 2] = lanes[at.step, k]
+    load_series(run.coefficients, 0, k, steps[i, DENSE_HEAD:])
+    run.fill[STEPS] += 1
 
 
 def _emit_section(builder, lanes, coefficients, is_section, among):
@@ -297,7 +314,7 @@ def _write_turns(at, run, events, which, series):
         turns &= turns - 1
         slope = run.coefficients[first + 1, k]
         t, x = run.lanes[at.turn_time, k], run.lanes[at.turn_x, k]
-        _write_turn(run, run.lane_point[k], MAXIMUM if slope > 0.0 else MINIMUM, t, which, x)
+        _write_turn(run, k, MAXIMUM if slope > 0.0 else MINIMUM, t, which, x)
         if at.is_free and which == 0 and slope > 0.0:
             start = run.lanes[at.start_time, k]
             _write_return(at, run, k, start, t - start)
@@ -326,14 +343,14 @@ def record_steps(layout, among, run):
     while sections != 0 and not at.is_free:
         k = lowest_bit(sections)
         sections &= sections - 1
-        _write_state(at, run, k, SECTION, run.lanes[at.section_time, k], 0, at.section)
+        _write_state(at, run, SECTIONS, k, SECTION, run.lanes[at.section_time, k], 0, at.section)
     while contacts != 0:
         k = lowest_bit(contacts)
         contacts &= contacts - 1
         for contact in range(at.contacts):
             if run.lanes[at.side + contact, k] != 0.0:
                 _record_contact(at, run, k, contact)
-    if len(run.dense) > 0:
+    if len(run.logs[STEPS]) > 0:
         while all_events != 0:
             k = lowest_bit(all_events)
             all_events &= all_events - 1
