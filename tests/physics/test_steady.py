@@ -227,12 +227,12 @@ def test_prime_multiple_undoes_repetition(orbit, times):
 
 
 def test_contraction_is_told_from_drift_and_growth():
-    def multiple(section, closeness, largest, same=0.0):
+    def multiple(section, closeness, largest):
         # Beside a longer section, and with room behind it that holds nothing.
         sections = np.full((2, len(section) + 9), 1e9 + 0j)
         sections[0, : len(section)] = section
         lengths, both = np.array([len(section), len(section) + 9]), np.ones(2)
-        given = parts(sections), lengths, closeness * both, same * both
+        given = parts(sections), lengths, closeness * both
         return converging_multiples(*given, largest).tolist()[0]
 
     k = np.arange(12.0)
@@ -242,8 +242,9 @@ def test_contraction_is_told_from_drift_and_growth():
     assert multiple(towards[:4], 1.0, 4) == 0, "n + 4 points are needed"
     away = 1e-3 * 1.2**k + 0j
     assert multiple(away, 1.0, 1) == 0
-    assert multiple(away, 1.0, 1, same=1e-2) == 1, "told apart by the solver's noise alone"
-    assert multiple(np.append(towards, towards[-5:]), 1.0, 1) == 1, "rattled, but nearer than it was"
+    assert multiple(np.append(towards, towards[-5:]), 1.0, 1) == 1, (
+        "rattled, but nearer than it was"
+    )
     alternating = 1j * (-1.0) ** k * (1 + 0.1 * 0.8**k)
     assert multiple(alternating, 0.5, 4) == 2
     assert multiple(alternating, 0.5, 1) == 0, "larger than asked for"

@@ -99,7 +99,8 @@ def _exact(models: Models, solver: Solver) -> Integrate:
     prepared_scenes = _scenes(models, solver)
 
     def integrate(problems: Problems) -> Motions:
-        run = exact.run(prepared_scenes, start=problems.start, **_given(problems))
+        given = {"contacts": problems.contacts, **_given(problems)}
+        run = exact.run(prepared_scenes, start=problems.start, **given)
 
         def events() -> Events:
             columns = record.POINT, record.TIME, record.WHICH, record.VALUE
@@ -117,6 +118,7 @@ def _exact(models: Models, solver: Solver) -> Integrate:
             events=events,
             sampler=run.sample,
             monodromy=run.monodromy,
+            contact_time=run.contact_time,
         )
 
     return integrate
@@ -136,7 +138,7 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
         scenes = smooth.system_scenes(laws, _scenes(models, solver), **options)
 
     def integrate(problems: Problems) -> Motions:
-        given = {"contacts": problems.contacts, **_given(problems)}
+        given = {"contacts": problems.contacts or problems.contact_time, **_given(problems)}
         try:
             run = smooth.run(scenes, start=problems.start, **given)
         except NumbaError as error:

@@ -65,6 +65,8 @@ class Motions:
         method, expansions).
     reach : ndarray, shape (n, n_coordinates)
         Largest modulus of every coordinate at the start and at the ends of steps [m].
+    contact_time : ndarray, shape (n, n_contacts), or None
+        Time spent beyond the walls of every contact [s]; None: only the events tell.
     events : callable
         Events of all motions; none of one that was not recorded.
     sampler : callable
@@ -84,3 +86,4 @@ class Motions:
     events: Callable[[], Events]
     sampler: Callable[[Array], Array]
     monodromy: Array | None = None
+    contact_time: Array | None = None

@@ -113,8 +113,10 @@ class Problems:
     tangent : bool
         Whether the variational equations are integrated along.
     contacts : bool
-        Whether contact times must be among the events. Laws without located contacts spend steps
-        on them; what comes by them anyway records them unasked.
+        Whether times at which walls are passed must be among the events.
+    contact_time : bool
+        Whether the time spent beyond the walls is wanted. What does not add it up by itself records
+        the passings for it.
     """
 
     which: NDArray[np.intp]
@@ -127,6 +129,7 @@ class Problems:
     dense_output: bool = False
     tangent: bool = False
     contacts: bool = False
+    contact_time: bool = False
 
     def __len__(self) -> int:
         return len(self.which)

@@ -31,6 +31,7 @@ _COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 _TANGENT_RTOL = 1e-8
 # Beside the `Status` values of a call: the motion has come to rest, or never comes back.
 AT_REST, ASTRAY = -1, -2
+_STEPS_AT_A_TIME = 20_000.0  # some ten milliseconds of a lane
 # How far a tangent's determinant may be off, and from which share of its size squared on its own
 # rounding shows.
 _UNSOUND, _ROUNDING = 1e-2, 1e-3
@@ -101,6 +102,8 @@ class Call:
         Largest modulus of a displacement at the ends of steps, as a section point's [m].
     t_end : ndarray, shape (n,)
         How long they are [s].
+    contact_time : ndarray, shape (n, n_contacts), or None
+        Time spent beyond the walls of every contact [s]; None: only the events tell.
     """
 
     def __init__(
@@ -116,6 +119,7 @@ class Call:
         self.unit, self.omega, self._monodromy = unit, omega, monodromy
         self._read = found.events
         self._volume_rate, self.t_end = volume_rate, t_end
+        self.contact_time = found.contact_time
         self.y, self._tangent_end = found.state.T, tangent_end
         self.status = found.status
         self.n_steps, self.reach = found.n_steps, reach_of(found.reach.T, unit)
@@ -292,6 +296,13 @@ class Ensemble:
         # Steps that a period took last; about a first guess only their ratio matters.
         self._pace = 1.0 / omega
 
+    def at_a_time(self, scenes: NDArray[np.intp]) -> NDArray[np.int64]:
+        """How many forcing periods one call should take of motions, by what they took so far.
+
+        A lane that is left alone with a long one costs what all of them do.
+        """
+        return np.maximum(1, _STEPS_AT_A_TIME / self._pace[scenes]).astype(np.int64)
+
     def turning(self, scenes: NDArray[np.intp], parts: Array) -> Array:
         """What extrema are recorded of: coordinates, then a system's gaps.
 
@@ -379,7 +390,7 @@ class Ensemble:
             record_from=record_from,
             effort=self._pace[scenes] * n_periods,
             section_only=section_only,
-            contacts=not section_only,
+            contact_time=not section_only,
             tangent=tangent and self._integrate_tangent is None,
         )
         found = self._solved(self._integrate, problems, n_periods)

@@ -90,7 +90,8 @@ class Search:
         self._shots, self._growths = Shots(n_states, n, n_multipliers), Growths(n_states, n)
         self._limits = Limits.of(ensemble, steady)
         self._phase = np.full(n, int(Phase.PAUSE))
-        self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
+        # Forcing periods of the stretch waited for, and how many of them are not recorded.
+        self._asked, self._skipped = self._limits.pause.copy(), self._limits.pause.copy()
         self._settled = np.zeros(n, bool)
         self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))  # size of the next window
         self._goal = np.zeros(n)  # distance from an orbit found
@@ -103,7 +104,7 @@ class Search:
             shoots = (self._phase > Phase.LAST) & (self._phase < Phase.GROW)
             # What most points wait for; last what is best shared by all.
             if shoots.sum() > moves.sum():
-                self._advance_tangent(np.flatnonzero(shoots))
+                self._advance_tangent(np.flatnonzero(shoots | grows))
             elif moves.any():
                 self._advance(np.flatnonzero(moves))
             elif grows.any():
@@ -115,42 +116,48 @@ class Search:
     # --- motion ----------------------------------------------------------------------------------
 
     def _advance(self, points: Numbers) -> None:
-        phase = self._phase[points]
-        self._walks.advance(points, self._asked[points], phase == Phase.WINDOW)
+        phase, asked = self._phase[points], self._asked[points]
+        # A long stretch goes on in the next call: the others need not wait for it.
+        n = np.minimum(asked, self._ensemble.at_a_time(points))
+        skipped = np.minimum(self._skipped[points], n)
+        self._walks.advance(points, n, skipped)
+        self._asked[points], self._skipped[points] = asked - n, self._skipped[points] - skipped
         is_ok = self._walks.status[points] == Status.OK
         self._fail(points[~is_ok])
-        self._open(points[is_ok & (phase == Phase.PAUSE)])
-        window = points[is_ok & (phase == Phase.WINDOW)]
-        self._look_at(window)
-        self._arrive(points[is_ok & (phase == Phase.APPROACH)])
+        is_over = is_ok & (n == asked)
+        self._open(points[is_over & (phase == Phase.PAUSE)])
+        self._look_at(points[is_over & (phase == Phase.WINDOW)])
+        self._arrive(points[is_over & (phase == Phase.APPROACH)])
+
+    def _ask(self, points: Numbers, phase: Phase, pause: Any, recorded: Any) -> None:
+        """Wait for a stretch of motion of which the last part is recorded."""
+        self._phase[points], self._skipped[points] = phase, pause
+        self._asked[points] = pause + recorded
 
     def _advance_last(self, points: Numbers) -> None:
-        everything = np.ones(len(points), bool)
-        self._walks.advance(points, self._asked[points], everything, section_only=False)
+        nothing = np.zeros(len(points), np.int64)
+        self._walks.advance(points, self._asked[points], nothing, section_only=False)
         is_ok = self._walks.status[points] == Status.OK
         self._fail(points[~is_ok])
         self._look_at(points[is_ok])
 
     @_for_some
     def _open(self, points: Numbers) -> None:
-        """After a pause: a window, as long as it takes once the motion must have settled."""
-        was_settled = self._settled[points]
+        """After a pause: a window."""
         self._settled[points] = self._walks.n_periods[points] >= self._limits.settled[points]
-        self._look[points[was_settled]] = self._steady.n_periods
         after = self._walks.n_periods[points] + self._look[points]
         # A growth costs more than the first look at a settled motion.
-        is_new = self._settled[points] & ~was_settled
-        is_last = (after >= self._limits.last[points]) & ~is_new
+        is_last = (after >= self._limits.last[points]) & ~self._settled[points]
         self._finish(points[is_last])
         others = points[~is_last]
         self._walks.forget(others)
-        self._asked[others], self._phase[others] = self._look[others], Phase.WINDOW
+        self._ask(others, Phase.WINDOW, 0, self._look[others])
 
     @_for_some
     def _record_last(self, points: Numbers) -> None:
         """A whole window, for the motion may be what is left when no orbit is found."""
         self._walks.forget(points)
-        self._asked[points], self._phase[points] = self._steady.n_periods, Phase.LAST
+        self._ask(points, Phase.LAST, 0, self._steady.n_periods)
 
     @_for_some
     def _look_at(self, points: Numbers) -> None:
@@ -160,7 +167,6 @@ class Search:
             self._walks.section[:, points],
             self._walks.length[points],
             np.maximum(_CLOSE * reach, same),
-            same,
             self._steady.max_period_multiple,
         )
         shot = points[n > 0]
@@ -271,8 +277,8 @@ class Search:
                     # It is on its way, and what grew before says nothing of it.
                     found.lyapunov[point] = found.lyapunov_error[point] = np.nan
             else:
-                waits[k], self._asked[points[k]] = True, stretch
-        self._phase[points[waits]] = Phase.APPROACH
+                waits[k] = True
+                self._ask(points[[k]], Phase.APPROACH, stretch, 0)
         self._close(points[is_own])
         self._go_on(points[~is_own & ~waits])
 
@@ -319,11 +325,19 @@ class Search:
 
     @_for_some
     def _end_look(self, points: Numbers) -> None:
-        """Nothing found: another look later, if there is time."""
-        is_last = self._walks.n_periods[points] >= self._limits.last[points]
-        again = points[~is_last]
-        self._look[again] = np.minimum(2 * self._look[again], self._steady.n_periods)
-        self._asked[again], self._phase[again] = self._limits.pause[again], Phase.PAUSE
+        """Nothing found: another look later, if there is time.
+
+        A window that follows a pause of settled motion may be as large as it was in between.
+        """
+        is_settled, longest = self._settled[points], self._steady.n_periods
+        pause = self._limits.pause[points]
+        after = self._walks.n_periods[points] + np.where(is_settled, pause + longest, 0)
+        is_last = after >= self._limits.last[points]
+        again, settled = points[~is_last & ~is_settled], points[~is_last & is_settled]
+        self._look[again] = np.minimum(2 * self._look[again], longest)
+        self._ask(again, Phase.PAUSE, self._limits.pause[again], 0)
+        self._walks.forget(settled)
+        self._ask(settled, Phase.WINDOW, self._limits.pause[settled], longest)
         self._finish(points[is_last])
 
     @_for_some
@@ -352,10 +366,10 @@ class Search:
         self._walks.arrive(points, self._growths.y[:, points], status, n_periods)
         is_ok = status == Status.OK
         self._fail(points[~is_ok])
-        for point in points[is_ok].tolist():
-            exponent, error = self._growths.exponent(point)
-            self._found.lyapunov[point], self._found.lyapunov_error[point] = exponent, error
-        self._record_last(points[is_ok])
+        going = points[is_ok]
+        exponents = self._growths.exponents(going)
+        self._found.lyapunov[going], self._found.lyapunov_error[going] = exponents
+        self._record_last(going)
 
     @_for_some
     def _tell(self, points: Numbers) -> None:

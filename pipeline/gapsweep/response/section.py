@@ -170,12 +170,12 @@ def period_multiples(
 
 
 def converging_multiples(
-    sections: Array, lengths: Counts, closeness: Array, same: Array, largest: int
+    sections: Array, lengths: Counts, closeness: Array, largest: int
 ) -> Counts:
     """Smallest n towards whose repeat each section is contracting; 0 if it does not.
 
     Each of the last four points must be within `closeness` of the one n periods before, and the
-    later two of them not farther than any point before them was: or as near as makes them the same.
+    later two of them not farther than any point before them was.
 
     Parameters
     ----------
@@ -185,8 +185,6 @@ def converging_multiples(
         How many there are in each row.
     closeness : ndarray, shape (m,)
         Distance [m] from which shooting is worth a try.
-    same : ndarray, shape (m,)
-        Distance [m] below which two points are the same.
     largest : int
         Largest n tried; n + 4 points are needed for n.
 
@@ -208,8 +206,7 @@ def converging_multiples(
     there = latest[:, section[:, None], np.minimum(place, n_places - 1)]
     steps = norm(latest[:, section] - there)
     steps[place >= n_places] = np.nan  # before the first point
-    before_them = np.fmax.reduce(steps[:, 2:], axis=1)
-    contracts = steps[:, :2].max(axis=1) <= np.maximum(before_them, same[section])
+    contracts = steps[:, :2].max(axis=1) <= np.fmax.reduce(steps[:, 2:], axis=1)
     converging = (steps[:, :4].max(axis=1) < closeness[section]) & contracts
     found = np.zeros(len(lengths), np.int64)
     hits, first = np.unique(section[converging], return_index=True)

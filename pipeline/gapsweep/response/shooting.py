@@ -26,6 +26,7 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 _MAX_NEWTON = 6
+_STRETCH = 2.0
 # Newton's steps that shorten no more than this are the solver's noise.
 _SHORTENS = 0.5
 
@@ -114,6 +115,8 @@ class Shots:
             self._tries[points], self._last[points] = self._tries[points] + 1, length
             moved = self._moved[:, points] + step
             goes_on = is_ok & ~is_found & (self._tries[points] < _MAX_NEWTON)
+            stretch = np.abs(floquet_multipliers(call.monodromy[motions], call.determinant[motions])[:, 0])
+            goes_on &= stretch <= _STRETCH
             goes_on &= norm(moved) <= self._furthest[points]
         left = points[goes_on]
         self._moved[:, left] = moved[:, goes_on]
@@ -152,7 +155,7 @@ class Growths:
         self.n_periods, self.n_blocks = np.zeros(n_points, np.int64), np.zeros(n_points, np.int64)
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
         # Of every block its factor, and section points per second.
-        self._factors: dict[int, list[tuple[float, float]]] = {}
+        self._factors = np.empty((n_points, 2, _N_BLOCKS + 1))
 
     def begin(self, points: Numbers, y: Array, wanted: Array) -> None:
         """Begin at states, with blocks of at least so many forcing periods."""
@@ -160,7 +163,6 @@ class Growths:
         start = np.linspace(1.0, 0.0, len(y))
         self.y[:, points], self._direction[points], self.n_blocks[points] = y, start, 0
         self.n_periods[points] = np.maximum(1, np.ceil(wanted))
-        self._factors |= {point: [] for point in points.tolist()}
 
     def step(self, points: Numbers, motions: Numbers, call: Call) -> tuple[Mask, Counts]:
         """One block from what a call found.
@@ -180,29 +182,28 @@ class Growths:
             self._direction[points] = direction[:, :, 0] / length[:, None]
         length[~call.is_sound[motions]] = np.nan
         self.y[:, points] = call.y[:, motions]
+        going, block = points[is_ok], self.n_blocks[points[is_ok]]
+        self._factors[going, :, block] = np.stack([length, call.omega[motions]], axis=1)[is_ok]
         self.n_blocks[points] += is_ok
         before, strayed = self.strayed[points], call.strayed[motions]
         mean_square = before**2 + (strayed**2 - before**2) / self.n_blocks[points]
         self.strayed[points] = np.sqrt(mean_square)
-        blocks = zip(length.tolist(), call.omega[motions].tolist(), strict=True)
-        for point, block_found, ok in zip(points.tolist(), blocks, is_ok.tolist(), strict=True):
-            if ok:
-                self._factors[point].append(block_found)
         return ~is_ok | (self.n_blocks[points] > _N_BLOCKS), status
 
-    def exponent(self, point: int) -> tuple[float, float]:
-        """Largest Lyapunov exponent [1/s] of a motion that has all its blocks; its standard error.
+    def exponents(self, points: Numbers) -> tuple[Array, Array]:
+        """Largest Lyapunov exponents [1/s] of motions that have all blocks; standard errors.
 
-        The error is that of batch means. NaN where the tangent was unsound.
+        The errors are those of batch means. NaN where the tangent was unsound.
         """
         # The first block turns the vector into the direction of growth.
-        rates = [
-            (math.log(factor) if factor else -math.inf) * omega / int(self.n_periods[point])
-            for factor, omega in self._factors.pop(point)[1:]
-        ]
-        batches = np.reshape(rates, (-1, _BATCH)).mean(axis=1)
-        error = float(batches.std(ddof=1) / math.sqrt(len(batches)))
-        return float(batches.mean()), error
+        factors, omega = np.moveaxis(self._factors[points, :, 1:], 1, 0)
+        # numpy's own logarithm is another one on another processor.
+        logs = [math.log(factor) if factor else -math.inf for factor in factors.ravel().tolist()]
+        rates = np.reshape(logs, factors.shape) * omega / self.n_periods[points, None]
+        with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing
+            batches = rates.reshape(len(points), -1, _BATCH).mean(axis=2)
+            error = batches.std(axis=1, ddof=1) / math.sqrt(batches.shape[1])
+        return batches.mean(axis=1), error
 
     def scatter(self, point: int, omega: float, exponent: float) -> float:
         """Distance [m] of two points of a motion that its solver rattles: root of the mean square.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.ensemble import Call, Ensemble
-from gapsweep.response.lists import Lists
+from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares
 from gapsweep.response.section import DEVIATIONS, reach_of
 from gapsweep.status import Status
@@ -104,11 +104,12 @@ class Walks:
         self,
         points: Numbers,
         n_periods: Counts,
-        recorded: NDArray[np.bool_],
+        skipped: Counts,
         *,
         section_only: bool = True,
     ) -> None:
-        """Go on for whole periods; what is recorded is added to the windows."""
+        """Go on for whole periods; all but the first that are skipped are added to the windows."""
+        recorded = skipped < n_periods
         record_from = np.where(recorded, 0.0, math.inf)
         y = self.y[:, points]
         call = self.ensemble.call(points, y, n_periods, record_from, section_only=section_only)
@@ -118,7 +119,7 @@ class Walks:
             self.contact_share[:, points] = contact_shares(self.ensemble, points, y, call)
         self._steps_per_period[points] = np.maximum(call.n_steps / n_periods, 1.0)
         if recorded.any():
-            self._add(points[recorded], np.flatnonzero(recorded), call)
+            self._add(points[recorded], np.flatnonzero(recorded), skipped[recorded], call)
         self._elapsed[points] += call.t_end
         self.arrive(points, call.y, call.status, n_periods)
 
@@ -138,17 +139,17 @@ class Walks:
         counts = np.bincount(row, minlength=len(events.n_extrema) * n).reshape(-1, n)
         return events.extrema[np.lexsort((events.t_extrema, row))], counts
 
-    def _add(self, points: Numbers, motions: Numbers, call: Call) -> None:
+    def _add(self, points: Numbers, motions: Numbers, skipped: Counts, call: Call) -> None:
         """Add recorded motions of a call to the windows of their points."""
         self._extent[points] = np.maximum(self._extent[points], call.reach[motions])
-        new = np.diff(call.period_ends)[motions]
+        first, last = call.period_ends[motions], call.period_ends[motions + 1]
+        first = np.minimum(first + skipped, last)
+        new = last - first
         room = int((self.length[points] + new).max()) - self.section.shape[2]
         if room > 0:
             self.section = np.pad(self.section, ((0, 0), (0, 0), (0, room)))
-        # Events stand motion by motion, and motions that were not recorded have none.
-        column = np.arange(new.sum()) - np.repeat(np.cumsum(new) - new, new)
-        rows, columns = np.repeat(points, new), np.repeat(self.length[points], new) + column
-        self.section[:, rows, columns] = call.section
+        rows, columns = np.repeat(points, new), spans(self.length[points], new)
+        self.section[:, rows, columns] = call.section[:, spans(first, new)]
         self.length[points] += new
 
     def arrive(self, points: Numbers, y: Array, status: Counts, n_periods: Counts) -> None:

@@ -20,6 +20,7 @@ from .roots import work_space
 from .sample import sample_steps
 from .scenes import Scenes, check, set_modes_on_walls
 from .starts import BACKWARD, NOT_FINITE, ON_WALL, set_starts
+from .step import CLOCK_SLACK
 
 Array = NDArray[np.float64]
 
@@ -48,6 +49,8 @@ class Exact:
         Wall crossings, in and out, each counted once; steps.
     reach : ndarray, shape (n, n_coordinates)
         Largest modulus of q at the start and at the ends of steps.
+    contact_time : ndarray, shape (n, n_contacts)
+        Time spent beyond the walls of every contact [s], where all events are recorded.
     monodromy : ndarray, shape (n, n_states, n_states), or None
         Derivative of the state at the end by that at the start.
     turns : ndarray, shape (n_events, 5)
@@ -65,6 +68,7 @@ class Exact:
     n_contacts: NDArray[np.int64]
     n_steps: NDArray[np.int64]
     reach: Array
+    contact_time: Array
     monodromy: Array | None
     turns: Array = field(repr=False)
     contacts: Array = field(repr=False)
@@ -113,6 +117,7 @@ def run(
     section_only: bool = False,
     tangent: bool = False,
     dense_output: bool = False,
+    contacts: bool = True,
 ) -> Exact:
     """Integrate prepared systems from their starts.
 
@@ -137,6 +142,8 @@ def run(
         the contact force is continuous.
     dense_output : bool
         Keep every step's series from `record_from` on, for `Exact.sample`.
+    contacts : bool
+        Record the walls passed.
     """
     at = prepared.at.of_tangent if tangent else prepared.at
     points = np.empty((len(which) + 1, at.n_rows))
@@ -156,9 +163,21 @@ def run(
     is_recording = bool(np.isfinite(record_from).any())
     # Where nothing forces the motion the section is passed at turns, whatever else is wanted.
     has_events = is_recording and (not section_only or dense_output or at.is_free)
-    kept = has_events, has_events, is_recording, dense_output
+    kept = has_events, has_events and contacts, is_recording, dense_output
+    mode, contact_time = (
+        points[:-1, first : first + at.contacts] for first in (at.mode, at.contact_time)
+    )
+    contact_time[:] = np.where(mode != 0.0, -t_0[:, None], 0.0)
     *events, steps = _drained(at, points, queue, statuses, limits, kept, not section_only)
     return _outcome(at, points[:-1], statuses, t_end, events, steps if dense_output else None)
+
+
+def aligned(*shape):
+    """A zeroed float64 array whose rows of one vector start on cache lines."""
+    size = int(np.prod(shape))
+    raw = np.zeros(size + 8)
+    skip = (-raw.__array_interface__["data"][0] // 8) % 8
+    return raw[skip : skip + size].reshape(shape)
 
 
 def _drained(
@@ -172,23 +191,31 @@ def _drained(
 ) -> list[Array]:
     """Call the kernel until all points have ended; returns the logs that are kept, by point."""
     n_kept = at.n_series + at.tangent * at.n_states * (at.n + at.m)
-    shapes = zip(kept, record.rows_per_step.py_func(at), record.log_columns(at), strict=True)
+    per_step, widths = record.rows_per_step.py_func(at), record.log_columns(at)
+    n_rows = [
+        max(_LOG_VALUES // columns, rows) for columns, rows in zip(widths, per_step, strict=True)
+    ]
+    sections = _section_rows(at, points[:-1])
+    if not at.is_free:
+        n_rows[record.SECTIONS] = sections[:, 1].max(initial=0)
     run = Run(
         at=at.numbers,
-        lanes=np.empty((at.n_rows, at.width)),
+        lanes=aligned(at.n_rows, at.width),
         lane_point=np.full(at.width, -2),
         points=points,
         queue=queue,
         statuses=statuses,
         progress=np.zeros(2, np.int64),
-        coefficients=np.zeros((n_kept * at.n_terms, at.width)),
+        coefficients=aligned(n_kept * at.n_terms, at.width),
         logs=tuple(
-            np.empty((max(_LOG_VALUES // columns, rows) if is_kept else 0, columns))
-            for is_kept, rows, columns in shapes
+            np.empty((rows if is_kept else 0, columns))
+            for is_kept, rows, columns in zip(kept, n_rows, widths, strict=True)
         ),
         fill=np.zeros(len(kept), np.int64),
+        sections=sections.copy(),
         work=work_space(at.order, at.contacts),
         turns=turns,
+        contacts=bool(kept[record.CONTACTS]),
     )
     pieces: list[list[Array]] = [[] for _ in kept]
     outcome = BUDGET_SPENT
@@ -198,7 +225,27 @@ def _drained(
             for piece, log, n_rows in zip(pieces, run.logs, run.fill.tolist(), strict=True):
                 piece.append(log[:n_rows].copy())
             run.fill[:] = 0
-    return [_by_point(each) for each in pieces]
+    logs = [_by_point(each) for each in pieces]
+    if kept[record.SECTIONS] and not at.is_free:
+        logs[record.SECTIONS] = _written(
+            run.logs[record.SECTIONS], sections[:, 0], run.sections[:, 0]
+        )
+    return logs
+
+
+def _section_rows(at: Layout, points: Array) -> NDArray[np.int64]:
+    """Where the rows of each forced motion's section points begin and end, shape (n, 2)."""
+    first = np.maximum(1.0, np.ceil(points[:, at.record_clock] - CLOCK_SLACK))
+    counts = np.maximum(points[:, at.end_cycle] - first + 1.0, 0.0).astype(np.int64)
+    end = np.cumsum(counts)
+    return np.stack([end - counts, end], axis=1)
+
+
+def _written(rows: Array, first: NDArray[np.int64], end: NDArray[np.int64]) -> Array:
+    """What was written of rows from `first` to `end` of each point: not all, if one has failed."""
+    if (end - first).sum() == len(rows):
+        return rows
+    return np.concatenate([rows[i:j] for i, j in zip(first.tolist(), end.tolist(), strict=True)])
 
 
 def _by_point(pieces: list[Array]) -> Array:
@@ -232,15 +279,19 @@ def _outcome(
         n = at.n_states
         columns = table[at.tangent_state : at.tangent_state + n * n].T.reshape(-1, n, n)
         monodromy = columns.transpose(0, 2, 1).copy()
+    t = np.where(statuses == OK, t_end, table[at.t_start] + elapsed * table[at.period])
+    mode = points[:, at.mode : at.mode + at.contacts].astype(np.int64)
+    until_left = points[:, at.contact_time : at.contact_time + at.contacts]
     return Exact(
         at=at,
         state=points[:, at.q : at.q + at.n_states].copy(),
-        t=np.where(statuses == OK, t_end, table[at.t_start] + elapsed * table[at.period]),
-        mode=points[:, at.mode : at.mode + at.contacts].astype(np.int64),
+        t=t,
+        mode=mode,
         status=statuses,
         n_contacts=table[at.n_contacts].astype(np.int64),
         n_steps=table[at.n_steps].astype(np.int64),
         reach=points[:, at.reach : at.reach + at.n].copy(),
+        contact_time=until_left + np.where(mode != 0, t[:, None], 0.0),
         monodromy=monodromy,
         turns=turns,
         contacts=contacts,

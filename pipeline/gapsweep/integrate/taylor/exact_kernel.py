@@ -183,6 +183,10 @@ def _part(at, lanes, k):
         is_on = place in (lower, upper)
         if is_on and abs(speed) <= slack * lanes[at.rate, k]:
             has_gap = lower < upper  # without one it stays in contact
+            if has_gap and lanes[at.mode + contact, k] != 0.0:
+                turns = lanes[at.cycle, k] + (lanes[at.tau, k] - lanes[at.tau_start, k])
+                lanes[at.contact_time + contact, k] += lanes[at.t_start, k]
+                lanes[at.contact_time + contact, k] += turns * lanes[at.period, k]
             lanes[at.lower + contact, k] -= slack if place == lower else 0.0
             outward = slack if has_gap else -slack
             lanes[at.upper + contact, k] += outward if place == upper else 0.0
@@ -293,10 +297,13 @@ class Run(NamedTuple):
         Buffers of `record_steps`; with no rows: not wanted.
     fill : int array, shape (4,)
         Rows used in each. The caller drains the buffers and sets them to zero.
+    sections : int array, shape (n_points, 2)
+        Of forced motions, the row of each one's next section point, and where its rows end. They
+        stay where they are.
     work : roots.Work
         Work space for this degree.
-    turns : bool
-        Whether extrema are searched for.
+    turns, contacts : bool
+        Whether extrema are searched for; whether walls passed are recorded.
     """
 
     at: np.record
@@ -309,8 +316,10 @@ class Run(NamedTuple):
     coefficients: np.ndarray
     logs: tuple
     fill: np.ndarray
+    sections: np.ndarray
     work: Work
     turns: bool
+    contacts: bool
 
 
 @entry

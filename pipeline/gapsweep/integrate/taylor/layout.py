@@ -154,10 +154,11 @@ class Layout:
             "tangent_state": self.n_states**2,
             # contacts: mode (+1 upper wall, -1 lower, 0 none) now and before the last step, wall
             # that step ended on (+1, -1, 0 none), present position in the gap several, walls
-            # -j_1 and j_2 [m], their stiffnesses, and b'M^-1 b
+            # -j_1 and j_2 [m], their stiffnesses, b'M^-1 b, and the times [s] at which contact was left less those at
+            # which it was made
             **{"mode": k, "mode_0": k, "side": k, "gap": k * several},
             **{"lower": k, "upper": k, "lower_stiffness": k, "upper_stiffness": k},
-            **{"compliance": k * several},
+            **{"compliance": k * several, "contact_time": k},
             # q'' = push cos(..) - damping v - stiffness q - lag_force z - cubic's and contacts'
             # pull, all per unit mass (multiplied by M^-1); z' = of_speed v + of_place q + of_lag z
             **{"stiffness": n * n, "damping": n * n, "lag_force": n * m},

@@ -53,7 +53,7 @@ def log_columns(at):
 def rows_per_step(at):
     """Most rows that a step of all lanes writes to each log."""
     n_turns = at.n_turning * (at.order + 1)
-    n_sections = at.order + 1 if at.is_free else 1
+    n_sections = at.order + 1 if at.is_free else 0
     return at.width * n_turns, at.width * 2 * at.contacts, at.width * n_sections, at.width
 
 
@@ -70,11 +70,17 @@ def has_room(at, run):
 @internal
 def _begin_row(run, log, k, kind, t, which):
     """Number of a new row, whose values are left to the caller."""
-    i, rows = run.fill[log], run.logs[log]
-    rows[i, POINT], rows[i, KIND], rows[i, TIME] = run.lane_point[k], kind, t
-    rows[i, WHICH] = which
+    i = run.fill[log]
+    _fill_head(run, log, i, k, kind, t, which)
     run.fill[log] += 1
     return i
+
+
+@internal
+def _fill_head(run, log, i, k, kind, t, which):
+    rows = run.logs[log]
+    rows[i, POINT], rows[i, KIND], rows[i, TIME] = run.lane_point[k], kind, t
+    rows[i, WHICH] = which
 
 
 @internal
@@ -84,11 +90,23 @@ def _write_turn(run, k, kind, t, which, value):
 
 
 @internal
-def _write_state(at, run, log, k, kind, t, which, first):
-    """A row with the state that stands in the lanes from row `first` on."""
-    i, rows = _begin_row(run, log, k, kind, t, which), run.logs[log]
+def _write_contact(at, run, k, kind, t, contact):
+    i = _begin_row(run, CONTACTS, k, kind, t, contact)
     for j in range(at.n_states):
-        rows[i, VALUE + j] = run.lanes[first + j, k]
+        run.logs[CONTACTS][i, VALUE + j] = run.lanes[at.q + j, k]
+
+
+@internal
+def _write_section(at, run, k):
+    """A section point at its place: how many a forced motion passes is known before."""
+    places = run.sections[run.lane_point[k]]
+    i = places[0]
+    if i == places[1]:  # rounding alone would have it pass more
+        return
+    places[0] += 1
+    _fill_head(run, SECTIONS, i, k, SECTION, run.lanes[at.section_time, k], 0)
+    for j in range(at.n_states):
+        run.logs[SECTIONS][i, VALUE + j] = run.lanes[at.section + j, k]
 
 
 @internal
@@ -211,7 +229,7 @@ def _record_extrema(at, run, k, which, first):
 
 @internal
 def _record_contact(at, run, k, contact):
-    """One row for a wall passed; two where no gap lies between the walls."""
+    """A wall passed, or both where no gap lies between them: the time, and rows if wanted."""
     lanes = run.lanes
     side, end = lanes[at.side + contact, k], lanes[at.start_time, k] + lanes[at.step, k]
     mode, mode_0 = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
@@ -219,10 +237,14 @@ def _record_contact(at, run, k, contact):
     if mode == 0.0 or (not has_gap and mode_0 != 0.0):
         # out of contact: over its upper wall downward (side -1), over its lower one upward
         left = LEAVE_UPPER if side < 0.0 else LEAVE_LOWER
-        _write_state(at, run, CONTACTS, k, left, end, contact, at.q)
+        lanes[at.contact_time + contact, k] += end
+        if run.contacts:
+            _write_contact(at, run, k, left, end, contact)
     if mode != 0.0:
         entered = ENTER_UPPER if side > 0.0 else ENTER_LOWER
-        _write_state(at, run, CONTACTS, k, entered, end, contact, at.q)
+        lanes[at.contact_time + contact, k] -= end
+        if run.contacts:
+            _write_contact(at, run, k, entered, end, contact)
 
 
 @internal
@@ -343,7 +365,7 @@ def record_steps(layout, among, run):
     while sections != 0 and not at.is_free:
         k = lowest_bit(sections)
         sections &= sections - 1
-        _write_state(at, run, SECTIONS, k, SECTION, run.lanes[at.section_time, k], 0, at.section)
+        _write_section(at, run, k)
     while contacts != 0:
         k = lowest_bit(contacts)
         contacts &= contacts - 1
