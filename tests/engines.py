@@ -38,13 +38,19 @@ class Exact(_Read):
 
     def events(self, point, *kinds):
         """Recorded events of one point, all kinds or those given: columns t, x, v, kind."""
-        rows = []
-        for log in (self.turns, self.contacts, self.sections):
-            first, last = np.searchsorted(log[:, record.POINT], [point, point + 1])
-            columns = [record.TIME, record.VALUE, record.VALUE + self.at.n, record.KIND]
-            wide = np.pad(log[first:last], ((0, 0), (0, self.at.n_states)))
-            rows.append(wide[:, columns])
-        found = np.concatenate(rows)
+        n, value, state = self.at.n, record.VALUE, record.STATE
+        turns, contacts, sections = (
+            np.pad(log[log[:, record.POINT] == point], ((0, 0), (0, value + 2 * n)))
+            for log in (self.turns, self.contacts, self.sections)
+        )
+        sections[:, -1] = record.SECTION
+        found = np.concatenate(
+            [
+                turns[:, [record.TIME, value, value + n, record.KIND]],
+                contacts[:, [record.TIME, value, value + n, record.KIND]],
+                sections[:, [record.TIME, state, state + n, -1]],
+            ]
+        )
         return found[np.isin(found[:, 3], kinds)] if kinds else found
 
 

@@ -103,8 +103,13 @@ def _exact(models: Models, solver: Solver) -> Integrate:
         run = exact.run(prepared_scenes, start=problems.start, **given)
 
         def events() -> Events:
-            columns = record.POINT, record.TIME, record.WHICH, record.VALUE
-            return _events(len(problems), columns, run.turns, run.sections, run.contacts)
+            head = record.POINT, record.TIME
+            return _events(
+                len(problems),
+                (run.turns, *head, record.WHICH, record.VALUE),
+                (run.sections, *head, record.WHICH, record.STATE),
+                (run.contacts, *head, record.WHICH, record.VALUE),
+            )
 
         return Motions(
             t=run.t,
@@ -153,8 +158,8 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
         def events() -> Events:
             columns, kind = (lanes.E_POINT, lanes.E_T, lanes.E_WHICH, lanes.E_STATE), lanes.E_KIND
             kinds = lanes.EXTREMUM, lanes.SECTION, lanes.CONTACT
-            rows = (run.records[run.records[:, kind] == each] for each in kinds)
-            return _events(len(problems), columns, *rows)
+            logs = ((run.records[run.records[:, kind] == each], *columns) for each in kinds)
+            return _events(len(problems), *logs)
 
         def sampler(t: Array) -> Array:
             return np.stack([run.sample(t, i) for i in range(len(problems))], axis=1)
@@ -189,29 +194,30 @@ def _why_not_compiled(law: ContactLaw) -> str | None:
     return None if isinstance(returned, Number) else f"it returns {returned}, not a number"
 
 
-def _events(
-    n: int, columns: Sequence[int], turns: Array, sections: Array, contacts: Array
-) -> Events:
-    """Events of n motions from rows sorted by motion.
+_Log = tuple[Array, int, int, int, int]  # and where motion, time, `which` and values stand in it
 
-    Parameters
-    ----------
-    columns : sequence of int, length 4
-        Where motion, time, and which of its quantities stand, and from where on values.
-    """
-    point, t, which, value = columns
+
+def _events(n: int, turns: _Log, sections: _Log, contacts: _Log) -> Events:
+    """Events of n motions from logs whose rows are sorted by motion."""
     n_extrema, n_section, n_contacts = (
         np.bincount(rows[:, point].astype(np.int64), minlength=n)
-        for rows in (turns, sections, contacts)
+        for rows, point, *_ in (turns, sections, contacts)
+    )
+    (t_extrema, extrema), (t_section, section), (t_contacts, _) = (
+        (rows[:, t].copy(), rows[:, values:].copy())
+        for rows, _, t, _, values in (turns, sections, contacts)
+    )
+    extrema_of, contacts_of = (
+        rows[:, which].astype(np.int64) for rows, _, _, which, _ in (turns, contacts)
     )
     return Events(
-        t_extrema=turns[:, t].copy(),
-        extrema=turns[:, value].copy(),
-        extrema_of=turns[:, which].astype(np.int64),
-        t_contacts=contacts[:, t].copy(),
-        contacts_of=contacts[:, which].astype(np.int64),
-        t_section=sections[:, t].copy(),
-        section=sections[:, value:].copy(),
+        t_extrema=t_extrema,
+        extrema=extrema[:, 0].copy(),
+        extrema_of=extrema_of,
+        t_contacts=t_contacts,
+        contacts_of=contacts_of,
+        t_section=t_section,
+        section=section,
         n_extrema=n_extrema,
         n_contacts=n_contacts,
         n_section=n_section,

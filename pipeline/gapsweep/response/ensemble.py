@@ -31,7 +31,7 @@ _COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 _TANGENT_RTOL = 1e-8
 # Beside the `Status` values of a call: the motion has come to rest, or never comes back.
 AT_REST, ASTRAY = -1, -2
-_STEPS_AT_A_TIME = 20_000.0  # some ten milliseconds of a lane
+_STEPS_AT_A_TIME = 10_000.0  # some five milliseconds of a lane
 # How far a tangent's determinant may be off, and from which share of its size squared on its own
 # rounding shows.
 _UNSOUND, _ROUNDING = 1e-2, 1e-3

@@ -26,6 +26,7 @@ _SAME_MEAN = 1e-3
 # What repeats itself to this share cannot be told from a periodic motion: two orbits so close are
 # taken for one, too.
 _ALIKE = 1e-3
+_WATCHED = 16  # section points in which a motion that is near a repeat must not have moved away
 _STILL = 1e-8  # of the largest scatter: a component with less does not move
 _AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
@@ -175,7 +176,8 @@ def converging_multiples(
     """Smallest n towards whose repeat each section is contracting; 0 if it does not.
 
     Each of the last four points must be within `closeness` of the one n periods before, and the
-    later two of them not farther than any point before them was.
+    later two of them not farther than any of the `_WATCHED` last points was: a solver's noise alone
+    makes neighbours grow as often as shrink.
 
     Parameters
     ----------
@@ -192,20 +194,17 @@ def converging_multiples(
     -------
     ndarray of int, shape (m,)
     """
-    latest = _latest(sections, lengths, max(4, int(lengths.max(initial=0)) - 1))
-    n_places = latest.shape[2]
-    near = closeness[:, None]
-    may = np.ones((len(lengths), max(0, min(largest, n_places - 4))), bool)
+    n_tried = max(0, min(largest, int(lengths.max(initial=0)) - 4))
+    latest = _latest(sections, lengths, n_tried + _WATCHED - 1)
+    may = np.ones((len(lengths), n_tried), bool)
     with np.errstate(invalid="ignore"):
         for i in range(4):
-            earlier = latest[:, :, i + 1 : i + 1 + may.shape[1]]
-            may &= _are_near(latest[..., i : i + 1], earlier, near)
+            earlier = latest[:, :, i + 1 : i + 1 + n_tried]
+            may &= _are_near(latest[..., i : i + 1], earlier, closeness[:, None])
     # In the order of the sections, then of n.
     section, before = np.nonzero(may)
-    place = np.arange(n_places) + before[:, None] + 1
-    there = latest[:, section[:, None], np.minimum(place, n_places - 1)]
-    steps = norm(latest[:, section] - there)
-    steps[place >= n_places] = np.nan  # before the first point
+    place = np.arange(_WATCHED) + before[:, None] + 1
+    steps = norm(latest[:, section, :_WATCHED] - latest[:, section[:, None], place])
     contracts = steps[:, :2].max(axis=1) <= np.fmax.reduce(steps[:, 2:], axis=1)
     converging = (steps[:, :4].max(axis=1) < closeness[section]) & contracts
     found = np.zeros(len(lengths), np.int64)

@@ -11,6 +11,7 @@ so that points which look for an orbit and points which ask for an exponent shar
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,9 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 _MAX_NEWTON = 6
-_STRETCH = 2.0
+# What stretches more than this in an orbit's time is near no orbit that attracts it: most shots of
+# chaotic motions are such.
+_STRETCHES = 2.0
 # Newton's steps that shorten no more than this are the solver's noise.
 _SHORTENS = 0.5
 
@@ -111,24 +114,22 @@ class Shots:
             # Ends that meet are not enough: weakly contracting, the orbit is much farther away.
             is_at_best = (norm(missed) <= goal) & (length >= _SHORTENS * self._last[points])
             is_found = is_ok & call.is_sound[motions] & ((length <= goal) | is_at_best)
-            self._keep(points[is_found], motions[is_found], call)
+            multipliers = floquet_multipliers(call.monodromy[motions], call.determinant[motions])
+            self._keep(points[is_found], motions[is_found], multipliers[is_found], call)
             self._tries[points], self._last[points] = self._tries[points] + 1, length
             moved = self._moved[:, points] + step
             goes_on = is_ok & ~is_found & (self._tries[points] < _MAX_NEWTON)
-            stretch = np.abs(floquet_multipliers(call.monodromy[motions], call.determinant[motions])[:, 0])
-            goes_on &= stretch <= _STRETCH
+            goes_on &= np.abs(multipliers[:, 0]) <= _STRETCHES
             goes_on &= norm(moved) <= self._furthest[points]
         left = points[goes_on]
         self._moved[:, left] = moved[:, goes_on]
         self.y[:, left] = (y + step * unit)[:, goes_on]
         return is_found, ~is_found & ~goes_on
 
-    def _keep(self, points: Numbers, motions: Numbers, call: Call) -> None:
+    def _keep(self, points: Numbers, motions: Numbers, multipliers: Any, call: Call) -> None:
         if not points.size:
             return
-        self.multipliers[points] = floquet_multipliers(
-            call.monodromy[motions], call.determinant[motions]
-        )
+        self.multipliers[points] = multipliers
         self.omega[points] = call.omega[motions]
         first, last = call.period_ends[motions], call.period_ends[motions + 1]
         for point, i, j in zip(points.tolist(), first.tolist(), last.tolist(), strict=True):

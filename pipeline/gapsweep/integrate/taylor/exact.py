@@ -53,8 +53,7 @@ class Exact:
         Time spent beyond the walls of every contact [s], where all events are recorded.
     monodromy : ndarray, shape (n, n_states, n_states), or None
         Derivative of the state at the end by that at the start.
-    turns : ndarray, shape (n_events, 5)
-    contacts, sections : ndarray, shape (n_events, 4 + n_states)
+    turns, contacts, sections : ndarray, shape (n_events, number of columns)
         Recorded events as in `record`, sorted by point, then in time for each `which`.
     steps : ndarray, shape (n_rows, DENSE_HEAD + (n + m) * n_terms), or None
         Recorded steps (point, start, length, coefficients of q and z), sorted by point and time.

@@ -46,8 +46,8 @@ _ONE = (
     "rate",  # fastest angular frequency of the linear parts [rad/s]
     "min_step",  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
     *("n_steps", "n_contacts", "n_short"),
-    # what the recording of the last step found: when it began [s], zero of a velocity, section
-    *("start_time", "turn_time", "turn_x", "turn_v", "section_time"),
+    # what the recording of the last step found: when it began [s], zero of a velocity
+    *("start_time", "turn_time", "turn_x", "turn_v"),
 )
 
 
@@ -154,8 +154,8 @@ class Layout:
             "tangent_state": self.n_states**2,
             # contacts: mode (+1 upper wall, -1 lower, 0 none) now and before the last step, wall
             # that step ended on (+1, -1, 0 none), present position in the gap several, walls
-            # -j_1 and j_2 [m], their stiffnesses, b'M^-1 b, and the times [s] at which contact was left less those at
-            # which it was made
+            # -j_1 and j_2 [m], their stiffnesses, b'M^-1 b, and the sum of times [s] at which
+            # contact was left less those at which it was made
             **{"mode": k, "mode_0": k, "side": k, "gap": k * several},
             **{"lower": k, "upper": k, "lower_stiffness": k, "upper_stiffness": k},
             **{"compliance": k * several, "contact_time": k},
@@ -175,7 +175,6 @@ class Layout:
             # [1/s], sizes of lags beside a metre
             **{"mass_root": n * n * several, "spring_root": n * n * several},
             **{"fastest": 1 * several, "decay": 1 * several, "slow": 1 * several, "lag_floor": m},
-            "section": self.n_states,
         }
 
     @cached_property

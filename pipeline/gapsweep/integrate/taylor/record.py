@@ -1,9 +1,9 @@
 """What a step leaves behind when recording is on: extrema, section points, contacts, the series.
 
-Each record is a row (point, kind, t, which, ...) of a log that all points share; a point's rows are
-in the order of time for each `which`. That is the contact; of an extremum, whose value follows, it
-is the coordinate, or a contact's gap after all coordinates. All others are followed by the whole
-state (q, v, z).
+A section point is a row (point, t, q, v, z) of its log, in the order of time. Any other record is a
+row (point, t, which, kind, ...), in the order of time for each `which`. That is the contact, whose
+whole state follows; of an extremum, whose value follows, it is the coordinate, or a contact's gap
+after all coordinates.
 
 Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
 at once, that there is none or one, and finds it (`turns`). That leaves one step in some
@@ -20,21 +20,19 @@ from gapsweep.integrate.jit import internal
 from gapsweep.integrate.vectors import (
     I64,
     absolute,
-    is_nonzero,
     lowest_bit,
-    minimum,
-    where,
 )
 
 from .roots import DOUBLE, SIMPLE, isolate, polynomial
 from .series import Lanes, pointers
-from .step import CLOCK_SLACK, value_and_slope
+from .step import CLOCK_SLACK
 from .turns import TOUCH, find_coordinate_turns, find_gap_turns
 
 MINIMUM, MAXIMUM, INFLECTION, SECTION = 0, 1, 2, 3
 ENTER_UPPER, LEAVE_UPPER, ENTER_LOWER, LEAVE_LOWER = 4, 5, 6, 7
 TURNS, CONTACTS, SECTIONS, STEPS = range(4)  # the logs
-POINT, KIND, TIME, WHICH, VALUE = range(5)
+POINT, TIME, WHICH, KIND, VALUE = range(5)
+STATE = 2  # of a section point
 DENSE_HEAD = 3  # of a step: point, start time, length; then the coefficients of q and z
 
 # A turn and its return that differ by less than this part of the displacement are rounding's
@@ -45,8 +43,8 @@ _FLANK = 1e-5  # of the step
 
 def log_columns(at):
     """How wide the logs are."""
-    state = VALUE + at.n_states
-    return VALUE + 1, state, state, DENSE_HEAD + (at.n + at.m) * at.n_terms
+    turns, contacts, sections = VALUE + 1, VALUE + at.n_states, STATE + at.n_states
+    return turns, contacts, sections, DENSE_HEAD + (at.n + at.m) * at.n_terms
 
 
 @internal
@@ -70,17 +68,11 @@ def has_room(at, run):
 @internal
 def _begin_row(run, log, k, kind, t, which):
     """Number of a new row, whose values are left to the caller."""
-    i = run.fill[log]
-    _fill_head(run, log, i, k, kind, t, which)
+    i, rows = run.fill[log], run.logs[log]
+    rows[i, POINT], rows[i, TIME] = run.lane_point[k], t
+    rows[i, WHICH], rows[i, KIND] = which, kind
     run.fill[log] += 1
     return i
-
-
-@internal
-def _fill_head(run, log, i, k, kind, t, which):
-    rows = run.logs[log]
-    rows[i, POINT], rows[i, KIND], rows[i, TIME] = run.lane_point[k], kind, t
-    rows[i, WHICH] = which
 
 
 @internal
@@ -97,19 +89,6 @@ def _write_contact(at, run, k, kind, t, contact):
 
 
 @internal
-def _write_section(at, run, k):
-    """A section point at its place: how many a forced motion passes is known before."""
-    places = run.sections[run.lane_point[k]]
-    i = places[0]
-    if i == places[1]:  # rounding alone would have it pass more
-        return
-    places[0] += 1
-    _fill_head(run, SECTIONS, i, k, SECTION, run.lanes[at.section_time, k], 0)
-    for j in range(at.n_states):
-        run.logs[SECTIONS][i, VALUE + j] = run.lanes[at.section + j, k]
-
-
-@internal
 def load_series(coefficients, first, k, series):
     """Copy lane k's coefficients out of the lane-major array, from row `first` on."""
     for n in range(len(series)):
@@ -117,19 +96,57 @@ def load_series(coefficients, first, k, series):
 
 
 @internal
-def _write_return(at, run, k, start, t):
-    """A section point at a maximum of the first coordinate, from the step's own series."""
-    i, rows = _begin_row(run, SECTIONS, k, SECTION, start + t, 0), run.logs[SECTIONS]
+def _write_state(at, run, k, i, t, elapsed):
+    """Section point i, from the series of the last step: t is the time, `elapsed` within it."""
+    rows = run.logs[SECTIONS]
+    rows[i, POINT], rows[i, TIME] = run.lane_point[k], t
     for j in range(at.n + at.m):
         value, slope = 0.0, 0.0
         for term in range(at.order, -1, -1):
-            slope = slope * t + value
-            value = value * t + run.coefficients[j * at.n_terms + term, k]
+            slope = slope * elapsed + value
+            value = value * elapsed + run.coefficients[j * at.n_terms + term, k]
         if j < at.n:
-            rows[i, VALUE + j], rows[i, VALUE + at.n + j] = value, slope
+            rows[i, STATE + j], rows[i, STATE + at.n + j] = value, slope
         else:
-            rows[i, VALUE + at.n + j] = value
-    rows[i, VALUE + at.n] = 0.0  # to the last bit: the next motion begins here
+            rows[i, STATE + at.n + j] = value
+
+
+@internal
+def _write_return(at, run, k, start, t):
+    """A section point at a maximum of the first coordinate."""
+    i = run.fill[SECTIONS]
+    run.fill[SECTIONS] += 1
+    _write_state(at, run, k, i, start + t, t)
+    run.logs[SECTIONS][i, STATE + at.n] = 0.0  # to the last bit: the next motion begins here
+
+
+@internal
+def _record_sections(at, among, run):
+    """The section points that forced motions have passed in their last step or ended on."""
+    lanes = run.lanes
+    while among != 0:
+        k = lowest_bit(among)
+        among &= among - 1
+        cycle = lanes[at.cycle, k]
+        if cycle > lanes[at.cycle_0, k] and cycle - lanes[at.record_clock, k] >= -CLOCK_SLACK:
+            _record_section(at, run, k)
+
+
+@internal
+def _record_section(at, run, k):
+    """A section point at its place: how many a forced motion passes is known before."""
+    lanes, places = run.lanes, run.sections[run.lane_point[k]]
+    cycle, i = lanes[at.cycle, k], places[0]
+    if i == places[1]:  # rounding alone would have it pass more
+        return
+    places[0] += 1
+    period = lanes[at.period, k]
+    t = lanes[at.t_start, k] + (cycle - lanes[at.tau_start, k]) * period
+    until = min((1.0 - lanes[at.tau_0, k]) * period, lanes[at.step, k])
+    _write_state(at, run, k, i, t, until)
+    if lanes[at.tau, k] == 0.0:
+        for j in range(at.n_states):
+            run.logs[SECTIONS][i, STATE + j] = lanes[at.q + j, k]
 
 
 @internal
@@ -257,41 +274,18 @@ def _record_dense(at, run, k):
     run.fill[STEPS] += 1
 
 
-def _emit_section(builder, lanes, coefficients, is_section, among):
-    """Store the state at the whole period that a step passed or ended on; skipped if none did."""
-    layout = lanes.layout
-    with builder.if_then(is_nonzero(builder, builder.and_(is_section.bits(), among))):
-        period = lanes["period"]
-        t = minimum((1.0 - lanes["tau_0"]) * period, lanes["step"])
-        is_at_end = lanes["tau"].equals(0.0)
-        pairs = [
-            value_and_slope(
-                [coefficients[i * layout.n_terms + n] for n in range(layout.n_terms)], t
-            )
-            for i in range(layout.n + layout.m)
-        ]
-        state = [x for x, _ in pairs[: layout.n]] + [v for _, v in pairs[: layout.n]]
-        state += [z for z, _ in pairs[layout.n :]]
-        for i, value in enumerate(state):
-            lanes[layout.section + i] = where(is_at_end, lanes[layout.q + i], value)
-        elapsed = lanes["cycle"] - lanes["tau_start"]
-        lanes["section_time"] = lanes["t_start"] + elapsed * period
-
-
-def _emit_passed(builder, lanes, coefficients, among):
+def _emit_passed(builder, lanes, among):
     """Emit `find_passed`; returns its packed masks."""
     step, period, event_clock = lanes["step"], lanes["period"], lanes["event_clock"]
     cycle_0, tau_0, cycle = lanes["cycle_0"], lanes["tau_0"], lanes["cycle"]
     start = lanes["t_start"] + (cycle_0 + (tau_0 - lanes["tau_start"])) * period
     lanes["start_time"] = start
-    is_section = (cycle > cycle_0) & (cycle - lanes["record_clock"] >= -CLOCK_SLACK)
-    _emit_section(builder, lanes, coefficients, is_section, among)
     since = cycle + lanes["tau"] - event_clock
     has_passed = step < step
     for side in lanes.rows("side"):
         has_passed = has_passed | (absolute(side) > 0.0)
     packed = ir.Constant(I64, 0)
-    masks = is_section, has_passed & (since >= 0.0), since >= -CLOCK_SLACK
+    masks = has_passed & (since >= 0.0), since >= -CLOCK_SLACK
     for k, mask in enumerate(masks):
         bits = builder.and_(mask.bits(), among)
         packed = builder.or_(packed, builder.shl(bits, ir.Constant(I64, k * lanes.layout.width)))
@@ -299,28 +293,28 @@ def _emit_passed(builder, lanes, coefficients, among):
 
 
 @intrinsic
-def find_passed(typingctx, at, lanes, coefficients, among):
+def find_passed(typingctx, at, lanes, among):
     """What was passed within the last step of the lanes in `among`, for all lanes at once.
 
     Parameters
     ----------
-    at, lanes, coefficients
+    at, lanes
         As `taylor_step`, after it; the lanes whose crossing was unclear are at their end too.
-        `start_time` and what begins with `section` are set.
+        `start_time` is set.
     among : int64
         The lanes that record, one bit each.
 
     Returns
     -------
     int64
-        Three masks of `at.width` bits, lowest first: lanes with a section point; lanes that ended
-        on a wall; lanes that record all events.
+        Two masks of `at.width` bits, lowest first: lanes that ended on a wall; lanes that record
+        all events.
     """
-    signature = types.int64(at, lanes, coefficients, types.int64)
+    signature = types.int64(at, lanes, types.int64)
 
     def codegen(context, builder, signature, args):
-        arrays = [Lanes(builder, p, at.layout) for p in pointers(context, builder, signature, args)]
-        return _emit_passed(builder, *arrays, args[3])
+        (pointer,) = pointers(context, builder, signature, args)
+        return _emit_passed(builder, Lanes(builder, pointer, at.layout), args[2])
 
     return signature, codegen
 
@@ -350,10 +344,13 @@ def _write_turns(at, run, events, which, series):
 def record_steps(layout, among, run):
     """Record the last step of the lanes in the bits `among`, from their clocks on."""
     at = run.at
-    passed = find_passed(layout, run.lanes, run.coefficients, among)
-    sections = passed & at.all_lanes
-    contacts = (passed >> at.width) & at.all_lanes
-    all_events = (passed >> 2 * at.width) & at.all_lanes
+    if not at.is_free:
+        _record_sections(at, among, run)
+    if len(run.logs[TURNS]) == 0:  # sections alone are wanted
+        return
+    passed = find_passed(layout, run.lanes, among)
+    contacts = passed & at.all_lanes
+    all_events = (passed >> at.width) & at.all_lanes
     if all_events != 0 and (run.turns or at.is_free):
         for i in range(at.n if run.turns else 1):
             events = find_coordinate_turns(layout, run.lanes, run.coefficients, i, i, all_events)
@@ -362,10 +359,6 @@ def record_steps(layout, among, run):
             series = at.first_gap + i
             events = find_gap_turns(layout, run.lanes, run.coefficients, i, series, all_events)
             _write_turns(at, run, events, at.n + i, series)
-    while sections != 0 and not at.is_free:
-        k = lowest_bit(sections)
-        sections &= sections - 1
-        _write_section(at, run, k)
     while contacts != 0:
         k = lowest_bit(contacts)
         contacts &= contacts - 1

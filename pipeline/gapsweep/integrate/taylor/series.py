@@ -19,6 +19,7 @@ import math
 from functools import reduce
 
 from llvmlite import ir
+from numba import types
 
 from gapsweep.integrate.vectors import (
     I64,
@@ -64,10 +65,11 @@ class Lanes:
 
 
 def pointers(context, builder, signature, args):
-    """Where the first arrays, `lanes` and `coefficients`, begin."""
+    """Where the arrays among the arguments begin."""
     return [
         context.make_array(t)(context, builder, a).data
-        for t, a in zip(signature.args[1:3], args[1:3], strict=True)
+        for t, a in zip(signature.args, args, strict=True)
+        if isinstance(t, types.Array)
     ]
 
 
