@@ -276,7 +276,7 @@ def test_a_rattled_orbit_has_the_period_about_which_it_rattles():
         ).rows()
         for one, solver, starts in (
             (replace(law, located=False), paper, [0.0]),
-            (law, Solver.of(), np.linspace(-1e-3, 1e-3, 21)),
+            (law, Solver.of(), np.linspace(-1e-3, 1e-3, 81)),
         )
     )
     (found,) = rattled

@@ -32,6 +32,7 @@ _TANGENT_RTOL = 1e-8
 # Beside the `Status` values of a call: the motion has come to rest, or never comes back.
 AT_REST, ASTRAY = -1, -2
 _STEPS_AT_A_TIME = 10_000.0  # some five milliseconds of a lane
+_ANY, _NOTHING = 2.0**62, 1e-100  # periods of which any number may be asked; steps
 # How far a tangent's determinant may be off, and from which share of its size squared on its own
 # rounding shows.
 _UNSOUND, _ROUNDING = 1e-2, 1e-3
@@ -57,6 +58,11 @@ class Scene:
         return all(isinstance(law, Piecewise) and law.located for law in self.laws)
 
     @property
+    def is_rattled(self) -> bool:
+        """Whether steps pass kinks that throw them off by more than their error estimates."""
+        return any(isinstance(law, Piecewise) for law in self.laws) and not self.is_located
+
+    @property
     def tangent_law(self) -> Any:
         """The same force, its kinks located if they can be."""
         exact = [replace(law, located=True) for law in self.laws if isinstance(law, Piecewise)]
@@ -72,8 +78,7 @@ class Scene:
         tangent makes there: at loose tolerances its growth would be the solver's own invention.
         """
         solver = self.solver
-        has_kinks = any(isinstance(law, Piecewise) for law in self.laws)
-        if self.is_located or (solver.rtol <= _TANGENT_RTOL and not has_kinks):
+        if self.is_located or (solver.rtol <= _TANGENT_RTOL and not self.is_rattled):
             return solver
         rtol = min(solver.rtol, _TANGENT_RTOL)
         return Solver.of(solver.engine, rtol, solver.atol / solver.rtol * rtol)
@@ -234,7 +239,7 @@ class Ensemble:
         The same, NaN where the stiffness is no other beyond the wall.
     is_modulated : ndarray of bool, shape (n_contacts, n)
         Whether the force of a contact changes with time.
-    has_own_tangent : bool
+    has_own_tangent, is_rattled : bool
         As of a `Scene`.
     """
 
@@ -243,29 +248,26 @@ class Ensemble:
         models: list[Any] = [scene.oscillator for scene in scenes]
         forcing = np.array([scene.omega for scene in scenes])
         self.is_free = not forcing.any()
-        self.omega = _of_models(models, lambda model: model.slowest) if self.is_free else forcing
+        self.omega = _of_objects(models, lambda model: model.slowest) if self.is_free else forcing
         self.is_plain = isinstance(models[0], Oscillator)
         self.structure = None if self.is_plain else Structure.of(models[0])
         self.n_coordinates = 1 if self.is_plain else models[0].n
-        self.decay_rate = _of_models(models, lambda model: model.decay_rate)
-        self.settling_rate = _of_models(models, lambda model: model.settling_rate)
+        self.decay_rate = _of_objects(models, lambda model: model.decay_rate)
+        self.settling_rate = _of_objects(models, lambda model: model.settling_rate)
         self.set_clock(self.omega)
-        laws = [scene.laws for scene in scenes]
-        shape = len(laws), len(laws[0]), 2
-        ranges = [law.valid_range for each in laws for law in each]
-        self.valid_range = np.array(ranges).reshape(shape).T
         self.swing = np.zeros(len(scenes))
-        walls = [(-law.gap.j_1, law.gap.j_2) for each in laws for law in each]
-        self.walls = np.array(walls).reshape(shape).T
-        self._directions: Array | None = None
-        self.felt_walls = (
-            np.array([_felt_walls(law) for each in laws for law in each]).reshape(shape).T
+        laws = _of_objects([scene.law for scene in scenes], _of_laws)
+        shape = len(scenes), len(scenes[0].laws), 2
+        self.valid_range, self.walls, self.felt_walls = (
+            laws[:, i].reshape(shape).T for i in range(3)
         )
+        self._directions: Array | None = None
         self.is_modulated = np.zeros(self.walls.shape[1:], bool)
         if not self.is_plain:
-            self._directions = _of_models(models, lambda model: model.directions)
-            self.is_modulated = _of_models(models, lambda model: model.is_modulated).T
+            self._directions = _of_objects(models, lambda model: model.directions)
+            self.is_modulated = _of_objects(models, lambda model: model.is_modulated).T
         self.has_own_tangent = scenes[0].has_own_tangent
+        self.is_rattled = scenes[0].is_rattled
         prepared_models = Models(
             systems=models, laws=[scene.law for scene in scenes], omega=forcing
         )
@@ -293,15 +295,16 @@ class Ensemble:
         models: list[Any] = [scene.oscillator for scene in self.scenes]
         self.omega = omega
         self.unit = unit_of(omega) if self.is_plain else _units(models, omega)
-        # Steps that a period took last; about a first guess only their ratio matters.
-        self._pace = 1.0 / omega
+        # Steps that a period took last. Of a first guess only the ratios matter: it bounds nothing.
+        self._pace = _NOTHING / omega
 
     def at_a_time(self, scenes: NDArray[np.intp]) -> NDArray[np.int64]:
         """How many forcing periods one call should take of motions, by what they took so far.
 
         A lane that is left alone with a long one costs what all of them do.
         """
-        return np.maximum(1, _STEPS_AT_A_TIME / self._pace[scenes]).astype(np.int64)
+        n = np.clip(_STEPS_AT_A_TIME / self._pace[scenes], 1.0, _ANY)
+        return np.asarray(n.astype(np.int64))
 
     def turning(self, scenes: NDArray[np.intp], parts: Array) -> Array:
         """What extrema are recorded of: coordinates, then a system's gaps.
@@ -420,13 +423,25 @@ class Ensemble:
         return found | {"t_simulated": n_periods / self.omega, "cpu_time": seconds}
 
 
-def _of_models(models: Sequence[Any], value: Callable[[Any], Any]) -> NDArray[Any]:
-    """A value of each model; the same object again and again costs nothing."""
-    known: dict[int, Any] = {}
-    for model in models:
-        if id(model) not in known:
-            known[id(model)] = value(model)
-    return np.array([known[id(model)] for model in models])
+def _of_objects(objects: Sequence[Any], value: Callable[[Any], Any]) -> NDArray[Any]:
+    """A value of each object; the same one again and again costs nothing."""
+    numbers: dict[int, int] = {}
+    values = []
+    for each in objects:
+        if id(each) not in numbers:
+            numbers[id(each)] = len(values)
+            values.append(value(each))
+    return np.array(values)[[numbers[id(each)] for each in objects]]
+
+
+def _of_laws(law: Any) -> list[list[tuple[float, float]]]:
+    """Of the laws of a scene's contacts: valid ranges, walls, and walls that are felt."""
+    laws = law if isinstance(law, tuple) else (law,)
+    return [
+        [each.valid_range for each in laws],
+        [(-each.gap.j_1, each.gap.j_2) for each in laws],
+        [_felt_walls(each) for each in laws],
+    ]
 
 
 def _felt_walls(law: ContactLaw) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from gapsweep.response.section import (
     norm,
     period_multiples,
     prime_multiple,
-    repeats_nearly,
+    repeat_nearly,
     rotation_number,
 )
 from gapsweep.response.shooting import Growths, Shots, block
@@ -53,6 +53,7 @@ def _for_some(method: Answer) -> Answer:
 
 
 _FIRST_WINDOW = 5
+_LOOKS = 4
 # Shooting is worth a try when section points repeat within this share of the reach.
 _CLOSE = 0.1
 # Newton may move this share of the response's reach; from farther away it leads anywhere.
@@ -94,6 +95,9 @@ class Search:
         self._asked, self._skipped = self._limits.pause.copy(), self._limits.pause.copy()
         self._settled = np.zeros(n, bool)
         self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))  # size of the next window
+        # Forcing periods of a full window that are recorded at a time: rattled motions come near
+        # their orbits by chance, and are looked at more often.
+        self._part = -(-steady.n_periods // (_LOOKS if ensemble.is_rattled else 1))
         self._goal = np.zeros(n)  # distance from an orbit found
         self._found = Found(n)
 
@@ -179,10 +183,13 @@ class Search:
 
     @_for_some
     def _go_on(self, points: Numbers) -> None:
-        """No orbit so far: what has settled may repeat itself all the same."""
-        is_full = self._walks.length[points] >= self._steady.n_periods
-        self._repeat(points[is_full & self._settled[points]])
-        self._end_look(points[~(is_full & self._settled[points])])
+        """No orbit so far: what has settled may repeat itself, or is looked at again at once."""
+        left = self._steady.n_periods - self._walks.length[points]
+        is_settled, is_full = self._settled[points], left <= 0
+        goes_on = is_settled & ~is_full & self._ensemble.is_rattled
+        self._ask(points[goes_on], Phase.WINDOW, 0, np.minimum(left, self._part)[goes_on])
+        self._repeat(points[is_settled & is_full])
+        self._end_look(points[~(goes_on | is_settled & is_full)])
 
     # --- motion with its tangent -----------------------------------------------------------------
 
@@ -223,8 +230,7 @@ class Search:
         """Shots without an orbit that may be the motion's own."""
         self._go_on(points[phase == Phase.SHOOT])
         self._end_look(points[phase == Phase.REPEAT])
-        for point in points[phase == Phase.RATTLE].tolist():
-            self._aperiodic(point)
+        self._aperiodic(points[phase == Phase.RATTLE])
 
     def _primes(self, points: Numbers) -> Counts:
         """After how many forcing periods orbits repeat themselves: fewer than shot over, maybe."""
@@ -286,7 +292,10 @@ class Search:
     def _arrive(self, points: Numbers) -> None:
         is_near = self._distance(points) <= self._goal[points]
         self._close(points[is_near])
-        self._go_on(points[~is_near])
+        away = points[~is_near]
+        # A window that is to go on begins anew: what was not recorded would be a gap in it.
+        self._walks.forget(away[self._walks.length[away] < self._steady.n_periods])
+        self._go_on(away)
 
     def _distance(self, points: Numbers) -> Array:
         """Distances of motions, at whole periods of their orbits, from these' starts [m]."""
@@ -325,10 +334,7 @@ class Search:
 
     @_for_some
     def _end_look(self, points: Numbers) -> None:
-        """Nothing found: another look later, if there is time.
-
-        A window that follows a pause of settled motion may be as large as it was in between.
-        """
+        """Nothing found: another look later, if there is time."""
         is_settled, longest = self._settled[points], self._steady.n_periods
         pause = self._limits.pause[points]
         after = self._walks.n_periods[points] + np.where(is_settled, pause + longest, 0)
@@ -337,7 +343,7 @@ class Search:
         self._look[again] = np.minimum(2 * self._look[again], longest)
         self._ask(again, Phase.PAUSE, self._limits.pause[again], 0)
         self._walks.forget(settled)
-        self._ask(settled, Phase.WINDOW, self._limits.pause[settled], longest)
+        self._ask(settled, Phase.WINDOW, self._limits.pause[settled], self._part)
         self._finish(points[is_last])
 
     @_for_some
@@ -377,7 +383,11 @@ class Search:
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
         may = (np.abs(exponent) <= _SURE * error) & (len(self._walks.y) > 2)
         self._circle(points[may])
-        for point in points[~self._found.is_quasiperiodic[points]].tolist():
+        points = points[~self._found.is_quasiperiodic[points]]
+        lyapunov, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
+        contracts = (lyapunov < -_SURE * error) & (not self._ensemble.has_own_tangent)
+        self._aperiodic(points[~contracts])
+        for point in points[contracts].tolist():
             self._rattle(point)
 
     @_for_some
@@ -405,16 +415,14 @@ class Search:
         tangent is another solver's, so that the exponent tells this from chaos; and what does not
         contract, or scatters more than the solver strays, is on its way or has another period.
         """
-        n, found, reach = 0, self._found, self._walks.reach[point]
-        contracts = found.lyapunov[point] < -_SURE * found.lyapunov_error[point]
-        if contracts and not self._ensemble.has_own_tangent:
-            window, largest = self._walks.window(point), self._steady.max_period_multiple
-            scatter = self._growths.scatter(point, float(self._omega[point]), found.lyapunov[point])
-            n = likely_multiple(window, _CLOSE * reach, largest, DEVIATIONS * scatter)
+        lyapunov, reach = self._found.lyapunov[point], self._walks.reach[point]
+        window, largest = self._walks.window(point), self._steady.max_period_multiple
+        scatter = self._growths.scatter(point, float(self._omega[point]), lyapunov)
+        n = likely_multiple(window, _CLOSE * reach, largest, DEVIATIONS * scatter)
         if n:
             self._as_it_is(point, n, Phase.RATTLE)
         else:
-            self._aperiodic(point)
+            self._aperiodic(np.array([point]))
 
     # --- what was found --------------------------------------------------------------------------
 
@@ -427,14 +435,16 @@ class Search:
         self._phase[points] = Phase.ENDED
         self._found.is_periodic[points] = True
 
-    def _aperiodic(self, point: int) -> None:
-        self._phase[point] = Phase.ENDED
+    @_for_some
+    def _aperiodic(self, points: Numbers) -> None:
+        self._phase[points] = Phase.ENDED
         walks, largest = self._walks, self._steady.max_period_multiple
         # On an unstable orbit a disturbance grows too, and beside a bifurcation so slowly that the
         # motion stays near: but there it repeats itself.
-        repeats = repeats_nearly(walks.window(point), float(walks.step_error[point]), largest)
-        grows = self._found.lyapunov[point] > _SURE * self._found.lyapunov_error[point]
-        self._found.is_chaotic[point] = grows and not repeats
+        section, length = walks.section[:, points], walks.length[points]
+        repeats = repeat_nearly(section, length, walks.step_error[points], largest)
+        grows = self._found.lyapunov[points] > _SURE * self._found.lyapunov_error[points]
+        self._found.is_chaotic[points] = grows & ~repeats
 
     @_for_some
     def _fail(self, points: Numbers) -> None:

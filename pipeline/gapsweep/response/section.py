@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 DEVIATIONS = 4.0  # of the predicted scatter, within which two points are the same
@@ -277,27 +278,32 @@ def rotation_number(section: Array) -> float:
     return float(abs((found.x + 0.5) % 1.0 - 0.5))
 
 
-def repeats_nearly(section: Array, error: float, largest: int) -> bool:
-    """Whether a section repeats itself so well that it cannot be told from a periodic one.
+def repeat_nearly(sections: Array, lengths: Counts, error: Array, largest: int) -> Mask:
+    """Which sections repeat themselves so well that they cannot be told from periodic ones.
 
     Each component beside what it moves by itself: a large one must hide no other's chaos.
 
     Parameters
     ----------
-    section : ndarray, shape (n_states, n_periods)
+    sections : ndarray, shape (n_states, m, longest)
         Section points [m].
-    error : float
+    lengths : ndarray of int, shape (m,)
+        How many there are in each row.
+    error : ndarray, shape (m,)
         Of each of them, from the solver's tolerances [m].
     largest : int
         Largest multiple of a forcing period tried.
     """
-    extent = np.abs(section).max(axis=1)
+    every = np.arange(len(lengths))
+    inside = np.arange(sections.shape[2]) < lengths[:, None]
+    extent = np.where(inside, np.abs(sections), 0.0).max(axis=2, initial=0.0)
     moves = extent > error / _ALIKE
-    shares = section[moves] / extent[moves, None]
-    return bool(
-        period_multiple(section, error, largest)
-        or (moves.any() and period_multiple(shares, _ALIKE, largest))
-    )
+    # What does not move repeats in any case.
+    shares = sections * np.where(moves, 1.0 / np.where(moves, extent, 1.0), 0.0)[..., None]
+    found = period_multiples(sections, lengths, every, error, largest) > 0
+    alike = np.full(len(lengths), _ALIKE)
+    also = period_multiples(shares, lengths, every, alike, largest) > 0
+    return np.asarray(found | (also & moves.any(axis=0)))
 
 
 def prime_multiple(orbit: Array, tolerance: float) -> int:
