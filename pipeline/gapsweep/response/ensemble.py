@@ -426,7 +426,7 @@ class Ensemble:
 def _of_objects(objects: Sequence[Any], value: Callable[[Any], Any]) -> NDArray[Any]:
     """A value of each object; the same one again and again costs nothing."""
     numbers: dict[int, int] = {}
-    values = []
+    values: list[Any] = []
     for each in objects:
         if id(each) not in numbers:
             numbers[id(each)] = len(values)

@@ -8,8 +8,6 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import ClassVar
 
-import numpy as np
-
 from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.taylor.layout import Layout, known
 from gapsweep.status import Status
@@ -173,14 +171,6 @@ DIVERGED = int(Status.DIVERGED)
 MODEL_INVALID = int(Status.MODEL_INVALID)
 STEP_UNDERFLOW = int(Status.STEP_UNDERFLOW)
 TIMED_OUT = int(Status.TIMED_OUT)
-
-
-def aligned(*shape):
-    """A zeroed float64 array whose rows of one vector start on cache lines."""
-    size = int(np.prod(shape))
-    raw = np.zeros(size + 8)
-    skip = (-raw.__array_interface__["data"][0] // 8) % 8
-    return raw[skip : skip + size].reshape(shape)
 
 
 @internal

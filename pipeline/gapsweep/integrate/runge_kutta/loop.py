@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import entry
+from gapsweep.integrate.taylor.layout import aligned
 
 from . import lanes as ln
 from . import laws, parameters
@@ -115,10 +116,10 @@ def drained(
 ) -> tuple[Array, Array]:
     """Result table and records of a point table; the queue says in which order they are loaded."""
     width, n_stages = simd.WIDTH, tableau.c.size
-    lane, q = ln.aligned(at.n_rows, width), ln.aligned(at.contacts, parameters.N_PARAMETERS, width)
+    lane, q = aligned(at.n_rows, width), aligned(at.contacts, parameters.N_PARAMETERS, width)
     lane_int = np.zeros((ln.N_INT_ROWS, width), np.int64)
-    k = ln.aligned(n_stages * at.n_rates, width)
-    k_tangent = ln.aligned(at.n_states * n_stages * at.n_rates, width)
+    k = aligned(n_stages * at.n_rates, width)
+    k_tangent = aligned(at.n_states * n_stages * at.n_rates, width)
     probes, scratch = np.zeros((3 * at.max_probes, width)), new_scratch()
     records_on = settings[ln.S_DENSE] > 0.0 or bool(np.any(np.isfinite(table[:, at.record_turns])))
     rows = max(

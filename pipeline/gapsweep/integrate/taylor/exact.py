@@ -15,7 +15,7 @@ from gapsweep.status import DIVERGED_AT
 
 from . import record
 from .exact_kernel import BUDGET_SPENT, BUFFER_FULL, FINISHED, OK, RUNNING, Run, advance
-from .layout import Layout
+from .layout import Layout, aligned
 from .roots import work_space
 from .sample import sample_steps
 from .scenes import Scenes, check, set_modes_on_walls
@@ -171,14 +171,6 @@ def run(
     return _outcome(at, points[:-1], statuses, t_end, events, steps if dense_output else None)
 
 
-def aligned(*shape):
-    """A zeroed float64 array whose rows of one vector start on cache lines."""
-    size = int(np.prod(shape))
-    raw = np.zeros(size + 8)
-    skip = (-raw.__array_interface__["data"][0] // 8) % 8
-    return raw[skip : skip + size].reshape(shape)
-
-
 def _drained(
     at: Layout,
     points: Array,
@@ -190,7 +182,7 @@ def _drained(
 ) -> list[Array]:
     """Call the kernel until all points have ended; returns the logs that are kept, by point."""
     n_kept = at.n_series + at.tangent * at.n_states * (at.n + at.m)
-    per_step, widths = record.rows_per_step.py_func(at), record.log_columns(at)
+    per_step, widths = record.rows_per_step.py_func(at), _log_columns(at)
     n_rows = [
         max(_LOG_VALUES // columns, rows) for columns, rows in zip(widths, per_step, strict=True)
     ]
@@ -230,6 +222,13 @@ def _drained(
             run.logs[record.SECTIONS], sections[:, 0], run.sections[:, 0]
         )
     return logs
+
+
+def _log_columns(at: Layout) -> tuple[int, ...]:
+    """How wide the logs of `record` are."""
+    turns, contacts = record.VALUE + 1, record.VALUE + at.n_states
+    steps = record.DENSE_HEAD + (at.n + at.m) * at.n_terms
+    return turns, contacts, record.STATE + at.n_states, steps
 
 
 def _section_rows(at: Layout, points: Array) -> NDArray[np.int64]:

@@ -27,6 +27,7 @@ from numba.extending import (
     typeof_impl,
     unbox,
 )
+from numpy.typing import NDArray
 
 # Lanes that advance together. A multiple of every vector length in use (2, 4, 8 doubles); the
 # compiler cuts the wide values into registers, whose independent chains hide each other's
@@ -211,6 +212,14 @@ _KNOWN: dict[Layout, Layout] = {}
 def known(layout: _L) -> _L:
     """The first of all layouts that equal this one: its rows are looked up once."""
     return cast(_L, _KNOWN.setdefault(layout, layout))
+
+
+def aligned(*shape: int) -> NDArray[np.float64]:
+    """A zeroed array whose rows of one vector start on cache lines."""
+    size = int(np.prod(shape))
+    raw = np.zeros(size + 8)
+    skip = (-raw.__array_interface__["data"][0] // 8) % 8
+    return raw[skip : skip + size].reshape(shape)
 
 
 class LayoutType(types.Opaque):

@@ -41,12 +41,6 @@ _SAME_DISPLACEMENT = 4e-16
 _FLANK = 1e-5  # of the step
 
 
-def log_columns(at):
-    """How wide the logs are."""
-    turns, contacts, sections = VALUE + 1, VALUE + at.n_states, STATE + at.n_states
-    return turns, contacts, sections, DENSE_HEAD + (at.n + at.m) * at.n_terms
-
-
 @internal
 def rows_per_step(at):
     """Most rows that a step of all lanes writes to each log."""
