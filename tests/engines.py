@@ -37,7 +37,10 @@ class Exact(_Read):
     """A run of `exact`."""
 
     def events(self, point, *kinds):
-        """Recorded events of one point, all kinds or those given: columns t, x, v, kind."""
+        """Recorded events of one point, all kinds or those given: columns t, x, v, kind.
+
+        Turns, contacts and section points, in this order; each kind in the order of time.
+        """
         n, value, state = self.at.n, record.VALUE, record.STATE
         turns, contacts, sections = (
             np.pad(log[log[:, record.POINT] == point], ((0, 0), (0, value + 2 * n)))

@@ -14,6 +14,7 @@ from tests.stored import tile_rows
 
 import gapsweep as gs
 from gapsweep.report import figures
+from gapsweep.response import ensemble
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.result import Responses
 from gapsweep.response.section import (
@@ -226,6 +227,17 @@ def test_prime_multiple_undoes_repetition(orbit, times):
     assert prime_multiple(parts(orbit * times), 1e-12) == prime
 
 
+def test_stretches_cut_anywhere_lead_to_the_same_orbits(monkeypatch):
+    law, omega = gs.Piecewise(SOFT, SYMMETRIC), np.linspace(5.0, 30.0, 40)
+    whole = gs.respond(gs.Oscillator(), law, omega)
+    monkeypatch.setattr(ensemble, "_STEPS_AT_A_TIME", 37.0)
+    cut = gs.respond(gs.Oscillator(), law, omega)
+    assert (whole.response_class == gs.ResponseClass.PERIODIC).all()
+    assert np.array_equal(cut.period_multiple, whole.period_multiple)
+    assert np.allclose(cut.amplitude, whole.amplitude, rtol=1e-7)
+    assert (cut.t_simulated == whole.t_simulated).mean() > 0.9  # as many periods, in more calls
+
+
 def test_contraction_is_told_from_drift_and_growth():
     def multiple(section, closeness, largest):
         # Beside a longer section, and with room behind it that holds nothing.
@@ -242,6 +254,8 @@ def test_contraction_is_told_from_drift_and_growth():
     assert multiple(towards[:4], 1.0, 4) == 0, "n + 4 points are needed"
     away = 1e-3 * 1.2**k + 0j
     assert multiple(away, 1.0, 1) == 0
+    inbound = np.append([1.0, -0.6, 0.5], 1e-3 * 1.15**k)
+    assert multiple(inbound, 0.1, 1) == 0, "has been there, and is leaving"
     assert multiple(np.append(towards, towards[-5:]), 1.0, 1) == 1, (
         "rattled, but nearer than it was"
     )

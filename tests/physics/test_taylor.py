@@ -765,6 +765,36 @@ def test_bad_input_is_named():
             run(1.0, **{name: value})
 
 
+def test_a_motion_that_fails_leaves_the_sections_of_the_others_alone():
+    """Their rows stand beside each other: those that it never passed are left out."""
+    points = scene(omega=np.array([9.0, 7.0, 11.0]), v_0=np.array([0.0, 2.0, 0.01]))
+    found = integrate(**points, t_end=2.0, record_from=0.5, x_bound=5e-3)
+    assert found.status.tolist() == [kernel.OK, kernel.DIVERGED, kernel.OK]
+    assert len(found.events(1, record.SECTION)) == 0
+    for i in (0, 2):
+        alone = {k: np.broadcast_to(a, 3)[i] for k, a in points.items()}
+        one = integrate(**alone, t_end=2.0, record_from=0.5)
+        assert same_bits(found.events(i, record.SECTION), one.events(0, record.SECTION))
+        expected = np.floor(2.0 * alone["omega"]) - np.ceil(0.5 * alone["omega"]) + 1
+        assert len(one.events(0, record.SECTION)) == expected
+
+
+@pytest.mark.parametrize("t_0", [0.0, 0.37])
+@pytest.mark.parametrize("j_2", [0.0, 4e-4])
+def test_time_in_contact_is_that_beyond_the_walls(j_2, t_0):
+    """Starts in the gap, beyond either wall and on one; also without a gap between the walls."""
+    x_0 = np.array([0.0, 1e-3, -1e-3, j_2])
+    points = scene(x_0=x_0, j_1=0.0, j_2=j_2, K_c=1.4e5)
+    found = integrate(**points, t_0=t_0, t_end=t_0 + 2.0, record_from=t_0, dense_output=True)
+    times = np.linspace(t_0, t_0 + 2.0, 100_001)
+    x, _ = found.sample(times)
+    beyond = ((x > j_2) | (x < 0.0)).mean(axis=1) * 2.0
+    assert np.abs(found.contact_time[:, 0] - beyond).max() < 1e-3
+    unlisted = integrate(**points, t_0=t_0, t_end=t_0 + 2.0, record_from=t_0, contacts=False)
+    assert len(unlisted.contacts) == 0
+    assert same_bits(unlisted.contact_time, found.contact_time)
+
+
 def test_no_points_are_no_work():
     result = integrate(**scene(omega=np.empty(0)), t_end=1.0, record_from=0.0, dense_output=True)
     assert len(result.x) == len(result.turns) == 0

@@ -265,22 +265,27 @@ def test_noise_is_no_period(label, omega, n):
 
 
 def test_a_rattled_orbit_has_the_period_about_which_it_rattles():
-    """Contacts that are not located scatter its section more than the tolerances say."""
+    """Contacts that are not located scatter its section more than the tolerances say: some starts
+    are unresolved, and of the others a few may be given a multiple.
+    """
     oscillator, law = gs.Oscillator(), gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3))
     paper = Solver.of(rtol=1e-4, atol=1e-7, controller="ode45")
+    starts = [(x_0, 0.0) for x_0 in np.linspace(-1e-3, 1e-3, 64)]
     rattled, exact = (
         respond_all(
             [Scene(oscillator=oscillator, law=one, omega=11.0, solver=solver)] * len(starts),
-            [(x_0, 0.0) for x_0 in starts],
+            starts,
             gs.Steady(),
         ).rows()
-        for one, solver, starts in (
-            (replace(law, located=False), paper, [0.0]),
-            (law, Solver.of(), np.linspace(-1e-3, 1e-3, 81)),
+        for one, solver in ((replace(law, located=False), paper), (law, Solver.of()))
+    )
+    found = [each for each in rattled if each.period_multiple]
+    are_right = [
+        any(
+            each.period_multiple == one.period_multiple and abs(each.x_max / one.x_max - 1.0) < 2e-3
+            for one in exact
         )
-    )
-    (found,) = rattled
-    assert any(
-        found.period_multiple == one.period_multiple and abs(found.x_max / one.x_max - 1.0) < 2e-3
-        for one in exact
-    )
+        for each in found
+    ]
+    assert len(found) > 32
+    assert np.mean(are_right) > 0.9

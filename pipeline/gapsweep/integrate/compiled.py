@@ -28,6 +28,7 @@ from gapsweep.model.fitted import Polynomial, RationalPolynomial
 from gapsweep.model.table import ForceTable
 
 Array = NDArray[np.float64]
+Columns = Sequence[Array]
 
 
 def prepared(models: Models, solver: Solver) -> Integrate:
@@ -103,13 +104,11 @@ def _exact(models: Models, solver: Solver) -> Integrate:
         run = exact.run(prepared_scenes, start=problems.start, **given)
 
         def events() -> Events:
-            head = record.POINT, record.TIME
-            return _events(
-                len(problems),
-                (run.turns, *head, record.WHICH, record.VALUE),
-                (run.sections, *head, record.WHICH, record.STATE),
-                (run.contacts, *head, record.WHICH, record.VALUE),
-            )
+            head = record.POINT, record.TIME, record.WHICH
+            turns = [run.turns[:, column] for column in (*head, record.VALUE)]
+            sections = *(run.sections[:, i] for i in head[:2]), run.sections[:, record.STATE :]
+            contacts = [run.contacts[:, column] for column in head]
+            return _events(len(problems), turns, sections, contacts)
 
         return Motions(
             t=run.t,
@@ -123,7 +122,7 @@ def _exact(models: Models, solver: Solver) -> Integrate:
             events=events,
             sampler=run.sample,
             monodromy=run.monodromy,
-            contact_time=run.contact_time,
+            contact_time=run.contact_time if problems.contact_time else None,
         )
 
     return integrate
@@ -156,10 +155,15 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
             raise  # not the user's fault
 
         def events() -> Events:
-            columns, kind = (lanes.E_POINT, lanes.E_T, lanes.E_WHICH, lanes.E_STATE), lanes.E_KIND
-            kinds = lanes.EXTREMUM, lanes.SECTION, lanes.CONTACT
-            logs = ((run.records[run.records[:, kind] == each], *columns) for each in kinds)
-            return _events(len(problems), *logs)
+            kind, records = run.records[:, lanes.E_KIND], run.records
+            head = lanes.E_POINT, lanes.E_T, lanes.E_WHICH
+            extrema, states, passed = (
+                records[kind == each] for each in (lanes.EXTREMUM, lanes.SECTION, lanes.CONTACT)
+            )
+            turns = [extrema[:, column] for column in (*head, lanes.E_STATE)]
+            sections = *(states[:, i] for i in head[:2]), states[:, lanes.E_STATE :]
+            contacts = [passed[:, column] for column in head]
+            return _events(len(problems), turns, sections, contacts)
 
         def sampler(t: Array) -> Array:
             return np.stack([run.sample(t, i) for i in range(len(problems))], axis=1)
@@ -194,33 +198,29 @@ def _why_not_compiled(law: ContactLaw) -> str | None:
     return None if isinstance(returned, Number) else f"it returns {returned}, not a number"
 
 
-_Log = tuple[Array, int, int, int, int]  # and where motion, time, `which` and values stand in it
+def _events(n: int, turns: Columns, sections: Columns, contacts: Columns) -> Events:
+    """Events of n motions.
 
-
-def _events(n: int, turns: _Log, sections: _Log, contacts: _Log) -> Events:
-    """Events of n motions from logs whose rows are sorted by motion."""
-    n_extrema, n_section, n_contacts = (
-        np.bincount(rows[:, point].astype(np.int64), minlength=n)
-        for rows, point, *_ in (turns, sections, contacts)
-    )
-    (t_extrema, extrema), (t_section, section), (t_contacts, _) = (
-        (rows[:, t].copy(), rows[:, values:].copy())
-        for rows, _, t, _, values in (turns, sections, contacts)
-    )
-    extrema_of, contacts_of = (
-        rows[:, which].astype(np.int64) for rows, _, _, which, _ in (turns, contacts)
-    )
+    Parameters
+    ----------
+    turns, sections, contacts : sequence of ndarray
+        Motion by motion, the number of the motion, the time, and of turns and contacts which
+        quantity's they are; then of turns the value, of section points the states.
+    """
+    counts = [
+        np.bincount(log[0].astype(np.int64), minlength=n) for log in (turns, sections, contacts)
+    ]
     return Events(
-        t_extrema=t_extrema,
-        extrema=extrema[:, 0].copy(),
-        extrema_of=extrema_of,
-        t_contacts=t_contacts,
-        contacts_of=contacts_of,
-        t_section=t_section,
-        section=section,
-        n_extrema=n_extrema,
-        n_contacts=n_contacts,
-        n_section=n_section,
+        t_extrema=turns[1].copy(),
+        extrema=turns[3].copy(),
+        extrema_of=turns[2].astype(np.int64),
+        t_contacts=contacts[1].copy(),
+        contacts_of=contacts[2].astype(np.int64),
+        t_section=sections[1].copy(),
+        section=sections[2].copy(),
+        n_extrema=counts[0],
+        n_section=counts[1],
+        n_contacts=counts[2],
     )
 
 

@@ -32,7 +32,7 @@ _TANGENT_RTOL = 1e-8
 # Beside the `Status` values of a call: the motion has come to rest, or never comes back.
 AT_REST, ASTRAY = -1, -2
 _STEPS_AT_A_TIME = 10_000.0  # some five milliseconds of a lane
-_ANY, _NOTHING = 2.0**62, 1e-100  # periods of which any number may be asked; steps
+_UNKNOWN = 1e-100  # steps a second: whatever is asked, it takes one call
 # How far a tangent's determinant may be off, and from which share of its size squared on its own
 # rounding shows.
 _UNSOUND, _ROUNDING = 1e-2, 1e-3
@@ -105,6 +105,8 @@ class Call:
     n_steps : ndarray of int, shape (n,)
     reach : ndarray, shape (n,)
         Largest modulus of a displacement at the ends of steps, as a section point's [m].
+    n_contacts : ndarray of int, shape (n,)
+        How many walls they passed.
     t_end : ndarray, shape (n,)
         How long they are [s].
     contact_time : ndarray, shape (n, n_contacts), or None
@@ -124,7 +126,7 @@ class Call:
         self.unit, self.omega, self._monodromy = unit, omega, monodromy
         self._read = found.events
         self._volume_rate, self.t_end = volume_rate, t_end
-        self.contact_time = found.contact_time
+        self.contact_time, self.n_contacts = found.contact_time, found.n_contacts
         self.y, self._tangent_end = found.state.T, tangent_end
         self.status = found.status
         self.n_steps, self.reach = found.n_steps, reach_of(found.reach.T, unit)
@@ -295,16 +297,18 @@ class Ensemble:
         models: list[Any] = [scene.oscillator for scene in self.scenes]
         self.omega = omega
         self.unit = unit_of(omega) if self.is_plain else _units(models, omega)
-        # Steps that a period took last. Of a first guess only the ratios matter: it bounds nothing.
-        self._pace = _NOTHING / omega
+        self._pace = _UNKNOWN / omega  # steps that a period took last
 
-    def at_a_time(self, scenes: NDArray[np.intp]) -> NDArray[np.int64]:
-        """How many forcing periods one call should take of motions, by what they took so far.
+    def at_a_time(
+        self, scenes: NDArray[np.intp], n_periods: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """How many of these forcing periods one call should take, by what motions took so far.
 
-        A lane that is left alone with a long one costs what all of them do.
+        A lane that is left alone with a long motion costs what all of them do. All calls for one
+        stretch are about as long.
         """
-        n = np.clip(_STEPS_AT_A_TIME / self._pace[scenes], 1.0, _ANY)
-        return np.asarray(n.astype(np.int64))
+        n_calls = np.maximum(np.ceil(n_periods * self._pace[scenes] / _STEPS_AT_A_TIME), 1.0)
+        return np.ceil(n_periods / n_calls).astype(np.int64)
 
     def turning(self, scenes: NDArray[np.intp], parts: Array) -> Array:
         """What extrema are recorded of: coordinates, then a system's gaps.
@@ -397,7 +401,7 @@ class Ensemble:
             tangent=tangent and self._integrate_tangent is None,
         )
         found = self._solved(self._integrate, problems, n_periods)
-        self._pace[scenes] = found.n_steps / n_periods
+        self._pace[scenes] = np.maximum(found.n_steps, 1) / n_periods
         if not tangent or self._integrate_tangent is None:
             return found, (found.monodromy, found.state.T)
         never = np.full(len(scenes), math.inf)

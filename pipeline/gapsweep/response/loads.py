@@ -207,10 +207,9 @@ def contact_shares(
     ends = [ensemble.gaps(ensemble.turning(scenes, y)) for y in (y_0, call.y)]
     if call.contact_time is not None:
         shares = np.minimum(call.contact_time.T / call.t_end, 1.0)
-        # What rests on a wall does not press on it.
-        rests = (y_0 == call.y).all(axis=0) & ~y_0[ensemble.n_coordinates :].any(axis=0)
-        beyond = (ends[0] < walls[0]) | (ends[0] > walls[1])
-        return np.where(rests, beyond, shares)
+        # What stays on a wall does not press on it.
+        stays = [(end == walls[0]) | (end == walls[1]) for end in ends]
+        return np.where(stays[0] & stays[1] & (call.n_contacts == 0), 0.0, shares)
     events = call.events
     first_gap = 0 if ensemble.is_plain else ensemble.n_coordinates
     found = []

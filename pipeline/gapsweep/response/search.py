@@ -91,13 +91,12 @@ class Search:
         self._shots, self._growths = Shots(n_states, n, n_multipliers), Growths(n_states, n)
         self._limits = Limits.of(ensemble, steady)
         self._phase = np.full(n, int(Phase.PAUSE))
-        # Forcing periods of the stretch waited for, and how many of them are not recorded.
-        self._asked, self._skipped = self._limits.pause.copy(), self._limits.pause.copy()
+        self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
         self._settled = np.zeros(n, bool)
         self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))  # size of the next window
-        # Forcing periods of a full window that are recorded at a time: rattled motions come near
-        # their orbits by chance, and are looked at more often.
-        self._part = -(-steady.n_periods // (_LOOKS if ensemble.is_rattled else 1))
+        # Forcing periods after which a full window is looked at: rattled motions come near their
+        # orbits by chance, and are looked at before it is full, too.
+        self._portion = -(-steady.n_periods // (_LOOKS if ensemble.is_rattled else 1))
         self._goal = np.zeros(n)  # distance from an orbit found
         self._found = Found(n)
 
@@ -122,10 +121,9 @@ class Search:
     def _advance(self, points: Numbers) -> None:
         phase, asked = self._phase[points], self._asked[points]
         # A long stretch goes on in the next call: the others need not wait for it.
-        n = np.minimum(asked, self._ensemble.at_a_time(points))
-        skipped = np.minimum(self._skipped[points], n)
-        self._walks.advance(points, n, skipped)
-        self._asked[points], self._skipped[points] = asked - n, self._skipped[points] - skipped
+        n = self._ensemble.at_a_time(points, asked)
+        self._walks.advance(points, n, phase == Phase.WINDOW)
+        self._asked[points] = asked - n
         is_ok = self._walks.status[points] == Status.OK
         self._fail(points[~is_ok])
         is_over = is_ok & (n == asked)
@@ -133,35 +131,38 @@ class Search:
         self._look_at(points[is_over & (phase == Phase.WINDOW)])
         self._arrive(points[is_over & (phase == Phase.APPROACH)])
 
-    def _ask(self, points: Numbers, phase: Phase, pause: Any, recorded: Any) -> None:
-        """Wait for a stretch of motion of which the last part is recorded."""
-        self._phase[points], self._skipped[points] = phase, pause
-        self._asked[points] = pause + recorded
+    def _ask(self, points: Numbers, phase: Phase, n_periods: Any) -> None:
+        """Wait for a stretch of motion."""
+        self._phase[points], self._asked[points] = phase, n_periods
 
     def _advance_last(self, points: Numbers) -> None:
-        nothing = np.zeros(len(points), np.int64)
-        self._walks.advance(points, self._asked[points], nothing, section_only=False)
+        everything = np.ones(len(points), bool)
+        self._walks.advance(points, self._asked[points], everything, section_only=False)
         is_ok = self._walks.status[points] == Status.OK
         self._fail(points[~is_ok])
         self._look_at(points[is_ok])
 
     @_for_some
     def _open(self, points: Numbers) -> None:
-        """After a pause: a window."""
+        """After a pause: a window, a full one from the second of a settled motion on."""
+        was_settled = self._settled[points]
         self._settled[points] = self._walks.n_periods[points] >= self._limits.settled[points]
+        self._look[points[was_settled]] = self._steady.n_periods
         after = self._walks.n_periods[points] + self._look[points]
         # A growth costs more than the first look at a settled motion.
-        is_last = (after >= self._limits.last[points]) & ~self._settled[points]
+        is_new = self._settled[points] & ~was_settled
+        is_last = (after >= self._limits.last[points]) & ~is_new
         self._finish(points[is_last])
         others = points[~is_last]
         self._walks.forget(others)
-        self._ask(others, Phase.WINDOW, 0, self._look[others])
+        portion = np.where(self._settled[others], self._portion, self._steady.n_periods)
+        self._ask(others, Phase.WINDOW, np.minimum(self._look[others], portion))
 
     @_for_some
     def _record_last(self, points: Numbers) -> None:
         """A whole window, for the motion may be what is left when no orbit is found."""
         self._walks.forget(points)
-        self._ask(points, Phase.LAST, 0, self._steady.n_periods)
+        self._ask(points, Phase.LAST, self._steady.n_periods)
 
     @_for_some
     def _look_at(self, points: Numbers) -> None:
@@ -183,13 +184,17 @@ class Search:
 
     @_for_some
     def _go_on(self, points: Numbers) -> None:
-        """No orbit so far: what has settled may repeat itself, or is looked at again at once."""
-        left = self._steady.n_periods - self._walks.length[points]
-        is_settled, is_full = self._settled[points], left <= 0
-        goes_on = is_settled & ~is_full & self._ensemble.is_rattled
-        self._ask(points[goes_on], Phase.WINDOW, 0, np.minimum(left, self._part)[goes_on])
-        self._repeat(points[is_settled & is_full])
-        self._end_look(points[~(goes_on | is_settled & is_full)])
+        """No orbit so far: the rest of the window, or, once it is full and the motion has settled,
+        whether that repeats itself all the same.
+        """
+        length, full = self._walks.length[points], self._steady.n_periods
+        left = np.maximum(np.minimum(self._look[points], full) - length, 0)
+        goes_on = left > 0
+        portion = np.minimum(left[goes_on], self._portion)
+        self._ask(points[goes_on], Phase.WINDOW, portion)
+        may_repeat = ~goes_on & self._settled[points] & (length >= full)
+        self._repeat(points[may_repeat])
+        self._end_look(points[~(goes_on | may_repeat)])
 
     # --- motion with its tangent -----------------------------------------------------------------
 
@@ -284,7 +289,7 @@ class Search:
                     found.lyapunov[point] = found.lyapunov_error[point] = np.nan
             else:
                 waits[k] = True
-                self._ask(points[[k]], Phase.APPROACH, stretch, 0)
+                self._ask(points[[k]], Phase.APPROACH, stretch)
         self._close(points[is_own])
         self._go_on(points[~is_own & ~waits])
 
@@ -294,7 +299,7 @@ class Search:
         self._close(points[is_near])
         away = points[~is_near]
         # A window that is to go on begins anew: what was not recorded would be a gap in it.
-        self._walks.forget(away[self._walks.length[away] < self._steady.n_periods])
+        self._walks.forget(away[self._walks.length[away] < self._look[away]])
         self._go_on(away)
 
     def _distance(self, points: Numbers) -> Array:
@@ -335,15 +340,10 @@ class Search:
     @_for_some
     def _end_look(self, points: Numbers) -> None:
         """Nothing found: another look later, if there is time."""
-        is_settled, longest = self._settled[points], self._steady.n_periods
-        pause = self._limits.pause[points]
-        after = self._walks.n_periods[points] + np.where(is_settled, pause + longest, 0)
-        is_last = after >= self._limits.last[points]
-        again, settled = points[~is_last & ~is_settled], points[~is_last & is_settled]
-        self._look[again] = np.minimum(2 * self._look[again], longest)
-        self._ask(again, Phase.PAUSE, self._limits.pause[again], 0)
-        self._walks.forget(settled)
-        self._ask(settled, Phase.WINDOW, self._limits.pause[settled], self._part)
+        is_last = self._walks.n_periods[points] >= self._limits.last[points]
+        again = points[~is_last]
+        self._look[again] = np.minimum(2 * self._look[again], self._steady.n_periods)
+        self._ask(again, Phase.PAUSE, self._limits.pause[again])
         self._finish(points[is_last])
 
     @_for_some

@@ -67,7 +67,11 @@ def scaled(states: ArrayLike, unit: Array) -> Array:
 
 def norm(parts: Array) -> Array:
     """Lengths of vectors whose components stand along the first axis."""
-    return np.asarray(np.sqrt(np.square(parts).sum(axis=0)))
+    # One after the other: numpy's sum of eight and more depends on how many vectors there are.
+    total = np.square(parts[0])
+    for part in parts[1:]:
+        total = total + np.square(part)
+    return np.asarray(np.sqrt(total))
 
 
 def reach_of(q: Array, unit: Array) -> Array:
@@ -177,8 +181,8 @@ def converging_multiples(
     """Smallest n towards whose repeat each section is contracting; 0 if it does not.
 
     Each of the last four points must be within `closeness` of the one n periods before, and the
-    later two of them not farther than any of the `_WATCHED` last points was: a solver's noise alone
-    makes neighbours grow as often as shrink.
+    later two of them nearer than the farthest of those within it among up to `_WATCHED` points: of
+    four alone, a solver's noise makes the later ones nearer or farther as it likes.
 
     Parameters
     ----------
@@ -206,8 +210,10 @@ def converging_multiples(
     section, before = np.nonzero(may)
     place = np.arange(_WATCHED) + before[:, None] + 1
     steps = norm(latest[:, section, :_WATCHED] - latest[:, section[:, None], place])
+    # What was farther away was on its way here, and may be on its way out again.
+    steps = np.where(steps < closeness[section, None], steps, np.nan)
     contracts = steps[:, :2].max(axis=1) <= np.fmax.reduce(steps[:, 2:], axis=1)
-    converging = (steps[:, :4].max(axis=1) < closeness[section]) & contracts
+    converging = ~np.isnan(steps[:, :4]).any(axis=1) & contracts
     found = np.zeros(len(lengths), np.int64)
     hits, first = np.unique(section[converging], return_index=True)
     found[hits] = before[converging][first] + 1

@@ -27,8 +27,8 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 _MAX_NEWTON = 6
-# What stretches more than this in an orbit's time is near no orbit that attracts it: most shots of
-# chaotic motions are such.
+# What is stretched by more than this on its way is taken to be near no orbit that attracts it, as
+# most shots of chaotic motions. Nearer to one that does, it is shot again.
 _STRETCHES = 2.0
 # Newton's steps that shorten no more than this are the solver's noise.
 _SHORTENS = 0.5
@@ -183,8 +183,8 @@ class Growths:
             self._direction[points] = direction[:, :, 0] / length[:, None]
         length[~call.is_sound[motions]] = np.nan
         self.y[:, points] = call.y[:, motions]
-        going, block = points[is_ok], self.n_blocks[points[is_ok]]
-        self._factors[going, :, block] = np.stack([length, call.omega[motions]], axis=1)[is_ok]
+        going, number = points[is_ok], self.n_blocks[points[is_ok]]
+        self._factors[going, :, number] = np.stack([length, call.omega[motions]], axis=1)[is_ok]
         self.n_blocks[points] += is_ok
         before, strayed = self.strayed[points], call.strayed[motions]
         mean_square = before**2 + (strayed**2 - before**2) / self.n_blocks[points]

@@ -104,12 +104,11 @@ class Walks:
         self,
         points: Numbers,
         n_periods: Counts,
-        skipped: Counts,
+        recorded: NDArray[np.bool_],
         *,
         section_only: bool = True,
     ) -> None:
-        """Go on for whole periods; all but the first that are skipped are added to the windows."""
-        recorded = skipped < n_periods
+        """Go on for whole periods; what is recorded is added to the windows."""
         record_from = np.where(recorded, 0.0, math.inf)
         y = self.y[:, points]
         call = self.ensemble.call(points, y, n_periods, record_from, section_only=section_only)
@@ -119,7 +118,7 @@ class Walks:
             self.contact_share[:, points] = contact_shares(self.ensemble, points, y, call)
         self._steps_per_period[points] = np.maximum(call.n_steps / n_periods, 1.0)
         if recorded.any():
-            self._add(points[recorded], np.flatnonzero(recorded), skipped[recorded], call)
+            self._add(points[recorded], np.flatnonzero(recorded), call)
         self._elapsed[points] += call.t_end
         self.arrive(points, call.y, call.status, n_periods)
 
@@ -139,17 +138,16 @@ class Walks:
         counts = np.bincount(row, minlength=len(events.n_extrema) * n).reshape(-1, n)
         return events.extrema[np.lexsort((events.t_extrema, row))], counts
 
-    def _add(self, points: Numbers, motions: Numbers, skipped: Counts, call: Call) -> None:
+    def _add(self, points: Numbers, motions: Numbers, call: Call) -> None:
         """Add recorded motions of a call to the windows of their points."""
         self._extent[points] = np.maximum(self._extent[points], call.reach[motions])
-        first, last = call.period_ends[motions], call.period_ends[motions + 1]
-        first = np.minimum(first + skipped, last)
-        new = last - first
+        new = np.diff(call.period_ends)[motions]
         room = int((self.length[points] + new).max()) - self.section.shape[2]
         if room > 0:
             self.section = np.pad(self.section, ((0, 0), (0, 0), (0, room)))
         rows, columns = np.repeat(points, new), spans(self.length[points], new)
-        self.section[:, rows, columns] = call.section[:, spans(first, new)]
+        # Events stand motion by motion, and motions that were not recorded have none.
+        self.section[:, rows, columns] = call.section
         self.length[points] += new
 
     def arrive(self, points: Numbers, y: Array, status: Counts, n_periods: Counts) -> None:

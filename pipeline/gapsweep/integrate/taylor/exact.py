@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 # Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as chatter.
 _MOST_SHORT = 100.0
 _LOG_VALUES = 1 << 16  # of a log: it stays in the cache until it is drained
+_MOST_PLACED = 1 << 22  # section points that are given places before any motion has passed one
 _BUDGET = 1 << 16  # vector steps per call of the kernel, about 20 ms: Ctrl-C is answered in between
 
 
@@ -183,12 +184,12 @@ def _drained(
     """Call the kernel until all points have ended; returns the logs that are kept, by point."""
     n_kept = at.n_series + at.tangent * at.n_states * (at.n + at.m)
     per_step, widths = record.rows_per_step.py_func(at), _log_columns(at)
-    n_rows = [
+    capacities = [
         max(_LOG_VALUES // columns, rows) for columns, rows in zip(widths, per_step, strict=True)
     ]
     sections = _section_rows(at, points[:-1])
-    if not at.is_free:
-        n_rows[record.SECTIONS] = sections[:, 1].max(initial=0)
+    if len(sections):
+        capacities[record.SECTIONS] = int(sections[-1, 1])
     run = Run(
         at=at.numbers,
         lanes=aligned(at.n_rows, at.width),
@@ -200,7 +201,7 @@ def _drained(
         coefficients=aligned(n_kept * at.n_terms, at.width),
         logs=tuple(
             np.empty((rows if is_kept else 0, columns))
-            for is_kept, rows, columns in zip(kept, n_rows, widths, strict=True)
+            for is_kept, rows, columns in zip(kept, capacities, widths, strict=True)
         ),
         fill=np.zeros(len(kept), np.int64),
         sections=sections.copy(),
@@ -217,7 +218,7 @@ def _drained(
                 piece.append(log[:n_rows].copy())
             run.fill[:] = 0
     logs = [_by_point(each) for each in pieces]
-    if kept[record.SECTIONS] and not at.is_free:
+    if len(sections):
         logs[record.SECTIONS] = _written(
             run.logs[record.SECTIONS], sections[:, 0], run.sections[:, 0]
         )
@@ -232,11 +233,16 @@ def _log_columns(at: Layout) -> tuple[int, ...]:
 
 
 def _section_rows(at: Layout, points: Array) -> NDArray[np.int64]:
-    """Where the rows of each forced motion's section points begin and end, shape (n, 2)."""
-    first = np.maximum(1.0, np.ceil(points[:, at.record_clock] - CLOCK_SLACK))
-    counts = np.maximum(points[:, at.end_cycle] - first + 1.0, 0.0).astype(np.int64)
-    end = np.cumsum(counts)
-    return np.stack([end - counts, end], axis=1)
+    """Where the rows of each forced motion's section points begin and end, shape (n, 2).
+
+    None, and no place for any, if they are too many to be waited for, or nothing forces them.
+    """
+    first = np.maximum(1.0, np.ceil(points[:, at.record_clock] - CLOCK_SLACK))  # `first_section`
+    counts = np.maximum(points[:, at.end_cycle] - first + 1.0, 0.0)
+    if at.is_free or not counts.sum() <= _MOST_PLACED:
+        return np.empty((0, 2), np.int64)
+    end = np.cumsum(counts.astype(np.int64))
+    return np.stack([end - counts.astype(np.int64), end], axis=1)
 
 
 def _written(rows: Array, first: NDArray[np.int64], end: NDArray[np.int64]) -> Array:

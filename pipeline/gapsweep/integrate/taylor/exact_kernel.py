@@ -184,9 +184,13 @@ def _part(at, lanes, k):
         if is_on and abs(speed) <= slack * lanes[at.rate, k]:
             has_gap = lower < upper  # without one it stays in contact
             if has_gap and lanes[at.mode + contact, k] != 0.0:
-                turns = lanes[at.cycle, k] + (lanes[at.tau, k] - lanes[at.tau_start, k])
-                lanes[at.contact_time + contact, k] += lanes[at.t_start, k]
-                lanes[at.contact_time + contact, k] += turns * lanes[at.period, k]
+                if lanes[at.side + contact, k] != 0.0:  # just passed: taken back
+                    lanes[at.side + contact, k] = 0.0
+                    lanes[at.n_contacts, k] -= 1.0
+                else:
+                    turns = lanes[at.cycle, k] + (lanes[at.tau, k] - lanes[at.tau_start, k])
+                    now = lanes[at.t_start, k] + turns * lanes[at.period, k]
+                    lanes[at.contact_time + contact, k] += now
             lanes[at.lower + contact, k] -= slack if place == lower else 0.0
             outward = slack if has_gap else -slack
             lanes[at.upper + contact, k] += outward if place == upper else 0.0
@@ -298,8 +302,8 @@ class Run(NamedTuple):
     fill : int array, shape (4,)
         Rows used in each. The caller drains the buffers and sets them to zero.
     sections : int array, shape (n_points, 2)
-        Of forced motions, the row of each one's next section point, and where its rows end. They
-        stay where they are.
+        The row of each motion's next section point, and where its rows end: they have places, and
+        stay there. Empty: they are drained as all others are.
     work : roots.Work
         Work space for this degree.
     turns, contacts : bool

@@ -1,9 +1,9 @@
 """What a step leaves behind when recording is on: extrema, section points, contacts, the series.
 
 A section point is a row (point, t, q, v, z) of its log, in the order of time. Any other record is a
-row (point, t, which, kind, ...), in the order of time for each `which`. That is the contact, whose
-whole state follows; of an extremum, whose value follows, it is the coordinate, or a contact's gap
-after all coordinates.
+row (point, t, which, kind, ...), in the order of time for each `which`. That is the contact, and the
+whole state follows, which shows that it is on the wall; of an extremum, whose value follows, it is
+the coordinate, or a contact's gap after all coordinates.
 
 Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
 at once, that there is none or one, and finds it (`turns`). That leaves one step in some
@@ -12,6 +12,7 @@ hundreds: its zeros are isolated by the same rule on parts of the step (`roots`)
 
 import math
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
@@ -45,7 +46,7 @@ _FLANK = 1e-5  # of the step
 def rows_per_step(at):
     """Most rows that a step of all lanes writes to each log."""
     n_turns = at.n_turning * (at.order + 1)
-    n_sections = at.order + 1 if at.is_free else 0
+    n_sections = at.order + 1 if at.is_free else 1
     return at.width * n_turns, at.width * 2 * at.contacts, at.width * n_sections, at.width
 
 
@@ -54,8 +55,8 @@ def has_room(at, run):
     """Whether the logs that are kept take another step of all lanes."""
     needed, fits = rows_per_step(at), True
     for log in range(4):
-        n_rows = len(run.logs[log])
-        fits = fits and (n_rows == 0 or run.fill[log] + needed[log] <= n_rows)
+        n_rows, is_placed = len(run.logs[log]), log == SECTIONS and len(run.sections) > 0
+        fits = fits and (is_placed or n_rows == 0 or run.fill[log] + needed[log] <= n_rows)
     return fits
 
 
@@ -115,6 +116,12 @@ def _write_return(at, run, k, start, t):
 
 
 @internal
+def first_section(record_clock):
+    """Whole period from which on section points are recorded."""
+    return max(1.0, np.ceil(record_clock - CLOCK_SLACK))
+
+
+@internal
 def _record_sections(at, among, run):
     """The section points that forced motions have passed in their last step or ended on."""
     lanes = run.lanes
@@ -122,18 +129,23 @@ def _record_sections(at, among, run):
         k = lowest_bit(among)
         among &= among - 1
         cycle = lanes[at.cycle, k]
-        if cycle > lanes[at.cycle_0, k] and cycle - lanes[at.record_clock, k] >= -CLOCK_SLACK:
+        if cycle > lanes[at.cycle_0, k] and cycle >= first_section(lanes[at.record_clock, k]):
             _record_section(at, run, k)
 
 
 @internal
 def _record_section(at, run, k):
-    """A section point at its place: how many a forced motion passes is known before."""
-    lanes, places = run.lanes, run.sections[run.lane_point[k]]
-    cycle, i = lanes[at.cycle, k], places[0]
-    if i == places[1]:  # rounding alone would have it pass more
-        return
-    places[0] += 1
+    """A section point, at its place where the motion has some."""
+    lanes, cycle = run.lanes, run.lanes[at.cycle, k]
+    if len(run.sections) > 0:
+        places = run.sections[run.lane_point[k]]
+        i = places[0]
+        if i == places[1]:  # rounding alone would have it pass more
+            return
+        places[0] += 1
+    else:
+        i = run.fill[SECTIONS]
+        run.fill[SECTIONS] += 1
     period = lanes[at.period, k]
     t = lanes[at.t_start, k] + (cycle - lanes[at.tau_start, k]) * period
     until = min((1.0 - lanes[at.tau_0, k]) * period, lanes[at.step, k])
