@@ -1,9 +1,9 @@
 """What a step leaves behind when recording is on: extrema, section points, contacts, the series.
 
-A section point is a row (point, t, q, v, z) of its log, in the order of time. Any other record is a
-row (point, t, which, kind, ...), in the order of time for each `which`. That is the contact, and the
-whole state follows, which shows that it is on the wall; of an extremum, whose value follows, it is
-the coordinate, or a contact's gap after all coordinates.
+A section point is a row (point, t, q, v, z) of its log, in the order of time. Any other record is
+a row (point, t, which, kind, ...), in the order of time for each `which`. That is the contact, and
+the whole state follows, which shows that it is on the wall; of an extremum, whose value follows, it
+is the coordinate, or a contact's gap after all coordinates.
 
 Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
 at once, that there is none or one, and finds it (`turns`). That leaves one step in some
