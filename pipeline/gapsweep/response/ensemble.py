@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 _COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 # A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
 _TANGENT_RTOL = 1e-8
+_LOOSE = 1e-5
 # Beside the `Status` values of a call: the motion has come to rest, or never comes back.
 AT_REST, ASTRAY = -1, -2
 _STEPS_AT_A_TIME = 10_000.0  # some five milliseconds of a lane
@@ -58,9 +59,16 @@ class Scene:
         return all(isinstance(law, Piecewise) and law.located for law in self.laws)
 
     @property
-    def is_rattled(self) -> bool:
-        """Whether steps pass kinks that throw them off by more than their error estimates."""
+    def has_kinks(self) -> bool:
+        """Whether steps pass kinks of the force that no event locates."""
         return any(isinstance(law, Piecewise) for law in self.laws) and not self.is_located
+
+    @property
+    def is_rattled(self) -> bool:
+        """Whether steps may be thrown off by more than their error estimates, as by a kink or, at
+        loose tolerances, by the sharp edge of a layer.
+        """
+        return self.has_kinks or (self.solver.rtol > _LOOSE and not self.is_located)
 
     @property
     def tangent_law(self) -> Any:
@@ -78,7 +86,7 @@ class Scene:
         tangent makes there: at loose tolerances its growth would be the solver's own invention.
         """
         solver = self.solver
-        if self.is_located or (solver.rtol <= _TANGENT_RTOL and not self.is_rattled):
+        if self.is_located or (solver.rtol <= _TANGENT_RTOL and not self.has_kinks):
             return solver
         rtol = min(solver.rtol, _TANGENT_RTOL)
         return Solver.of(solver.engine, rtol, solver.atol / solver.rtol * rtol)
