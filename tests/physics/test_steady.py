@@ -14,7 +14,7 @@ from tests.stored import tile_rows
 
 import gapsweep as gs
 from gapsweep.report import figures
-from gapsweep.response import ensemble
+from gapsweep.response import ensemble, shooting
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.result import Responses
 from gapsweep.response.section import (
@@ -236,6 +236,16 @@ def test_stretches_cut_anywhere_lead_to_the_same_orbits(monkeypatch):
     assert np.array_equal(cut.period_multiple, whole.period_multiple)
     assert np.allclose(cut.amplitude, whole.amplitude, rtol=1e-7)
     assert (cut.t_simulated == whole.t_simulated).mean() > 0.9  # as many periods, in more calls
+
+
+def test_shots_that_are_given_up_miss_no_attractor(monkeypatch):
+    law, omega = gs.Piecewise(HARD, SYMMETRIC), np.linspace(12.0, 30.0, 60)
+    found = gs.respond(gs.Oscillator(), law, omega)
+    monkeypatch.setattr(shooting, "_STRETCHES", np.inf)
+    patient = gs.respond(gs.Oscillator(), law, omega)
+    assert np.array_equal(found.response_class, patient.response_class)
+    assert np.array_equal(found.period_multiple, patient.period_multiple)
+    assert (found.t_simulated <= patient.t_simulated).all()
 
 
 def test_contraction_is_told_from_drift_and_growth():

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import trapezoid
 
 import gapsweep as gs
+from gapsweep.integrate.taylor import exact
 from gapsweep.response.section import rotation_number
 
 GAP = gs.Gap(4e-4, 6e-4)
@@ -271,6 +272,23 @@ def test_nothing_is_claimed_of_a_motion_along_its_wall(K_c, gap, said):
     for apart in (0.0, 1e-12):
         found = gs.respond(system, law, 1.1, q_0=[0.013, 0.0, 0.013 + apart, 0.0])
         assert found.status in (said, gs.Status.DIVERGED if K_c and apart else said)
+
+
+def test_contact_that_chatter_ends_is_counted_once(monkeypatch):
+    """Whether the last of many passings led into contact or out of it."""
+    one = np.array([[90.0, 55.0], [-55.0, 200.0]])
+    system = gs.System(
+        mass=np.eye(4), damping=0.3 * np.eye(4), stiffness=np.kron(np.eye(2), one),
+        contacts={"stop": [1.0, 0.0, -1.0, 0.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.5, 1.0, 0.5])],
+    )  # fmt: skip
+    shares = []
+    for most in (100.0, 99.0, 8.0, 7.0):
+        monkeypatch.setattr(exact, "_MOST_SHORT", most)
+        law = gs.Piecewise(0.5, gs.Gap(0.0, 0.1))
+        found = gs.respond(system, law, 1.1, q_0=[0.013, 0.0, 0.013, 0.0])
+        shares.append(float(found.contact_share[0]))
+    assert_allclose(shares, shares[0], rtol=1e-6)
 
 
 def test_a_torus_beside_a_part_that_repeats_is_found():

@@ -779,6 +779,21 @@ def test_a_motion_that_fails_leaves_the_sections_of_the_others_alone():
         assert len(one.events(0, record.SECTION)) == expected
 
 
+def test_section_points_are_the_same_with_places_and_without(monkeypatch):
+    points = {k: a[:20] for k, a in many().items()}
+    placed = integrate(**points, record_from=0.5)
+    monkeypatch.setattr(exact, "_MOST_PLACED", 0)
+    drained = integrate(**points, record_from=0.5)
+    assert len(placed.sections) > 100
+    assert same_bits(placed.sections, drained.sections)
+
+
+def test_a_motion_that_fails_needs_no_room_for_what_it_never_reached():
+    found = integrate(**scene(alpha=-7e8, x_0=5e-3), t_end=1e9, record_from=0.0)
+    assert found.status[0] == kernel.DIVERGED
+    assert len(found.sections) == 0
+
+
 @pytest.mark.parametrize("t_0", [0.0, 0.37])
 @pytest.mark.parametrize("j_2", [0.0, 4e-4])
 def test_time_in_contact_is_that_beyond_the_walls(j_2, t_0):
