@@ -248,6 +248,31 @@ def test_shots_that_are_given_up_miss_no_attractor(monkeypatch):
     assert (found.t_simulated <= patient.t_simulated).all()
 
 
+@pytest.mark.parametrize(
+    ("oscillator", "law", "start", "n"),
+    [
+        (
+            gs.Oscillator(zeta=0.0324757787, forcing=1.0743388471),
+            gs.Piecewise(346056.631, gs.Gap(0.8e-3, 0.4e-3)),
+            (2.937153972, -0.9033185e-3, 0.0398937337),
+            6,
+        ),
+        (
+            gs.Oscillator(zeta=0.02562759605523195, forcing=1.4188107019261256),
+            gs.Piecewise(131990.88593246252, gs.Gap(0.1e-3, 0.8e-3), K_ratio=0.3),
+            (13.038500087867213, -0.38790339811836097e-3, 0.018984965468696725),
+            12,
+        ),
+    ],
+)
+def test_a_doubled_period_is_found_from_every_start(oscillator, law, start, n):
+    """Its halves are so near to each other that shooting at half the period is tried, in vain."""
+    omega, x_0, v_0 = start
+    moved = x_0 * (1.0 + 1e-6 * np.random.default_rng(0).uniform(-1.0, 1.0, 12))
+    found = gs.respond(oscillator, law, omega, moved, v_0)
+    assert (found.period_multiple == n).all()
+
+
 def test_contraction_is_told_from_drift_and_growth():
     def multiple(section, closeness, largest):
         # Beside a longer section, and with room behind it that holds nothing.

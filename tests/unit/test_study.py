@@ -1,7 +1,10 @@
 """Study files: expansion, canonical coordinates, keys, and all problems at once."""
 
+import os
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -183,12 +186,29 @@ def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path, plac
 
 
 def test_source_edited_after_it_was_loaded_has_no_fingerprint(monkeypatch):
-    newest = max(path.stat().st_mtime for path in Path(gs.__file__).parent.rglob("*.py"))
+    stats = [path.stat() for path in Path(gs.__file__).parent.rglob("*.py")]
+    newest = max(max(stat.st_mtime, stat.st_ctime) for stat in stats)
     monkeypatch.setattr(gs, "LOADED", newest - 1e9)
     with pytest.raises(gs.ClusterError, match="edited after this process loaded gapsweep"):
         fingerprint.numerics_fingerprint.__wrapped__()
     monkeypatch.setattr(gs, "LOADED", newest)
     fingerprint.numerics_fingerprint.__wrapped__()
+
+
+def test_source_replaced_with_its_old_date_is_an_edit(monkeypatch, tmp_path):
+    copy = tmp_path / "gapsweep"
+    shutil.copytree(Path(gs.__file__).parent, copy)
+    monkeypatch.setattr(fingerprint, "_PACKAGE", copy)
+    time.sleep(0.02)
+    monkeypatch.setattr(gs, "LOADED", time.time())
+    time.sleep(0.02)
+    fingerprint.check_unedited()
+    file = copy / "response" / "search.py"
+    stat = file.stat()
+    file.write_text(file.read_text().replace("_CLOSE = 0.1", "_CLOSE = 0.2"))
+    os.utime(file, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    with pytest.raises(gs.ClusterError, match="edited after this process loaded gapsweep"):
+        fingerprint.check_unedited()
 
 
 LOADED = """

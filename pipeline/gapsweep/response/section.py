@@ -178,11 +178,12 @@ def period_multiples(
 def converging_multiples(
     sections: Array, lengths: Counts, closeness: Array, largest: int
 ) -> Counts:
-    """Smallest n towards whose repeat each section is contracting; 0 if it does not.
+    """Smallest n towards whose repeat each section is contracting as well as any; 0 if none is.
 
     Each of the last four points must be within `closeness` of the one n periods before, and the
     later two of them nearer than the farthest of those within it among up to `_WATCHED` points: of
-    four alone, a solver's noise makes the later ones nearer or farther as it likes.
+    four alone, a solver's noise makes the later ones nearer or farther as it likes. After a doubled
+    period, half of it may stay within `closeness` for ever: the whole one repeats much better.
 
     Parameters
     ----------
@@ -213,7 +214,10 @@ def converging_multiples(
     # What was farther away was on its way here, and may be on its way out again.
     steps = np.where(steps < closeness[section, None], steps, np.nan)
     contracts = steps[:, :2].max(axis=1) <= np.fmax.reduce(steps[:, 2:], axis=1)
-    converging = ~np.isnan(steps[:, :4]).any(axis=1) & contracts
+    farthest = np.where(contracts, steps[:, :4].max(axis=1), np.nan)  # NaN beyond `closeness`
+    best = np.full(len(lengths), np.inf)
+    np.fmin.at(best, section, farthest)
+    converging = farthest <= _AS_WELL * best[section]
     found = np.zeros(len(lengths), np.int64)
     hits, first = np.unique(section[converging], return_index=True)
     found[hits] = before[converging][first] + 1
