@@ -19,9 +19,9 @@ from scipy.stats import binomtest
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Steady
+from gapsweep.response.scene import Scene
 from gapsweep.study.advice import Model, advise
 
 REFERENCE_RTOL = 1e-11

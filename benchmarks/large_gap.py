@@ -17,9 +17,9 @@ import numpy as np
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Steady
+from gapsweep.response.scene import Scene
 
 K_C = 1.4e4
 GAPS = np.round(np.arange(0.5, 3.01, 0.1), 1)

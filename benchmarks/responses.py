@@ -16,8 +16,8 @@ import numpy as np
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import contact_law
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import respond_all
+from gapsweep.response.scene import Scene
 
 OSCILLATOR, SECONDS = gs.Oscillator(), 10.0
 CONTACTS = [

@@ -13,9 +13,9 @@ from scipy.integrate import quad
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, ResponseClass
+from gapsweep.response.scene import Scene
 
 FAR = gs.Gap(1e3, 1e3)  # m: walls that nothing reaches
 

@@ -11,10 +11,10 @@ from scipy.integrate import solve_ivp
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.response.attractors import attractors_of_scenes
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.rates import Rates, rates
 from gapsweep.response.respond import respond_all
 from gapsweep.response.returns import Returns
+from gapsweep.response.scene import Scene
 
 PERIODIC, EQUILIBRIUM = gs.ResponseClass.PERIODIC, gs.ResponseClass.EQUILIBRIUM
 LAW = gs.Piecewise(2e3, gs.Gap(5e-3, 6e-3))

@@ -58,6 +58,16 @@ def coupled(K_c=2e3, coupling=150.0):
     return system, law
 
 
+def two_equal_machines():
+    """That move alike, with a stop between them."""
+    one = np.array([[90.0, 55.0], [-55.0, 200.0]])
+    return gs.System(
+        mass=np.eye(4), damping=0.3 * np.eye(4), stiffness=np.kron(np.eye(2), one),
+        contacts={"stop": [1.0, 0.0, -1.0, 0.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.5, 1.0, 0.5])],
+    )  # fmt: skip
+
+
 def test_a_system_of_one_coordinate_responds_as_its_oscillator():
     oscillator, law, omega = gs.Oscillator(), LAWS[0], np.linspace(4.0, 30.0, 60)
     same = gs.respond(joined(oscillator), law, omega, q_0=[1e-4])
@@ -262,12 +272,7 @@ def test_nothing_is_claimed_of_a_motion_along_its_wall(K_c, gap, said):
     What the stop does to a disturbance is another thing: out of contact it decays; held by a spring
     of this stiffness it grows, by matrix exponentials 3.3 times in a period.
     """
-    one = np.array([[90.0, 55.0], [-55.0, 200.0]])
-    system = gs.System(
-        mass=np.eye(4), damping=0.3 * np.eye(4), stiffness=np.kron(np.eye(2), one),
-        contacts={"stop": [1.0, 0.0, -1.0, 0.0]},
-        forcing=[gs.Harmonic(amplitude=[1.0, 0.5, 1.0, 0.5])],
-    )  # fmt: skip
+    system = two_equal_machines()
     law = gs.Piecewise(K_c, gs.Gap(0.0, gap))
     for apart in (0.0, 1e-12):
         found = gs.respond(system, law, 1.1, q_0=[0.013, 0.0, 0.013 + apart, 0.0])
@@ -276,12 +281,7 @@ def test_nothing_is_claimed_of_a_motion_along_its_wall(K_c, gap, said):
 
 def test_contact_that_chatter_ends_is_counted_once(monkeypatch):
     """Whether the last of many passings led into contact or out of it."""
-    one = np.array([[90.0, 55.0], [-55.0, 200.0]])
-    system = gs.System(
-        mass=np.eye(4), damping=0.3 * np.eye(4), stiffness=np.kron(np.eye(2), one),
-        contacts={"stop": [1.0, 0.0, -1.0, 0.0]},
-        forcing=[gs.Harmonic(amplitude=[1.0, 0.5, 1.0, 0.5])],
-    )  # fmt: skip
+    system = two_equal_machines()
     shares = []
     for most in (100.0, 99.0, 8.0, 7.0):
         monkeypatch.setattr(exact, "_MOST_SHORT", most)

@@ -13,9 +13,9 @@ from tests import random_scenes as rs
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.runge_kutta import representations
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import ResponseClass
+from gapsweep.response.scene import Scene
 from gapsweep.status import Status
 
 LINEAR = gs.Oscillator(alpha=0.0, forcing=1.0)

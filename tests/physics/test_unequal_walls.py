@@ -12,8 +12,8 @@ from tests.random_systems import random_case
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import respond_all
+from gapsweep.response.scene import Scene
 
 GAP = gs.Gap(0.2e-3, 0.5e-3)
 SYMMETRIC, CLOSED = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.0)

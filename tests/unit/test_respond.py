@@ -12,9 +12,9 @@ from tests.section_points import parts
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.maps import floquet_multipliers, newton_steps
 from gapsweep.response.respond import respond_all
+from gapsweep.response.scene import Scene
 from gapsweep.response.section import likely_multiple, period_multiple
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)

@@ -8,10 +8,10 @@ from numpy.testing import assert_array_equal, assert_equal
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import COLUMNS, LISTS, Response, Responses
+from gapsweep.response.scene import Scene
 
 ASYMMETRIC = gs.Gap(0.0, 0.8e-3)
 

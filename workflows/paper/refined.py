@@ -12,9 +12,9 @@ from scipy.stats import qmc
 
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response
+from gapsweep.response.scene import Scene
 from gapsweep.study.study import Study
 
 from .scenes import EXACT, HARD_ASYMMETRIC, NO_EVENTS, SOFT_SYMMETRIC, WEAK

@@ -14,9 +14,9 @@ from gapsweep.model.contact import ContactLaw, UserLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.system import floats
 from gapsweep.response.attractors import Attractors, Grouping
-from gapsweep.response.ensemble import Scene
 from gapsweep.response.respond import check_kinds, respond_all
 from gapsweep.response.result import Responses, Steady
+from gapsweep.response.scene import Scene
 from gapsweep.response.section import unit_of
 
 Array = NDArray[np.float64]

@@ -47,9 +47,9 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import Piecewise
 from gapsweep.model.labels import EXACT
 from gapsweep.response.attractors import NONE, attractors_of_scenes
-from gapsweep.response.ensemble import Scene as Asked
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses, Steady
+from gapsweep.response.scene import Scene as Asked
 from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 from gapsweep.study.schema import STATUS_FLAGS, Variable, empty, with_attributes

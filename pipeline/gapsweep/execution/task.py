@@ -26,9 +26,10 @@ from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.system import System
-from gapsweep.response.ensemble import Ensemble, Scene
+from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response, Responses
+from gapsweep.response.scene import Scene
 from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
 from gapsweep.study.fingerprint import check_unedited

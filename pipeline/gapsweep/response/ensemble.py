@@ -1,4 +1,4 @@
-"""Many motions in the engine together: scenes, and calls that advance them by whole periods.
+"""Many motions in the engine together, and calls that advance them by whole periods.
 
 No result depends on the others that share a call.
 """
@@ -6,7 +6,7 @@ No result depends on the others that share a call.
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -15,21 +15,19 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Events, Motions
-from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
+from gapsweep.integrate.problem import Integrate, Models, Problems
 from gapsweep.integrate.simulate import prepared
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import Structure
 from gapsweep.model.system import System
+from gapsweep.response.scene import Scene
 from gapsweep.response.section import norm, reach_of, scaled, unit_of
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 
 _COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
-# A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
-_TANGENT_RTOL = 1e-8
-_LOOSE = 1e-5
 # Beside the `Status` values of a call: the motion has come to rest, or never comes back.
 AT_REST, ASTRAY = -1, -2
 _STEPS_AT_A_TIME = 10_000.0  # some five milliseconds of a lane
@@ -37,64 +35,6 @@ _UNKNOWN = 1e-100  # steps a second: whatever is asked, it takes one call
 # How far a tangent's determinant may be off, and from which share of its size squared on its own
 # rounding shows.
 _UNSOUND, _ROUNDING = 1e-2, 1e-3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
-    """What moves: the model, its forcing frequency [Hz] and the solver."""
-
-    oscillator: Oscillator | System
-    law: Any  # of a system a tuple, in the order of its contacts
-    omega: float
-    solver: Solver
-
-    @property
-    def laws(self) -> tuple[ContactLaw, ...]:
-        """The law of every contact."""
-        return self.law if isinstance(self.oscillator, System) else (self.law,)
-
-    @property
-    def is_located(self) -> bool:
-        """Whether all contacts are."""
-        return all(isinstance(law, Piecewise) and law.located for law in self.laws)
-
-    @property
-    def has_kinks(self) -> bool:
-        """Whether steps pass kinks of the force that no event locates."""
-        return any(isinstance(law, Piecewise) for law in self.laws) and not self.is_located
-
-    @property
-    def is_rattled(self) -> bool:
-        """Whether steps may be thrown off by more than their error estimates, as by a kink or, at
-        loose tolerances, by the sharp edge of a layer.
-        """
-        return self.has_kinks or (self.solver.rtol > _LOOSE and not self.is_located)
-
-    @property
-    def tangent_law(self) -> Any:
-        """The same force, its kinks located if they can be."""
-        exact = [replace(law, located=True) for law in self.laws if isinstance(law, Piecewise)]
-        # All contacts are located or none.
-        laws = tuple(exact) if len(exact) == len(self.laws) else self.laws
-        return laws if isinstance(self.oscillator, System) else laws[0]
-
-    @property
-    def tangent_solver(self) -> Solver:
-        """What the tangent along the motion is integrated with.
-
-        A step's error estimate does not see a kink that no event locates, nor the jump that the
-        tangent makes there: at loose tolerances its growth would be the solver's own invention.
-        """
-        solver = self.solver
-        if self.is_located or (solver.rtol <= _TANGENT_RTOL and not self.has_kinks):
-            return solver
-        rtol = min(solver.rtol, _TANGENT_RTOL)
-        return Solver.of(solver.engine, rtol, solver.atol / solver.rtol * rtol)
-
-    @property
-    def has_own_tangent(self) -> bool:
-        """Whether motion and tangent are integrated together."""
-        return self.tangent_law == self.law and self.tangent_solver == self.solver
 
 
 class Call:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gapsweep.integrate.reference_scenes import OscillatorScene, SystemScene
 from gapsweep.model.contact import Piecewise
 from gapsweep.model.system import System, first_order
-from gapsweep.response.ensemble import Scene
+from gapsweep.response.scene import Scene
 from gapsweep.response.section import norm
 
 Array = NDArray[np.float64]

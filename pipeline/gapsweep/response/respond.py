@@ -26,9 +26,10 @@ from gapsweep.integrate.simulate import starts
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import System
-from gapsweep.response.ensemble import Ensemble, Scene
+from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Response, Responses, Steady
 from gapsweep.response.returns import Returns
+from gapsweep.response.scene import Scene
 from gapsweep.response.search import Search
 
 Array = NDArray[np.float64]

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.motion import Motions
-from gapsweep.response.ensemble import ASTRAY, AT_REST, Call, Ensemble, Scene
+from gapsweep.response.ensemble import ASTRAY, AT_REST, Call, Ensemble
 from gapsweep.response.rates import REST, Rates
+from gapsweep.response.scene import Scene
 from gapsweep.response.section import norm, reach_of
 from gapsweep.status import Status
 
