@@ -23,6 +23,7 @@ from gapsweep.response.section import (
     period_multiple,
     period_multiples,
     prime_multiple,
+    prime_multiples,
     unit_of,
 )
 
@@ -248,6 +249,32 @@ def test_shots_that_are_given_up_miss_no_attractor(monkeypatch):
     assert (found.t_simulated <= patient.t_simulated).all()
 
 
+def test_slow_motions_against_hard_smooth_walls_are_resolved():
+    """Their tangents lost area to steps that suited the motion alone: no exponent was believed."""
+    law = gs.contact_law("tanh-1e4", HARD, SYMMETRIC)
+    found = gs.respond(gs.Oscillator(), law, [0.144, 0.539, 0.583], rtol=1e-6, atol=1e-9)
+    assert (found.response_class == gs.ResponseClass.PERIODIC).all()
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 5))
+def test_orbits_together_repeat_as_each_does(seed, n, m):
+    rng = np.random.default_rng(seed)
+    orbits, tolerance = rng.integers(0, 2, (2, m, n)).astype(float), rng.uniform(0.0, 1.5, m)
+    found = prime_multiples(orbits, tolerance)
+    for k in range(m):
+        shifts = [
+            d
+            for d in range(1, n + 1)
+            if n % d == 0
+            and all(
+                abs(orbits[i, k, j] - orbits[i, k, (j + d) % n]) < tolerance[k]
+                for i in range(2)
+                for j in range(n)
+            )
+        ]
+        assert found[k] == min([*shifts, n])
+
+
 @pytest.mark.parametrize(
     ("oscillator", "law", "start", "n"),
     [
@@ -279,7 +306,7 @@ def test_contraction_is_told_from_drift_and_growth():
         sections = np.full((2, len(section) + 9), 1e9 + 0j)
         sections[0, : len(section)] = section
         lengths, both = np.array([len(section), len(section) + 9]), np.ones(2)
-        given = parts(sections), lengths, closeness * both
+        given = parts(sections), lengths, np.arange(2), closeness * both
         return converging_multiples(*given, largest).tolist()[0]
 
     k = np.arange(12.0)

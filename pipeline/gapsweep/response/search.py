@@ -27,10 +27,11 @@ from gapsweep.response.section import (
     norm,
     period_multiples,
     prime_multiple,
+    prime_multiples,
     repeat_nearly,
     rotation_number,
 )
-from gapsweep.response.shooting import Growths, Shots, block
+from gapsweep.response.shooting import Growths, Shots
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
 
@@ -88,7 +89,8 @@ class Search:
         self._omega, self._walks = ensemble.omega, Walks(ensemble, start)
         n_states = len(start)
         n_multipliers = n_states - 1 if ensemble.is_free else n_states
-        self._shots, self._growths = Shots(n_states, n, n_multipliers), Growths(n_states, n)
+        self._shots = Shots(n_states, n, n_multipliers)
+        self._growths = Growths(n_states, n, is_rattled=ensemble.is_rattled)
         self._limits = Limits.of(ensemble, steady)
         self._phase = np.full(n, int(Phase.PAUSE))
         self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
@@ -169,16 +171,18 @@ class Search:
         """Shoot where the window contracts to a repeat."""
         reach, same = self._walks.reach[points], self._walks.same[points]
         n = converging_multiples(
-            self._walks.section[:, points],
-            self._walks.length[points],
+            self._walks.section,
+            self._walks.length,
+            points,
             np.maximum(_CLOSE * reach, same),
             self._steady.max_period_multiple,
         )
         shot = points[n > 0]
         # Below the solver's own noise Newton makes no orbit close better.
         goal = np.maximum(1e-10 * reach, 0.1 * same)[n > 0]
+        noise = self._walks.noise()[shot] * np.sqrt(n[n > 0])
         furthest = _SMALL_STEP * reach[n > 0]
-        self._shots.aim(shot, self._walks.y[:, shot], n[n > 0], goal, furthest)
+        self._shots.aim(shot, self._walks.y[:, shot], n[n > 0], goal, noise, furthest)
         self._phase[shot] = Phase.SHOOT
         self._go_on(points[n == 0])
 
@@ -239,15 +243,13 @@ class Search:
 
     def _primes(self, points: Numbers) -> Counts:
         """After how many forcing periods orbits repeat themselves: fewer than shot over, maybe."""
-        walks, n = self._walks, self._shots.n
-        tolerance = np.maximum(10.0 * walks.same, 1e-6 * walks.reach)
-        return np.array(
-            [
-                1 if n[p] == 1 else prime_multiple(self._shots.section[p], tolerance[p])
-                for p in points.tolist()
-            ],
-            np.int64,
-        )
+        tolerance = np.maximum(10.0 * self._walks.same, 1e-6 * self._walks.reach)
+        found = self._shots.n[points]
+        for n in np.unique(found[found > 1]).tolist():
+            some = points[found == n]
+            orbits = np.stack([self._shots.section[point] for point in some.tolist()], axis=1)
+            found[found == n] = prime_multiples(orbits, tolerance[some])
+        return found
 
     @_for_some
     def _compare(self, points: Numbers) -> None:
@@ -273,23 +275,26 @@ class Search:
         more = np.where(self._growths.n_blocks[points] > 0, self._limits.last[points], 0)
         n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
         self._goal[points] = goal
-        waits = np.zeros(len(points), bool)
-        for k in np.flatnonzero(~is_own).tolist():
-            shrinks = max(float(modulus[k]), 1e-12)
-            # One factor of two more: a state's directions do not shrink as one.
-            repeats = math.ceil(math.log(0.5 * goal[k] / before[k]) / math.log(shrinks))
-            stretch = max(1, repeats) * int(n[k])
-            if stretch > n_left[k]:
-                expected = shrinks ** int(last[k] // n[k])
-                has_shrunk = before[k] <= 0.5 * (1.0 + expected) * first[k]
-                is_own[k] = has_shrunk and before[k] <= near[k]
-                found, point = self._found, points[k]
-                if has_shrunk and found.lyapunov[point] > 0.0:
-                    # It is on its way, and what grew before says nothing of it.
-                    found.lyapunov[point] = found.lyapunov_error[point] = np.nan
-            else:
-                waits[k] = True
-                self._ask(points[[k]], Phase.APPROACH, stretch)
+        away = np.flatnonzero(~is_own)
+        shrinks = np.maximum(modulus, 1e-12)
+        # One factor of two more: a state's directions do not shrink as one. numpy's own logarithm
+        # is another one on another processor.
+        wanted = zip(
+            (0.5 * goal[away] / before[away]).tolist(), shrinks[away].tolist(), strict=True
+        )
+        repeats = [max(1, math.ceil(math.log(part) / math.log(each))) for part, each in wanted]
+        stretch = np.array(repeats, np.int64) * n[away]
+        is_short = stretch <= n_left[away]
+        self._ask(points[away[is_short]], Phase.APPROACH, stretch[is_short])
+        for k in away[~is_short].tolist():
+            expected = float(shrinks[k]) ** int(last[k] // n[k])
+            has_shrunk = before[k] <= 0.5 * (1.0 + expected) * first[k]
+            is_own[k] = has_shrunk and before[k] <= near[k]
+            found, point = self._found, points[k]
+            if has_shrunk and found.lyapunov[point] > 0.0:
+                # It is on its way, and what grew before says nothing of it.
+                found.lyapunov[point] = found.lyapunov_error[point] = np.nan
+        waits = np.isin(np.arange(len(points)), away[is_short])
         self._close(points[is_own])
         self._go_on(points[~is_own & ~waits])
 
@@ -334,7 +339,7 @@ class Search:
         """The next n forcing periods as a periodic orbit, closed or not, if they contract."""
         one = np.array([point])
         endless, nothing = np.array([math.inf]), np.zeros(1)
-        self._shots.aim(one, self._walks.y[:, one], np.array([n]), endless, nothing)
+        self._shots.aim(one, self._walks.y[:, one], np.array([n]), endless, nothing, nothing)
         self._phase[point] = phase
 
     @_for_some
@@ -359,8 +364,8 @@ class Search:
         may_grow = self._settled[points] & (rate > 0.0)
         grows = may_grow & (self._growths.n_blocks[points] == 0)
         late = points[grows]
-        wanted = block(rate[grows], self._omega[late], self._limits.last[late])
-        self._growths.begin(late, self._walks.y[:, late], wanted)
+        y, last = self._walks.y[:, late], self._limits.last[late]
+        self._growths.begin(late, y, rate[grows], self._omega[late], last)
         self._phase[late] = Phase.GROW
         is_recorded = self._walks.has_extrema(points)
         self._record_last(points[~grows & ~is_recorded])
@@ -368,8 +373,8 @@ class Search:
 
     @_for_some
     def _grown(self, points: Numbers, status: Counts) -> None:
-        n_periods = self._growths.n_periods[points] * self._growths.n_blocks[points]
-        self._walks.arrive(points, self._growths.y[:, points], status, n_periods)
+        elapsed = self._growths.elapsed[points]
+        self._walks.arrive(points, self._growths.y[:, points], status, elapsed)
         is_ok = status == Status.OK
         self._fail(points[~is_ok])
         going = points[is_ok]
