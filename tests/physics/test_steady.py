@@ -249,6 +249,22 @@ def test_shots_that_are_given_up_miss_no_attractor(monkeypatch):
     assert (found.t_simulated <= patient.t_simulated).all()
 
 
+def test_chaos_that_grows_much_faster_than_it_decays_has_an_exponent():
+    """In blocks three times as long its tangents overflow."""
+    oscillator = gs.Oscillator(zeta=0.006, omega_n=1.0, mass=0.75, alpha=0.0, forcing=14.4)
+    law = gs.Piecewise(4.2e5, gs.Gap(1e-3, 3e-4))
+    found = gs.respond(oscillator, law, [2.8, 2.9, 3.0])
+    assert (found.response_class == gs.ResponseClass.CHAOTIC).all()
+    # One period after the other.
+    state, vector, grown, n = (found.x_end[0], found.v_end[0]), np.array([1.0, 0.0]), 0.0, 500
+    for _ in range(n):
+        run = gs.simulate(oscillator, law, 2.8, *state, t_end=1.0 / 2.8, tangent=True)
+        state, vector = (run.x, run.v), run.monodromy @ vector
+        grown += math.log(np.linalg.norm(vector))
+        vector /= np.linalg.norm(vector)
+    assert abs(found.lyapunov[0] - grown * 2.8 / n) < 0.2 * found.lyapunov[0]
+
+
 def test_slow_motions_against_hard_smooth_walls_are_resolved():
     """Their tangents lost area to steps that suited the motion alone: no exponent was believed."""
     law = gs.contact_law("tanh-1e4", HARD, SYMMETRIC)
