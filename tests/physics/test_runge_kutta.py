@@ -234,6 +234,18 @@ def test_determinant_of_monodromy_is_the_damping(law):
     assert np.linalg.det(run.tangent[0]) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.parametrize("omega", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize("build", [rp.tanh, rp.arctan])
+def test_tangent_swings_on_where_its_motion_rests_against_a_wall(build, omega):
+    """Steps that suit a settled, slow motion damp it."""
+    law, tolerances = build(1.4e6, 0.0, 0.8e-3, 1e4), {"rtol": 1e-7, "atol": 1e-10}
+    settled = integrate(law, omega=omega, t_end=20.0, **tolerances)  # whole periods
+    start = {"x_0": settled.x[0], "v_0": settled.v[0]}
+    run = integrate(law, omega=omega, t_end=3.0, tangent=True, **start, **tolerances)
+    expected = math.exp(-2 * ZETA * 2 * math.pi * OMEGA_N * 3.0)
+    assert np.linalg.det(run.tangent[0]) == pytest.approx(expected, rel=1e-3)
+
+
 @pytest.mark.parametrize("name", SMOOTH)
 def test_monodromy_agrees_with_central_differences(name):
     law = SMOOTH[name][0](1.4e4, *GAP, 1e4)

@@ -140,7 +140,9 @@ def test_its_samples_lie_on_it(motion):
     run = gs.simulate(machine(), LAWS, 3.5, t_end=1.5, dense_output=True, **START, **TIGHT)
     t = np.array([0.0, 0.4, 1.0 / 3.5, 1.5])
     q, v, z = run.sample(t)
-    assert_allclose(q[-1], motion.q, rtol=0.0, atol=1e-12)
+    # Whose steps are not cut for a tangent.
+    end = gs.simulate(machine(), LAWS, 3.5, t_end=1.5, **START, **TIGHT)
+    assert_allclose(q[-1], end.q, rtol=0.0, atol=1e-12)
     assert_allclose([*q[2], *v[2], *z[2]], motion.section[0], rtol=0.0, atol=1e-9)
     middle = solved(3.5, 0.4).y[:5, -1]
     assert_allclose([*q[1], *v[1], *z[1]], middle, rtol=0.0, atol=1e-8)

@@ -9,7 +9,7 @@ from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import System
 
 # A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
-_TANGENT_RTOL = 1e-8
+_TANGENT_RTOL = 1e-7
 _LOOSE = 1e-5  # at looser tolerances an error estimate does not see the edge of a sharp layer
 
 

@@ -22,6 +22,8 @@ SAFETY = 0.75
 GROW_LIMIT, SHRINK_LIMIT = 3.0, 0.2
 # An attempt within 10 % of the end is stretched to it (ode45's rule, kept for both controllers).
 STRETCH = 1.1
+# A tangent need not be better than this; nor a coordinate of it that moves by less than this share.
+TANGENT_RTOL, FAINT = 1e-8, 1e-3
 
 
 class Outcome(NamedTuple):
@@ -42,12 +44,7 @@ def _error(at, tableau, lane, k, settings, h):
     rtol, atol = settings[ln.S_RTOL], settings[ln.S_ATOL]
     e5, e3, worst, lost = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
     for i in range(at.n_rates):
-        ex5, ev5, ex3, ev3 = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
-        for j in range(tableau.c.size):
-            k_j = load(k, j * at.n_rates + i)
-            ev5, ev3 = fma(k_j, tableau.e[0, j], ev5), fma(k_j, tableau.e[1, j], ev3)
-            if i < at.n:
-                ex5, ex3 = fma(k_j, tableau.ebar[0, j], ex5), fma(k_j, tableau.ebar[1, j], ex3)
+        ex5, ev5, ex3, ev3 = _differences(at, tableau, k, 0, i)
         size_v = _size(lane, at.old_v + i, at.v_1 + i)  # first-order states stand after the speeds
         size_x = _size(lane, at.old_q + i, at.q_1 + i) if i < at.n else size_v
         if settings[ln.S_ODE45] > 0.0:
@@ -63,6 +60,59 @@ def _error(at, tableau, lane, k, settings, h):
         return worst / rtol + lost
     n = float(at.n_states)
     return e5 / simd.sqrt(maximum(n * fma(0.01, e3, e5), 1e-300)) + 0.0 * e5
+
+
+@inlined
+def _differences(at, tableau, k, first, i):
+    """Of derivatives in rows of `k` from `first` on, what the two embedded formulas differ by."""
+    ex5, ev5, ex3, ev3 = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
+    for j in range(tableau.c.size):
+        k_j = load(k, first + j * at.n_rates + i)
+        ev5, ev3 = fma(k_j, tableau.e[0, j], ev5), fma(k_j, tableau.e[1, j], ev3)
+        if i < at.n:
+            ex5, ex3 = fma(k_j, tableau.ebar[0, j], ex5), fma(k_j, tableau.ebar[1, j], ex3)
+    return ex5, ev5, ex3, ev3
+
+
+@inlined
+def _tangent_error(at, tableau, lane, k, settings, h):
+    """The same of the tangent's columns: the largest of them, each beside its own size.
+
+    A tangent swings on where its motion has come to rest against a wall, and is damped by steps
+    that are too long for it. Zero where it has overflowed: that is no fault of the motion.
+    """
+    tol, worst = max(settings[ln.S_RTOL], TANGENT_RTOL), simd.splat(0.0)
+    for column in range(at.n_states):
+        before = at.tangent_state + column * at.n_states
+        after = at.old_tangent + column * at.n_states
+        first, largest = column * tableau.c.size * at.n_rates, simd.splat(1e-300)
+        for i in range(at.n):
+            largest = maximum(largest, _tangent_size(at, lane, before, after, i, h))
+        e5, e3 = simd.splat(0.0), simd.splat(0.0)
+        for i in range(at.n_rates):
+            ex5, ev5, ex3, ev3 = _differences(at, tableau, k, first, i)
+            if i < at.n:
+                size = fma(FAINT, largest, _tangent_size(at, lane, before, after, i, h))
+                w = h * h / (tol * size)
+            else:
+                w = h / (tol * maximum(_size(lane, before + at.n + i, after + at.n + i), 1e-300))
+            rx5, rv5, rx3, rv3 = ex5 * w, ev5 * w, ex3 * w, ev3 * w
+            e5, e3 = fma(rx5, rx5, fma(rv5, rv5, e5)), fma(rx3, rx3, fma(rv3, rv3, e3))
+        if settings[ln.S_ODE45] > 0.0:
+            error = simd.sqrt(e5)
+        else:
+            n = float(at.n_states)
+            error = e5 / simd.sqrt(maximum(n * fma(0.01, e3, e5), 1e-300))
+        worst = maximum(worst, select(error < 1e300, error, 0.0))
+    return worst
+
+
+@inlined
+def _tangent_size(at, lane, before, after, i, h):
+    """How far a column leads in a step: the place alone may be passing zero."""
+    return fma(
+        h, _size(lane, before + at.n + i, after + at.n + i), _size(lane, before + i, after + i)
+    )
 
 
 @inlined
@@ -324,6 +374,9 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     _keep_start(at, lane, h)
     stages(at, kinds, q, lane, tableau, k, h)
     error = _error(at, tableau, lane, k, settings, h)
+    if settings[ln.S_TANGENT] > 0.0:
+        tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h)
+        error = maximum(_tangent_error(at, tableau, lane, k_tangent, settings, h), error)
     # A landing repeats an accepted step in part; its error is smaller and must not be judged anew.
     accepted = (error <= 1.0) | ((exact == 2.0) & (error < 1e300))
     commit = accepted & ~probing
@@ -344,7 +397,6 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     ended = commit & to_end
     passed_turn = _commit(at, lane, commit, ended, h)
     if settings[ln.S_TANGENT] > 0.0:
-        tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h)
         _commit_tangent(at, lane, commit)
     h_next = minimum(maximum(walls.h_next, h_min), load(lane, at.h_max))
     store(lane, at.h, select(probing, h_asked, h_next))
