@@ -15,7 +15,7 @@ from .series import Lanes, dot, pointers
 from .step import value_and_slope
 
 TOUCH = 1e-12  # of the velocity: a closer approach to zero is a touch, by the same measure
-_NEWTON_STEPS = 4
+_NEWTON_STEPS = 3
 _CLOSE = 1e-7  # of the step: largest last correction; the error left is about its square
 
 
