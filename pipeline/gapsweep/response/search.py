@@ -27,10 +27,11 @@ from gapsweep.response.section import (
     norm,
     period_multiples,
     prime_multiple,
+    prime_multiples,
     repeat_nearly,
     rotation_number,
 )
-from gapsweep.response.shooting import Growths, Shots, block
+from gapsweep.response.shooting import Growths, Shots
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
 
@@ -58,6 +59,8 @@ _LOOKS = 4
 _CLOSE = 0.1
 # Newton may move this share of the response's reach; from farther away it leads anywhere.
 _SMALL_STEP = 0.2
+# How often shots that converge may end in the solver's noise before the motion's last look.
+_MOST_TIRED = 3
 # Before an orbit counts as its own, the motion must come within this share of the reach of it,
 # and this much closer than it was.
 _NEAR = 1e-2
@@ -88,7 +91,8 @@ class Search:
         self._omega, self._walks = ensemble.omega, Walks(ensemble, start)
         n_states = len(start)
         n_multipliers = n_states - 1 if ensemble.is_free else n_states
-        self._shots, self._growths = Shots(n_states, n, n_multipliers), Growths(n_states, n)
+        self._shots = Shots(n_states, n, n_multipliers)
+        self._growths = Growths(n_states, n, is_rattled=ensemble.is_rattled)
         self._limits = Limits.of(ensemble, steady)
         self._phase = np.full(n, int(Phase.PAUSE))
         self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
@@ -174,11 +178,16 @@ class Search:
             np.maximum(_CLOSE * reach, same),
             self._steady.max_period_multiple,
         )
+        if not self._ensemble.is_rattled:  # what is comes near its orbits by chance
+            # A solver's noise that kept orbits open will do so again.
+            is_last = self._growths.n_blocks[points] > 0
+            n[(self._shots.n_tired[points] >= _MOST_TIRED) & ~is_last] = 0
         shot = points[n > 0]
         # Below the solver's own noise Newton makes no orbit close better.
         goal = np.maximum(1e-10 * reach, 0.1 * same)[n > 0]
+        noise = 0.25 * same[n > 0] * np.sqrt(n[n > 0])
         furthest = _SMALL_STEP * reach[n > 0]
-        self._shots.aim(shot, self._walks.y[:, shot], n[n > 0], goal, furthest)
+        self._shots.aim(shot, self._walks.y[:, shot], n[n > 0], goal, noise, furthest)
         self._phase[shot] = Phase.SHOOT
         self._go_on(points[n == 0])
 
@@ -239,15 +248,13 @@ class Search:
 
     def _primes(self, points: Numbers) -> Counts:
         """After how many forcing periods orbits repeat themselves: fewer than shot over, maybe."""
-        walks, n = self._walks, self._shots.n
-        tolerance = np.maximum(10.0 * walks.same, 1e-6 * walks.reach)
-        return np.array(
-            [
-                1 if n[p] == 1 else prime_multiple(self._shots.section[p], tolerance[p])
-                for p in points.tolist()
-            ],
-            np.int64,
-        )
+        tolerance = np.maximum(10.0 * self._walks.same, 1e-6 * self._walks.reach)
+        found = self._shots.n[points]
+        for n in np.unique(found[found > 1]).tolist():
+            some = points[found == n]
+            orbits = np.stack([self._shots.section[point] for point in some.tolist()], axis=1)
+            found[found == n] = prime_multiples(orbits, tolerance[some])
+        return found
 
     @_for_some
     def _compare(self, points: Numbers) -> None:
@@ -334,7 +341,7 @@ class Search:
         """The next n forcing periods as a periodic orbit, closed or not, if they contract."""
         one = np.array([point])
         endless, nothing = np.array([math.inf]), np.zeros(1)
-        self._shots.aim(one, self._walks.y[:, one], np.array([n]), endless, nothing)
+        self._shots.aim(one, self._walks.y[:, one], np.array([n]), endless, nothing, nothing)
         self._phase[point] = phase
 
     @_for_some
@@ -359,8 +366,8 @@ class Search:
         may_grow = self._settled[points] & (rate > 0.0)
         grows = may_grow & (self._growths.n_blocks[points] == 0)
         late = points[grows]
-        wanted = block(rate[grows], self._omega[late], self._limits.last[late])
-        self._growths.begin(late, self._walks.y[:, late], wanted)
+        y, last = self._walks.y[:, late], self._limits.last[late]
+        self._growths.begin(late, y, rate[grows], self._omega[late], last)
         self._phase[late] = Phase.GROW
         is_recorded = self._walks.has_extrema(points)
         self._record_last(points[~grows & ~is_recorded])

@@ -326,11 +326,24 @@ def prime_multiple(orbit: Array, tolerance: float) -> int:
     tolerance : float
         Largest distance [m] of two points, in any component, taken for the same.
     """
-    n = int(orbit.shape[1])
-    for d in range(1, n):
-        if n % d == 0 and _are_near(orbit, np.roll(orbit, d, axis=1), tolerance).all():
-            return d
-    return n
+    return int(prime_multiples(orbit[:, None], np.array([tolerance]))[0])
+
+
+def prime_multiples(orbits: Array, tolerance: Array) -> Counts:
+    """`prime_multiple` of orbits of one length.
+
+    Parameters
+    ----------
+    orbits : ndarray, shape (n_states, m, n)
+    tolerance : ndarray, shape (m,)
+    """
+    n = int(orbits.shape[2])
+    found = np.full(orbits.shape[1], n, np.int64)
+    for d in range(n // 2, 0, -1):
+        if n % d == 0:
+            repeats = _are_near(orbits, np.roll(orbits, d, axis=2), tolerance[:, None])
+            found[repeats.all(axis=1)] = d
+    return found
 
 
 def _are_near(p: Array, q: Array, tolerance: Any) -> NDArray[np.bool_]:

@@ -33,11 +33,11 @@ _STRETCHES = 2.0
 # Newton's steps that shorten no more than this are the solver's noise.
 _SHORTENS = 0.5
 
-# Lyapunov exponent: as many blocks, each at least this part of the decay time, after one to align
-# the vector.
-_N_BLOCKS = 60
-_BLOCK = 0.47
-_BATCH = 6  # blocks per batch mean: neighbouring blocks are correlated
+# Lyapunov exponent: the mean of as many batches, each at least this long, in decay times: what one
+# of them finds says nothing of the next one. Each is of some blocks, after one to align the vector.
+_N_BATCHES, _BATCH = 10, 2.82
+# A rattled motion leaves the one that its tangent belongs to the farther the longer a block is.
+_BLOCKS, _BLOCKS_RATTLED = 2, 6
 
 
 class Shots:
@@ -57,6 +57,8 @@ class Shots:
         Section points per second [Hz] on an orbit that was found.
     section : list of ndarray, shape (n_states, n)
         Section points [m] of an orbit that was found.
+    n_tired : ndarray of int, shape (n_points,)
+        How often steps went on for as long as they may and did not close an orbit.
     """
 
     def __init__(self, n_states: int, n_points: int, n_multipliers: int) -> None:
@@ -67,9 +69,12 @@ class Shots:
         self.section = [np.empty((n_states, 0))] * n_points
         self._moved, self._tries = np.zeros_like(self.y), np.zeros(n_points, np.int64)
         self._last = np.zeros(n_points)  # length of the last step
-        self._goal, self._furthest = np.zeros(n_points), np.zeros(n_points)
+        self._goal, self._noise, self._furthest = np.zeros((3, n_points))
+        self.n_tired = np.zeros(n_points, np.int64)
 
-    def aim(self, points: Numbers, y: Array, n: Counts, goal: Array, furthest: Array) -> None:
+    def aim(
+        self, points: Numbers, y: Array, n: Counts, goal: Array, noise: Array, furthest: Array
+    ) -> None:
         """Begin near states.
 
         Parameters
@@ -78,13 +83,15 @@ class Shots:
         y : ndarray, shape (n_states, m)
         n : ndarray of int, shape (m,)
         goal : ndarray, shape (m,)
-            Distance [m] from the orbit at which it is found. Where the solver's noise lets no step
-            be as short, its ends must be this close.
+            Distance [m] from the orbit at which it is found.
+        noise : ndarray, shape (m,)
+            How far apart [m] the solver's noise may keep an orbit's ends, where it lets no step be
+            as short.
         furthest : ndarray, shape (m,)
             Distance [m] from `y` beyond which it is given up.
         """
         self.y[:, points], self.n[points] = y, n
-        self._goal[points], self._furthest[points] = goal, furthest
+        self._goal[points], self._noise[points], self._furthest[points] = goal, noise, furthest
         self._moved[:, points], self._tries[points] = 0.0, 0
         self._last[points] = np.inf
 
@@ -112,15 +119,18 @@ class Shots:
             step = newton_steps(call.monodromy[motions], missed.T).T
             length = norm(step)
             # Ends that meet are not enough: weakly contracting, the orbit is much farther away.
-            is_at_best = (norm(missed) <= goal) & (length >= _SHORTENS * self._last[points])
+            is_near = norm(missed) <= np.maximum(goal, self._noise[points])
+            is_at_best = is_near & (length >= _SHORTENS * self._last[points])
             is_found = is_ok & call.is_sound[motions] & ((length <= goal) | is_at_best)
             multipliers = floquet_multipliers(call.monodromy[motions], call.determinant[motions])
             self._keep(points[is_found], motions[is_found], multipliers[is_found], call)
             self._tries[points], self._last[points] = self._tries[points] + 1, length
             moved = self._moved[:, points] + step
-            goes_on = is_ok & ~is_found & (self._tries[points] < _MAX_NEWTON)
-            goes_on &= np.abs(multipliers[:, 0]) <= _STRETCHES
+            goes_on = is_ok & ~is_found & (np.abs(multipliers[:, 0]) <= _STRETCHES)
             goes_on &= norm(moved) <= self._furthest[points]
+            tires = goes_on & (self._tries[points] >= _MAX_NEWTON)
+            self.n_tired[points] += tires
+            goes_on &= ~tires
         left = points[goes_on]
         self._moved[:, left] = moved[:, goes_on]
         self.y[:, left] = (y + step * unit)[:, goes_on]
@@ -151,18 +161,33 @@ class Growths:
         How far [m] the solver strayed in a block: root of the mean square.
     """
 
-    def __init__(self, n_states: int, n_points: int) -> None:
+    def __init__(self, n_states: int, n_points: int, *, is_rattled: bool) -> None:
+        self._per_batch = _BLOCKS_RATTLED if is_rattled else _BLOCKS
+        self._most = _N_BATCHES * self._per_batch + 1
         self.y = np.empty((n_states, n_points))
         self.n_periods, self.n_blocks = np.zeros(n_points, np.int64), np.zeros(n_points, np.int64)
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
         # Of every block its factor, and section points per second.
-        self._factors = np.empty((n_points, 2, _N_BLOCKS + 1))
+        self._factors = np.empty((n_points, 2, self._most))
 
-    def begin(self, points: Numbers, y: Array, wanted: Array) -> None:
-        """Begin at states, with blocks of at least so many forcing periods."""
+    def begin(self, points: Numbers, y: Array, rate: Array, omega: Array, longest: Counts) -> None:
+        """Begin at states.
+
+        Parameters
+        ----------
+        points : ndarray of int, shape (m,)
+        y : ndarray, shape (n_states, m)
+        rate : ndarray, shape (m,)
+            Settling rate [1/s], > 0.
+        omega : ndarray, shape (m,)
+            Forcing frequency [Hz].
+        longest : ndarray of int, shape (m,)
+            Forcing periods that all blocks together may have, about.
+        """
         # No coordinate may be left out: another one's growth may never reach it.
         start = np.linspace(1.0, 0.0, len(y))
         self.y[:, points], self._direction[points], self.n_blocks[points] = y, start, 0
+        wanted = np.minimum(_BATCH / self._per_batch / rate * omega, longest / self._most)
         self.n_periods[points] = np.maximum(1, np.ceil(wanted))
 
     def step(self, points: Numbers, motions: Numbers, call: Call) -> tuple[Mask, Counts]:
@@ -189,7 +214,7 @@ class Growths:
         before, strayed = self.strayed[points], call.strayed[motions]
         mean_square = before**2 + (strayed**2 - before**2) / self.n_blocks[points]
         self.strayed[points] = np.sqrt(mean_square)
-        return ~is_ok | (self.n_blocks[points] > _N_BLOCKS), status
+        return ~is_ok | (self.n_blocks[points] == self._most), status
 
     def exponents(self, points: Numbers) -> tuple[Array, Array]:
         """Largest Lyapunov exponents [1/s] of motions that have all blocks; standard errors.
@@ -202,8 +227,8 @@ class Growths:
         logs = [math.log(factor) if factor else -math.inf for factor in factors.ravel().tolist()]
         rates = np.reshape(logs, factors.shape) * omega / self.n_periods[points, None]
         with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing
-            batches = rates.reshape(len(points), -1, _BATCH).mean(axis=2)
-            error = batches.std(axis=1, ddof=1) / math.sqrt(batches.shape[1])
+            batches = rates.reshape(len(points), _N_BATCHES, -1).mean(axis=2)
+            error = batches.std(axis=1, ddof=1) / math.sqrt(_N_BATCHES)
         return batches.mean(axis=1), error
 
     def scatter(self, point: int, omega: float, exponent: float) -> float:
@@ -214,18 +239,3 @@ class Growths:
         """
         shrinks = 2.0 * exponent * int(self.n_periods[point]) / omega
         return math.sqrt(2.0 / -math.expm1(shrinks)) * float(self.strayed[point])
-
-
-def block(rate: Array, omega: Array, longest: Counts) -> Array:
-    """Forcing periods [-] that a block of growth should have.
-
-    Parameters
-    ----------
-    rate : ndarray
-        Settling rate [1/s], > 0.
-    omega : ndarray
-        Forcing frequency [Hz].
-    longest : ndarray of int
-        Forcing periods that all blocks together may have, about.
-    """
-    return np.asarray(np.minimum(_BLOCK / rate * omega, longest / (_N_BLOCKS + 1)))
