@@ -31,6 +31,7 @@ from gapsweep.make import (
     failed_motions,
     try_out_own_laws,
     update,
+    update_points,
 )
 from gapsweep.own_code import check_modules
 from gapsweep.stages import RESPONSES, made_from, reason_to_run, sources, stages_of
@@ -266,27 +267,31 @@ def carry_out(
 
         how |= {"timeout": timeout, "retry_failed": retry_failed, "begin": begin}
         progress = _computed(study, client, planned, cache, recorder, **how)
-        with Cache(cache_path(cache), read_only=True) as store:
-            if planned.n_missing:
-                planned = _as_stored(planned, store)
-            recorder.write()
-            with alone_in(folder):
-                check_owner(study, folder)
-                update(
-                    study,
-                    planned,
-                    store,
-                    folder,
-                    timeout=timeout,
-                    retry_failed=retry_failed,
-                    say=partial(_tell, recorder, progress),
-                )
+        say = partial(_tell, recorder, progress)
+        recorder.write()
+        with alone_in(folder):
+            check_owner(study, folder)
+            with Cache(cache_path(cache), read_only=True) as store:
+                if planned.n_missing:
+                    planned = _as_stored(planned, store)
+                given = update_points(study, planned, store, folder, say)
+            failures = _failures(planned)
+            del planned, store  # a tenth of a gigabyte of keys at a million points
+            update(
+                study,
+                folder,
+                given,
+                n_points=progress.n_points,
+                timeout=timeout,
+                retry_failed=retry_failed,
+                say=say,
+            )
     values = partial(netcdf.values, folder / RESPONSES)
     if study.spec.system is None and (said := far_walls(values)):
         warnings.warn(said, stacklevel=3)
     motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
     failed = {file: counts for file, counts in motions.items() if counts}
-    return Outcome(folder, progress, _failures(planned), failed)
+    return Outcome(folder, progress, failures, failed)
 
 
 @salvaging
