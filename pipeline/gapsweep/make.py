@@ -252,7 +252,7 @@ def bench(
         raise StudyError([f"{study.source}: bench: missing; it names scenes and methods"])
     folder = run_folder(study, out)
     check_writable(folder)
-    try_out_own_laws(study)
+    try_out_own_laws(study, timeout, say)
     own_law.refresh()
     made = []
     with alone_in(folder):
@@ -267,12 +267,12 @@ def bench(
     return made
 
 
-def try_out_own_laws(study: Study) -> None:
+def try_out_own_laws(study: Study, timeout: float, say: Callable[[str], None] | None) -> None:
     """Refuse laws of the user's own that would end this process, or hang, where keys are made."""
     if study.own_laws:
         from gapsweep.execution.try_out import try_out
 
-        try_out(study)
+        try_out(study, timeout, say or (lambda _: None))
 
 
 def failed_motions(path: Path) -> dict[str, int]:
