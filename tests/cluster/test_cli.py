@@ -145,7 +145,10 @@ def test_status_tells_how_a_run_ended(finished):
     assert {name: state[name] for name in ("state", "points", "hits", "computed", "failed")} == {
         "state": "finished", "points": 4, "hits": 0, "computed": 4, "failed": 0
     }  # fmt: skip
-    assert "4 of 4 points" in gapsweep(finished, "status", "data/runs/tiny").stdout
+    assert (state["damaged"], state["not_checked"]) == ([], [])
+    said = gapsweep(finished, "status", "data/runs/tiny").stdout
+    assert "4 of 4 points" in said
+    assert "damaged" not in said
 
 
 def test_query_prints_what_was_selected_and_computes_only_the_rest(finished):

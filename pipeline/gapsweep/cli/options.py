@@ -4,6 +4,7 @@ Nothing is imported here that takes time: whoever asks for help shall not wait.
 """
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +61,14 @@ selection = click.option(
     "for several keys.",
 )
 
+_FEW = 5
 _LABELLED = ("representation", "gap")
+
+
+def first(names: Sequence[str]) -> str:
+    """The first few of some names, and how many more there are."""
+    more = [f"{len(names) - _FEW} more"] if len(names) > _FEW else []
+    return ", ".join([*names[:_FEW], *more])
 
 
 def loaded(path: Path, engine: str | None) -> "Study":
