@@ -245,6 +245,7 @@ def test_failed_points_end_with_their_own_exit_code(folder):
     ("change", "message"),
     [
         (("[study]", "[study"), "tiny.toml: not valid TOML"),
+        (("[study]", f"a = {9999 * '['}"), "not valid TOML: brackets nested too deeply"),
         (("tanh-1e4", "tanhh-1e4"), "sweep[0].representation[1] = 'tanhh-1e4': unknown"),
         (("1.4e4]", "-1.4e4]"), "sweep[0].K_c[0] = -14000.0: must be >= 0"),
         (("[[0.4e-3,", "[[-0.4e-3,"), "sweep[0].gap[0][0] = -0.0004: must be >= 0"),

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from gapsweep.study.study import Study
 
 FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
+FEW = 5  # of many names that are told
 ENGINES = ("compiled", "scipy")  # those of gapsweep.integrate.problem, without its imports
 
 study = click.argument("study", type=click.Path(path_type=Path))
@@ -61,14 +62,13 @@ selection = click.option(
     "for several keys.",
 )
 
-_FEW = 5
 _LABELLED = ("representation", "gap")
 
 
 def first(names: Sequence[str]) -> str:
     """The first few of some names, and how many more there are."""
-    more = [f"{len(names) - _FEW} more"] if len(names) > _FEW else []
-    return ", ".join([*names[:_FEW], *more])
+    more = [f"{len(names) - FEW} more"] if len(names) > FEW else []
+    return ", ".join([*names[:FEW], *more])
 
 
 def loaded(path: Path, engine: str | None) -> "Study":
