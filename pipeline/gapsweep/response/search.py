@@ -280,23 +280,26 @@ class Search:
         more = np.where(self._growths.n_blocks[points] > 0, self._limits.last[points], 0)
         n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
         self._goal[points] = goal
-        waits = np.zeros(len(points), bool)
-        for k in np.flatnonzero(~is_own).tolist():
-            shrinks = max(float(modulus[k]), 1e-12)
-            # One factor of two more: a state's directions do not shrink as one.
-            repeats = math.ceil(math.log(0.5 * goal[k] / before[k]) / math.log(shrinks))
-            stretch = max(1, repeats) * int(n[k])
-            if stretch > n_left[k]:
-                expected = shrinks ** int(last[k] // n[k])
-                has_shrunk = before[k] <= 0.5 * (1.0 + expected) * first[k]
-                is_own[k] = has_shrunk and before[k] <= near[k]
-                found, point = self._found, points[k]
-                if has_shrunk and found.lyapunov[point] > 0.0:
-                    # It is on its way, and what grew before says nothing of it.
-                    found.lyapunov[point] = found.lyapunov_error[point] = np.nan
-            else:
-                waits[k] = True
-                self._ask(points[[k]], Phase.APPROACH, stretch)
+        away = np.flatnonzero(~is_own)
+        shrinks = np.maximum(modulus, 1e-12)
+        # One factor of two more: a state's directions do not shrink as one. numpy's own logarithm
+        # is another one on another processor.
+        wanted = zip(
+            (0.5 * goal[away] / before[away]).tolist(), shrinks[away].tolist(), strict=True
+        )
+        repeats = [max(1, math.ceil(math.log(part) / math.log(each))) for part, each in wanted]
+        stretch = np.array(repeats, np.int64) * n[away]
+        is_short = stretch <= n_left[away]
+        self._ask(points[away[is_short]], Phase.APPROACH, stretch[is_short])
+        for k in away[~is_short].tolist():
+            expected = float(shrinks[k]) ** int(last[k] // n[k])
+            has_shrunk = before[k] <= 0.5 * (1.0 + expected) * first[k]
+            is_own[k] = has_shrunk and before[k] <= near[k]
+            found, point = self._found, points[k]
+            if has_shrunk and found.lyapunov[point] > 0.0:
+                # It is on its way, and what grew before says nothing of it.
+                found.lyapunov[point] = found.lyapunov_error[point] = np.nan
+        waits = np.isin(np.arange(len(points)), away[is_short])
         self._close(points[is_own])
         self._go_on(points[~is_own & ~waits])
 
