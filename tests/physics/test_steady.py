@@ -317,7 +317,7 @@ def test_contraction_is_told_from_drift_and_growth():
         sections = np.full((2, len(section) + 9), 1e9 + 0j)
         sections[0, : len(section)] = section
         lengths, both = np.array([len(section), len(section) + 9]), np.ones(2)
-        given = parts(sections), lengths, closeness * both
+        given = parts(sections), lengths, np.arange(2), closeness * both
         return converging_multiples(*given, largest).tolist()[0]
 
     k = np.arange(12.0)

@@ -173,8 +173,9 @@ class Search:
         """Shoot where the window contracts to a repeat."""
         reach, same = self._walks.reach[points], self._walks.same[points]
         n = converging_multiples(
-            self._walks.section[:, points],
-            self._walks.length[points],
+            self._walks.section,
+            self._walks.length,
+            points,
             np.maximum(_CLOSE * reach, same),
             self._steady.max_period_multiple,
         )

@@ -164,7 +164,7 @@ def period_multiples(
     -------
     ndarray of int, shape (m,)
     """
-    latest = _latest(sections[:, points], lengths[points], largest)
+    latest = _latest(sections, lengths, points, largest)
     allowed = tolerance[:, None] * np.sqrt(np.arange(1, largest + 1))
     with np.errstate(invalid="ignore"):
         may = _are_near(latest[..., 1:], latest[..., :1], allowed)  # mostly this alone decides
@@ -176,7 +176,7 @@ def period_multiples(
 
 
 def converging_multiples(
-    sections: Array, lengths: Counts, closeness: Array, largest: int
+    sections: Array, lengths: Counts, points: Numbers, closeness: Array, largest: int
 ) -> Counts:
     """Smallest n towards whose repeat each section is contracting as well as any; 0 if none is.
 
@@ -187,10 +187,12 @@ def converging_multiples(
 
     Parameters
     ----------
-    sections : ndarray, shape (n_states, m, longest)
+    sections : ndarray, shape (n_states, n, longest)
         Section points [m].
-    lengths : ndarray of int, shape (m,)
+    lengths : ndarray of int, shape (n,)
         How many there are in each row.
+    points : ndarray of int, shape (m,)
+        Numbers of the rows.
     closeness : ndarray, shape (m,)
         Distance [m] from which shooting is worth a try.
     largest : int
@@ -200,9 +202,9 @@ def converging_multiples(
     -------
     ndarray of int, shape (m,)
     """
-    n_tried = max(0, min(largest, int(lengths.max(initial=0)) - 4))
-    latest = _latest(sections, lengths, n_tried + _WATCHED - 1)
-    may = np.ones((len(lengths), n_tried), bool)
+    n_tried = max(0, min(largest, int(lengths[points].max(initial=0)) - 4))
+    latest = _latest(sections, lengths, points, n_tried + _WATCHED - 1)
+    may = np.ones((len(points), n_tried), bool)
     with np.errstate(invalid="ignore"):
         for i in range(4):
             earlier = latest[:, :, i + 1 : i + 1 + n_tried]
@@ -215,21 +217,21 @@ def converging_multiples(
     steps = np.where(steps < closeness[section, None], steps, np.nan)
     contracts = steps[:, :2].max(axis=1) <= np.fmax.reduce(steps[:, 2:], axis=1)
     farthest = np.where(contracts, steps[:, :4].max(axis=1), np.nan)  # NaN beyond `closeness`
-    best = np.full(len(lengths), np.inf)
+    best = np.full(len(points), np.inf)
     np.fmin.at(best, section, farthest)
     converging = farthest <= _AS_WELL * best[section]
-    found = np.zeros(len(lengths), np.int64)
+    found = np.zeros(len(points), np.int64)
     hits, first = np.unique(section[converging], return_index=True)
     found[hits] = before[converging][first] + 1
     return found
 
 
-def _latest(sections: Array, lengths: Counts, n: int) -> Array:
-    """The last n + 1 points of each row, the last one first; NaN where there are fewer."""
-    column = lengths[:, None] - 1 - np.arange(n + 1)
+def _latest(sections: Array, lengths: Counts, points: Numbers, n: int) -> Array:
+    """The last n + 1 points of some rows, the last one first; NaN where there are fewer."""
+    column = lengths[points, None] - 1 - np.arange(n + 1)
     inside = column >= 0
-    rows = np.arange(len(lengths))[:, None]
-    return np.where(inside, sections[:, rows, np.where(inside, column, 0)], np.nan)
+    found = sections[:, points[:, None], np.where(inside, column, 0)]
+    return found if inside.all() else np.where(inside, found, np.nan)
 
 
 def is_quasiperiodic(section: Array) -> bool:
