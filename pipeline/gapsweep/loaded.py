@@ -7,6 +7,7 @@ the old one would be kept under the key of the new one.
 
 import importlib.util
 import marshal
+import struct
 import time
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def forget_old_byte_code(package: Path) -> None:
         kept = Path(importlib.util.cache_from_source(str(source)))
         try:
             # No date that a file can be given: when the source came to stand where it is.
-            if kept.stat().st_mtime > source.stat().st_ctime:
+            if LOADED >= kept.stat().st_mtime > source.stat().st_ctime:
                 continue
         except OSError:  # there is none
             continue
@@ -41,12 +42,20 @@ def forget_old_byte_code(package: Path) -> None:
 
 def _is_of_another(kept: Path, source: Path) -> bool:
     """Whether byte code that this Python would run is not what it would make of the source."""
-    found = kept.read_bytes()
-    if not found.startswith(importlib.util.MAGIC_NUMBER):
+    found, stat = kept.read_bytes(), source.stat()
+    if not found.startswith(importlib.util.MAGIC_NUMBER) or len(found) <= _HEADER:
+        return False
+    flags, date, size = struct.unpack("<3I", found[4:_HEADER])
+    # As Python compares them (PEP 552).
+    noted = int(stat.st_mtime) & 0xFFFFFFFF, stat.st_size & 0xFFFFFFFF
+    if flags == 0 and (date, size) != noted:
         return False
     made = compile(source.read_bytes(), str(source), "exec", dont_inherit=True)
-    # Equal code may have other paths in it.
-    return bool(marshal.loads(found[_HEADER:]) != made)
+    try:
+        # Equal code may have other paths in it.
+        return bool(marshal.loads(found[_HEADER:]) != made)
+    except (EOFError, TypeError, ValueError):  # cut off
+        return True
 
 
 # Before anything is imported that a result depends on.

@@ -14,7 +14,7 @@ from tests.stored import tile_rows
 
 import gapsweep as gs
 from gapsweep.report import figures
-from gapsweep.response import ensemble, search, shooting
+from gapsweep.response import ensemble, shooting
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.result import Responses
 from gapsweep.response.section import (
@@ -247,17 +247,6 @@ def test_shots_that_are_given_up_miss_no_attractor(monkeypatch):
     assert np.array_equal(found.response_class, patient.response_class)
     assert np.array_equal(found.period_multiple, patient.period_multiple)
     assert (found.t_simulated <= patient.t_simulated).all()
-
-
-def test_shots_that_end_in_noise_are_not_fired_for_ever(monkeypatch):
-    """At 1e-6 these sharp walls keep Newton's orbits open by more than tolerances say."""
-    law, omega = gs.contact_law("tanh-1e4", HARD, SYMMETRIC), [16.96, 22.668, 24.16, 27.234]
-    found = gs.respond(gs.Oscillator(), law, omega, rtol=1e-6, atol=1e-9)
-    monkeypatch.setattr(search, "_MOST_TIRED", math.inf)
-    patient = gs.respond(gs.Oscillator(), law, omega, rtol=1e-6, atol=1e-9)
-    assert (found.response_class == gs.ResponseClass.PERIODIC).all()
-    assert np.array_equal(found.period_multiple, patient.period_multiple)
-    assert found.nfev.sum() < 0.9 * patient.nfev.sum()
 
 
 def test_slow_motions_against_hard_smooth_walls_are_resolved():

@@ -59,8 +59,6 @@ _LOOKS = 4
 _CLOSE = 0.1
 # Newton may move this share of the response's reach; from farther away it leads anywhere.
 _SMALL_STEP = 0.2
-# How often shots that converge may end in the solver's noise before the motion's last look.
-_MOST_TIRED = 3
 # Before an orbit counts as its own, the motion must come within this share of the reach of it,
 # and this much closer than it was.
 _NEAR = 1e-2
@@ -179,14 +177,10 @@ class Search:
             np.maximum(_CLOSE * reach, same),
             self._steady.max_period_multiple,
         )
-        if not self._ensemble.is_rattled:  # what is comes near its orbits by chance
-            # A solver's noise that kept orbits open will do so again.
-            is_last = self._growths.n_blocks[points] > 0
-            n[(self._shots.n_tired[points] >= _MOST_TIRED) & ~is_last] = 0
         shot = points[n > 0]
         # Below the solver's own noise Newton makes no orbit close better.
         goal = np.maximum(1e-10 * reach, 0.1 * same)[n > 0]
-        noise = 0.25 * same[n > 0] * np.sqrt(n[n > 0])
+        noise = self._walks.noise()[shot] * np.sqrt(n[n > 0])
         furthest = _SMALL_STEP * reach[n > 0]
         self._shots.aim(shot, self._walks.y[:, shot], n[n > 0], goal, noise, furthest)
         self._phase[shot] = Phase.SHOOT
@@ -379,8 +373,8 @@ class Search:
 
     @_for_some
     def _grown(self, points: Numbers, status: Counts) -> None:
-        n_periods = self._growths.n_periods[points] * self._growths.n_blocks[points]
-        self._walks.arrive(points, self._growths.y[:, points], status, n_periods)
+        elapsed = self._growths.elapsed[points]
+        self._walks.arrive(points, self._growths.y[:, points], status, elapsed)
         is_ok = status == Status.OK
         self._fail(points[~is_ok])
         going = points[is_ok]

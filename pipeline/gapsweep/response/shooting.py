@@ -35,9 +35,11 @@ _SHORTENS = 0.5
 
 # Lyapunov exponent: the mean of as many batches, each at least this long, in decay times: what one
 # of them finds says nothing of the next one. Each is of some blocks, after one to align the vector.
-_N_BATCHES, _BATCH = 10, 2.82
-# A rattled motion leaves the one that its tangent belongs to the farther the longer a block is.
-_BLOCKS, _BLOCKS_RATTLED = 2, 6
+_N_BATCHES, _BATCH, _BLOCKS = 10, 2.82, 6
+# Blocks that are made one where that first one stretches the vector by no more than this: of more
+# growth no determinant is known. A rattled motion leaves that of its tangent the farther the longer
+# a block is.
+_JOINED, _MILD = 3, 5.0
 
 
 class Shots:
@@ -57,8 +59,6 @@ class Shots:
         Section points per second [Hz] on an orbit that was found.
     section : list of ndarray, shape (n_states, n)
         Section points [m] of an orbit that was found.
-    n_tired : ndarray of int, shape (n_points,)
-        How often steps went on for as long as they may and did not close an orbit.
     """
 
     def __init__(self, n_states: int, n_points: int, n_multipliers: int) -> None:
@@ -70,7 +70,6 @@ class Shots:
         self._moved, self._tries = np.zeros_like(self.y), np.zeros(n_points, np.int64)
         self._last = np.zeros(n_points)  # length of the last step
         self._goal, self._noise, self._furthest = np.zeros((3, n_points))
-        self.n_tired = np.zeros(n_points, np.int64)
 
     def aim(
         self, points: Numbers, y: Array, n: Counts, goal: Array, noise: Array, furthest: Array
@@ -128,9 +127,7 @@ class Shots:
             moved = self._moved[:, points] + step
             goes_on = is_ok & ~is_found & (np.abs(multipliers[:, 0]) <= _STRETCHES)
             goes_on &= norm(moved) <= self._furthest[points]
-            tires = goes_on & (self._tries[points] >= _MAX_NEWTON)
-            self.n_tired[points] += tires
-            goes_on &= ~tires
+            goes_on &= self._tries[points] < _MAX_NEWTON
         left = points[goes_on]
         self._moved[:, left] = moved[:, goes_on]
         self.y[:, left] = (y + step * unit)[:, goes_on]
@@ -154,21 +151,21 @@ class Growths:
     y : ndarray, shape (n_states, n_points)
         Where the motions are.
     n_periods : ndarray of int, shape (n_points,)
-        Forcing periods in each of a motion's blocks.
-    n_blocks : ndarray of int, shape (n_points,)
-        Blocks behind it.
+        Forcing periods in a motion's next block.
+    n_blocks, elapsed : ndarray of int, shape (n_points,)
+        Blocks behind it, and forcing periods.
     strayed : ndarray, shape (n_points,)
         How far [m] the solver strayed in a block: root of the mean square.
     """
 
     def __init__(self, n_states: int, n_points: int, *, is_rattled: bool) -> None:
-        self._per_batch = _BLOCKS_RATTLED if is_rattled else _BLOCKS
-        self._most = _N_BATCHES * self._per_batch + 1
+        self._is_rattled = is_rattled
         self.y = np.empty((n_states, n_points))
-        self.n_periods, self.n_blocks = np.zeros(n_points, np.int64), np.zeros(n_points, np.int64)
+        self.n_periods, self.n_blocks, self.elapsed, self._per_batch = np.zeros(
+            (4, n_points), np.int64
+        )
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
-        # Of every block its factor, and section points per second.
-        self._factors = np.empty((n_points, 2, self._most))
+        self._rates = np.empty((n_points, _N_BATCHES * _BLOCKS + 1))  # of every block [1/s]
 
     def begin(self, points: Numbers, y: Array, rate: Array, omega: Array, longest: Counts) -> None:
         """Begin at states.
@@ -186,8 +183,9 @@ class Growths:
         """
         # No coordinate may be left out: another one's growth may never reach it.
         start = np.linspace(1.0, 0.0, len(y))
-        self.y[:, points], self._direction[points], self.n_blocks[points] = y, start, 0
-        wanted = np.minimum(_BATCH / self._per_batch / rate * omega, longest / self._most)
+        self.y[:, points], self._direction[points] = y, start
+        self.n_blocks[points], self.elapsed[points], self._per_batch[points] = 0, 0, _BLOCKS
+        wanted = np.minimum(_BATCH / _BLOCKS / rate * omega, longest / self._rates.shape[1])
         self.n_periods[points] = np.maximum(1, np.ceil(wanted))
 
     def step(self, points: Numbers, motions: Numbers, call: Call) -> tuple[Mask, Counts]:
@@ -208,26 +206,34 @@ class Growths:
             self._direction[points] = direction[:, :, 0] / length[:, None]
         length[~call.is_sound[motions]] = np.nan
         self.y[:, points] = call.y[:, motions]
-        going, number = points[is_ok], self.n_blocks[points[is_ok]]
-        self._factors[going, :, number] = np.stack([length, call.omega[motions]], axis=1)[is_ok]
-        self.n_blocks[points] += is_ok
+        # numpy's own logarithm is another one on another processor.
+        logs = [math.log(factor) if factor else -math.inf for factor in length[is_ok].tolist()]
+        going, n_periods = points[is_ok], self.n_periods[points[is_ok]]
+        number = self.n_blocks[going]
+        self._rates[going, number] = logs * call.omega[motions[is_ok]] / n_periods
+        self.n_blocks[going], self.elapsed[going] = number + 1, self.elapsed[going] + n_periods
+        if not self._is_rattled:
+            mild = going[(number == 0) & (length[is_ok] <= _MILD)]
+            self.n_periods[mild] *= _JOINED
+            self._per_batch[mild] //= _JOINED
         before, strayed = self.strayed[points], call.strayed[motions]
         mean_square = before**2 + (strayed**2 - before**2) / self.n_blocks[points]
         self.strayed[points] = np.sqrt(mean_square)
-        return ~is_ok | (self.n_blocks[points] == self._most), status
+        most = 1 + _N_BATCHES * self._per_batch[points]
+        return ~is_ok | (self.n_blocks[points] == most), status
 
     def exponents(self, points: Numbers) -> tuple[Array, Array]:
         """Largest Lyapunov exponents [1/s] of motions that have all blocks; standard errors.
 
         The errors are those of batch means. NaN where the tangent was unsound.
         """
-        # The first block turns the vector into the direction of growth.
-        factors, omega = np.moveaxis(self._factors[points, :, 1:], 1, 0)
-        # numpy's own logarithm is another one on another processor.
-        logs = [math.log(factor) if factor else -math.inf for factor in factors.ravel().tolist()]
-        rates = np.reshape(logs, factors.shape) * omega / self.n_periods[points, None]
+        batches = np.empty((len(points), _N_BATCHES))
+        for n in np.unique(self._per_batch[points]).tolist():
+            here = self._per_batch[points] == n
+            # The first block turns the vector into the direction of growth.
+            rates = self._rates[points[here], 1 : 1 + _N_BATCHES * n]
+            batches[here] = rates.reshape(-1, _N_BATCHES, n).mean(axis=2)
         with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing
-            batches = rates.reshape(len(points), _N_BATCHES, -1).mean(axis=2)
             error = batches.std(axis=1, ddof=1) / math.sqrt(_N_BATCHES)
         return batches.mean(axis=1), error
 
