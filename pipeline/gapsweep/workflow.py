@@ -272,8 +272,8 @@ def carry_out(
         with alone_in(folder):
             check_owner(study, folder)
             with Cache(cache_path(cache), read_only=True) as store:
-                if planned.n_missing:
-                    planned = _as_stored(planned, store)
+                # Even if nothing was missing: rows may have been deleted meanwhile.
+                planned = _as_stored(planned, store)
                 given = update_points(study, planned, store, folder, say)
             failures = _failures(planned)
             del planned, store  # a tenth of a gigabyte of keys at a million points
