@@ -68,17 +68,18 @@ def child(folder: Path, what: str) -> None:
 
     study, cache = gs.Study.load(folder / "million.toml"), folder / "cache.sqlite"
     if what == "query":
-        began = time.time()
-        with gs.query(study, cache=cache, K_c=study.grid.K_c[-1]) as row:
-            n_row = row.sizes["omega"]
-        middle = time.time()
-        with gs.query(study, cache=cache, omega=study.grid.omega[-1]) as column:
-            n_column = column.sizes["K_c"]
-        found = {
-            "points": [n_row, n_column],
-            "of_one_stiffness": middle - began,
-            "of_one_frequency": time.time() - middle,
+        # The first one loads xarray and reads the package's own code for its keys.
+        wanted = {
+            "first": {"K_c": study.grid.K_c[-1]},
+            "of_one_stiffness": {"K_c": study.grid.K_c[-2]},
+            "of_one_frequency": {"omega": study.grid.omega[-1]},
         }
+        found = {}
+        for name, selected in wanted.items():
+            began = time.time()
+            with gs.query(study, cache=cache, **selected) as part:
+                found[name] = time.time() - began
+                assert part.attrs["n_hits"] == part.attrs["n_points"]
         print(json.dumps(found))
         return
     last = {"computed": 0, "seconds": begin}

@@ -1,7 +1,6 @@
 """gapsweep: distributed parameter studies of oscillators with freeplay."""
 
 import importlib
-import time
 from typing import TYPE_CHECKING, Any
 
 from gapsweep.errors import (
@@ -12,10 +11,9 @@ from gapsweep.errors import (
     StoreError,
     StudyError,
 )
+from gapsweep.loaded import LOADED as LOADED
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.status import Status
-
-LOADED = time.time()  # of the source, what is newer than this is not what this process runs
 
 if TYPE_CHECKING:
     from gapsweep.analysis.basins import basins

@@ -58,20 +58,50 @@ if TYPE_CHECKING:
 _MANY = 100_000  # points, whose datasets hold so much memory that a collection is worth its time
 
 
-def update(
+def update_points(
     study: Study,
     planned: Plan,
     store: Cache,
     folder: Path,
+    say: Callable[[str], None] = lambda text: None,
+) -> MadeFrom:
+    """Make what is made from the cache, if it is not up to date.
+
+    Returns
+    -------
+    mapping of str to str
+        Digests of what is no file of the run.
+    """
+    given = sources(study, planned, store)
+    for stage in stages_of(study):
+        if stage.file not in (RESPONSES, ATTRACTORS):
+            continue
+        now = made_from(stage, folder, given)
+        if _must_run(stage, folder, now):
+            say(f"making {stage.file}")
+            files = folder / RESPONSES, folder / ATTRACTORS
+            export(study, planned, store, *files, made_from=as_text(now))
+    return given
+
+
+def update(
+    study: Study,
+    folder: Path,
+    given: MadeFrom,
     *,
+    n_points: int,
     timeout: float = DEFAULT_TIMEOUT,
     retry_failed: bool = False,
     say: Callable[[str], None] = lambda text: None,
 ) -> None:
-    """Make every file of a run that is not up to date.
+    """Make every other file of a run that is not up to date.
 
     Parameters
     ----------
+    given : mapping of str to str
+        As `update_points` returns it.
+    n_points : int
+        Of the study.
     timeout : float
         Time [s] that a motion with a law of the user's own may take.
     retry_failed : bool
@@ -79,23 +109,15 @@ def update(
     say : callable
         Told what is made next.
     """
-    given = sources(study, planned, store)
     for stage in stages_of(study):
-        now = made_from(stage, folder, given)
-        reason = reason_to_run(stage, folder, now)
-        again = retry_failed and bool(failed_motions(folder / stage.file))
-        if reason is None and not again:
-            continue
-        if reason == DAMAGED:
-            warnings.warn(
-                f"{folder / stage.file}: damaged or changed since it was written, made again",
-                stacklevel=2,
-            )
-        say(f"making {stage.file}")
         if stage.file in (RESPONSES, ATTRACTORS):
-            files = folder / RESPONSES, folder / ATTRACTORS
-            export(study, planned, store, *files, made_from=as_text(now))
-        elif stage.file == CLAIMS:
+            continue
+        now = made_from(stage, folder, given)
+        again = retry_failed and bool(failed_motions(folder / stage.file))
+        if not _must_run(stage, folder, now) and not again:
+            continue
+        say(f"making {stage.file}")
+        if stage.file == CLAIMS:
             own_code.decide(stage, study, folder, now)
         elif stage.file == SECTIONS:
             own_code.draw(stage, study, folder, now)
@@ -103,8 +125,19 @@ def update(
             _report(folder)
         else:
             _analyse(stage, study, folder, now, timeout, say)
-        if planned.n_points > _MANY:
+        if n_points > _MANY:
             gc.collect()  # what refers to itself would hold its memory into the next stage
+
+
+def _must_run(stage: Stage, folder: Path, now: MadeFrom) -> bool:
+    """Whether a file is not up to date; warns if it is damaged."""
+    reason = reason_to_run(stage, folder, now)
+    if reason == DAMAGED:
+        warnings.warn(
+            f"{folder / stage.file}: damaged or changed since it was written, made again",
+            stacklevel=3,
+        )
+    return reason is not None
 
 
 def _analyse(
@@ -219,7 +252,7 @@ def bench(
         raise StudyError([f"{study.source}: bench: missing; it names scenes and methods"])
     folder = run_folder(study, out)
     check_writable(folder)
-    try_out_own_laws(study)
+    try_out_own_laws(study, timeout, say)
     own_law.refresh()
     made = []
     with alone_in(folder):
@@ -234,12 +267,12 @@ def bench(
     return made
 
 
-def try_out_own_laws(study: Study) -> None:
+def try_out_own_laws(study: Study, timeout: float, say: Callable[[str], None] | None) -> None:
     """Refuse laws of the user's own that would end this process, or hang, where keys are made."""
     if study.own_laws:
         from gapsweep.execution.try_out import try_out
 
-        try_out(study)
+        try_out(study, timeout, say or (lambda _: None))
 
 
 def failed_motions(path: Path) -> dict[str, int]:

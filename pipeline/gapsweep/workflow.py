@@ -27,11 +27,7 @@ from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
 from gapsweep.execution.recorder import Recorder
 from gapsweep.folder import changed_since, check_owner, check_writable, run_folder
-from gapsweep.make import (
-    failed_motions,
-    try_out_own_laws,
-    update,
-)
+from gapsweep.make import failed_motions, try_out_own_laws, update, update_points
 from gapsweep.own_code import check_modules
 from gapsweep.stages import RESPONSES, made_from, reason_to_run, sources, stages_of
 from gapsweep.status import Status
@@ -90,6 +86,8 @@ def plan(
     *,
     selection: Selection | None = None,
     retry_failed: bool = False,
+    timeout: float = DEFAULT_TIMEOUT,
+    on_progress: OnProgress | None = None,
 ) -> Plan:
     """Compare a study with a cache, without creating the cache or computing anything.
 
@@ -98,7 +96,9 @@ def plan(
     StudyError
         If a law of the user's own ends its process or hangs where keys are made.
     """
-    try_out_own_laws(study)
+    say = partial(_tell, on_progress, Progress(0, 0))
+    try_out_own_laws(study, timeout, say)
+    say("looking up what is stored")
     path = cache_path(cache)
     if not path.exists():
         return make_plan(study, selection=selection)
@@ -252,8 +252,9 @@ def carry_out(
             f"{', '.join(changed)} changed; --out takes another folder",
             stacklevel=3,
         )
-    _tell(on_progress, Progress(0, 0), "looking up what is stored")
-    planned = plan(study, cache, retry_failed=retry_failed)
+    planned = plan(
+        study, cache, retry_failed=retry_failed, timeout=timeout, on_progress=on_progress
+    )
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
     with Recorder(folder, study, cache_path(cache), planned, on_progress) as recorder:
@@ -266,27 +267,31 @@ def carry_out(
 
         how |= {"timeout": timeout, "retry_failed": retry_failed, "begin": begin}
         progress = _computed(study, client, planned, cache, recorder, **how)
-        with Cache(cache_path(cache), read_only=True) as store:
-            if planned.n_missing:
+        say = partial(_tell, recorder, progress)
+        recorder.write()
+        with alone_in(folder):
+            check_owner(study, folder)
+            with Cache(cache_path(cache), read_only=True) as store:
+                # Even if nothing was missing: rows may have been deleted meanwhile.
                 planned = _as_stored(planned, store)
-            recorder.write()
-            with alone_in(folder):
-                check_owner(study, folder)
-                update(
-                    study,
-                    planned,
-                    store,
-                    folder,
-                    timeout=timeout,
-                    retry_failed=retry_failed,
-                    say=partial(_tell, recorder, progress),
-                )
+                given = update_points(study, planned, store, folder, say)
+            failures = _failures(planned)
+            del planned, store  # a tenth of a gigabyte of keys at a million points
+            update(
+                study,
+                folder,
+                given,
+                n_points=progress.n_points,
+                timeout=timeout,
+                retry_failed=retry_failed,
+                say=say,
+            )
     values = partial(netcdf.values, folder / RESPONSES)
     if study.spec.system is None and (said := far_walls(values)):
         warnings.warn(said, stacklevel=3)
     motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
     failed = {file: counts for file, counts in motions.items() if counts}
-    return Outcome(folder, progress, _failures(planned), failed)
+    return Outcome(folder, progress, failures, failed)
 
 
 @salvaging
@@ -308,10 +313,8 @@ def query(
     ----------
     study : Study or path
         A study, or the path of its file.
-    client, cache, workers, scheduler
+    client, cache, workers, scheduler, on_progress
         As for `run`.
-    on_progress : callable, optional
-        Observer of the `Progress`; None shows a bar while points are computed.
     **wanted
         What is wanted of the study's own points, by dimension, as ``omega=slice(7.0, 12.0)``: a
         value, a list or, for numbers, a slice that includes both ends. All if left out.
@@ -339,16 +342,16 @@ def query(
     """
     study = Study.of(study)
     selection, path = study.select(**wanted), cache_path(cache)
-    try_out_own_laws(study)
-    if path.exists():
-        with Cache(path, read_only=True) as store:
-            planned = make_plan(study, store, selection=selection)
-            if not planned.n_missing:
-                done = Progress(planned.n_points, planned.n_hits)
-                return _exported(study, planned, store, selection, done)
-    else:
-        planned = make_plan(study, selection=selection)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
+        try_out_own_laws(study, DEFAULT_TIMEOUT, partial(_tell, observer, Progress(0, 0)))
+        if path.exists():
+            with Cache(path, read_only=True) as store:
+                planned = make_plan(study, store, selection=selection)
+                if not planned.n_missing:
+                    done = Progress(planned.n_points, planned.n_hits)
+                    return _exported(study, planned, store, selection, done)
+        else:
+            planned = make_plan(study, selection=selection)
         progress = _computed(
             study, client, planned, cache, observer, workers=workers, scheduler=scheduler
         )
@@ -441,10 +444,16 @@ def _tell(on_progress: OnProgress | None, progress: Progress, stage: str) -> Non
         on_progress(replace(progress, stage=stage))
 
 
-def explain(study: Study, cache: str | Path | None, limit: int, **wanted: Any) -> list[Explanation]:
+def explain(
+    study: Study,
+    cache: str | Path | None,
+    limit: int,
+    on_progress: OnProgress | None = None,
+    **wanted: Any,
+) -> list[Explanation]:
     """Why the selected points, the first `limit` of them, are hits or misses."""
     selection = study.select(**wanted)
-    planned = plan(study, cache, selection=selection)
+    planned = plan(study, cache, selection=selection, on_progress=on_progress)
     path = cache_path(cache)
     if not path.exists():
         raise StoreError(f"{path}: no such file, so every point is missing")

@@ -145,7 +145,10 @@ def test_status_tells_how_a_run_ended(finished):
     assert {name: state[name] for name in ("state", "points", "hits", "computed", "failed")} == {
         "state": "finished", "points": 4, "hits": 0, "computed": 4, "failed": 0
     }  # fmt: skip
-    assert "4 of 4 points" in gapsweep(finished, "status", "data/runs/tiny").stdout
+    assert (state["damaged"], state["not_checked"]) == ([], [])
+    said = gapsweep(finished, "status", "data/runs/tiny").stdout
+    assert "4 of 4 points" in said
+    assert "damaged" not in said
 
 
 def test_query_prints_what_was_selected_and_computes_only_the_rest(finished):
@@ -242,6 +245,7 @@ def test_failed_points_end_with_their_own_exit_code(folder):
     ("change", "message"),
     [
         (("[study]", "[study"), "tiny.toml: not valid TOML"),
+        (("[study]", f"a = {9999 * '['}"), "not valid TOML: brackets nested too deeply"),
         (("tanh-1e4", "tanhh-1e4"), "sweep[0].representation[1] = 'tanhh-1e4': unknown"),
         (("1.4e4]", "-1.4e4]"), "sweep[0].K_c[0] = -14000.0: must be >= 0"),
         (("[[0.4e-3,", "[[-0.4e-3,"), "sweep[0].gap[0][0] = -0.0004: must be >= 0"),

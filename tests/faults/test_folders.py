@@ -12,13 +12,15 @@ from pathlib import Path
 
 import netCDF4
 import pytest
+from click.testing import CliRunner
 from tests.stored import damaged_row
 
 import gapsweep as gs
 from gapsweep import make, workflow
+from gapsweep.cli.main import commands
 from gapsweep.execution.portions import SWEEP_PART
 from gapsweep.folder import changed_since
-from gapsweep.store.artefact import alone_in
+from gapsweep.store.artefact import alone_in, checked, recording
 from gapsweep.store.state import RunState
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
@@ -333,3 +335,27 @@ def test_a_state_that_no_run_has_written_is_one_line(tmp_path, wrong):
     ):
         RunState.read(tmp_path)
     assert not whole.is_hidden_in(tmp_path)
+
+
+def test_status_names_files_that_are_not_as_written(tmp_path):
+    def told():
+        said = CliRunner().invoke(commands, ["status", str(tmp_path)])
+        assert said.exit_code == 0, said.output
+        return said.output
+
+    names = ["responses.nc", "report/index.html", "report/figures/peaks.svg"]
+    for name in names:
+        with recording(tmp_path / name, lambda path: True) as temporary:
+            temporary.write_text(name)
+    state = RunState(state="finished", study="s", cache="c", points=1, hits=1)
+    state.write(tmp_path)
+    assert "damaged" not in told()
+    (tmp_path / "responses.nc").write_text("responses.nC")
+    (tmp_path / "report" / "figures" / "peaks.svg").unlink()
+    assert "\ndamaged or absent: report/figures/peaks.svg, responses.nc; run again" in told()
+    replace(state, state="running").write(tmp_path)
+    assert "damaged" not in told(), "what goes on replaces files"
+    (tmp_path / "report" / "index.html").write_text("y")
+    assert checked(tmp_path, most=1) == (
+        ["report/figures/peaks.svg", "report/index.html"], ["responses.nc"]
+    )  # fmt: skip

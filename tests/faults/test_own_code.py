@@ -61,7 +61,8 @@ def study(folder, text, *laws):
 
 def errors(done):
     """The lines of a process, without those that tell that something takes its time."""
-    return [line for line in done.stderr.splitlines() if not line.startswith("looking up")]
+    waiting = "looking up", "the law "
+    return [line for line in done.stderr.splitlines() if not line.startswith(waiting)]
 
 
 def test_a_law_that_exits_fails_its_own_points_only(tmp_path):
@@ -127,9 +128,25 @@ def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
     (tmp_path / "endless.py").write_text(AT_ZERO.format("while True: pass"))
     study(tmp_path, SWEEP, "endless:law")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(try_out, "_SECONDS", 2.0)
+    monkeypatch.setattr(try_out, "_SHORTEST", 1.0)
+    told, loaded = [], gs.Study.load(tmp_path / "own.toml")
+
+    def tell(progress):
+        told.append(progress.stage)
+
+    asked = {"cache": tmp_path / "c.sqlite", "on_progress": tell}
     with pytest.raises(gs.StudyError, match="when called at x = 0: took longer than 2 s"):
-        workflow.plan(gs.Study.load(tmp_path / "own.toml"), tmp_path / "c.sqlite")
+        workflow.carry_out(loaded, out=tmp_path / "out", timeout=2.0, **asked)
+    assert told == [
+        "the law 'endless:law' is imported, for 2 s at most",
+        "the law 'endless:law' is called at x = 0, for 2 s at most",
+    ]
+    monkeypatch.setattr(try_out, "_LONGEST", 1.5)
+    with pytest.raises(
+        gs.StudyError, match=r"took longer than 1\.5 s; --timeout allows 1 to 1\.5 s"
+    ):
+        workflow.query(loaded, **asked)
+    assert told[-1] == "the law 'endless:law' is called at x = 0, for 1.5 s at most"
 
 
 POISONS = {

@@ -12,11 +12,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.stored import KIND, keys, made
 
 import gapsweep as gs
+from gapsweep.cli.main import commands
 from gapsweep.response.result import Responses
 from gapsweep.store import filesystem, maintenance
 from gapsweep.store.cache import SCHEMA_VERSION, Cache
@@ -177,6 +179,36 @@ def test_results_under_the_keys_of_others_are_damaged(tmp_path):
     with Cache(tmp_path / "cache.sqlite") as cache:
         cache.commit([swapped])
         assert len(maintenance.verify(cache).damaged) == 2
+
+
+def test_of_many_damaged_points_a_few_are_named_and_all_counted(tmp_path):
+    path = tmp_path / "cache.sqlite"
+    with Cache(path) as cache:
+        cache.commit([replace(row(name), host="nobody") for name in range(8)])
+    asked = ["cache", "verify", "--cache", str(path)]
+    done = CliRunner().invoke(commands, asked, standalone_mode=False)
+    assert (done.return_value, done.stdout) == (1, "8 points, 8 damaged\n")
+    said = done.stderr.splitlines()
+    assert [line.startswith("damaged point: ") for line in said] == 5 * [True] + 2 * [False]
+    assert said[5] == "and 3 more"
+
+
+def test_all_commands_advise_the_same_of_a_cache_of_which_nothing_is_left(tmp_path, tables):
+    path = tmp_path / "cache.sqlite"
+    with Cache(path) as cache:
+        cache.commit([row(1)])
+    path.write_bytes(path.read_bytes()[:100])
+    (looked,) = raised_by(lambda: Cache(path, read_only=True))
+    (ran,) = raised_by(lambda: gs.query(gs.Study.from_dict(tables), cache=path))
+    advice = "move it away or choose another file with --cache"
+    assert looked.endswith(f"if there are none, {advice}")
+    assert ran.endswith(f"no row of a cache is left in it: {advice}")
+
+
+def raised_by(call):
+    with pytest.raises(gs.StoreError) as caught:
+        call()
+    return str(caught.value).splitlines()
 
 
 def test_garbage_collection_keeps_what_the_present_code_computed(tmp_path):

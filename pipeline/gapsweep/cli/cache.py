@@ -100,8 +100,10 @@ def verify(cache: Path | None, sample: int, study: Path | None) -> int:
             differing, n_skipped = recomputed_otherwise(store, sample, own_laws)
     for fault in verdict.faults:
         click.echo(f"file: {fault}", err=True)
-    for key in verdict.damaged:
+    for key in verdict.damaged[: options.FEW]:
         click.echo(f"damaged point: {key}", err=True)
+    if (n_more := len(verdict.damaged) - options.FEW) > 0:
+        click.echo(f"and {n_more} more", err=True)
     for key, names in differing:
         click.echo(f"computed again, {', '.join(names)} came out otherwise: {key}", err=True)
     if n_skipped:

@@ -69,7 +69,7 @@ def main() -> None:
 def exit_code(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     with warnings.catch_warnings():
-        warnings.simplefilter("always", UserWarning)
+        warnings.simplefilter("default", UserWarning)  # once, however often it is met
         warnings.showwarning = _one_line
         try:
             result = commands.main(arguments, prog_name="gapsweep", standalone_mode=False)

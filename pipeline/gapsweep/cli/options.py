@@ -4,6 +4,7 @@ Nothing is imported here that takes time: whoever asks for help shall not wait.
 """
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from gapsweep.study.study import Study
 
 FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
+FEW = 5  # of many names that are told
 ENGINES = ("compiled", "scipy")  # those of gapsweep.integrate.problem, without its imports
 
 study = click.argument("study", type=click.Path(path_type=Path))
@@ -61,6 +63,12 @@ selection = click.option(
 )
 
 _LABELLED = ("representation", "gap")
+
+
+def first(names: Sequence[str]) -> str:
+    """The first few of some names, and how many more there are."""
+    more = [f"{len(names) - FEW} more"] if len(names) > FEW else []
+    return ", ".join([*names[:FEW], *more])
 
 
 def loaded(path: Path, engine: str | None) -> "Study":

@@ -17,15 +17,20 @@ from gapsweep.cli.options import FINISHED
 def status(folder: Path, as_json: bool) -> int:
     """Tell how a run is doing, or how it ended, from any shell.
 
+    Files that are no longer as the run wrote them are named, as far as 100 MB are read.
+
     \b
     Example:
       gapsweep status data/runs/quick
     """
-    from gapsweep.store.state import RunState
+    from gapsweep.store.artefact import SUMS, checked
+    from gapsweep.store.state import RUNNING, RunState
 
     state = RunState.read(folder)
+    # A run that goes on makes anew what is damaged, and replaces files meanwhile.
+    damaged, unread = ([], []) if state.state == RUNNING else checked(folder)
     if as_json:
-        click.echo(json.dumps(asdict(state)))
+        click.echo(json.dumps(asdict(state) | {"damaged": damaged, "not_checked": unread}))
         return FINISHED
     click.echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
     click.echo(
@@ -33,6 +38,10 @@ def status(folder: Path, as_json: bool) -> int:
         f"{state.computed} computed, {state.failed} failed"
     )
     click.echo(f"started {state.started}, last heard of {state.updated}, on {state.host}")
+    if damaged:
+        click.echo(f"damaged or absent: {options.first(damaged)}; run again to make them anew")
+    if unread:
+        click.echo(f"large, so not checked: {options.first(unread)}; sha256sum --check {SUMS}")
     return FINISHED
 
 

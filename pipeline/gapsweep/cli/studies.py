@@ -87,11 +87,11 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import workflow
-    from gapsweep.console import busy, duration, print_table
+    from gapsweep.console import duration, print_table, progress_bar
 
     loaded = options.loaded(study, engine)
-    with busy("looking up what is stored"):
-        planned = workflow.plan(loaded, cache, retry_failed=retry_failed)
+    with progress_bar() as observer:
+        planned = workflow.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = workflow.expected_seconds(planned, cache, workers)
         stages = workflow.stage_reasons(loaded, planned, out, cache)
     numbers = {
@@ -203,9 +203,11 @@ def explain(
       gapsweep explain quick.toml --sel omega=10
     """
     from gapsweep import workflow
+    from gapsweep.console import progress_bar
 
     loaded = options.loaded(study, engine)
-    points = workflow.explain(loaded, cache, limit + 1, **options.selected(wanted))
+    with progress_bar() as observer:
+        points = workflow.explain(loaded, cache, limit + 1, observer, **options.selected(wanted))
     for n, point in enumerate(points):
         if n == limit:
             click.echo(f"and more: --limit {10 * limit}")

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from gapsweep.execution.plan import Plan
 
 # Short against a user's patience and against what a kill may cost; until then, the more points
-# share the lanes, the less each costs: half in 4,096 of what it costs in 250.
+# share the lanes, the less each costs: a third in 8,192 of what it costs in 250.
 _TASK_SECONDS = 4.0
 # A task has the time of one point: it aims at so much of it, for costs differ.
 _PART_OF_TIMEOUT = 0.25
-MAX_BATCH = 4096
+MAX_BATCH = 8192
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
 # A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.

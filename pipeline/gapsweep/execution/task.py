@@ -5,6 +5,7 @@ them only because a task has a price of its own.
 """
 
 import faulthandler
+import gc
 import os
 import platform
 import threading
@@ -165,6 +166,7 @@ def load(engine: str) -> None:
     """
     loaded(engine)
     check_unedited()
+    gc.freeze()  # the garbage collector would look through all that was loaded in every tile
 
 
 def software_with_engines() -> Mapping[str, str]:

@@ -4,6 +4,8 @@ Keys hold the code of a law, which is known once it has been imported, and then 
 force at x = 0. The client does both in its own process, after a child process has survived them.
 """
 
+from collections.abc import Callable
+
 from gapsweep.errors import StudyError
 from gapsweep.execution.alone import Alone, CallError
 from gapsweep.model import own_law
@@ -11,12 +13,21 @@ from gapsweep.status import Status
 from gapsweep.study.points import law_code
 from gapsweep.study.study import Study
 
-_SECONDS = 60.0
+_LONGEST = 60.0  # s
+# What a module imports and compiles counts here, and in no time limit of points.
+_SHORTEST = 10.0  # s
 _STEPS = (("imported", own_law.code), ("called at x = 0", law_code))
 
 
-def try_out(study: Study) -> None:
+def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
     """Import all of a study's own laws, and call them, in a child process.
+
+    Parameters
+    ----------
+    timeout : float
+        Time [s] that a point may take: what a law may take here too, but 10 to 60 s.
+    say : callable
+        Told what is tried, and for how long.
 
     Raises
     ------
@@ -24,14 +35,19 @@ def try_out(study: Study) -> None:
         If one of them ends the process, hangs or interrupts. What only cannot be used is left to
         whoever uses it: of a history that is the status.
     """
-    with Alone(_SECONDS) as alone:
+    limit = min(max(timeout, _SHORTEST), _LONGEST)
+    with Alone(limit) as alone:
         for label in study.own_laws:
             for step, function in _STEPS:
+                say(f"the law {label!r} is {step}, for {limit:g} s at most")
                 try:
                     alone(function, label)
                 except CallError as lost:
                     if lost.status is Status.MODEL_INVALID:
                         break
+                    why = lost.message
+                    if lost.status is Status.TIMED_OUT:
+                        why += f"; --timeout allows {_SHORTEST:g} to {_LONGEST:g} s for this"
                     raise StudyError(
-                        [f"{study.source}: the law {label!r}, when {step}: {lost.message}"]
+                        [f"{study.source}: the law {label!r}, when {step}: {why}"]
                     ) from None

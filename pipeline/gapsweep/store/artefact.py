@@ -20,6 +20,7 @@ from gapsweep.errors import GapsweepError, StoreError
 from gapsweep.store.filesystem import fcntl
 
 SUMS = "SHA256SUMS"
+_SOON = 100e6  # bytes, read in a quarter of a second at worst, or a second from a slow disk
 
 
 @contextmanager
@@ -104,6 +105,28 @@ def is_intact(path: Path) -> bool | None:
         return sha256(path) in known if known else None
     except OSError:  # a folder in its place, or a link that leads nowhere
         return False
+
+
+def checked(folder: Path, most: float = _SOON) -> tuple[list[str], list[str]]:
+    """Files of a run, as paths in its folder, that are not as written, and that were not read.
+
+    Parameters
+    ----------
+    folder : Path
+    most : float
+        Bytes that may be read in all. The smallest files come first.
+    """
+    places = [folder, *(sums.parent for sums in folder.glob(f"report/**/{SUMS}"))]
+    files = {place / name for place in places for _, name in _sums(place)}
+    sizes = {path: path.stat().st_size if path.is_file() else 0 for path in files}
+    changed, unread = [], []
+    for path in sorted(files, key=lambda path: (sizes[path], path)):
+        most -= sizes[path]
+        if most < 0:
+            unread.append(str(path.relative_to(folder)))
+        elif not is_intact(path):
+            changed.append(str(path.relative_to(folder)))
+    return changed, unread
 
 
 def is_recorded(path: Path) -> bool:

@@ -9,6 +9,7 @@ stands in a later one, and the number of one that was deleted is not given to an
 
 import sqlite3
 import time
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
@@ -81,8 +82,8 @@ class DamagedCacheError(StoreError):
 
     def __init__(self, path: Path, error: sqlite3.Error) -> None:
         super().__init__(
-            f"{path}: {error}: if it is a cache, the next run saves its sound rows and sets the "
-            "damaged file aside"
+            f"{path}: {error}: the next run sets it aside and saves the sound rows that it finds; "
+            "if there are none, move it away or choose another file with --cache"
         )
         self.path = path
 
@@ -180,7 +181,8 @@ class Cache:
 
     def _check(self) -> None:
         """Whether the cache can be read as it is."""
-        if self._is_new():  # a run that was killed before it made the table
+        if self._is_new():  # a run was killed before it made the table, or somebody cut the file
+            warnings.warn(f"{self.path}: empty, no point is stored in it", stacklevel=1)
             self.db.execute(_TABLE.replace("CREATE TABLE", "CREATE TEMP TABLE"))
         self.db.execute("PRAGMA query_only = ON")
 

@@ -351,7 +351,10 @@ def parse(text: str, source: str = "study") -> StudySpec:
     """
     try:
         tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # numbers too long, and brackets too deep, too
+    except RecursionError:
+        said = "brackets nested too deeply to be read; no study needs more than ten: close them"
+        raise StudyError([f"{source}: not valid TOML: {said}"]) from None
+    except ValueError as error:  # numbers too long, too
         raise StudyError([f"{source}: not valid TOML: {error}"]) from None
     return check(tables, source)
 
