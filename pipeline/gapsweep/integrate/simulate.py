@@ -77,7 +77,8 @@ def simulate(
     dense_output : bool
         Whether ``sample(t)`` may be asked for.
     tangent : bool
-        Whether to integrate the variational equations along, for ``monodromy``.
+        Whether to integrate the variational equations along, for ``monodromy``; steps of stand-ins
+        are then cut for them, too.
 
     Returns
     -------
