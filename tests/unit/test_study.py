@@ -185,14 +185,22 @@ def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path, plac
     assert prints["first"] == prints["cosmetic"] != prints["changed"]
 
 
-def test_source_edited_after_it_was_loaded_has_no_fingerprint(monkeypatch):
+@pytest.mark.parametrize(
+    "taken",
+    [
+        fingerprint.numerics_fingerprint.__wrapped__,
+        lambda: fingerprint.code_fingerprint.__wrapped__("execution/assemble.py"),
+    ],
+)
+def test_source_edited_after_it_was_loaded_has_no_fingerprint(monkeypatch, taken):
+    """Of the numerics, or of a stage: what the old code makes would count as the new one's."""
     stats = [path.stat() for path in Path(gs.__file__).parent.rglob("*.py")]
     newest = max(max(stat.st_mtime, stat.st_ctime) for stat in stats)
     monkeypatch.setattr(gs, "LOADED", newest - 1e9)
     with pytest.raises(gs.ClusterError, match="edited after this process loaded gapsweep"):
-        fingerprint.numerics_fingerprint.__wrapped__()
+        taken()
     monkeypatch.setattr(gs, "LOADED", newest)
-    fingerprint.numerics_fingerprint.__wrapped__()
+    taken()
 
 
 def test_source_replaced_with_its_old_date_is_an_edit(monkeypatch, tmp_path):

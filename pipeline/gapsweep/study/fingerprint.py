@@ -66,17 +66,19 @@ def _numerics(package: Path) -> list[Path]:
     """The files of the modules in `NUMERICS`, if none was edited since they were loaded."""
     paths = (package / name for name in NUMERICS)
     files = [m for p in paths for m in (p.rglob("*.py") if p.is_dir() else [p])]
-    if package == _PACKAGE:
-        now = time.time()
-        for file in files:
-            stat = file.stat()
-            # A file that is put in place of another may keep its date. A clock that is ahead on
-            # another machine is no edit.
-            if any(gapsweep.LOADED < at <= now for at in (stat.st_mtime, stat.st_ctime)):
-                raise ClusterError(
-                    f"{file}: edited after this process loaded gapsweep: start it again"
-                )
+    _check_unedited(files, package)
     return files
+
+
+def _check_unedited(files: Iterable[Path], package: Path) -> None:
+    """Whether none of our files was edited since this process began to load them."""
+    now = time.time()
+    for file in files if package == _PACKAGE else ():
+        stat = file.stat()
+        # A file that is put in place of another may keep its date. A clock that is ahead on
+        # another machine is no edit.
+        if any(gapsweep.LOADED < at <= now for at in (stat.st_mtime, stat.st_ctime)):
+            raise ClusterError(f"{file}: edited after this process loaded gapsweep: start it again")
 
 
 @cache
@@ -87,8 +89,14 @@ def code_fingerprint(name: str, package: Path = _PACKAGE) -> str:
     ----------
     name : str
         Path of the module in the package, as ``"analysis/timing.py"``.
+
+    Raises
+    ------
+    ClusterError
+        As `numerics_fingerprint`: what the old code makes must not count as the new one's.
     """
     needed = modules(package / name, package)
+    _check_unedited(needed, package)
     templates = {path for module in needed for path in (module.parent / "templates").glob("*")}
     return _digest(package, needed | templates)
 
