@@ -356,7 +356,7 @@ def query(
             study, client, planned, cache, observer, workers=workers, scheduler=scheduler
         )
     with Cache(path, read_only=True) as store:
-        return _exported(study, planned, store, selection, progress)
+        return _exported(study, _as_stored(planned, store), store, selection, progress)
 
 
 def _exported(

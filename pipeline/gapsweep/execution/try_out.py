@@ -46,8 +46,8 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                     if lost.status is Status.MODEL_INVALID:
                         break
                     why = lost.message
-                    if lost.status is Status.TIMED_OUT:
-                        why += f"; --timeout allows {_SHORTEST:g} to {_LONGEST:g} s for this"
+                    if lost.status is Status.TIMED_OUT and timeout < _LONGEST:
+                        why += f"; --timeout gives it up to {_LONGEST:g} s"
                     raise StudyError(
                         [f"{study.source}: the law {label!r}, when {step}: {why}"]
                     ) from None
