@@ -6,15 +6,13 @@ the old one would be kept under the key of the new one.
 """
 
 import importlib.util
-import marshal
-import struct
 import time
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 
 from gapsweep.errors import ClusterError
 
 LOADED = time.time()  # of the source, what is newer than this is not what this process runs
-_HEADER = 16  # bytes before the code
 
 
 def forget_old_byte_code(package: Path) -> None:
@@ -36,24 +34,16 @@ def forget_old_byte_code(package: Path) -> None:
         try:
             kept.unlink(missing_ok=True)
         except OSError:  # an installation that cannot be written, as in a container
-            if _is_of_another(kept, source):
+            if _is_of_another(source):
                 raise ClusterError(f"{kept}: of another {source.name}: delete it") from None
 
 
-def _is_of_another(kept: Path, source: Path) -> bool:
-    """Whether byte code that this Python would run is not what it would make of the source."""
-    found, stat = kept.read_bytes(), source.stat()
-    if not found.startswith(importlib.util.MAGIC_NUMBER) or len(found) <= _HEADER:
-        return False
-    flags, date, size = struct.unpack("<3I", found[4:_HEADER])
-    # As Python compares them (PEP 552).
-    noted = int(stat.st_mtime) & 0xFFFFFFFF, stat.st_size & 0xFFFFFFFF
-    if flags == 0 and (date, size) != noted:
-        return False
-    made = compile(source.read_bytes(), str(source), "exec", dont_inherit=True)
+def _is_of_another(source: Path) -> bool:
+    """Whether Python would run what it would not make of the source."""
+    loader = SourceFileLoader(source.stem, str(source))
+    made = loader.source_to_code(source.read_bytes(), str(source))
     try:
-        # Equal code may have other paths in it.
-        return bool(marshal.loads(found[_HEADER:]) != made)
+        return bool(loader.get_code(source.stem) != made)
     except (EOFError, TypeError, ValueError):  # cut off
         return True
 

@@ -177,6 +177,8 @@ def test_old_byte_code_that_cannot_be_deleted_is_refused_if_it_says_something_el
     put_in_place(module, "K = 2.0\n")
     with pytest.raises(ClusterError, match=r"module\..*pyc: of another module.py: delete it"):
         forget_old_byte_code(tmp_path)
+    module.write_text("K = 20.0\n")  # of another size: Python would not run the old one
+    forget_old_byte_code(tmp_path)
     monkeypatch.undo()
     forget_old_byte_code(tmp_path)
     assert not kept.exists()

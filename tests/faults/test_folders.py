@@ -104,7 +104,7 @@ def test_status_knows_a_run_of_which_everything_is_stored(finished, monkeypatch)
     (finished / "out" / "run.json").unlink()
     seen = []
 
-    def update(study, planned, store, folder, **how):
+    def update(study, folder, given, **how):
         seen.append(json.loads(gapsweep(finished, "status", "out", "--json").stdout))
 
     monkeypatch.setattr(workflow, "update", update)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -612,6 +612,8 @@ SCENES = dict(
 def test_no_step_holds_a_crossing_that_was_not_reported(order, rtol, **changes):
     # the tolerance that belongs to a lower order makes steps so long that their series is wild
     s = scene(**changes)
+    # Nearer to a wall than rounding of displacements of a millimetre, on which side is no question.
+    assume(not any(0.0 < abs(s["x_0"] - wall) < 1e-20 for wall in (-s["j_1"], s["j_2"])))
     result = run(1.0, s, rtol=rtol, order=order, record_from=0.0, dense_output=True, x_bound=10.0)
     length, series = result.steps[:, 2:3], result.steps[:, 3:]
     part = np.linspace(0, 1, 65)
