@@ -130,6 +130,49 @@ def test_a_point_is_the_same_alone_and_in_any_company(label):
         assert alone.extrema.tobytes() == together.extrema[i].tobytes()
 
 
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+@pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4", "poly-3"])
+def test_runs_that_follow_each_other_are_those_one_after_the_other(label, engine):
+    """Also where some diverge, and where one ends on a wall."""
+    n, n_runs = (23, 5) if engine == "compiled" else (8, 3)
+    rng, law = np.random.default_rng(8), gs.contact_law(label, 1.4e5, SYMMETRIC)
+    # Softening, so that some starts run away: sooner or later.
+    models = Models(
+        systems=[gs.Oscillator(alpha=-1e10)] * n, laws=[law] * n, omega=rng.uniform(5.0, 30.0, n)
+    )
+    integrate = prepared(models, Solver.of(engine, 1e-6, 1e-9))
+    start = rng.uniform(-1.0, 1.0, (n, 2)) * [12e-3, 0.5]
+    start[0] = SYMMETRIC.j_2, 0.0
+
+    def problems(which, start, follows=None):
+        return Problems(
+            which=which,
+            start=start,
+            t_0=np.zeros(len(which)),
+            t_end=1.0 / models.omega[which],
+            record_from=np.zeros(len(which)),
+            follows=follows,
+            tangent=True,
+        )
+
+    which = np.repeat(np.arange(n), n_runs)
+    follows = np.tile(np.arange(n_runs) > 0, n)
+    chain = integrate(problems(which, start[which], follows))
+    left, sections = np.arange(n), 0
+    for k in range(n_runs):
+        alone = integrate(problems(left, start[left]))
+        rows = left * n_runs + k
+        for name in ("t", "state", "status", "n_contacts", "n_steps", "nfev", "monodromy"):
+            assert_array_equal(getattr(chain, name)[rows], getattr(alone, name), err_msg=name)
+        start[left], sections = alone.state, sections + len(alone.events().section)
+        left = left[alone.t == 1.0 / models.omega[left]]
+    assert 0 < len(left) < n
+    assert len(chain.events().section) == sections
+    never = follows & (chain.n_steps == 0)
+    assert_array_equal(np.flatnonzero(never), np.flatnonzero(follows & (chain.t == 0.0)))
+    assert (chain.status[never] == chain.status[np.flatnonzero(never) - 1]).all()
+
+
 @pytest.mark.parametrize("label", [*LABELS, "tests.laws:innocent"])
 def test_both_engines_find_the_same_steady_response(label):
     law = gs.contact_law(label, 1.4e4, SYMMETRIC)

@@ -70,12 +70,17 @@ def _gap_arrays(laws: Sequence[Any]) -> dict[str, Any]:
 def _given(problems: Problems) -> dict[str, Any]:
     """Arguments that both kernels take."""
     effort = problems.t_end - problems.t_0 if problems.effort is None else problems.effort
+    heads = np.arange(len(problems))
+    if problems.follows is not None:
+        heads = np.flatnonzero(~problems.follows)
+        effort = np.add.reduceat(effort, heads)
     return {
         "which": problems.which,
         "t_0": problems.t_0,
         "t_end": problems.t_end,
         "record_from": problems.record_from,
-        "queue": np.argsort(-effort, kind="stable"),
+        "queue": heads[np.argsort(-effort, kind="stable")],
+        "follows": problems.follows,
         "section_only": problems.section_only,
         "tangent": problems.tangent,
         "dense_output": problems.dense_output,

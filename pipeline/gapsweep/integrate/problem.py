@@ -106,6 +106,9 @@ class Problems:
     effort : ndarray, shape (m,), optional
         How long each is expected to take, in any unit; default its time span. The longest are
         begun first, so that few lanes are left alone with one.
+    follows : ndarray of bool, shape (m,), optional
+        Which begin where those before them end, whatever their `start`; default none. What follows
+        a failure has failed, without a step.
     section_only : bool
         Whether of these only the section is needed: a compiled engine then records no other.
     dense_output : bool
@@ -125,6 +128,7 @@ class Problems:
     t_end: Array
     record_from: Array
     effort: Array | None = None
+    follows: NDArray[np.bool_] | None = None
     section_only: bool = False
     dense_output: bool = False
     tangent: bool = False

@@ -16,7 +16,8 @@ Smooth laws, and the exact law without location, are integrated in one plain run
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,10 @@ from gapsweep.status import DIVERGED_AT, Status
 Array = NDArray[np.float64]
 Event = Callable[[float, Sequence[float]], float]
 
+_EVENTS = (
+    *("t_extrema", "extrema", "extrema_of", "t_contacts", "contacts_of", "t_section", "section"),
+)
+_COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 _MAX_STALLED = 100
 _NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it has just passed
 
@@ -93,7 +98,10 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     """
 
     def integrate(problems: Problems) -> Motions:
-        runs = [_run(models, problems, i, solver) for i in range(len(problems))]
+        runs: list[_Run] = []
+        for i in range(len(problems)):
+            before = runs[-1] if problems.follows is not None and problems.follows[i] else None
+            runs.append(_run(models, problems, i, solver, before))
         columns = {name: np.array([getattr(run, name) for run in runs]) for name in SCALARS}
 
         def sampler(t: Array) -> Array:
@@ -146,18 +154,7 @@ class _Run:
 
 
 def _events(runs: Sequence[_Run]) -> Events:
-    names = (
-        *(
-            "t_extrema",
-            "extrema",
-            "extrema_of",
-            "t_contacts",
-            "contacts_of",
-            "t_section",
-            "section",
-        ),
-    )
-    lists = {name: [getattr(run, name) for run in runs] for name in names}
+    lists = {name: [getattr(run, name) for run in runs] for name in _EVENTS}
     return Events(
         **{name: np.concatenate(arrays) for name, arrays in lists.items()},
         n_extrema=np.array([len(extrema) for extrema in lists["extrema"]]),
@@ -166,7 +163,12 @@ def _events(runs: Sequence[_Run]) -> Events:
     )
 
 
-def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
+def _run(models: Models, problems: Problems, i: int, solver: Solver, before: "_Run | None") -> _Run:
+    """Problem i, from where the run before it ended, if it follows one."""
+    if before and before.t < problems.t_end[i - 1]:
+        cost: dict[str, Any] = dict.fromkeys(_COUNTS, 0)
+        nothing = {name: getattr(before, name)[:0] for name in _EVENTS}
+        return replace(before, t=float(problems.t_0[i]), **cost, **nothing)
     model = int(problems.which[i])
     t_0, omega = float(problems.t_0[i]), float(models.omega[model])
     t_end = float(problems.t_end[i])
@@ -182,7 +184,7 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver) -> _Run:
         problems.tangent,
     )
     run = _Record()
-    start: State = tuple(problems.start[i].tolist())
+    start: State = before.state if before else tuple(problems.start[i].tolist())
     if problems.tangent:
         start += tuple(np.eye(len(start)).ravel().tolist())
     # An overflow on the way to divergence is an outcome, not a fault of this code.

@@ -81,8 +81,7 @@ class Call:
         if self.status.any():
             # A fit that was left on the way but did not run away goes on; where its steady
             # response lies decides in the end.
-            arrived = found.t >= t_end * (1.0 - 1e-9)
-            excused = arrived & (found.status == Status.OUT_OF_FIT_RANGE)
+            excused = _arrived(found, t_end) & (found.status == Status.OUT_OF_FIT_RANGE)
             self.status = np.where(excused, Status.OK, found.status)
 
     @property
@@ -191,6 +190,8 @@ class Ensemble:
         Whether the force of a contact changes with time.
     has_own_tangent, is_rattled : bool
         As of a `Scene`.
+    is_chained : bool
+        Whether motions with their tangent may follow each other in a call.
     """
 
     def __init__(self, scenes: Sequence[Scene]) -> None:
@@ -216,7 +217,7 @@ class Ensemble:
         if not self.is_plain:
             self._directions = _of_objects(models, lambda model: model.directions)
             self.is_modulated = _of_objects(models, lambda model: model.is_modulated).T
-        self.has_own_tangent = scenes[0].has_own_tangent
+        self.has_own_tangent, self.is_chained = scenes[0].has_own_tangent, True
         self.is_rattled = scenes[0].is_rattled
         prepared_models = Models(
             systems=models, laws=[scene.law for scene in scenes], omega=forcing
@@ -297,13 +298,14 @@ class Ensemble:
         *,
         section_only: bool = True,
         tangent: bool = False,
+        follows: NDArray[np.bool_] | None = None,
     ) -> Call:
         """Integrate scenes over whole forcing periods, from phase zero.
 
         Parameters
         ----------
         scenes : ndarray of int, shape (n,)
-            Their numbers, no number twice.
+            Their numbers, none twice but where a motion follows another one of it.
         y : ndarray, shape (n_states, n)
             States to start from.
         n_periods : ndarray of int, shape (n,)
@@ -313,11 +315,15 @@ class Ensemble:
             Whether of these only the section is wanted.
         tangent : bool
             Whether the tangent equations are integrated along.
+        follows : ndarray of bool, shape (n,), optional
+            As of `Problems`; only if `is_chained`.
         """
         omega = self.omega[scenes]
         t_end = n_periods / omega
-        options = {"section_only": section_only, "tangent": tangent}
-        found, tangents = self._run(scenes, y, n_periods, t_end, record_from, **options)
+        found, tangents = self._run(
+            scenes, y, n_periods, t_end, record_from,
+            section_only=section_only, tangent=tangent, follows=follows,
+        )  # fmt: skip
         given = self.unit[:, scenes], omega, t_end, self._shrinks(scenes)
         return Call(found, *given, *tangents)
 
@@ -335,6 +341,7 @@ class Ensemble:
         *,
         section_only: bool,
         tangent: bool,
+        follows: NDArray[np.bool_] | None = None,
     ) -> tuple[Motions, tuple[Array | None, Array]]:
         """Integrate scenes for some time: motions, their tangents, and where these lead."""
         problems = Problems(
@@ -344,6 +351,7 @@ class Ensemble:
             t_end=t_end,
             record_from=record_from,
             effort=self._pace[scenes] * n_periods,
+            follows=follows,
             section_only=section_only,
             contact_time=not section_only,
             tangent=tangent and self._integrate_tangent is None,
@@ -352,10 +360,38 @@ class Ensemble:
         self._pace[scenes] = np.maximum(found.n_steps, 1) / n_periods
         if not tangent or self._integrate_tangent is None:
             return found, (found.monodromy, found.state.T)
-        never = np.full(len(scenes), math.inf)
-        problems = replace(problems, record_from=never, tangent=True)
-        exact = self._solved(self._integrate_tangent, problems, n_periods)
-        return found, (exact.monodromy, exact.state.T)
+        return found, self._tangents(problems, found, n_periods)
+
+    def _tangents(
+        self, problems: Problems, found: Motions, n_periods: NDArray[Any]
+    ) -> tuple[Array, Array]:
+        """Tangents along motions by a solver of their own, and where they lead.
+
+        Each from where its motion begins, so that none waits for the one before it.
+        """
+        starts, begun = problems.start, _begun(problems, found)
+        if problems.follows is not None:
+            starts = np.where(problems.follows[:, None], np.roll(found.state, 1, axis=0), starts)
+        assert self._integrate_tangent is not None
+        assert problems.effort is not None
+        exact = self._solved(
+            self._integrate_tangent,
+            Problems(
+                which=problems.which[begun],
+                start=starts[begun],
+                t_0=problems.t_0[begun],
+                t_end=problems.t_end[begun],
+                record_from=np.full(begun.sum(), math.inf),
+                effort=problems.effort[begun],
+                tangent=True,
+            ),
+            n_periods[begun],
+        )
+        assert exact.monodromy is not None
+        tangents = np.full((len(problems), *exact.monodromy.shape[1:]), math.nan)
+        ends = np.full(starts.shape, math.nan)
+        tangents[begun], ends[begun] = exact.monodromy, exact.state
+        return tangents, ends.T
 
     def _solved(self, integrate: Integrate, problems: Problems, n_periods: NDArray[Any]) -> Motions:
         begin = time.thread_time()
@@ -363,6 +399,8 @@ class Ensemble:
         # What ran together shares the processor time in proportion to its steps.
         seconds = (time.thread_time() - begin) * found.n_steps / max(found.n_steps.sum(), 1)
         counts = (getattr(found, name) for name in _COUNTS)
+        if problems.follows is not None:
+            n_periods = n_periods * _begun(problems, found)
         self._costs.append((problems.which, *counts, n_periods, seconds))
         return found
 
@@ -373,6 +411,17 @@ class Ensemble:
         *counts, n_periods, seconds = (np.bincount(scenes, column, n) for column in columns)
         found = {name: count.astype(np.int64) for name, count in zip(_COUNTS, counts, strict=True)}
         return found | {"t_simulated": n_periods / self.omega, "cpu_time": seconds}
+
+
+def _arrived(found: Motions, t_end: Array) -> NDArray[np.bool_]:
+    return np.asarray(found.t >= t_end * (1.0 - 1e-9))
+
+
+def _begun(problems: Problems, found: Motions) -> NDArray[np.bool_]:
+    """Which motions were begun: not what follows a failure."""
+    if problems.follows is None:
+        return np.ones(len(problems), bool)
+    return ~problems.follows | np.roll(_arrived(found, problems.t_end), 1)
 
 
 def _of_objects(objects: Sequence[Any], value: Callable[[Any], Any]) -> NDArray[Any]:

@@ -79,6 +79,7 @@ class Returns(Ensemble):
 
     def __init__(self, scenes: Sequence[Scene], start: Array) -> None:
         super().__init__(scenes)
+        self.is_chained = False  # where a return is, its call tells
         self._rates = Rates(scenes)
         self._rate = self.omega.copy()  # returns per second, as seen last
         # Time is counted in returns: as they follow each other, not as the slowest motion would.
@@ -97,7 +98,9 @@ class Returns(Ensemble):
         *,
         section_only: bool = True,
         tangent: bool = False,
+        follows: Mask | None = None,
     ) -> Call:
+        assert follows is None
         normal, swing = self.n_coordinates, norm(y / self.unit[:, scenes])
         off = np.abs(y[normal]) / self.unit[normal, scenes]
         y = y.copy()
@@ -110,9 +113,10 @@ class Returns(Ensemble):
         tangents: tuple[Array | None, Array] = None, found.state.T
         if tangent or not section_only:
             beyond = t_end if tangent else t_end * (1.0 + _BEYOND)
-            options = {"section_only": section_only, "tangent": tangent}
-            n = t_end * self.omega[scenes]
-            again, tangents = self._run(scenes, y, n, beyond, record_from, **options)
+            again, tangents = self._run(
+                scenes, y, t_end * self.omega[scenes], beyond, record_from,
+                section_only=section_only, tangent=tangent,
+            )  # fmt: skip
             found = replace(again, t=t_end, state=found.state, status=found.status)
         passings = passings[0], np.where(is_recorded, passings[1], 0)
         speed = self._speed(scenes, found.state.T)

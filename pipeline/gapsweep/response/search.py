@@ -90,7 +90,7 @@ class Search:
         n_states = len(start)
         n_multipliers = n_states - 1 if ensemble.is_free else n_states
         self._shots = Shots(n_states, n, n_multipliers)
-        self._growths = Growths(n_states, n, is_rattled=ensemble.is_rattled)
+        self._growths = Growths(n_states, n)
         self._limits = Limits.of(ensemble, steady)
         self._phase = np.full(n, int(Phase.PAUSE))
         self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
@@ -105,15 +105,16 @@ class Search:
     def responses(self) -> Responses:
         """Advance all points until each has its answer."""
         while (self._phase < Phase.ENDED).any():
-            moves, grows = self._phase < Phase.LAST, self._phase == Phase.GROW
-            shoots = (self._phase > Phase.LAST) & (self._phase < Phase.GROW)
+            moves, shoots = self._phase < Phase.LAST, self._phase > Phase.LAST
+            shoots &= self._phase < Phase.GROW
+            grows = self._phase == Phase.GROW
             # What most points wait for; last what is best shared by all.
             if shoots.sum() > moves.sum():
-                self._advance_tangent(np.flatnonzero(shoots | grows))
+                self._shoot(np.flatnonzero(shoots))
             elif moves.any():
                 self._advance(np.flatnonzero(moves))
             elif grows.any():
-                self._advance_tangent(np.flatnonzero(grows))
+                self._grow(np.flatnonzero(grows))
             else:
                 self._advance_last(np.flatnonzero(self._phase == Phase.LAST))
         return answers(self._ensemble, self._walks, self._shots, self._found, self._steady)
@@ -202,21 +203,28 @@ class Search:
 
     # --- motion with its tangent -----------------------------------------------------------------
 
-    def _advance_tangent(self, points: Numbers) -> None:
-        phase, motions = self._phase[points], np.arange(len(points))
-        grows = phase == Phase.GROW
-        y = np.where(grows, self._growths.y[:, points], self._shots.y[:, points])
-        n = np.where(grows, self._growths.n_periods[points], self._shots.n[points])
-        record_from = np.where(grows, math.inf, 0.0)
-        call = self._ensemble.call(points, y, n, record_from, tangent=True)
-        if grows.any():
-            is_over, status = self._growths.step(points[grows], motions[grows], call)
-            self._grown(points[grows][is_over], status[is_over])
-        if not grows.all():
-            shot, phase = points[~grows], phase[~grows]
-            is_found, is_lost = self._shots.step(shot, motions[~grows], call)
-            self._hit(shot[is_found], phase[is_found])
-            self._miss(shot[is_lost], phase[is_lost])
+    def _shoot(self, points: Numbers) -> None:
+        phase, shots = self._phase[points], self._shots
+        recorded, motions = np.zeros(len(points)), np.arange(len(points))
+        call = self._ensemble.call(
+            points, shots.y[:, points], shots.n[points], recorded, tangent=True
+        )
+        is_found, is_lost = shots.step(points, motions, call)
+        self._hit(points[is_found], phase[is_found])
+        self._miss(points[is_lost], phase[is_lost])
+
+    def _grow(self, points: Numbers) -> None:
+        growths, n = self._growths, np.ones(len(points), np.int64)
+        if self._ensemble.is_chained:
+            n = growths.next_blocks(points)
+        blocks = np.repeat(points, n)
+        follows = np.append(False, blocks[1:] == blocks[:-1])
+        call = self._ensemble.call(
+            blocks, growths.y[:, blocks], growths.n_periods[blocks], np.full(len(blocks), math.inf),
+            tangent=True, follows=follows if follows.any() else None,
+        )  # fmt: skip
+        is_over, status = growths.step(points, np.flatnonzero(~follows), n, call)
+        self._grown(points[is_over], status[is_over])
 
     @_for_some
     def _hit(self, points: Numbers, phase: Counts) -> None:
@@ -373,7 +381,8 @@ class Search:
 
     @_for_some
     def _grown(self, points: Numbers, status: Counts) -> None:
-        elapsed = self._growths.elapsed[points]
+        growths = self._growths
+        elapsed = growths.n_blocks[points] * growths.n_periods[points]
         self._walks.arrive(points, self._growths.y[:, points], status, elapsed)
         is_ok = status == Status.OK
         self._fail(points[~is_ok])

@@ -33,13 +33,11 @@ _STRETCHES = 2.0
 # Newton's steps that shorten no more than this are the solver's noise.
 _SHORTENS = 0.5
 
-# Lyapunov exponent: the mean of as many batches, each at least this long, in decay times: what one
-# of them finds says nothing of the next one. Each is of some blocks, after one to align the vector.
+# Lyapunov exponent: the mean of as many batches, each of about so many decay times at least: what
+# one of them finds says nothing of the next one. Each is of some blocks, after one to align the
+# vector.
 _N_BATCHES, _BATCH, _BLOCKS = 10, 2.82, 6
-# Blocks that are made one where that first one stretches the vector by no more than this: of more
-# growth no determinant is known. A rattled motion leaves that of its tangent the farther the longer
-# a block is.
-_JOINED, _MILD = 3, 5.0
+_MOST_BLOCKS = 1 << 14  # in one call: some ten megabytes
 
 
 class Shots:
@@ -151,21 +149,18 @@ class Growths:
     y : ndarray, shape (n_states, n_points)
         Where the motions are.
     n_periods : ndarray of int, shape (n_points,)
-        Forcing periods in a motion's next block.
-    n_blocks, elapsed : ndarray of int, shape (n_points,)
-        Blocks behind it, and forcing periods.
+        Forcing periods in a motion's blocks.
+    n_blocks : ndarray of int, shape (n_points,)
+        Blocks behind it.
     strayed : ndarray, shape (n_points,)
         How far [m] the solver strayed in a block: root of the mean square.
     """
 
-    def __init__(self, n_states: int, n_points: int, *, is_rattled: bool) -> None:
-        self._is_rattled = is_rattled
+    def __init__(self, n_states: int, n_points: int) -> None:
         self.y = np.empty((n_states, n_points))
-        self.n_periods, self.n_blocks, self.elapsed, self._per_batch = np.zeros(
-            (4, n_points), np.int64
-        )
+        self.n_periods, self.n_blocks = np.zeros((2, n_points), np.int64)
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
-        self._rates = np.empty((n_points, _N_BATCHES * _BLOCKS + 1))  # of every block [1/s]
+        self._rates = np.empty((n_points, 1 + _N_BATCHES * _BLOCKS))  # of every block [1/s]
 
     def begin(self, points: Numbers, y: Array, rate: Array, omega: Array, longest: Counts) -> None:
         """Begin at states.
@@ -183,13 +178,22 @@ class Growths:
         """
         # No coordinate may be left out: another one's growth may never reach it.
         start = np.linspace(1.0, 0.0, len(y))
-        self.y[:, points], self._direction[points] = y, start
-        self.n_blocks[points], self.elapsed[points], self._per_batch[points] = 0, 0, _BLOCKS
+        self.y[:, points], self._direction[points], self.n_blocks[points] = y, start, 0
         wanted = np.minimum(_BATCH / _BLOCKS / rate * omega, longest / self._rates.shape[1])
         self.n_periods[points] = np.maximum(1, np.ceil(wanted))
 
-    def step(self, points: Numbers, motions: Numbers, call: Call) -> tuple[Mask, Counts]:
-        """One block from what a call found.
+    def next_blocks(self, points: Numbers) -> Counts:
+        """How many blocks of each point one call may have."""
+        left = self._rates.shape[1] - self.n_blocks[points]
+        return np.minimum(left, max(1, _MOST_BLOCKS // len(points)))
+
+    def step(self, points: Numbers, motions: Numbers, n: Counts, call: Call) -> tuple[Mask, Counts]:
+        """The next blocks from what a call found.
+
+        Parameters
+        ----------
+        points, motions, n : ndarray of int, shape (m,)
+            The points, the motions in the call of their first blocks, and how many follow it.
 
         Returns
         -------
@@ -198,41 +202,37 @@ class Growths:
         status : ndarray of int, shape (m,)
             `Status` values; a block that failed does not count.
         """
-        status = call.status[motions]
-        is_ok = status == Status.OK
-        with np.errstate(all="ignore"):  # of motions that failed
-            direction = np.matmul(call.monodromy[motions], self._direction[points][:, :, None])
-            length = norm(direction[:, :, 0].T)
-            self._direction[points] = direction[:, :, 0] / length[:, None]
-        length[~call.is_sound[motions]] = np.nan
-        self.y[:, points] = call.y[:, motions]
-        # numpy's own logarithm is another one on another processor.
-        logs = [math.log(factor) if factor else -math.inf for factor in length[is_ok].tolist()]
-        going, n_periods = points[is_ok], self.n_periods[points[is_ok]]
-        number = self.n_blocks[going]
-        self._rates[going, number] = logs * call.omega[motions[is_ok]] / n_periods
-        self.n_blocks[going], self.elapsed[going] = number + 1, self.elapsed[going] + n_periods
-        if not self._is_rattled:
-            mild = going[(number == 0) & (length[is_ok] <= _MILD)]
-            self.n_periods[mild] *= _JOINED
-            self._per_batch[mild] //= _JOINED
-        before, strayed = self.strayed[points], call.strayed[motions]
-        mean_square = before**2 + (strayed**2 - before**2) / self.n_blocks[points]
-        self.strayed[points] = np.sqrt(mean_square)
-        most = 1 + _N_BATCHES * self._per_batch[points]
-        return ~is_ok | (self.n_blocks[points] == most), status
+        tangent, is_sound, strayed = call.monodromy, call.is_sound, call.strayed
+        status = np.full(len(points), int(Status.OK))
+        for block in range(int(n.max())):
+            some = np.flatnonzero((block < n) & (status == Status.OK))
+            status[some] = call.status[motions[some] + block]
+            self.y[:, points[some]] = call.y[:, motions[some] + block]
+            some = some[status[some] == Status.OK]
+            going, now = points[some], motions[some] + block
+            with np.errstate(all="ignore"):  # of tangents that overflowed
+                direction = np.matmul(tangent[now], self._direction[going][:, :, None])[:, :, 0]
+                length = norm(direction.T)
+                self._direction[going] = direction / length[:, None]
+            length[~is_sound[now]] = np.nan
+            # numpy's own logarithm is another one on another processor.
+            logs = [math.log(factor) if factor else -math.inf for factor in length.tolist()]
+            self._rates[going, self.n_blocks[going]] = (
+                logs * call.omega[now] / self.n_periods[going]
+            )
+            self.n_blocks[going] += 1
+            before = self.strayed[going]
+            mean_square = before**2 + (strayed[now] ** 2 - before**2) / self.n_blocks[going]
+            self.strayed[going] = np.sqrt(mean_square)
+        return (status != Status.OK) | (self.n_blocks[points] == self._rates.shape[1]), status
 
     def exponents(self, points: Numbers) -> tuple[Array, Array]:
         """Largest Lyapunov exponents [1/s] of motions that have all blocks; standard errors.
 
         The errors are those of batch means. NaN where the tangent was unsound.
         """
-        batches = np.empty((len(points), _N_BATCHES))
-        for n in np.unique(self._per_batch[points]).tolist():
-            here = self._per_batch[points] == n
-            # The first block turns the vector into the direction of growth.
-            rates = self._rates[points[here], 1 : 1 + _N_BATCHES * n]
-            batches[here] = rates.reshape(-1, _N_BATCHES, n).mean(axis=2)
+        # The first block turns the vector into the direction of growth.
+        batches = self._rates[points, 1:].reshape(-1, _N_BATCHES, _BLOCKS).mean(axis=2)
         with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing
             error = batches.std(axis=1, ddof=1) / math.sqrt(_N_BATCHES)
         return batches.mean(axis=1), error

@@ -241,6 +241,27 @@ def load_first_points(at, lane, lane_int, q, table, queue):
 
 
 @internal
+def load_following(at, lane, lane_int, q, table, follows, results, status, i):
+    """Put the point that follows the one that has left a lane there; whether there is one.
+
+    What follows a failure has failed.
+    """
+    point = lane_int[POINT, i] + 1
+    if follows[point] and status == OK:
+        for j in range(at.n_states):
+            table[point, at.q + j] = lane[at.q + j, i]
+        load_point(at, lane, lane_int, q, table, point, i)
+        return True
+    while follows[point]:
+        row = table[point]
+        turns = row[at.end_turns] + row[at.end_tau] - row[at.tau]
+        results[point, R_STATUS] = results[point - 1, R_STATUS]
+        results[point, R_LEFT] = turns * row[at.period]
+        point += 1
+    return False
+
+
+@internal
 def unload_point(at, lane, lane_int, results, status, n_new_stages, i):
     """Write the point's end state and counters; the lane is then free."""
     row = results[lane_int[POINT, i]]

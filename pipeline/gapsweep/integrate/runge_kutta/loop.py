@@ -13,7 +13,7 @@ from gapsweep.integrate.taylor.layout import aligned
 from . import lanes as ln
 from . import laws, parameters
 from .attempt import attempt
-from .lanes import load_first_points, load_point, unload_point
+from .lanes import load_first_points, load_following, load_point, unload_point
 from .probing import new_scratch
 from .recording import attend
 from .tableaux import Tableau
@@ -43,6 +43,7 @@ def _advance(
     counters,
     table,
     queue,
+    follows,
     results,
     settings,
 ):
@@ -87,7 +88,10 @@ def _advance(
                 )
                 if status >= 0:
                     unload_point(at, lane, lane_int, results, status, tableau.c.size - 1, i)
-                    if counters[ln.NEXT_POINT] < table.shape[0]:
+                    is_loaded = load_following(
+                        at, lane, lane_int, q, table, follows, results, status, i
+                    )
+                    if not is_loaded and counters[ln.NEXT_POINT] < queue.shape[0]:
                         point = queue[counters[ln.NEXT_POINT]]
                         load_point(at, lane, lane_int, q, table, point, i)
                         counters[ln.NEXT_POINT] += 1
@@ -111,10 +115,11 @@ def drained(
     kinds: tuple[Any, ...],
     tableau: Tableau,
     table: Array,
-    queue: NDArray[np.intp],
+    order: tuple[NDArray[np.intp], NDArray[np.bool_]],
     settings: Array,
 ) -> tuple[Array, Array]:
-    """Result table and records of a point table; the queue says in which order they are loaded."""
+    """Result table and records of a point table; the order is that of `run`, queue and follows."""
+    queue, follows = order
     width, n_stages = simd.WIDTH, tableau.c.size
     lane, q = aligned(at.n_rows, width), aligned(at.contacts, parameters.N_PARAMETERS, width)
     lane_int = np.zeros((ln.N_INT_ROWS, width), np.int64)
@@ -132,7 +137,7 @@ def drained(
     lane[at.period] = 1.0
     counters[ln.NEXT_POINT] = load_first_points(at.numbers, lane, lane_int, q, table, queue)
     # An idle lane computes along with length zero; harmless numbers keep it off the slow paths.
-    q[..., len(table) :] = q[..., :1]
+    q[..., len(queue) :] = q[..., :1]
     is_users = any(isinstance(kind, laws.User) for kind in kinds)
     advance = _advance_user if is_users else _advance_cached
     work = k, k_tangent, probes, scratch, events, counters
@@ -149,6 +154,7 @@ def drained(
             *work,
             table,
             queue,
+            follows,
             results,
             settings,
         )

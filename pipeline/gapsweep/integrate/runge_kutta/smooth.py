@@ -103,7 +103,8 @@ def _replay_steps(at: ln.Rows, replay: dict[str, Any], point: int, steps: Array,
     off = [ln.S_ODE45, ln.S_STOP_AT_LAYER, ln.S_TANGENT, ln.S_DENSE, ln.S_CONTACTS]
     settings[off] = 0.0
     settings[ln.S_FIRST_STEP] = 1e100
-    results, _ = drained(at, replay["kinds"], replay["tableau"], table, np.arange(n), settings)
+    order = np.arange(n), np.zeros(n + 1, bool)
+    results, _ = drained(at, replay["kinds"], replay["tableau"], table, order, settings)
     return np.asarray(results[:, ln.R_STATE : ln.R_STATE + at.n_states].T)
 
 
@@ -278,6 +279,7 @@ def run(
     record_from: Array,
     *,
     queue: NDArray[np.intp] | None = None,
+    follows: NDArray[np.bool_] | None = None,
     section_only: bool = False,
     tangent: bool = False,
     dense_output: bool = False,
@@ -294,8 +296,11 @@ def run(
         States at t_0.
     t_0, t_end, record_from : ndarray, shape (n,)
         Start, end, and start of recording [s]; ``record_from=inf`` records nothing.
-    queue : ndarray of int, shape (n,), optional
-        The points in the order in which lanes take them; default as they stand.
+    queue : ndarray of int, optional
+        The points that follow none in the order in which lanes take them; default as they stand.
+    follows : ndarray of bool, shape (n,), optional
+        Which points begin where those before them end; default none. Their `start` is not read.
+        What follows a failure has failed.
     section_only : bool
         Record section points alone: an extremum takes a probe or two.
     tangent : bool
@@ -315,8 +320,10 @@ def run(
     settings = prepared.settings.copy()
     settings[ln.S_TANGENT], settings[ln.S_DENSE] = tangent, dense_output
     settings[ln.S_CONTACTS], settings[ln.S_SECTION_ONLY] = contacts, section_only
-    queue = np.arange(len(which)) if queue is None else queue
-    results, records = drained(at, prepared.kinds, prepared.method, table, queue, settings)
+    follows = np.append(np.zeros(len(which), bool) if follows is None else follows, False)
+    queue = np.flatnonzero(~follows[:-1]) if queue is None else queue
+    order = queue, follows
+    results, records = drained(at, prepared.kinds, prepared.method, table, order, settings)
     replay: dict[str, Any] = {"kinds": prepared.kinds, "tableau": prepared.method}
     replay |= {"table": table, "settings": settings}
     return _result(at, replay, results, records, t_0, t_end)

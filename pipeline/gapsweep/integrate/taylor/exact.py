@@ -114,6 +114,7 @@ def run(
     record_from: Array,
     *,
     queue: NDArray[np.intp] | None = None,
+    follows: NDArray[np.bool_] | None = None,
     section_only: bool = False,
     tangent: bool = False,
     dense_output: bool = False,
@@ -133,8 +134,11 @@ def run(
     record_from : ndarray, shape (n,)
         Time from which extrema, contacts and section points are recorded [s]. A start is not an
         event: only what happens after `t_0` is recorded.
-    queue : ndarray of int, shape (n,), optional
-        The points in the order in which lanes take them; default as they stand.
+    queue : ndarray of int, optional
+        The points that follow none in the order in which lanes take them; default as they stand.
+    follows : ndarray of bool, shape (n,), optional
+        Which points begin where those before them end; default none. Their `start` is not read.
+        What follows a failure has failed.
     section_only : bool
         Record section points alone: a search for extrema in every step costs as much as the step.
     tangent : bool
@@ -147,7 +151,8 @@ def run(
     """
     at = prepared.at.of_tangent if tangent else prepared.at
     points = np.empty((len(which) + 1, at.n_rows))
-    given = start, t_0, t_end, record_from, section_only and not dense_output
+    follows = np.append(np.zeros(len(which), bool) if follows is None else follows, False)
+    given = start, follows, t_0, t_end, record_from, section_only and not dense_output
     outcome = set_starts(
         at.numbers, points, prepared.table, which, *given, prepared.rtol, prepared.atol
     )
@@ -156,10 +161,12 @@ def run(
     if outcome == BACKWARD:
         raise ValueError("t_end lies before t_0")
     if outcome == ON_WALL:
-        set_modes_on_walls(at, points[:-1])
+        heads = points[:-1][~follows[:-1]]
+        set_modes_on_walls(at, heads)
+        points[:-1][~follows[:-1]] = heads
     statuses = np.full(len(which), RUNNING)
-    limits = prepared.rtol, DIVERGED_AT, _MOST_SHORT
-    queue = np.arange(len(which)) if queue is None else queue
+    limits = prepared.rtol, prepared.atol, DIVERGED_AT, _MOST_SHORT
+    queue = np.flatnonzero(~follows[:-1]) if queue is None else queue
     is_recording = bool(np.isfinite(record_from).any())
     # Where nothing forces the motion the section is passed at turns, whatever else is wanted.
     has_events = is_recording and (not section_only or dense_output or at.is_free)
@@ -168,7 +175,7 @@ def run(
         points[:-1, first : first + at.contacts] for first in (at.mode, at.contact_time)
     )
     contact_time[:] = np.where(mode != 0.0, -t_0[:, None], 0.0)
-    *events, steps = _drained(at, points, queue, statuses, limits, kept, not section_only)
+    *events, steps = _drained(at, points, queue, follows, statuses, limits, kept, not section_only)
     return _outcome(at, points[:-1], statuses, t_end, events, steps if dense_output else None)
 
 
@@ -176,8 +183,9 @@ def _drained(
     at: Layout,
     points: Array,
     queue: NDArray[np.intp],
+    follows: NDArray[np.bool_],
     statuses: NDArray[np.int64],
-    limits: tuple[float, float, float],
+    limits: tuple[float, ...],
     kept: Sequence[bool],
     turns: bool,
 ) -> list[Array]:
@@ -196,6 +204,7 @@ def _drained(
         lane_point=np.full(at.width, -2),
         points=points,
         queue=queue,
+        follows=follows,
         statuses=statuses,
         progress=np.zeros(2, np.int64),
         coefficients=aligned(n_kept * at.n_terms, at.width),

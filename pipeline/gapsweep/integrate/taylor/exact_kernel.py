@@ -16,6 +16,7 @@ from gapsweep.integrate.vectors import lowest_bit
 
 from .record import has_room, load_series, record_steps
 from .roots import Work, first_exit, polynomial
+from .starts import follow
 from .step import MAX_HALVINGS, SHORT_STEP, taylor_step
 
 # outcomes, with the numbers of the dataset's status flag
@@ -231,7 +232,7 @@ def _judged(at, suspects, lanes, x_bound, max_short):
 @internal
 def _attend(layout, packed, run, limits):
     """See to the lanes that `taylor_step` named."""
-    _, x_bound, max_short = limits
+    _, _, x_bound, max_short = limits
     at, lanes = run.at, run.lanes
     unclear = packed & at.all_lanes
     done = (packed >> at.width) & at.all_lanes
@@ -250,13 +251,13 @@ def _attend(layout, packed, run, limits):
         outcome = _failure(at, lanes, k, x_bound, max_short)
         if outcome == RUNNING:
             outcome = OK if (done >> k) & 1 != 0 else STEP_UNDERFLOW
-        _finish(at, run, k, outcome)
+        _finish(at, run, k, outcome, limits)
 
 
 @internal
 def _load_next(at, run, k):
     """Put the next waiting point into lane k, or idle motion if none waits."""
-    p = len(run.queue)  # the table's last row is a point at rest without an end
+    p = len(run.statuses)  # the table's last row is a point at rest without an end
     run.lane_point[k] = IDLE
     if run.progress[0] < len(run.queue):
         run.lane_point[k] = p = run.queue[run.progress[0]]
@@ -266,13 +267,27 @@ def _load_next(at, run, k):
 
 
 @internal
-def _finish(at, run, k, outcome):
-    """Hand lane k's state back to the table of points and load the next one."""
+def _finish(at, run, k, outcome, limits):
+    """Hand lane k's state back to the table of points and load the next one.
+
+    That is the one that follows; what follows a failure has failed.
+    """
+    rtol, atol, _, _ = limits
     p = run.lane_point[k]
     for r in range(at.n_rows):
         run.points[p, r] = run.lanes[r, k]
     run.statuses[p] = outcome
     run.progress[1] += 1
+    while run.follows[p + 1]:
+        p += 1
+        if outcome == OK:
+            follow(at, run.points[p], run.points[p - 1], rtol, atol)
+            run.lane_point[k] = p
+            for r in range(at.n_rows):
+                run.lanes[r, k] = run.points[p, r]
+            return
+        run.statuses[p] = outcome
+        run.progress[1] += 1
     _load_next(at, run, k)
 
 
@@ -289,8 +304,10 @@ class Run(NamedTuple):
         Row in `points` of each lane; -2 before the first call, `IDLE` when none is left.
     points : array, shape (n_points + 1, n_rows)
         One row per point: start on entry, end on return. The last row is the idle point.
-    queue : int array, shape (n_points,)
-        The points in the order in which they are loaded.
+    queue : int array
+        The points that follow none in the order in which they are loaded.
+    follows : bool array, shape (n_points + 1,)
+        Which points begin where those before them end; not the idle one.
     statuses : int array, shape (n_points,)
         Outcome of each point, `RUNNING` while it is under way.
     progress : int array, shape (2,)
@@ -315,6 +332,7 @@ class Run(NamedTuple):
     lane_point: np.ndarray
     points: np.ndarray
     queue: np.ndarray
+    follows: np.ndarray
     statuses: np.ndarray
     progress: np.ndarray
     coefficients: np.ndarray
@@ -335,7 +353,7 @@ def advance(layout, run, limits, budget):
     layout : Layout
     run : Run
     limits : tuple of float
-        rtol, x_bound [m], cap on successive short contact steps.
+        rtol, atol, x_bound [m], cap on successive short contact steps.
     budget : int
         Largest number of vector steps.
 
@@ -344,7 +362,7 @@ def advance(layout, run, limits, budget):
     int
         FINISHED, BUFFER_FULL or BUDGET_SPENT.
     """
-    rtol, x_bound, max_short = limits
+    rtol, _, x_bound, max_short = limits
     at = run.at
     for k in range(at.width):
         if run.lane_point[k] < IDLE:

@@ -21,7 +21,9 @@ _PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of two numbers that are rounded
 
 
 @entry
-def set_starts(at, points, table, which, start, t_0, t_end, record_from, section_only, rtol, atol):
+def set_starts(
+    at, points, table, which, start, follows, t_0, t_end, record_from, section_only, rtol, atol
+):
     """Copy rows of a table of scenes and put starts and ends into the copies.
 
     Parameters
@@ -36,6 +38,8 @@ def set_starts(at, points, table, which, start, t_0, t_end, record_from, section
         Number of the scene of each point.
     start : array, shape (n, n_states)
         States (q, v, z).
+    follows : bool array, shape (n + 1,)
+        Points that have their starts from `follow`.
     t_0, t_end, record_from : arrays, shape (n,)
     section_only : bool
         As in `exact.run`.
@@ -60,19 +64,40 @@ def set_starts(at, points, table, which, start, t_0, t_end, record_from, section
         point = points[i]
         for r in range(at.n_rows):
             point[r] = table[which[i], r]
-        for j in range(at.n_states):
-            if not isfinite(start[i, j]):
-                return NOT_FINITE
-            point[at.q + j] = start[i, j]
-        for j in range(at.n):
-            point[at.reach + j] = abs(start[i, j])
-        _set_floors(at, point, rtol, atol)
         _set_clocks(at, point, t_0[i], t_end[i], record_from[i])
         is_found_by_clock = section_only and not at.is_free
         point[at.event_clock] = np.inf if is_found_by_clock else point[at.record_clock]
-        if _set_modes(at, point):
+        if follows[i]:
+            continue
+        for j in range(at.n_states):
+            if not isfinite(start[i, j]):
+                return NOT_FINITE
+        if _set_state(at, point, start[i], rtol, atol):
             outcome = ON_WALL
     return outcome
+
+
+@internal
+def _set_state(at, point, state, rtol, atol):
+    """Begin in a state; whether it is on a wall."""
+    for j in range(at.n_states):
+        point[at.q + j] = state[j]
+    for j in range(at.n):
+        point[at.reach + j] = abs(state[j])
+    _set_floors(at, point, rtol, atol)
+    return _set_modes(at, point)
+
+
+@internal
+def follow(at, point, ended, rtol, atol):
+    """Begin where another point has ended."""
+    # on a wall, it goes on as the other one did
+    is_on_wall = _set_state(at, point, ended[at.q : at.q + at.n_states], rtol, atol)
+    for contact in range(at.contacts):
+        if is_on_wall:
+            point[at.mode + contact] = ended[at.mode + contact]
+        is_touching = point[at.mode + contact] != 0.0
+        point[at.contact_time + contact] = -point[at.t_start] if is_touching else 0.0
 
 
 @internal
