@@ -14,6 +14,7 @@ import time
 from contextlib import closing
 
 import numpy as np
+import psutil
 import pytest
 
 from gapsweep.store.cache import Cache
@@ -149,6 +150,27 @@ def test_status_tells_how_a_run_ended(finished):
     said = gapsweep(finished, "status", "data/runs/tiny").stdout
     assert "4 of 4 points" in said
     assert "damaged" not in said
+
+
+def test_status_of_a_run_that_goes_on_says_nothing_of_its_files(finished, tmp_path):
+    state = json.loads((finished / "data/runs/tiny/run.json").read_text())
+    state |= {"state": "running", "pid": os.getpid()}
+    state |= {"process_started": psutil.Process().create_time()}
+    (tmp_path / "run.json").write_text(json.dumps(state))
+    told = json.loads(gapsweep(tmp_path, "status", ".", "--json").stdout)
+    assert (told["damaged"], told["not_checked"]) == (None, None)
+
+
+def test_status_names_what_is_no_longer_as_written(finished, tmp_path):
+    """And waits for no pipe; a list that was cut names what it still holds."""
+    shutil.copytree(finished / "data/runs/tiny", tmp_path / "run")
+    (tmp_path / "run/static.nc").write_bytes(b"other")
+    (tmp_path / "run/timing.nc").unlink()
+    os.mkfifo(tmp_path / "run/timing.nc")
+    sums = tmp_path / "run/SHA256SUMS"
+    sums.write_text(sums.read_text() + "0123456789abcdef")
+    told = json.loads(gapsweep(tmp_path / "run", "status", ".", "--json").stdout)
+    assert told["damaged"] == ["static.nc", "timing.nc"]
 
 
 def test_query_prints_what_was_selected_and_computes_only_the_rest(finished):

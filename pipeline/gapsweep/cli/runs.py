@@ -28,7 +28,7 @@ def status(folder: Path, as_json: bool) -> int:
 
     state = RunState.read(folder)
     # A run that goes on makes anew what is damaged, and replaces files meanwhile.
-    damaged, unread = ([], []) if state.state == RUNNING else checked(folder)
+    damaged, unread = (None, None) if state.state == RUNNING else checked(folder)
     if as_json:
         click.echo(json.dumps(asdict(state) | {"damaged": damaged, "not_checked": unread}))
         return FINISHED

@@ -101,9 +101,11 @@ def recording(path: Path, is_ours: Callable[[Path], bool]) -> Iterator[Path]:
 def is_intact(path: Path) -> bool | None:
     """Whether a file is as it was written; None if no digest of it is recorded."""
     known = digests(path)
+    if not known:
+        return None
     try:
-        return sha256(path) in known if known else None
-    except OSError:  # a folder in its place, or a link that leads nowhere
+        return path.is_file() and sha256(path) in known  # a pipe would be waited for
+    except OSError:  # a link that leads nowhere
         return False
 
 
@@ -126,7 +128,7 @@ def checked(folder: Path, most: float = _SOON) -> tuple[list[str], list[str]]:
             unread.append(str(path.relative_to(folder)))
         elif not is_intact(path):
             changed.append(str(path.relative_to(folder)))
-    return changed, unread
+    return sorted(changed), sorted(unread)
 
 
 def is_recorded(path: Path) -> bool:
@@ -150,7 +152,8 @@ def _sums(folder: Path) -> list[tuple[str, str]]:
         lines = (folder / SUMS).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:  # not there, or something else in its place
         return []
-    return [(digest, name) for digest, _, name in (line.partition("  ") for line in lines)]
+    pairs = (line.partition("  ") for line in lines)
+    return [(digest, name) for digest, _, name in pairs if name]  # none in a line that was cut
 
 
 def remove(folder: Path, names: Collection[str]) -> None:
@@ -171,7 +174,11 @@ def remove(folder: Path, names: Collection[str]) -> None:
 
 
 def _record(path: Path, known: list[str]) -> None:
-    others = [pair for pair in _sums(path.parent) if pair[1] != path.name]
+    others = [
+        pair
+        for pair in _sums(path.parent)
+        if pair[1] != path.name and (path.parent / pair[1]).exists()
+    ]
     _write_sums(path.parent, [*others, *((digest, path.name) for digest in known)])
 
 

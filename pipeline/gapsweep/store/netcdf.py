@@ -9,6 +9,7 @@ import gc
 import json
 import os
 import platform
+import signal
 import sys
 import tempfile
 import threading
@@ -124,8 +125,11 @@ def _attributes(held: Any) -> dict[str, Any]:
 
 
 def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> None:
-    """Write a small dataset as a whole, with attributes and provenance; else like `writing`."""
-    with _LOCK, recording(path, _is_ours) as temporary, _errors(path):
+    """Write a small dataset as a whole, with attributes and provenance; else like `writing`.
+
+    Ctrl-C waits for it.
+    """
+    with _LOCK, _uninterrupted(), recording(path, _is_ours) as temporary, _errors(path):
         stamped = dataset.assign_attrs({**attributes, **provenance()})
         encoding = {
             name: {"_FillValue": None}
@@ -137,6 +141,23 @@ def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> N
         with netCDF4.Dataset(temporary) as written:
             for variable in written.variables.values():
                 _ = variable[:]
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ctrl-C arrives when this block ends: within, it would leave xarray's lock held for ever."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is None or threading.current_thread() is not threading.main_thread():
+        yield  # interrupts are the main thread's; another program's handler is its own
+        return
+    waiting: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: waiting.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if waiting:
+            signal.raise_signal(signal.SIGINT)
 
 
 @contextmanager
