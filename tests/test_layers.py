@@ -25,6 +25,7 @@ LAYERS = (
     {"folder"},
     {"own_code"},
     {"make"},
+    {"lookup"},
     {"workflow"},
     {"cli", "__init__"},
 )

@@ -20,16 +20,15 @@ from gapsweep.analysis.walls import far_walls
 from gapsweep.console import progress_bar
 from gapsweep.errors import StoreError
 from gapsweep.execution.assemble import attributes_of, fill
-from gapsweep.execution.explain import Explanation
-from gapsweep.execution.explain import explain as explanations
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
-from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
+from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.recorder import Recorder
 from gapsweep.folder import changed_since, check_owner, check_writable, run_folder
+from gapsweep.lookup import cache_path, plan
 from gapsweep.make import failed_motions, try_out_own_laws, update, update_points
 from gapsweep.own_code import check_modules
-from gapsweep.stages import RESPONSES, made_from, reason_to_run, sources, stages_of
+from gapsweep.stages import RESPONSES, stages_of
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
@@ -41,9 +40,6 @@ from gapsweep.study.study import Study
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
-
-
-DEFAULT_CACHE = Path("data/cache.sqlite")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,87 +60,6 @@ class Outcome:
     progress: Progress
     failures: Mapping[str, int]
     failed_motions: Mapping[str, Mapping[str, int]]
-
-
-def cache_path(cache: str | Path | None = None) -> Path:
-    """The cache to use: the argument, else ``GAPSWEEP_CACHE``, else ``data/cache.sqlite``.
-
-    Raises
-    ------
-    StoreError
-        If it has no name.
-    """
-    path = Path(cache or os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE)
-    if not path.name:
-        raise StoreError(f"{path}: is a folder; name a file in it, as {path / DEFAULT_CACHE.name}")
-    return path
-
-
-def plan(
-    study: Study,
-    cache: str | Path | None = None,
-    *,
-    selection: Selection | None = None,
-    retry_failed: bool = False,
-    timeout: float = DEFAULT_TIMEOUT,
-    on_progress: OnProgress | None = None,
-) -> Plan:
-    """Compare a study with a cache, without creating the cache or computing anything.
-
-    Raises
-    ------
-    StudyError
-        If a law of the user's own ends its process or hangs where keys are made.
-    """
-    say = partial(_tell, on_progress, Progress(0, 0))
-    try_out_own_laws(study, timeout, say)
-    say("looking up what is stored")
-    path = cache_path(cache)
-    if not path.exists():
-        return make_plan(study, selection=selection)
-    with Cache(path, read_only=True) as store:
-        return make_plan(study, store, selection=selection, retry_failed=retry_failed)
-
-
-def expected_seconds(plan: Plan, cache: str | Path | None = None, workers: int = 2) -> float | None:
-    """Time the missing points will take [s], from stored costs; None if none are stored.
-
-    Points of the same representation set the price where there are any, else the mean.
-    """
-    path = cache_path(cache)
-    if not path.exists():
-        return None
-    with Cache(path, read_only=True) as store:
-        cost = store.seconds(plan.keys)
-    if np.isnan(cost).all():
-        return None
-    representation = plan.representation(np.arange(plan.n_points))
-    total = 0.0
-    for r in np.unique(representation[plan.is_missing]).tolist():
-        here = representation == r
-        known = cost[here & np.isfinite(cost)]
-        price = known.mean() if known.size else np.nanmean(cost)
-        total += price * np.sum(plan.is_missing & here)
-    return float(total) / workers
-
-
-def stage_reasons(
-    study: Study, plan: Plan, out: str | Path | None = None, cache: str | Path | None = None
-) -> dict[str, str | None]:
-    """Why each stage would run; None for those that are up to date."""
-    folder, path = run_folder(study, out), cache_path(cache)
-    stages = stages_of(study)
-    if plan.n_missing or not path.exists():
-        return {stage.file: "sweep points are missing" for stage in stages}
-    with Cache(path, read_only=True) as store:
-        given = sources(study, plan, store)
-    reasons: dict[str, str | None] = {}
-    for stage in stages:
-        anew = [name for name in stage.inputs if reasons.get(name)]
-        now = made_from(stage, folder, given)
-        reason = reason_to_run(stage, folder, now)
-        reasons[stage.file] = reason or (f"{', '.join(anew)} made anew" if anew else None)
-    return reasons
 
 
 def run(
@@ -267,7 +182,7 @@ def carry_out(
 
         how |= {"timeout": timeout, "retry_failed": retry_failed, "begin": begin}
         progress = _computed(study, client, planned, cache, recorder, **how)
-        say = partial(_tell, recorder, progress)
+        say = partial(tell, recorder, progress)
         recorder.write()
         with alone_in(folder):
             check_owner(study, folder)
@@ -343,7 +258,7 @@ def query(
     study = Study.of(study)
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
-        try_out_own_laws(study, DEFAULT_TIMEOUT, partial(_tell, observer, Progress(0, 0)))
+        try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
         if path.exists():
             with Cache(path, read_only=True) as store:
                 planned = make_plan(study, store, selection=selection)
@@ -412,7 +327,7 @@ def _computed(
     # Now, before anybody waits for workers.
     check_writable(cache_path(cache).parent, "a cache elsewhere with --cache")
     if client is None:
-        _tell(on_progress, before, f"joining {scheduler}" if scheduler else "starting the workers")
+        tell(on_progress, before, f"joining {scheduler}" if scheduler else "starting the workers")
     from gapsweep.execution.cluster import cluster
     from gapsweep.execution.execute import execute
 
@@ -430,35 +345,12 @@ def _computed(
             try:
                 done = execute(study, planned, store, connected, on_progress=on_progress, **how)
             except KeyboardInterrupt as interrupt:
-                _tell(on_progress, before, "interrupted, stopping")
+                tell(on_progress, before, "interrupted, stopping")
                 interrupt.add_note(f"{store.path} keeps what was computed: run again to resume")
                 raise
         if client is None and not scheduler:
-            _tell(on_progress, done, "stopping the workers")
+            tell(on_progress, done, "stopping the workers")
     return done
-
-
-def _tell(on_progress: OnProgress | None, progress: Progress, stage: str) -> None:
-    """Say what begins now, with the counts so far."""
-    if on_progress is not None:
-        on_progress(replace(progress, stage=stage))
-
-
-def explain(
-    study: Study,
-    cache: str | Path | None,
-    limit: int,
-    on_progress: OnProgress | None = None,
-    **wanted: Any,
-) -> list[Explanation]:
-    """Why the selected points, the first `limit` of them, are hits or misses."""
-    selection = study.select(**wanted)
-    planned = plan(study, cache, selection=selection, on_progress=on_progress)
-    path = cache_path(cache)
-    if not path.exists():
-        raise StoreError(f"{path}: no such file, so every point is missing")
-    with Cache(path, read_only=True) as store:
-        return list(explanations(study, planned, store, limit))
 
 
 def _failures(planned: Plan) -> dict[str, int]:

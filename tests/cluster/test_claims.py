@@ -8,7 +8,7 @@ import shutil
 import pytest
 
 import gapsweep as gs
-from gapsweep import workflow
+from gapsweep import lookup
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
 from gapsweep.stages import AGREEMENT, CLAIMS, REPORT, SECTIONS
 
@@ -107,7 +107,7 @@ def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
         return json.loads((out / CLAIMS).read_text())
 
     def reasons():
-        found = workflow.stage_reasons(study, workflow.plan(study, cache), out, cache)
+        found = lookup.stage_reasons(study, lookup.plan(study, cache), out, cache)
         return {file: reason for file, reason in found.items() if reason}
 
     decided = again()

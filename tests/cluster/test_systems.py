@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 from tests.unit.test_system_tables import SECTION, TWO_MASSES, changed
 
 import gapsweep as gs
-from gapsweep import workflow
+from gapsweep import lookup
 from gapsweep.execution.again import recomputed_otherwise
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import plan
@@ -169,7 +169,7 @@ def test_a_sweep_goes_on_from_state_to_state(made):
 
 def test_nothing_is_computed_twice_and_all_is_sound(made):
     study, folder, _ = made
-    planned = workflow.plan(study, folder / "c.sqlite")
+    planned = lookup.plan(study, folder / "c.sqlite")
     assert planned.n_missing == 0
     with Cache(folder / "c.sqlite") as store:
         assert verify(store).is_sound

@@ -10,7 +10,7 @@ import xarray as xr
 from tests.stored import damaged_row
 
 import gapsweep as gs
-from gapsweep import make, workflow
+from gapsweep import lookup, make
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import export, verify
 
@@ -66,7 +66,7 @@ def test_damaged_cache_is_refused_or_repaired(sound, tmp_path, n_flips, n_trunca
             old.unlink()
         path.write_bytes(data)
         try:
-            planned = workflow.plan(study, path)
+            planned = lookup.plan(study, path)
             with closing(Cache(path).db) as db, Cache(path) as cache:
                 del db
                 found = cache.find(planned.keys)

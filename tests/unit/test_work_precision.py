@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.figure_texts import overlaps
 
 import gapsweep as gs
-from gapsweep import make, workflow
+from gapsweep import lookup, make
 from gapsweep.analysis.pareto import cheapest, corners, on_front
 from gapsweep.analysis.scenes import scenes
 from gapsweep.analysis.truth import LARGEST_GROWTH, growth, motion
@@ -235,9 +235,7 @@ def test_bench_measures_afresh_and_the_report_shows_it(tmp_path):
     study = gs.Study.load(path)
     created = [netcdf.attributes(out / name)["created"] for name in said if name.endswith(".nc")]
     assert len(created) == 2
-    stages = workflow.stage_reasons(
-        study, workflow.plan(study, tmp_path / "c"), out, tmp_path / "c"
-    )
+    stages = lookup.stage_reasons(study, lookup.plan(study, tmp_path / "c"), out, tmp_path / "c")
     assert {"work_precision.nc", "stability.nc"} <= set(stages)
     with netcdf.read(out / "work_precision.nc") as bench:
         assert all({"units", "long_name"} <= set(v.attrs) for v in bench.variables.values())

@@ -31,7 +31,7 @@ def _existing(cache: Path | None, *, read_only: bool = True) -> "Cache":
 
 
 def _path(cache: Path | None) -> Path:
-    from gapsweep.workflow import cache_path
+    from gapsweep.lookup import cache_path
 
     path = cache_path(cache)
     if not path.exists():

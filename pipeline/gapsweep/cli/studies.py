@@ -86,14 +86,14 @@ def plan(
       gapsweep plan quick.toml
       gapsweep plan quick.toml --json
     """
-    from gapsweep import workflow
+    from gapsweep import lookup
     from gapsweep.console import duration, print_table, progress_bar
 
     loaded = options.loaded(study, engine)
     with progress_bar() as observer:
-        planned = workflow.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
-        expected = workflow.expected_seconds(planned, cache, workers)
-        stages = workflow.stage_reasons(loaded, planned, out, cache)
+        planned = lookup.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
+        expected = lookup.expected_seconds(planned, cache, workers)
+        stages = lookup.stage_reasons(loaded, planned, out, cache)
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,
@@ -202,12 +202,12 @@ def explain(
     Example:
       gapsweep explain quick.toml --sel omega=10
     """
-    from gapsweep import workflow
+    from gapsweep import lookup
     from gapsweep.console import progress_bar
 
     loaded = options.loaded(study, engine)
     with progress_bar() as observer:
-        points = workflow.explain(loaded, cache, limit + 1, observer, **options.selected(wanted))
+        points = lookup.explain(loaded, cache, limit + 1, observer, **options.selected(wanted))
     for n, point in enumerate(points):
         if n == limit:
             click.echo(f"and more: --limit {10 * limit}")

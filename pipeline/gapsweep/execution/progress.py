@@ -1,7 +1,7 @@
 """What a run tells while it goes on."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 DEFAULT_TIMEOUT = 600.0  # s that one point may take
 
@@ -25,3 +25,9 @@ class Progress:
     @property
     def n_done(self) -> int:
         return self.n_hits + self.n_computed + self.n_shared
+
+
+def tell(on_progress: OnProgress | None, progress: Progress, stage: str) -> None:
+    """Say what begins now, with the counts so far."""
+    if on_progress is not None:
+        on_progress(replace(progress, stage=stage))

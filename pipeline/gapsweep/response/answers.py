@@ -9,7 +9,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.ensemble import Call, Ensemble
+from gapsweep.response.call import Call
+from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.found import Found
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares, largest_forces

@@ -21,7 +21,8 @@ from gapsweep.model.contact import (
 from gapsweep.model.equilibria import search_points, sign_changes
 from gapsweep.model.fitted import Fitted
 from gapsweep.model.table import ForceTable
-from gapsweep.response.ensemble import Call, Ensemble
+from gapsweep.response.call import Call
+from gapsweep.response.ensemble import Ensemble
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.motion import Motions
-from gapsweep.response.ensemble import ASTRAY, AT_REST, Call, Ensemble
+from gapsweep.response.call import Call
+from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
 from gapsweep.response.rates import REST, Rates
 from gapsweep.response.scene import Scene
 from gapsweep.response.section import norm, reach_of

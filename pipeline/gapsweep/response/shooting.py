@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.ensemble import Call
+from gapsweep.response.call import Call
 from gapsweep.response.maps import floquet_multipliers, newton_steps
 from gapsweep.response.section import norm
 from gapsweep.status import Status

@@ -5,7 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.ensemble import Call, Ensemble
+from gapsweep.response.call import Call
+from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares
 from gapsweep.response.section import DEVIATIONS, reach_of
