@@ -117,6 +117,19 @@ def test_cost_counts_the_whole_point():
     assert response.n_contacts > settled.n_contacts
 
 
+@pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e6"])
+def test_chaos_is_the_same_alone_and_beside_more_than_one_call_takes(label):
+    law, omega = gs.contact_law(label, 1.4e6, SYMMETRIC), np.linspace(1.5, 4.0, 400)
+    options = {"rtol": 1e-5, "atol": 1e-8}
+    together = gs.respond(gs.Oscillator(), law, omega, **options)
+    chaotic = np.flatnonzero(together.response_class == gs.ResponseClass.CHAOTIC)
+    assert len(chaotic) > 268  # whose growths one call takes
+    for i in chaotic[[0, 150, -1]].tolist():
+        alone = gs.respond(gs.Oscillator(), law, float(omega[i]), **options)
+        assert alone.lyapunov == together.lyapunov[i] > 0.0
+        assert (alone.x_max, alone.t_simulated) == (together.x_max[i], together.t_simulated[i])
+
+
 def test_a_response_is_the_same_alone_and_in_any_company():
     asymmetric = gs.Gap(0.0, 0.8e-3)
     laws = [

@@ -108,7 +108,7 @@ class Problems:
         begun first, so that few lanes are left alone with one.
     follows : ndarray of bool, shape (m,), optional
         Which begin where those before them end, whatever their `start`; default none. What follows
-        a failure has failed, without a step.
+        a failure has failed, without a step: its state means nothing.
     section_only : bool
         Whether of these only the section is needed: a compiled engine then records no other.
     dense_output : bool

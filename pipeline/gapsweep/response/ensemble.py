@@ -23,6 +23,7 @@ from gapsweep.model.system import System
 from gapsweep.response.call import Call, arrived
 from gapsweep.response.scene import Scene
 from gapsweep.response.section import unit_of
+from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 
@@ -290,7 +291,10 @@ def _begun(problems: Problems, found: Motions) -> NDArray[np.bool_]:
     """Which motions were begun: not what follows a failure."""
     if problems.follows is None:
         return np.ones(len(problems), bool)
-    return ~problems.follows | np.roll(arrived(found, problems.t_end), 1)
+    # What leaves the bounds in its last step has arrived, too.
+    is_ok = np.isin(found.status, (Status.OK, Status.OUT_OF_FIT_RANGE))
+    is_ok &= arrived(found, problems.t_end) & np.isfinite(found.state).all(axis=1)
+    return ~problems.follows | np.roll(is_ok, 1)
 
 
 def _of_objects(objects: Sequence[Any], value: Callable[[Any], Any]) -> NDArray[Any]:

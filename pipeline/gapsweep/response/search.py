@@ -1,7 +1,7 @@
 """The search for steady responses of many points at once; see `gapsweep.response.respond`.
 
 Every point is in a `Phase`, which says what it waits for. All that wait for a stretch of motion
-share a call of the engine, and when none does, all that wait for a motion with its tangent.
+share a call of the engine, so do all that shoot at an orbit, and all whose disturbance grows.
 Arithmetic and decisions are on columns: none of them sees another point's row.
 """
 
@@ -214,16 +214,18 @@ class Search:
         self._miss(points[is_lost], phase[is_lost])
 
     def _grow(self, points: Numbers) -> None:
-        growths, n = self._growths, np.ones(len(points), np.int64)
+        growths, n = self._growths, 1
         if self._ensemble.is_chained:
-            n = growths.next_blocks(points)
+            # All blocks of a point: where a chain is cut may not depend on its company.
+            points, n = points[: growths.together()], growths.n_all
         blocks = np.repeat(points, n)
         follows = np.append(False, blocks[1:] == blocks[:-1])
         call = self._ensemble.call(
             blocks, growths.y[:, blocks], growths.n_periods[blocks], np.full(len(blocks), math.inf),
-            tangent=True, follows=follows if follows.any() else None,
+            tangent=True, follows=follows if n > 1 else None,
         )  # fmt: skip
-        is_over, status = growths.step(points, np.flatnonzero(~follows), n, call)
+        first = np.flatnonzero(~follows)
+        is_over, status = growths.step(points, first, np.full(len(points), n), call)
         self._grown(points[is_over], status[is_over])
 
     @_for_some

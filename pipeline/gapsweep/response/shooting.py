@@ -6,8 +6,7 @@ alone and check all of it: the product of the multipliers over n periods T is ``
 the Lyapunov exponents add up to ``-r``; r is ``2 ζ ω_n`` for an oscillator, for a system
 ``tr(M⁻¹C) - tr H``.
 
-`Shots` and `Growths` are columns, a row per point. Both take what a call with the tangent found,
-so that points which look for an orbit and points which ask for an exponent share it.
+`Shots` and `Growths` are columns, a row per point. Both take what a call with the tangent found.
 """
 
 import math
@@ -37,7 +36,7 @@ _SHORTENS = 0.5
 # one of them finds says nothing of the next one. Each is of some blocks, after one to align the
 # vector.
 _N_BATCHES, _BATCH, _BLOCKS = 10, 2.82, 6
-_MOST_BLOCKS = 1 << 14  # in one call: some ten megabytes
+_MOST_NUMBERS = 1 << 16  # of tangents in one call: with what else belongs to them, ten megabytes
 
 
 class Shots:
@@ -182,10 +181,14 @@ class Growths:
         wanted = np.minimum(_BATCH / _BLOCKS / rate * omega, longest / self._rates.shape[1])
         self.n_periods[points] = np.maximum(1, np.ceil(wanted))
 
-    def next_blocks(self, points: Numbers) -> Counts:
-        """How many blocks of each point one call may have."""
-        left = self._rates.shape[1] - self.n_blocks[points]
-        return np.minimum(left, max(1, _MOST_BLOCKS // len(points)))
+    @property
+    def n_all(self) -> int:
+        """How many blocks a growth has."""
+        return self._rates.shape[1]
+
+    def together(self) -> int:
+        """How many points have all of their blocks in one call: some ten megabytes."""
+        return max(1, _MOST_NUMBERS // (self.n_all * len(self.y) ** 2))
 
     def step(self, points: Numbers, motions: Numbers, n: Counts, call: Call) -> tuple[Mask, Counts]:
         """The next blocks from what a call found.
@@ -193,7 +196,7 @@ class Growths:
         Parameters
         ----------
         points, motions, n : ndarray of int, shape (m,)
-            The points, the motions in the call of their first blocks, and how many follow it.
+            The points, the motions in the call of their first blocks, and how many blocks each has.
 
         Returns
         -------
@@ -202,7 +205,8 @@ class Growths:
         status : ndarray of int, shape (m,)
             `Status` values; a block that failed does not count.
         """
-        tangent, is_sound, strayed = call.monodromy, call.is_sound, call.strayed
+        with np.errstate(all="ignore"):  # of tangents that overflowed
+            tangent, is_sound, strayed = call.monodromy, call.is_sound, call.strayed
         status = np.full(len(points), int(Status.OK))
         for block in range(int(n.max())):
             some = np.flatnonzero((block < n) & (status == Status.OK))

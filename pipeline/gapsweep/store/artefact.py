@@ -105,7 +105,7 @@ def is_intact(path: Path) -> bool | None:
         return None
     try:
         return path.is_file() and sha256(path) in known  # a pipe would be waited for
-    except OSError:  # a link that leads nowhere
+    except OSError:  # it cannot be read
         return False
 
 
@@ -174,11 +174,7 @@ def remove(folder: Path, names: Collection[str]) -> None:
 
 
 def _record(path: Path, known: list[str]) -> None:
-    others = [
-        pair
-        for pair in _sums(path.parent)
-        if pair[1] != path.name and (path.parent / pair[1]).exists()
-    ]
+    others = [pair for pair in _sums(path.parent) if pair[1] != path.name]
     _write_sums(path.parent, [*others, *((digest, path.name) for digest in known)])
 
 
