@@ -50,7 +50,13 @@ Array = NDArray[np.float64]
 Event = Callable[[float, Sequence[float]], float]
 
 _EVENTS = (
-    *("t_extrema", "extrema", "extrema_of", "t_contacts", "contacts_of", "t_section", "section"),
+    "t_extrema",
+    "extrema",
+    "extrema_of",
+    "t_contacts",
+    "contacts_of",
+    "t_section",
+    "section",
 )
 _COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 _MAX_STALLED = 100
@@ -106,7 +112,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
         def sampler(t: Array) -> Array:
             motions = zip(runs, problems.t_0, strict=True)
-            states = [run.motion(t - t_0)[:, : run.n_states] for run, t_0 in motions]
+            states = [run.motion(t - t_0)[:, : run.n_states] for run, t_0 in motions if run.motion]
             return np.moveaxis(np.reshape(states, (len(runs), t.size, -1)), -1, 0)
 
         monodromy = None
@@ -146,7 +152,7 @@ class _Run:
     contacts_of: NDArray[np.int64]
     t_section: Array
     section: Array
-    motion: PPoly
+    motion: PPoly | None  # with dense output only: it is as large as all of its steps
 
     @property
     def n_states(self) -> int:
@@ -215,7 +221,7 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver, before: "_R
         contacts_of=contacts[:, 1].astype(np.int64),
         t_section=t_0 + t_section,
         section=section,
-        motion=motion,
+        motion=motion if problems.dense_output else None,
     )
 
 
