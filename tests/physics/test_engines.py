@@ -133,7 +133,7 @@ def test_a_point_is_the_same_alone_and_in_any_company(label):
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 @pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4", "poly-3"])
 def test_runs_that_follow_each_other_are_those_one_after_the_other(label, engine):
-    """Also where some diverge, and where one ends on a wall."""
+    """Also where some diverge, and where one starts on a wall."""
     n, n_runs = (23, 5) if engine == "compiled" else (8, 3)
     rng, law = np.random.default_rng(8), gs.contact_law(label, 1.4e5, SYMMETRIC)
     # Softening, so that some starts run away: sooner or later.
