@@ -130,19 +130,30 @@ def test_a_point_is_the_same_alone_and_in_any_company(label):
         assert alone.extrema.tobytes() == together.extrema[i].tobytes()
 
 
-@pytest.mark.parametrize("engine", ["compiled", "scipy"])
-@pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4", "poly-3"])
-def test_runs_that_follow_each_other_are_those_one_after_the_other(label, engine):
-    """Also where some diverge, and where one starts on a wall."""
-    n, n_runs = (23, 5) if engine == "compiled" else (8, 3)
-    rng, law = np.random.default_rng(8), gs.contact_law(label, 1.4e5, SYMMETRIC)
-    # Softening, so that some starts run away: sooner or later.
-    models = Models(
-        systems=[gs.Oscillator(alpha=-1e10)] * n, laws=[law] * n, omega=rng.uniform(5.0, 30.0, n)
+def softening_pair():
+    """Two masses with a lag; thrown far, they run away."""
+    along = np.array([1.0, -1.0])
+    return gs.System(
+        mass=np.diag([1.0, 0.6]),
+        damping=[[4.0, -1.0], [-1.0, 3.0]],
+        stiffness=[[1500.0, -400.0], [-400.0, 900.0]],
+        cubic=[gs.Cubic(along=along, alpha=-1e10)],
+        contacts={"stop": along},
+        forcing=[gs.Harmonic(amplitude=[2.0, 0.5])],
+        lags=gs.Lags([[30.0], [0.0]], [[1.0, 0.0]], [[0.0, 8.0]], [[-20.0]]),
     )
-    integrate = prepared(models, Solver.of(engine, 1e-6, 1e-9))
-    start = rng.uniform(-1.0, 1.0, (n, 2)) * [12e-3, 0.5]
-    start[0] = SYMMETRIC.j_2, 0.0
+
+
+def one_after_the_other(models, integrate, start, n_runs):
+    """A chain of runs of a period each of every model, which must be these runs one by one.
+
+    Returns
+    -------
+    chain : Motions
+        n_runs of the first model, then of the second.
+    left : ndarray of int
+        The models of which no run failed.
+    """
 
     def problems(which, start, follows=None):
         return Problems(
@@ -155,6 +166,7 @@ def test_runs_that_follow_each_other_are_those_one_after_the_other(label, engine
             tangent=True,
         )
 
+    n, start = len(models.omega), start.copy()
     which = np.repeat(np.arange(n), n_runs)
     follows = np.tile(np.arange(n_runs) > 0, n)
     chain = integrate(problems(which, start[which], follows))
@@ -166,11 +178,53 @@ def test_runs_that_follow_each_other_are_those_one_after_the_other(label, engine
             assert_array_equal(getattr(chain, name)[rows], getattr(alone, name), err_msg=name)
         start[left], sections = alone.state, sections + len(alone.events().section)
         left = left[alone.t == 1.0 / models.omega[left]]
-    assert 0 < len(left) < n
     assert len(chain.events().section) == sections
     never = follows & (chain.n_steps == 0)
     assert_array_equal(np.flatnonzero(never), np.flatnonzero(follows & (chain.t == 0.0)))
     assert (chain.status[never] == chain.status[np.flatnonzero(never) - 1]).all()
+    return chain, left
+
+
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+@pytest.mark.parametrize("system", [gs.Oscillator(alpha=-1e10), softening_pair()])
+@pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4", "poly-3"])
+def test_runs_that_follow_each_other_are_those_one_after_the_other(label, system, engine):
+    """Also where some diverge, sooner or later, and where one starts on a wall."""
+    n, n_runs = (23, 5) if engine == "compiled" else (8, 3)
+    rng, law = np.random.default_rng(8), gs.contact_law(label, 1.4e5, SYMMETRIC)
+    is_plain = isinstance(system, gs.Oscillator)
+    models = Models(
+        systems=[system] * n,
+        laws=[law if is_plain else (law,)] * n,
+        omega=rng.uniform(5.0, 30.0, n),
+    )
+    span = [12e-3, 0.5] if is_plain else [12e-3, 12e-3, 0.5, 0.5, 1e-2]
+    start = rng.uniform(-1.0, 1.0, (n, len(span))) * span
+    start[0] = 0.0
+    start[0, 0] = SYMMETRIC.j_2
+    integrate = prepared(models, Solver.of(engine, 1e-6, 1e-9))
+    _, left = one_after_the_other(models, integrate, start, n_runs)
+    assert 0 < len(left) < n
+
+
+def test_a_run_that_ends_on_a_wall_is_followed_from_there():
+    """Where the mode says more than the state does: on its way in and on its way out."""
+    n, rng, law = 12, np.random.default_rng(5), gs.contact_law("piecewise", 1.4e4, SYMMETRIC)
+    free = gs.Oscillator(zeta=0.01, forcing=0.0, alpha=0.0)
+    start = np.stack([rng.uniform(-2e-4, 2e-4, n), rng.choice([-0.03, 0.03], n)], axis=1)
+    nth = np.arange(n) % 4  # the contact that the first run ends on
+    ends = [
+        gs.simulate(free, law, 10.0, x_0, v_0, t_end=1.0, tangent=True).t_contacts[k]
+        for (x_0, v_0), k in zip(start.tolist(), nth.tolist(), strict=True)
+    ]
+    # Nothing forces them, so that a period may be as long as the way to the wall.
+    models = Models(systems=[free] * n, laws=[law] * n, omega=1.0 / np.array(ends))
+    integrate = prepared(models, Solver.of("compiled"))
+    chain, left = one_after_the_other(models, integrate, start, 3)
+    assert len(left) == n
+    off = np.abs(np.abs(chain.state[::3, 0]) - SYMMETRIC.j_2)
+    assert np.sum(off <= 1e-15) > n // 2
+    assert len(set(np.sign(np.prod(chain.state[::3], axis=1)[off <= 1e-15]))) == 2
 
 
 @pytest.mark.parametrize("label", [*LABELS, "tests.laws:innocent"])

@@ -6,17 +6,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from tests.labels import LABELS
 from tests.oracles import orbit_distance
 from tests.section_points import parts
 from tests.stored import tile_rows
 
 import gapsweep as gs
+from gapsweep.integrate.problem import Solver
 from gapsweep.report import figures
 from gapsweep.response import ensemble, shooting
 from gapsweep.response.attractors import attractors_of_scenes
+from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Responses
+from gapsweep.response.scene import Scene
 from gapsweep.response.section import (
     cloud_distances,
     converging_multiples,
@@ -26,6 +29,7 @@ from gapsweep.response.section import (
     prime_multiples,
     unit_of,
 )
+from gapsweep.status import Status
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
 SOFT, HARD = 1.4e4, 1.4e6
@@ -377,3 +381,31 @@ def test_bad_grids_of_starts_are_refused(arguments, message):
     given = {"omega": 9.0, "x": [0.0], "v": [0.0]} | arguments
     with pytest.raises(gs.ModelError, match=message):
         gs.basins(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
+
+
+@pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4", "poly-3"])
+def test_tangents_of_a_chain_are_those_of_its_motions(label):
+    """Also where another solver carries them, and where a motion runs away in its second run."""
+    law, solver = gs.contact_law(label, 1.4e5, SYMMETRIC), Solver.of("compiled", 1e-5, 1e-8)
+    oscillator = gs.Oscillator(alpha=-1e10)
+    omega = np.linspace(5.0, 30.0, 9)
+    ensemble = Ensemble([Scene(oscillator=oscillator, law=law, omega=w, solver=solver)
+                         for w in omega.tolist()])  # fmt: skip
+    assert ensemble.has_own_tangent == (label == "piecewise")
+
+    def call(scenes, y, follows=None):
+        periods, never = np.full(len(scenes), 2), np.full(len(scenes), np.inf)
+        return ensemble.call(scenes, y, periods, never, tangent=True, follows=follows)
+
+    y = np.stack([np.linspace(1e-3, 9e-3, 9), np.zeros(9)])
+    follows = np.tile([False, True, True], 9)
+    chain = call(np.repeat(np.arange(9), 3), np.repeat(y, 3, axis=1), follows)
+    left = np.arange(9)
+    for k in range(3):
+        alone = call(left, y)
+        for name in ("monodromy", "strayed", "status"):
+            assert_array_equal(getattr(chain, name)[left * 3 + k], getattr(alone, name))
+        assert_array_equal(chain.y[:, left * 3 + k], alone.y)
+        y, left = alone.y[:, alone.is_ok], left[alone.is_ok]
+        assert (chain.status.reshape(9, 3)[np.setdiff1d(np.arange(9), left), k:] != Status.OK).all()
+    assert 0 < len(left) < 9
