@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
-SCALARS = ("t", "status", "n_contacts", "n_steps", "n_rejected", "nfev")
+COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
+SCALARS = ("t", "status", *COUNTS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

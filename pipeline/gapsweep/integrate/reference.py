@@ -25,7 +25,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
-from gapsweep.integrate.motion import SCALARS, Events, Motions
+from gapsweep.integrate.motion import COUNTS, SCALARS, Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.reference_motion import (
     extrema_of,
@@ -58,7 +58,6 @@ _EVENTS = (
     "t_section",
     "section",
 )
-_COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 _MAX_STALLED = 100
 _NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it has just passed
 
@@ -172,7 +171,7 @@ def _events(runs: Sequence[_Run]) -> Events:
 def _run(models: Models, problems: Problems, i: int, solver: Solver, before: "_Run | None") -> _Run:
     """Problem i, from where the run before it ended, if it follows one."""
     if before and before.t < problems.t_end[i - 1]:
-        cost: dict[str, Any] = dict.fromkeys(_COUNTS, 0)
+        cost: dict[str, Any] = dict.fromkeys(COUNTS, 0)
         nothing = {name: getattr(before, name)[:0] for name in _EVENTS}
         return replace(before, t=float(problems.t_0[i]), **cost, **nothing)
     model = int(problems.which[i])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import Motions
+from gapsweep.integrate.motion import COUNTS, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
@@ -27,7 +27,6 @@ from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 
-_COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 # Beside the `Status` values of a call: the motion has come to rest, or never comes back.
 AT_REST, ASTRAY = -1, -2
 _STEPS_AT_A_TIME = 10_000.0  # some five milliseconds of a lane
@@ -68,6 +67,8 @@ class Ensemble:
         Whether motions with their tangent may follow each other in a call.
     """
 
+    is_chained = True
+
     def __init__(self, scenes: Sequence[Scene]) -> None:
         self.scenes, self.solver = scenes, scenes[0].solver
         models: list[Any] = [scene.oscillator for scene in scenes]
@@ -91,8 +92,7 @@ class Ensemble:
         if not self.is_plain:
             self._directions = _of_objects(models, lambda model: model.directions)
             self.is_modulated = _of_objects(models, lambda model: model.is_modulated).T
-        self.has_own_tangent, self.is_chained = scenes[0].has_own_tangent, True
-        self.is_rattled = scenes[0].is_rattled
+        self.has_own_tangent, self.is_rattled = scenes[0].has_own_tangent, scenes[0].is_rattled
         prepared_models = Models(
             systems=models, laws=[scene.law for scene in scenes], omega=forcing
         )
@@ -272,7 +272,7 @@ class Ensemble:
         found = integrate(problems)
         # What ran together shares the processor time in proportion to its steps.
         seconds = (time.thread_time() - begin) * found.n_steps / max(found.n_steps.sum(), 1)
-        counts = (getattr(found, name) for name in _COUNTS)
+        counts = (getattr(found, name) for name in COUNTS)
         if problems.follows is not None:
             n_periods = n_periods * _begun(problems, found)
         self._costs.append((problems.which, *counts, n_periods, seconds))
@@ -283,7 +283,7 @@ class Ensemble:
         scenes, *columns = map(np.concatenate, zip(*self._costs, strict=True))
         n = len(self.omega)
         *counts, n_periods, seconds = (np.bincount(scenes, column, n) for column in columns)
-        found = {name: count.astype(np.int64) for name, count in zip(_COUNTS, counts, strict=True)}
+        found = {name: count.astype(np.int64) for name, count in zip(COUNTS, counts, strict=True)}
         return found | {"t_simulated": n_periods / self.omega, "cpu_time": seconds}
 
 

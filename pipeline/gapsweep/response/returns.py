@@ -78,9 +78,10 @@ class Return(Call):
 class Returns(Ensemble):
     """Scenes that nothing forces; a period is a return to the section in all of its methods."""
 
+    is_chained = False  # where a return is, its call tells
+
     def __init__(self, scenes: Sequence[Scene], start: Array) -> None:
         super().__init__(scenes)
-        self.is_chained = False  # where a return is, its call tells
         self._rates = Rates(scenes)
         self._rate = self.omega.copy()  # returns per second, as seen last
         # Time is counted in returns: as they follow each other, not as the slowest motion would.

@@ -205,11 +205,10 @@ class Search:
 
     def _shoot(self, points: Numbers) -> None:
         phase, shots = self._phase[points], self._shots
-        recorded, motions = np.zeros(len(points)), np.arange(len(points))
         call = self._ensemble.call(
-            points, shots.y[:, points], shots.n[points], recorded, tangent=True
+            points, shots.y[:, points], shots.n[points], np.zeros(len(points)), tangent=True
         )
-        is_found, is_lost = shots.step(points, motions, call)
+        is_found, is_lost = shots.step(points, call)
         self._hit(points[is_found], phase[is_found])
         self._miss(points[is_lost], phase[is_lost])
 
@@ -224,8 +223,7 @@ class Search:
             blocks, growths.y[:, blocks], growths.n_periods[blocks], np.full(len(blocks), math.inf),
             tangent=True, follows=follows if n > 1 else None,
         )  # fmt: skip
-        first = np.flatnonzero(~follows)
-        is_over, status = growths.step(points, first, np.full(len(points), n), call)
+        is_over, status = growths.step(points, n, call)
         self._grown(points[is_over], status[is_over])
 
     @_for_some

@@ -95,31 +95,31 @@ class Shots:
         """Begin again at orbits that were found, over fewer forcing periods."""
         self.n[points], self._tries[points], self._last[points] = n, 0, np.inf
 
-    def step(self, points: Numbers, motions: Numbers, call: Call) -> tuple[Mask, Mask]:
+    def step(self, points: Numbers, call: Call) -> tuple[Mask, Mask]:
         """One step of Newton's method from what a call found.
 
         Parameters
         ----------
-        points, motions : ndarray of int, shape (m,)
-            The points and their motions in the call.
+        points : ndarray of int, shape (m,)
+            Those of the call.
 
         Returns
         -------
         is_found, is_lost : ndarray of bool, shape (m,)
             Whose orbit is closed; who went too far, did not converge, or failed.
         """
-        y, unit, is_ok = self.y[:, points], call.unit[:, motions], call.is_ok[motions]
+        y, is_ok = self.y[:, points], call.is_ok
         goal = self._goal[points]
         with np.errstate(over="ignore", invalid="ignore"):  # of motions that failed
-            missed = (call.y[:, motions] - y) / unit
-            step = newton_steps(call.monodromy[motions], missed.T).T
+            missed = (call.y - y) / call.unit
+            step = newton_steps(call.monodromy, missed.T).T
             length = norm(step)
             # Ends that meet are not enough: weakly contracting, the orbit is much farther away.
             is_near = norm(missed) <= np.maximum(goal, self._noise[points])
             is_at_best = is_near & (length >= _SHORTENS * self._last[points])
-            is_found = is_ok & call.is_sound[motions] & ((length <= goal) | is_at_best)
-            multipliers = floquet_multipliers(call.monodromy[motions], call.determinant[motions])
-            self._keep(points[is_found], motions[is_found], multipliers[is_found], call)
+            is_found = is_ok & call.is_sound & ((length <= goal) | is_at_best)
+            multipliers = floquet_multipliers(call.monodromy, call.determinant)
+            self._keep(points, np.flatnonzero(is_found), multipliers, call)
             self._tries[points], self._last[points] = self._tries[points] + 1, length
             moved = self._moved[:, points] + step
             goes_on = is_ok & ~is_found & (np.abs(multipliers[:, 0]) <= _STRETCHES)
@@ -127,15 +127,15 @@ class Shots:
             goes_on &= self._tries[points] < _MAX_NEWTON
         left = points[goes_on]
         self._moved[:, left] = moved[:, goes_on]
-        self.y[:, left] = (y + step * unit)[:, goes_on]
+        self.y[:, left] = (y + step * call.unit)[:, goes_on]
         return is_found, ~is_found & ~goes_on
 
-    def _keep(self, points: Numbers, motions: Numbers, multipliers: Any, call: Call) -> None:
-        if not points.size:
+    def _keep(self, points: Numbers, found: Numbers, multipliers: Any, call: Call) -> None:
+        if not found.size:
             return
-        self.multipliers[points] = multipliers
-        self.omega[points] = call.omega[motions]
-        first, last = call.period_ends[motions], call.period_ends[motions + 1]
+        points = points[found]
+        self.multipliers[points], self.omega[points] = multipliers[found], call.omega[found]
+        first, last = call.period_ends[found], call.period_ends[found + 1]
         for point, i, j in zip(points.tolist(), first.tolist(), last.tolist(), strict=True):
             self.section[point] = call.section[:, i:j]
 
@@ -190,13 +190,15 @@ class Growths:
         """How many points have all of their blocks in one call: some ten megabytes."""
         return max(1, _MOST_NUMBERS // (self.n_all * len(self.y) ** 2))
 
-    def step(self, points: Numbers, motions: Numbers, n: Counts, call: Call) -> tuple[Mask, Counts]:
+    def step(self, points: Numbers, n: int, call: Call) -> tuple[Mask, Counts]:
         """The next blocks from what a call found.
 
         Parameters
         ----------
-        points, motions, n : ndarray of int, shape (m,)
-            The points, the motions in the call of their first blocks, and how many blocks each has.
+        points : ndarray of int, shape (m,)
+            Those of the call.
+        n : int
+            How many blocks, that follow each other, it has of each.
 
         Returns
         -------
@@ -208,12 +210,12 @@ class Growths:
         with np.errstate(all="ignore"):  # of tangents that overflowed
             tangent, is_sound, strayed = call.monodromy, call.is_sound, call.strayed
         status = np.full(len(points), int(Status.OK))
-        for block in range(int(n.max())):
-            some = np.flatnonzero((block < n) & (status == Status.OK))
-            status[some] = call.status[motions[some] + block]
-            self.y[:, points[some]] = call.y[:, motions[some] + block]
+        for block in range(n):
+            some = np.flatnonzero(status == Status.OK)
+            status[some] = call.status[some * n + block]
+            self.y[:, points[some]] = call.y[:, some * n + block]
             some = some[status[some] == Status.OK]
-            going, now = points[some], motions[some] + block
+            going, now = points[some], some * n + block
             with np.errstate(all="ignore"):  # of tangents that overflowed
                 direction = np.matmul(tangent[now], self._direction[going][:, :, None])[:, :, 0]
                 length = norm(direction.T)

@@ -118,7 +118,7 @@ def drained(
     order: tuple[NDArray[np.intp], NDArray[np.bool_]],
     settings: Array,
 ) -> tuple[Array, Array]:
-    """Result table and records of a point table; the order is that of `run`, queue and follows."""
+    """Result table and records of a point table; its order: `run`'s queue and what follows."""
     queue, follows = order
     width, n_stages = simd.WIDTH, tableau.c.size
     lane, q = aligned(at.n_rows, width), aligned(at.contacts, parameters.N_PARAMETERS, width)
