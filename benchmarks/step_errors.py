@@ -15,7 +15,7 @@ import numpy as np
 
 import gapsweep as gs
 
-LABELS = ("tanh-1e4", "tanh-1e5", "tanh-1e6", "arctan-1e4", "arctan-1e6", "logarctan-1e4")
+LABELS = ("tanh-1e4", "tanh-1e5", "tanh-1e6", "arctan-1e4", "arctan-1e6", "logarctan-1e4", "poly-3")
 SCALE, SECONDS, CONTACTS = 0.5e-3, 0.05, 10
 
 

@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numba import njit
+from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from tests.conftest import golden
 from tests.engines import smooth as integrate
 
+import gapsweep as gs
 from gapsweep.integrate.runge_kutta import interpolant, loop, tableaux
 from gapsweep.integrate.runge_kutta import lanes as ln
 from gapsweep.integrate.runge_kutta import representations as rp
@@ -168,6 +170,56 @@ def test_tableaux_satisfy_the_quadrature_conditions_of_their_order():
         b, c = tableau.a[-1], tableau.c
         for power in range(tableau.order):
             assert b @ c**power == pytest.approx(1 / (power + 1), abs=1e-14)
+
+
+def _trees(a, order):
+    """Elementary weights of the stages, for the rooted trees of every order up to this one."""
+    found = {1: [np.ones(len(a))]}
+    forests = {0: [np.ones(len(a))]}  # products of a @ t over trees with so many nodes in all
+    for n in range(2, order + 1):
+        # Products in every sequence: trees come several times, which spans nothing more.
+        forests[n - 1] = [
+            forest * (a @ tree)
+            for k in range(1, n)
+            for tree in found[k]
+            for forest in forests[n - 1 - k]
+        ]
+        found[n] = forests[n - 1]
+    return found
+
+
+def test_two_estimates_of_order_5_miss_what_is_beyond_it_in_different_ways():
+    tableau = tableaux.DOP853
+    trees = _trees(tableau.a, 6)
+    for order, weights in trees.items():
+        first, third, other = (np.array(weights) @ tableau.e.T).T
+        if order <= 5:
+            assert_allclose([first, other], 0.0, atol=1e-14)
+        if order <= 3:
+            assert_allclose(third, 0.0, atol=1e-14)
+    unique = np.unique(np.round(trees[6], 12), axis=0)
+    first, _, other = (unique @ tableau.e.T).T
+    assert len(unique) == 20
+    assert_allclose(first @ other, 0.0, atol=1e-9 * (first @ first))
+    assert_allclose(other @ other, first @ first, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("label", "rtol"),
+    [("tanh-1e4", 1e-6), ("tanh-1e5", 1e-6), ("tanh-1e5", 1e-9), ("tanh-1e6", 1e-9)],
+)
+def test_no_step_through_a_thin_layer_is_taken_for_better_than_it_is(label, rtol):
+    """Every step off by a tolerance, and what the motion stretches that by, is the most."""
+    rng, n, largest_x, largest_v = np.random.default_rng(12), 200, 0.8e-3, 0.05
+    for _ in range(10):
+        K_c, gap = 10.0 ** rng.uniform(3.5, 6.3), gs.Gap(*rng.uniform(0.0, 1e-3, 2).tolist())
+        x, v = rng.uniform(-largest_x, largest_x, n), rng.uniform(-largest_v, largest_v, n)
+        scene = gs.Oscillator(), gs.contact_law(label, K_c, gap), rng.uniform(2.0, 30.0, n)
+        run = gs.simulate(*scene, x, v, t_end=0.05, rtol=rtol, atol=1e-3 * rtol)
+        truth = gs.simulate(*scene, x, v, t_end=0.05, rtol=1e-13, atol=1e-16, tangent=True)
+        by_x, by_v = np.abs(truth.monodromy[:, 0]).T
+        a_step = rtol * (np.maximum(1.0, by_x) * largest_x + by_v * largest_v)
+        assert np.all(np.abs(run.x - truth.x) <= run.n_steps * a_step)
 
 
 # --- invariants

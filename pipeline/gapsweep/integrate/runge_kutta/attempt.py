@@ -24,9 +24,6 @@ GROW_LIMIT, SHRINK_LIMIT = 3.0, 0.2
 STRETCH = 1.1
 # A tangent need not be better than this; nor a coordinate of it that moves by less than this share.
 TANGENT_RTOL, FAINT = 1e-8, 1e-3
-# Share of the squared error of order 4 that an error of order 8 is taken to be at least
-# (docs/decisions/0025-estimates-that-pass-zero.md).
-SQUARED = 0.1
 
 
 class Outcome(NamedTuple):
@@ -45,47 +42,59 @@ class Outcome(NamedTuple):
 def _error(at, tableau, lane, k, settings, h):
     """Error estimate over tolerance; up to 1: accepted. Largest for ode45, else mean square."""
     rtol, atol = settings[ln.S_RTOL], settings[ln.S_ATOL]
-    e5, e3, worst, lost = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
+    worst, lost = simd.splat(0.0), simd.splat(0.0)
+    e5, e3, other = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
     for i in range(at.n_rates):
-        ex5, ev5, ex3, ev3 = _differences(at, tableau, k, 0, i)
         size_v = _size(lane, at.old_v + i, at.v_1 + i)  # first-order states stand after the speeds
         size_x = _size(lane, at.old_q + i, at.q_1 + i) if i < at.n else size_v
         if settings[ln.S_ODE45] > 0.0:
-            rv = simd.absolute(ev5) / maximum(size_v, atol / rtol)
-            rx = simd.absolute(ex5) * h / maximum(size_x, atol / rtol)
+            ex, ev = _missed(at, tableau, k, 0, 0, i)
+            rv = simd.absolute(ev) / maximum(size_v, atol / rtol)
+            rx = simd.absolute(ex) * h / maximum(size_x, atol / rtol)
             worst, lost = maximum(worst, maximum(rx * h, rv * h)), lost + 0.0 * (rx + rv)
         else:
             wx, wv = h * h / fma(rtol, size_x, atol), h / fma(rtol, size_v, atol)
-            rx5, rv5, rx3, rv3 = ex5 * wx, ev5 * wv, ex3 * wx, ev3 * wv
-            e5, e3 = fma(rx5, rx5, fma(rv5, rv5, e5)), fma(rx3, rx3, fma(rv3, rv3, e3))
+            e5 = e5 + _squared(at, tableau, k, 0, 0, i, wx, wv)
+            e3 = e3 + _squared(at, tableau, k, 1, 0, i, wx, wv)
+            other = other + _squared(at, tableau, k, 2, 0, i, wx, wv)
     if settings[ln.S_ODE45] > 0.0:
         # `maximum` hides a NaN in its first argument; the sum does not.
         return worst / rtol + lost
-    return _joint(at, e5, e3, rtol) + 0.0 * e5
+    return _joint(at, e5, e3, other) + 0.0 * e5
 
 
 @inlined
-def _joint(at, e5, e3, rtol):
+def _joint(at, e5, e3, other):
     """Error of order 8 over tolerance, from the squares of what formulas of order 5 and 3 miss.
 
-    Hairer's estimate vanishes where the former passes zero, however wrong the step is. An error of
-    order 8 is about the square of one of order 4, both as shares of the motion.
+    The former passes zero in steps that are much too long. The other formula of order 5 does not
+    pass it there (docs/decisions/0025-estimates-that-pass-zero.md).
     """
-    n = float(at.n_states)
-    estimate = e5 / simd.sqrt(maximum(n * fma(0.01, e3, e5), 1e-300))
-    return maximum(e3 * (SQUARED * rtol / n), estimate)
+    e5 = maximum(e5, other)
+    return e5 / simd.sqrt(maximum(float(at.n_states) * fma(0.01, e3, e5), 1e-300))
 
 
 @inlined
-def _differences(at, tableau, k, first, i):
-    """Of derivatives in rows of `k` from `first` on, what the two embedded formulas differ by."""
-    ex5, ev5, ex3, ev3 = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
+def _missed(at, tableau, k, formula, first, i):
+    """What an embedded formula misses of a rate and of its place.
+
+    Of derivatives in rows of `k` from `first` on; over h and its square.
+    """
+    ex, ev = simd.splat(0.0), simd.splat(0.0)
     for j in range(tableau.c.size):
         k_j = load(k, first + j * at.n_rates + i)
-        ev5, ev3 = fma(k_j, tableau.e[0, j], ev5), fma(k_j, tableau.e[1, j], ev3)
+        ev = fma(k_j, tableau.e[formula, j], ev)
         if i < at.n:
-            ex5, ex3 = fma(k_j, tableau.ebar[0, j], ex5), fma(k_j, tableau.ebar[1, j], ex3)
-    return ex5, ev5, ex3, ev3
+            ex = fma(k_j, tableau.ebar[formula, j], ex)
+    return ex, ev
+
+
+@inlined
+def _squared(at, tableau, k, formula, first, i, wx, wv):
+    """The sum of its squares, each with its weight."""
+    ex, ev = _missed(at, tableau, k, formula, first, i)
+    rx, rv = ex * wx, ev * wv
+    return fma(rx, rx, rv * rv)
 
 
 @inlined
@@ -102,17 +111,17 @@ def _tangent_error(at, tableau, lane, k, settings, h):
         first, largest = column * tableau.c.size * at.n_rates, simd.splat(1e-300)
         for i in range(at.n):
             largest = maximum(largest, _tangent_size(at, lane, before, after, i, h))
-        e5, e3 = simd.splat(0.0), simd.splat(0.0)
+        e5, e3, other = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
         for i in range(at.n_rates):
-            ex5, ev5, ex3, ev3 = _differences(at, tableau, k, first, i)
             if i < at.n:
                 size = fma(FAINT, largest, _tangent_size(at, lane, before, after, i, h))
                 w = h * h / (tol * size)
             else:
                 w = h / (tol * maximum(_size(lane, before + at.n + i, after + at.n + i), 1e-300))
-            rx5, rv5, rx3, rv3 = ex5 * w, ev5 * w, ex3 * w, ev3 * w
-            e5, e3 = fma(rx5, rx5, fma(rv5, rv5, e5)), fma(rx3, rx3, fma(rv3, rv3, e3))
-        error = simd.sqrt(e5) if settings[ln.S_ODE45] > 0.0 else _joint(at, e5, e3, tol)
+            e5 = e5 + _squared(at, tableau, k, 0, first, i, w, w)
+            e3 = e3 + _squared(at, tableau, k, 1, first, i, w, w)
+            other = other + _squared(at, tableau, k, 2, first, i, w, w)
+        error = simd.sqrt(e5) if settings[ln.S_ODE45] > 0.0 else _joint(at, e5, e3, other)
         worst = maximum(worst, select(error < 1e300, error, 0.0))
     return worst
 
