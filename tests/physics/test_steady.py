@@ -385,7 +385,7 @@ def test_bad_grids_of_starts_are_refused(arguments, message):
 
 @pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4", "poly-3"])
 def test_tangents_of_a_chain_are_those_of_its_motions(label):
-    """Also where another solver carries them, and where a motion runs away in its second run."""
+    """Also where another solver carries them, and where motions run away."""
     law, solver = gs.contact_law(label, 1.4e5, SYMMETRIC), Solver.of("compiled", 1e-5, 1e-8)
     oscillator = gs.Oscillator(alpha=-1e10)
     omega = np.linspace(5.0, 30.0, 9)
