@@ -101,7 +101,7 @@ class Shots:
         Parameters
         ----------
         points : ndarray of int, shape (m,)
-            Those of the call.
+            Whose motions the call holds, in this order.
 
         Returns
         -------
@@ -196,9 +196,9 @@ class Growths:
         Parameters
         ----------
         points : ndarray of int, shape (m,)
-            Those of the call.
+            Whose motions the call holds, in this order.
         n : int
-            How many blocks, that follow each other, it has of each.
+            How many blocks of each, one after the other.
 
         Returns
         -------

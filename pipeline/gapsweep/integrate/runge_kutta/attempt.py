@@ -15,6 +15,7 @@ from gapsweep.integrate.simd import fma, load, maximum, minimum, select, store
 from . import lanes as ln
 from . import laws, parameters, vecmath
 from .stages import stages, tangent_stages
+from .tableaux import E3, E5, OTHER_E5
 
 # Measured on the tanh law at 1e-3 to 1e-9: 0.9 and 6 reject a quarter of all attempts and cost a
 # tenth more.
@@ -48,15 +49,15 @@ def _error(at, tableau, lane, k, settings, h):
         size_v = _size(lane, at.old_v + i, at.v_1 + i)  # first-order states stand after the speeds
         size_x = _size(lane, at.old_q + i, at.q_1 + i) if i < at.n else size_v
         if settings[ln.S_ODE45] > 0.0:
-            ex, ev = _missed(at, tableau, k, 0, 0, i)
+            ex, ev = _missed(at, tableau, k, E5, 0, i)
             rv = simd.absolute(ev) / maximum(size_v, atol / rtol)
             rx = simd.absolute(ex) * h / maximum(size_x, atol / rtol)
             worst, lost = maximum(worst, maximum(rx * h, rv * h)), lost + 0.0 * (rx + rv)
         else:
             wx, wv = h * h / fma(rtol, size_x, atol), h / fma(rtol, size_v, atol)
-            e5 = e5 + _squared(at, tableau, k, 0, 0, i, wx, wv)
-            e3 = e3 + _squared(at, tableau, k, 1, 0, i, wx, wv)
-            other = other + _squared(at, tableau, k, 2, 0, i, wx, wv)
+            e5 = e5 + _squared(at, tableau, k, E5, 0, i, wx, wv)
+            e3 = e3 + _squared(at, tableau, k, E3, 0, i, wx, wv)
+            other = other + _squared(at, tableau, k, OTHER_E5, 0, i, wx, wv)
     if settings[ln.S_ODE45] > 0.0:
         # `maximum` hides a NaN in its first argument; the sum does not.
         return worst / rtol + lost
@@ -67,8 +68,8 @@ def _error(at, tableau, lane, k, settings, h):
 def _joint(at, e5, e3, other):
     """Error of order 8 over tolerance, from the squares of what formulas of order 5 and 3 miss.
 
-    The former passes zero in steps that are much too long. The other formula of order 5 does not
-    pass it there (docs/decisions/0025-estimates-that-pass-zero.md).
+    The former passes zero in steps that are much too long. The other formula of order 5 seldom does
+    so in the same ones (docs/decisions/0025-estimates-that-pass-zero.md).
     """
     e5 = maximum(e5, other)
     return e5 / simd.sqrt(maximum(float(at.n_states) * fma(0.01, e3, e5), 1e-300))
@@ -76,9 +77,9 @@ def _joint(at, e5, e3, other):
 
 @inlined
 def _missed(at, tableau, k, formula, first, i):
-    """What an embedded formula misses of a rate and of its place.
+    """What a formula of the tableau misses of place i, over h squared, and of its rate, over h.
 
-    Of derivatives in rows of `k` from `first` on; over h and its square.
+    Of the derivatives in rows of `k` from `first` on. What is no speed has no place: zero.
     """
     ex, ev = simd.splat(0.0), simd.splat(0.0)
     for j in range(tableau.c.size):
@@ -91,7 +92,7 @@ def _missed(at, tableau, k, formula, first, i):
 
 @inlined
 def _squared(at, tableau, k, formula, first, i, wx, wv):
-    """The sum of its squares, each with its weight."""
+    """Squares of what `_missed` tells, of place and rate in units of these weights, added."""
     ex, ev = _missed(at, tableau, k, formula, first, i)
     rx, rv = ex * wx, ev * wv
     return fma(rx, rx, rv * rv)
@@ -118,9 +119,9 @@ def _tangent_error(at, tableau, lane, k, settings, h):
                 w = h * h / (tol * size)
             else:
                 w = h / (tol * maximum(_size(lane, before + at.n + i, after + at.n + i), 1e-300))
-            e5 = e5 + _squared(at, tableau, k, 0, first, i, w, w)
-            e3 = e3 + _squared(at, tableau, k, 1, first, i, w, w)
-            other = other + _squared(at, tableau, k, 2, first, i, w, w)
+            e5 = e5 + _squared(at, tableau, k, E5, first, i, w, w)
+            e3 = e3 + _squared(at, tableau, k, E3, first, i, w, w)
+            other = other + _squared(at, tableau, k, OTHER_E5, first, i, w, w)
         error = simd.sqrt(e5) if settings[ln.S_ODE45] > 0.0 else _joint(at, e5, e3, other)
         worst = maximum(worst, select(error < 1e300, error, 0.0))
     return worst

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+E5, E3, OTHER_E5 = 0, 1, 2
+
 
 class Tableau(NamedTuple):
     """A Runge-Kutta pair for the compiled loop.
@@ -24,7 +26,8 @@ class Tableau(NamedTuple):
     c : ndarray, shape (n_stages,)
         Nodes [-].
     e, ebar : ndarray, shape (3, n_stages)
-        Weights of the error estimates of v and x; of a plain pair all but the first row are zero.
+        Weights of the error estimates of v and x, in the rows `E5`, `E3` and `OTHER_E5`; of a plain
+        pair all but the first are zero.
     exponent : float
         Step factors go with error ** -exponent: one over (order of the estimate + 1).
     order : int
@@ -157,8 +160,8 @@ _DOP853_E3 = {
     11: 0.02265179219836082,
 }
 # Of the combinations of stages that vanish up to order 5, the one whose errors of order 6 are as
-# large as those of the first estimate and, tree by tree, orthogonal to them: nearly half of what
-# the two derivatives at the end of a step differ by.
+# large as those of the first estimate and orthogonal to them, as sums over the 20 rooted trees:
+# nearly half of what the two derivatives at the end of a step differ by.
 _DOP853_OTHER_E5 = {
     0: -0.0039411232413551152,
     5: -0.047182942829604208,
