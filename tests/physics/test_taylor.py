@@ -751,7 +751,7 @@ def test_rows_are_put_in_the_order_of_their_points():
     rng = np.random.default_rng(5)
     rows = np.column_stack([rng.integers(0, 200_000, 300_000), np.arange(300_000)]).astype(float)
     pieces = [rows[:100], rows[100:100], rows[100:]]
-    assert np.array_equal(_by_point(pieces), rows[np.argsort(rows[:, 0], kind="stable")])
+    assert np.array_equal(_by_point(pieces, 200_000), rows[np.argsort(rows[:, 0], kind="stable")])
 
 
 def test_bad_input_is_named():

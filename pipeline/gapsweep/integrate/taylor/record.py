@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from gapsweep.integrate.jit import internal
+from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.vectors import (
     I64,
     absolute,
@@ -376,3 +376,23 @@ def record_steps(layout, among, run):
             k = lowest_bit(all_events)
             all_events &= all_events - 1
             _record_dense(at, run, k)
+
+
+@entry
+def place(rows, next_row, placed):
+    """Copy rows of a log, in the order of time, to where those of their points go on.
+
+    Parameters
+    ----------
+    rows : array, shape (n_rows, n_columns)
+    next_row : int array, shape (n_points,)
+        Row of `placed` that each point's next one comes to; it is moved on.
+    placed : array, shape (at least n_rows, n_columns)
+        Receives them.
+    """
+    for i in range(len(rows)):
+        point = int(rows[i, POINT])
+        row = next_row[point]
+        next_row[point] = row + 1
+        for column in range(rows.shape[1]):
+            placed[row, column] = rows[i, column]
