@@ -297,3 +297,49 @@ def test_thresholds_of_tanh_part_one_well_from_several(dataset):
     wells = dataset["n_wells"].sel(K_c=HARD, gap="0.4/0.4", representation=["tanh-1e4", "tanh-1e6"])
     assert wells[0] > 1
     assert wells[1] == 1
+
+
+def test_what_is_swept_of_the_oscillator_is_what_statics_are_of():
+    """Every setting has the numbers of a study whose only oscillator it is."""
+    swept = {"omega_n": [5.0, 20.0], "mass": [1.0, 3.0], "alpha": [1e9], "K_ratio": [0.1, 1.0]}
+    sweep = {
+        "representation": ["tanh-1e4", "poly-13"],
+        "K_c": [HARD],
+        "gap": [[0.4e-3, 0.4e-3]],
+        "omega": [7.0],
+        "forcing": [20.0, 40.0],
+    }
+    whole = static(gs.Study.from_dict({"study": {"name": "swept"}, "sweep": [sweep | swept]}))
+    assert whole["force"].dims == ("representation", "K_c", "gap", "K_ratio", "x")
+    compared = 0
+    for omega_n in swept["omega_n"]:
+        for mass in swept["mass"]:
+            for K_ratio in swept["K_ratio"]:
+                for forcing in sweep["forcing"]:
+                    one = static(
+                        gs.Study.from_dict(
+                            {
+                                "study": {"name": "one"},
+                                "oscillator": {
+                                    "omega_n": omega_n,
+                                    "mass": mass,
+                                    "alpha": 1e9,
+                                    "forcing": forcing,
+                                },
+                                "sweep": [
+                                    {k: v for k, v in sweep.items() if k != "forcing"}
+                                    | {"K_ratio": [K_ratio]}
+                                ],
+                            }
+                        )
+                    )
+                    at = {"omega_n": omega_n, "mass": mass, "alpha": 1e9, "forcing": forcing}
+                    here = whole.sel(at | {"K_ratio": [K_ratio]})
+                    n = one.sizes["equilibrium"]
+                    for name in {*one.data_vars} - {"forcing"}:
+                        ours = here[name].isel(equilibrium=slice(n), missing_dims="ignore")
+                        np.testing.assert_array_equal(ours.values, one[name].values, err_msg=name)
+                        compared += 1
+    assert compared > 16 * 20
+    wells = whole["n_wells"].sel(representation="tanh-1e4", mass=3.0, K_ratio=1.0)
+    assert wells.sel(omega_n=5.0).item() < wells.sel(omega_n=20.0).item()

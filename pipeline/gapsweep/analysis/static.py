@@ -1,12 +1,14 @@
 """The static part of a study: what its contact laws are worth before anything is integrated.
 
-For every representation, stiffness and gap (and every ratio of the walls' stiffnesses, where it is
-swept): force curve and force error (A1 of the metrics), frequency of small motions in the gap (A2),
-static equilibria and their barriers (A3); and for every contact the sharpness from which tanh has
-no false equilibrium.
+For every representation, stiffness and gap, and whatever else of the spring, the mass and the walls
+is swept: force curve and force error (A1 of the metrics), frequency of small motions in the gap
+(A2), static equilibria and their barriers (A3); and for every contact the sharpness from which tanh
+has no false equilibrium.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
 from itertools import product
 from typing import Any
 
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
 from gapsweep.analysis.thresholds import tanh_threshold
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw, static_error
+from gapsweep.model.contact import ContactLaw, UserLaw, static_error
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
 from gapsweep.model.labels import AUTO, contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
@@ -29,6 +31,9 @@ Array = NDArray[np.float64]
 Values = dict[str, Any]
 
 EQUILIBRIUM = "equilibrium"
+# Force curves depend on the walls alone, all else on the spring and the mass, too.
+_WALLS = ("K_c", "gap", "K_ratio")
+_SPRING = ("omega_n", "mass", "alpha")
 _N_UNIFORM = 801
 # Distances from a wall [m]: from the layer of tanh-1e9 on, 6 per decade.
 _FINEST, _N_PER_DECADE = 1e-10, 6
@@ -45,7 +50,6 @@ SCENE_VARIABLES = {
     "rmse_in_gap": Variable("f8", "N", "RMS force error as an integral over the gap"),
     "rmse_outside": Variable("f8", "N", "RMS force error as an integral outside the gap"),
     "in_gap_force": Variable("f8", "N", "largest force between the walls"),
-    "in_gap_force_ratio": Variable("f8", "1", "largest force between the walls over the forcing"),
     "force_at_zero": Variable("f8", "N", "contact force at x = 0"),
     "in_gap_frequency": Variable("f8", "Hz", "frequency of small motions amid the gap"),
     "in_gap_frequency_error": Variable("f8", "1", "in_gap_frequency over omega_n, minus 1"),
@@ -72,7 +76,7 @@ LIST_VARIABLES = {
 
 
 def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
-    """Force, errors, frequencies and equilibria over representation, K_c, gap and swept K_ratio.
+    """Force, errors, frequencies and equilibria over representation, K_c, gap and what is swept.
 
     A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
 
@@ -92,57 +96,88 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     grid, x_max = study.grid, study.spec.fit.range
     labels = tuple(dict.fromkeys(law_of(r) for r in grid.representations if r != AUTO))
     x = displacements(grid.gaps, x_max)
-    walls: dict[str, Sequence[Any]] = {
-        "K_c": grid.K_c,
-        "gap": grid.gaps,
-        "K_ratio": grid.axes.get("K_ratio", (1.0,)),
-    }
-    contacts = list(product(*walls.values()))
-    dims = tuple(dim for dim in walls if dim != "K_ratio" or dim in grid.axes)
-    shape = (len(labels), *(len(walls[dim]) for dim in dims))
-    scenes: dict[tuple[int, ...], Values] = {
-        at: _measured(study.oscillator, x, x_max, label, *contact)
-        if with_own_laws or ":" not in label
-        else {"refusal": "a law of the user's own: not evaluated here"}
-        for at, (label, contact) in zip(np.ndindex(shape), product(labels, contacts), strict=True)
-    }
-    longest = max([1, *(values.get("n_equilibria", 0) for values in scenes.values())])
+    swept = {name: grid.axes[name] for name in grid.scene_dims if name in (*_SPRING, "K_ratio")}
+    axes: dict[str, Sequence[Any]] = {"K_c": grid.K_c, "gap": grid.gaps, **swept}
+    settings = [dict(zip(axes, each, strict=True)) for each in product(*axes.values())]
+    models = [_model(study.oscillator, setting) for setting in settings]
+    sizes = {"representation": len(labels), **{dim: len(axis) for dim, axis in axes.items()}}
+
+    @cache
+    def of_walls(label: str, *walls: Any) -> Values:
+        if ":" in label and not with_own_laws:
+            return {"refusal": "a law of the user's own: not evaluated here"}
+        return _of_walls(x, x_max, label, *walls)
+
+    found = [of_walls(label, *walls) for label in labels for _, *walls in models]
+    of_all = [
+        one | _of_spring(oscillator, one["law"], x_max) if "law" in one else one
+        for one, (oscillator, *_) in zip(found, models * len(labels), strict=True)
+    ]
+    longest = max([1, *(values.get("n_equilibria", 0) for values in of_all)])
     variables: dict[str, Any] = {}
-    for table, more, size in (
-        (SCENE_VARIABLES, (), ()),
-        (CURVES, ("x",), (x.size,)),
-        (LIST_VARIABLES, (EQUILIBRIUM,), (longest,)),
+    for table, more in (
+        (SCENE_VARIABLES, {}),
+        (CURVES, {"x": x.size}),
+        (LIST_VARIABLES, {EQUILIBRIUM: longest}),
     ):
         for name, variable in table.items():
-            filled = _filled(variable, name, scenes, shape + size)
-            variables[name] = (("representation", *dims, *more), filled, variable.attributes)
-    coords = _coordinates(labels, {dim: walls[dim] for dim in dims})
+            over = sizes | more
+            filled = _filled(variable, name, of_all, over)
+            variables[name] = (tuple(over), filled, variable.attributes)
     thresholds = [
-        tanh_threshold(study.oscillator, K_c, gap, x_max, K_ratio) for K_c, gap, K_ratio in contacts
+        tanh_threshold(oscillator, K_c, gap, x_max, K_ratio)
+        for oscillator, K_c, gap, K_ratio in models
     ]
     described = CONTACT_VARIABLES["tanh_threshold"].attributes
-    variables["tanh_threshold"] = (dims, np.reshape(thresholds, shape[1:]), described)
-    variables["forcing"] = ((), study.oscillator.forcing, {"units": "N", "long_name": "forcing"})
+    shape = [len(axis) for axis in axes.values()]
+    variables["tanh_threshold"] = (tuple(axes), np.reshape(thresholds, shape), described)
+    coords = _coordinates(labels, axes)
     coords["x"] = ("x", x, {"units": "m", "long_name": "displacement"})
     attributes = {
         **study.attributes,
         "numerics_fingerprint": numerics_fingerprint(),
         "fit_range": x_max,
     }
-    return xr.Dataset(variables, coords, attributes)
+    dataset = xr.Dataset(variables, coords, attributes)
+    for name in CURVES:
+        dataset[name] = dataset[name].isel(dict.fromkeys({*axes} & {*_SPRING}, 0), drop=True)
+    return _beside_the_forcing(dataset, study)
 
 
-def _coordinates(labels: Sequence[str], walls: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
-    axes: dict[str, list[Any]] = {
+def _model(
+    oscillator: Oscillator, setting: Mapping[str, Any]
+) -> tuple[Oscillator, *tuple[Any, ...]]:
+    """The oscillator of a setting, its stiffness, gap and ratio of the walls' stiffnesses."""
+    spring = {name: setting[name] for name in _SPRING if name in setting}
+    walls = setting["K_c"], setting["gap"], setting.get("K_ratio", 1.0)
+    return replace(oscillator, **spring), *walls
+
+
+def _beside_the_forcing(dataset: xr.Dataset, study: Study) -> xr.Dataset:
+    """Add the forcing, an axis where it is swept, and forces between the walls as shares of it."""
+    dims, described = COORDINATES["forcing"]
+    swept = study.grid.axes.get("forcing")
+    if swept is None:
+        dataset["forcing"] = (), study.oscillator.forcing, described.attributes
+    else:
+        dataset = dataset.assign_coords(forcing=(dims, list(swept), described.attributes))
+    forcing = abs(dataset["forcing"])
+    ratio = (dataset["in_gap_force"] / forcing).where(forcing > 0.0)
+    name = "largest force between the walls over the forcing"
+    return dataset.assign(in_gap_force_ratio=ratio.assign_attrs(units="1", long_name=name))
+
+
+def _coordinates(labels: Sequence[str], axes: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
+    values: dict[str, list[Any]] = {
         "representation": list(labels),
-        **{name: list(axis) for name, axis in walls.items()},
-        "gap": [gap.label for gap in walls["gap"]],
-        "j_1": [gap.j_1 for gap in walls["gap"]],
-        "j_2": [gap.j_2 for gap in walls["gap"]],
+        **{name: list(axis) for name, axis in axes.items()},
+        "gap": [gap.label for gap in axes["gap"]],
+        "j_1": [gap.j_1 for gap in axes["gap"]],
+        "j_2": [gap.j_2 for gap in axes["gap"]],
     }
     return {
         name: (COORDINATES[name][0], axis, COORDINATES[name][1].attributes)
-        for name, axis in axes.items()
+        for name, axis in values.items()
     }
 
 
@@ -156,29 +191,35 @@ def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
     return np.unique(points[np.abs(points) <= x_max])
 
 
-def _measured(
-    oscillator: Oscillator,
-    x: Array,
-    x_max: float,
-    label: str,
-    K_c: float,
-    gap: Gap,
-    K_ratio: float,
-) -> Values:
+def _of_walls(x: Array, x_max: float, label: str, K_c: float, gap: Gap, K_ratio: float) -> Values:
+    """A law and what depends on nothing else, or why it is refused."""
     try:
         law = contact_law(label, K_c, gap, x_max, K_ratio=K_ratio)
         force = law.force(x)
         return {
+            "law": law,
             "force": force,
             "force_error": force - law.exact.force(x),
+            "in_gap_force": largest_in_gap(law, x_max),
+            "force_at_zero": float(law.force(0.0)),
             **_errors(law, x_max),
-            **_in_gap(oscillator, law, x_max),
-            **_wells(oscillator, law, x_max),
         }
     except ModelError as error:
         return {"refusal": str(error)}
     except Exception as error:  # the user's code may raise anything
         if ":" not in label:
+            raise
+        return {"refusal": f"{type(error).__name__}: {error}"}
+
+
+def _of_spring(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
+    """What a law does to an oscillator, or why it is refused."""
+    try:
+        return _in_gap(oscillator, law, x_max) | _wells(oscillator, law, x_max)
+    except ModelError as error:
+        return {"refusal": str(error)}
+    except Exception as error:  # the user's code may raise anything
+        if not isinstance(law, UserLaw):
             raise
         return {"refusal": f"{type(error).__name__}: {error}"}
 
@@ -197,14 +238,8 @@ def _errors(law: ContactLaw, x_max: float) -> Values:
 
 
 def _in_gap(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
-    """A1 and A2. The cubic spring is left out, so that the exact law has omega_n everywhere."""
-    force = largest_in_gap(law, x_max)
-    forcing = abs(oscillator.forcing)
-    values = {
-        "in_gap_force": force,
-        "in_gap_force_ratio": force / forcing if forcing else np.nan,
-        "force_at_zero": float(law.force(0.0)),
-    }
+    """A2. The cubic spring is left out, so that the exact law has omega_n everywhere."""
+    values = {}
     low, high = in_gap(law.gap, x_max)
     middle = 0.5 * (low + high) if high > low else np.nan
     for name, x in (("in_gap_frequency", middle), ("frequency_at_zero", 0.0)):
@@ -238,16 +273,16 @@ def _frequency(oscillator: Oscillator, stiffness: Array) -> Array:
 
 
 def _filled(
-    variable: Variable, name: str, scenes: dict[tuple[int, ...], Values], shape: Any
+    variable: Variable, name: str, found: Sequence[Values], over: Mapping[str, int]
 ) -> NDArray[Any]:
-    """The values of all scenes in one array, padded with the value for missing ones."""
+    """The values of all settings in one array, padded with the value for missing ones."""
+    shape = tuple(over.values())
     if variable.dtype == "str":
-        texts = [scenes[at].get(name, "") for at in np.ndindex(*shape)]
-        return np.reshape(np.array(texts, dtype=str), shape)
+        return np.reshape(np.array([values.get(name, "") for values in found], dtype=str), shape)
     array = np.full(shape, variable.missing, dtype=variable.dtype)
-    for at, values in scenes.items():
+    rows = array.reshape(len(found), -1)
+    for row, values in zip(rows, found, strict=True):
         if name in values:
-            value = np.asarray(values[name])
-            place: tuple[Any, ...] = (*at, slice(value.size)) if value.ndim else at
-            array[place] = value
+            value = np.atleast_1d(values[name])
+            row[: value.size] = value
     return array
