@@ -176,3 +176,37 @@ def test_stage_depends_on_the_study_alone(tmp_path):
     one, other = (made_from(stage, tmp_path, {STUDY: "a", POINTS: p}) for p in "bc")
     assert one == other
     assert one != made_from(stage, tmp_path, {STUDY: "b", POINTS: "b"})
+
+
+SWEPT = {"omega_n": [20.0], "forcing": [40.0], "K_ratio": [0.01], "K_c": [1.4e6]}
+UNLIKE = {"t_end": 20.0, "omega": 7.0, "K_c": 1.4e6}
+
+
+def extremes(one):
+    x = one["x"].sel(part="steady")
+    return x.min().item(), x.max().item()
+
+
+def test_the_only_value_that_is_swept_is_that_of_a_history():
+    """As its steady response has it: of a stop that is softer below than above."""
+    study = study_of(SCENE | UNLIKE, sweep=[SWEEP | SWEPT])
+    one = histories(study).isel(history=0, representation=0)
+    law = gs.contact_law("piecewise", 1.4e6, gs.Gap(4e-4, 4e-4), K_ratio=0.01)
+    oscillator = gs.Oscillator(omega_n=20.0, forcing=40.0)
+    steady = gs.respond(oscillator, law, omega=7.0)
+    assert_allclose(extremes(one), (steady.x_min, steady.x_max), rtol=5e-3)  # between samples
+    assert steady.x_min < -2 * steady.x_max
+    assert [one[name].item() for name in ("omega_n", "forcing", "K_ratio")] == [20.0, 40.0, 0.01]
+
+
+def test_of_several_values_a_history_says_its_own():
+    sweep = SWEEP | SWEPT | {"K_ratio": [0.01, 1.0], "zeta": [0.02, 0.03]}
+    with pytest.raises(gs.StudyError, match=r"history\[0\].zeta: the study sweeps it; say which"):
+        study_of(SCENE | UNLIKE | {"K_ratio": 1.0}, sweep=[sweep])
+    study = study_of(SCENE | UNLIKE | {"K_ratio": 1.0, "zeta": 0.02}, sweep=[sweep])
+    one = histories(study).isel(history=0, representation=0)
+    assert one["zeta"].item() == 0.02
+    law = gs.contact_law("piecewise", 1.4e6, gs.Gap(4e-4, 4e-4))
+    oscillator = gs.Oscillator(omega_n=20.0, forcing=40.0, zeta=0.02)
+    steady = gs.respond(oscillator, law, omega=7.0)
+    assert_allclose(extremes(one), (steady.x_min, steady.x_max), rtol=5e-3)  # between samples

@@ -26,16 +26,29 @@ def test_panels_show_the_motion_in_millimetres():
     figure = gs.plot(run)
     history, phase, section, spectrum = figure.axes
     t, x = data(history)
-    assert (t[-1] - t[0]) * OMEGA == pytest.approx(15.0, abs=0.1)
+    assert (t[-1] - t[0]) * OMEGA == pytest.approx(16.0, abs=0.1)
     assert_allclose(x, 1e3 * run.sample(t)[0])
     t = np.linspace(10.0, 20.0, data(phase)[0].size, endpoint=False)
-    assert_allclose(data(phase), 1e3 * np.stack(run.sample(t)))
+    assert_allclose(data(phase), 1e3 * np.stack(run.sample(t)), rtol=1e-9, atol=1e-12)
     late = run.section[run.t_section >= 10.0]
     assert_allclose(np.transpose(data(section)), 1e3 * late)
     frequency, amplitude = data(spectrum)
     # A settled motion of one period has its largest line at the frequency of the forcing.
     assert frequency[amplitude.argmax()] == pytest.approx(OMEGA, abs=0.1)
     assert overlaps(figure) == []
+
+
+@pytest.mark.parametrize("t_end", [20.0, 20.05, 20.111, 4000.0])
+def test_the_line_of_a_linear_motion_has_its_frequency_and_its_amplitude(t_end):
+    """However long the run is, and wherever in a period it ends."""
+    oscillator = gs.Oscillator(alpha=0.0, zeta=0.2, forcing=4.0, omega_n=5.0, mass=3.0)
+    law = gs.Piecewise(1e3, gs.Gap(1.0, 1.0))
+    run = gs.simulate(oscillator, law, OMEGA, t_end=t_end, dense_output=True)
+    frequency, amplitude = data(gs.plot(run).axes[3])
+    w, w_n = 2 * np.pi * OMEGA, 2 * np.pi * 5.0
+    closed_form = 4.0 / 3.0 / np.hypot(w_n**2 - w**2, 2 * 0.2 * w_n * w)
+    assert frequency[amplitude.argmax()] == pytest.approx(OMEGA, rel=1e-9)
+    assert amplitude.max() == pytest.approx(1e3 * closed_form, rel=1e-6)
 
 
 def test_a_coordinate_of_a_system_is_chosen_by_name():

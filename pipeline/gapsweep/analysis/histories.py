@@ -23,6 +23,7 @@ from gapsweep.model.labels import contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
+from gapsweep.study.axes import SWEEPABLE
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import canonical
 from gapsweep.study.schema import COORDINATES, STATUS_FLAGS, Variable, empty, with_attributes
@@ -110,8 +111,8 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
         "representation": ("representation", labels, COORDINATES["representation"][1].attributes),
         "part": ("part", list(PARTS), {"units": "1", "long_name": "first or last periods"}),
         **{
-            name: ("history", [_scene(table)[name] for table in tables], variable.attributes)
-            for name, variable in SCENE.items()
+            name: ("history", [_scene(study, table)[name] for table in tables], attributes)
+            for name, attributes in _described(study).items()
         },
         **with_attributes(AXES, arrays),
     }
@@ -159,10 +160,18 @@ def _whole_periods(omega: float, t_end: float) -> int:
     return int(t_end * omega + 1e-9)
 
 
-def _scene(table: HistoryTable) -> dict[str, Any]:
+def _described(study: Study) -> dict[str, dict[str, Any]]:
+    """Attributes of the coordinates of histories, of numbers of the oscillator if they differ."""
+    given = {name for table in study.spec.history for name in table.model_fields_set}
+    others = [name for name in SWEEPABLE if name in given.union(study.grid.axes)]
+    described = SCENE | {name: COORDINATES[name][1] for name in others}
+    return {name: variable.attributes for name, variable in described.items()}
+
+
+def _scene(study: Study, table: HistoryTable) -> dict[str, Any]:
     """The coordinates of a history."""
     gap = _gap(table)
-    return {
+    return study.setting(table) | {
         "K_c": table.K_c,
         "gap": gap.label,
         "j_1": gap.j_1,
@@ -187,6 +196,7 @@ class _Asked:
     oscillator: Oscillator
     representation: str
     K_c: float
+    K_ratio: float
     gap: Gap
     omega: float
     t_end: float
@@ -197,10 +207,13 @@ class _Asked:
 
 def _asked(study: Study, table: HistoryTable, label: str) -> _Asked:
     x_0, v_0 = table.start
+    numbers = study.setting(table)
+    K_ratio = numbers.pop("K_ratio")
     return _Asked(
-        oscillator=study.oscillator,
+        oscillator=Oscillator(**numbers),
         representation=law_of(label),
         K_c=table.K_c,
+        K_ratio=K_ratio,
         gap=_gap(table),
         omega=table.omega,
         t_end=table.t_end,
@@ -223,7 +236,8 @@ def _history(asked: _Asked, alone: Alone) -> Mapping[str, Any]:
 def _motion(asked: _Asked) -> Mapping[str, Any]:
     t, _ = sampled(asked.omega, asked.t_end)
     try:
-        law = contact_law(asked.representation, asked.K_c, asked.gap, asked.fit_range)
+        walls = asked.K_c, asked.gap, asked.fit_range
+        law = contact_law(asked.representation, *walls, K_ratio=asked.K_ratio)
         motion = simulate(
             asked.oscillator,
             law,

@@ -13,8 +13,9 @@ from gapsweep.report.style import CLASS_COLOURS, MATPLOTLIB
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_N_SAMPLES = 2**15
-_N_PERIODS = 16  # of the section, at the end, that a history shows
+_PER_PERIOD = 512  # samples: harmonics up to the 256th are told from each other
+_MOST_PERIODS = 256
+_N_PERIODS = 16  # at the end, that a history shows
 _FLOOR = 1e-6  # of the largest amplitude, the smallest that is shown
 _WORTH = 1e-3  # of it: up to twice the highest frequency of such a one
 _MM = 1e3
@@ -32,8 +33,10 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     coordinate : str, optional
         Of a system; its first one if None.
     start : float, optional
-        Time [s] from which on it is shown; the middle of the run if None, so that what dies out at
-        first is mostly left out. The history shows the last sixteen periods of the section.
+        Time [s] from which on it is shown, the last 256 periods at most; the middle of the run if
+        None, so that what dies out at first is mostly left out. The history shows the last sixteen
+        periods, the spectrum is over whole ones: forcing periods, or mean times between maxima of
+        the first coordinate where nothing forces it.
 
     Returns
     -------
@@ -57,10 +60,13 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     """
     number, name, scale, unit = _quantity(run, coordinate)
     start = 0.5 * (run.t_0 + run.t) if start is None else start
-    t = np.linspace(start, run.t, _N_SAMPLES, endpoint=False)
-    x, v = (scale * each.reshape(_N_SAMPLES, -1)[:, number] for each in run.sample(t)[:2])
-    times = run.t_section[run.t_section >= start]
-    at_end = t >= (times[-_N_PERIODS] if times.size >= _N_PERIODS else start)
+    if not run.t_0 <= start < run.t:
+        raise ModelError(f"start = {start:g} s: must be within {run.t_0:g}..{run.t:g} s")
+    period, n_periods = _periods(run, start)
+    back = np.arange(n_periods * _PER_PERIOD, 0, -1) / _PER_PERIOD
+    t = np.maximum(run.t - period * back, run.t_0)
+    x, v = (scale * each.reshape(t.size, -1)[:, number] for each in run.sample(t)[:2])
+    at_end = t >= run.t - _N_PERIODS * period
     labels = f"{name}{unit}", f"velocity{unit.replace(']', '/s]')}"
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -69,7 +75,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
         figure = Figure(figsize=(9.0, 6.0))
         (history, phase), (section, lines) = figure.subplots(2, 2)
         history.plot(t[at_end], x[at_end], color="black", linewidth=0.8)
-        ended = "" if at_end.all() and start == run.t_0 else ", its end"
+        ended = "" if t[at_end][0] <= run.t_0 else ", its end"
         history.set(xlabel="time [s]", ylabel=labels[0], title=f"Time history{ended}")
         phase.plot(x, v, color="black", linewidth=0.5)
         phase.set(xlabel=labels[0], ylabel=labels[1], title="Phase portrait")
@@ -86,6 +92,16 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
             lines.set(yscale="log", ylim=(_FLOOR * largest, 2.0 * largest))
             lines.set_xlim(0.0, min(max(highest, 10.0 * frequency[1]), frequency[-1]))
     return figure
+
+
+def _periods(run: Trajectory, start: float) -> tuple[float, int]:
+    """A period [s], and how many whole ones are shown from `start` on; what is shorter is one."""
+    shown = run.t - start
+    times = run.t_section[run.t_section >= start]
+    if times.size < 2:
+        return shown, 1
+    period = float(times[-1] - times[0]) / (times.size - 1)
+    return period, min(int(shown / period + 1e-9), _MOST_PERIODS)
 
 
 def _quantity(run: Trajectory, coordinate: str | None) -> tuple[int, str, float, str]:

@@ -173,11 +173,20 @@ class FitTable(Table):
 
 
 class HistoryTable(Table):
-    """Motions to keep as time histories and spectra: one scene, one start."""
+    """Motions to keep as time histories and spectra: one scene, one start.
+
+    Numbers of the oscillator, and the ratio of the walls, that are left out are the study's.
+    """
 
     representation: Annotated[list[Label], Field(min_length=1), BeforeValidator(several)]
     K_c: NonNegative
     gap: Pair
+    K_ratio: NonNegative | None = None
+    zeta: NonNegative | None = None
+    omega_n: Positive | None = None
+    mass: Positive | None = None
+    alpha: float | None = None
+    forcing: float | None = None
     omega: Positive
     t_end: Positive
     start: Range = Field([0.0, 0.0])

@@ -20,7 +20,7 @@ from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import Structure
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advise
-from gapsweep.study.axes import MAX_POINTS, forms
+from gapsweep.study.axes import MAX_POINTS, SWEEPABLE, forms
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
 from gapsweep.study.points import (
@@ -123,6 +123,9 @@ class Study:
         self._check_modules()
         if self.systems is not None:
             self.systems.check()
+        problems = [f"{self.source}: {line}" for line in self._undecided_histories()]
+        if problems:
+            raise StudyError(problems)
         cells = math.prod(map(len, self._axes.values()))
         if cells > MAX_POINTS:
             raise StudyError(
@@ -167,6 +170,25 @@ class Study:
     def json(self) -> str:
         """The checked study, defaults filled in, as JSON."""
         return json.dumps(self.spec.tables, sort_keys=True)
+
+    def setting(self, history: HistoryTable) -> dict[str, float]:
+        """Numbers of the oscillator, and the ratio of the walls' stiffnesses, of a time history.
+
+        Its own; else the only one that the study sweeps; else that of ``[oscillator]``.
+        """
+        model = {**self.spec.oscillator.model_dump(), "K_ratio": 1.0}
+        swept = {name: self.grid.axes[name][0] for name in SWEEPABLE if name in self.grid.axes}
+        own = {name: getattr(history, name) for name in SWEEPABLE}
+        return model | swept | {name: value for name, value in own.items() if value is not None}
+
+    def _undecided_histories(self) -> Iterator[str]:
+        """Time histories that could be of several values that the study sweeps."""
+        for number, table in enumerate(self.spec.history):
+            for name in SWEEPABLE:
+                axis = self.grid.axes.get(name, ())
+                if len(axis) > 1 and getattr(table, name) is None:
+                    remedy = f"say which, as {name} = {axis[0]:g}"
+                    yield f"history[{number}].{name}: the study sweeps it; {remedy}"
 
     @property
     def claims_module(self) -> Path | None:
