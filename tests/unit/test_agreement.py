@@ -1,6 +1,7 @@
 """`agreement.nc` as a whole: a made-up study with everything in it, summed up independently."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.made import chaotic, datasets, failed, periodic, tables, unresolved
 
 from gapsweep import ResponseClass, Status
-from gapsweep.analysis.agreement import agreement
+from gapsweep.analysis.agreement import _width, agreement
 from gapsweep.analysis.classes import CLASSES
 from gapsweep.analysis.metrics import METRICS, REGIMES, variables
 from gapsweep.store import netcdf
@@ -229,3 +230,14 @@ def test_file_explains_itself(files, tmp_path):
 def test_documentation_names_every_metric():
     text = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
     assert [name for name in METRICS if f"`{name}`" not in text] == []
+
+
+def test_a_wall_that_nothing_comes_near_to_is_no_scale_of_errors():
+    """The scale is what moves: an error of a third stays one, wherever the far wall stands."""
+    moving = SimpleNamespace(
+        amplitude=np.array([[0.0, 1e-3], [3e-3, 9.0]]),
+        exists=np.array([[True, True], [True, False]]),
+        found=SimpleNamespace(section=np.zeros((1, 1, 1, 2))),
+    )
+    assert _width(2e-3, moving) == 2e-3  # it is reached
+    assert _width(1e6, moving) == _width(1.0, moving) == 6e-3

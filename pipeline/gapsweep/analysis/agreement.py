@@ -113,14 +113,15 @@ def _of_systems(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
 
 
 def _width(gap: float, exact: Slab) -> float:
-    """Scale of lengths [m]: the width of the gap, or where there is none, of what moves.
+    """Scale of lengths [m]: the width of the gap, but no more than the largest range of a motion.
 
-    Where nothing moves, twice the distance of the farthest place of rest.
+    For a wall that nothing comes near to says nothing of errors. Where there is no gap, the median
+    range of what moves; where nothing moves, twice the distance of the farthest place of rest.
     """
-    if gap > 0.0:
-        return gap
     amplitude = exact.amplitude[exact.exists]
     moving = amplitude[amplitude > 0.0]
+    if gap > 0.0:
+        return float(min(gap, 2.0 * moving.max(initial=0.0) or gap))
     places = np.abs(exact.found.section[..., 0])
     scale = np.median(moving) if moving.size else np.nanmax(places, initial=0.0)
     return max(2.0 * float(scale), _TINY)

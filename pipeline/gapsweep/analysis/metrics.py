@@ -63,7 +63,10 @@ class Metric:
     dtype: str = "f8"
 
 
-_G = "G: width of the gap (if 0, the median range of the exact responses)"
+_G = (
+    "G: width of the gap, but no more than the largest range of an exact response (if 0, and of "
+    "systems, their median range)"
+)
 _SPREAD = ("median", "p95")
 _MEAN = ("mean",)
 
