@@ -119,6 +119,20 @@ def test_sound_rows_are_saved_and_no_other(whole, tmp_path, what, seed):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.sqlite", "c.sqlite.damaged"]
 
 
+def test_what_a_killed_salvage_had_saved_is_not_lost(whole, tmp_path):
+    """Killed after it had set the log aside: its rows are in the file that it was making."""
+    path = tmp_path / "c.sqlite"
+    shutil.copyfile(whole, path)
+    with Cache(tmp_path / ".c.sqlite.salvaged") as cache:
+        cache.commit([row(N_ROWS + n) for n in range(20)])
+    data = bytearray(path.read_bytes())
+    data[:100] = bytes(100)
+    path.write_bytes(data)
+    assert f"{N_ROWS + 20} sound results saved" in salvage(path)
+    with Cache(path) as cache:
+        assert len(cache.find(keys(*range(N_ROWS + 20))).at) == N_ROWS + 20
+
+
 def test_rows_of_the_log_are_saved_and_the_latest_success_wins(whole, tmp_path):
     path = tmp_path / "c.sqlite"
     shutil.copyfile(whole, path)

@@ -6,6 +6,7 @@ leads to any more; the checksum of every row tells what is one. File format: sql
 """
 
 import mmap
+import os
 import re
 import struct
 import warnings
@@ -53,13 +54,14 @@ def salvage(path: Path) -> str | None:
     with alone_in(path.parent):
         if _is_whole(path):
             return None
-        slabs = sound_slabs(path)
+        fresh = path.with_name(f".{path.name}.salvaged")
+        # With what one that was killed before the end had saved.
+        slabs = sound_slabs(path) | sound_slabs(fresh)
         if not slabs and _TABLE not in path.read_bytes():
             raise StoreError(
                 f"{path}: file is not a database, or no row of a cache is left in it: move it "
                 "away or choose another file with --cache"
             )
-        fresh = path.with_name(f".{path.name}.salvaged")
         fresh.unlink(missing_ok=True)
         with Cache(fresh) as cache, cache.errors(), cache.transaction():
             cache.insert(slabs.values())
@@ -70,8 +72,11 @@ def salvage(path: Path) -> str | None:
             log.rename(aside.with_name(f"{aside.name}-wal"))
         for useless in (log, path.with_name(f"{path.name}-shm")):
             useless.unlink(missing_ok=True)
-        path.rename(aside)
-        fresh.rename(path)
+        try:
+            os.link(path, aside)  # so that at no moment there is no cache
+        except OSError:  # the file system has no links
+            path.rename(aside)
+        fresh.replace(path)
     n_points = sum(slab.n_points for slab in slabs.values())
     return f"{path}: damaged; {n_points} sound results saved, the damaged file is now {aside}"
 
