@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 import pytest
 
+from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 from gapsweep.store.slab import slabs, stored
 
@@ -243,6 +244,20 @@ def test_verify_notices_a_wrong_number_with_a_right_checksum(finished):
         f"computed again, x_max came out otherwise: {contents.keys[0].tobytes().hex()}"
         in done.stderr
     )
+
+
+def test_verify_does_not_compute_again_what_a_time_limit_decides(finished):
+    with Cache(finished / "data" / "cache.sqlite") as cache:
+        (_, slab), *_ = cache.slabs()
+        contents = stored(slab)
+        of_all = contents.responses.columns
+        of_all["status"] = np.full_like(of_all["status"], Status.TIMED_OUT)
+        parts = contents.numbers, contents.keys, contents.previous, contents.responses
+        late = list(slabs(slab.identity, *parts, slab.host, slab.versions))
+        cache.db.execute("DELETE FROM slabs")
+        cache.commit(late)
+    done = gapsweep(finished, "cache", "verify", "--sample", "4")
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_report_is_rebuilt_from_the_datasets_alone(finished):

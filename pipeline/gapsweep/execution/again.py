@@ -13,10 +13,13 @@ from gapsweep.execution.alone import Alone, CallError, response_of
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.execution.sweeps import start_of
 from gapsweep.response.result import Response
+from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import contents_of, numerics_of, representation_of
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import KEY, OURS, Kind, Points, law_code
+
+_LOST = (Status.KILLED, Status.TIMED_OUT)
 
 
 def recomputed_otherwise(
@@ -24,7 +27,8 @@ def recomputed_otherwise(
 ) -> tuple[list[tuple[str, list[str]]], int]:
     """Compute random points of the present code again; those that came out otherwise.
 
-    A row is data: the code that it names is not run, unless `own_laws` names it too.
+    Not those that hung or died, which machine and time limit decide. A row is data: the code that
+    it names is not run, unless `own_laws` names it too.
 
     Returns
     -------
@@ -36,10 +40,12 @@ def recomputed_otherwise(
     now = numerics_fingerprint()
     keys, n_skipped = [np.empty(0, KEY)], 0
     for _, slab in cache.slabs():
-        if numerics_of(slab) == now and contents_of(slab) is not None:
+        contents = contents_of(slab) if numerics_of(slab) == now else None
+        if contents is not None:
             law = representation_of(slab)
             if ":" not in law or law in own_laws:
-                keys.append(np.frombuffer(slab.keys, KEY))
+                is_lost = np.isin(contents.responses.columns["status"], _LOST)
+                keys.append(np.frombuffer(slab.keys, KEY)[~is_lost])
             else:
                 n_skipped += slab.n_points
     ours = np.unique(np.concatenate(keys))
