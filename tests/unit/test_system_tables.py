@@ -263,7 +263,9 @@ def test_an_edited_function_is_that_of_the_next_study(tmp_path, monkeypatch):
     assert stiffness(studies[0]) == [30.0, 60.0]
 
 
-@pytest.mark.parametrize("raised", ["SystemExit", "ValueError('no')", "KeyError('k')"])
+@pytest.mark.parametrize(
+    "raised", ["SystemExit", "ValueError('no')", "KeyError('k')", "GeneratorExit", "BaseException"]
+)
 def test_what_a_function_raises_is_one_line(tmp_path, monkeypatch, raised):
     monkeypatch.syspath_prepend(tmp_path)
     name = f"raising{abs(hash(raised))}"
@@ -323,6 +325,35 @@ def test_a_function_in_the_current_folder_is_found_from_the_command_line(tmp_pat
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "points  2" in done.stdout
+
+
+def test_what_a_function_prints_is_no_part_of_what_a_command_says(tmp_path):
+    (tmp_path / "loud.py").write_text(
+        "import gapsweep as gs\nprint('imported')\n\n\ndef make(k):\n    print('made')\n"
+        "    return gs.System(mass=[[1.0]], damping=[[1.0]], stiffness=[[k]])\n"
+    )
+    (tmp_path / "s.toml").write_text(
+        '[study]\nname = "s"\n[system]\nfunction = "loud:make"\n[parameters]\nk = 4.0\n'
+        '[[sweep]]\nrepresentation = "piecewise"\n'
+    )
+    command = [Path(sys.executable).with_name("gapsweep"), "plan", "s.toml", "--json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert json.loads(done.stdout)["points"] == 1
+    assert "imported" in done.stderr
+    assert "made" in done.stderr
+
+
+def test_what_is_no_system_is_told_by_its_type(tmp_path, monkeypatch):
+    """Its own words may raise anything."""
+    (tmp_path / "mute.py").write_text(
+        "class Mute:\n    def __repr__(self):\n        raise SystemExit\n\n\n"
+        "def make(k):\n    return Mute()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    tables = changed(SECTION, system={"function": "mute:make"}, parameters={"k": 1.0})
+    del tables["sweep"][0]["speed"]
+    with pytest.raises(gs.StudyError, match=r"must return a gapsweep\.System, not Mute"):
+        gs.Study.from_dict(tables)
 
 
 def test_gaps_of_systems_are_labelled_in_their_own_unit():

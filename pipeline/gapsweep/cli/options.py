@@ -79,6 +79,9 @@ def loaded(path: Path, engine: str | None) -> "Study":
     from gapsweep.study.study import Study
 
     found = Study.load(path, os.getcwd())
+    if found.grid.starts.kind.any() and len(found.grid.omega) == 1:
+        said = "sweeps follow the frequency, and there is one: they start from rest"
+        click.echo(f"warning: {path}: initial_condition: {said}", err=True)
     return found.with_engine(engine) if engine else found
 
 

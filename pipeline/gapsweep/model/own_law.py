@@ -72,6 +72,24 @@ _loaded: dict[str, str] = {}
 _lock = threading.RLock()
 
 
+@contextmanager
+def printing_aside() -> Iterator[None]:
+    """What the user's code prints in this block is no part of what a command says.
+
+    The file is another one, not the object: a module may hold `sys.stdout`, and its key with it.
+    """
+    with _lock:
+        sys.stdout.flush()
+        said = os.dup(1)
+        os.dup2(2, 1)
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+            os.dup2(said, 1)
+            os.close(said)
+
+
 def code(label: str) -> str:
     """All that a law computes with, as a JSON object: digests by module, versions by package.
 
@@ -180,7 +198,7 @@ def _imported(label: str) -> _Sources:
         reason = f"No module named {module!r}" if module in sources.absent else "no file of yours"
         raise _unusable(label, reason)
     try:
-        with _compiled_apart(sources), _imported_anew(sources):
+        with _compiled_apart(sources), _imported_anew(sources), printing_aside():
             try:
                 importlib.import_module(module)
             except ModelError as error:  # of a table in it, say

@@ -18,14 +18,26 @@ from pydantic import (
 
 from gapsweep.errors import ModelError
 from gapsweep.model.labels import canonical_representation
+from gapsweep.model.oscillator import LARGEST, SMALLEST
 
 MAX_POINTS = 10**7
-_LARGEST = 1e100  # of what a model is made of nothing comes near it
+_LARGEST = 1e100  # of spans; of what a model is made of nothing comes near it
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+
+def _bounded(value: float) -> float:
+    """A number of a size that models take."""
+    if abs(value) > LARGEST:
+        raise ValueError(f"must be within -{LARGEST:g}..{LARGEST:g}")
+    if 0.0 < abs(value) < SMALLEST:
+        raise ValueError(f"must be 0 or at least {SMALLEST:g} in size")
+    return value
+
+
+Number = Annotated[float, AfterValidator(_bounded)]
+Positive = Annotated[float, Field(gt=0), AfterValidator(_bounded)]
+NonNegative = Annotated[float, Field(ge=0), AfterValidator(_bounded)]
 Count = Annotated[int, Field(ge=1, le=MAX_POINTS)]
-Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Pair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
 
 Value = TypeVar("Value", bound=float)
@@ -43,8 +55,8 @@ class OscillatorTable(Table):
     zeta: NonNegative = 0.03
     omega_n: Positive = 5.0
     mass: Positive = 3.0
-    alpha: float = 7e8
-    forcing: float = 4.0
+    alpha: Number = 7e8
+    forcing: Number = 4.0
 
 
 # What is a dimension only where it is swept; K_ratio is 1 elsewhere.
@@ -79,7 +91,7 @@ class _Grid(Table, Generic[Value]):
 
 
 class StepGrid(_Grid[Value], Generic[Value]):
-    step: Positive
+    step: Annotated[float, Field(gt=0)]
 
     @property
     def count(self) -> int:
@@ -126,7 +138,7 @@ def _axis(value: Any) -> Any:
     ]
 
 
-AnyAxis, PositiveAxis, NonNegativeAxis = map(_axis, (float, Positive, NonNegative))
+AnyAxis, PositiveAxis, NonNegativeAxis = map(_axis, (Number, Positive, NonNegative))
 
 
 def count(axis: Any) -> int:

@@ -243,7 +243,8 @@ def law_code(representation: str) -> str:
 @lru_cache(maxsize=64)
 def _try_out(representation: str, code: str) -> None:
     """Refuse what is no function of x; once, for every table of a study asks."""
-    contact_law(representation, 0.0, Gap(0.0, 0.0))
+    with own_law.printing_aside():
+        contact_law(representation, 0.0, Gap(0.0, 0.0))
 
 
 def _json(value: Any) -> str:

@@ -34,6 +34,7 @@ from gapsweep.study.axes import (
     Label,
     NonNegative,
     NonNegativeAxis,
+    Number,
     OscillatorTable,
     Pair,
     Pairs,
@@ -185,8 +186,8 @@ class HistoryTable(Table):
     zeta: NonNegative | None = None
     omega_n: Positive | None = None
     mass: Positive | None = None
-    alpha: float | None = None
-    forcing: float | None = None
+    alpha: Number | None = None
+    forcing: Number | None = None
     omega: Positive
     t_end: Positive
     start: Range = Field([0.0, 0.0])
@@ -249,7 +250,7 @@ class StudySpec(Table):
     study: StudyTable
     oscillator: OscillatorTable = OscillatorTable()
     system: SystemTable | None = None
-    parameters: dict[str, float] = Field({})
+    parameters: dict[str, Number] = Field({})
     contact: dict[str, ContactTable] = Field({})
     sweep: Annotated[list[Sweep], Field(min_length=1)]
     solver: SolverTable = SolverTable()

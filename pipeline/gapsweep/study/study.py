@@ -87,7 +87,7 @@ class Study:
         """
         path = Path(path)
         try:
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8-sig")  # as some editors save it
         except OSError as error:
             remedy = "name a study file, as that which 'gapsweep init' writes"
             raise StudyError([f"{path}: cannot be read: {error.strerror}; {remedy}"]) from None

@@ -130,15 +130,16 @@ def _function(name: str) -> Any:
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
     """What a function makes of named numbers."""
     try:
-        found = function(**parameters)
-    except ModelError:
+        with own_law.printing_aside():
+            found = function(**parameters)
+    except (ModelError, KeyboardInterrupt):
         raise
-    except (Exception, SystemExit) as error:  # the user's code may raise anything
+    except BaseException as error:  # the user's code may raise anything, SystemExit too
         raise ModelError(
             f"{name}: {described(error)}; its arguments are those in [parameters]"
         ) from None
     if not isinstance(found, System):
-        raise ModelError(f"{name}: must return a gapsweep.System, not {found!r:.80}")
+        raise ModelError(f"{name}: must return a gapsweep.System, not {type(found).__name__}")
     return found
 
 
