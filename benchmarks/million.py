@@ -5,6 +5,8 @@ Runs a study in fresh processes on two local workers, then again, and prints
 * wall time times workers to the last stored point, over the processor time of the integrations;
 * time of datasets and report behind that;
 * the largest resident memory of the client, with the scheduler in it, and of a worker;
+* processor time of the workers' processes per simulated second, beside that of `respond_all` on
+  random points of the same study in this process, 4,096 at a time;
 * bytes of the cache per point, beside the extrema and section values in it;
 * how long a second run takes to find that there is nothing to do, and a query of a thousand points;
 * with ``--nothing``, the same with workers that answer at once: what the client sustains.
@@ -39,6 +41,7 @@ def main(folder: Path, n_points: int) -> None:
     (folder / "million.toml").write_text(STUDY.format(n=n))
     for what in ("first", "again"):
         print(what, measured(folder, what))
+    print("tiles", measured(folder, "tiles"))
     print("query", measured(folder, "query"))
 
 
@@ -46,18 +49,22 @@ def measured(folder: Path, what: str) -> dict[str, float]:
     """What a fresh process says of itself, and the largest memory of it and of its workers."""
     command = [sys.executable, __file__, str(folder), what, *sys.argv[3:]]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        client, workers = 0.0, 0.0
+        client, workers, spent = 0.0, 0.0, {}
         while process.poll() is None:
             time.sleep(0.5)
             try:
                 one = psutil.Process(process.pid)
                 client = max(client, one.memory_info().rss)
-                others = [child.memory_info().rss for child in one.children(recursive=True)]
-                workers = max([workers, *others])
+                for child in one.children(recursive=True):
+                    workers = max(workers, child.memory_info().rss)
+                    spent[child.pid] = sum(child.cpu_times()[:2])
             except psutil.Error:
                 continue
         said = json.loads(process.stdout.read().splitlines()[-1])
-    return said | {"client_mb": client / 1e6, "worker_mb": workers / 1e6}
+    said |= {"client_mb": client / 1e6, "worker_mb": workers / 1e6}
+    if "t_simulated" in said:
+        said["workers_us_per_s"] = 1e6 * sum(spent.values()) / said["t_simulated"]
+    return said
 
 
 def child(folder: Path, what: str) -> None:
@@ -82,11 +89,16 @@ def child(folder: Path, what: str) -> None:
                 assert part.attrs["n_hits"] == part.attrs["n_points"]
         print(json.dumps(found))
         return
-    last = {"computed": 0, "seconds": begin}
+    if what == "tiles":
+        print(json.dumps({"response_us_per_s": responses_of(study)}))
+        return
+    last = {"computed": 0, "seconds": begin, "started": 0.0}
 
     def watch(progress) -> None:
         if progress.n_computed != last["computed"]:
             last.update(computed=progress.n_computed, seconds=time.time())
+            if not last["started"]:
+                last["started"] = last["seconds"]
 
     if "--nothing" in sys.argv:
         from overhead import do_nothing
@@ -104,13 +116,15 @@ def child(folder: Path, what: str) -> None:
     found = {"whole": end - begin, "behind_the_last_point": end - last["seconds"]}
     if last["computed"]:
         with Cache(cache, read_only=True) as store:
-            sums = [(slab.seconds, listed(slab)) for _, slab in store.slabs()]
-        cpu, n_listed = map(sum, zip(*sums, strict=True))
+            sums = [(slab.seconds, *counted(slab)) for _, slab in store.slabs()]
+        cpu, n_listed, simulated = map(sum, zip(*sums, strict=True))
         n_points = last["computed"]
         wall = last["seconds"] - begin
         found |= {
             "points": n_points,
+            "to_the_first_points": last["started"] - begin,
             "to_the_last_point": wall,
+            "t_simulated": simulated,
             "cpu_time": cpu,
             "wall_workers_over_cpu": WORKERS * wall / cpu if cpu else math.nan,
             "left_after_bound": WORKERS * wall - 1.1 * cpu - 20e-6 * n_points - 30.0,
@@ -120,12 +134,34 @@ def child(folder: Path, what: str) -> None:
     print(json.dumps(found))
 
 
-def listed(slab) -> int:
-    """Stored extrema and section values."""
+def counted(slab) -> tuple[int, float]:
+    """Stored extrema and section values, and simulated time [s]."""
     from gapsweep.store.slab import stored
 
-    lists = stored(slab).responses.lists
-    return sum(len(lists[name][0]) for name in ("extrema", "section"))
+    responses = stored(slab).responses
+    n_listed = sum(len(responses.lists[name][0]) for name in ("extrema", "section"))
+    return n_listed, float(responses.columns["t_simulated"].sum())
+
+
+def responses_of(study, n_tiles: int = 6, n: int = 4096) -> float:
+    """Processor time [µs] of responses of random points per simulated second."""
+    import numpy as np
+
+    from gapsweep.execution.task import Tile, respond_to
+
+    cells = np.random.default_rng(1).permutation(study.grid.requested.size)
+    spent = simulated = 0.0
+    for tile in np.split(cells[: n_tiles * n], n_tiles):
+        ((_, points),) = study.points(np.sort(tile))
+        nothing = np.zeros(n, "V32")
+        states = np.zeros((n, 2))
+        asked = Tile(points, "", nothing, nothing, np.ones(n, int), states, nothing)
+        respond_to(Tile.of_one(points.take([0]), states[0]))
+        began = time.process_time()
+        found = respond_to(asked)
+        spent += time.process_time() - began
+        simulated += float(found.columns["t_simulated"].sum())
+    return 1e6 * spent / simulated
 
 
 if __name__ == "__main__":

@@ -343,6 +343,26 @@ def test_what_a_function_prints_is_no_part_of_what_a_command_says(tmp_path):
     assert "made" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("import os; os._exit(0)", "its process ended with exit code 0"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "ended by SIGSEGV"),
+    ],
+)
+def test_a_function_that_ends_its_process_ends_no_command(tmp_path, body, said):
+    (tmp_path / "ending.py").write_text(f"def make(k):\n    {body}\n")
+    (tmp_path / "s.toml").write_text(
+        '[study]\nname = "s"\n[system]\nfunction = "ending:make"\n[parameters]\nk = 4.0\n'
+        '[[sweep]]\nrepresentation = "piecewise"\n'
+    )
+    command = [Path(sys.executable).with_name("gapsweep"), "run", "s.toml"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert said in done.stderr
+    assert "s.toml: system: ending:make: " in done.stderr
+
+
 def test_what_is_no_system_is_told_by_its_type(tmp_path, monkeypatch):
     """Its own words may raise anything."""
     (tmp_path / "mute.py").write_text(

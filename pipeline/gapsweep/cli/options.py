@@ -76,8 +76,14 @@ def loaded(path: Path, engine: str | None) -> "Study":
 
     If it names code, that is looked up in the current folder too, after all libraries.
     """
+    from gapsweep.study.spec import read
     from gapsweep.study.study import Study
 
+    system = read(path).system
+    if system is not None and ":" in (system.function or ""):
+        from gapsweep.execution.try_out import try_out_system
+
+        try_out_system(str(system.function), path, os.getcwd())
     found = Study.load(path, os.getcwd())
     if found.grid.starts.kind.any() and len(found.grid.omega) == 1:
         said = "sweeps follow the frequency, and there is one: they start from rest"

@@ -1,10 +1,11 @@
-"""Laws of the user's own, tried out where they can harm nobody.
+"""Code of the user's own, tried out where it can harm nobody.
 
 Keys hold the code of a law, which is known once it has been imported, and then it is asked for its
 force at x = 0. The client does both in its own process, after a child process has survived them.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 
 from gapsweep.errors import StudyError
 from gapsweep.execution.alone import Alone, CallError
@@ -17,6 +18,33 @@ _LONGEST = 60.0  # s
 # What a module imports and compiles counts here, and in no time limit of points.
 _SHORTEST = 10.0  # s
 _STEPS = (("imported", own_law.code), ("called at x = 0", law_code))
+
+
+def try_out_system(function: str, path: Path, code_in: str) -> None:
+    """Load a study whose system a function of the user's makes, in a child process.
+
+    Parameters
+    ----------
+    function : str
+        Its name.
+    path, code_in
+        As of `Study.load`.
+
+    Raises
+    ------
+    StudyError
+        If the function ends its process or hangs. What it raises the study raises, too.
+    """
+    with Alone(_LONGEST) as alone:
+        try:
+            alone(_loads, path, code_in)
+        except CallError as lost:
+            if lost.status in (Status.KILLED, Status.TIMED_OUT):
+                raise StudyError([f"{path}: system: {function}: {lost.message}"]) from None
+
+
+def _loads(path: Path, code_in: str) -> None:
+    Study.load(path, code_in)
 
 
 def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:

@@ -8,7 +8,8 @@ the plain immutable values that the rest of the package works with.
 import math
 import tomllib
 from collections.abc import Collection
-from pathlib import PurePath
+from os import PathLike
+from pathlib import Path, PurePath
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
@@ -349,6 +350,24 @@ def _parted(block: Any, parameters: Collection[str]) -> Any:
     apart = {name: axis for name, axis in block.items() if name in parameters}
     rest = {name: axis for name, axis in block.items() if name not in parameters}
     return rest | {PARTED: apart}
+
+
+def read(path: str | PathLike[str]) -> StudySpec:
+    """Check the text of a study file; none of the code that it names is run.
+
+    Raises
+    ------
+    StudyError
+        If the file cannot be read; or as `parse`.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")  # as some editors save it
+    except OSError as error:
+        remedy = "name a study file, as that which 'gapsweep init' writes"
+        raise StudyError([f"{path}: cannot be read: {error.strerror}; {remedy}"]) from None
+    except UnicodeDecodeError:
+        raise StudyError([f"{path}: not valid TOML: must be UTF-8 text"]) from None
+    return parse(text, str(path))
 
 
 def parse(text: str, source: str = "study") -> StudySpec:

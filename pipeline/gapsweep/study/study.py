@@ -41,7 +41,7 @@ from gapsweep.study.spec import (
     StudySpec,
     Sweep,
     check,
-    parse,
+    read,
 )
 from gapsweep.study.systems import Systems
 
@@ -85,15 +85,7 @@ class Study:
         StudyError
             If the file is missing or anything in it is wrong, one line per problem.
         """
-        path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8-sig")  # as some editors save it
-        except OSError as error:
-            remedy = "name a study file, as that which 'gapsweep init' writes"
-            raise StudyError([f"{path}: cannot be read: {error.strerror}; {remedy}"]) from None
-        except UnicodeDecodeError:
-            raise StudyError([f"{path}: not valid TOML: must be UTF-8 text"]) from None
-        study = cls(parse(text, str(path)), str(path))
+        study = cls(read(path), str(path))
         if code_in is not None and study.names_code:
             sys.path.append(code_in)
         return study._checked()
@@ -115,9 +107,9 @@ class Study:
         return study
 
     def _checked(self) -> "Study":
-        for table, read in (("solver", lambda: self._protocols), ("sweep", lambda: self._axes)):
+        for table, read_off in (("solver", lambda: self._protocols), ("sweep", lambda: self._axes)):
             try:
-                read()
+                read_off()
             except ModelError as error:
                 raise StudyError([f"{self.source}: {table}: {error}"]) from None
         self._check_modules()
