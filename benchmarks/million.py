@@ -63,7 +63,8 @@ def measured(folder: Path, what: str) -> dict[str, float]:
         said = json.loads(process.stdout.read().splitlines()[-1])
     said |= {"client_mb": client / 1e6, "worker_mb": workers / 1e6}
     if "t_simulated" in said:
-        said["workers_us_per_s"] = 1e6 * sum(spent.values()) / said["t_simulated"]
+        said["workers_cpu"] = sum(spent.values())
+        said["workers_us_per_s"] = 1e6 * said["workers_cpu"] / said["t_simulated"]
     return said
 
 
@@ -97,6 +98,7 @@ def child(folder: Path, what: str) -> None:
     def watch(progress) -> None:
         if progress.n_computed != last["computed"]:
             last.update(computed=progress.n_computed, seconds=time.time())
+            last["client"] = time.process_time()
             if not last["started"]:
                 last["started"] = last["seconds"]
 
@@ -124,6 +126,7 @@ def child(folder: Path, what: str) -> None:
             "points": n_points,
             "to_the_first_points": last["started"] - begin,
             "to_the_last_point": wall,
+            "client_cpu": last["client"],
             "t_simulated": simulated,
             "cpu_time": cpu,
             "wall_workers_over_cpu": WORKERS * wall / cpu if cpu else math.nan,
@@ -165,7 +168,7 @@ def responses_of(study, n_tiles: int = 6, n: int = 4096) -> float:
 
 
 if __name__ == "__main__":
-    if sys.argv[2:3] and sys.argv[2] in ("first", "again", "query"):
+    if sys.argv[2:3] and sys.argv[2] in ("first", "again", "tiles", "query"):
         child(Path(sys.argv[1]), sys.argv[2])
     else:
         main(Path(sys.argv[1]), int(float(sys.argv[2])) if sys.argv[2:] else 10**6)
