@@ -39,7 +39,9 @@ was not swept there, or failed throughout.
 - **use**: 95 % of the amplitudes lie within 5 %, the thickness of a plotted line, and 95 % of the
   exact law's attractors are found; or both as often as by the exact law against itself, under
   tighter tolerances or from starts moved by at most 10 nm.
-- **with care**: half of both, which *use* asks too. **no**: less.
+- **with care**: half of the amplitudes within 5 % and half of the attractors found, which *use*
+  asks too. **no**: less.
+- **exact here**: in neither worse than the exact law against itself; counted as *use*.
 - **±**: the 95 % intervals, its own and those of exact against exact, leave open on which side of a
   line it lies, or the frequencies are too few for any.
 - **tanh: one well**: where tanh has no false static equilibrium. That is needed and not enough:

@@ -10,10 +10,10 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache, partial
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -280,36 +280,39 @@ def _starts(points: Points, states: States) -> States:
 def _scenes(points: Points) -> Iterator[Scene | ModelError]:
     """What moves at each point, or why it cannot."""
     kind = points.kind
-    for model in _oscillators(points) if kind.structure is None else _systems(points):
+    rows, model = _oscillators(points) if kind.structure is None else _systems(points)
+    for row in rows:
         try:
-            oscillator, law, omega = model()
+            oscillator, law, omega = model(row)
             yield Scene(oscillator=oscillator, law=law, omega=omega, solver=kind.solver)
         except ModelError as error:
             yield error
 
 
-Model = Callable[[], tuple[Oscillator | System, Any, float]]
+Model = Callable[[Any], tuple[Oscillator | System, Any, float]]
 
 
-def _oscillators(points: Points) -> Iterator[Model]:
-    """Oscillator, law and frequency at each point; neighbours share the first two."""
+def _oscillators(points: Points) -> tuple[Iterable[Any], Model]:
+    """Rows of the points, and of a row oscillator, law and frequency; neighbours share the first
+    two.
+    """
     kind, law = points.kind, _law_of(points.kind)
 
     @lru_cache(maxsize=256)
     def oscillator(*values: float) -> Oscillator:
         return Oscillator(**dict(zip(OSCILLATOR, values, strict=True)))
 
-    def model(
-        walls: list[float], omega: float, others: list[float]
-    ) -> tuple[Oscillator, ContactLaw, float]:
-        return oscillator(*others), law(kind.representation, *walls), omega
+    def model(row: list[float]) -> tuple[Oscillator, ContactLaw, float]:
+        K_c, j_1, j_2, omega, *others, K_ratio, _, _ = row
+        return oscillator(*others), law(kind.representation, K_c, j_1, j_2, K_ratio), omega
 
-    for K_c, j_1, j_2, omega, *others, K_ratio, _, _ in with_ratio(points.numbers).tolist():
-        yield partial(model, [K_c, j_1, j_2, K_ratio], omega, others)
+    return with_ratio(points.numbers).tolist(), model
 
 
-def _systems(points: Points) -> Iterator[Model]:
-    """System, laws of its contacts and frequency at each point; neighbours share the first two."""
+def _systems(points: Points) -> tuple[Iterable[Any], Model]:
+    """Rows of the points, and of a row system, laws of its contacts and frequency; neighbours share
+    the first two.
+    """
     structure, law = points.kind.structure, _law_of(points.kind)
     assert structure is not None
     labels, n = points.kind.contacts, len(points.kind.contacts) * len(OF_CONTACT)
@@ -327,8 +330,7 @@ def _systems(points: Points) -> Iterator[Model]:
         arrays = row[n + 1 : -structure.n_states]
         return system(arrays.tobytes()), laws(row[:n].tobytes()), float(row[n])
 
-    for row in points.numbers:
-        yield partial(model, row)
+    return points.numbers, model
 
 
 def _law_of(kind: Kind) -> Callable[..., ContactLaw]:

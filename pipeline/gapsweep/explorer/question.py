@@ -295,7 +295,8 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
         walls = [getattr(gap, name) for gap in grid.gaps]
         ranges[name] = min(walls), max(walls)
     band = ranges.pop("omega")
-    if band[0] == band[1]:
+    is_one = band[0] == band[1]
+    if is_one:
         band = 0.5 * band[0], 2.0 * band[1]
     # The first point that a block asks for: of a union of blocks no other need be one.
     first = np.argwhere(grid.requested)[0]
@@ -304,7 +305,8 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     values = {name: getattr(study.oscillator, name) for name in _OSCILLATOR} | {"K_ratio": 1.0}
     values |= {name: value for name, value in point.items() if name in _DIALS}
     values |= {"j_1": gap.j_1, "j_2": gap.j_2}
-    values["omega"] = min(max(_LOOKED_AT * values["omega_n"], band[0]), band[1])
+    if not is_one:
+        values["omega"] = min(max(_LOOKED_AT * values["omega_n"], band[0]), band[1])
     ours = [label for label in _plain(grid.representations) if ":" not in label]
     others = [label for label in ours if label not in (EXACT, AUTO)]
     question = asked(values, band, stand_ins=tuple(others[:1]), fit_range=study.spec.fit.range)

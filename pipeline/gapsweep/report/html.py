@@ -26,6 +26,7 @@ from gapsweep.report.answer import (
     Contact,
     Judged,
     contacts,
+    how_many,
     in_words,
     times,
 )
@@ -124,6 +125,7 @@ def write_report(
         is_many=len(told) > MANY,
         has_own_starts=any(len({law.n_exact for law in one.laws}) > 1 for one in told),
         heat=heat(told),
+        cut=f"The first {how_many(len(told), found)}. " if len(found) > len(told) else "",
         starts=[starts_of(responses, EXACT, one.at) for one in told],
         anchors={part["anchor"] for part in parts},
         hero=hero,

@@ -207,30 +207,32 @@ class Growths:
         status : ndarray of int, shape (m,)
             `Status` values; a block that failed does not count.
         """
+        m = len(points)
+        is_ok = call.is_ok.reshape(m, n)
+        counts = np.logical_and.accumulate(is_ok, axis=1).sum(axis=1)  # blocks before a failure
+        ends = np.arange(m) * n + np.minimum(counts, n - 1)
+        status, self.y[:, points] = call.status[ends], call.y[:, ends]
+        counted = np.arange(n) < counts[:, None]
         with np.errstate(all="ignore"):  # of tangents that overflowed
-            tangent, is_sound, strayed = call.monodromy, call.is_sound, call.strayed
-        status = np.full(len(points), int(Status.OK))
-        for block in range(n):
-            some = np.flatnonzero(status == Status.OK)
-            status[some] = call.status[some * n + block]
-            self.y[:, points[some]] = call.y[:, some * n + block]
-            some = some[status[some] == Status.OK]
-            going, now = points[some], some * n + block
-            with np.errstate(all="ignore"):  # of tangents that overflowed
-                direction = np.matmul(tangent[now], self._direction[going][:, :, None])[:, :, 0]
-                length = norm(direction.T)
-                self._direction[going] = direction / length[:, None]
-            length[~is_sound[now]] = np.nan
-            # numpy's own logarithm is another one on another processor.
-            logs = [math.log(factor) if factor else -math.inf for factor in length.tolist()]
-            self._rates[going, self.n_blocks[going]] = (
-                logs * call.omega[now] / self.n_periods[going]
+            lengths, self._direction[points] = _stretched(
+                call.monodromy.reshape(m, n, *call.monodromy.shape[1:]),
+                self._direction[points],
+                counted,
             )
-            self.n_blocks[going] += 1
-            before = self.strayed[going]
-            mean_square = before**2 + (strayed[now] ** 2 - before**2) / self.n_blocks[going]
-            self.strayed[going] = np.sqrt(mean_square)
-        return (status != Status.OK) | (self.n_blocks[points] == self._rates.shape[1]), status
+            lengths[~call.is_sound.reshape(m, n)] = np.nan
+            strayed = np.where(counted, call.strayed.reshape(m, n), 0.0)
+        row, block = np.nonzero(counted)
+        # numpy's own logarithm is another one on another processor.
+        logs = [math.log(each) if each else -math.inf for each in lengths[row, block].tolist()]
+        now = points[row]
+        self._rates[now, self.n_blocks[now] + block] = (
+            logs * call.omega[row * n + block] / self.n_periods[now]
+        )
+        before = self.n_blocks[points]
+        self.n_blocks[points] += counts
+        squares = before * self.strayed[points] ** 2 + np.square(strayed).sum(axis=1)
+        self.strayed[points] = np.sqrt(squares / np.maximum(before + counts, 1))
+        return (status != Status.OK) | (self.n_blocks[points] == self.n_all), status
 
     def exponents(self, points: Numbers) -> tuple[Array, Array]:
         """Largest Lyapunov exponents [1/s] of motions that have all blocks; standard errors.
@@ -251,3 +253,28 @@ class Growths:
         """
         shrinks = 2.0 * exponent * int(self.n_periods[point]) / omega
         return math.sqrt(2.0 / -math.expm1(shrinks)) * float(self.strayed[point])
+
+
+def _stretched(tangents: Array, directions: Array, counted: Mask) -> tuple[Array, Array]:
+    """How much each of so many tangents stretches what the one before it left of a direction.
+
+    Parameters
+    ----------
+    tangents : ndarray, shape (m, n, n_states, n_states)
+    directions : ndarray, shape (m, n_states)
+    counted : ndarray of bool, shape (m, n)
+        Others stretch by 1 and leave the direction.
+
+    Returns
+    -------
+    lengths : ndarray, shape (m, n)
+    directions : ndarray, shape (m, n_states)
+    """
+    lengths = np.ones(counted.shape)
+    for block in range(counted.shape[1]):
+        turned = np.matmul(tangents[:, block], directions[:, :, None])[:, :, 0]
+        length = norm(turned.T)
+        here = counted[:, block]
+        lengths[here, block] = length[here]
+        directions = np.where(here[:, None], turned / length[:, None], directions)
+    return lengths, directions

@@ -248,6 +248,8 @@ def read(path: str | Path) -> "xr.Dataset":
         opened = xr.open_dataset(store)
     except StoreError:
         raise
+    except FileNotFoundError:
+        raise StoreError(f"{path}: no such file; 'gapsweep run' makes it") from None
     except (OSError, ValueError) as error:
         # As text: the error would hold this frame, and with it what was opened.
         reason = getattr(error, "strerror", None) or str(error)
