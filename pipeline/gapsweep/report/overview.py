@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.grid import REPRESENTATION, SWEPT, scene_dims, swept
+from gapsweep.analysis.grid import REPRESENTATION, SWEPT, At, scene_dims, scenes, swept
 from gapsweep.analysis.systems import by_coordinate, is_of_systems
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
@@ -103,7 +103,7 @@ def overview(
         "overview",
         " over ".join(["All scenes" if n_scenes > 1 else "The scene", *([both] if both else [])]),
         [sentence],
-        scene_tables(agreement, timing, labels, over),
+        scene_tables(agreement, timing, labels, over, _apart(asked, n_scenes)),
         (
             figure
             for label in plain
@@ -119,6 +119,19 @@ def overview(
             )
         ),
     )
+
+
+def _apart(asked: xr.DataArray, n_scenes: int) -> list[tuple[str, At]]:
+    """Scenes that are few enough to be told one by one, in the words that tell them apart."""
+    if not 1 < n_scenes <= MOST_SCENES:
+        return []
+    dims = [dim for dim in scene_dims(asked.dims) if asked.sizes[dim] > 1]
+    found: list[tuple[str, At]] = []
+    for at in scenes(asked.to_dataset(), dims):
+        here = asked.isel(at)
+        if here.any():
+            found.append(("".join(f", {named(here[dim])}" for dim in dims), at))
+    return found
 
 
 def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:

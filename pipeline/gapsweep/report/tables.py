@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.grid import scene_dims
+from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.metrics import BOUND
 from gapsweep.analysis.systems import by_coordinate
 from gapsweep.report.parts import Table
@@ -20,7 +20,11 @@ VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 
 
 def scene_tables(
-    agreement: xr.Dataset | None, timing: xr.Dataset, labels: list[str], over: str = ""
+    agreement: xr.Dataset | None,
+    timing: xr.Dataset,
+    labels: list[str],
+    over: str = "",
+    apart: Sequence[tuple[str, At]] = (),
 ) -> list[Table]:
     """How far representations agree with the exact law, if that was swept, and what they cost.
 
@@ -32,13 +36,19 @@ def scene_tables(
         Representations swept there.
     over : str
         Added to the titles.
+    apart : sequence of (str, position)
+        Scenes, in words, whose agreement has rows of its own.
     """
     labels = sorted(labels, key=lambda label: "@" in label)  # protocols apart from laws
     tables = []
     if agreement is not None and agreement.attrs["reference"] in labels:
         for part, suffix in by_coordinate(agreement):
-            rows = list(_agreement_rows(part, labels))
-            title = f"Agreement with the exact law{suffix}{over}"
+            rows = [
+                [f"{law}{where}", *numbers]
+                for where, at in apart or [("", {})]
+                for law, *numbers in _agreement_rows(part.isel(at), labels)
+            ]
+            title = f"Agreement with the exact law{suffix}{'' if apart else over}"
             tables.append(Table(title, _AGREEMENT, rows))
     rows = list(_timing_rows(timing, labels))
     tables.append(
@@ -54,6 +64,8 @@ def _agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[list[s
     for label in labels:
         if label not in (agreement.attrs["reference"], *floors):
             row = pooled.sel(representation=label)
+            if row["n_points"].item() == 0:  # not swept there
+                continue
             compared = f"{row['n_compared'].item()} of {row['n_points'].item()}"
             yield [label, *_agreement(row), compared]
     if floors:
