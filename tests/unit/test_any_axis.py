@@ -140,7 +140,7 @@ def page_of(folder, files):
     return write_report(path, responses, compared, costs, attractors=attractors).read_text()
 
 
-def test_few_values_of_another_axis_have_curves_each_and_medians(forced, tmp_path):
+def test_few_values_of_another_axis_have_curves_each_and_rows_of_their_own(forced, tmp_path):
     page = page_of(tmp_path, forced)
     assert 'id="overview"' in page
     assert 'id="scene-' not in page
@@ -150,8 +150,11 @@ def test_few_values_of_another_axis_have_curves_each_and_medians(forced, tmp_pat
         assert f"Peak displacement of every attractor: {where}" in page
     part = overview(forced[0], agreement(*forced), timing(forced[0]), forced[1])
     (compared, costs) = part.tables
-    assert [row[0] for row in compared.rows] == ["tanh-1e4", "exact against exact"]
-    assert compared.rows[0][-1] == "12 of 18"  # of all scenes together
+    rows = {row[0]: row[-1] for row in compared.rows}  # each scene's own
+    for force in FORCING:
+        assert rows[f"tanh-1e4, forcing = {force:g} N"] == "6 of 9"
+        assert f"exact against exact, forcing = {force:g} N" in rows
+    assert len(rows) == 4
     assert [row[-1] for row in costs.rows] == ["18"] * 3
 
 

@@ -127,7 +127,7 @@ def _apart(asked: xr.DataArray, n_scenes: int) -> list[tuple[str, At]]:
         return []
     dims = [dim for dim in scene_dims(asked.dims) if asked.sizes[dim] > 1]
     found: list[tuple[str, At]] = []
-    for at in scenes(asked.to_dataset(), dims):
+    for at in scenes(asked.to_dataset(name="asked"), dims):
         here = asked.isel(at)
         if here.any():
             found.append(("".join(f", {named(here[dim])}" for dim in dims), at))
