@@ -93,7 +93,7 @@ def _timing() -> Iterator[tuple[str, ...]]:
 def _static() -> Iterator[tuple[str, ...]]:
     for name, variable in static.CURVES.items():
         yield _row(name, ["scene", "x"], variable)
-    for name, variable in static.SCENE_VARIABLES.items():
+    for name, variable in (static.SCENE_VARIABLES | static.FORCED_VARIABLES).items():
         yield _row(name, ["scene"], variable)
     for name, variable in static.CONTACT_VARIABLES.items():
         yield _row(name, ["K_c", "gap"], variable)

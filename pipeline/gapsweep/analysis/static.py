@@ -31,8 +31,7 @@ Array = NDArray[np.float64]
 Values = dict[str, Any]
 
 EQUILIBRIUM = "equilibrium"
-# Force curves depend on the walls alone, all else on the spring and the mass, too.
-_WALLS = ("K_c", "gap", "K_ratio")
+# What is no wall's: force curves do not depend on it.
 _SPRING = ("omega_n", "mass", "alpha")
 _N_UNIFORM = 801
 # Distances from a wall [m]: from the layer of tanh-1e9 on, 6 per decade.
@@ -59,6 +58,9 @@ SCENE_VARIABLES = {
     "n_wells": Variable("i4", "1", "number of stable static equilibria", 0),
     "lowest_barrier": Variable("f8", "J", "least energy that leaves a static well"),
     "refusal": Variable("str", "1", "why the law cannot be used, empty if it can"),
+}
+FORCED_VARIABLES = {
+    "in_gap_force_ratio": Variable("f8", "1", "largest force between the walls over the forcing"),
 }
 _STABILITY = (("none", -1), ("unstable", 0), ("stable", 1))
 CONTACT_VARIABLES = {
@@ -163,8 +165,8 @@ def _beside_the_forcing(dataset: xr.Dataset, study: Study) -> xr.Dataset:
         dataset = dataset.assign_coords(forcing=(dims, list(swept), described.attributes))
     forcing = abs(dataset["forcing"])
     ratio = (dataset["in_gap_force"] / forcing).where(forcing > 0.0)
-    name = "largest force between the walls over the forcing"
-    return dataset.assign(in_gap_force_ratio=ratio.assign_attrs(units="1", long_name=name))
+    ((name, variable),) = FORCED_VARIABLES.items()
+    return dataset.assign({name: ratio.assign_attrs(variable.attributes)})
 
 
 def _coordinates(labels: Sequence[str], axes: Mapping[str, Sequence[Any]]) -> dict[str, Any]:

@@ -189,7 +189,7 @@ def _figures(
 
 def _said_of_start(here: xr.Dataset) -> str:
     kind = str(here["start"].values)
-    swept_from = "" if kind == "fixed" else f" ({kind.replace('_', ' ')})"
+    swept_from = "" if kind == "fixed" else f" ({kind.replace('_', ' ')} over frequency)"
     return f"start {int(here[_START]) + 1}{swept_from}"
 
 
