@@ -22,6 +22,10 @@ _LOCAL_SETTINGS = {
     "distributed.admin.low-level-log-length": 10,
     # A hundred times a second Dask would look where every thread is; nobody looks at that here.
     "distributed.worker.profile.enabled": False,
+    # Nor need its processes be looked at more often than once a second.
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.worker.memory.monitor-interval": "1s",
 }
 
 

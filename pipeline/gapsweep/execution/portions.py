@@ -13,7 +13,7 @@ from gapsweep.execution.plan import Plan
 _TASK_SECONDS = 4.0
 # A task has the time of one point: it aims at so much of it, for costs differ.
 _PART_OF_TIMEOUT = 0.25
-MAX_BATCH = 8192
+MAX_BATCH = 16384
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
 # A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.
