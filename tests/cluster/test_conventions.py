@@ -29,6 +29,7 @@ OSCILLATOR = {
             "K_c": 1.4e4,
             "gap": [0.4e-3, 0.4e-3],
             "omega": 7.0,
+            "forcing": 4.0,
             "t_end": 1.0,
         }
     ],

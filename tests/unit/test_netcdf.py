@@ -74,7 +74,7 @@ def test_torn_file_is_refused_by_name(tmp_path, size):
 
 
 def test_missing_file_is_refused_by_name(tmp_path):
-    with pytest.raises(gs.StoreError, match=r"none.nc: cannot be read"):
+    with pytest.raises(gs.StoreError, match=r"none.nc: no such file; 'gapsweep run' makes it"):
         gs.open(tmp_path / "none.nc")
 
 
