@@ -21,7 +21,7 @@ import sysconfig
 import tempfile
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -78,16 +78,15 @@ def printing_aside() -> Iterator[None]:
 
     The file is another one, not the object: a module may hold `sys.stdout`, and its key with it.
     """
-    with _lock:
-        sys.stdout.flush()
-        said = os.dup(1)
-        os.dup2(2, 1)
-        try:
-            yield
-        finally:
+    with _lock, ExitStack() as restored:
+        with suppress(OSError, AttributeError):  # one of them is closed, or there is none
             sys.stdout.flush()
-            os.dup2(said, 1)
-            os.close(said)
+            said = os.dup(1)
+            restored.callback(os.close, said)
+            restored.callback(os.dup2, said, 1)
+            os.dup2(2, 1)
+            restored.callback(sys.stdout.flush)
+        yield
 
 
 def code(label: str) -> str:

@@ -177,7 +177,7 @@ class Study:
         """Time histories that could be of several values that the study sweeps."""
         for number, table in enumerate(self.spec.history):
             for name in SWEEPABLE:
-                axis = self.grid.axes.get(name, ())
+                axis = self._axes.get(name, ())
                 if len(axis) > 1 and getattr(table, name) is None:
                     remedy = f"say which, as {name} = {axis[0]:g}"
                     yield f"history[{number}].{name}: the study sweeps it; {remedy}"
