@@ -119,7 +119,11 @@ def test_sound_rows_are_saved_and_no_other(whole, tmp_path, what, seed):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.sqlite", "c.sqlite.damaged"]
 
 
-def test_what_a_killed_salvage_had_saved_is_not_lost(whole, tmp_path):
+def interrupted(*_):
+    raise KeyboardInterrupt
+
+
+def test_what_a_killed_salvage_had_saved_is_not_lost(whole, tmp_path, monkeypatch):
     """Killed after it had set the log aside: its rows are in the file that it was making."""
     path = tmp_path / "c.sqlite"
     shutil.copyfile(whole, path)
@@ -128,6 +132,10 @@ def test_what_a_killed_salvage_had_saved_is_not_lost(whole, tmp_path):
     data = bytearray(path.read_bytes())
     data[:100] = bytes(100)
     path.write_bytes(data)
+    with monkeypatch.context() as killed:
+        killed.setattr(Cache, "insert", interrupted)  # once more, as it writes the new file
+        with pytest.raises(KeyboardInterrupt):
+            salvage(path)
     assert f"{N_ROWS + 20} sound results saved" in salvage(path)
     with Cache(path) as cache:
         assert len(cache.find(keys(*range(N_ROWS + 20))).at) == N_ROWS + 20

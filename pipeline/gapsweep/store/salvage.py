@@ -56,15 +56,18 @@ def salvage(path: Path) -> str | None:
             return None
         fresh = path.with_name(f".{path.name}.salvaged")
         # With what one that was killed before the end had saved.
-        slabs = sound_slabs(path) | sound_slabs(fresh)
+        saved = sound_slabs(path) | sound_slabs(fresh)
+        slabs = dict(sorted(saved.items(), key=lambda item: item[1].created))
         if not slabs and _TABLE not in path.read_bytes():
             raise StoreError(
                 f"{path}: file is not a database, or no row of a cache is left in it: move it "
                 "away or choose another file with --cache"
             )
-        fresh.unlink(missing_ok=True)
-        with Cache(fresh) as cache, cache.errors(), cache.transaction():
+        begun = path.with_name(f".{path.name}.salvaging")
+        begun.unlink(missing_ok=True)
+        with Cache(begun) as cache, cache.errors(), cache.transaction():
             cache.insert(slabs.values())
+        begun.replace(fresh)
         aside = _unused(path)
         # Its log first: beside another file it would be taken for that one's.
         log = path.with_name(f"{path.name}-wal")
