@@ -363,6 +363,22 @@ def test_a_function_that_ends_its_process_ends_no_command(tmp_path, body, said):
     assert "s.toml: system: ending:make: " in done.stderr
 
 
+def test_a_function_may_ask_for_laws_in_threads(tmp_path, monkeypatch):
+    (tmp_path / "pooled.py").write_text(
+        "from concurrent.futures import ThreadPoolExecutor\nimport gapsweep as gs\n\n\n"
+        "def force(x):\n    return 2.0 * x\n\n\n"
+        "def make(k):\n    with ThreadPoolExecutor() as pool:\n"
+        "        law = pool.submit(gs.contact_law, 'pooled:force', k, gs.Gap(0.0, 0.0)).result()\n"
+        "    return gs.System(mass=[[1.0]], damping=[[1.0]], stiffness=[[law.force(1.0)]])\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    tables = changed(SECTION, system={"function": "pooled:make"}, parameters={"k": 1.0})
+    del tables["sweep"][0]["speed"]
+    del tables["sweep"][0]["K_c"], tables["sweep"][0]["gap"]
+    study = gs.Study.from_dict(tables)
+    assert study.systems.system.stiffness.tolist() == [[2.0]]
+
+
 def test_what_is_no_system_is_told_by_its_type(tmp_path, monkeypatch):
     """Its own words may raise anything."""
     (tmp_path / "mute.py").write_text(

@@ -21,7 +21,7 @@ import sysconfig
 import tempfile
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -70,23 +70,46 @@ class _Sources:
 # The code of what was imported, by module.
 _loaded: dict[str, str] = {}
 _lock = threading.RLock()
+# What stdout was, then a mark for every block whose code prints aside.
+_aside: list[int] = []
+_printing = threading.Lock()
 
 
 @contextmanager
 def printing_aside() -> Iterator[None]:
-    """What the user's code prints in this block is no part of what a command says.
+    """What this process prints in this block is no part of what a command says: it goes to stderr.
 
     The file is another one, not the object: a module may hold `sys.stdout`, and its key with it.
     """
-    with _lock, ExitStack() as restored:
-        with suppress(OSError, AttributeError):  # one of them is closed, or there is none
-            sys.stdout.flush()
-            said = os.dup(1)
-            restored.callback(os.close, said)
-            restored.callback(os.dup2, said, 1)
-            os.dup2(2, 1)
-            restored.callback(sys.stdout.flush)
+    with _printing:
+        if not _aside:  # of threads that print aside at a time the first redirects ...
+            _aside.append(_redirected())
+        _aside.append(-1)
+    try:
         yield
+    finally:
+        with _printing:
+            _aside.pop()
+            if len(_aside) == 1:  # ... and the last one takes it back
+                _restore(_aside.pop())
+
+
+def _redirected() -> int:
+    """Let stdout be stderr; a copy of what it was, or -1 if one is closed or there is none."""
+    with suppress(OSError, AttributeError):
+        sys.stdout.flush()
+        said = os.dup(1)
+        os.dup2(2, 1)
+        return said
+    return -1
+
+
+def _restore(said: int) -> None:
+    if said >= 0:
+        with suppress(OSError, AttributeError):
+            sys.stdout.flush()
+        os.dup2(said, 1)
+        os.close(said)
 
 
 def code(label: str) -> str:
