@@ -112,19 +112,22 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
 
     found = [of_walls(label, *walls) for label in labels for _, *walls in models]
     of_all = [
-        one | _of_spring(oscillator, one["law"], x_max) if "law" in one else one
+        _of_spring(oscillator, one, x_max)
         for one, (oscillator, *_) in zip(found, models * len(labels), strict=True)
     ]
+    springs = {name: axis for name, axis in axes.items() if name in _SPRING}
+    is_first = [all(each[n] == axis[0] for n, axis in springs.items()) for each in settings]
+    of_first = [one for one, first in zip(of_all, is_first * len(labels), strict=True) if first]
+    of_walls_alone = {dim: size for dim, size in sizes.items() if dim not in springs}
     longest = max([1, *(values.get("n_equilibria", 0) for values in of_all)])
     variables: dict[str, Any] = {}
-    for table, more in (
-        (SCENE_VARIABLES, {}),
-        (CURVES, {"x": x.size}),
-        (LIST_VARIABLES, {EQUILIBRIUM: longest}),
+    for table, values, over in (
+        (SCENE_VARIABLES, of_all, sizes),
+        (CURVES, of_first, of_walls_alone | {"x": x.size}),
+        (LIST_VARIABLES, of_all, sizes | {EQUILIBRIUM: longest}),
     ):
         for name, variable in table.items():
-            over = sizes | more
-            filled = _filled(variable, name, of_all, over)
+            filled = _filled(variable, name, values, over)
             variables[name] = (tuple(over), filled, variable.attributes)
     thresholds = [
         tanh_threshold(oscillator, K_c, gap, x_max, K_ratio)
@@ -140,10 +143,7 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
         "numerics_fingerprint": numerics_fingerprint(),
         "fit_range": x_max,
     }
-    dataset = xr.Dataset(variables, coords, attributes)
-    for name in CURVES:
-        dataset[name] = dataset[name].isel(dict.fromkeys({*axes} & {*_SPRING}, 0), drop=True)
-    return _beside_the_forcing(dataset, study)
+    return _beside_the_forcing(xr.Dataset(variables, coords, attributes), study)
 
 
 def _model(
@@ -214,10 +214,13 @@ def _of_walls(x: Array, x_max: float, label: str, K_c: float, gap: Gap, K_ratio:
         return {"refusal": f"{type(error).__name__}: {error}"}
 
 
-def _of_spring(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
-    """What a law does to an oscillator, or why it is refused."""
+def _of_spring(oscillator: Oscillator, of_walls: Values, x_max: float) -> Values:
+    """With what a law does to an oscillator, or why it is refused."""
+    if "law" not in of_walls:
+        return of_walls
+    law = of_walls["law"]
     try:
-        return _in_gap(oscillator, law, x_max) | _wells(oscillator, law, x_max)
+        return of_walls | _in_gap(oscillator, law, x_max) | _wells(oscillator, law, x_max)
     except ModelError as error:
         return {"refusal": str(error)}
     except Exception as error:  # the user's code may raise anything

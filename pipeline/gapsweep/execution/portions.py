@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from gapsweep.execution.plan import Plan
 
 # Short against a user's patience and against what a kill may cost; until then, the more points
-# share the lanes, the less each costs: a third in 8,192 of what it costs in 250.
+# share the lanes, the less each costs: a third in 16,384 of what it costs in 250.
 _TASK_SECONDS = 4.0
 # A task has the time of one point: it aims at so much of it, for costs differ.
 _PART_OF_TIMEOUT = 0.25

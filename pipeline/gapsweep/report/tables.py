@@ -68,7 +68,7 @@ def _agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[list[s
                 continue
             compared = f"{row['n_compared'].item()} of {row['n_points'].item()}"
             yield [label, *_agreement(row), compared]
-    if floors:
+    if floors and pooled["n_points"].sel(representation=floors).sum() > 0:
         yield ["exact against exact", *_agreement(pooled, floor="_floor"), ""]
 
 

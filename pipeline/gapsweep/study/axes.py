@@ -28,13 +28,17 @@ def _bounded(value: float) -> float:
     """A number of a size that models take."""
     if abs(value) > LARGEST:
         raise ValueError(f"must be within -{LARGEST:g}..{LARGEST:g}")
-    if 0.0 < abs(value) < SMALLEST:
-        raise ValueError(f"must be 0 or at least {SMALLEST:g} in size")
+    return value
+
+
+def _not_tiny(value: float) -> float:
+    if value < SMALLEST:
+        raise ValueError(f"must be >= {SMALLEST:g}")
     return value
 
 
 Number = Annotated[float, AfterValidator(_bounded)]
-Positive = Annotated[float, Field(gt=0), AfterValidator(_bounded)]
+Positive = Annotated[float, Field(gt=0), AfterValidator(_bounded), AfterValidator(_not_tiny)]
 NonNegative = Annotated[float, Field(ge=0), AfterValidator(_bounded)]
 Count = Annotated[int, Field(ge=1, le=MAX_POINTS)]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
