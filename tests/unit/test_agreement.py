@@ -237,7 +237,11 @@ def test_a_wall_that_nothing_comes_near_to_is_no_scale_of_errors():
     moving = SimpleNamespace(
         amplitude=np.array([[0.0, 1e-3], [3e-3, 9.0]]),
         exists=np.array([[True, True], [True, False]]),
+        noise=np.array([[1e-12, 1e-12], [np.nan, 1e-12]]),
         found=SimpleNamespace(section=np.zeros((1, 1, 1, 2))),
     )
     assert _width(2e-3, moving) == 2e-3  # it is reached
     assert _width(1e6, moving) == _width(1.0, moving) == 6e-3
+    dying = SimpleNamespace(**vars(moving) | {"amplitude": np.full((2, 2), 1e-12)})
+    dying.noise = np.full((2, 2), 1e-12)
+    assert _width(1e-3, dying) == 1e-3  # what is left of a motion that dies out is no scale

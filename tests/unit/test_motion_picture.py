@@ -48,7 +48,16 @@ def test_the_line_of_a_linear_motion_has_its_frequency_and_its_amplitude(t_end):
     w, w_n = 2 * np.pi * OMEGA, 2 * np.pi * 5.0
     closed_form = 4.0 / 3.0 / np.hypot(w_n**2 - w**2, 2 * 0.2 * w_n * w)
     assert frequency[amplitude.argmax()] == pytest.approx(OMEGA, rel=1e-9)
+    assert data(gs.plot(run).axes[2])[0].size <= 257  # the section is that of what is shown
     assert amplitude.max() == pytest.approx(1e3 * closed_form, rel=1e-6)
+
+
+def test_a_motion_much_faster_than_its_forcing_has_its_own_line():
+    oscillator = gs.Oscillator(omega_n=200.0, mass=1.0, alpha=0.0, zeta=1e-4, forcing=1.0)
+    law = gs.Piecewise(1e3, gs.Gap(1.0, 1.0))
+    run = gs.simulate(oscillator, law, 0.1, x_0=1e-3, t_end=10.0, dense_output=True)
+    frequency, amplitude = data(gs.plot(run).axes[3])
+    assert frequency[amplitude.argmax()] == pytest.approx(200.0, abs=0.2)
 
 
 def test_a_coordinate_of_a_system_is_chosen_by_name():

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from gapsweep.response.maps import floquet_multipliers, newton_steps
 from gapsweep.response.respond import respond_all
 from gapsweep.response.scene import Scene
 from gapsweep.response.section import likely_multiple, period_multiple
+from gapsweep.response.shooting import Growths
+from gapsweep.status import Status
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
 TIGHT = {"engine": "scipy", "rtol": 1e-8, "atol": 1e-12}
@@ -361,3 +364,52 @@ def test_slow_drift_is_no_period():
 def test_bad_steady_settings_are_refused_by_name(field, value, message):
     with pytest.raises(gs.ModelError, match=message):
         gs.Steady(**{field: value})
+
+
+def made_call(tangent, ok, sound, strayed, omega):
+    """A call of the engine, of which all blocks are made up."""
+    n = len(ok)
+    return SimpleNamespace(
+        is_ok=ok,
+        status=np.where(ok, int(Status.OK), int(Status.DIVERGED)),
+        y=np.arange(3.0 * n).reshape(3, n),
+        monodromy=tangent,
+        is_sound=sound,
+        strayed=strayed,
+        omega=np.full(n, omega),
+    )
+
+
+def test_blocks_of_growth_in_one_call_are_those_of_one_call_each():
+    """Also where a block fails, first, in the middle or last, and where one is unsound."""
+    rng, omega = np.random.default_rng(1), 9.0
+    points, n = np.array([4, 1, 3, 0]), Growths(3, 1).n_all
+    tangent = rng.normal(size=(4, n, 3, 3))
+    ok, sound = np.ones((4, n), bool), np.ones((4, n), bool)
+    strayed = rng.uniform(size=(4, n))
+    for row, block in ((1, 0), (2, 20), (3, n - 1)):
+        ok[row, block:] = False
+        tangent[row, block:] = np.nan
+    sound[0, 5] = False
+    together, apart = Growths(3, 5), Growths(3, 5)
+    for growths in (together, apart):
+        given = np.full(4, 0.9), np.full(4, omega), np.full(4, 1000)
+        growths.begin(points, np.zeros((3, 4)), *given)
+    given = (each.reshape(-1, *each.shape[2:]) for each in (tangent, ok, sound, strayed))
+    call = made_call(*given, omega)
+    is_over, status = together.step(points, n, call)
+    assert is_over.all()
+    assert (status == Status.OK).tolist() == [True, False, False, False]
+    alive = np.arange(4)
+    for block in range(n):
+        one = made_call(*(each[alive, block] for each in (tangent, ok, sound, strayed)), omega)
+        one.y = call.y[:, alive * n + block]
+        _, now = apart.step(points[alive], 1, one)
+        alive = alive[now == Status.OK]
+    assert_array_equal(together.y[:, points], apart.y[:, points])
+    assert_array_equal(together.n_blocks[points], apart.n_blocks[points])
+    assert together.n_blocks[points].tolist() == [n, 0, 20, n - 1]
+    assert_allclose(together.strayed[points], apart.strayed[points], rtol=1e-12)
+    whole = points[:1]
+    assert_array_equal(together.exponents(whole), apart.exponents(whole))
+    assert np.isnan(together.exponents(whole)[0]).all()  # a block was unsound

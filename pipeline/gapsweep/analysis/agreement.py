@@ -34,6 +34,7 @@ from gapsweep.analysis.starts import start_metrics
 from gapsweep.analysis.summary import summaries
 from gapsweep.analysis.systems import is_of_systems, of_coordinate, section_rate
 from gapsweep.model.labels import EXACT
+from gapsweep.response.section import DEVIATIONS
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
@@ -118,8 +119,8 @@ def _width(gap: float, exact: Slab) -> float:
     For a wall that nothing comes near to says nothing of errors. Where there is no gap, the median
     range of what moves; where nothing moves, twice the distance of the farthest place of rest.
     """
-    amplitude = exact.amplitude[exact.exists]
-    moving = amplitude[amplitude > 0.0]
+    amplitude, noise = exact.amplitude[exact.exists], exact.noise[exact.exists]
+    moving = amplitude[(amplitude > 0.0) & ~(amplitude <= DEVIATIONS * noise)]
     if gap > 0.0:
         return float(min(gap, 2.0 * moving.max(initial=0.0) or gap))
     places = np.abs(exact.found.section[..., 0])

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 _PER_PERIOD = 512  # samples: harmonics up to the 256th are told from each other
 _MOST_PERIODS = 256
+_FEWEST = 2**15  # samples in all: motions may be much faster than their forcing
 _N_PERIODS = 16  # at the end, that a history shows
 _FLOOR = 1e-6  # of the largest amplitude, the smallest that is shown
 _WORTH = 1e-3  # of it: up to twice the highest frequency of such a one
@@ -36,7 +37,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
         Time [s] from which on it is shown, the last 256 periods at most; the middle of the run if
         None, so that what dies out at first is mostly left out. The history shows the last sixteen
         periods, the spectrum is over whole ones: forcing periods, or mean times between maxima of
-        the first coordinate where nothing forces it.
+        the first coordinate where nothing forces it; of less than two, over all that is shown.
 
     Returns
     -------
@@ -63,7 +64,8 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     if not run.t_0 <= start < run.t:
         raise ModelError(f"start = {start:g} s: must be within {run.t_0:g}..{run.t:g} s")
     period, n_periods = _periods(run, start)
-    back = np.arange(n_periods * _PER_PERIOD, 0, -1) / _PER_PERIOD
+    per_period = max(_PER_PERIOD, _FEWEST // n_periods)
+    back = np.arange(n_periods * per_period, 0, -1) / per_period
     t = np.maximum(run.t - period * back, run.t_0)
     x, v = (scale * each.reshape(t.size, -1)[:, number] for each in run.sample(t)[:2])
     at_end = t >= run.t - _N_PERIODS * period
@@ -79,12 +81,12 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
         history.set(xlabel="time [s]", ylabel=labels[0], title=f"Time history{ended}")
         phase.plot(x, v, color="black", linewidth=0.5)
         phase.set(xlabel=labels[0], ylabel=labels[1], title="Phase portrait")
-        section.plot(*_section(run, start, number, scale), ".", color=_SECTION, markersize=4)
+        section.plot(*_section(run, float(t[0]), number, scale), ".", color=_SECTION, markersize=4)
         section.set(xlabel=labels[0], ylabel=labels[1], title=_SECTIONS[_is_forced(run)])
         for axes in (phase, section):
             axes.locator_params(nbins=5)
         section.set(xlim=phase.get_xlim(), ylim=phase.get_ylim())  # few points, in their place
-        amplitude, frequency = spectrum(x), np.fft.rfftfreq(x.size, t[1] - t[0])
+        amplitude, frequency = spectrum(x), np.fft.rfftfreq(x.size, period / per_period)
         lines.plot(frequency, amplitude, color="black", linewidth=0.8)
         lines.set(xlabel="frequency [Hz]", ylabel=f"amplitude{unit}", title="Amplitude spectrum")
         if (largest := float(amplitude.max())) > 0.0:
