@@ -312,32 +312,36 @@ def test_the_library_that_fits_a_contact_is_part_of_the_key():
         assert ("scipy" in json.loads(points.kind.identity)["versions"]) == has_scipy
 
 
+def told(tmp_path, module, text, more, *command):
+    """A command on a study whose system a function `make` of a module in the folder makes."""
+    (tmp_path / f"{module}.py").write_text(text)
+    (tmp_path / "s.toml").write_text(
+        f'[study]\nname = "s"\n[system]\nfunction = "{module}:make"\n[parameters]\nk = 4.0\n'
+        f'[[sweep]]\nrepresentation = "piecewise"\n{more}'
+    )
+    program = Path(sys.executable).with_name("gapsweep")
+    return subprocess.run(
+        [program, *command], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+
+
 def test_a_function_in_the_current_folder_is_found_from_the_command_line(tmp_path):
-    (tmp_path / "my_sys.py").write_text(
+    text = (
         "import gapsweep as gs\n\n\ndef make(k):\n    given = {'contacts': {'stop': [1.0]}}\n"
         "    return gs.System(mass=[[1.0]], damping=[[1.0]], stiffness=[[k]], **given)\n"
     )
-    (tmp_path / "s.toml").write_text(
-        '[study]\nname = "s"\n[system]\nfunction = "my_sys:make"\n[parameters]\nk = 4.0\n'
-        '[[sweep]]\nrepresentation = "piecewise"\nK_c = 5.0\ngap = [0.1, 0.1]\nk = [1.0, 2.0]\n'
-    )
-    command = [Path(sys.executable).with_name("gapsweep"), "plan", "s.toml"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    more = "K_c = 5.0\ngap = [0.1, 0.1]\nk = [1.0, 2.0]\n"
+    done = told(tmp_path, "my_sys", text, more, "plan", "s.toml")
     assert done.returncode == 0, done.stderr
     assert "points  2" in done.stdout
 
 
 def test_what_a_function_prints_is_no_part_of_what_a_command_says(tmp_path):
-    (tmp_path / "loud.py").write_text(
+    text = (
         "import gapsweep as gs\nprint('imported')\n\n\ndef make(k):\n    print('made')\n"
         "    return gs.System(mass=[[1.0]], damping=[[1.0]], stiffness=[[k]])\n"
     )
-    (tmp_path / "s.toml").write_text(
-        '[study]\nname = "s"\n[system]\nfunction = "loud:make"\n[parameters]\nk = 4.0\n'
-        '[[sweep]]\nrepresentation = "piecewise"\n'
-    )
-    command = [Path(sys.executable).with_name("gapsweep"), "plan", "s.toml", "--json"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = told(tmp_path, "loud", text, "", "plan", "s.toml", "--json")
     assert json.loads(done.stdout)["points"] == 1
     assert "imported" in done.stderr
     assert "made" in done.stderr
@@ -351,13 +355,7 @@ def test_what_a_function_prints_is_no_part_of_what_a_command_says(tmp_path):
     ],
 )
 def test_a_function_that_ends_its_process_ends_no_command(tmp_path, body, said):
-    (tmp_path / "ending.py").write_text(f"def make(k):\n    {body}\n")
-    (tmp_path / "s.toml").write_text(
-        '[study]\nname = "s"\n[system]\nfunction = "ending:make"\n[parameters]\nk = 4.0\n'
-        '[[sweep]]\nrepresentation = "piecewise"\n'
-    )
-    command = [Path(sys.executable).with_name("gapsweep"), "run", "s.toml"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = told(tmp_path, "ending", f"def make(k):\n    {body}\n", "", "run", "s.toml")
     assert done.returncode == 1
     assert said in done.stderr
     assert "s.toml: system: ending:make: " in done.stderr

@@ -6,7 +6,7 @@ is swept: force curve and force error (A1 of the metrics), frequency of small mo
 has no false equilibrium.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
 from gapsweep.analysis.thresholds import tanh_threshold
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw, UserLaw, static_error
+from gapsweep.model.contact import ContactLaw, static_error
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
 from gapsweep.model.labels import AUTO, contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
@@ -108,12 +108,12 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     def of_walls(label: str, *walls: Any) -> Values:
         if ":" in label and not with_own_laws:
             return {"refusal": "a law of the user's own: not evaluated here"}
-        return _of_walls(x, x_max, label, *walls)
+        return _unless_refused(label, _of_walls, x, x_max, label, *walls)
 
-    found = [of_walls(label, *walls) for label in labels for _, *walls in models]
     of_all = [
-        _of_spring(oscillator, one, x_max)
-        for one, (oscillator, *_) in zip(found, models * len(labels), strict=True)
+        _unless_refused(label, _of_spring, oscillator, of_walls(label, *walls), x_max)
+        for label in labels
+        for oscillator, *walls in models
     ]
     springs = {name: axis for name, axis in axes.items() if name in _SPRING}
     is_first = [all(each[n] == axis[0] for n, axis in springs.items()) for each in settings]
@@ -193,19 +193,10 @@ def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
     return np.unique(points[np.abs(points) <= x_max])
 
 
-def _of_walls(x: Array, x_max: float, label: str, K_c: float, gap: Gap, K_ratio: float) -> Values:
-    """A law and what depends on nothing else, or why it is refused."""
+def _unless_refused(label: str, measured: Callable[..., Values], *given: Any) -> Values:
+    """What is measured of a law, or why it is refused."""
     try:
-        law = contact_law(label, K_c, gap, x_max, K_ratio=K_ratio)
-        force = law.force(x)
-        return {
-            "law": law,
-            "force": force,
-            "force_error": force - law.exact.force(x),
-            "in_gap_force": largest_in_gap(law, x_max),
-            "force_at_zero": float(law.force(0.0)),
-            **_errors(law, x_max),
-        }
+        return measured(*given)
     except ModelError as error:
         return {"refusal": str(error)}
     except Exception as error:  # the user's code may raise anything
@@ -214,19 +205,26 @@ def _of_walls(x: Array, x_max: float, label: str, K_c: float, gap: Gap, K_ratio:
         return {"refusal": f"{type(error).__name__}: {error}"}
 
 
+def _of_walls(x: Array, x_max: float, label: str, K_c: float, gap: Gap, K_ratio: float) -> Values:
+    """A law and what depends on nothing else."""
+    law = contact_law(label, K_c, gap, x_max, K_ratio=K_ratio)
+    force = law.force(x)
+    return {
+        "law": law,
+        "force": force,
+        "force_error": force - law.exact.force(x),
+        "in_gap_force": largest_in_gap(law, x_max),
+        "force_at_zero": float(law.force(0.0)),
+        **_errors(law, x_max),
+    }
+
+
 def _of_spring(oscillator: Oscillator, of_walls: Values, x_max: float) -> Values:
-    """With what a law does to an oscillator, or why it is refused."""
+    """With what a law does to an oscillator."""
     if "law" not in of_walls:
         return of_walls
     law = of_walls["law"]
-    try:
-        return of_walls | _in_gap(oscillator, law, x_max) | _wells(oscillator, law, x_max)
-    except ModelError as error:
-        return {"refusal": str(error)}
-    except Exception as error:  # the user's code may raise anything
-        if not isinstance(law, UserLaw):
-            raise
-        return {"refusal": f"{type(error).__name__}: {error}"}
+    return of_walls | _in_gap(oscillator, law, x_max) | _wells(oscillator, law, x_max)
 
 
 def _errors(law: ContactLaw, x_max: float) -> Values:

@@ -263,14 +263,14 @@ def _stretched(tangents: Array, directions: Array, counted: Mask) -> tuple[Array
     tangents : ndarray, shape (m, n, n_states, n_states)
     directions : ndarray, shape (m, n_states)
     counted : ndarray of bool, shape (m, n)
-        Others stretch by 1 and leave the direction.
+        Others leave the direction; their lengths are not read.
 
     Returns
     -------
     lengths : ndarray, shape (m, n)
     directions : ndarray, shape (m, n_states)
     """
-    lengths = np.ones(counted.shape)
+    lengths = np.full(counted.shape, np.nan)
     for block in range(counted.shape[1]):
         turned = np.matmul(tangents[:, block], directions[:, :, None])[:, :, 0]
         length = norm(turned.T)

@@ -18,6 +18,7 @@ Nothing is integrated, so no answer can leak into the choice
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -28,6 +29,7 @@ from gapsweep.errors import ModelError
 from gapsweep.model.contact import FIT_RANGE, ContactLaw
 from gapsweep.model.labels import FAMILIES, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
+from gapsweep.study.points import OSCILLATOR, Points
 
 Array = NDArray[np.float64]
 
@@ -252,3 +254,17 @@ def _smallest_root(b_0: float, cubic: float) -> float:
     if not sine <= 1.0:
         return math.inf
     return 2.0 / math.sqrt(3.0 * cubic) * math.sin(math.asin(sine) / 3.0)
+
+
+def advised(table: Points, error: float) -> Iterator[Advice]:
+    """The least model that is adequate at each point of a table, whatever its representation."""
+    for row, numbers in enumerate(table.numbers.tolist()):
+        said = dict(zip(table.kind.numbers, numbers, strict=True))
+        yield advise(
+            Oscillator(**{name: said[name] for name in OSCILLATOR}),
+            said["K_c"],
+            table.gap(row),
+            said["omega"],
+            None if table.kind.is_sweep else (said["x_0"], said["v_0"]),
+            error=error,
+        )

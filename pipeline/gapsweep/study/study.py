@@ -19,10 +19,11 @@ from gapsweep.model.labels import AUTO, EXACT, law_of
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import Structure
 from gapsweep.response.result import Steady
-from gapsweep.study.advice import Advice, advise
-from gapsweep.study.axes import MAX_POINTS, SWEEPABLE, forms
+from gapsweep.study.advice import Advice, advised
+from gapsweep.study.axes import MAX_POINTS, forms
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
+from gapsweep.study.history import setting, undecided
 from gapsweep.study.points import (
     NUMBERS,
     OSCILLATOR,
@@ -115,7 +116,7 @@ class Study:
         self._check_modules()
         if self.systems is not None:
             self.systems.check()
-        problems = [f"{self.source}: {line}" for line in self._undecided_histories()]
+        problems = [f"{self.source}: {line}" for line in undecided(self.spec.history, self._axes)]
         if problems:
             raise StudyError(problems)
         cells = math.prod(map(len, self._axes.values()))
@@ -164,23 +165,8 @@ class Study:
         return json.dumps(self.spec.tables, sort_keys=True)
 
     def setting(self, history: HistoryTable) -> dict[str, float]:
-        """Numbers of the oscillator, and the ratio of the walls' stiffnesses, of a time history.
-
-        Its own; else the only one that the study sweeps; else that of ``[oscillator]``.
-        """
-        model = {**self.spec.oscillator.model_dump(), "K_ratio": 1.0}
-        swept = {name: self.grid.axes[name][0] for name in SWEEPABLE if name in self.grid.axes}
-        own = {name: getattr(history, name) for name in SWEEPABLE}
-        return model | swept | {name: value for name, value in own.items() if value is not None}
-
-    def _undecided_histories(self) -> Iterator[str]:
-        """Time histories that could be of several values that the study sweeps."""
-        for number, table in enumerate(self.spec.history):
-            for name in SWEEPABLE:
-                axis = self._axes.get(name, ())
-                if len(axis) > 1 and getattr(table, name) is None:
-                    remedy = f"say which, as {name} = {axis[0]:g}"
-                    yield f"history[{number}].{name}: the study sweeps it; {remedy}"
+        """Numbers of the oscillator, and the ratio of the walls' stiffnesses, of a time history."""
+        return setting(history, self.spec.oscillator, self._axes)
 
     @property
     def claims_module(self) -> Path | None:
@@ -409,7 +395,7 @@ class Study:
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
         """What ``auto`` chooses for each point, in tables of one tolerance each."""
         numbers, rtol = table.numbers.copy(), np.empty(len(table))
-        for row, least in enumerate(self._advised(table)):
+        for row, least in enumerate(advised(table, self.spec.auto.error)):
             rtol[row] = least.rtol
             numbers[row, table.kind.numbers.index("K_c")] = least.K_c
             numbers[row, table.kind.numbers.index("alpha")] = least.oscillator.alpha
@@ -432,21 +418,10 @@ class Study:
             What it has to meet; that of ``[auto]`` if None.
         """
         found = np.empty(len(cells), object)
+        error = self.spec.auto.error if error is None else error
         for rows, table, _ in self._asked(cells):
-            found[rows] = list(self._advised(table, error))
+            found[rows] = list(advised(table, error))
         return list(found)
-
-    def _advised(self, table: Points, error: float | None = None) -> Iterator[Advice]:
-        for row, numbers in enumerate(table.numbers.tolist()):
-            said = dict(zip(table.kind.numbers, numbers, strict=True))
-            yield advise(
-                Oscillator(**{name: said[name] for name in OSCILLATOR}),
-                said["K_c"],
-                table.gap(row),
-                said["omega"],
-                None if table.kind.is_sweep else (said["x_0"], said["v_0"]),
-                error=self.spec.auto.error if error is None else error,
-            )
 
     def solver(self, label: str) -> Solver:
         """Solver settings of a representation, its protocol's where the label has one.

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
+from gapsweep.aside import printing_aside
 from gapsweep.errors import ModelError, StudyError, described
 from gapsweep.model import own_law, systems
 from gapsweep.model.labels import FUNCTION
@@ -130,7 +131,7 @@ def _function(name: str) -> Any:
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
     """What a function makes of named numbers."""
     try:
-        with own_law.printing_aside():
+        with printing_aside():
             found = function(**parameters)
     except (ModelError, KeyboardInterrupt):
         raise
