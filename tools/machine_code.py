@@ -23,6 +23,8 @@ LABELS = (
 
 def compile_all() -> None:
     """Call whatever studies and scripts call, once for every law and with every option."""
+    import numpy as np
+
     import gapsweep as gs
 
     gap, start = gs.Gap(4e-4, 4e-4), {"omega": 9.0, "x_0": 1e-3}
@@ -34,6 +36,10 @@ def compile_all() -> None:
                 motion.sample([0.1])
         gs.respond(gs.Oscillator(), law, **start, rtol=1e-6)
     exact = gs.contact_law("piecewise", 1.4e4, gap)
+    many = start | {"omega": np.linspace(7.0, 9.0, 8)}  # more have more lanes
+    for options in ({}, {"dense_output": True}, {"tangent": True}):
+        gs.simulate(gs.Oscillator(), exact, **many, t_end=0.2, **options)
+    gs.respond(gs.Oscillator(), exact, **many, rtol=1e-6)
     for tables in ({"controller": "ode45"}, {"controller": "ode45", "restart": True}):
         gs.simulate(gs.Oscillator(), exact, **start, t_end=0.2, **tables)
 

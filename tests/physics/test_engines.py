@@ -329,6 +329,30 @@ def test_reference_engine_misses_no_shallow_contact_of_either_wall(depth, rtol):
     assert_allclose(np.abs(run.extrema), -start, rtol=100.0 * rtol)
 
 
+@pytest.mark.parametrize("options", [{"tangent": True}, {"dense_output": True}])
+@pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-9, 1e-12])
+def test_few_points_in_fewer_lanes_are_the_same(rtol, options):
+    """One and four points share four lanes, five are given sixteen."""
+    law, omega = gs.Piecewise(1.4e4, gs.Gap(0.3e-3, 0.4e-3)), np.array([9.0, 7.0, 3.0, 13.0, 24.0])
+    times = np.linspace(0.1, 4.9, 50)
+    alone, four, five = (
+        gs.simulate(gs.Oscillator(), law, at, 1e-3, t_end=5.0, rtol=rtol, **options)
+        for at in (omega[0], omega[:4], omega)
+    )
+    for run in (four, five):
+        for name in ("x", "v", "n_steps", "n_contacts"):
+            assert getattr(run, name)[0] == getattr(alone, name), name
+        assert_array_equal(run.extrema[0], alone.extrema)
+        assert_array_equal(run.t_contacts[0], alone.t_contacts)
+        if "tangent" in options:
+            assert_array_equal(run.monodromy[0], alone.monodromy)
+        else:
+            for part, own in zip(run.sample(times), alone.sample(times), strict=True):
+                assert_array_equal(part[0], own)
+    assert four.x.tolist() == five.x[:4].tolist()
+    assert alone.n_contacts > 10
+
+
 @pytest.mark.parametrize("label", LABELS)
 def test_both_engines_find_the_same_monodromy(label):
     law = gs.contact_law(label, 1.4e4, SYMMETRIC)

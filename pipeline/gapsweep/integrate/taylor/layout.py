@@ -11,6 +11,7 @@ first period, fraction of a period in [0, 1)). The fraction *is* the forcing pha
 phase cannot drift apart however long the run.
 """
 
+import math
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from itertools import accumulate
@@ -33,6 +34,8 @@ from numpy.typing import NDArray
 # compiler cuts the wide values into registers, whose independent chains hide each other's
 # latency. At most 16: four masks of as many bits are packed into one 64-bit answer.
 WIDTH = 16
+# Lanes of a table of so few scenes: a lone one takes half the time that it takes among idle lanes.
+NARROW = 4
 
 # Names of the blocks of rows and, by the counts of a `Layout`, how many rows each has.
 _ONE = (
@@ -216,7 +219,7 @@ def known(layout: _L) -> _L:
 
 def aligned(*shape: int) -> NDArray[np.float64]:
     """A zeroed array whose rows of one vector start on cache lines."""
-    size = int(np.prod(shape))
+    size = math.prod(shape)
     raw = np.zeros(size + 8)
     skip = (-raw.__array_interface__["data"][0] // 8) % 8
     return raw[skip : skip + size].reshape(shape)

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from .layout import Layout, known
+from .layout import NARROW, WIDTH, Layout, known
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,8 @@ def scenes(
     check(zeta=zeta, omega_n=omega_n, mass=mass, alpha=alpha, forcing=forcing, omega=omega)
     check(K_c=K_c, K_ratio=K_ratio, j_1=j_1, j_2=j_2)
     n_rad = 2 * np.pi * omega_n
-    at = known(Layout(order=order_for(rtol)))
+    width = NARROW if len(zeta) <= NARROW else WIDTH
+    at = known(Layout(order=order_for(rtol), width=width))
     points, table = empty_table(at, len(zeta))
     table[at.stiffness], table[at.damping] = n_rad**2, 2 * zeta * n_rad
     table[at.cubic], table[at.push] = alpha / mass, forcing / mass
