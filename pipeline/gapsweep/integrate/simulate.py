@@ -171,6 +171,8 @@ def starts(
 
 def _zero(name: str, value: ArrayLike, remedy: str) -> None:
     """Refuse a start that a model of this kind does not have."""
+    if type(value) is float and value == 0.0:  # as it stands when it is not given
+        return
     (given,) = broadcast(**{name: value})
     if given.any():
         raise ModelError(f"{name} = {value!r}: {remedy}")
