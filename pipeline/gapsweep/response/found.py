@@ -1,17 +1,15 @@
 """What every point of a search waits for, and what was found of it."""
 
-from enum import IntEnum
-
 import numpy as np
 from numpy.typing import NDArray
 
 
-class Phase(IntEnum):
-    """What a point waits for: motion up to `LAST`, then motion with its tangent."""
+class Phase:
+    """Numbers of what a point waits for: motion up to `LAST`, then motion with its tangent."""
 
-    PAUSE = 0  # the time until the next look
-    WINDOW = 1  # the next part of a recorded window
-    APPROACH = 2  # time to come near to an orbit that shooting found
+    LOOK = 0  # a pause, then the next part of a recorded window
+    APPROACH = 1  # time to come near to an orbit that shooting found
+    PAUSE = 2  # a last pause, after which there is no time for another look
     LAST = 3  # the last window, recorded with all events
     SHOOT = 4  # an orbit that the window contracts to
     REPEAT = 5  # the orbit of a settled motion that repeats itself, as it is

@@ -29,6 +29,7 @@ from gapsweep.response.section import (
     prime_multiple,
     prime_multiples,
     repeat_nearly,
+    repeats,
     rotation_number,
 )
 from gapsweep.response.shooting import Growths, Shots
@@ -92,8 +93,8 @@ class Search:
         self._shots = Shots(n_states, n, n_multipliers)
         self._growths = Growths(n_states, n)
         self._limits = Limits.of(ensemble, steady)
-        self._phase = np.full(n, int(Phase.PAUSE))
-        self._asked = self._limits.pause.copy()  # forcing periods of the stretch waited for
+        # Forcing periods of the stretch waited for: unrecorded, then added to the window.
+        self._pause, self._window = np.zeros((2, n), np.int64)
         self._settled = np.zeros(n, bool)
         self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))  # size of the next window
         # Forcing periods after which a full window is looked at: rattled motions come near their
@@ -101,6 +102,8 @@ class Search:
         self._portion = -(-steady.n_periods // (_LOOKS if ensemble.is_rattled else 1))
         self._goal = np.zeros(n)  # distance from an orbit found
         self._found = Found(n)
+        self._phase = np.full(n, int(Phase.LOOK))
+        self._wait(np.arange(n))
 
     def responses(self) -> Responses:
         """Advance all points until each has its answer."""
@@ -114,7 +117,7 @@ class Search:
             elif moves.any():
                 self._advance(np.flatnonzero(moves))
             elif grows.any():
-                self._grow(np.flatnonzero(grows))
+                self._grown(*self._growths.advance(self._ensemble, np.flatnonzero(grows)))
             else:
                 self._advance_last(np.flatnonzero(self._phase == Phase.LAST))
         return answers(self._ensemble, self._walks, self._shots, self._found, self._steady)
@@ -122,50 +125,55 @@ class Search:
     # --- motion ----------------------------------------------------------------------------------
 
     def _advance(self, points: Numbers) -> None:
-        phase, asked = self._phase[points], self._asked[points]
+        """Pauses and the windows after them in one call: no lane waits in between."""
+        phase, pause, window = self._phase[points], self._pause[points], self._window[points]
         # A long stretch goes on in the next call: the others need not wait for it.
-        n = self._ensemble.at_a_time(points, asked)
-        self._walks.advance(points, n, phase == Phase.WINDOW)
-        self._asked[points] = asked - n
+        n = self._ensemble.at_a_time(points, pause + window)
+        paused = np.minimum(pause, n)
+        recorded = n - paused
+        if not self._ensemble.is_chained:
+            recorded[paused > 0] = 0
+        self._walks.advance(points, paused, recorded)
+        self._pause[points], self._window[points] = pause - paused, window - recorded
         is_ok = self._walks.status[points] == Status.OK
         self._fail(points[~is_ok])
-        is_over = is_ok & (n == asked)
-        self._open(points[is_over & (phase == Phase.PAUSE)])
-        self._look_at(points[is_over & (phase == Phase.WINDOW)])
+        is_over = is_ok & (paused + recorded == pause + window)
+        self._look_at(points[is_over & (phase == Phase.LOOK)])
         self._arrive(points[is_over & (phase == Phase.APPROACH)])
+        self._finish(points[is_over & (phase == Phase.PAUSE)])
 
-    def _ask(self, points: Numbers, phase: Phase, n_periods: Any) -> None:
+    def _ask(self, points: Numbers, phase: int, pause: Any, window: Any) -> None:
         """Wait for a stretch of motion."""
-        self._phase[points], self._asked[points] = phase, n_periods
+        self._phase[points], self._pause[points], self._window[points] = phase, pause, window
 
     def _advance_last(self, points: Numbers) -> None:
-        everything = np.ones(len(points), bool)
-        self._walks.advance(points, self._asked[points], everything, section_only=False)
+        self._walks.advance(points, self._pause[points], self._window[points], section_only=False)
         is_ok = self._walks.status[points] == Status.OK
         self._fail(points[~is_ok])
         self._look_at(points[is_ok])
 
     @_for_some
-    def _open(self, points: Numbers) -> None:
-        """After a pause: a window, a full one from the second of a settled motion on."""
-        was_settled = self._settled[points]
-        self._settled[points] = self._walks.n_periods[points] >= self._limits.settled[points]
+    def _wait(self, points: Numbers) -> None:
+        """A pause, then a window: a full one from the second of a settled motion on."""
+        was_settled, pause = self._settled[points], self._limits.pause[points]
+        begin = self._walks.n_periods[points] + pause
+        self._settled[points] = begin >= self._limits.settled[points]
         self._look[points[was_settled]] = self._steady.n_periods
-        after = self._walks.n_periods[points] + self._look[points]
         # A growth costs more than the first look at a settled motion.
         is_new = self._settled[points] & ~was_settled
-        is_last = (after >= self._limits.last[points]) & ~is_new
-        self._finish(points[is_last])
+        is_last = (begin + self._look[points] >= self._limits.last[points]) & ~is_new
+        self._ask(points[is_last], Phase.PAUSE, pause[is_last], 0)
         others = points[~is_last]
         self._walks.forget(others)
         portion = np.where(self._settled[others], self._portion, self._steady.n_periods)
-        self._ask(others, Phase.WINDOW, np.minimum(self._look[others], portion))
+        window = np.minimum(self._look[others], portion)
+        self._ask(others, Phase.LOOK, pause[~is_last], window)
 
     @_for_some
     def _record_last(self, points: Numbers) -> None:
         """A whole window, for the motion may be what is left when no orbit is found."""
         self._walks.forget(points)
-        self._ask(points, Phase.LAST, self._steady.n_periods)
+        self._ask(points, Phase.LAST, 0, self._steady.n_periods)
 
     @_for_some
     def _look_at(self, points: Numbers) -> None:
@@ -196,7 +204,7 @@ class Search:
         left = np.maximum(np.minimum(self._look[points], full) - length, 0)
         goes_on = left > 0
         portion = np.minimum(left[goes_on], self._portion)
-        self._ask(points[goes_on], Phase.WINDOW, portion)
+        self._ask(points[goes_on], Phase.LOOK, 0, portion)
         may_repeat = ~goes_on & self._settled[points] & (length >= full)
         self._repeat(points[may_repeat])
         self._end_look(points[~(goes_on | may_repeat)])
@@ -204,27 +212,10 @@ class Search:
     # --- motion with its tangent -----------------------------------------------------------------
 
     def _shoot(self, points: Numbers) -> None:
-        phase, shots = self._phase[points], self._shots
-        call = self._ensemble.call(
-            points, shots.y[:, points], shots.n[points], np.zeros(len(points)), tangent=True
-        )
-        is_found, is_lost = shots.step(points, call)
+        phase = self._phase[points]
+        is_found, is_lost = self._shots.advance(self._ensemble, points)
         self._hit(points[is_found], phase[is_found])
         self._miss(points[is_lost], phase[is_lost])
-
-    def _grow(self, points: Numbers) -> None:
-        growths, n = self._growths, 1
-        if self._ensemble.is_chained:
-            # All blocks of a point: where a chain is cut may not depend on its company.
-            points, n = points[: growths.together()], growths.n_all
-        blocks = np.repeat(points, n)
-        follows = np.append(False, blocks[1:] == blocks[:-1])
-        call = self._ensemble.call(
-            blocks, growths.y[:, blocks], growths.n_periods[blocks], np.full(len(blocks), math.inf),
-            tangent=True, follows=follows if n > 1 else None,
-        )  # fmt: skip
-        is_over, status = growths.step(points, n, call)
-        self._grown(points[is_over], status[is_over])
 
     @_for_some
     def _hit(self, points: Numbers, phase: Counts) -> None:
@@ -285,15 +276,10 @@ class Search:
         self._goal[points] = goal
         away = np.flatnonzero(~is_own)
         shrinks = np.maximum(modulus, 1e-12)
-        # One factor of two more: a state's directions do not shrink as one. numpy's own logarithm
-        # is another one on another processor.
-        wanted = zip(
-            (0.5 * goal[away] / before[away]).tolist(), shrinks[away].tolist(), strict=True
-        )
-        repeats = [max(1, math.ceil(math.log(part) / math.log(each))) for part, each in wanted]
-        stretch = np.array(repeats, np.int64) * n[away]
+        # One factor of two more: a state's directions do not shrink as one.
+        stretch = repeats(0.5 * goal[away] / before[away], shrinks[away]) * n[away]
         is_short = stretch <= n_left[away]
-        self._ask(points[away[is_short]], Phase.APPROACH, stretch[is_short])
+        self._ask(points[away[is_short]], Phase.APPROACH, stretch[is_short], 0)
         for k in away[~is_short].tolist():
             expected = float(shrinks[k]) ** int(last[k] // n[k])
             has_shrunk = before[k] <= 0.5 * (1.0 + expected) * first[k]
@@ -343,7 +329,7 @@ class Search:
                 n = sooner if sooner and n % sooner == 0 else n
             self._as_it_is(point, n, Phase.REPEAT)
 
-    def _as_it_is(self, point: int, n: int, phase: Phase) -> None:
+    def _as_it_is(self, point: int, n: int, phase: int) -> None:
         """The next n forcing periods as a periodic orbit, closed or not, if they contract."""
         one = np.array([point])
         endless, nothing = np.array([math.inf]), np.zeros(1)
@@ -356,7 +342,7 @@ class Search:
         is_last = self._walks.n_periods[points] >= self._limits.last[points]
         again = points[~is_last]
         self._look[again] = np.minimum(2 * self._look[again], self._steady.n_periods)
-        self._ask(again, Phase.PAUSE, self._limits.pause[again])
+        self._wait(again)
         self._finish(points[is_last])
 
     @_for_some
@@ -456,9 +442,9 @@ class Search:
         # On an unstable orbit a disturbance grows too, and beside a bifurcation so slowly that the
         # motion stays near: but there it repeats itself.
         section, length = walks.section[:, points], walks.length[points]
-        repeats = repeat_nearly(section, length, walks.step_error[points], largest)
+        is_alike = repeat_nearly(section, length, walks.step_error[points], largest)
         grows = self._found.lyapunov[points] > _SURE * self._found.lyapunov_error[points]
-        self._found.is_chaotic[points] = grows & ~repeats
+        self._found.is_chaotic[points] = grows & ~is_alike
 
     @_for_some
     def _fail(self, points: Numbers) -> None:

@@ -318,6 +318,20 @@ def repeat_nearly(sections: Array, lengths: Counts, error: Array, largest: int) 
     return np.asarray(found | (also & moves.any(axis=0)))
 
 
+def repeats(shares: Array, modulus: Array) -> Counts:
+    """How many repeats of an orbit it takes until disturbances have shrunk to shares < 1.
+
+    Parameters
+    ----------
+    shares, modulus : ndarray, shape (m,)
+        The shares, and the largest multiplier's modulus, < 1 [-].
+    """
+    # numpy's own logarithm is another one on another processor.
+    pairs = zip(shares.tolist(), modulus.tolist(), strict=True)
+    found = [max(1, math.ceil(math.log(share) / math.log(each))) for share, each in pairs]
+    return np.array(found, np.int64)
+
+
 def prime_multiple(orbit: Array, tolerance: float) -> int:
     """Smallest divisor of its length after which a closed orbit repeats itself.
 

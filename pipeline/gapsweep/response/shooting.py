@@ -6,7 +6,7 @@ alone and check all of it: the product of the multipliers over n periods T is ``
 the Lyapunov exponents add up to ``-r``; r is ``2 ζ ω_n`` for an oscillator, for a system
 ``tr(M⁻¹C) - tr H``.
 
-`Shots` and `Growths` are columns, a row per point. Both take what a call with the tangent found.
+`Shots` and `Growths` are columns, a row per point. Both go on by calls with the tangent.
 """
 
 import math
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.call import Call
+from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.maps import floquet_multipliers, newton_steps
 from gapsweep.response.section import norm
 from gapsweep.status import Status
@@ -94,6 +95,11 @@ class Shots:
     def shorten(self, points: Numbers, n: Counts) -> None:
         """Begin again at orbits that were found, over fewer forcing periods."""
         self.n[points], self._tries[points], self._last[points] = n, 0, np.inf
+
+    def advance(self, ensemble: Ensemble, points: Numbers) -> tuple[Mask, Mask]:
+        """Shoot once more; returns as `step`."""
+        y, n = self.y[:, points], self.n[points]
+        return self.step(points, ensemble.call(points, y, n, np.zeros(len(n)), tangent=True))
 
     def step(self, points: Numbers, call: Call) -> tuple[Mask, Mask]:
         """One step of Newton's method from what a call found.
@@ -189,6 +195,21 @@ class Growths:
     def together(self) -> int:
         """How many points have all of their blocks in one call: some ten megabytes."""
         return max(1, _MOST_NUMBERS // (self.n_all * len(self.y) ** 2))
+
+    def advance(self, ensemble: Ensemble, points: Numbers) -> tuple[Numbers, Counts]:
+        """Go on with some of the points; who is then over, and as what, as in `step`."""
+        n = 1
+        if ensemble.is_chained:
+            # All blocks of a point: where a chain is cut may not depend on its company.
+            points, n = points[: self.together()], self.n_all
+        blocks = np.repeat(points, n)
+        follows = np.append(False, blocks[1:] == blocks[:-1])
+        call = ensemble.call(
+            blocks, self.y[:, blocks], self.n_periods[blocks], np.full(len(blocks), math.inf),
+            tangent=True, follows=follows if n > 1 else None,
+        )  # fmt: skip
+        is_over, status = self.step(points, n, call)
+        return points[is_over], status[is_over]
 
     def step(self, points: Numbers, n: int, call: Call) -> tuple[Mask, Counts]:
         """The next blocks from what a call found.

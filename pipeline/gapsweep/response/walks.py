@@ -102,26 +102,35 @@ class Walks:
         self.reach[points] = self._place(points)
 
     def advance(
-        self,
-        points: Numbers,
-        n_periods: Counts,
-        recorded: NDArray[np.bool_],
-        *,
-        section_only: bool = True,
+        self, points: Numbers, pause: Counts, window: Counts, *, section_only: bool = True
     ) -> None:
-        """Go on for whole periods; what is recorded is added to the windows."""
-        record_from = np.where(recorded, 0.0, math.inf)
-        y = self.y[:, points]
-        call = self.ensemble.call(points, y, n_periods, record_from, section_only=section_only)
+        """Go on for whole periods, then for some that are added to the windows; one may be none."""
+        # The motions of a call: of each point a pause, a window, or one that follows the other.
+        n_motions = (pause > 0) + (window > 0).astype(np.intp)
+        of = np.repeat(np.arange(len(points)), n_motions)
+        follows = np.append(False, of[1:] == of[:-1])
+        last = np.cumsum(n_motions) - 1
+        recorded = np.zeros(len(of), bool)
+        recorded[last] = window > 0
+        scenes, n_periods = points[of], np.where(recorded, window[of], pause[of])
+        call = self.ensemble.call(
+            scenes, self.y[:, scenes], n_periods, np.where(recorded, 0.0, math.inf),
+            section_only=section_only, follows=follows if follows.any() else None,
+        )  # fmt: skip
         if not section_only:
             extrema, counts = self.extrema_of(call)
             self.extrema.put(self.rows(points), extrema, counts.ravel())
-            self.contact_share[:, points] = contact_shares(self.ensemble, points, y, call)
-        self._steps_per_period[points] = np.maximum(call.n_steps / n_periods, 1.0)
+            shares = contact_shares(self.ensemble, points, self.y[:, points], call)
+            self.contact_share[:, points] = shares
         if recorded.any():
-            self._add(points[recorded], np.flatnonzero(recorded), call)
-        self._elapsed[points] += call.t_end
-        self.arrive(points, call.y, call.status, n_periods)
+            self._add(scenes[recorded], np.flatnonzero(recorded), call)
+        # What failed in its pause is where it was left.
+        first = last - n_motions + 1
+        last = np.where(call.is_ok[first], last, first)
+        self._steps_per_period[points] = np.maximum(call.n_steps[last] / n_periods[last], 1.0)
+        self._elapsed[points] += np.bincount(of, call.t_end)
+        elapsed = n_periods[first] + np.where(last > first, n_periods[last], 0)
+        self.arrive(points, call.y[:, last], call.status[last], elapsed)
 
     def extrema_of(self, call: Call) -> tuple[Array, Counts]:
         """Zero-velocity points [m] of a call, and how many there are of each motion's quantities.
@@ -145,7 +154,8 @@ class Walks:
         new = np.diff(call.period_ends)[motions]
         room = int((self.length[points] + new).max()) - self.section.shape[2]
         if room > 0:
-            self.section = np.pad(self.section, ((0, 0), (0, 0), (0, room)))
+            more = np.zeros((*self.section.shape[:2], room))
+            self.section = np.concatenate([self.section, more], axis=2)
         rows, columns = np.repeat(points, new), spans(self.length[points], new)
         # Events stand motion by motion, and motions that were not recorded have none.
         self.section[:, rows, columns] = call.section
