@@ -21,7 +21,7 @@ PROMISES = {
         1,
     ),
     "own_representation": (["18: 0 from the cache, 18 computed"], 1),
-    "own_oscillator": (["wall crossings", "116: 0 from the cache"], 2),
+    "own_oscillator": (["wall crossings", "116: 0 from the cache", "242: 0 from", "PERIODIC"], 3),
     "on_a_cluster": (["10 of 10 points were stored"], 1),
 }
 

@@ -229,8 +229,9 @@ def sentence(progress: Progress, rate: float) -> str:
     left = f"{duration(missing / rate)} left" if known and missing else "time left unknown"
     left = left if missing else "0:00:00 left"
     stored = f"{progress.n_hits} from the cache, " if progress.n_hits else ""
+    pace = f"{rate:.{0 if rate >= 100.0 else 1}f}/s, " if rate > 0.0 else ""
     return (
-        f"{progress.n_done}/{progress.n_points} points, {rate:.{0 if rate >= 100.0 else 1}f}/s, "
+        f"{progress.n_done}/{progress.n_points} points, {pace}"
         f"{stored}{progress.n_failed} failed, {left}"
     )
 

@@ -25,7 +25,7 @@ def clock(monkeypatch):
         (
             Progress(10, 2),
             0.0,
-            "2/10 points, 0.0/s, 2 from the cache, 0 failed, time left unknown",
+            "2/10 points, 2 from the cache, 0 failed, time left unknown",
         ),
         (Progress(10, 2, 4), 2.0, "6/10 points, 2.0/s, 2 from the cache, 0 failed, 0:00:02 left"),
         (Progress(9999, 0, 64), 8.0, "64/9999 points, 8.0/s, 0 failed, time left unknown"),
@@ -35,7 +35,7 @@ def clock(monkeypatch):
             "9981/9999 points, 1.0/s, 9979 from the cache, 0 failed, 0:00:18 left",
         ),
         (Progress(10, 0, 10), 2.0, "10/10 points, 2.0/s, 0 failed, 0:00:00 left"),
-        (Progress(3, 3), 0.0, "3/3 points, 0.0/s, 3 from the cache, 0 failed, 0:00:00 left"),
+        (Progress(3, 3), 0.0, "3/3 points, 3 from the cache, 0 failed, 0:00:00 left"),
     ],
 )
 def test_counts_and_the_time_left(progress, rate, said):
@@ -99,7 +99,7 @@ def test_what_takes_its_time_is_named_on_a_terminal(monkeypatch, capsys, is_term
     assert ("making the report, 0:00:00" in capsys.readouterr().err) == is_terminal
 
 
-COUNTS = "10/10 points, 0.0/s, 2 from the cache, 0 failed, 0:00:00 left"
+COUNTS = "10/10 points, 2 from the cache, 0 failed, 0:00:00 left"
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from gapsweep.report.scales import axis_label, is_log, named
 from gapsweep.report.selection import missing_variable, places, scene
 from gapsweep.report.style import NOT_PERIODIC, colour
 from gapsweep.report.summary import as_html, as_text
+from gapsweep.response.result import ResponseClass
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,7 +90,8 @@ class GapsweepAccessor:
         for label in labels:
             drawing.extrema(axes, shown.sel(representation=label), along, other=other)
             axes.plot([], [], ".", color=colour(label), label=label)
-        if other:
+        others = shown["extrema"].where(shown["response_class"] != ResponseClass.PERIODIC)
+        if other and others.notnull().any():
             axes.plot([], [], ".", color=other, label="not periodic")
         axes.set_ylabel(axis_label(shown["extrema"], "steady extrema"))
         return _finished(axes, shown, along)
