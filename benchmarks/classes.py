@@ -4,7 +4,8 @@ Two coordinates, driven, with a stop; by circulatory springs some of them flutte
 round a torus where the drive does not lock them. Brute force knows nothing of tangents or shooting:
 after a long transient a motion is periodic if its section repeats itself. If not, neighbours 1e-9
 apart say what it is, two sets of them: those of a chaotic motion part, those of a quasi-periodic
-one stay. Where the two sets disagree, brute force has no answer.
+one stay: on a torus they part in proportion to time. Where the two sets disagree, or part by what
+either may do, brute force has no answer.
 
 With --free nothing drives them: the section is passed at the maxima of the first coordinate, and
 what has stopped moving is at rest.
@@ -21,10 +22,10 @@ import numpy as np
 import gapsweep as gs
 
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
-TRANSIENT, WINDOW, WATCHED = 3000, 256, 150  # forcing periods
+TRANSIENT, WINDOW, WATCHED = 3000, 256, 1000  # forcing periods
 APART, N_NEIGHBOURS = 1e-9, 6
 FREE = 1.7  # Hz, about as fast as they swing by themselves
-PARTED, STAYED = 1e4, 1e2  # growths of distances within WATCHED periods
+PARTED, STAYED = 1e5, 1e4  # growths of distances within WATCHED periods
 
 
 def random_scene(rng, *, free):

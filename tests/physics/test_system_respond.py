@@ -9,7 +9,7 @@ from scipy.integrate import trapezoid
 
 import gapsweep as gs
 from gapsweep.integrate.taylor import exact
-from gapsweep.response.section import rotation_number
+from gapsweep.response.tori import rotation_number
 
 GAP = gs.Gap(4e-4, 6e-4)
 # Damped so that each scene has one attractor: which one a start ends on is another question.
@@ -303,6 +303,62 @@ def test_a_torus_beside_a_part_that_repeats_is_found():
     assert found.response_class == gs.ResponseClass.QUASIPERIODIC
     # One turn in 2 pi, seen every 2 pi / 0.777.
     assert found.rotation_number == pytest.approx(1.0 / 0.777 - 1.0, abs=1e-8)
+
+
+def fluttering(stiffness, *, mass, loss, cubic, contact, load):
+    """Two masses that flutter by circulatory springs, driven, with a stop."""
+    along = zip(([1, 0], [0, 1]), cubic, strict=True)
+    return gs.System(
+        mass=np.diag(mass), damping=loss * np.eye(2), stiffness=stiffness,
+        cubic=[gs.Cubic(along=a, alpha=alpha) for a, alpha in along],
+        contacts={"stop": contact}, forcing=[gs.Harmonic(amplitude=load)],
+    )  # fmt: skip
+
+
+def neighbours_part(system, law, omega, found, n_periods):
+    """How much farther apart two motions are after so many forcing periods, by no tangent."""
+    state = np.concatenate([found.x_end, found.v_end])
+    both = np.stack([state, state + 1e-9 * np.array([1.0, -1.0, 1.0, 1.0])])
+    run = gs.simulate(
+        system, law, np.full(2, omega), q_0=both[:, :2], v_0=both[:, 2:], t_end=n_periods / omega,
+        rtol=1e-12, atol=1e-15,
+    )  # fmt: skip
+    return np.linalg.norm(np.diff(np.concatenate([run.q, run.v], axis=1), axis=0)) / 2e-9
+
+
+def test_a_torus_whose_disturbances_grow_for_a_while_is_not_chaotic():
+    """It beats so slowly that ten batches put its exponent up to five errors above zero."""
+    law = gs.Piecewise(9357.2, gs.Gap(9.0356e-3, 9.6202e-3))
+    system = fluttering(
+        [[83.223, 20.954], [-20.954, 114.338]],
+        mass=(1.2741, 1.5418), loss=0.7236, cubic=(7169.3, 18450.6), contact=[-0.1367, 0.4118],
+        load=[-0.3463, -0.03],
+    )  # fmt: skip
+    omega = 2.729378 + np.linspace(-2e-4, 2e-4, 9)
+    found = gs.respond(system, law, omega, q_0=[1e-3, -1e-3])
+    assert (found.response_class == gs.ResponseClass.QUASIPERIODIC).all()
+    assert (found.lyapunov / found.lyapunov_error).max() > 5.0
+    turns = np.diff(found.rotation_number)
+    assert (turns < 0.0).all() or (turns > 0.0).all()
+    for at in omega[4:6]:
+        one = gs.respond(system, law, at, q_0=[1e-3, -1e-3])
+        assert neighbours_part(system, law, at, one, 1000) < 1e3  # as time goes by
+
+
+def test_growth_that_does_not_tell_is_measured_longer():
+    law = gs.Piecewise(8087.68, gs.Gap(5.41548e-3, 16.65218e-3))
+    system = fluttering(
+        [[92.865, 19.006], [-19.006, 114.44]],
+        mass=(0.6652, 1.1427), loss=0.6294, cubic=(3401.03, 40746.9), contact=[-0.9612, 0.8489],
+        load=[-0.1312, -0.0778],
+    )  # fmt: skip
+    omega, start = 2.745044, {"q_0": [1e-3, -1e-3]}
+    found = gs.respond(system, law, omega, **start)
+    assert found.response_class == gs.ResponseClass.CHAOTIC
+    assert neighbours_part(system, law, omega, found, 300) > 1e5
+    hasty = gs.respond(system, law, omega, **start, steady=gs.Steady(t_max=600.0))
+    assert hasty.response_class == gs.ResponseClass.UNRESOLVED
+    assert found.lyapunov_error < 0.5 * hasty.lyapunov_error
 
 
 @pytest.mark.parametrize("rotation", [0.0123, 0.2871, 0.4712])

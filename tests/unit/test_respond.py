@@ -81,6 +81,17 @@ def test_long_lists_of_extrema_are_cut_and_counted():
     assert response.n_extrema > len(response.extrema) == len(response.extremum_kind) == 20
 
 
+@pytest.mark.parametrize(
+    ("zeta", "omega", "t_max"),
+    [(1e-3, 9.0, 50.0), (3e-3, 9.0, 20.0), (1e-4, 2.0, 600.0), (2e-4, 0.05, 400.0)],
+)
+def test_a_motion_that_never_settles_is_watched_no_longer_than_said(zeta, omega, t_max):
+    law, steady = gs.Piecewise(1e5, gs.Gap(0.4e-3, 0.1e-3)), gs.Steady(t_max=t_max)
+    found = gs.respond(gs.Oscillator(zeta=zeta, forcing=2.0), law, omega, steady=steady)
+    assert found.response_class == gs.ResponseClass.UNRESOLVED
+    assert found.t_settled <= t_max + steady.n_periods / omega
+
+
 def test_light_damping_is_never_called_settled():
     oscillator = gs.Oscillator(zeta=1e-5, alpha=0.0)
     steady = gs.Steady(t_max=2.0)

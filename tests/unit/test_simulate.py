@@ -30,6 +30,25 @@ def potential(oscillator, law, x):
     return springs + quad(law.force, 0.0, x, epsabs=1e-18, points=[-law.gap.j_1, law.gap.j_2])[0]
 
 
+@pytest.mark.parametrize("wall", [3e-4, 0.0])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("towards", [-math.inf, math.inf])
+@pytest.mark.parametrize("v_0", [-0.01, 0.01])
+def test_a_start_that_rounding_put_beside_a_wall_is_on_it(wall, sign, towards, v_0):
+    law = gs.Piecewise(1e5, gs.Gap(wall, wall))
+    start, given = sign * wall, {"omega": 9.0, "v_0": v_0, "t_end": 0.5}
+    exact = gs.simulate(gs.Oscillator(), law, x_0=start, **given)
+    for engine in ("compiled", "scipy"):
+        beside = gs.simulate(
+            gs.Oscillator(), law, x_0=np.nextafter(start, towards), engine=engine,
+            rtol=1e-9, atol=1e-12, **given,
+        )  # fmt: skip
+        assert beside.status == gs.Status.OK
+        # The wall itself is passed, or is not, a moment after the start.
+        assert abs(beside.n_contacts - exact.n_contacts) <= (1 if wall else 2)
+        assert abs(beside.x - exact.x) < 1e-10
+
+
 @pytest.mark.parametrize("forcing", [4.0, -4.0])
 def test_start_on_a_wall_goes_where_the_forcing_pushes(forcing, tight):
     run = gs.simulate(gs.Oscillator(forcing=forcing), gs.Piecewise(SOFT, ASYMMETRIC), 6.0,

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 _DEGREE = 7
 _NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
 _TO_POWERS = np.linalg.inv(np.vander(_NODES, _DEGREE + 1))
+_STILL = 64.0 * np.finfo(float).eps  # of a state: a step that changes no more of it is straight
 
 
 def gap_of(scene: Scene, motion: PPoly, contact: int) -> PPoly:
@@ -39,7 +40,15 @@ def polynomial(solution: OdeSolution) -> PPoly:
     # Shared step ends belong to the step on their left or right: both give the same value.
     values = solution(nodes.ravel()).reshape(-1, h.size, _DEGREE + 1)
     powers = np.einsum("pn,ysn->psy", _TO_POWERS, values)
-    powers /= h[None, :, None] ** np.arange(_DEGREE, -1, -1)[:, None, None]
+    # From a start that rounding put beside a wall it takes no time to get there: its higher powers
+    # are rounding, over powers of that time.
+    still = np.maximum(_STILL * np.abs(values).max(axis=2), np.finfo(float).tiny)
+    is_straight = (np.ptp(values, axis=2) <= still).all(axis=0)
+    powers[:-2, is_straight] = 0.0
+    powers[-2, is_straight] = (values[:, is_straight, -1] - values[:, is_straight, 0]).T
+    scale = np.where(is_straight, 1.0, h)[:, None] ** np.arange(_DEGREE, -1, -1)
+    scale[is_straight, -2] = h[is_straight]
+    powers /= scale.T[:, :, None]
     return PPoly.construct_fast(powers, breaks)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Steady
 
+Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 # The next look comes when disturbances have shrunk to this share.
@@ -18,11 +19,20 @@ _ENDLESS = 1e7  # forcing periods that no motion is watched for
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How many forcing periods motions are given: between looks, to settle, and at most."""
+    """How many forcing periods motions are given.
+
+    Attributes
+    ----------
+    pause, settled, last : ndarray of int, shape (n,)
+        Between looks, to settle, and until the last look.
+    longest : ndarray, shape (n,)
+        At a time after that, for an exponent or a torus; infinity where nothing bounds it.
+    """
 
     pause: Counts
     settled: Counts
     last: Counts
+    longest: Array
 
     @classmethod
     def of(cls, ensemble: Ensemble, steady: Steady) -> "Limits":
@@ -40,7 +50,6 @@ class Limits:
         )
         # A full window more: slow forcing leaves no period between settling and the end.
         last = np.maximum(settled, np.minimum(longest, steady.max_periods)) + steady.n_periods
-        if steady.t_max is not None:
-            bound = np.floor(np.minimum(last, np.maximum(1.0, steady.t_max * omega)))
-            last = bound.astype(np.int64)
-        return cls(np.maximum(1, np.minimum(pause, last)), settled, last)
+        longest = omega * (math.inf if steady.t_max is None else steady.t_max)
+        last = np.floor(np.minimum(last, np.maximum(1.0, longest))).astype(np.int64)
+        return cls(np.maximum(1, np.minimum(pause, last)), settled, last, longest)

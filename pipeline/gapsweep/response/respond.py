@@ -11,8 +11,8 @@ errors is chaotic. Negative beyond three, a motion that passes kinks unlocated i
 that its solver rattles, if it scatters no more than the solver strays. Anything else is
 `unresolved`.
 Of an oscillator with ζ > 0 every area of the section shrinks by the same factor, so there is no
-third kind. A system's motion may also run round a torus: its exponent is zero within three standard
-errors, and its section lies on a curve.
+third kind. A system's motion may also run round a torus: its exponent is about zero, and its
+section lies on a curve. Where neither is sure, its growth is measured again, eight times as long.
 """
 
 from collections.abc import Hashable, Mapping, Sequence

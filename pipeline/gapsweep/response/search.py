@@ -22,17 +22,15 @@ from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
     DEVIATIONS,
     converging_multiples,
-    is_quasiperiodic,
     likely_multiple,
     norm,
     period_multiples,
     prime_multiple,
-    prime_multiples,
     repeat_nearly,
     repeats,
-    rotation_number,
 )
 from gapsweep.response.shooting import Growths, Shots
+from gapsweep.response.tori import rotations
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
 
@@ -68,9 +66,12 @@ _CLOSER = 0.5
 _INSIDE = 1.0 - 1e-6
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
 _SURE = 3.0  # standard errors, beyond which an exponent is not zero
-# Forcing periods in which a motion runs round its torus often enough to tell; near a locked one it
-# runs slowly.
-_CURVES = (1 << 10, 1 << 13)
+# Of ten batches, chance alone exceeds that once in 130 times; this, once in ten thousand.
+_BEYOND_DOUBT = 6.0
+# Forcing periods in which a motion runs round its torus often enough to tell. Near a locked one it
+# runs slowly: it is watched longest only when growth, measured over again, has not told.
+_CURVES = (1 << 10, 1 << 13, 1 << 16)
+_LONGER = 8  # times as long as a growth that did not tell is the next one: a third of its error
 
 
 class Search:
@@ -122,8 +123,6 @@ class Search:
                 self._advance_last(np.flatnonzero(self._phase == Phase.LAST))
         return answers(self._ensemble, self._walks, self._shots, self._found, self._steady)
 
-    # --- motion ----------------------------------------------------------------------------------
-
     def _advance(self, points: Numbers) -> None:
         """Pauses and the windows after them in one call: no lane waits in between."""
         phase, pause, window = self._phase[points], self._pause[points], self._window[points]
@@ -155,13 +154,15 @@ class Search:
     @_for_some
     def _wait(self, points: Numbers) -> None:
         """A pause, then a window: a full one from the second of a settled motion on."""
-        was_settled, pause = self._settled[points], self._limits.pause[points]
+        limits, was_settled = self._limits, self._settled[points]
+        n_left = limits.last[points] - self._walks.n_periods[points]
+        pause = np.minimum(limits.pause[points], n_left)
         begin = self._walks.n_periods[points] + pause
-        self._settled[points] = begin >= self._limits.settled[points]
+        self._settled[points] = begin >= limits.settled[points]
         self._look[points[was_settled]] = self._steady.n_periods
         # A growth costs more than the first look at a settled motion.
         is_new = self._settled[points] & ~was_settled
-        is_last = (begin + self._look[points] >= self._limits.last[points]) & ~is_new
+        is_last = (begin + self._look[points] >= limits.last[points]) & ~is_new
         self._ask(points[is_last], Phase.PAUSE, pause[is_last], 0)
         others = points[~is_last]
         self._walks.forget(others)
@@ -209,8 +210,6 @@ class Search:
         self._repeat(points[may_repeat])
         self._end_look(points[~(goes_on | may_repeat)])
 
-    # --- motion with its tangent -----------------------------------------------------------------
-
     def _shoot(self, points: Numbers) -> None:
         phase = self._phase[points]
         is_found, is_lost = self._shots.advance(self._ensemble, points)
@@ -223,7 +222,8 @@ class Search:
         modulus = np.abs(self._shots.multipliers[points, 0])
         shooting = phase == Phase.SHOOT
         inside = points[shooting & (modulus < _INSIDE)]
-        prime = self._primes(inside)
+        tolerance = np.maximum(10.0 * self._walks.same, 1e-6 * self._walks.reach)
+        prime = self._shots.primes(inside, tolerance[inside])
         is_prime = prime == self._shots.n[inside]
         self._compare(inside[is_prime])
         self._shots.shorten(inside[~is_prime], prime[~is_prime])
@@ -240,16 +240,6 @@ class Search:
         self._end_look(points[phase == Phase.REPEAT])
         self._aperiodic(points[phase == Phase.RATTLE])
 
-    def _primes(self, points: Numbers) -> Counts:
-        """After how many forcing periods orbits repeat themselves: fewer than shot over, maybe."""
-        tolerance = np.maximum(10.0 * self._walks.same, 1e-6 * self._walks.reach)
-        found = self._shots.n[points]
-        for n in np.unique(found[found > 1]).tolist():
-            some = points[found == n]
-            orbits = np.stack([self._shots.section[point] for point in some.tolist()], axis=1)
-            found[found == n] = prime_multiples(orbits, tolerance[some])
-        return found
-
     @_for_some
     def _compare(self, points: Numbers) -> None:
         """Whether the motion itself approaches an orbit: the guard against a swapped attractor.
@@ -263,25 +253,22 @@ class Search:
         same, near = walks.same[points], _NEAR * walks.reach[points]
         before = self._distance(points)
         last = walks.length[points] - 1
-        first = norm(
-            walks.section[:, points, last % n]
-            - self._shots.y[:, points] / self._ensemble.unit[:, points]
-        )
+        orbit = self._shots.y[:, points] / self._ensemble.unit[:, points]
+        first = norm(walks.section[:, points, last % n] - orbit)
         is_own = before <= np.maximum(same, np.minimum(near, _CLOSER * first))
         goal = np.maximum(np.minimum(_CLOSER * before, near), same)
-        modulus = np.abs(self._shots.multipliers[points, 0])
+        modulus = np.maximum(np.abs(self._shots.multipliers[points, 0]), 1e-12)
         # Transient chaos that has ended late leaves as much time as it took.
-        more = np.where(self._growths.n_blocks[points] > 0, self._limits.last[points], 0)
+        more = np.where(self._growths.n_times[points] > 0, self._limits.last[points], 0)
         n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
         self._goal[points] = goal
         away = np.flatnonzero(~is_own)
-        shrinks = np.maximum(modulus, 1e-12)
         # One factor of two more: a state's directions do not shrink as one.
-        stretch = repeats(0.5 * goal[away] / before[away], shrinks[away]) * n[away]
+        stretch = repeats(0.5 * goal[away] / before[away], modulus[away]) * n[away]
         is_short = stretch <= n_left[away]
         self._ask(points[away[is_short]], Phase.APPROACH, stretch[is_short], 0)
         for k in away[~is_short].tolist():
-            expected = float(shrinks[k]) ** int(last[k] // n[k])
+            expected = float(modulus[k]) ** int(last[k] // n[k])
             has_shrunk = before[k] <= 0.5 * (1.0 + expected) * first[k]
             is_own[k] = has_shrunk and before[k] <= near[k]
             found, point = self._found, points[k]
@@ -305,8 +292,6 @@ class Search:
         """Distances of motions, at whole periods of their orbits, from these' starts [m]."""
         apart = self._walks.y[:, points] - self._shots.y[:, points]
         return norm(apart / self._ensemble.unit[:, points])
-
-    # --- the end of a look -----------------------------------------------------------------------
 
     @_for_some
     def _repeat(self, points: Numbers) -> None:
@@ -354,13 +339,9 @@ class Search:
         """
         # A motion that was given no time to settle is nobody's example; without damping nothing
         # is long enough.
-        rate = self._ensemble.settling_rate[points]
-        may_grow = self._settled[points] & (rate > 0.0)
-        grows = may_grow & (self._growths.n_blocks[points] == 0)
-        late = points[grows]
-        y, last = self._walks.y[:, late], self._limits.last[late]
-        self._growths.begin(late, y, rate[grows], self._omega[late], last)
-        self._phase[late] = Phase.GROW
+        may_grow = self._settled[points] & (self._ensemble.settling_rate[points] > 0.0)
+        grows = may_grow & (self._growths.n_times[points] == 0)
+        self._begin_growth(points[grows], 1)
         is_recorded = self._walks.has_extrema(points)
         self._record_last(points[~grows & ~is_recorded])
         self._tell(points[~grows & is_recorded])
@@ -379,34 +360,46 @@ class Search:
 
     @_for_some
     def _tell(self, points: Numbers) -> None:
-        """What motions without a period are: those whose exponent is zero may circle for ever."""
+        """What motions without a period are: those that hardly part may circle for ever."""
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
-        may = (np.abs(exponent) <= _SURE * error) & (len(self._walks.y) > 2)
-        self._circle(points[may])
-        points = points[~self._found.is_quasiperiodic[points]]
-        lyapunov, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
-        contracts = (lyapunov < -_SURE * error) & (not self._ensemble.has_own_tangent)
-        self._aperiodic(points[~contracts])
+        shear = self._growths.shear(points, self._omega[points])
+        if len(self._walks.y) > 2:
+            self._circle(points[np.abs(exponent) <= np.maximum(_BEYOND_DOUBT * error, shear)])
+        left = ~self._found.is_quasiperiodic[points]
+        contracts = left & (exponent < -_SURE * error) & (not self._ensemble.has_own_tangent)
+        is_unsure = left & ~contracts & (exponent <= np.maximum(_SURE * error, shear))
+        goes_on = is_unsure & self._may_grow_longer(points)
+        self._begin_growth(points[goes_on], _LONGER)
+        self._aperiodic(points[left & ~goes_on & ~contracts])
         for point in points[contracts].tolist():
             self._rattle(point)
+
+    def _may_grow_longer(self, points: Numbers) -> Mask:
+        """Systems of which the first growth did not tell, if there is time."""
+        n_periods = _LONGER * self._growths.n_all * self._growths.n_periods[points]
+        # Another solver's tangent says less of the motion the longer it is.
+        may = self._ensemble.has_own_tangent and len(self._walks.y) > 2
+        is_first = self._growths.n_times[points] == 1
+        return np.asarray(may & is_first & (n_periods <= self._limits.longest[points]))
+
+    def _begin_growth(self, points: Numbers, times: int) -> None:
+        y, rate = self._walks.y[:, points], self._ensemble.settling_rate[points] / times
+        longest = self._limits.last[points] * times
+        self._growths.begin(points, y, rate, self._omega[points], longest)
+        self._phase[points] = Phase.GROW
 
     @_for_some
     def _circle(self, points: Numbers) -> None:
         """Watch motions for so long that they run round a torus, if they are on one."""
-        y, quasiperiodic = self._walks.y, self._found.is_quasiperiodic
-        longest = math.inf if self._steady.t_max is None else self._steady.t_max
-        for n_periods in _CURVES:
-            left = points[~quasiperiodic[points] & (n_periods / self._omega[points] <= longest)]
-            if not left.size:
-                break
-            n = np.full(len(left), n_periods)
-            call = self._ensemble.call(left, y[:, left], n, np.zeros(len(left)))
-            for k in np.flatnonzero(call.is_ok).tolist():
-                section = call.section[:, call.period_ends[k] : call.period_ends[k + 1]]
-                quasiperiodic[left[k]] = is_quasiperiodic(section)
-                if quasiperiodic[left[k]]:
-                    self._found.rotation[left[k]] = rotation_number(section)
-        self._phase[points[quasiperiodic[points]]] = Phase.ENDED
+        found, largest = self._found, self._steady.max_period_multiple
+        is_first = self._growths.n_times[points] <= 1
+        seems_flat = found.lyapunov[points] <= _SURE * found.lyapunov_error[points]
+        wanted = is_first & seems_flat, is_first, ~is_first
+        for n, watched in zip(_CURVES, wanted, strict=True):
+            may = watched & np.isnan(found.rotation[points]) & (n <= self._limits.longest[points])
+            found.rotation[points[may]] = rotations(self._walks, points[may], n, largest)
+        found.is_quasiperiodic[points] = np.isfinite(found.rotation[points])
+        self._phase[points[found.is_quasiperiodic[points]]] = Phase.ENDED
 
     def _rattle(self, point: int) -> None:
         """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.
@@ -423,8 +416,6 @@ class Search:
             self._as_it_is(point, n, Phase.RATTLE)
         else:
             self._aperiodic(np.array([point]))
-
-    # --- what was found --------------------------------------------------------------------------
 
     @_for_some
     def _close(self, points: Numbers) -> None:

@@ -21,14 +21,10 @@ DEVIATIONS = 4.0  # of the predicted scatter, within which two points are the sa
 # that share of their extent.
 CLOUD_SHARE = 0.8
 CLOUD_CLOSE = 0.25
-# Faded means of two halves differ by less than this share of the scatter: a sample's of some
-# hundred points by some hundredths, a curve's by a millionth.
-_SAME_MEAN = 1e-3
 # What repeats itself to this share cannot be told from a periodic motion: two orbits so close are
 # taken for one, too.
 _ALIKE = 1e-3
 _WATCHED = 16  # section points in which a motion that is near a repeat must not have moved away
-_STILL = 1e-8  # of the largest scatter: a component with less does not move
 _AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
 
@@ -232,62 +228,6 @@ def _latest(sections: Array, lengths: Counts, points: Numbers, n: int) -> Array:
     inside = column >= 0
     found = sections[:, points[:, None], np.where(inside, column, 0)]
     return found if inside.all() else np.where(inside, found, np.nan)
-
-
-def is_quasiperiodic(section: Array) -> bool:
-    """Whether a section without a period lies on a closed curve, or on a torus.
-
-    There, means over time whose ends are faded out converge faster than any power of it, so that
-    two halves have the same; over chaos they scatter as a sample does, and what creeps or shrinks
-    has different ones. Das et al., Nonlinearity 30 (2017) 4111, doi 10.1088/1361-6544/aa84c2.
-
-    Parameters
-    ----------
-    section : ndarray, shape (n_states, n_periods)
-        Section points [m], some hundreds or more.
-    """
-    half = section.shape[1] // 2
-    t = (np.arange(half) + 0.5) / half
-    weights = np.exp(-1.0 / (t * (1.0 - t)))
-    centred = section - section.mean(axis=1, keepdims=True)
-    # Means tell what drifts, those of squares what shrinks.
-    seen = np.concatenate([centred, np.square(centred)])
-    means = [each @ weights / weights.sum() for each in (seen[:, :half], seen[:, -half:])]
-    spread = seen.std(axis=1)
-    # What hardly moves beside the others, as a coordinate of its own that repeats, is rounding.
-    scatter = centred.std(axis=1)
-    moves = np.tile(scatter > _STILL * scatter.max(), 2)
-    return bool((np.abs(means[0] - means[1])[moves] <= _SAME_MEAN * spread[moves]).all())
-
-
-def rotation_number(section: Array) -> float:
-    """How many turns a motion makes about its torus from one section point to the next.
-
-    The strongest line in the spectrum of the section, in the plane in which it scatters most, its
-    ends faded out (Laskar, Physica D 67 (1993) 257, doi 10.1016/0167-2789(93)90210-R). A section
-    cannot tell a turn more, nor in which sense, so that it is within 0..1/2.
-
-    Parameters
-    ----------
-    section : ndarray, shape (n_states, n_periods)
-        Section points [m] on a closed curve, some hundreds or more.
-    """
-    from scipy.optimize import minimize_scalar  # tenths of a second to import, and few are on tori
-
-    centred = section - section.mean(axis=1, keepdims=True)
-    _, directions = np.linalg.eigh(centred @ centred.T)
-    first, second = directions[:, -1] @ centred, directions[:, -2] @ centred
-    n = section.shape[1]
-    t = (np.arange(n) + 0.5) / n
-    faded = np.exp(-1.0 / (t * (1.0 - t))) * (first + 1j * second)
-    spectrum = np.abs(np.fft.fft(faded))
-    near = float(np.fft.fftfreq(n)[spectrum.argmax()])
-
-    def weakness(frequency: float) -> float:
-        return -float(abs(np.vdot(np.exp(2j * np.pi * frequency * np.arange(n)), faded)))
-
-    found = minimize_scalar(weakness, (near - 1.0 / n, near, near + 1.0 / n), tol=1e-10)
-    return float(abs((found.x + 0.5) % 1.0 - 0.5))
 
 
 def repeat_nearly(sections: Array, lengths: Counts, error: Array, largest: int) -> Mask:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gapsweep.response.call import Call
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.maps import floquet_multipliers, newton_steps
-from gapsweep.response.section import norm
+from gapsweep.response.section import norm, prime_multiples
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -101,6 +101,23 @@ class Shots:
         y, n = self.y[:, points], self.n[points]
         return self.step(points, ensemble.call(points, y, n, np.zeros(len(n)), tangent=True))
 
+    def primes(self, points: Numbers, tolerance: Array) -> Counts:
+        """After how many forcing periods orbits repeat themselves: fewer than shot over, maybe.
+
+        Parameters
+        ----------
+        points : ndarray of int, shape (m,)
+            Whose orbit is found.
+        tolerance : ndarray, shape (m,)
+            Distances [m] within which two of its section points are the same.
+        """
+        found = self.n[points]
+        for n in np.unique(found[found > 1]).tolist():
+            here = found == n
+            orbits = np.stack([self.section[point] for point in points[here].tolist()], axis=1)
+            found[here] = prime_multiples(orbits, tolerance[here])
+        return found
+
     def step(self, points: Numbers, call: Call) -> tuple[Mask, Mask]:
         """One step of Newton's method from what a call found.
 
@@ -157,13 +174,15 @@ class Growths:
         Forcing periods in a motion's blocks.
     n_blocks : ndarray of int, shape (n_points,)
         Blocks behind it.
+    n_times : ndarray of int, shape (n_points,)
+        How many times a growth was begun.
     strayed : ndarray, shape (n_points,)
         How far [m] the solver strayed in a block: root of the mean square.
     """
 
     def __init__(self, n_states: int, n_points: int) -> None:
         self.y = np.empty((n_states, n_points))
-        self.n_periods, self.n_blocks = np.zeros((2, n_points), np.int64)
+        self.n_periods, self.n_blocks, self.n_times = np.zeros((3, n_points), np.int64)
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
         self._rates = np.empty((n_points, 1 + _N_BATCHES * _BLOCKS))  # of every block [1/s]
 
@@ -184,6 +203,7 @@ class Growths:
         # No coordinate may be left out: another one's growth may never reach it.
         start = np.linspace(1.0, 0.0, len(y))
         self.y[:, points], self._direction[points], self.n_blocks[points] = y, start, 0
+        self.n_times[points] += 1
         wanted = np.minimum(_BATCH / _BLOCKS / rate * omega, longest / self._rates.shape[1])
         self.n_periods[points] = np.maximum(1, np.ceil(wanted))
 
@@ -265,6 +285,20 @@ class Growths:
         with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing
             error = batches.std(axis=1, ddof=1) / math.sqrt(_N_BATCHES)
         return batches.mean(axis=1), error
+
+    def shear(self, points: Numbers, omega: Array) -> Array:
+        """Exponents [1/s] of what grows in proportion to time, as neighbours on a torus part.
+
+        Parameters
+        ----------
+        points : ndarray of int, shape (m,)
+            That have all blocks.
+        omega : ndarray, shape (m,)
+            Forcing frequency [Hz].
+        """
+        n_periods = np.maximum(self.n_all * self.n_periods[points], 1)  # none if never begun
+        # numpy's own logarithm is another one on another processor.
+        return np.fromiter(map(math.log, n_periods.tolist()), float) * omega / n_periods
 
     def scatter(self, point: int, omega: float, exponent: float) -> float:
         """Distance [m] of two points of a motion that its solver rattles: root of the mean square.
