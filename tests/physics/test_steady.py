@@ -264,6 +264,9 @@ def test_what_fails_in_a_pause_is_left_where_it_failed():
     run = gs.simulate(oscillator, law, 9.0, t_end=10.0)
     assert found.status == run.status == Status.DIVERGED
     assert found.n_steps == run.n_steps
+    assert found.t_simulated == pytest.approx(run.t, rel=1e-12)
+    said = float(found.message.split("t = ")[1].split(" s")[0])
+    assert run.t <= said < run.t + 1.0 / 9.0
 
 
 def test_shots_that_are_given_up_miss_no_attractor(monkeypatch):

@@ -35,8 +35,8 @@ class Call:
         Largest modulus of a displacement at the ends of steps, as a section point's [m].
     n_contacts : ndarray of int, shape (n,)
         How many walls they passed.
-    t_end : ndarray, shape (n,)
-        How long they are [s].
+    t, t_end : ndarray, shape (n,)
+        How long they lasted [s], and how long they were to last.
     contact_time : ndarray, shape (n, n_contacts), or None
         Time spent beyond the walls of every contact [s]; None: only the events tell.
     """
@@ -55,7 +55,7 @@ class Call:
         self._read = found.events
         self._volume_rate, self.t_end = volume_rate, t_end
         self.contact_time, self.n_contacts = found.contact_time, found.n_contacts
-        self.y, self._tangent_end = found.state.T, tangent_end
+        self.y, self.t, self._tangent_end = found.state.T, found.t, tangent_end
         self.status = found.status
         self.n_steps, self.reach = found.n_steps, reach_of(found.reach.T, unit)
         if self.status.any():

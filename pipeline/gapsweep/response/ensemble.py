@@ -273,8 +273,8 @@ class Ensemble:
         # What ran together shares the processor time in proportion to its steps.
         seconds = (time.thread_time() - begin) * found.n_steps / max(found.n_steps.sum(), 1)
         counts = (getattr(found, name) for name in COUNTS)
-        if problems.follows is not None:
-            n_periods = n_periods * _begun(problems, found)
+        lasted = found.t * self.omega[problems.which] * _begun(problems, found)
+        n_periods = np.where(arrived(found, problems.t_end), n_periods, lasted)
         self._costs.append((problems.which, *counts, n_periods, seconds))
         return found
 

@@ -112,7 +112,8 @@ class Steady:
         Transient chaos may last many decay times. Both ``> 0``.
     t_max : float, optional
         Bound [s] of the time that it is watched before its last window of `n_periods`, also where
-        it then has not settled, ``> 0``.
+        it then has not settled, ``> 0``. What has settled without a period by then may be watched
+        as long again at a time for its exponent, and for a torus.
     n_periods : int
         Forcing periods in a full recording window, at least twice `max_period_multiple`.
     max_period_multiple : int

@@ -349,7 +349,8 @@ class Search:
     @_for_some
     def _grown(self, points: Numbers, status: Counts) -> None:
         growths = self._growths
-        elapsed = growths.n_blocks[points] * growths.n_periods[points]
+        # What failed did so within the next block.
+        elapsed = (growths.n_blocks[points] + (status != Status.OK)) * growths.n_periods[points]
         self._walks.arrive(points, self._growths.y[:, points], status, elapsed)
         is_ok = status == Status.OK
         self._fail(points[~is_ok])

@@ -129,7 +129,9 @@ class Walks:
         last = np.where(call.is_ok[first], last, first)
         self._steps_per_period[points] = np.maximum(call.n_steps[last] / n_periods[last], 1.0)
         self._elapsed[points] += np.bincount(of, call.t_end)
-        elapsed = n_periods[first] + np.where(last > first, n_periods[last], 0)
+        # What failed did so before the end of a period, and what follows it was not begun.
+        lasted = np.where(call.is_ok, n_periods, np.ceil(call.t * call.omega))
+        elapsed = np.bincount(of, lasted).astype(np.int64)
         self.arrive(points, call.y[:, last], call.status[last], elapsed)
 
     def extrema_of(self, call: Call) -> tuple[Array, Counts]:
