@@ -33,7 +33,7 @@ def rotations(walks: Walks, points: NDArray[np.intp], n_periods: int, largest: i
     -------
     ndarray, shape (m,)
     """
-    found = np.full(len(points), np.nan)
+    found, same = np.full(len(points), np.nan), walks.same[points]
     at_a_time = max(1, _MOST_POINTS // n_periods)
     for first in range(0, len(points), at_a_time):
         some = points[first : first + at_a_time]
@@ -43,7 +43,7 @@ def rotations(walks: Walks, points: NDArray[np.intp], n_periods: int, largest: i
             section = call.section[:, call.period_ends[k] : call.period_ends[k + 1]]
             # Chaos that ends in a period while it is watched has the same means from then on.
             last = section[:, -2 * largest :]
-            has_ended = period_multiple(last, float(walks.same[some[k]]), largest) > 0
+            has_ended = period_multiple(last, float(same[first + k]), largest) > 0
             if is_quasiperiodic(section) and not has_ended:
                 found[first + k] = rotation_number(section)
     return found
