@@ -31,7 +31,7 @@ _NOISY = 1000.0
 _MARGIN, _LONGER, _TRIES = 1.1, 4.0, 5
 # Maxima of a coordinate that swings by less than this share of the motion say nothing of it.
 _FAINT = 1e-10
-_MOST_RETURNS = 2**19  # recorded at a time: some tens of megabytes
+_MOST_RETURNS = 2**17  # recorded at a time: some ten megabytes
 _FIRST = 16  # returns by which their rate is known
 # A state that is so near to the section, as a share of the swing, is on it.
 _ON = 1e-10
