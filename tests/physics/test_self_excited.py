@@ -354,3 +354,44 @@ def test_the_start_is_no_extremum_however_fast_the_clock(w):
     assert len(run.extrema["q_1"]) == len(exact.extrema["q_1"]) == 43
     # From tiny first steps on; the wall is as thick as a thousandth.
     assert_allclose(run.extrema["q_1"], exact.extrema["q_1"], atol=5e-3)
+
+
+@pytest.mark.parametrize(("speed", "is_torus"), [(10.352352, False), (10.504505, True)])
+def test_thin_chaos_of_the_section_is_no_torus(speed, is_torus):
+    """One window in ten of this chaos has means as even as a torus has."""
+    section, law = gs.systems.typical_section(speed), gs.systems.typical_section_law()
+    scale = np.array([0.01, 0.05, 0.1, 0.1, 0.5, 1.0])
+    start = scale * np.random.default_rng(5).uniform(-1.0, 1.0, (12, 6))
+    found = gs.respond(section, law, q_0=start[:, :3], v_0=start[:, 3:])
+    is_quasiperiodic = found.response_class == gs.ResponseClass.QUASIPERIODIC
+    is_chaotic = found.response_class == gs.ResponseClass.CHAOTIC
+    assert is_quasiperiodic.all() if is_torus else not is_quasiperiodic.any()
+    assert not is_chaotic.any() if is_torus else is_chaotic.mean() > 0.5
+    # By no tangent: neighbours part in proportion to time on a torus.
+    near = np.concatenate([found.x_end, found.v_end], axis=1)[:1] + 1e-9 * np.eye(6, 2).T * scale
+    run = gs.simulate(
+        section, law, q_0=near[:, :3], v_0=near[:, 3:], t_end=400.0, rtol=1e-12, atol=1e-15
+    )
+    apart = np.concatenate([run.q[1] - run.q[0], run.v[1] - run.v[0]]) / scale
+    assert (np.abs(apart).max() < 1e-5) == is_torus
+
+
+def test_where_growth_sets_in_no_motion_is_watched_for_long():
+    """Damping about rest says nothing there of how long a limit cycle takes."""
+    section, law = gs.systems.typical_section(6.681682), gs.systems.typical_section_law()
+    found = gs.respond(section, law, q_0=[0.005, 0.02, 0.05])
+    assert found.response_class == PERIODIC
+    assert found.t_simulated < 100.0
+
+
+def test_an_orbit_of_too_many_returns_is_no_torus():
+    """Locked after 116 maxima: its means are as even as over a torus, but disturbances shrink."""
+    section, law = gs.systems.typical_section(10.181182), gs.systems.typical_section_law()
+    start = {"q_0": [0.005, 0.02, 0.05]}
+    found = gs.respond(section, law, **start)
+    assert found.response_class == gs.ResponseClass.UNRESOLVED
+    assert found.lyapunov < -0.05
+    steady = gs.Steady(max_period_multiple=128, n_periods=257)
+    patient = gs.respond(section, law, **start, steady=steady)
+    assert (patient.response_class, patient.period_multiple) == (PERIODIC, 116)
+    assert_allclose(patient.lyapunov, found.lyapunov, rtol=0.1)

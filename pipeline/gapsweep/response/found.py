@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+SURE = 3.0  # standard errors, beyond which an exponent is not zero
+
 
 class Phase:
     """Numbers of what a point waits for: motion up to `LAST`, then motion with its tangent."""
@@ -15,7 +17,8 @@ class Phase:
     REPEAT = 5  # the orbit of a settled motion that repeats itself, as it is
     RATTLE = 6  # the orbit that a motion is rattled about, as it is
     GROW = 7  # the growth of a disturbance
-    ENDED = 8
+    TELL = 8  # what it is, with all others that have no period
+    ENDED = 9
 
 
 class Found:

@@ -31,7 +31,7 @@ _NOISY = 1000.0
 _MARGIN, _LONGER, _TRIES = 1.1, 4.0, 5
 # Maxima of a coordinate that swings by less than this share of the motion say nothing of it.
 _FAINT = 1e-10
-_MOST_RETURNS = 2**17  # recorded at a time: some ten megabytes
+_MOST_RETURNS = 2**18  # recorded at a time: some tens of megabytes
 _FIRST = 16  # returns by which their rate is known
 # A state that is so near to the section, as a share of the swing, is on it.
 _ON = 1e-10
@@ -143,7 +143,7 @@ class Returns(Ensemble):
         counts, left = np.zeros(len(scenes), np.int64), np.arange(len(scenes))
         columns: dict[str, Any] = {}
         for _ in range(_TRIES):
-            parts = np.flatnonzero(np.diff(np.cumsum(n[left]) // _MOST_RETURNS)) + 1
+            parts = np.flatnonzero(np.diff((np.cumsum(n[left]) - 1) // _MOST_RETURNS)) + 1
             left_over = []
             for some in np.split(left, parts):
                 which, from_start = scenes[some], np.zeros(len(some))

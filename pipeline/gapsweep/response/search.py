@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gapsweep.response.answers import answers
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
-from gapsweep.response.found import Found, Phase
+from gapsweep.response.found import SURE, Found, Phase
 from gapsweep.response.limits import Limits
 from gapsweep.response.rates import about_rest
 from gapsweep.response.result import Responses, Steady
@@ -30,7 +30,7 @@ from gapsweep.response.section import (
     repeats,
 )
 from gapsweep.response.shooting import Growths, Shots
-from gapsweep.response.tori import rotations
+from gapsweep.response.tori import LONG, SHORT, ZERO, rotations
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
 
@@ -65,13 +65,11 @@ _CLOSER = 0.5
 # A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
 _INSIDE = 1.0 - 1e-6
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
-_SURE = 3.0  # standard errors, beyond which an exponent is not zero
 # Of ten batches, chance alone exceeds that once in 130 times; this, once in ten thousand.
 _BEYOND_DOUBT = 6.0
-# Forcing periods in which a motion runs round its torus often enough to tell. Near a locked one it
-# runs slowly: it is watched longest only when growth, measured over again, has not told.
-_CURVES = (1 << 10, 1 << 13, 1 << 16)
-_LONGER = 8  # times as long as a growth that did not tell is the next one: a third of its error
+# A growth that did not tell is measured over again: at least so many times as long, for a third of
+# its error, and so many forcing periods, in which chaos outgrows what is in proportion to time.
+_LONGER, _LONG = 8.0, 8192
 
 
 class Search:
@@ -109,9 +107,9 @@ class Search:
     def responses(self) -> Responses:
         """Advance all points until each has its answer."""
         while (self._phase < Phase.ENDED).any():
-            moves, shoots = self._phase < Phase.LAST, self._phase > Phase.LAST
-            shoots &= self._phase < Phase.GROW
-            grows = self._phase == Phase.GROW
+            phase = self._phase
+            moves, shoots = phase < Phase.LAST, (phase > Phase.LAST) & (phase < Phase.GROW)
+            last, grows = phase == Phase.LAST, phase == Phase.GROW
             # What most points wait for; last what is best shared by all.
             if shoots.sum() > moves.sum():
                 self._shoot(np.flatnonzero(shoots))
@@ -119,8 +117,10 @@ class Search:
                 self._advance(np.flatnonzero(moves))
             elif grows.any():
                 self._grown(*self._growths.advance(self._ensemble, np.flatnonzero(grows)))
+            elif last.any():
+                self._advance_last(np.flatnonzero(last))
             else:
-                self._advance_last(np.flatnonzero(self._phase == Phase.LAST))
+                self._tell(np.flatnonzero(phase == Phase.TELL))
         return answers(self._ensemble, self._walks, self._shots, self._found, self._steady)
 
     def _advance(self, points: Numbers) -> None:
@@ -157,6 +157,8 @@ class Search:
         limits, was_settled = self._limits, self._settled[points]
         n_left = limits.last[points] - self._walks.n_periods[points]
         pause = np.minimum(limits.pause[points], n_left)
+        if self._ensemble.is_free:  # where growth sets in, damping about rest says nothing
+            pause = np.minimum(pause, np.maximum(self._walks.n_periods[points], _FIRST_WINDOW))
         begin = self._walks.n_periods[points] + pause
         self._settled[points] = begin >= limits.settled[points]
         self._look[points[was_settled]] = self._steady.n_periods
@@ -167,8 +169,7 @@ class Search:
         others = points[~is_last]
         self._walks.forget(others)
         portion = np.where(self._settled[others], self._portion, self._steady.n_periods)
-        window = np.minimum(self._look[others], portion)
-        self._ask(others, Phase.LOOK, pause[~is_last], window)
+        self._ask(others, Phase.LOOK, pause[~is_last], np.minimum(self._look[others], portion))
 
     @_for_some
     def _record_last(self, points: Numbers) -> None:
@@ -341,10 +342,10 @@ class Search:
         # is long enough.
         may_grow = self._settled[points] & (self._ensemble.settling_rate[points] > 0.0)
         grows = may_grow & (self._growths.n_times[points] == 0)
-        self._begin_growth(points[grows], 1)
+        self._begin_growth(points[grows], 1.0)
         is_recorded = self._walks.has_extrema(points)
         self._record_last(points[~grows & ~is_recorded])
-        self._tell(points[~grows & is_recorded])
+        self._phase[points[~grows & is_recorded]] = Phase.TELL
 
     @_for_some
     def _grown(self, points: Numbers, status: Counts) -> None:
@@ -359,48 +360,45 @@ class Search:
         self._found.lyapunov[going], self._found.lyapunov_error[going] = exponents
         self._record_last(going)
 
-    @_for_some
     def _tell(self, points: Numbers) -> None:
         """What motions without a period are: those that hardly part may circle for ever."""
-        exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
-        shear = self._growths.shear(points, self._omega[points])
-        if len(self._walks.y) > 2:
-            self._circle(points[np.abs(exponent) <= np.maximum(_BEYOND_DOUBT * error, shear)])
-        left = ~self._found.is_quasiperiodic[points]
-        contracts = left & (exponent < -_SURE * error) & (not self._ensemble.has_own_tangent)
-        is_unsure = left & ~contracts & (exponent <= np.maximum(_SURE * error, shear))
-        goes_on = is_unsure & self._may_grow_longer(points)
-        self._begin_growth(points[goes_on], _LONGER)
-        self._aperiodic(points[left & ~goes_on & ~contracts])
+        found, growths = self._found, self._growths
+        exponent, error = found.lyapunov[points], found.lyapunov_error[points]
+        shear = growths.shear(points, self._omega[points])
+        may_circle = np.abs(exponent) <= np.maximum(_BEYOND_DOUBT * error, shear)
+        may_circle &= len(self._walks.y) > 2
+        is_long = growths.n_times[points] > 1
+        n_periods = growths.n_all * growths.n_periods[points]
+        times = np.maximum(_LONGER, _LONG / np.maximum(n_periods, 1))
+        # Another solver's tangent says less of the motion the longer it is.
+        goes_on = may_circle & ~is_long & self._ensemble.has_own_tangent
+        goes_on &= n_periods * times <= self._limits.longest[points]
+        self._begin_growth(points[goes_on], times[goes_on])
+        is_zero = is_long & (exponent <= np.maximum(SURE * error, shear))
+        self._circle(points[may_circle & ~is_long & ~goes_on], SHORT)
+        self._circle(points[may_circle & is_zero], ZERO)
+        self._circle(points[may_circle & is_long & ~is_zero], LONG)
+        left = ~found.is_quasiperiodic[points] & ~goes_on
+        contracts = left & (exponent < -SURE * error) & (not self._ensemble.has_own_tangent)
+        self._phase[points[left & is_zero]] = Phase.ENDED
+        self._aperiodic(points[left & ~is_zero & ~contracts])
         for point in points[contracts].tolist():
             self._rattle(point)
 
-    def _may_grow_longer(self, points: Numbers) -> Mask:
-        """Systems of which the first growth did not tell, if there is time."""
-        n_periods = _LONGER * self._growths.n_all * self._growths.n_periods[points]
-        # Another solver's tangent says less of the motion the longer it is.
-        may = self._ensemble.has_own_tangent and len(self._walks.y) > 2
-        is_first = self._growths.n_times[points] == 1
-        return np.asarray(may & is_first & (n_periods <= self._limits.longest[points]))
-
-    def _begin_growth(self, points: Numbers, times: int) -> None:
+    def _begin_growth(self, points: Numbers, times: float | Array) -> None:
         y, rate = self._walks.y[:, points], self._ensemble.settling_rate[points] / times
-        longest = self._limits.last[points] * times
+        longest = np.asarray(self._limits.last[points] * times)
         self._growths.begin(points, y, rate, self._omega[points], longest)
         self._phase[points] = Phase.GROW
 
     @_for_some
-    def _circle(self, points: Numbers) -> None:
+    def _circle(self, points: Numbers, windows: dict[int, float]) -> None:
         """Watch motions for so long that they run round a torus, if they are on one."""
-        found, largest = self._found, self._steady.max_period_multiple
-        is_first = self._growths.n_times[points] <= 1
-        seems_flat = found.lyapunov[points] <= _SURE * found.lyapunov_error[points]
-        wanted = is_first & seems_flat, is_first, ~is_first
-        for n, watched in zip(_CURVES, wanted, strict=True):
-            may = watched & np.isnan(found.rotation[points]) & (n <= self._limits.longest[points])
-            found.rotation[points[may]] = rotations(self._walks, points[may], n, largest)
-        found.is_quasiperiodic[points] = np.isfinite(found.rotation[points])
-        self._phase[points[found.is_quasiperiodic[points]]] = Phase.ENDED
+        longest, largest = self._limits.longest[points], self._steady.max_period_multiple
+        rotation = rotations(self._walks, points, windows, longest, largest)
+        self._found.rotation[points], is_found = rotation, np.isfinite(rotation)
+        self._found.is_quasiperiodic[points] = is_found
+        self._phase[points[is_found]] = Phase.ENDED
 
     def _rattle(self, point: int) -> None:
         """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.
@@ -435,7 +433,7 @@ class Search:
         # motion stays near: but there it repeats itself.
         section, length = walks.section[:, points], walks.length[points]
         is_alike = repeat_nearly(section, length, walks.step_error[points], largest)
-        grows = self._found.lyapunov[points] > _SURE * self._found.lyapunov_error[points]
+        grows = self._found.lyapunov[points] > SURE * self._found.lyapunov_error[points]
         self._found.is_chaotic[points] = grows & ~is_alike
 
     @_for_some

@@ -186,7 +186,7 @@ class Growths:
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
         self._rates = np.empty((n_points, 1 + _N_BATCHES * _BLOCKS))  # of every block [1/s]
 
-    def begin(self, points: Numbers, y: Array, rate: Array, omega: Array, longest: Counts) -> None:
+    def begin(self, points: Numbers, y: Array, rate: Array, omega: Array, longest: Array) -> None:
         """Begin at states.
 
         Parameters
@@ -197,7 +197,7 @@ class Growths:
             Settling rate [1/s], > 0.
         omega : ndarray, shape (m,)
             Forcing frequency [Hz].
-        longest : ndarray of int, shape (m,)
+        longest : ndarray, shape (m,)
             Forcing periods that all blocks together may have, about.
         """
         # No coordinate may be left out: another one's growth may never reach it.

@@ -7,16 +7,30 @@ from gapsweep.response.section import period_multiple
 from gapsweep.response.walks import Walks
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
 
-# Faded means of two halves differ by less than this share of the scatter, over the number of
-# points: those over chaos fall as its root only, those over a torus faster than any power.
-_SAME_MEAN = 1.0
 _STILL = 1e-8  # of the largest scatter: a component with less does not move
-_MOST_POINTS = 1 << 19  # of sections in one call: with what else belongs to them, tens of megabytes
+_MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
 
 
-def rotations(walks: Walks, points: NDArray[np.intp], n_periods: int, largest: int) -> Array:
+def _strict(shortest: int, longest: int) -> dict[int, float]:
+    """Over chaos means fall as the root of a window only, over a torus faster than any power."""
+    return {n: n**-1.25 for n in (shortest << k for k in range((longest // shortest).bit_length()))}
+
+
+# Windows in forcing periods, each twice the one before, and how much the means of their halves may
+# differ as a share of the scatter: where growth is measured as zero, so that a drift is all that is
+# left to exclude; where it has not told, near a locked motion; and where it was not measured long.
+ZERO, LONG = {1 << k: 1e-3 for k in range(12, 17)}, _strict(1 << 13, 1 << 16)
+SHORT = _strict(1 << 10, 1 << 13)
+
+
+def rotations(
+    walks: Walks, points: Numbers, windows: dict[int, float], longest: Array, largest: int
+) -> Array:
     """Rotation numbers of motions on tori; NaN of others.
+
+    A torus shows in two windows in turn: chaos may look like one by chance, hardly twice.
 
     Parameters
     ----------
@@ -24,8 +38,10 @@ def rotations(walks: Walks, points: NDArray[np.intp], n_periods: int, largest: i
         Where they are; that is not changed.
     points : ndarray of int, shape (m,)
         Which of them.
-    n_periods : int
-        Forcing periods for which each is watched.
+    windows : dict of int to float
+        Forcing periods of windows, which begin where the motions are, and how much means differ.
+    longest : ndarray, shape (m,)
+        Forcing periods for which each may be watched.
     largest : int
         Largest multiple of a forcing period that counts as one.
 
@@ -33,23 +49,41 @@ def rotations(walks: Walks, points: NDArray[np.intp], n_periods: int, largest: i
     -------
     ndarray, shape (m,)
     """
-    found, same = np.full(len(points), np.nan), walks.same[points]
-    at_a_time = max(1, _MOST_POINTS // n_periods)
+    found = np.full(len(points), np.nan)
+    at_a_time = max(1, _MOST_POINTS // max(windows))
     for first in range(0, len(points), at_a_time):
-        some = points[first : first + at_a_time]
-        n = np.full(len(some), n_periods)
-        call = walks.ensemble.call(some, walks.y[:, some], n, np.zeros(len(some)))
-        for k in np.flatnonzero(call.is_ok).tolist():
-            section = call.section[:, call.period_ends[k] : call.period_ends[k + 1]]
-            # Chaos that ends in a period while it is watched has the same means from then on.
-            last = section[:, -2 * largest :]
-            has_ended = period_multiple(last, float(same[first + k]), largest) > 0
-            if is_quasiperiodic(section) and not has_ended:
-                found[first + k] = rotation_number(section)
+        some = slice(first, first + at_a_time)
+        found[some] = _watched(walks, points[some], windows, longest[some], largest)
     return found
 
 
-def is_quasiperiodic(section: Array) -> bool:
+def _watched(
+    walks: Walks, points: Numbers, windows: dict[int, float], longest: Array, largest: int
+) -> Array:
+    found, seemed = np.full(len(points), np.nan), np.zeros(len(points), bool)
+    y, same = walks.y[:, points], walks.same[points]
+    sections = [np.empty((len(y), 0))] * len(points)
+    left, before = np.arange(len(points)), 0
+    for length, allowed in windows.items():
+        left = left[np.isnan(found[left]) & (length <= longest[left])]
+        if not left.size:
+            break
+        n = np.full(len(left), length - before)
+        call = walks.ensemble.call(points[left], y[:, left], n, np.zeros(len(left)))
+        y[:, left], left, before = call.y, left[call.is_ok], length
+        for k, i in zip(left.tolist(), np.flatnonzero(call.is_ok).tolist(), strict=True):
+            new = call.section[:, call.period_ends[i] : call.period_ends[i + 1]]
+            sections[k] = section = np.concatenate([sections[k], new], axis=1)
+            # Chaos that ends in a period while it is watched has the same means from then on.
+            has_ended = period_multiple(section[:, -2 * largest :], float(same[k]), largest) > 0
+            seems = is_quasiperiodic(section, allowed) and not has_ended
+            if seems and seemed[k]:
+                found[k] = rotation_number(section)
+            seemed[k] = seems
+    return found
+
+
+def is_quasiperiodic(section: Array, allowed: float) -> bool:
     """Whether a section without a period lies on a closed curve, or on a torus.
 
     There, means over time whose ends are faded out converge faster than any power of it, so that
@@ -60,6 +94,8 @@ def is_quasiperiodic(section: Array) -> bool:
     ----------
     section : ndarray, shape (n_states, n_periods)
         Section points [m], some hundreds or more.
+    allowed : float
+        How much the two means may differ, as a share of the scatter.
     """
     half = section.shape[1] // 2
     t = (np.arange(half) + 0.5) / half
@@ -72,8 +108,7 @@ def is_quasiperiodic(section: Array) -> bool:
     # What hardly moves beside the others, as a coordinate of its own that repeats, is rounding.
     scatter = centred.std(axis=1)
     moves = np.tile(scatter > _STILL * scatter.max(), 2)
-    allowed = _SAME_MEAN / section.shape[1] * spread
-    return bool((np.abs(means[0] - means[1]) <= allowed)[moves].all())
+    return bool((np.abs(means[0] - means[1]) <= allowed * spread)[moves].all())
 
 
 def rotation_number(section: Array) -> float:
