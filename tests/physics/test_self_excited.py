@@ -391,7 +391,21 @@ def test_an_orbit_of_too_many_returns_is_no_torus():
     found = gs.respond(section, law, **start)
     assert found.response_class == gs.ResponseClass.UNRESOLVED
     assert found.lyapunov < -0.05
+    assert "max_period_multiple = 32" in found.message
     steady = gs.Steady(max_period_multiple=128, n_periods=257)
     patient = gs.respond(section, law, **start, steady=steady)
     assert (patient.response_class, patient.period_multiple) == (PERIODIC, 116)
     assert_allclose(patient.lyapunov, found.lyapunov, rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("damping", "steady", "said"),
+    [(-0.05, gs.Steady(), "nothing damps it"), (0.2, gs.Steady(t_max=2.0), "t_max")],
+)
+def test_what_is_unresolved_says_why(damping, steady, said):
+    system = gs.System(
+        mass=[[1.0]], stiffness=[[100.0]], damping=[[damping]], contacts={"stop": [1.0]}
+    )
+    found = gs.respond(system, LAW, q_0=[1e-3], steady=steady)
+    assert found.status == gs.Status.UNRESOLVED
+    assert said in found.message

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gapsweep.response.call import Call
 from gapsweep.response.ensemble import Ensemble
-from gapsweep.response.found import Found
+from gapsweep.response.found import SURE, Found
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares, largest_forces
 from gapsweep.response.maps import NOTHING
@@ -50,6 +50,22 @@ _HIDDEN = (
 _FAINT = 1e-5
 
 
+_UNDAMPED = (
+    "nothing damps it, so that no motion settles: only what repeats itself at once is judged"
+)
+_UNMEASURED = "nothing repeats itself, and no exponent could be measured: give it more {time}"
+_SHRINKS = (
+    "disturbances shrink, but nothing repeats itself within max_period_multiple = {largest} "
+    "periods: raise it (256 at most), or give the motion more {time}"
+)
+_STAYS = (
+    "disturbances grow, but the motion stays near one that repeats itself: it leaves that slowly, "
+    "or its chaos is thin; give it more {time}, or watch more of it (n_periods)"
+)
+_UNTOLD = "disturbances neither grow nor shrink beyond doubt: give it more {time}"
+_TIME = "time (max_decay_times, max_periods, t_max)"
+
+
 def answers(
     ensemble: Ensemble, walks: Walks, shots: Shots, found: Found, steady: Steady
 ) -> Responses:
@@ -76,6 +92,8 @@ def answers(
     columns["status"][failures], messages = _failures(failures, ensemble, walks)
     for is_so, message in ((found.is_astray, _ASTRAY), (found.is_hidden, _HIDDEN)):
         messages |= dict.fromkeys(np.flatnonzero(is_so).tolist(), message)
+    for point in np.flatnonzero(columns["status"] == Status.UNRESOLVED).tolist():
+        messages.setdefault(point, _why_unresolved(point, ensemble, found, steady))
     columns |= ensemble.costs()
     of_all = {}
     for name, dtype in LISTS.items():
@@ -104,6 +122,19 @@ def _failures(
         places = ", ".join(f"{name} = {q:.3g} m" for name, q in zip(names, y[:, k], strict=False))
         messages[point] = f"{reached.label} before t = {walks.t[point]:.6g} s at {places}"
     return statuses, messages
+
+
+def _why_unresolved(point: int, ensemble: Ensemble, found: Found, steady: Steady) -> str:
+    exponent, error = found.lyapunov[point], found.lyapunov_error[point]
+    if ensemble.settling_rate[point] <= 0.0:
+        reason = _UNDAMPED
+    elif math.isnan(exponent):
+        reason = _UNMEASURED
+    elif abs(exponent) <= SURE * error:
+        reason = _UNTOLD
+    else:
+        reason = _SHRINKS if exponent < 0.0 else _STAYS
+    return reason.format(largest=steady.max_period_multiple, time=_TIME)
 
 
 def _stability(

@@ -228,7 +228,7 @@ class Response:
     cpu_time : float
         Processor time of the integration [s].
     message : str
-        Why the point failed, empty otherwise.
+        Why the point failed, or is unresolved and what may help; empty otherwise.
 
     Examples
     --------
