@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
-from tests.made import datasets, failed, periodic, tables
+from tests.made import chaotic, datasets, failed, periodic, tables
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.systems import OF_SYSTEM
@@ -100,6 +100,27 @@ def test_several_attractors_are_told(tmp_path):
     assert said[1:] == [
         "piecewise has several attractors in 2 of 4 scenes and frequencies, at most 2."
     ]
+
+
+@pytest.mark.parametrize(("starts", "some"), [(1, ""), (2, " from some start")])
+def test_where_a_curve_is_chaotic_is_told(tmp_path, starts, some):
+    omega = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0)
+    wild = {0.5, 1.5, 2.0, 3.0, 4.0, 4.5, 5.0, 6.0}
+
+    def answer(label, at, start):
+        is_wild = label == "piecewise" and at in wild and start == starts - 1
+        return (chaotic if is_wild else periodic)([(1e-3, 0.0)], at)
+
+    def said(omega):
+        responses, _ = datasets(
+            tmp_path / str(len(omega)), tables(LABELS, omega, starts=starts, **HALF), answer
+        )
+        return findings(responses, [], None)[1:]
+
+    assert said(omega) == [
+        f"piecewise is chaotic{some} at omega [Hz] 0.5, 1.5 to 2, 4 to 5 and 2 more."
+    ]
+    assert said(omega[1:8]) == []  # too few for a curve
 
 
 def test_what_stand_ins_keep_of_systems_is_told(tmp_path):

@@ -8,15 +8,17 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.grid import scene_dims
+from gapsweep.analysis.grid import REPRESENTATION, scene_dims
 from gapsweep.analysis.systems import is_of_systems
 from gapsweep.analysis.walls import far_walls
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact, Judged, how_many
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.tables import VERDICTS, condensed, percent
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
+from gapsweep.study.grid import START
 
 
 def findings(
@@ -48,6 +50,7 @@ def findings(
     far = "" if is_of_systems(responses) else far_walls(lambda name: responses[name].values)
     sentences = [f"{far[0].upper()}{far[1:]}."] if far else []
     sentences.append(outcomes(responses))
+    sentences += _along(responses)
     if attractors is not None:
         sentences += _coexisting(attractors)
     if agreement is not None and is_of_systems(responses):
@@ -61,6 +64,8 @@ def findings(
     return sentences
 
 
+_CURVE = 10  # values that make a curve
+_SAID = 3  # stretches of it that are said
 _OF_SYSTEMS = {ResponseClass.QUASIPERIODIC: "quasiperiodic", ResponseClass.EQUILIBRIUM: "at rest"}
 
 
@@ -90,10 +95,43 @@ def _counted(values: NDArray[np.integer]) -> Counter[int]:
     return Counter(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
 
 
+def _along(responses: xr.Dataset) -> Iterator[str]:
+    """Where on the one curve of a run some start is not periodic, of the exact law if swept."""
+    kinds = responses["response_class"]
+    long = [dim for dim in kinds.dims if kinds.sizes[dim] > 1]
+    dims = [dim for dim in long if dim not in (REPRESENTATION, START)]
+    if len(dims) != 1 or kinds.sizes[dims[0]] < _CURVE:
+        return
+    x, label = responses[dims[0]], _exact_if_swept(responses)
+    of_law = kinds.sel(representation=label).transpose(dims[0], ...).values.reshape(x.size, -1)
+    some = " from some start" if START in long else ""
+    for kind in (ResponseClass.CHAOTIC, *_OF_SYSTEMS):
+        ranges = _ranges((of_law == kind).any(axis=1), drawn(x))
+        if ranges:
+            words = _OF_SYSTEMS.get(kind, "chaotic")
+            unit = shown_unit(x)[1]
+            where = f"{x.name} [{unit}]" if unit else x.name
+            yield f"{label} is {words}{some} at {where} {ranges}."
+
+
+def _ranges(is_so: NDArray[np.bool_], x: NDArray[np.float64]) -> str:
+    """The widest stretches of a grid on which something is so, in words."""
+    edges = np.flatnonzero(np.diff(is_so, prepend=False, append=False)).reshape(-1, 2) - (0, 1)
+    widest = sorted(sorted(edges.tolist(), key=lambda edge: edge[0] - edge[1])[:_SAID])
+    said = [f"{x[a]:.4g}{f' to {x[b]:.4g}' if b > a else ''}" for a, b in widest]
+    more = [f"{len(edges) - _SAID} more"] if len(edges) > _SAID else []
+    parts = [*said, *more]
+    return " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]]))
+
+
+def _exact_if_swept(dataset: xr.Dataset) -> str:
+    labels = labels_of(dataset)
+    return EXACT if EXACT in labels else labels[0]
+
+
 def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
     """In how many places several attractors were found, of the exact law if that was swept."""
-    labels = labels_of(attractors)
-    label = EXACT if EXACT in labels else labels[0]
+    label = _exact_if_swept(attractors)
     n = attractors["n_attractors"].sel(representation=label).values
     n_places, n_several = int((n > 0).sum()), int((n > 1).sum())
     if n_several:
