@@ -1,6 +1,7 @@
 """Steady responses of systems: against oscillators, brute force, other coordinates, scipy."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -291,6 +292,25 @@ def test_contact_that_chatter_ends_is_counted_once(monkeypatch):
     assert_allclose(shares, shares[0], rtol=1e-6)
 
 
+@pytest.mark.parametrize(("small", "is_seen"), [(1e-3, True), (1e-7, False)])
+def test_a_cubic_spring_too_light_to_be_seen_is_not_judged(small, is_seen):
+    # Ueda's oscillator with two wells, chaotic, beside a linear one as its own.
+    system = gs.System(
+        mass=np.eye(2), stiffness=np.diag([2.0, -1.0]), damping=np.diag([0.4, 0.3]),
+        cubic=[gs.Cubic(along=[0, 1], alpha=1.0 / small**2)],
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.5 * small])], contacts={"far": [1, 0]},
+    )  # fmt: skip
+    law, omega = gs.Piecewise(1.0, gs.Gap(1e5, 1e5)), 1.2 / (2.0 * math.pi)
+    found = gs.respond(system, law, omega, q_0=[0.0, 0.1 * small], atol=1e-14)
+    assert (found.response_class == gs.ResponseClass.CHAOTIC) == is_seen
+    assert ("cubic spring" in found.message) != is_seen
+    # Where it adds nothing, nothing is hidden.
+    weak = replace(system, cubic=[gs.Cubic(along=[0, 1], alpha=1e-4 / small**2)])
+    weak = replace(weak, stiffness=np.diag([2.0, 1.0]))
+    found = gs.respond(weak, law, omega, q_0=[0.0, 0.1 * small], atol=1e-14)
+    assert found.response_class == gs.ResponseClass.PERIODIC
+
+
 def test_a_torus_beside_a_part_that_repeats_is_found():
     # Without loss the first coordinate keeps its own frequency for ever; no contact is reached.
     system = gs.System(
@@ -364,10 +384,16 @@ def test_growth_that_does_not_tell_is_measured_longer():
 @pytest.mark.parametrize("rotation", [0.0123, 0.2871, 0.4712])
 @pytest.mark.parametrize("sense", [-1.0, 1.0])
 def test_rotation_numbers_of_bent_curves(rotation, sense):
-    angle = 2.0 * np.pi * rotation * sense * np.arange(1024)
+    angle = 2.0 * np.pi * rotation * sense * np.arange(4096)
     curve = np.exp(1j * (angle + 0.6 * np.sin(angle))) * (1.0 + 0.2 * np.cos(2.0 * angle))
     section = np.stack([3.0 + curve.real, 0.4 * curve.imag, 0.1 * curve.real**2])
-    assert rotation_number(section) == pytest.approx(rotation, abs=1e-8)
+    assert rotation_number(section, 32) == pytest.approx(rotation, abs=1e-8)
+    # A larger part that repeats beside it, or that the torus lies about.
+    for n in (2, 3, 7):
+        beside = 5.0 * np.cos(np.arange(4096) % n)
+        for both in ([*section, beside], [section[0] + beside, *section[1:]]):
+            # 2/7 is six lines of such a spectrum away: they overlap by less than a millionth.
+            assert rotation_number(np.stack(both), 32) == pytest.approx(rotation, abs=1e-6)
 
 
 def test_the_largest_force_of_a_stiffness_that_changes_is_not_said():

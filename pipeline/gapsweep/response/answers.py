@@ -42,12 +42,13 @@ _ASTRAY = (
 
 
 _HIDDEN = (
-    "a contact moves by less than 1e-5 of what all moves, by kinetic energy: too little to be told "
-    "from errors of the rest; simulate its part alone"
+    "a contact or a cubic spring moves by less than 1e-5 of what all moves, by kinetic energy: too "
+    "little to be told from errors of the rest; simulate its part alone"
 )
 # So little of the whole motion a contact may move. From 1e-6 on, chaos of a part was seen to be
 # taken for a period; down to 1e-5 all was right.
 _FAINT = 1e-5
+_LINEAR = 1e-3  # of a spring's stiffness, below which what a cubic one adds is nothing to be missed
 
 
 _UNDAMPED = (
@@ -261,12 +262,10 @@ def _read_off(
     stays = found.is_at_rest & ~(found.lyapunov > 0.0)  # not so on top of a hill
     found_out = found.is_chaotic | found.is_quasiperiodic | stays
     share = walks.contact_share[:, points]
-    faint = 0.5 * (gap_max - gap_min) < _FAINT * ensemble.gap_units(points) * walks.reach[points]
-    margin = ensemble.solver.rtol * ensemble.gap_units(points) * walks.reach[points]
-    # A smooth law changes its stiffness about the same places: faint there is hidden, too.
-    walls = ensemble.felt_walls[:, :, points]
-    near = ((gap_min - margin <= walls) & (walls <= gap_max + margin)).any(axis=0)
-    hidden = (faint & near).any(axis=0) & ~found.is_at_rest[points]
+    hidden = _hidden_contacts(points, ensemble, walks, gap_max, gap_min)
+    if not ensemble.is_plain:
+        hidden |= _hidden_springs(points, ensemble, walks, 0.5 * (x_max - x_min))
+    hidden &= ~found.is_at_rest[points]
     found.hide(points[hidden])
     is_known = (is_orbit | found_out[points]) & ~hidden
     status = np.where(is_known, Status.OK, Status.UNRESOLVED)
@@ -288,6 +287,41 @@ def _read_off(
     }
     n_items = n_shown.sum(axis=1)
     return columns, {"extrema": (x[shown], n_items), "extremum_kind": (kinds[shown], n_items)}
+
+
+def _hidden_contacts(
+    points: Numbers, ensemble: Ensemble, walks: Walks, gap_max: Array, gap_min: Array
+) -> Mask:
+    """Where a contact that is felt moves too little to be told from errors of the rest."""
+    whole = ensemble.gap_units(points) * walks.reach[points]
+    faint = 0.5 * (gap_max - gap_min) < _FAINT * whole
+    margin = ensemble.solver.rtol * whole
+    # A smooth law changes its stiffness about the same places: faint there is hidden, too.
+    walls = ensemble.felt_walls[:, :, points]
+    near = ((gap_min - margin <= walls) & (walls <= gap_max + margin)).any(axis=0)
+    return np.asarray((faint & near).any(axis=0))
+
+
+def _hidden_springs(points: Numbers, ensemble: Ensemble, walks: Walks, half: Array) -> Mask:
+    """Where a cubic spring of a system does, and yet adds to what is linear.
+
+    Parameters
+    ----------
+    half : ndarray, shape (m, n_coordinates)
+        Half the ranges of coordinates [m].
+    """
+    unit = ensemble.unit[: ensemble.n_coordinates, points].T
+    whole = _FAINT * walks.reach[points]
+    hidden = np.zeros(len(points), bool)
+    for k in np.flatnonzero((half < whole[:, None] * unit).any(axis=1)).tolist():
+        system = ensemble.scenes[points[k]].oscillator
+        for spring in system.cubic:
+            along = spring.along
+            moves = np.abs(along) @ half[k]  # at most
+            stiffness = abs(along @ system.stiffness @ along) / (along @ along) ** 2
+            is_faint = moves < whole[k] * np.linalg.norm(along * unit[k])
+            hidden[k] |= is_faint and abs(spring.alpha) * moves**2 > _LINEAR * stiffness
+    return hidden
 
 
 def _whole_period(walks: Walks, orbits: Numbers, y: Array, call: Call) -> tuple[Array, Counts]:

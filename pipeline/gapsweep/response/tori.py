@@ -78,7 +78,7 @@ def _watched(
             has_ended = period_multiple(section[:, -2 * largest :], float(same[k]), largest) > 0
             seems = is_quasiperiodic(section, allowed) and not has_ended
             if seems and seemed[k]:
-                found[k] = rotation_number(section)
+                found[k] = rotation_number(section, largest)
             seemed[k] = seems
     return found
 
@@ -98,39 +98,60 @@ def is_quasiperiodic(section: Array, allowed: float) -> bool:
         How much the two means may differ, as a share of the scatter.
     """
     half = section.shape[1] // 2
-    t = (np.arange(half) + 0.5) / half
-    weights = np.exp(-1.0 / (t * (1.0 - t)))
+    weights = _faded(half)
     centred = section - section.mean(axis=1, keepdims=True)
     # Means tell what drifts, those of squares what shrinks.
     seen = np.concatenate([centred, np.square(centred)])
     means = [each @ weights / weights.sum() for each in (seen[:, :half], seen[:, -half:])]
     spread = seen.std(axis=1)
-    # What hardly moves beside the others, as a coordinate of its own that repeats, is rounding.
-    scatter = centred.std(axis=1)
-    moves = np.tile(scatter > _STILL * scatter.max(), 2)
+    # What hardly moves beside the others is rounding: a coordinate of its own that repeats, or the
+    # squares of one that has two values in turn.
+    largest = spread[: len(section)].max()
+    moves = spread > _STILL * np.repeat([largest, largest**2], len(section))
     return bool((np.abs(means[0] - means[1]) <= allowed * spread)[moves].all())
 
 
-def rotation_number(section: Array) -> float:
+def rotation_number(section: Array, largest: int) -> float:
     """How many turns a motion makes about its torus from one section point to the next.
 
     The strongest line in the spectrum of the section, in the plane in which it scatters most, its
-    ends faded out (Laskar, Physica D 67 (1993) 257, doi 10.1016/0167-2789(93)90210-R). A section
-    cannot tell a turn more, nor in which sense, so that it is within 0..1/2.
+    ends faded out (Laskar, Physica D 67 (1993) 257, doi 10.1016/0167-2789(93)90210-R). Lines of
+    an orbit that the torus lies about, or of a part that repeats beside it, are taken out first.
+    A section cannot tell a turn more, nor in which sense, so that it is within 0..1/2.
 
     Parameters
     ----------
     section : ndarray, shape (n_states, n_periods)
-        Section points [m] on a closed curve, some hundreds or more.
+        Section points [m] on closed curves, some hundreds or more.
+    largest : int
+        Largest number of points after which a part may repeat.
     """
+    left = section - section.mean(axis=1, keepdims=True)
+    n = section.shape[1]
+    multiples = np.arange(1, largest + 1)
+    for _ in range(largest):
+        line = _strongest_line(left)
+        # What turns about a torus is nowhere so near to such a fraction that it is not locked.
+        if (np.abs(line * multiples - np.rint(line * multiples)) > multiples / n**2).all():
+            break
+        left -= _of_line(left, line)
+    return abs(line)
+
+
+def _faded(n: int) -> Array:
+    """Weights of points whose ends are faded out, as smoothly as can be."""
+    t = (np.arange(n) + 0.5) / n
+    return np.asarray(np.exp(-1.0 / (t * (1.0 - t))))
+
+
+def _strongest_line(section: Array) -> float:
+    """Its frequency in turns a point, within -1/2..1/2."""
     from scipy.optimize import minimize_scalar  # tenths of a second to import, and few are on tori
 
-    centred = section - section.mean(axis=1, keepdims=True)
-    _, directions = np.linalg.eigh(centred @ centred.T)
-    first, second = directions[:, -1] @ centred, directions[:, -2] @ centred
+    _, directions = np.linalg.eigh(section @ section.T)
+    first, second = directions[:, -1] @ section, directions[:, -2] @ section
     n = section.shape[1]
-    t = (np.arange(n) + 0.5) / n
-    faded = np.exp(-1.0 / (t * (1.0 - t))) * (first + 1j * second)
+    faded = _faded(n) * (first + 1j * second)
     spectrum = np.abs(np.fft.fft(faded))
     near = float(np.fft.fftfreq(n)[spectrum.argmax()])
 
@@ -138,4 +159,14 @@ def rotation_number(section: Array) -> float:
         return -float(abs(np.vdot(np.exp(2j * np.pi * frequency * np.arange(n)), faded)))
 
     found = minimize_scalar(weakness, (near - 1.0 / n, near, near + 1.0 / n), tol=1e-10)
-    return float(abs((found.x + 0.5) % 1.0 - 0.5))
+    return float((found.x + 0.5) % 1.0 - 0.5)
+
+
+def _of_line(section: Array, line: float) -> Array:
+    """What of a section turns by so much from point to point, in either sense."""
+    n = section.shape[1]
+    turning = np.exp(2j * np.pi * line * np.arange(n))
+    weights = _faded(n)
+    part = np.stack([turning.real, turning.imag])
+    amounts = np.linalg.lstsq((part * weights).T, (section * weights).T, rcond=1e-9)[0]
+    return np.asarray(amounts.T @ part)
