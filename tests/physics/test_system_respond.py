@@ -317,12 +317,43 @@ def test_a_torus_beside_a_part_that_repeats_is_found():
         mass=np.eye(2), stiffness=np.diag([1.0, 2.0]), damping=np.diag([0.0, 0.2]),
         contacts={"stop": [0, 1]}, forcing=[gs.Harmonic(amplitude=[0.1, 0.1])],
     )  # fmt: skip
-    found = gs.respond(
-        system, gs.Piecewise(3.0, gs.Gap(1.0, 1.0)), 0.777 / (2 * math.pi), q_0=[0.3, 0]
-    )
+    w = math.sqrt(0.6)  # of a fraction both would repeat together
+    law = gs.Piecewise(3.0, gs.Gap(1.0, 1.0))
+    found = gs.respond(system, law, w / (2 * math.pi), q_0=[0.3, 0])
     assert found.response_class == gs.ResponseClass.QUASIPERIODIC
-    # One turn in 2 pi, seen every 2 pi / 0.777.
-    assert found.rotation_number == pytest.approx(1.0 / 0.777 - 1.0, abs=1e-8)
+    # One turn in 2 pi, seen every 2 pi / w.
+    assert found.rotation_number == pytest.approx(1.0 / w - 1.0, abs=1e-8)
+
+
+def whirling(growth, driven=1.3):
+    """A driven coordinate beside two that whirl: q = A (cos wt, sin wt), A^2 = w^2 - 1."""
+    w = 1.0 + growth
+    thirds = [np.array([math.cos(t), math.sin(t)]) for t in (0.0, math.pi / 3, 2 * math.pi / 3)]
+    system = gs.System(
+        mass=np.eye(3), damping=np.diag([0.2, 0.1, 0.1]),
+        stiffness=[[driven, 0, 0], [0, 1.0, 0.1 * w], [0, -0.1 * w, 1.0]],
+        cubic=[gs.Cubic(along=[0, *each], alpha=8 / 9) for each in thirds],
+        forcing=[gs.Harmonic(amplitude=[1.0, 0, 0])], contacts={"far": [1, 0, 0]},
+    )  # fmt: skip
+    return system, gs.Piecewise(1.0, gs.Gap(1e5, 1e5)), w, math.sqrt(w * w - 1.0)
+
+
+@pytest.mark.parametrize(("growth", "q"), [(0.01, 0.8), (0.0015, 1e-3), (0.001, 0.02)])
+def test_a_torus_that_is_settled_on_slowly_is_read_off_its_end(growth, q):
+    """Damping says that this takes 20 s; towards the torus it takes up to 1e5."""
+    system, law, w, amplitude = whirling(growth)
+    beside = math.sqrt(2.7)
+    found = gs.respond(system, law, w / (2 * math.pi * beside), q_0=[0.0, q, 0.0])
+    assert found.response_class == gs.ResponseClass.QUASIPERIODIC
+    assert np.array(found.x_max)[1:] == pytest.approx(amplitude, rel=1e-6)
+    assert found.rotation_number == pytest.approx(2.0 - beside, abs=1e-8)
+
+
+def test_a_torus_that_is_not_settled_on_in_time_is_unresolved():
+    system, law, w, _ = whirling(1e-4)
+    found = gs.respond(system, law, w / (2 * math.pi * 1.643), q_0=[0.0, 0.02, 0.0])
+    assert found.response_class == gs.ResponseClass.UNRESOLVED
+    assert "give it more time" in found.message
 
 
 def fluttering(stiffness, *, mass, loss, cubic, contact, load):

@@ -30,7 +30,7 @@ from gapsweep.response.section import (
     repeats,
 )
 from gapsweep.response.shooting import Growths, Shots
-from gapsweep.response.tori import LONG, SHORT, ZERO, rotations
+from gapsweep.response.tori import LONG, SHORT, ZERO, watch
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
 
@@ -67,9 +67,6 @@ _INSIDE = 1.0 - 1e-6
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
 # Of ten batches, chance alone exceeds that once in 130 times; this, once in ten thousand.
 _BEYOND_DOUBT = 6.0
-# A growth that did not tell is measured over again: at least so many times as long, for a third of
-# its error, and so many forcing periods, in which chaos outgrows what is in proportion to time.
-_LONGER, _LONG = 8.0, 8192
 
 
 class Search:
@@ -149,7 +146,8 @@ class Search:
         self._walks.advance(points, self._pause[points], self._window[points], section_only=False)
         is_ok = self._walks.status[points] == Status.OK
         self._fail(points[~is_ok])
-        self._look_at(points[is_ok])
+        self._phase[points] = Phase.ENDED  # of a torus, and of what failed
+        self._look_at(points[is_ok & ~self._found.is_quasiperiodic[points]])
 
     @_for_some
     def _wait(self, points: Numbers) -> None:
@@ -368,16 +366,17 @@ class Search:
         may_circle = np.abs(exponent) <= np.maximum(_BEYOND_DOUBT * error, shear)
         may_circle &= len(self._walks.y) > 2
         is_long = growths.n_times[points] > 1
-        n_periods = growths.n_all * growths.n_periods[points]
-        times = np.maximum(_LONGER, _LONG / np.maximum(n_periods, 1))
+        times = growths.times_longer(points)
         # Another solver's tangent says less of the motion the longer it is.
         goes_on = may_circle & ~is_long & self._ensemble.has_own_tangent
-        goes_on &= n_periods * times <= self._limits.longest[points]
+        goes_on &= times * growths.n_all_periods(points) <= self._limits.longest[points]
         self._begin_growth(points[goes_on], times[goes_on])
-        is_zero = is_long & (exponent <= np.maximum(SURE * error, shear))
+        # What turns about a torus shrinks and grows again, never by as much as it parts.
+        high, low = np.maximum(SURE * error, shear), -np.maximum(SURE * error, 0.5 * shear)
+        is_zero = is_long & (low <= exponent) & (exponent <= high)
         self._circle(points[may_circle & ~is_long & ~goes_on], SHORT)
         self._circle(points[may_circle & is_zero], ZERO)
-        self._circle(points[may_circle & is_long & ~is_zero], LONG)
+        self._circle(points[may_circle & is_long & (exponent > high)], LONG)
         left = ~found.is_quasiperiodic[points] & ~goes_on
         contracts = left & (exponent < -SURE * error) & (not self._ensemble.has_own_tangent)
         self._phase[points[left & is_zero]] = Phase.ENDED
@@ -395,10 +394,13 @@ class Search:
     def _circle(self, points: Numbers, windows: dict[int, float]) -> None:
         """Watch motions for so long that they run round a torus, if they are on one."""
         longest, largest = self._limits.longest[points], self._steady.max_period_multiple
-        rotation = rotations(self._walks, points, windows, longest, largest)
-        self._found.rotation[points], is_found = rotation, np.isfinite(rotation)
-        self._found.is_quasiperiodic[points] = is_found
-        self._phase[points[is_found]] = Phase.ENDED
+        rotation, y, n_periods = watch(self._walks, points, windows, longest, largest)
+        found = np.isfinite(rotation)
+        self._found.rotation[points], self._found.is_quasiperiodic[points] = rotation, found
+        tori = points[found]
+        # Onto a torus a motion may settle more slowly than damping says: it is read off its end.
+        self._walks.arrive(tori, y[:, found], self._walks.status[tori], n_periods[found])
+        self._record_last(tori)
 
     def _rattle(self, point: int) -> None:
         """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.

@@ -38,6 +38,9 @@ _SHORTENS = 0.5
 # vector.
 _N_BATCHES, _BATCH, _BLOCKS = 10, 2.82, 6
 _MOST_NUMBERS = 1 << 16  # of tangents in one call: with what else belongs to them, ten megabytes
+# A growth that did not tell is measured over again: at least so many times as long, for a third of
+# its error, and so many forcing periods, in which chaos outgrows what is in proportion to time.
+_LONGER, _LONG = 8.0, 8192
 
 
 class Shots:
@@ -212,6 +215,14 @@ class Growths:
         """How many blocks a growth has."""
         return self._rates.shape[1]
 
+    def n_all_periods(self, points: Numbers) -> Counts:
+        """How many forcing periods growths last; one if never begun."""
+        return np.maximum(self.n_all * self.n_periods[points], 1)
+
+    def times_longer(self, points: Numbers) -> Array:
+        """How many times as long as growths that did not tell the next ones are."""
+        return np.maximum(_LONGER, _LONG / self.n_all_periods(points))
+
     def together(self) -> int:
         """How many points have all of their blocks in one call: some ten megabytes."""
         return max(1, _MOST_NUMBERS // (self.n_all * len(self.y) ** 2))
@@ -296,7 +307,7 @@ class Growths:
         omega : ndarray, shape (m,)
             Forcing frequency [Hz].
         """
-        n_periods = np.maximum(self.n_all * self.n_periods[points], 1)  # none if never begun
+        n_periods = self.n_all_periods(points)
         # numpy's own logarithm is another one on another processor.
         return np.fromiter(map(math.log, n_periods.tolist()), float) * omega / n_periods
 

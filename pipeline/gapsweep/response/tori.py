@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.section import period_multiple
+from gapsweep.response.section import norm
 from gapsweep.response.walks import Walks
 
 Array = NDArray[np.float64]
@@ -25,10 +25,10 @@ ZERO, LONG = {1 << k: 1e-3 for k in range(12, 17)}, _strict(1 << 13, 1 << 16)
 SHORT = _strict(1 << 10, 1 << 13)
 
 
-def rotations(
+def watch(
     walks: Walks, points: Numbers, windows: dict[int, float], longest: Array, largest: int
-) -> Array:
-    """Rotation numbers of motions on tori; NaN of others.
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Follow motions until they are seen to run round a torus.
 
     A torus shows in two windows in turn: chaos may look like one by chance, hardly twice.
 
@@ -47,40 +47,59 @@ def rotations(
 
     Returns
     -------
-    ndarray, shape (m,)
+    rotation : ndarray, shape (m,)
+        Rotation numbers of those on tori; NaN of others.
+    y : ndarray, shape (n_states, m)
+        Where they are then.
+    n_periods : ndarray of int, shape (m,)
+        Forcing periods for which they were watched.
     """
-    found = np.full(len(points), np.nan)
+    rotation, n_periods = np.full(len(points), np.nan), np.zeros(len(points), np.int64)
+    y = walks.y[:, points]
     at_a_time = max(1, _MOST_POINTS // max(windows))
     for first in range(0, len(points), at_a_time):
         some = slice(first, first + at_a_time)
-        found[some] = _watched(walks, points[some], windows, longest[some], largest)
-    return found
+        rotation[some], y[:, some], n_periods[some] = _watched(
+            walks, points[some], windows, longest[some], largest
+        )
+    return rotation, y, n_periods
 
 
 def _watched(
     walks: Walks, points: Numbers, windows: dict[int, float], longest: Array, largest: int
-) -> Array:
+) -> tuple[Array, Array, NDArray[np.int64]]:
     found, seemed = np.full(len(points), np.nan), np.zeros(len(points), bool)
-    y, same = walks.y[:, points], walks.same[points]
+    y, same, before = walks.y[:, points], walks.same[points], np.zeros(len(points), np.int64)
     sections = [np.empty((len(y), 0))] * len(points)
-    left, before = np.arange(len(points)), 0
+    left = np.arange(len(points))
     for length, allowed in windows.items():
         left = left[np.isnan(found[left]) & (length <= longest[left])]
         if not left.size:
             break
-        n = np.full(len(left), length - before)
-        call = walks.ensemble.call(points[left], y[:, left], n, np.zeros(len(left)))
-        y[:, left], left, before = call.y, left[call.is_ok], length
+        call = walks.ensemble.call(
+            points[left], y[:, left], length - before[left], 0.0 * y[0, left]
+        )
+        y[:, left], before[left], left = call.y, length, left[call.is_ok]
         for k, i in zip(left.tolist(), np.flatnonzero(call.is_ok).tolist(), strict=True):
             new = call.section[:, call.period_ends[i] : call.period_ends[i + 1]]
             sections[k] = section = np.concatenate([sections[k], new], axis=1)
-            # Chaos that ends in a period while it is watched has the same means from then on.
-            has_ended = period_multiple(section[:, -2 * largest :], float(same[k]), largest) > 0
-            seems = is_quasiperiodic(section, allowed) and not has_ended
+            seems = is_quasiperiodic(section, allowed) and not _has_repeated(section, same[k])
             if seems and seemed[k]:
                 found[k] = rotation_number(section, largest)
             seemed[k] = seems
-    return found
+    return found, y, before
+
+
+def _has_repeated(section: Array, same: float) -> bool:
+    """Whether the last points of a section are those before: chaos may end while it is watched.
+
+    Means are the same from then on, as they are over any orbit of more periods than are looked for.
+    """
+    beside = norm(section[:, :-1] - section[:, -1:]) <= same
+    n = int(beside[::-1].argmax()) + 1
+    last, one_before = section[:, -n:], section[:, -2 * n : -n]
+    has_both = beside.any() and one_before.shape == last.shape
+    return bool(has_both and (norm(last - one_before) <= same).all())
 
 
 def is_quasiperiodic(section: Array, allowed: float) -> bool:
