@@ -166,11 +166,11 @@ class SystemScene(Scene):
 
     @property
     def directions(self) -> Array:
-        return np.array([*self.system.contacts.values()]).reshape(-1, self.system.n)
+        return np.asarray(self.system.directions)
 
     @property
     def n_states(self) -> int:
-        return int(2 * self.system.n + self.system.n_lags)
+        return int(self.system.n_states)
 
     def rhs(self, modes: Modes) -> Callable[[float, Array], State]:
         system, n, n_states = self.system, self.system.n, self.n_states

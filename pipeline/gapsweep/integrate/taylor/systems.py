@@ -149,7 +149,7 @@ def _fill(
     put("damping", inverse @ system.damping)
     put("mass_root", linear.mass_root)
     put("spring_root", linear.spring_root)
-    directions = np.array([*system.contacts.values()]).reshape(-1, system.n)
+    directions = system.directions
     compliance = np.einsum("ki,ij,kj->k", directions, inverse, directions)
     put("direction", directions)
     put("pull", inverse @ directions.T)
