@@ -251,7 +251,7 @@ def _plain(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[float,
 
 def _located(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
     """Segments in one set of contact modes each, restarted at every contact."""
-    t, y, modes, stalled = 0.0, y_0, scene.modes_at(0.0, y_0), 0
+    t, y, modes, stalled = 0.0, y_0, scene.modes_at(y_0), 0
     on_wall = None
     while t < t_end:
         found = _solve(scene, run, modes, t, y, t_end, on_wall)

@@ -90,12 +90,12 @@ class Scene:
         stiffness = (0.0, law.K_c, law.K_ratio * law.K_c)[modes[contact]]
         return lambda x: stiffness
 
-    def modes_at(self, t: float, y: State) -> tuple[int, ...]:
-        """Contact modes; on a wall the direction of motion decides, then acceleration."""
+    def modes_at(self, y: State) -> tuple[int, ...]:
+        """Contact modes at the start; on a wall, direction of motion decides, then acceleration."""
         modes = tuple(self._beyond(k, y) for k in range(len(self.laws)))
         for contact in range(len(self.laws)):
             if self.gap(contact, y) in (self.wall(contact, -1), self.wall(contact, 1)):
-                modes = self.passed(t, y, modes, contact, self.gap(contact, y))
+                modes = self.passed(0.0, y, modes, contact, self.gap(contact, y))
         return modes
 
     def _beyond(self, contact: int, y: State) -> int:
