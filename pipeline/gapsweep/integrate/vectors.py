@@ -139,12 +139,7 @@ def _call(name, *args):
 
 def fma(a, b, c):
     """``a * b + c``, rounded once on every processor: in one instruction where it has one."""
-    return _call(
-        "fma",
-        a,
-        b if isinstance(b, Vec) else a.constant(b),
-        c if isinstance(c, Vec) else a.constant(c),
-    )
+    return _call("fma", a, b, c)
 
 
 def absolute(a):
