@@ -234,11 +234,12 @@ def _kernel_law(laws: Sequence[Any], *, restart: bool) -> Any:
     law = laws[0]
     gaps = _gap_arrays(laws)
     match law:
-        case Tanh() | Arctan():
-            build = representations.tanh if isinstance(law, Tanh) else representations.arctan
-            return build(**gaps, epsilon=np.array([each.epsilon for each in laws]))
+        case Tanh():
+            return representations.tanh(**gaps, epsilon=_column(laws, "epsilon"))
+        case Arctan():
+            return representations.arctan(**gaps, epsilon=_column(laws, "epsilon"))
         case LogArctan():
-            return representations.log_arctan(**gaps, gamma=np.array([e.gamma for e in laws]))
+            return representations.log_arctan(**gaps, gamma=_column(laws, "gamma"))
         case Piecewise():
             return representations.piecewise(**gaps, restart=restart and law.located)
     walls = {"j_1": law.gap.j_1, "j_2": law.gap.j_2}
