@@ -23,14 +23,14 @@ from .probing import (
 
 
 @internal
-def first_step(at, lane, settings, exponent, i):
+def first_step(at, lane, settings, i):
     """Length of a first step from rest by the size of y' alone: ode45's rule, also the native."""
     threshold, rate = settings[ln.S_ATOL] / settings[ln.S_RTOL], 0.0
     for j in range(at.n_states):
         # Derivatives of the state: speeds, accelerations, rates of first-order states.
         slope = lane[at.v + j if j < at.n else at.a + j - at.n, i]
         rate = max(rate, abs(slope) / max(abs(lane[at.q + j, i]), threshold))
-    rate /= 0.8 * settings[ln.S_RTOL] ** exponent
+    rate /= 0.8 * settings[ln.S_RTOL] ** settings[ln.S_EXPONENT]
     left = ln.remaining(at, lane, i)
     h = min(lane[at.h_max, i], left)
     if settings[ln.S_FIRST_STEP] > 0.0:
@@ -39,13 +39,13 @@ def first_step(at, lane, settings, exponent, i):
 
 
 @internal
-def started(at, lane, lane_int, settings, exponent, i):
+def started(at, lane, lane_int, settings, i):
     """The derivative at the start is known: choose the first step."""
     for j in range(at.n_rates):
         lane[at.a + j, i] = lane[at.a_1 + j, i]
     if settings[ln.S_ODE45] > 0.0:
         lane[at.h_max, i] = 0.1 * ln.remaining(at, lane, i)
-    lane[at.h, i] = first_step(at, lane, settings, exponent, i)
+    lane[at.h, i] = first_step(at, lane, settings, i)
     lane[at.exact, i] = 0.0
     lane_int[ln.MODE, i] = ln.STEPPING
 
@@ -240,7 +240,7 @@ def _begun(at, lane, lane_int, q, settings, i):
     for j in range(at.n_rates):
         if not np.isfinite(lane[at.a_1 + j, i]):
             return ln.DIVERGED
-    started(at, lane, lane_int, settings, settings[ln.S_EXPONENT], i)
+    started(at, lane, lane_int, settings, i)
     if settings[ln.S_LOCATED] > 0.0:
         if _corrects_mode(at, lane, q, i):
             ln.begin_start(at, lane, lane_int, i)  # the acceleration was that of another mode
