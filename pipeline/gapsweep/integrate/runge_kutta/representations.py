@@ -122,18 +122,13 @@ def table(points: ArrayLike, pieces: ArrayLike, j_1: float, j_2: float) -> Law:
     return Law(Formula(laws.TABLE, points=points, pieces=kept), q)
 
 
-def user(
-    function: Callable[[float], float],
-    j_1: float = np.inf,
-    j_2: float = np.inf,
-    slope: Callable[[float], float] | None = None,
-) -> Law:
+def user(function: Callable[[float], float], j_1: float = np.inf, j_2: float = np.inf) -> Law:
     """A scalar function F(x) [N] that numba can compile; compiled once in every process.
 
-    Without `slope` the tangent equations use central differences.
+    The tangent equations use central differences.
     """
     q, _ = _rows(1.0, j_1, j_2)
-    return Law(_user_kind(function, slope), q)
+    return Law(_user_kind(function), q)
 
 
 @njit
@@ -142,11 +137,8 @@ def _central(force: Any, x: float, h: float) -> Any:
 
 
 @lru_cache(maxsize=64)
-def _user_kind(function: Any, slope: Any) -> laws.User:
+def _user_kind(function: Any) -> laws.User:
     # The dispatchers are part of the kernel's type: new ones would compile the kernel anew.
     force = function if hasattr(function, "py_func") else njit(function)
-    if slope is None:
-        slope = njit(lambda x: _central(force, x, SLOPE_STEP * max(abs(x), SLOPE_LENGTH)))
-    elif not hasattr(slope, "py_func"):
-        slope = njit(slope)
+    slope = njit(lambda x: _central(force, x, SLOPE_STEP * max(abs(x), SLOPE_LENGTH)))
     return laws.User(force, slope)
