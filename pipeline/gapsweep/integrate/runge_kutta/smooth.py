@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.integrate.taylor.scenes import Scenes as ExactScenes
+from gapsweep.integrate.taylor.starts import CLOCK_ROUNDING, PRODUCT_ROUNDING
 from gapsweep.status import DIVERGED_AT
 
 from . import lanes as ln
@@ -26,8 +27,6 @@ Array = NDArray[np.float64]
 # At this tolerance and tighter the order-8 method is the cheaper one on the benchmark's scenes.
 _HIGH_ORDER_FROM = 1e-2
 _MOST_ATTEMPTS = 1e9  # after which a point is timed out
-_CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
-_PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of two numbers that are rounded, and it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +113,7 @@ def _split_turns(
     """Whole turns and phase at the end, snapped to a whole turn that only rounding misses."""
     first, last = t_0 * frequency, t_end * frequency
     # Late times round so coarsely that their difference is no whole turn where both are.
-    are_whole = (start_phase == 0.0) & (np.abs(last - np.rint(last)) <= _PRODUCT_ROUNDING * last)
+    are_whole = (start_phase == 0.0) & (np.abs(last - np.rint(last)) <= PRODUCT_ROUNDING * last)
     turns = np.where(are_whole, np.rint(last) - np.rint(first), (t_end - t_0) * frequency)
     end = start_phase + turns
     whole = np.rint(end)
@@ -340,7 +339,7 @@ def _set_starts(
     table[:, at.q : at.q + at.n_states] = start
     table[:, at.tau] = table[:, at.phase_0] = phase
     # A clock that starts at a phase cannot tell shorter steps from none.
-    coarse = _CLOCK_ROUNDING * phase * table[:, at.period]
+    coarse = CLOCK_ROUNDING * phase * table[:, at.period]
     table[:, at.h_min] = np.maximum(table[:, at.h_min], coarse)
     table[:, at.end_turns], table[:, at.end_tau] = _split_turns(phase, t_0, t_end, omega)
     table[:, at.record_turns] = phase + (np.maximum(record_from, t_0) - t_0) * omega

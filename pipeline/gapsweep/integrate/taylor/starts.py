@@ -16,8 +16,8 @@ from gapsweep.integrate.jit import entry, internal
 # start at rest, without an amplitude of its own, gets a finite step.
 FLOOR_SHARE = 1e-3
 READY, ON_WALL, NOT_FINITE, BACKWARD = range(4)
-_CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
-_PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of two numbers that are rounded, and it is
+CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
+PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of two numbers that are rounded, and it is
 
 
 @entry
@@ -202,7 +202,7 @@ def _periods(t, omega):
     """
     found = t * omega
     whole = np.rint(found)
-    return whole if abs(found - whole) <= _PRODUCT_ROUNDING * abs(found) else found
+    return whole if abs(found - whole) <= PRODUCT_ROUNDING * abs(found) else found
 
 
 @internal
@@ -217,7 +217,7 @@ def _set_clocks(at, point, t_0, t_end, record_from):
     # An end that rounding alone separates from a whole period is meant as one: else its section
     # point would be lost. None is meant as no time at all.
     whole = np.rint(end)
-    if whole > 0.0 and abs(end - whole) <= _CLOCK_ROUNDING * (1.0 + end):
+    if whole > 0.0 and abs(end - whole) <= CLOCK_ROUNDING * (1.0 + end):
         end = whole
     point[at.tau] = point[at.tau_start] = tau
     point[at.t_start] = t_0
