@@ -129,13 +129,13 @@ def _of_three(emit):
     return function
 
 
-sqrt = _of_one(vectors.square_root)
+sqrt = _of_one(vectors.sqrt)
 absolute = _of_one(vectors.absolute)
-floor = _of_one(vectors.round_down)
-nearest = _of_one(vectors.nearest_integer)
+floor = _of_one(vectors.floor)
+nearest = _of_one(vectors.nearest)
 splat = _of_one(lambda a: a)
-as_float_bits = _of_one(vectors.power_of_two)
-exponent_of = _of_one(vectors.exponent)
+power_of_two = _of_one(vectors.power_of_two)
+exponent = _of_one(vectors.exponent)
 minimum = _of_two(vectors.minimum)
 maximum = _of_two(vectors.maximum)
 copysign = _of_two(vectors.copysign)

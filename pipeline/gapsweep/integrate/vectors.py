@@ -147,17 +147,17 @@ def absolute(a):
     return _call("fabs", a)
 
 
-def square_root(a):
+def sqrt(a):
     """Square root, NaN for negative lanes."""
     return _call("sqrt", a)
 
 
-def nearest_integer(a):
+def nearest(a):
     """`a` rounded to the nearest integer."""
     return _call("rint", a)
 
 
-def round_down(a):
+def floor(a):
     """Largest integer that is not above `a`."""
     return _call("floor", a)
 

@@ -84,7 +84,7 @@ def exp(z):
     p0 = fma(fma(r, _E[3], _E[2]), r2, fma(r, _E[1], _E[0]))
     p1 = fma(fma(r, _E[7], _E[6]), r2, fma(r, _E[5], _E[4]))
     p2 = fma(fma(r, _E[11], _E[10]), r2, fma(r, _E[9], _E[8]))
-    return fma(fma(p2, r4, p1), r4, p0) * simd.as_float_bits(whole)
+    return fma(fma(p2, r4, p1), r4, p0) * simd.power_of_two(whole)
 
 
 @inlined
@@ -123,8 +123,8 @@ def arctan(z):
 @inlined
 def log(z):
     """Natural logarithm of a positive normal number."""
-    exponent = simd.exponent_of(z)
-    m = z * simd.as_float_bits(-exponent)
+    exponent = simd.exponent(z)
+    m = z * simd.power_of_two(-exponent)
     is_high = m > _SQRT_2
     m = select(is_high, m * 0.5, m)
     exponent = select(is_high, exponent + 1.0, exponent)

@@ -23,10 +23,10 @@ from numba import types
 
 from gapsweep.integrate.vectors import (
     I64,
+    floor,
     fma,
     load_row,
-    nearest_integer,
-    round_down,
+    nearest,
     store_row,
     where,
 )
@@ -82,7 +82,7 @@ def dot(factors, values, total):
 
 def _sin_cos_of_period(tau):
     """cos and sin of 2 pi tau for tau in [0, 1], absolute error of a rounding."""
-    quarter = nearest_integer(tau * 4.0)
+    quarter = nearest(tau * 4.0)
     angle = (tau * 4.0 - quarter) * (math.pi / 2)  # within pi/4
     square = angle * angle
     sine = square.constant((-1) ** 7 / math.factorial(15))
@@ -134,7 +134,7 @@ def _harmonics(lanes, amplitudes, names, n_terms):
         rate, turn = omega_rad, tau
         if multiples:
             rate, turn = omega_rad * multiples[i], fma(multiples[i], tau, phases[i])
-            turn = turn - round_down(turn)
+            turn = turn - floor(turn)
         new = _harmonic(given, rate, turn, n_terms)
         total = (
             [[a + b for a, b in zip(*pair, strict=True)] for pair in zip(total, new, strict=True)]

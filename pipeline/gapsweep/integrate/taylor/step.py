@@ -30,7 +30,7 @@ from gapsweep.integrate.vectors import (
     maximum,
     minimum,
     splat,
-    square_root,
+    sqrt,
     where,
 )
 
@@ -151,7 +151,7 @@ def _crossing(series, h, wall, x_1, v_1):
     # two roots the later one is taken: the earlier may be the wall that the step started on.
     g_1, u_1 = x_1 - wall, v_1 * h
     bend = (series[0] - wall) - g_1 + u_1
-    root = square_root(maximum(fma(u_1, u_1, -(bend * g_1 * 4.0)), 0.0 * g_1))
+    root = sqrt(maximum(fma(u_1, u_1, -(bend * g_1 * 4.0)), 0.0 * g_1))
     back = g_1 * 2.0 / (u_1 + copysign(root, u_1))
     t = h - h * maximum(minimum(back, back.constant(1.0)), 0.0 * back)
     for _ in range(NEWTON_STEPS):
