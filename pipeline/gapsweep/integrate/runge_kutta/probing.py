@@ -97,9 +97,9 @@ def count_dips(at, lane, q, scratch, contact, i):
 
 
 @internal
-def record(at, lane, lane_int, events, counters, kind, t, which, state, i):
+def record(at, lane, lane_int, events, counters, kind, t, state, i):
     """A record with the state in rows from `state` on."""
-    row = _begin_record(at, lane, lane_int, events, counters, kind, t, which, i)
+    row = _begin_record(at, lane, lane_int, events, counters, kind, t, 0, i)
     for j in range(at.n_states):
         events[row, ln.E_STATE + j] = lane[state + j, i]
 
@@ -334,7 +334,7 @@ def _record_moved(at, lane, lane_int, events, counters, kind, t, dt, i):
 def _record_probed(at, lane, lane_int, events, counters, kind, t, dt, i):
     """Record the probed event, which lies dt after the probe."""
     if kind == ln.SECTION:
-        record(at, lane, lane_int, events, counters, kind, t, 0, at.q_1, i)
+        record(at, lane, lane_int, events, counters, kind, t, at.q_1, i)
     elif kind == ln.EXTREMUM:
         if _is_return(at, lane, lane_int, i):
             _record_moved(at, lane, lane_int, events, counters, ln.SECTION, t, dt, i)

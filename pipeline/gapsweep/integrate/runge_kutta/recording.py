@@ -257,7 +257,7 @@ def _recorded(at, lane, lane_int, q, probes, scratch, events, counters, settings
     if settings[ln.S_DENSE] > 0.0:
         start = lane[at.old_turns, i] + (lane[at.old_tau, i] - lane[at.phase_0, i])
         t = start * lane[at.period, i]
-        record(at, lane, lane_int, events, counters, ln.STEP, t, 0, at.old_q, i)
+        record(at, lane, lane_int, events, counters, ln.STEP, t, at.old_q, i)
     lists_passings = settings[ln.S_CONTACTS] > 0.0 and not settings[ln.S_LOCATED] > 0.0
     section_only = settings[ln.S_SECTION_ONLY] > 0.0
     plan_probes(at, lane, lane_int, q, probes, scratch, section_only, lists_passings, has_dipped, i)
@@ -286,7 +286,7 @@ def attend(at, lane, lane_int, q, probes, scratch, events, counters, settings, o
         t = ln.elapsed(at, lane, i)
         if is_recording(at, lane, t, i):
             for _ in range(_n_walls(q, i)):
-                record(at, lane, lane_int, events, counters, ln.CONTACT, t, 0, at.q, i)
+                record(at, lane, lane_int, events, counters, ln.CONTACT, t, at.q, i)
     elif outcome.stopped & bit and _cut(at, lane, lane_int, q, scratch, is_located, i):
         return -1
     has_dipped = outcome.dipped & bit != 0
