@@ -6,6 +6,7 @@ The distance to an empty set is NaN.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -62,11 +63,7 @@ def hausdorff_in_plane(a: Array, b: Array, share: float = 1.0) -> Array:
     -------
     ndarray, shape (n,)
     """
-
-    def partial(p: Array, q: Array) -> Array:
-        return _hausdorff_in_plane(p, q, share)
-
-    return _by_size(partial, a, b, power=2)
+    return _by_size(partial(_hausdorff_in_plane, share=share), a, b, power=2)
 
 
 def _by_size(distance: Callable[[Array, Array], Array], a: Array, b: Array, power: int) -> Array:

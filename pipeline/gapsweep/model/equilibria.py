@@ -83,14 +83,10 @@ def equilibria(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Equilib
     falls on a sampled point, and counts as unstable. A pole is no root. A law of the user
     is resolved to about ``x_max/600``, and finely near its walls.
     """
-
-    def force(x: ArrayLike) -> Array:
-        return restoring_force(oscillator, law, x)
-
     points = search_points(law, x_max)
     turns, _ = sign_changes(lambda x: restoring_slope(oscillator, law, x), points)
     points = np.union1d(points, turns)
-    x, direction = sign_changes(force, points)
+    x, direction = sign_changes(lambda x: restoring_force(oscillator, law, x), points)
     return Equilibria(x, direction > 0.0, _potential(oscillator, law, x, points))
 
 
