@@ -36,7 +36,7 @@ def numerics_fingerprint(package: Path = _PACKAGE) -> str:
 
 
 @cache
-def numerics_bytes(package: Path = _PACKAGE) -> str:
+def numerics_bytes() -> str:
     """SHA-256 (16 hex digits) of the same modules to the last byte, comments included.
 
     By this two processes know in no time whether they run the same; the other one is for keys.
@@ -46,8 +46,8 @@ def numerics_bytes(package: Path = _PACKAGE) -> str:
     ClusterError
         As `numerics_fingerprint`.
     """
-    files = sorted(_numerics(package))
-    parts = ((path.relative_to(package).as_posix().encode(), path.read_bytes()) for path in files)
+    files = sorted(_numerics(_PACKAGE))
+    parts = ((path.relative_to(_PACKAGE).as_posix().encode(), path.read_bytes()) for path in files)
     return short_digest(b"\0".join(part for named in parts for part in named))
 
 
@@ -66,14 +66,15 @@ def _numerics(package: Path) -> list[Path]:
     """The files of the modules in `NUMERICS`, if none was edited since they were loaded."""
     paths = (package / name for name in NUMERICS)
     files = [m for p in paths for m in (p.rglob("*.py") if p.is_dir() else [p])]
-    _check_unedited(files, package)
+    if package == _PACKAGE:
+        _check_unedited(files)
     return files
 
 
-def _check_unedited(files: Iterable[Path], package: Path) -> None:
+def _check_unedited(files: Iterable[Path]) -> None:
     """Whether none of our files was edited since this process began to load them."""
     now = time.time()
-    for file in files if package == _PACKAGE else ():
+    for file in files:
         stat = file.stat()
         # A file that is put in place of another may keep its date. A clock that is ahead on
         # another machine is no edit.
@@ -82,7 +83,7 @@ def _check_unedited(files: Iterable[Path], package: Path) -> None:
 
 
 @cache
-def code_fingerprint(name: str, package: Path = _PACKAGE) -> str:
+def code_fingerprint(name: str) -> str:
     """SHA-256 (16 hex digits) of a module and of all of ours that it imports, at any depth.
 
     Parameters
@@ -95,13 +96,13 @@ def code_fingerprint(name: str, package: Path = _PACKAGE) -> str:
     ClusterError
         As `numerics_fingerprint`: what the old code makes must not count as the new one's.
     """
-    needed = modules(package / name, package)
-    _check_unedited(needed, package)
+    needed = modules(_PACKAGE / name, _PACKAGE)
+    _check_unedited(needed)
     templates = {path for module in needed for path in (module.parent / "templates").glob("*")}
-    return _digest(package, needed | templates)
+    return _digest(_PACKAGE, needed | templates)
 
 
-def imports_fingerprint(names: Iterable[str], package: Path = _PACKAGE) -> str:
+def imports_fingerprint(names: Iterable[str]) -> str:
     """SHA-256 (16 hex digits) of all of ours that others import, at any depth.
 
     Parameters
@@ -110,10 +111,10 @@ def imports_fingerprint(names: Iterable[str], package: Path = _PACKAGE) -> str:
         Dotted names, as in import statements. The package itself stands for all there is.
     """
     named = set(names)
-    if package.name in named:
-        return _digest(package, package.rglob("*.py"))
-    found = {path for name in named for path in _files(name, package)}
-    return _digest(package, modules(found, package))
+    if _PACKAGE.name in named:
+        return _digest(_PACKAGE, _PACKAGE.rglob("*.py"))
+    found = {path for name in named for path in _files(name, _PACKAGE)}
+    return _digest(_PACKAGE, modules(found, _PACKAGE))
 
 
 def modules(paths: Path | Iterable[Path], package: Path) -> set[Path]:
