@@ -44,12 +44,11 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     _plain().print(table)
 
 
-def print_text(text: str, indent: str = "") -> None:
+def print_text(text: str) -> None:
     """Print a paragraph as wide as the terminal, broken between words."""
     filled = textwrap.fill(
-        text, _plain().width, initial_indent=indent, subsequent_indent=indent + "  ",
-        break_long_words=False, break_on_hyphens=False,
-    )  # fmt: skip
+        text, _plain().width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
     print(filled)
 
 

@@ -68,7 +68,7 @@ def test_long_texts_go_on_below_with_whole_words(capsys):
     assert set(LONG.split()) <= set(text.split())
     assert " 1  the exact" in text
     assert "\n20  short" in text
-    print_text(LONG, indent="  ")
+    print_text(LONG)
     assert set(LONG.split()) <= set(shown(capsys).split())
 
 

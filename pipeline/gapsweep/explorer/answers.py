@@ -211,12 +211,13 @@ def from_rest(question: Question, label: str) -> Curve:
     return _curve(question, label, REST, omega, np.zeros((2, N_OMEGA)))
 
 
-def sweeps(question: Question, label: str = EXACT) -> Iterator[Curve]:
-    """Sweeps up and down in turns, each frequency from where the one before it has ended.
+def sweeps(question: Question) -> Iterator[Curve]:
+    """Sweeps of the exact law up and down in turns.
 
-    Every curve holds all frequencies of its sweep so far.
+    Each frequency starts where the one before it has ended. Every curve holds all frequencies of
+    its sweep so far.
     """
-    law, omega = question.law(label), frequencies(question)
+    law, omega = question.law(EXACT), frequencies(question)
     ends = {UP: (0.0, 0.0), DOWN: (0.0, 0.0)}
     parts: dict[str, list[Curve]] = {UP: [], DOWN: []}
     for first in range(0, N_OMEGA, _CHUNK):
@@ -224,7 +225,7 @@ def sweeps(question: Question, label: str = EXACT) -> Iterator[Curve]:
             here = along[first : first + _CHUNK]
             states = _carried(question.oscillator, law, here, ends[protocol])
             ends[protocol] = (states[0, -1], states[1, -1])
-            parts[protocol].append(_curve(question, label, protocol, here, states))
+            parts[protocol].append(_curve(question, EXACT, protocol, here, states))
             yield _joined(parts[protocol])
 
 
