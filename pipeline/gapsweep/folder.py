@@ -24,7 +24,7 @@ _SETTINGS = (
 )
 
 
-def run_folder(study: Study, out: str | Path | None = None) -> Path:
+def run_folder(study: Study, out: str | Path | None) -> Path:
     """Where a run leaves its files: the argument, else ``data/runs/<study name>``."""
     return Path(out) if out is not None else RUNS / study.name
 

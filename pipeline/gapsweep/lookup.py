@@ -23,7 +23,7 @@ from gapsweep.study.study import Study
 DEFAULT_CACHE = Path("data/cache.sqlite")
 
 
-def cache_path(cache: str | Path | None = None) -> Path:
+def cache_path(cache: str | Path | None) -> Path:
     """The cache to use: the argument, else ``GAPSWEEP_CACHE``, else ``data/cache.sqlite``.
 
     Raises
@@ -63,7 +63,7 @@ def plan(
         return make_plan(study, store, selection=selection, retry_failed=retry_failed)
 
 
-def expected_seconds(plan: Plan, cache: str | Path | None = None, workers: int = 2) -> float | None:
+def expected_seconds(plan: Plan, cache: str | Path | None, workers: int) -> float | None:
     """Time the missing points will take [s], from stored costs; None if none are stored.
 
     Points of the same representation set the price where there are any, else the mean.
@@ -86,7 +86,7 @@ def expected_seconds(plan: Plan, cache: str | Path | None = None, workers: int =
 
 
 def stage_reasons(
-    study: Study, plan: Plan, out: str | Path | None = None, cache: str | Path | None = None
+    study: Study, plan: Plan, out: str | Path | None, cache: str | Path | None
 ) -> dict[str, str | None]:
     """Why each stage would run; None for those that are up to date."""
     folder, path = run_folder(study, out), cache_path(cache)

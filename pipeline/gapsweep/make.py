@@ -63,7 +63,7 @@ def update_points(
     planned: Plan,
     store: Cache,
     folder: Path,
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None],
 ) -> MadeFrom:
     """Make what is made from the cache, if it is not up to date.
 
@@ -90,9 +90,9 @@ def update(
     given: MadeFrom,
     *,
     n_points: int,
-    timeout: float = DEFAULT_TIMEOUT,
-    retry_failed: bool = False,
-    say: Callable[[str], None] = lambda text: None,
+    timeout: float,
+    retry_failed: bool,
+    say: Callable[[str], None],
 ) -> None:
     """Make every other file of a run that is not up to date.
 

@@ -30,7 +30,7 @@ _LOCAL_SETTINGS = {
 
 
 @contextmanager
-def cluster(workers: int = 2, scheduler: str | None = None) -> Iterator[Client]:
+def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
     """A client of a local cluster of worker processes, or of a running scheduler.
 
     Parameters
