@@ -146,33 +146,21 @@ def _analyse(
     folder: Path,
     now: MadeFrom,
     timeout: float,
-    say: Callable[[str], None] | None = None,
+    say: Callable[[str], None] | None,
 ) -> None:
-    """Make the file of an analysis stage.
+    """Make the file of an analysis stage, if the laws that it is made with stay what they are.
 
     Parameters
     ----------
     now : MadeFrom
         What it is made from, taken before: an edit meanwhile makes the file stale, not current.
     """
-    result = _unedited(stage, study, folder, timeout, say)
-    netcdf.write(result, folder / stage.file, {"made_from": as_text(now)})
-
-
-def _unedited(
-    stage: Stage,
-    study: Study,
-    folder: Path,
-    timeout: float,
-    say: Callable[[str], None] | None = None,
-) -> "xr.Dataset":
-    """The dataset of an analysis stage, if the laws that it was made with are still there."""
     before = study_source(study)
     made = _analysed(stage, study, folder, timeout, say)
     own_law.refresh()
     if study_source(study) != before:
         raise StudyError([f"{study.source}: a law of your own was edited meanwhile; run again"])
-    return made
+    netcdf.write(made, folder / stage.file, {"made_from": as_text(now)})
 
 
 def _analysed(
@@ -180,7 +168,7 @@ def _analysed(
     study: Study,
     folder: Path,
     timeout: float,
-    say: Callable[[str], None] | None = None,
+    say: Callable[[str], None] | None,
 ) -> "xr.Dataset":
     """The dataset of an analysis stage."""
     from gapsweep.analysis.advice import advice

@@ -309,7 +309,7 @@ def test_benchmarks_name_what_they_were_made_from_before_they_began(tables, tmp_
     }
     order = []
     monkeypatch.setattr(make, "made_from", lambda *given: order.append("made from") or {})
-    monkeypatch.setattr(make, "_unedited", lambda *given: order.append("analysis"))
+    monkeypatch.setattr(make, "_analysed", lambda *given: order.append("analysis"))
     monkeypatch.setattr(make.netcdf, "write", lambda *given: order.append("written"))
     make.bench(gs.Study.from_dict(tables), tmp_path)
     assert order == ["made from", "analysis", "written"]
