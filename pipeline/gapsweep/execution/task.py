@@ -25,7 +25,7 @@ from gapsweep.integrate.simulate import loaded
 from gapsweep.model import own_law
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
-from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
 from gapsweep.model.system import System
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.respond import respond_all
@@ -34,7 +34,7 @@ from gapsweep.response.scene import Scene
 from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
 from gapsweep.study.fingerprint import check_unedited
-from gapsweep.study.points import KEY, OF_CONTACT, OSCILLATOR, OURS, Kind, Points, with_ratio
+from gapsweep.study.points import KEY, OF_CONTACT, OURS, Kind, Points, with_ratio
 from gapsweep.study.software import software, versions
 
 _RESTARTED = "the point before it failed: starts from the last settled one"

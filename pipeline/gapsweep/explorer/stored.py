@@ -10,6 +10,7 @@ import xarray as xr
 from gapsweep.explorer.answers import Points
 from gapsweep.explorer.question import of_study
 from gapsweep.model.labels import law_of
+from gapsweep.model.oscillator import OSCILLATOR
 from gapsweep.stages import RESPONSES
 from gapsweep.store import netcdf
 from gapsweep.study.schema import written
@@ -81,5 +82,5 @@ def _named(scene: xr.Dataset, dims: list[Any]) -> str:
 
 
 def _numbers(scene: xr.Dataset) -> dict[str, float]:
-    names = ("K_c", "j_1", "j_2", "K_ratio", "zeta", "omega_n", "mass", "alpha", "forcing")
+    names = ("K_c", "j_1", "j_2", "K_ratio", *OSCILLATOR)
     return {name: scene[name].item() for name in names if name in scene.coords}

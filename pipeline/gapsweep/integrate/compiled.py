@@ -25,6 +25,7 @@ from gapsweep.model.contact import (
     UserLaw,
 )
 from gapsweep.model.fitted import Polynomial, RationalPolynomial
+from gapsweep.model.oscillator import OSCILLATOR
 from gapsweep.model.table import ForceTable
 
 Array = NDArray[np.float64]
@@ -57,8 +58,8 @@ def _column(objects: Sequence[Any], name: str) -> Array:
 
 
 def _oscillator_arrays(models: Models) -> dict[str, Any]:
-    names = ("zeta", "omega_n", "mass", "alpha", "forcing")
-    return {name: _column(models.systems, name) for name in names} | {"omega": models.omega}
+    columns = {name: _column(models.systems, name) for name in OSCILLATOR}
+    return columns | {"omega": models.omega}
 
 
 def _gap_arrays(laws: Sequence[Any]) -> dict[str, Any]:

@@ -16,6 +16,9 @@ from gapsweep.errors import ModelError
 # frequencies' squares times its ratios; no machine comes near them.
 SMALLEST, LARGEST = 1e-50, 1e50
 
+# The numbers of an oscillator, in the order that they have in every table.
+OSCILLATOR = ("zeta", "omega_n", "mass", "alpha", "forcing")
+
 
 def is_number(value: Any) -> bool:
     """Whether it may be taken for a number: Python makes one of text and of truth values too."""

@@ -1,21 +1,19 @@
 """The part of a dataset that a plot shows: selected by coordinate, with the dimensions it needs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 import xarray as xr
 
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
-from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.oscillator import OSCILLATOR, Gap
 from gapsweep.report.scales import shortened
 from gapsweep.study.schema import PARAMETER
 from gapsweep.study.selection import listed
 
 _SHOWN_NAMES = 6
-_OSCILLATOR = (field.name for field in fields(Oscillator))
-_PLACE = ("K_c", "gap", "j_1", "j_2", "omega", *_OSCILLATOR, "K_ratio")
+_PLACE = ("K_c", "gap", "j_1", "j_2", "omega", *OSCILLATOR, "K_ratio")
 _NAMELESS = "response"  # where a selection has dropped the representation's label
 
 

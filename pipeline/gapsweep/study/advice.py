@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import FIT_RANGE, ContactLaw
 from gapsweep.model.labels import FAMILIES, contact_law
-from gapsweep.model.oscillator import Gap, Oscillator, checked
-from gapsweep.study.points import OSCILLATOR, Points
+from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator, checked
+from gapsweep.study.points import Points
 
 Array = NDArray[np.float64]
 

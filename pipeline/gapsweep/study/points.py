@@ -14,7 +14,7 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.model import own_law
 from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.labels import contact_law, is_fitted
-from gapsweep.model.oscillator import Gap
+from gapsweep.model.oscillator import OSCILLATOR, Gap
 from gapsweep.model.structure import Structure
 from gapsweep.response.result import Steady
 from gapsweep.study.fingerprint import numerics_fingerprint
@@ -27,7 +27,6 @@ FIXED = "fixed"
 SWEEPS = ("sweep_up", "sweep_down")
 OURS = "null"  # in place of the code of a user's law
 
-OSCILLATOR = ("zeta", "omega_n", "mass", "alpha", "forcing")
 # The columns of every table of points: what differs from point to point.
 NUMBERS = ("K_c", "j_1", "j_2", "omega", *OSCILLATOR, "x_0", "v_0")
 # Those of points whose walls differ. Others do without, and have the keys that they always had.

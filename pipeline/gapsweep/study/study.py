@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import AUTO, EXACT, law_of
-from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.oscillator import OSCILLATOR, Oscillator
 from gapsweep.model.structure import Structure
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advised
@@ -26,7 +26,6 @@ from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
 from gapsweep.study.history import setting, undecided
 from gapsweep.study.points import (
     NUMBERS,
-    OSCILLATOR,
     SWEEPS,
     UNEQUAL,
     Kind,
