@@ -80,7 +80,7 @@ def dot(factors, values, total):
     return total
 
 
-def _sin_cos_of_period(tau):
+def _cos_sin_of_period(tau):
     """cos and sin of 2 pi tau for tau in [0, 1], absolute error of a rounding."""
     quarter = nearest(tau * 4.0)
     angle = (tau * 4.0 - quarter) * (math.pi / 2)  # within pi/4
@@ -109,7 +109,7 @@ def _harmonic(amplitudes, rate, turn, n_terms):
     turn : Vec
         Phase in periods, in [0, 1].
     """
-    c, s = _sin_cos_of_period(turn)
+    c, s = _cos_sin_of_period(turn)
     minus_square = -(rate * rate)
     series = [[a * c, -(a * rate * s)] for a in amplitudes]
     for terms in series:
@@ -297,8 +297,8 @@ class Motion:
         for n in range(order - 1):
             self._project_gaps(n)
             self._extend(n, self._cubes(n))
-            self._extend_lags(n)
-        self._extend_lags(order - 1)
+            extend_lags(equation, self.q, self.z, n)
+        extend_lags(equation, self.q, self.z, order - 1)
         for n in (order - 1, order):
             self._project_gaps(n)
 
@@ -341,10 +341,6 @@ class Motion:
             new.append(total * (1.0 / ((n + 1) * (n + 2))))
         for q, term in zip(self.q, new, strict=True):
             q.append(term)
-
-    def _extend_lags(self, n):
-        """Coefficient n + 1 of the first-order states."""
-        extend_lags(self.equation, self.q, self.z, n)
 
 
 def extend_lags(equation, q, z, n):
