@@ -13,14 +13,16 @@ import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.vectors import lowest_bit
+from gapsweep.status import Status
 
 from .record import has_room, load_series, record_steps
 from .roots import Work, first_exit, polynomial
 from .starts import follow
 from .step import MAX_HALVINGS, SHORT_STEP, taylor_step
 
-# outcomes, with the numbers of the dataset's status flag
-RUNNING, OK, DIVERGED, STEP_UNDERFLOW, CHATTER = -1, 0, 4, 6, 7
+# outcomes, as plain numbers for compiled code
+RUNNING, OK, DIVERGED = -1, int(Status.OK), int(Status.DIVERGED)
+STEP_UNDERFLOW, CHATTER = int(Status.STEP_UNDERFLOW), int(Status.CHATTER)
 FINISHED, BUFFER_FULL, BUDGET_SPENT = 0, 1, 2
 IDLE = -1
 LARGEST = np.finfo(float).max
