@@ -16,7 +16,7 @@ Smooth laws, and the exact law without location, are integrated in one plain run
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -49,15 +49,8 @@ from gapsweep.status import DIVERGED_AT, Status
 Array = NDArray[np.float64]
 Event = Callable[[float, Sequence[float]], float]
 
-_EVENTS = (
-    "t_extrema",
-    "extrema",
-    "extrema_of",
-    "t_contacts",
-    "contacts_of",
-    "t_section",
-    "section",
-)
+# The lists among the events; of the others each has the length of one.
+_EVENTS = [each.name for each in fields(Events) if not each.name.startswith("n_")]
 _MAX_STALLED = 100
 _NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it has just passed
 
@@ -295,7 +288,7 @@ def _solve(
         scene.method,
         dense_output=True,
         events=[_contact_event(scene, modes, *each, t, y, on_wall) for each in exits]
-        + [_divergence(scene.n)],
+        + [_Stop(lambda t, y: max(map(abs, y[: scene.n])) - DIVERGED_AT)],
         rtol=scene.rtol,
         atol=scene.atol,
     )
@@ -374,12 +367,6 @@ def _contact_event(
         return float(beyond / (t - t_start)) if t > t_start else sign
 
     return _Stop(event, direction=-sign)
-
-
-def _divergence(n: int) -> _Stop:
-    """Terminal event where a coordinate of n leaves all bounds."""
-
-    return _Stop(lambda t, y: max(map(abs, y[:n])) - DIVERGED_AT)
 
 
 def _cut_at_missed_contact(scene: Scene, modes: tuple[int, ...], segment: _Segment) -> _Segment:
