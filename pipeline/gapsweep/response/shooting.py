@@ -181,13 +181,17 @@ class Growths:
         How many times a growth was begun.
     strayed : ndarray, shape (n_points,)
         How far [m] the solver strayed in a block: root of the mean square.
+    n_all : int
+        Blocks that a growth has.
     """
+
+    n_all = 1 + _N_BATCHES * _BLOCKS
 
     def __init__(self, n_states: int, n_points: int) -> None:
         self.y = np.empty((n_states, n_points))
         self.n_periods, self.n_blocks, self.n_times = np.zeros((3, n_points), np.int64)
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
-        self._rates = np.empty((n_points, 1 + _N_BATCHES * _BLOCKS))  # of every block [1/s]
+        self._rates = np.empty((n_points, self.n_all))  # of every block [1/s]
 
     def begin(self, points: Numbers, y: Array, rate: Array, omega: Array, longest: Array) -> None:
         """Begin at states.
@@ -207,13 +211,8 @@ class Growths:
         start = np.linspace(1.0, 0.0, len(y))
         self.y[:, points], self._direction[points], self.n_blocks[points] = y, start, 0
         self.n_times[points] += 1
-        wanted = np.minimum(_BATCH / _BLOCKS / rate * omega, longest / self._rates.shape[1])
+        wanted = np.minimum(_BATCH / _BLOCKS / rate * omega, longest / self.n_all)
         self.n_periods[points] = np.maximum(1, np.ceil(wanted))
-
-    @property
-    def n_all(self) -> int:
-        """How many blocks a growth has."""
-        return self._rates.shape[1]
 
     def n_all_periods(self, points: Numbers) -> Counts:
         """How many forcing periods growths last; one if never begun."""
@@ -223,16 +222,13 @@ class Growths:
         """How many times as long as growths that did not tell the next ones are."""
         return np.maximum(_LONGER, _LONG / self.n_all_periods(points))
 
-    def together(self) -> int:
-        """How many points have all of their blocks in one call: some ten megabytes."""
-        return max(1, _MOST_NUMBERS // (self.n_all * len(self.y) ** 2))
-
     def advance(self, ensemble: Ensemble, points: Numbers) -> tuple[Numbers, Counts]:
         """Go on with some of the points; who is then over, and as what, as in `step`."""
         n = 1
         if ensemble.is_chained:
             # All blocks of a point: where a chain is cut may not depend on its company.
-            points, n = points[: self.together()], self.n_all
+            n = self.n_all
+            points = points[: max(1, _MOST_NUMBERS // (n * len(self.y) ** 2))]
         blocks = np.repeat(points, n)
         follows = np.append(False, blocks[1:] == blocks[:-1])
         call = ensemble.call(
