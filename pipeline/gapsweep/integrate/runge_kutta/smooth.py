@@ -226,9 +226,9 @@ def prepared(
     mass: Array,
     table: Array,
     *,
-    rtol: float = 1e-9,
-    atol: float = 1e-12,
-    controller: str = "native",
+    rtol: float,
+    atol: float,
+    controller: str,
 ) -> Scenes:
     """Scenes whose equations stand in a table; `scenes` and `system_scenes` make it.
 
@@ -239,10 +239,6 @@ def prepared(
     controller : {"native", "ode45"}
         "ode45" is Dormand-Prince 5(4) with the step control of MATLAB's ode45.
     """
-    if controller not in ("native", "ode45"):
-        raise ValueError(f"controller must be 'native' or 'ode45', not {controller!r}")
-    if not (rtol > 0.0 and atol >= 0.0):
-        raise ValueError(f"need rtol > 0 and atol >= 0, got {rtol} and {atol}")
     is_low = controller == "ode45" or rtol > _HIGH_ORDER_FROM
     method = tableaux.DP5 if is_low else tableaux.DOP853
     parts = [table]
