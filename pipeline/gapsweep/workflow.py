@@ -158,7 +158,7 @@ def carry_out(
     **how: Any,
 ) -> Outcome:
     """`run`, with the outcome instead of the dataset."""
-    folder = run_folder(study, out)
+    folder, path = run_folder(study, out), cache_path(cache)
     check_writable(folder)
     check_owner(study, folder)
     if changed := changed_since(study, folder):
@@ -172,7 +172,7 @@ def carry_out(
     )
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
-    with Recorder(folder, study, cache_path(cache), planned, on_progress) as recorder:
+    with Recorder(folder, study, path, planned, on_progress) as recorder:
 
         def begin() -> None:
             # Whoever comes next sees at once whose folder it is, not when this one has computed.
@@ -181,12 +181,12 @@ def carry_out(
                 recorder.write()
 
         how |= {"timeout": timeout, "retry_failed": retry_failed, "begin": begin}
-        progress = _computed(study, client, planned, cache, recorder, **how)
+        progress = _computed(study, client, planned, path, recorder, **how)
         say = partial(tell, recorder, progress)
         recorder.write()
         with alone_in(folder):
             check_owner(study, folder)
-            with Cache(cache_path(cache), read_only=True) as store:
+            with Cache(path, read_only=True) as store:
                 # Even if nothing was missing: rows may have been deleted meanwhile.
                 planned = _as_stored(planned, store)
                 given = update_points(study, planned, store, folder, say)
@@ -269,7 +269,7 @@ def query(
         else:
             planned = make_plan(study, selection=selection)
         progress = _computed(
-            study, client, planned, cache, observer, workers=workers, scheduler=scheduler
+            study, client, planned, path, observer, workers=workers, scheduler=scheduler
         )
     with Cache(path, read_only=True) as store:
         return _exported(study, _as_stored(planned, store), store, selection, progress)
@@ -303,7 +303,7 @@ def _computed(
     study: Study,
     client: "Client | None",
     planned: Plan,
-    cache: str | Path | None,
+    path: Path,
     on_progress: OnProgress | None,
     *,
     workers: int = 2,
@@ -317,7 +317,7 @@ def _computed(
     """
     if planned.n_damaged:
         warnings.warn(
-            f"{cache_path(cache)}: {planned.n_damaged} damaged results, computed again",
+            f"{path}: {planned.n_damaged} damaged results, computed again",
             stacklevel=3,
         )
     if not planned.n_missing:
@@ -326,7 +326,7 @@ def _computed(
         return Progress(planned.n_points, planned.n_hits)
     before = Progress(planned.n_points, planned.n_hits)
     # Now, before anybody waits for workers.
-    check_writable(cache_path(cache).parent, "a cache elsewhere with --cache")
+    check_writable(path.parent, "a cache elsewhere with --cache")
     if client is None:
         tell(on_progress, before, f"joining {scheduler}" if scheduler else "starting the workers")
     from gapsweep.execution.cluster import cluster
@@ -336,7 +336,7 @@ def _computed(
     with joined as connected:
         if begin is not None:
             begin()
-        with Cache(cache_path(cache)) as store:
+        with Cache(path) as store:
             if store.on_network:
                 warnings.warn(
                     f"{store.path}: on a network file system, so without SQLite's write-ahead log: "
