@@ -3,7 +3,6 @@
 import random
 from collections.abc import Collection
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +73,8 @@ def differences(cache: Cache, key: NDArray[np.void], alone: Alone) -> list[str]:
     again = response_of(alone, Points(kind, contents.numbers[[row]]), state)
     now, stored = again.row(0), contents.responses.row(row)
     names = [field.name for field in fields(Response) if field.name not in ("cpu_time", "message")]
-    return [name for name in names if not _same(getattr(now, name), getattr(stored, name))]
+    pairs = {name: (getattr(now, name), getattr(stored, name)) for name in names}
+    return [name for name, (a, b) in pairs.items() if not np.array_equal(a, b, equal_nan=True)]
 
 
 def _is_current(kind: Kind, alone: Alone) -> bool:
@@ -85,7 +85,3 @@ def _is_current(kind: Kind, alone: Alone) -> bool:
         return kind.law_code == alone(law_code, kind.representation)
     except CallError:  # it has gone, or does to its process what it did not when it was stored
         return False
-
-
-def _same(a: Any, b: Any) -> bool:
-    return np.array_equal(a, b, equal_nan=True)
