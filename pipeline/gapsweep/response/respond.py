@@ -100,7 +100,7 @@ def respond(
 
 
 def check_kinds(oscillator: Oscillator | System, steady: Steady) -> None:
-    """Refuse anything else.
+    """Refuse what is no model, or no settings of when a response is steady.
 
     Raises
     ------
