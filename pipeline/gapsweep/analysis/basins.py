@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gapsweep.analysis.arrays import Array
 from gapsweep.errors import ModelError
 from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
@@ -18,8 +19,6 @@ from gapsweep.response.respond import check_kinds, respond_all
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.scene import Scene
 from gapsweep.response.section import unit_of
-
-Array = NDArray[np.float64]
 
 _MAX_STARTS = 10**6
 _PART = 4096  # starts that are answered together

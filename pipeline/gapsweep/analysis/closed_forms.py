@@ -5,15 +5,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.scenes import Scene
 from gapsweep.analysis.truth import Motion
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import linear_stiffness, panels, search_points
 from gapsweep.status import Status
-
-Array = NDArray[np.float64]
 
 
 def plain_duffing(scene: Scene) -> Scene:

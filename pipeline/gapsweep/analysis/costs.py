@@ -4,14 +4,12 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.scenes import Scene, law_or_none
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
-
-Array = NDArray[np.float64]
 
 # The frequencies of the lanes that advance beside a scene, relative to it and to each other.
 _NEIGHBOUR = 1e-4

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from gapsweep.analysis.arrays import Array
 from gapsweep.errors import ModelError
 from gapsweep.execution.alone import Alone, CallError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
@@ -29,8 +29,6 @@ from gapsweep.study.points import canonical
 from gapsweep.study.schema import COORDINATES, STATUS_FLAGS, Variable, empty, with_attributes
 from gapsweep.study.spec import HistoryTable
 from gapsweep.study.study import Study
-
-Array = NDArray[np.float64]
 
 N_PERIODS = 60  # kept at either end: 2² · 3 · 5
 SAMPLES_PER_PERIOD = 256

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.closed_forms import closed_form, energy_drift, plain_duffing
 from gapsweep.analysis.force_error import in_gap
 from gapsweep.analysis.scenes import (
@@ -53,8 +53,6 @@ from gapsweep.model.oscillator import Oscillator
 from gapsweep.status import Status
 from gapsweep.study.schema import STATUS_FLAGS, Variable, empty, with_attributes
 from gapsweep.study.study import Study
-
-Array = NDArray[np.float64]
 
 
 class Outcome(IntEnum):

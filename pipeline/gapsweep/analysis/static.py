@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
 from gapsweep.analysis.thresholds import tanh_threshold
 from gapsweep.errors import ModelError
@@ -27,7 +28,6 @@ from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.schema import COORDINATES, Variable
 from gapsweep.study.study import Study
 
-Array = NDArray[np.float64]
 Values = dict[str, Any]
 
 EQUILIBRIUM = "equilibrium"

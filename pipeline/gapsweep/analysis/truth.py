@@ -10,15 +10,13 @@ import math
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.scenes import Scene, law_or_none
 from gapsweep.integrate.problem import SMALLEST_RTOL, Solver
 from gapsweep.integrate.simulate import simulate
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.status import Status
-
-Array = NDArray[np.float64]
 
 TIGHT = {
     engine: Solver(engine=engine, rtol=SMALLEST_RTOL, atol=1e-3 * SMALLEST_RTOL)

@@ -17,7 +17,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from gapsweep.analysis.costs import cost
 from gapsweep.analysis.pareto import on_front
@@ -55,7 +54,6 @@ from gapsweep.status import Status
 from gapsweep.study.schema import STATUS_FLAGS, Variable, empty, with_attributes
 from gapsweep.study.study import Study
 
-Array = NDArray[np.float64]
 Cell = tuple[int, int, int]
 Result = TypeVar("Result")
 
