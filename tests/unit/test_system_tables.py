@@ -361,6 +361,29 @@ def test_a_function_that_ends_its_process_ends_no_command(tmp_path, body, said):
     assert "s.toml: system: ending:make: " in done.stderr
 
 
+def test_a_function_that_ends_its_process_at_a_swept_value_ends_no_command(tmp_path):
+    text = (
+        "import os\nimport gapsweep as gs\n\n\n"
+        "def make(k):\n    if k == 2.0:\n        os._exit(0)\n"
+        "    return gs.System(mass=[[1.0]], damping=[[1.0]], stiffness=[[k]])\n"
+    )
+    done = told(tmp_path, "late", text, "k = [1.0, 2.0]\n", "run", "s.toml")
+    assert done.returncode == 1
+    assert "s.toml: system at k = 2: late:make: its process ended with exit code 0" in done.stderr
+
+
+def test_systems_are_made_of_the_values_that_points_have():
+    tables = changed(SECTION, sweep__0__speed=[8.0, 10.0])
+    block = deepcopy(tables["sweep"][0])
+    tables["sweep"].append({**block, "speed": 12.0, "density": 1.1})
+    study = gs.Study.from_dict(tables)
+    assert study.systems.swept(study.grid.axes, study.grid.requested) == [
+        {"speed": 8.0, "density": 1.2},
+        {"speed": 10.0, "density": 1.2},
+        {"speed": 12.0, "density": 1.1},
+    ]
+
+
 def test_a_function_may_ask_for_laws_in_threads(tmp_path, monkeypatch):
     (tmp_path / "pooled.py").write_text(
         "from concurrent.futures import ThreadPoolExecutor\nimport gapsweep as gs\n\n\n"

@@ -13,6 +13,7 @@ from gapsweep.model import own_law
 from gapsweep.status import Status
 from gapsweep.study.points import law_code
 from gapsweep.study.study import Study
+from gapsweep.study.system_tables import said
 
 _LONGEST = 60.0  # s
 # What a module imports and compiles counts here, and in no time limit of points.
@@ -21,7 +22,8 @@ _STEPS = (("imported", own_law.code), ("called at x = 0", law_code))
 
 
 def try_out_system(function: str, path: Path, code_in: str) -> None:
-    """Load a study whose system a function of the user's makes, in a child process.
+    """Load a study whose system a function of the user's makes, in a child process, and make all of
+    its systems there.
 
     Parameters
     ----------
@@ -33,18 +35,35 @@ def try_out_system(function: str, path: Path, code_in: str) -> None:
     Raises
     ------
     StudyError
-        If the function ends its process or hangs. What it raises the study raises, too.
+        If the function ends its process or hangs, at whatever values. What it raises the study
+        raises, too.
     """
     with Alone(_LONGEST) as alone:
+        at = ""
         try:
-            alone(_loads, path, code_in)
+            for some in alone(_loads, path, code_in):
+                at = f" at {said(some)}"
+                alone(_makes, some)
         except CallError as lost:
             if lost.status in (Status.KILLED, Status.TIMED_OUT):
-                raise StudyError([f"{path}: system: {function}: {lost.message}"]) from None
+                raise StudyError([f"{path}: system{at}: {function}: {lost.message}"]) from None
 
 
-def _loads(path: Path, code_in: str) -> None:
-    Study.load(path, code_in)
+# What a child process has loaded, for the calls that follow.
+_studies: list[Study] = []
+
+
+def _loads(path: Path, code_in: str) -> list[dict[str, float]]:
+    """Load a study, and say at what values it has systems."""
+    study = Study.load(path, code_in)
+    _studies[:] = [study]
+    return study.systems.swept(study.grid.axes, study.grid.requested) if study.systems else []
+
+
+def _makes(some: dict[str, float]) -> None:
+    systems = _studies[0].systems
+    assert systems is not None, "it has been loaded for them"
+    systems.at(some)
 
 
 def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:

@@ -109,8 +109,7 @@ def maker(table: SystemTable, source: str) -> Callable[[Mapping[str, float]], Sy
                 return _of_matrices(table)
             return _made(table.function, function, parameters)
         except ModelError as error:
-            said = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
-            at = f" at {said}" if said else ""
+            at = f" at {said(parameters)}" if parameters else ""
             raise StudyError([f"{source}: system{at}: {error}"]) from None
 
     try:
@@ -118,6 +117,11 @@ def maker(table: SystemTable, source: str) -> Callable[[Mapping[str, float]], Sy
     except ModelError as error:
         raise StudyError([f"{source}: system: {error}"]) from None
     return made
+
+
+def said(parameters: Mapping[str, float]) -> str:
+    """Values of parameters, for messages."""
+    return ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
 
 
 def _function(name: str) -> Any:

@@ -17,7 +17,7 @@ from gapsweep.study.axes import count, forms
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Axes, starts_of
 from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical
 from gapsweep.study.spec import StudySpec, SystemSweepTable
-from gapsweep.study.system_tables import maker
+from gapsweep.study.system_tables import maker, said
 
 Array = NDArray[np.float64]
 Places = Mapping[str, NDArray[np.intp]]
@@ -51,7 +51,7 @@ class Systems:
     @cached_property
     def system(self) -> System:
         """The system at the default values of its parameters."""
-        return self._at({})
+        return self.at({})
 
     @cached_property
     def structure(self) -> Structure:
@@ -112,6 +112,44 @@ class Systems:
                 )
             found.append([*map(float, state), *[0.0] * (n_states - len(state))])
         return np.array(found)
+
+    def swept(self, axes: Axes, requested: NDArray[np.bool_]) -> list[dict[str, float]]:
+        """The values of swept parameters with which a system is made, those of requested points."""
+        names = [name for name in axes if name in self.spec.parameters]
+        others = tuple(i for i, name in enumerate(axes) if name not in names)
+        places = np.argwhere(requested.any(axis=others)) if names else np.empty((0, 0), np.intp)
+        return [
+            {name: axes[name][i] for name, i in zip(names, one, strict=True)}
+            for one in places.tolist()
+        ]
+
+    def at(self, some: Mapping[str, float]) -> System:
+        """The system where some parameters have these values, others their own.
+
+        Raises
+        ------
+        StudyError
+            If there is none, or it differs from the others in more than numbers.
+        """
+        given = {**self.spec.parameters, **some}
+        values = {name: canonical(value) for name, value in given.items()}
+        key = tuple(values.values())
+        if key not in self._known:
+            self._known[key] = self._make(values)
+        made = self._known[key]
+        if some:
+            same = (made.coordinates, tuple(made.contacts)) == (
+                self.system.coordinates,
+                tuple(self.system.contacts),
+            )
+            if not same or Structure.of(made) != self.structure:
+                raise StudyError(
+                    [
+                        f"{self.source}: system at {said(some)}: has other coordinates, contacts "
+                        "or loads than at the values in [parameters]: write a study of its own"
+                    ]
+                )
+        return made
 
     def check(self) -> None:
         """Refuse tables that do not fit the system.
@@ -197,27 +235,4 @@ class Systems:
             {name: axes[name][i] for name, i in zip(names, one, strict=True)}
             for one in several.T.tolist()
         ]
-        return number.reshape(-1), [self._at(some) for some in values]
-
-    def _at(self, some: Mapping[str, float]) -> System:
-        """The system where some parameters have these values, others their own."""
-        given = {**self.spec.parameters, **some}
-        values = {name: canonical(value) for name, value in given.items()}
-        key = tuple(values.values())
-        if key not in self._known:
-            self._known[key] = self._make(values)
-        made = self._known[key]
-        if some:
-            same = (made.coordinates, tuple(made.contacts)) == (
-                self.system.coordinates,
-                tuple(self.system.contacts),
-            )
-            if not same or Structure.of(made) != self.structure:
-                said = ", ".join(f"{name} = {value:g}" for name, value in some.items())
-                raise StudyError(
-                    [
-                        f"{self.source}: system at {said}: has other coordinates, contacts or "
-                        "loads than at the values in [parameters]: write a study of its own"
-                    ]
-                )
-        return made
+        return number.reshape(-1), [self.at(some) for some in values]
