@@ -413,6 +413,29 @@ def test_what_is_no_system_is_told_by_its_type(tmp_path, monkeypatch):
         gs.Study.from_dict(tables)
 
 
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (
+            "contacts['more'] = [1.0, 2.0]",
+            r"contact 'more': has the shape \(2,\), must have \(1,\)",
+        ),
+        ("contacts['more'] = [float('nan')]", "contact 'more': must be finite numbers"),
+        ("modulation['more'] = []", "modulation of 'more': must be one of"),
+    ],
+)
+def test_a_system_that_was_edited_is_checked_anew(tmp_path, monkeypatch, edit, said):
+    (tmp_path / "edited.py").write_text(
+        "import gapsweep as gs\n\n\ndef make(k):\n"
+        f"    made = gs.System(mass=[[1.0]], stiffness=[[k]])\n    made.{edit}\n    return made\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    tables = changed(SECTION, system={"function": "edited:make"}, parameters={"k": 1.0})
+    del tables["sweep"][0]["speed"]
+    with pytest.raises(gs.StudyError, match=f"system at k = 1: {said}"):
+        gs.Study.from_dict(tables)
+
+
 def test_gaps_of_systems_are_labelled_in_their_own_unit():
     study = gs.Study.from_dict(changed(TWO_MASSES, sweep__0__gap=[[1e6, 1.0]]))
     assert study.grid.labels("gap") == ["1000000/1"]

@@ -1,6 +1,7 @@
 """The tables of a study file that describe a system: matrices, or a function of named numbers."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import Annotated, Any
 
 from pydantic import Field, model_validator
@@ -145,7 +146,9 @@ def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
         ) from None
     if not isinstance(found, System):
         raise ModelError(f"{name}: must return a gapsweep.System, not {type(found).__name__}")
-    return found
+    # Checked anew: its contacts and modulations are dictionaries, which the function may have
+    # changed since it made it.
+    return System(**{each.name: getattr(found, each.name) for each in fields(System)})
 
 
 def _of_matrices(table: SystemTable) -> System:
