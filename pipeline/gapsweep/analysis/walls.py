@@ -1,6 +1,6 @@
 """Whether any motion of a study comes near a wall."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,31 @@ def far_walls(values: Callable[[str], Any]) -> str:
     return (
         f"no motion comes near a wall: the largest displacement is {1e3 * largest:.3g} mm, the "
         f"nearest wall stands at {1e3 * nearest:.3g} mm; gaps are in metres, as 4e-4"
+    )
+
+
+def untouched(values: Callable[[str], Any], contacts: Sequence[str]) -> str:
+    """That no steady motion of a system reaches a wall of some contact; else nothing.
+
+    Parameters
+    ----------
+    values : callable
+        From the name of a variable of ``responses.nc`` to its values, contacts along the last axis.
+    contacts : sequence of str
+        Their names, in this order.
+    """
+    if not contacts:
+        return ""
+    share = np.asarray(values("contact_share")).reshape(-1, len(contacts))
+    known = np.isfinite(share)
+    is_touched = share.max(axis=0, initial=0.0, where=known) > 0.0
+    names = [name for name, is_one in zip(contacts, is_touched, strict=True) if not is_one]
+    largest = max(_largest(np.asarray(values(name))) for name in ("x_min", "x_max"))
+    if not names or not known.any() or not largest:
+        return ""
+    return (
+        f"no steady motion reaches a wall of {', '.join(names)}: the largest coordinate is "
+        f"{largest:.3g}; gaps are in the unit of the coordinates"
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.grid import REPRESENTATION, scene_dims
 from gapsweep.analysis.systems import is_of_systems
-from gapsweep.analysis.walls import far_walls
+from gapsweep.analysis.walls import far_walls, untouched
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact, Judged, how_many
 from gapsweep.report.drawing import labels_of
@@ -18,7 +18,7 @@ from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.tables import VERDICTS, condensed, percent
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
-from gapsweep.study.grid import START
+from gapsweep.study.grid import CONTACT, COORDINATE, START
 
 
 def findings(
@@ -47,7 +47,7 @@ def findings(
         these agree is said in numbers.
     """
     # First, as it says that nothing else here is about contacts.
-    far = "" if is_of_systems(responses) else far_walls(lambda name: responses[name].values)
+    far = _far(responses)
     sentences = [f"{far[0].upper()}{far[1:]}."] if far else []
     sentences.append(outcomes(responses))
     sentences += _along(responses)
@@ -66,6 +66,14 @@ def findings(
 
 _CURVE = 10  # values that make a curve
 _SAID = 3  # stretches of it that are said
+def _far(responses: xr.Dataset) -> str:
+    if CONTACT not in responses.dims:
+        return "" if is_of_systems(responses) else far_walls(lambda name: responses[name].values)
+    contacts = responses[CONTACT].values.tolist()
+    return untouched(lambda name: responses[name].transpose(..., _LAST[name]).values, contacts)
+
+
+_LAST = {"contact_share": CONTACT, "x_min": COORDINATE, "x_max": COORDINATE}
 _OF_SYSTEMS = {ResponseClass.QUASIPERIODIC: "quasiperiodic", ResponseClass.EQUILIBRIUM: "at rest"}
 
 
