@@ -369,7 +369,10 @@ class System:
 
 def _check_mass(mass: Array) -> None:
     if not np.array_equal(mass, mass.T):
-        raise ModelError("mass: must be symmetric")
+        i, j = np.unravel_index(np.argmax(np.abs(mass - mass.T)), mass.shape)
+        raise ModelError(
+            f"mass: [{i}][{j}] = {mass[i, j]:g}, [{j}][{i}] = {mass[j, i]:g}: must be symmetric"
+        )
     smallest = float(np.linalg.eigvalsh(mass)[0])
     try:
         np.linalg.cholesky(mass)

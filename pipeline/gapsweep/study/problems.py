@@ -48,7 +48,19 @@ _FORMS = {
     "initial_condition": "must be x [m] and v [m/s], as [0.0, 0.0], 'sweep_up', 'sweep_down', "
     "{ sobol = ..., x = ..., v = ... }, { grid = ..., x = ..., v = ... }, or a list",
 }
-_SHAPES = ("list_type", "model_type", "too_short", "too_long")
+# The same of a system, also for what is wrong inside.
+_MATRIX = "must be a matrix, a list for each row, as [[2.0, 0.0], [0.0, 1.0]]"
+_RANGES = "must be a range for each coordinate, as [[-0.1, 0.1], [-0.1, 0.1]]"
+_OF_SYSTEMS = {
+    "mass": _MATRIX,
+    "stiffness": _MATRIX,
+    "damping": _MATRIX,
+    "contacts": "must be names and directions, as { stop = [1.0, 0.0] }",
+    "forcing": "must be a list of tables, as [{ amplitude = [1.0, 0.0] }]",
+    "q": _RANGES,
+    "v": _RANGES,
+}
+_SHAPES = ("list_type", "dict_type", "model_type", "too_short", "too_long")
 # Of two forms of one thing, those that the discriminator takes where neither is told.
 _EITHER = {"step": "give step or num", "sobol": "give sobol or grid"}
 # The tags of unions: ours, not the user's.
@@ -83,6 +95,9 @@ def _message(error: Any, spec: type[BaseModel]) -> str:
         return _FORMS[field]
     if kind == "list_type" and isinstance(value, dict) and _tables(loc, spec):
         return f"write [[{_path(loc)}]], in double brackets"
+    of_system = "system" in loc[:3] and _PARAMETERS not in loc
+    if kind in _SHAPES and of_system and (field := {*loc} & {*_OF_SYSTEMS}):
+        return _OF_SYSTEMS[str(field.pop())]
     if kind in ("too_short", "too_long"):
         n = error["ctx"]["min_length" if kind == "too_short" else "max_length"]
         return f"must have {'at least one value' if n == 1 else f'{n} values'}"

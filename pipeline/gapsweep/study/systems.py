@@ -183,8 +183,9 @@ class Systems:
             if is_given and not takes:
                 found.append(f"{name}: no contact takes it")
         if (block.omega is not None) != self.system.is_forced:
-            words = "missing: the system is forced"
-            found.append(f"omega: {'nothing forces the system' if block.omega else words}")
+            words = "missing: the system is forced; write omega = [1.0], in Hz"
+            surplus = "nothing forces the system: leave it out, or give forcing in [system]"
+            found.append(f"omega: {surplus if block.omega else words}")
         starts = [] if block.initial_condition is None else forms(block.initial_condition)
         if not self.system.is_forced and any(form in SWEEPS for form in starts):
             found.append("initial_condition: sweeps follow the frequency; the system has none")
