@@ -72,6 +72,9 @@ class _Sources:
 _loaded: dict[str, str] = {}
 _lock = threading.RLock()
 
+# What is said of a module that cannot be imported.
+OF_LAWS = "the module must be importable here and on every worker"
+
 
 def code(label: str) -> str:
     """All that a law computes with, as a JSON object: digests by module, versions by package.
@@ -149,7 +152,7 @@ def _unstable(label: str) -> list[str]:
 
 
 def _unusable(label: str, error: BaseException | str) -> ModelError:
-    return ModelError(f"{label!r}: {error}; the module must be importable here and on every worker")
+    return ModelError(f"{label!r}: {error}; {OF_LAWS}")
 
 
 def _load(label: str) -> dict[str, str]:

@@ -19,6 +19,9 @@ Matrix = Annotated[list[Vector], Field(min_length=1)]
 # The functions of `gapsweep.systems`: each has one beside it that returns its law.
 READY_MADE = tuple(name for name in systems.__all__ if f"{name}_law" in systems.__all__)
 
+# Of a module that cannot be imported: workers are sent what its functions return.
+_NEEDED = "the module must stand in the folder where the command is typed, or on Python's path"
+
 
 class CubicTable(Table):
     along: Vector
@@ -130,7 +133,10 @@ def _function(name: str) -> Any:
     if name in READY_MADE:
         return getattr(systems, name)
     own_law.refresh()
-    return own_law.named(name)
+    try:
+        return own_law.named(name)
+    except ModelError as error:
+        raise ModelError(str(error).replace(own_law.OF_LAWS, _NEEDED)) from None
 
 
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
