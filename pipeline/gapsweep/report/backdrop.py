@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_NOT_DRAWN = {
+    ResponseClass.EQUILIBRIUM: "what is at rest",
+    ResponseClass.FAILED: "what has no steady response",
+}
 _WALLS = {"j_1": -1.0, "j_2": 1.0}
 
 
@@ -76,3 +80,10 @@ def said_of_bands(scene: xr.Dataset) -> str:
         return ""
     whose = " from some start" if scene.sizes.get(START, 1) > 1 else ""
     return f" Bands: the response{whose} is {' or '.join(kinds)}."
+
+
+def said_of_missing(scene: xr.Dataset) -> str:
+    """What a caption says of responses that have no extrema, with a blank before."""
+    found = np.unique(scene["response_class"].values)
+    missing = [words for kind, words in _NOT_DRAWN.items() if kind in found]
+    return f" Not drawn: {', or '.join(missing)}." if missing else ""

@@ -265,11 +265,13 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
 def said_of_peaks(found: xr.Dataset) -> str:
     """What a caption says of the dots of attractors, with a blank before."""
     has_peak = np.isfinite(found["x_max"].values)
+    kinds = {*np.unique(found["response_class"].values[has_peak]).tolist()}
+    rest = ", or at rest" if ResponseClass.EQUILIBRIUM in kinds else ""
     said = []
     if np.isfinite(found["basin_share"].values).any():
         said.append("The area of a dot is the share of the starts that end on it")
-    if (has_peak & (found["response_class"].values != ResponseClass.PERIODIC)).any():
-        said.append("hollow: not periodic" if said else "Hollow: not periodic")
+    if kinds - {ResponseClass.PERIODIC}:
+        said.append(f"{'hollow' if said else 'Hollow'}: not periodic{rest}")
     return f" {'; '.join(said)}." if said else ""
 
 

@@ -143,7 +143,8 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
     n = attractors["n_attractors"].sel(representation=label).values
     n_places, n_several = int((n > 0).sum()), int((n > 1).sum())
     if n_several:
-        places = f"{n_several} of {n_places} scenes and frequencies"
+        kind = "scenes and frequencies" if "omega" in attractors.dims else "scenes"
+        places = f"{n_several} of {n_places} {kind}"
         yield f"{label} has several attractors in {places}, at most {n.max()}."
 
 

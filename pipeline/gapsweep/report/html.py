@@ -30,7 +30,7 @@ from gapsweep.report.answer import (
     in_words,
     times,
 )
-from gapsweep.report.backdrop import said_of_bands, said_of_walls
+from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
 from gapsweep.report.bench import bench_parts
 from gapsweep.report.drawing import labels_of, said_of_marks, said_of_peaks
 from gapsweep.report.figures import attractors as attractor_panels
@@ -357,7 +357,7 @@ def _scene_figures(
     yield Figured(
         bifurcation(scene),
         f"All steady zero-velocity displacements{said_of_starts(scene)}."
-        f"{said_of_bands(scene)}{said_of_walls(scene)}",
+        f"{said_of_bands(scene)}{said_of_missing(scene)}{said_of_walls(scene)}",
         f"Bifurcation diagram, {title}",
     )
     if found is not None:

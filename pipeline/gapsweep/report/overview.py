@@ -14,7 +14,7 @@ from gapsweep.analysis.grid import REPRESENTATION, SWEPT, At, scene_dims, scenes
 from gapsweep.analysis.systems import by_coordinate, is_of_systems
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
-from gapsweep.report.backdrop import said_of_bands, said_of_walls
+from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
 from gapsweep.report.drawing import said_of_peaks
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, frequency_response, maps
@@ -260,7 +260,7 @@ def _curves(
     yield Figured(
         bifurcation(shown, along),
         f"All steady zero-velocity displacements: {where}{start}."
-        f"{said_of_bands(shown)}{said_of_walls(here)}",
+        f"{said_of_bands(shown)}{said_of_missing(shown)}{said_of_walls(here)}",
         f"Bifurcation diagram, {where}{start}",
     )
     if n_starts == 1:
