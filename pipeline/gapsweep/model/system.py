@@ -245,7 +245,11 @@ class System:
 
     def __post_init__(self) -> None:
         mass = _numbers("mass", self.mass)
-        n = len(mass) if mass.ndim == 2 else 0
+        if mass.ndim != 2:
+            raise ModelError(
+                f"mass: has the shape {mass.shape}, must be a matrix of n rows and n columns"
+            )
+        n = len(mass)
         whole("number of coordinates (rows of mass)", n, 1, MAX_COORDINATES)
         square = {"mass": self.mass, "stiffness": self.stiffness}
         square["damping"] = np.zeros((n, n)) if self.damping is None else self.damping
