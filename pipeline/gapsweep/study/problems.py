@@ -96,8 +96,8 @@ def _message(error: Any, spec: type[BaseModel]) -> str:
     if kind == "list_type" and isinstance(value, dict) and _tables(loc, spec):
         return f"write [[{_path(loc)}]], in double brackets"
     of_system = "system" in loc[:3] and _PARAMETERS not in loc
-    if kind in _SHAPES and of_system and (field := {*loc} & {*_OF_SYSTEMS}):
-        return _OF_SYSTEMS[str(field.pop())]
+    if kind in _SHAPES and of_system and (parts := {*loc} & {*_OF_SYSTEMS}):
+        return _OF_SYSTEMS[str(parts.pop())]
     if kind in ("too_short", "too_long"):
         n = error["ctx"]["min_length" if kind == "too_short" else "max_length"]
         return f"must have {'at least one value' if n == 1 else f'{n} values'}"
