@@ -246,9 +246,7 @@ class System:
     def __post_init__(self) -> None:
         mass = _numbers("mass", self.mass)
         if mass.ndim != 2:
-            raise ModelError(
-                f"mass: has the shape {mass.shape}, must be a matrix of n rows and n columns"
-            )
+            raise ModelError(f"mass: has the shape {mass.shape}, must be n rows of n columns")
         n = len(mass)
         whole("number of coordinates (rows of mass)", n, 1, MAX_COORDINATES)
         square = {"mass": self.mass, "stiffness": self.stiffness}

@@ -66,6 +66,8 @@ def findings(
 
 _CURVE = 10  # values that make a curve
 _SAID = 3  # stretches of it that are said
+
+
 def _far(responses: xr.Dataset) -> str:
     if CONTACT not in responses.dims:
         return "" if is_of_systems(responses) else far_walls(lambda name: responses[name].values)
