@@ -123,6 +123,17 @@ def test_where_a_curve_is_chaotic_is_told(tmp_path, starts, some):
     assert said(omega[1:8]) == []  # too few for a curve
 
 
+def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
+    """Where neither law has a response both agree, and the worst scene is said beside a median."""
+    responses, one = made(tmp_path, EQUAL)
+    compared = one.load().isel(K_c=[0, 0, 0, 0])
+    place = {"representation": "poly-13", "regime": "all"}
+    compared["recall_pooled"].loc[place] = [[1.0], [0.75], [0.5], [1.0]]
+    compared["n_compared"].loc[place] = [[0], [4], [4], [4]]
+    said = findings(responses.assign_attrs({OF_SYSTEM: "x"}), [], None, agreement=compared)
+    assert said[-1].endswith("75 % of its attractors, medians over 3 scenes; in one 50 %.")
+
+
 def test_what_stand_ins_keep_of_systems_is_told(tmp_path):
     responses, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
     # These are of an oscillator, whose stand-ins are judged instead.

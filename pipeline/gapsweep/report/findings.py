@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.grid import REPRESENTATION, scene_dims
+from gapsweep.analysis.grid import REPRESENTATION
 from gapsweep.analysis.systems import is_of_systems
 from gapsweep.analysis.walls import far_walls, untouched
 from gapsweep.model.labels import EXACT
@@ -47,7 +47,7 @@ def findings(
         these agree is said in numbers.
     """
     # First, as it says that nothing else here is about contacts.
-    far = _far(responses)
+    far = said_of_far_walls(responses)
     sentences = [f"{far[0].upper()}{far[1:]}."] if far else []
     sentences.append(outcomes(responses))
     sentences += _along(responses)
@@ -68,7 +68,8 @@ _CURVE = 10  # values that make a curve
 _SAID = 3  # stretches of it that are said
 
 
-def _far(responses: xr.Dataset) -> str:
+def said_of_far_walls(responses: xr.Dataset) -> str:
+    """That nothing comes near a wall, or reaches one of a contact; else nothing."""
     if CONTACT not in responses.dims:
         return "" if is_of_systems(responses) else far_walls(lambda name: responses[name].values)
     contacts = responses[CONTACT].values.tolist()
@@ -153,18 +154,24 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
 def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
     """What every stand-in keeps of the exact law, in the coordinate where it keeps least."""
     floors = str(agreement.attrs["floor_representations"]).split()
-    names = ["amplitude_error_p95", "recall_pooled", "n_compared"]
-    of_scenes = agreement[names].sel(regime="all").load()
-    is_many = any(of_scenes.sizes[dim] > 1 for dim in scene_dims(of_scenes.dims))
-    pooled, over = condensed(of_scenes), ", medians over scenes" if is_many else ""
+    error, recall, n = "amplitude_error_p95", "recall_pooled", "n_compared"
+    of_scenes = agreement[[error, recall, n]].sel(regime="all").load()
+    if COORDINATE in of_scenes.dims:
+        by_coordinate = of_scenes
+        of_scenes = by_coordinate.max(COORDINATE)
+        of_scenes[recall] = by_coordinate[recall].min(COORDINATE)
+    pooled = condensed(of_scenes)
     for label in labels_of(pooled):
-        row = pooled.sel(representation=label)
-        error, found = float(row[names[0]].max()), float(row[names[1]].min())
-        if label not in (EXACT, *floors) and np.isfinite(error):
-            yield (
-                f"{label} keeps 95 % of the amplitudes within {percent(error)} of the exact law's "
-                f"and finds {percent(found)} of its attractors{over}."
-            )
+        row, rows = (each.sel(representation=label) for each in (pooled, of_scenes))
+        if label in (EXACT, *floors) or not np.isfinite(row[error]):
+            continue
+        worst, n_scenes = float(rows[recall].where(rows[n] > 0).min()), int((rows[n] > 0).sum())
+        over = f", medians over {n_scenes} scenes" if n_scenes > 1 else ""
+        over += f"; in one {percent(worst)}" if worst < row[recall] else ""
+        yield (
+            f"{label} keeps 95 % of the amplitudes within {percent(float(row[error]))} of the "
+            f"exact law's and finds {percent(float(row[recall]))} of its attractors{over}."
+        )
 
 
 def _closest(found: Sequence[Contact]) -> Iterator[str]:

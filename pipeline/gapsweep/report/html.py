@@ -35,7 +35,7 @@ from gapsweep.report.bench import bench_parts
 from gapsweep.report.drawing import labels_of, said_of_marks, said_of_peaks
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
-from gapsweep.report.findings import findings, outcomes
+from gapsweep.report.findings import findings, outcomes, said_of_far_walls
 from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.model import model
@@ -104,6 +104,7 @@ def write_report(
     # Its rules are those of one displacement between two walls.
     is_judged = not is_of_systems(responses)
     found = contacts(agreement, static) if agreement is not None and is_judged else []
+    far = said_of_far_walls(responses) if is_judged else ""
     told = found[:MOST_CONTACTS]
     hero = _hero(responses, told)
     figures = [*([hero] if hero else []), *(one for part in parts for one in part["figures"])]
@@ -116,7 +117,7 @@ def write_report(
             responses, found, claims, advice, attractors=attractors, agreement=agreement
         ),
         contacts=told,
-        answer=in_words(found),
+        answer=[f"There is no contact to judge: {far}."] if far else in_words(found),
         signs=SIGNS,
         groups=GROUPS,
         stiffnesses=heads(contact.K_c for contact in told),

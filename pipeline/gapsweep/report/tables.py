@@ -132,17 +132,24 @@ def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
 
 
 def condensed(dataset: xr.Dataset) -> xr.Dataset:
-    """Medians over scenes, and sums of what is counted; one scene as it is."""
+    """Medians over scenes, and sums of what is counted; one scene as it is.
+
+    Of agreement, over those in which something is compared: where nothing has a steady response all
+    agree, and say nothing.
+    """
     dims = [dim for dim in scene_dims(dataset.dims) if dim != BOUND]
     if not dims:
         return dataset
     counted = [name for name, variable in dataset.items() if variable.dtype.kind == "i"]
     # The median of intervals would be none.
     intervals = {name: np.nan * dataset[name] for name in dataset if str(name).endswith("_ci")}
+    measured = dataset.drop_vars(counted).assign(intervals)
+    if "n_compared" in counted:
+        measured = measured.where(dataset["n_compared"] > 0)
     with warnings.catch_warnings():
         # numpy warns where no scene has a number: NaN is what we want there.
         warnings.simplefilter("ignore", RuntimeWarning)
-        middle = dataset.drop_vars(counted).assign(intervals).median(dims)
+        middle = measured.median(dims)
     return middle.assign(dataset[counted].sum(dims))
 
 
