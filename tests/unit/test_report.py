@@ -344,6 +344,28 @@ def test_solvers_are_told_with_what_they_take_from_elsewhere(tmp_path):
     assert told["Solver of @moved"] == f"{usual}, restart True, start_jitter 1e-9"
 
 
+def test_the_model_of_a_system_is_what_its_function_made():
+    study = Study.from_dict(
+        {
+            "study": {"name": "gears"},
+            "system": {"function": "gear_pair"},
+            "parameters": {"mean_load": 0.3},
+            "sweep": [
+                {"representation": ["piecewise"], "K_c": 1.0, "gap": [1.0, 1.0], "omega": 0.2}
+            ],
+        }
+    )
+    responses = xr.Dataset(coords={"representation": ["piecewise"], "K_c": [1.0], "gap": ["1/1"]})
+    responses = responses.assign_attrs(study.attributes | {OF_SYSTEM: "x"})
+    told = model(responses)
+    assert ("M at mean_load = 0.3", "[[1]]") in told
+    assert ("Load", "[0.3]") in told
+    assert ("Load", "[0.004] (2πkω)² cos(2·2πωt)") in told
+    assert ("b of mesh", "[1]") in told
+    assert dict(told)["F of mesh"].startswith("times 1 + -0.2 cos(1·2πωt)")
+    assert dict(told)["j₁/j₂"] == "1/1"
+
+
 def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
     study = tables(("piecewise", "piecewise@half", "tanh-1e4", "tanh-1e6"), OMEGA, **HALF)
     study["oscillator"] = {"zeta": 0.07}

@@ -413,6 +413,27 @@ def test_what_is_no_system_is_told_by_its_type(tmp_path, monkeypatch):
         gs.Study.from_dict(tables)
 
 
+def test_a_function_that_depends_on_more_than_its_arguments_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "loose.py").write_text(
+        "import itertools\nimport gapsweep as gs\n\ncount = itertools.count()\n\n\n"
+        "def make(k):\n    return gs.System(mass=[[1.0 + next(count)]], stiffness=[[k]])\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    tables = changed(SECTION, system={"function": "loose:make"}, parameters={"k": 1.0})
+    del tables["sweep"][0]["speed"]
+    with pytest.raises(gs.StudyError, match="two calls make different systems"):
+        gs.Study.from_dict(tables)
+
+
+def test_datasets_say_what_system_a_function_made():
+    study = gs.Study.from_dict(changed(SECTION, sweep__0__speed=[8.0, 10.0]))
+    held = json.loads(study.attributes["system_json"])
+    made = gs.systems.typical_section(**study.spec.parameters)
+    assert_array_equal(held["stiffness"], made.stiffness)
+    assert_array_equal(held["lags"]["of_lags"], made.lags.of_lags)
+    assert list(held["contacts"]) == list(made.contacts)
+
+
 @pytest.mark.parametrize(
     ("edit", "said"),
     [

@@ -16,7 +16,10 @@ REPRESENTATION, SWEPT = "representation", ("omega", "initial_condition")
 
 At = Mapping[str, int]
 # What a dataset says of the study, and of the code behind its points.
-_OF_STUDY = ("title", "study", "study_json", "creator_name", "license", "numerics_fingerprint")
+_OF_STUDY = (
+    "title", "study", "study_json", "system_json", "creator_name", "license",
+    "numerics_fingerprint",
+)  # fmt: skip
 
 
 def of_study(responses: xr.Dataset) -> dict[str, Any]:

@@ -36,11 +36,15 @@ _FORCES = {
     "logarctan": "0 at x = 0, of slope ½ K_c [r (1 − s₁) + 1 + s₂], s₁ = (2/π) arctan γ(x + j₁), "
     "s₂ = (2/π) arctan γ(x − j₂), γ [1/m] in its name",
 }
+_EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q + Σ α (a·q)³ a + Σ F(b·q) b = loads"
+_EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
+_MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
+_OF_LAGS = {"force": "D", "of_speed": "E", "of_place": "G", "of_lags": "H"}
 _MANY = 5  # values of a number, of which more are told by their ends
 
 
 def model(responses: xr.Dataset) -> list[tuple[str, str]]:
-    """The equation of a run, its numbers and its laws, by name; nothing of a run of systems.
+    """The equation of a run, its numbers and its laws, by name.
 
     Parameters
     ----------
@@ -48,7 +52,7 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
         As stored in ``responses.nc``.
     """
     if is_of_systems(responses):
-        return []
+        return _system(responses)
     study = json.loads(responses.attrs["study_json"])
     fixed = {"K_ratio": 1.0} | study["oscillator"]
     held = {n: responses[n].values if n in responses else fixed[n] for n in _NUMBERS}
@@ -64,6 +68,51 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
         ("Numbers", ", ".join(told)),
         *dict(map(_law, labels)).items(),
     ]
+
+
+def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
+    """Of systems the one at the values in [parameters]; the walls of its contacts in their unit."""
+    held, study = (json.loads(responses.attrs[f"{name}_json"]) for name in ("system", "study"))
+    at = ", ".join(f"{name} = {plain(value)}" for name, value in study["parameters"].items())
+    told = [
+        (f"{symbol}{f' at {at}' if at else ''}", _rows(held[name]))
+        for name, symbol in _MATRICES.items()
+    ]
+    lags = held["lags"] or {}
+    told += [(symbol, _rows(lags[name])) for name, symbol in _OF_LAGS.items() if lags]
+    told += [(f"b of {name}", _rows(along)) for name, along in held["contacts"].items()]
+    told += [("a, α", f"{_rows(each['along'])}, {plain(each['alpha'])}") for each in held["cubic"]]
+    for load in held["forcing"]:
+        size = f"{_rows(load['amplitude'])}{' (2πkω)²' if load['inertial'] else ''}"
+        told.append(("Load", f"{size}{_turning(load)}"))
+    for name, terms in held["modulation"].items():
+        parts = (f"{plain(term['depth'])}{_turning(term)}" for term in terms)
+        told.append((f"F of {name}", f"times 1 + {' + '.join(parts)}"))
+    told += [(_NUMBERS["K_c"][0], _told(responses["K_c"].values))] if "K_c" in responses else []
+    if "gap" in responses:
+        gaps = _listed([shortened(str(gap)) for gap in responses["gap"].values])
+        told.append(("j₁/j₂", gaps))
+    equation = _EQUATION_OF_SYSTEMS + (_EQUATION_OF_LAGS if lags else "")
+    labels = [label for label in labels_of(responses) if label != AUTO]
+    names = ", ".join(held["coordinates"])
+    return [
+        ("Equation", f"{equation}; x = b·q, q = ({names})"),
+        *told,
+        *dict(map(_law, labels)).items(),
+    ]
+
+
+def _turning(term: Any) -> str:
+    """The cosine that a load or a modulation is multiplied by; of a constant one nothing."""
+    phase = f" + {plain(term['phase'])}" if term["phase"] else ""
+    return f" cos({term['k']}·2πωt{phase})" if term["k"] or phase else ""
+
+
+def _rows(numbers: Any) -> str:
+    """Numbers of a vector or of a matrix, row by row."""
+    if numbers and isinstance(numbers[0], list):
+        return f"[{', '.join(map(_rows, numbers))}]"
+    return f"[{', '.join(map(plain, numbers))}]"
 
 
 def _walls(responses: xr.Dataset) -> str:

@@ -67,8 +67,13 @@ def _blocks(name: str, table: Any) -> Iterator[str]:
     """Its tables; a list holds one after the other."""
     head = f"[[{name}]]" if isinstance(table, list) else f"[{name}]"
     for one in table if isinstance(table, list) else [table]:
-        rows = (f"{_key(key)} = {_value(value)}" for key, value in one.items() if value is not None)
+        rows = (
+            f"{_key(key)} = {_value(value)}" for key, value in one.items() if value not in _NOTHING
+        )
         yield "\n".join([head, *rows])
+
+
+_NOTHING: tuple[Any, ...] = None, [], {}  # as where it is left out
 
 
 def _key(name: str) -> str:

@@ -156,6 +156,8 @@ class Study:
         table = self.spec.study
         said = {"creator_name": table.creator, "license": table.license}
         given = {name: text for name, text in said.items() if text}
+        if self.systems:
+            given["system_json"] = self.systems.json
         return {"title": self.title, "study": self.name, "study_json": self.json, **given}
 
     @property

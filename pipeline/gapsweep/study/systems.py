@@ -1,8 +1,9 @@
 """The systems of a study: one structure, and numbers that differ from point to point."""
 
+import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -52,6 +53,11 @@ class Systems:
     def system(self) -> System:
         """The system at the default values of its parameters."""
         return self.at({})
+
+    @property
+    def json(self) -> str:
+        """That as JSON: what a function made cannot be read off its name."""
+        return json.dumps(asdict(self.system), default=lambda array: array.tolist())
 
     @cached_property
     def structure(self) -> Structure:
@@ -170,6 +176,11 @@ class Systems:
         for i, block in enumerate(spec.sweep):
             assert isinstance(block, SystemSweepTable)
             wrong += [f"sweep[{i}].{problem}" for problem in self._problems(block)]
+        again = self._make({name: canonical(x) for name, x in spec.parameters.items()})
+        if not np.array_equal(self.structure.row(again), self.structure.row(self.system)):
+            wrong.append(
+                "system: two calls make different systems: it may depend on its arguments alone"
+            )
         if wrong:
             raise StudyError([f"{self.source}: {problem}" for problem in wrong])
 
