@@ -398,6 +398,23 @@ def test_an_orbit_of_too_many_returns_is_no_torus():
     assert_allclose(patient.lyapunov, found.lyapunov, rtol=0.1)
 
 
+def test_an_orbit_that_is_long_settled_on_is_neither_chaos_nor_torus():
+    """Locked after 298 maxima: on the way disturbances grow, some by four errors."""
+    section, law = gs.systems.typical_section(10.295295), gs.systems.typical_section_law()
+    scale = np.array([0.01, 0.05, 0.1, 0.1, 0.5, 1.0])
+    start = scale * np.random.default_rng(2).uniform(-1.0, 1.0, (16, 6))
+    found = gs.respond(section, law, q_0=start[:, :3], v_0=start[:, 3:])
+    assert (found.response_class == gs.ResponseClass.UNRESOLVED).all()
+    assert (found.lyapunov > 0.0).any()
+    said = set(found.message)
+    assert any("repeats itself, but after more" in one for one in said)
+    # By no search: where a long motion has led, it repeats itself after 298 maxima, and no sooner.
+    run = gs.simulate(section, law, q_0=[0.005, 0.02, 0.05], t_end=9000.0, rtol=1e-9)
+    late = np.asarray(run.section)[-2000:]
+    far = np.abs(late[-1] - late[:-1]).max(axis=1)[::-1]
+    assert np.flatnonzero(far < 1e-9)[0] == 297
+
+
 @pytest.mark.parametrize(
     ("damping", "steady", "said"),
     [(-0.05, gs.Steady(), "nothing damps it"), (0.2, gs.Steady(t_max=2.0), "t_max")],

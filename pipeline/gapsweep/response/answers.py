@@ -55,6 +55,10 @@ _UNDAMPED = (
     "nothing damps it, so that no motion settles: only what repeats itself at once is judged"
 )
 _UNMEASURED = "nothing repeats itself, and no exponent could be measured: give it more {time}"
+_REPEATS = (
+    "repeats itself, but after more than max_period_multiple = {largest} periods: raise it (256 at "
+    "most)"
+)
 _SHRINKS = (
     "disturbances shrink, but nothing repeats itself within max_period_multiple = {largest} "
     "periods: raise it (256 at most), or give the motion more {time}"
@@ -129,6 +133,8 @@ def _why_unresolved(point: int, ensemble: Ensemble, found: Found, steady: Steady
     exponent, error = found.lyapunov[point], found.lyapunov_error[point]
     if ensemble.settling_rate[point] <= 0.0:
         reason = _UNDAMPED
+    elif found.repeats[point]:
+        reason = _REPEATS
     elif math.isnan(exponent):
         reason = _UNMEASURED
     elif abs(exponent) <= SURE * error:

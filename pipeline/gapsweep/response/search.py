@@ -351,16 +351,14 @@ class Search:
         # What failed did so within the next block.
         elapsed = (growths.n_blocks[points] + (status != Status.OK)) * growths.n_periods[points]
         self._walks.arrive(points, self._growths.y[:, points], status, elapsed)
-        is_ok = status == Status.OK
-        self._fail(points[~is_ok])
-        going = points[is_ok]
-        exponents = self._growths.exponents(going)
-        self._found.lyapunov[going], self._found.lyapunov_error[going] = exponents
+        self._fail(points[status != Status.OK])
+        going = points[status == Status.OK]
+        self._found.lyapunov[going], self._found.lyapunov_error[going] = growths.exponents(going)
         self._record_last(going)
 
     def _tell(self, points: Numbers) -> None:
         """What motions without a period are: those that hardly part may circle for ever."""
-        found, growths = self._found, self._growths
+        growths, found = self._growths, self._found
         exponent, error = found.lyapunov[points], found.lyapunov_error[points]
         shear = growths.shear(points, self._omega[points])
         may_circle = np.abs(exponent) <= np.maximum(_BEYOND_DOUBT * error, shear)
@@ -377,7 +375,7 @@ class Search:
         self._circle(points[may_circle & ~is_long & ~goes_on], SHORT)
         self._circle(points[may_circle & is_zero], ZERO)
         self._circle(points[may_circle & is_long & (exponent > high)], LONG)
-        left = ~found.is_quasiperiodic[points] & ~goes_on
+        left = self._phase[points] == Phase.TELL
         contracts = left & (exponent < -SURE * error) & (not self._ensemble.has_own_tangent)
         self._phase[points[left & is_zero]] = Phase.ENDED
         self._aperiodic(points[left & ~is_zero & ~contracts])
@@ -393,13 +391,15 @@ class Search:
     @_for_some
     def _circle(self, points: Numbers, windows: dict[int, float]) -> None:
         """Watch motions for so long that they run round a torus, if they are on one."""
-        longest, largest = self._limits.longest[points], self._steady.max_period_multiple
-        rotation, y, n_periods = watch(self._walks, points, windows, longest, largest)
-        found = np.isfinite(rotation)
-        self._found.rotation[points], self._found.is_quasiperiodic[points] = rotation, found
-        tori = points[found]
+        limits = self._limits.longest[points], self._steady.max_period_multiple
+        watched = watch(self._walks, points, windows, *limits)
+        is_torus, found = np.isfinite(watched.rotation), self._found
+        found.rotation[points], found.is_quasiperiodic[points] = watched.rotation, is_torus
+        found.repeats[points] = watched.repeats
+        self._phase[points[watched.repeats]] = Phase.ENDED
         # Onto a torus a motion may settle more slowly than damping says: it is read off its end.
-        self._walks.arrive(tori, y[:, found], self._walks.status[tori], n_periods[found])
+        tori, n_periods = points[is_torus], watched.n_periods[is_torus]
+        self._walks.arrive(tori, watched.y[:, is_torus], self._walks.status[tori], n_periods)
         self._record_last(tori)
 
     def _rattle(self, point: int) -> None:

@@ -1,5 +1,7 @@
 """Motions without a period that run round a torus: told from chaos and from slow settling."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,7 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
 _STILL = 1e-8  # of the largest scatter: a component with less does not move
+_REPEATS, _ROUNDING = 4, 1e-3
 _MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
 
 
@@ -25,9 +28,30 @@ ZERO, LONG = {1 << k: 1e-3 for k in range(12, 17)}, _strict(1 << 13, 1 << 16)
 SHORT = _strict(1 << 10, 1 << 13)
 
 
+class Watched(NamedTuple):
+    """What m motions that were watched turned out to be.
+
+    Attributes
+    ----------
+    rotation : ndarray, shape (m,)
+        Rotation numbers of those on tori; NaN of others.
+    repeats : ndarray of bool, shape (m,)
+        Whether they repeat themselves after however many periods.
+    y : ndarray, shape (n_states, m)
+        Where they are then.
+    n_periods : ndarray of int, shape (m,)
+        Forcing periods for which they were watched.
+    """
+
+    rotation: Array
+    repeats: NDArray[np.bool_]
+    y: Array
+    n_periods: NDArray[np.int64]
+
+
 def watch(
     walks: Walks, points: Numbers, windows: dict[int, float], longest: Array, largest: int
-) -> tuple[Array, Array, NDArray[np.int64]]:
+) -> Watched:
     """Follow motions until they are seen to run round a torus.
 
     A torus shows in two windows in turn: chaos may look like one by chance, hardly twice.
@@ -44,62 +68,64 @@ def watch(
         Forcing periods for which each may be watched.
     largest : int
         Largest multiple of a forcing period that counts as one.
-
-    Returns
-    -------
-    rotation : ndarray, shape (m,)
-        Rotation numbers of those on tori; NaN of others.
-    y : ndarray, shape (n_states, m)
-        Where they are then.
-    n_periods : ndarray of int, shape (m,)
-        Forcing periods for which they were watched.
     """
-    rotation, n_periods = np.full(len(points), np.nan), np.zeros(len(points), np.int64)
-    y = walks.y[:, points]
+    found = Watched(
+        np.full(len(points), np.nan),
+        np.zeros(len(points), bool),
+        walks.y[:, points],
+        np.zeros(len(points), np.int64),
+    )
     at_a_time = max(1, _MOST_POINTS // max(windows))
     for first in range(0, len(points), at_a_time):
-        some = slice(first, first + at_a_time)
-        rotation[some], y[:, some], n_periods[some] = _watched(
-            walks, points[some], windows, longest[some], largest
-        )
-    return rotation, y, n_periods
+        some = np.arange(first, min(first + at_a_time, len(points)))
+        _watch(found, some, walks, points, windows, longest, largest)
+    return found
 
 
-def _watched(
-    walks: Walks, points: Numbers, windows: dict[int, float], longest: Array, largest: int
-) -> tuple[Array, Array, NDArray[np.int64]]:
-    found, seemed = np.full(len(points), np.nan), np.zeros(len(points), bool)
-    y, same, before = walks.y[:, points], walks.same[points], np.zeros(len(points), np.int64)
-    sections = [np.empty((len(y), 0))] * len(points)
-    left = np.arange(len(points))
+def _watch(
+    found: Watched,
+    left: Numbers,
+    walks: Walks,
+    points: Numbers,
+    windows: dict[int, float],
+    longest: Array,
+    largest: int,
+) -> None:
+    """Watch some of the points together."""
+    seemed, same = np.zeros(len(points), bool), walks.same[points]
+    sections = dict.fromkeys(left.tolist(), np.empty((len(found.y), 0)))
     for length, allowed in windows.items():
-        left = left[np.isnan(found[left]) & (length <= longest[left])]
+        left = left[np.isnan(found.rotation[left]) & ~found.repeats[left]]
+        left = left[length <= longest[left]]
         if not left.size:
             break
-        call = walks.ensemble.call(
-            points[left], y[:, left], length - before[left], 0.0 * y[0, left]
-        )
-        y[:, left], before[left], left = call.y, length, left[call.is_ok]
+        n = length - found.n_periods[left]
+        call = walks.ensemble.call(points[left], found.y[:, left], n, np.zeros(len(left)))
+        found.y[:, left], found.n_periods[left], left = call.y, length, left[call.is_ok]
         for k, i in zip(left.tolist(), np.flatnonzero(call.is_ok).tolist(), strict=True):
             new = call.section[:, call.period_ends[i] : call.period_ends[i + 1]]
             sections[k] = section = np.concatenate([sections[k], new], axis=1)
-            seems = is_quasiperiodic(section, allowed) and not _has_repeated(section, same[k])
+            found.repeats[k] = _has_repeated(section, float(same[k]))
+            seems = is_quasiperiodic(section, allowed) and not found.repeats[k]
             if seems and seemed[k]:
-                found[k] = rotation_number(section, largest)
+                found.rotation[k] = rotation_number(section, largest)
             seemed[k] = seems
-    return found, y, before
 
 
 def _has_repeated(section: Array, same: float) -> bool:
     """Whether the last points of a section are those before: chaos may end while it is watched.
 
     Means are the same from then on, as they are over any orbit of more periods than are looked for.
+    A torus may come as near to itself once, and is as many times as far away so many times later.
     """
-    beside = norm(section[:, :-1] - section[:, -1:]) <= same
-    n = int(beside[::-1].argmax()) + 1
-    last, one_before = section[:, -n:], section[:, -2 * n : -n]
-    has_both = beside.any() and one_before.shape == last.shape
-    return bool(has_both and (norm(last - one_before) <= same).all())
+    longest = section.shape[1] // (2 * _REPEATS)
+    apart = norm(section[:, -longest - 1 : -1] - section[:, -1:])
+    if apart.min() > same:
+        return False
+    n = int((apart <= same)[::-1].argmax()) + 1  # points ago
+    last = section[:, -n:]
+    once, later = (norm(last - section[:, -n - ago : -ago]).max() for ago in (n, _REPEATS * n))
+    return bool(once <= same and later <= 2.0 * once + _ROUNDING * same)
 
 
 def is_quasiperiodic(section: Array, allowed: float) -> bool:
