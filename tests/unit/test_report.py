@@ -364,6 +364,7 @@ def test_the_model_of_a_system_is_what_its_function_made():
     assert ("b of mesh", "[1]") in told
     assert dict(told)["F of mesh"].startswith("times 1 + -0.2 cos(1·2πωt)")
     assert dict(told)["j₁/j₂"] == "1/1"
+    assert model_module._rows([[1.0, -0.0], [0.5, 2e-7]]) == "[[1, 0], [0.5, 2e-7]]"
 
 
 def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):

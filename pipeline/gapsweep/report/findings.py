@@ -147,7 +147,8 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
     n_places, n_several = int((n > 0).sum()), int((n > 1).sum())
     if n_several:
         kind = "scenes and frequencies" if "omega" in attractors.dims else "scenes"
-        places = f"{n_several} of {n_places} {kind}"
+        found = " in which any was found" if (n == 0).any() else ""
+        places = f"{n_several} of {n_places} {kind}{found}"
         yield f"{label} has several attractors in {places}, at most {n.max()}."
 
 

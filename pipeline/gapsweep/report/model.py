@@ -112,7 +112,7 @@ def _rows(numbers: Any) -> str:
     """Numbers of a vector or of a matrix, row by row."""
     if numbers and isinstance(numbers[0], list):
         return f"[{', '.join(map(_rows, numbers))}]"
-    return f"[{', '.join(map(plain, numbers))}]"
+    return f"[{', '.join(plain(number + 0.0) for number in numbers)}]"  # -0.0 as 0
 
 
 def _walls(responses: xr.Dataset) -> str:
