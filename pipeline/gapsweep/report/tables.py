@@ -145,7 +145,10 @@ def condensed(dataset: xr.Dataset) -> xr.Dataset:
     intervals = {name: np.nan * dataset[name] for name in dataset if str(name).endswith("_ci")}
     measured = dataset.drop_vars(counted).assign(intervals)
     if "n_compared" in counted:
-        measured = measured.where(dataset["n_compared"] > 0)
+        n = dataset["n_compared"]
+        # Floors are of no law.
+        own = [name for name in measured if set(n.dims) <= set(measured[name].dims)]
+        measured = measured.assign(measured[own].where(n > 0))
     with warnings.catch_warnings():
         # numpy warns where no scene has a number: NaN is what we want there.
         warnings.simplefilter("ignore", RuntimeWarning)
