@@ -229,6 +229,15 @@ def test_what_does_not_fit_is_refused_in_words(name):
     assert "Traceback" not in str(refused.value)
 
 
+def of_function(tmp_path, monkeypatch, name, text):
+    """Tables of a study of a user's function of k, `make` of a new module."""
+    (tmp_path / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    tables = changed(SECTION, system={"function": f"{name}:make"}, parameters={"k": 1.0})
+    del tables["sweep"][0]["speed"]
+    return tables
+
+
 def test_tables_of_systems_need_one():
     for name in ("parameters", "contact"):
         tables = {n: t for n, t in SECTION.items() if n != "system"} | {name: {"a": 1.0}}
@@ -267,11 +276,8 @@ def test_an_edited_function_is_that_of_the_next_study(tmp_path, monkeypatch):
     "raised", ["SystemExit", "ValueError('no')", "KeyError('k')", "GeneratorExit", "BaseException"]
 )
 def test_what_a_function_raises_is_one_line(tmp_path, monkeypatch, raised):
-    monkeypatch.syspath_prepend(tmp_path)
     name = f"raising{abs(hash(raised))}"
-    (tmp_path / f"{name}.py").write_text(f"def spring(k):\n    raise {raised}\n")
-    tables = changed(SECTION, system={"function": f"{name}:spring"}, parameters={"k": 1.0})
-    del tables["sweep"][0]["speed"]
+    tables = of_function(tmp_path, monkeypatch, name, f"def make(k):\n    raise {raised}\n")
     with pytest.raises(gs.StudyError, match=r"its arguments are those in \[parameters\]"):
         gs.Study.from_dict(tables)
 
@@ -385,16 +391,14 @@ def test_systems_are_made_of_the_values_that_points_have():
 
 
 def test_a_function_may_ask_for_laws_in_threads(tmp_path, monkeypatch):
-    (tmp_path / "pooled.py").write_text(
+    tables = of_function(
+        tmp_path, monkeypatch, "pooled",
         "from concurrent.futures import ThreadPoolExecutor\nimport gapsweep as gs\n\n\n"
         "def force(x):\n    return 2.0 * x\n\n\n"
         "def make(k):\n    with ThreadPoolExecutor() as pool:\n"
         "        law = pool.submit(gs.contact_law, 'pooled:force', k, gs.Gap(0.0, 0.0)).result()\n"
-        "    return gs.System(mass=[[1.0]], damping=[[1.0]], stiffness=[[law.force(1.0)]])\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    tables = changed(SECTION, system={"function": "pooled:make"}, parameters={"k": 1.0})
-    del tables["sweep"][0]["speed"]
+        "    return gs.System(mass=[[1.0]], damping=[[1.0]], stiffness=[[law.force(1.0)]])\n",
+    )  # fmt: skip
     del tables["sweep"][0]["K_c"], tables["sweep"][0]["gap"]
     study = gs.Study.from_dict(tables)
     assert study.systems.system.stiffness.tolist() == [[2.0]]
@@ -402,25 +406,21 @@ def test_a_function_may_ask_for_laws_in_threads(tmp_path, monkeypatch):
 
 def test_what_is_no_system_is_told_by_its_type(tmp_path, monkeypatch):
     """Its own words may raise anything."""
-    (tmp_path / "mute.py").write_text(
+    tables = of_function(
+        tmp_path, monkeypatch, "mute",
         "class Mute:\n    def __repr__(self):\n        raise SystemExit\n\n\n"
-        "def make(k):\n    return Mute()\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    tables = changed(SECTION, system={"function": "mute:make"}, parameters={"k": 1.0})
-    del tables["sweep"][0]["speed"]
+        "def make(k):\n    return Mute()\n",
+    )  # fmt: skip
     with pytest.raises(gs.StudyError, match=r"must return a gapsweep\.System, not Mute"):
         gs.Study.from_dict(tables)
 
 
 def test_a_function_that_depends_on_more_than_its_arguments_is_refused(tmp_path, monkeypatch):
-    (tmp_path / "loose.py").write_text(
+    tables = of_function(
+        tmp_path, monkeypatch, "loose",
         "import itertools\nimport gapsweep as gs\n\ncount = itertools.count()\n\n\n"
-        "def make(k):\n    return gs.System(mass=[[1.0 + next(count)]], stiffness=[[k]])\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    tables = changed(SECTION, system={"function": "loose:make"}, parameters={"k": 1.0})
-    del tables["sweep"][0]["speed"]
+        "def make(k):\n    return gs.System(mass=[[1.0 + next(count)]], stiffness=[[k]])\n",
+    )  # fmt: skip
     with pytest.raises(gs.StudyError, match="two calls make different systems"):
         gs.Study.from_dict(tables)
 
@@ -446,13 +446,11 @@ def test_datasets_say_what_system_a_function_made():
     ],
 )
 def test_a_system_that_was_edited_is_checked_anew(tmp_path, monkeypatch, edit, said):
-    (tmp_path / "edited.py").write_text(
+    tables = of_function(
+        tmp_path, monkeypatch, "changing",
         "import gapsweep as gs\n\n\ndef make(k):\n"
-        f"    made = gs.System(mass=[[1.0]], stiffness=[[k]])\n    made.{edit}\n    return made\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    tables = changed(SECTION, system={"function": "edited:make"}, parameters={"k": 1.0})
-    del tables["sweep"][0]["speed"]
+        f"    made = gs.System(mass=[[1.0]], stiffness=[[k]])\n    made.{edit}\n    return made\n",
+    )  # fmt: skip
     with pytest.raises(gs.StudyError, match=f"system at k = 1: {said}"):
         gs.Study.from_dict(tables)
 
