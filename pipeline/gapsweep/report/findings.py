@@ -131,8 +131,8 @@ def _ranges(is_so: NDArray[np.bool_], x: NDArray[np.float64]) -> str:
     widest = sorted(sorted(edges.tolist(), key=lambda edge: edge[0] - edge[1])[:_SAID])
     said = [f"{x[a]:.4g}{f' to {x[b]:.4g}' if b > a else ''}" for a, b in widest]
     more = [f"{len(edges) - _SAID} more"] if len(edges) > _SAID else []
-    parts = [*said, *more]
-    return " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]]))
+    *first, last = [*said, *more] or [""]
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _exact_if_swept(dataset: xr.Dataset) -> str:

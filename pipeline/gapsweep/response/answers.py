@@ -133,7 +133,7 @@ def _why_unresolved(point: int, ensemble: Ensemble, found: Found, steady: Steady
     exponent, error = found.lyapunov[point], found.lyapunov_error[point]
     if ensemble.settling_rate[point] <= 0.0:
         reason = _UNDAMPED
-    elif found.repeats[point]:
+    elif found.is_locked[point]:
         reason = _REPEATS
     elif math.isnan(exponent):
         reason = _UNMEASURED

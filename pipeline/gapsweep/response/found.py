@@ -31,7 +31,7 @@ class Found:
         Never came back to the section.
     is_hidden : ndarray of bool, shape (n,)
         A contact moves too little beside the rest.
-    repeats : ndarray of bool, shape (n,)
+    is_locked : ndarray of bool, shape (n,)
         Repeats itself, after more periods than are looked for.
     lyapunov, lyapunov_error : ndarray, shape (n,)
         Largest Lyapunov exponent [1/s] and its standard error, where it was measured.
@@ -45,7 +45,7 @@ class Found:
         self.is_periodic, self.is_chaotic = np.zeros(n, bool), np.zeros(n, bool)
         self.is_quasiperiodic, self.is_at_rest = np.zeros(n, bool), np.zeros(n, bool)
         self.is_astray, self.is_hidden = np.zeros(n, bool), np.zeros(n, bool)
-        self.repeats = np.zeros(n, bool)
+        self.is_locked = np.zeros(n, bool)
         self.lyapunov, self.lyapunov_error = np.full(n, np.nan), np.full(n, np.nan)
         self.offset, self.rotation = np.full(n, np.nan), np.full(n, np.nan)
 

@@ -395,8 +395,8 @@ class Search:
         watched = watch(self._walks, points, windows, *limits)
         is_torus, found = np.isfinite(watched.rotation), self._found
         found.rotation[points], found.is_quasiperiodic[points] = watched.rotation, is_torus
-        found.repeats[points] = watched.repeats
-        self._phase[points[watched.repeats]] = Phase.ENDED
+        found.is_locked[points] = watched.is_locked
+        self._phase[points[watched.is_locked]] = Phase.ENDED
         # Onto a torus a motion may settle more slowly than damping says: it is read off its end.
         tori, n_periods = points[is_torus], watched.n_periods[is_torus]
         self._walks.arrive(tori, watched.y[:, is_torus], self._walks.status[tori], n_periods)

@@ -35,7 +35,7 @@ class Watched(NamedTuple):
     ----------
     rotation : ndarray, shape (m,)
         Rotation numbers of those on tori; NaN of others.
-    repeats : ndarray of bool, shape (m,)
+    is_locked : ndarray of bool, shape (m,)
         Whether they repeat themselves after however many periods.
     y : ndarray, shape (n_states, m)
         Where they are then.
@@ -44,7 +44,7 @@ class Watched(NamedTuple):
     """
 
     rotation: Array
-    repeats: NDArray[np.bool_]
+    is_locked: NDArray[np.bool_]
     y: Array
     n_periods: NDArray[np.int64]
 
@@ -95,7 +95,7 @@ def _watch(
     seemed, same = np.zeros(len(points), bool), walks.same[points]
     sections = dict.fromkeys(left.tolist(), np.empty((len(found.y), 0)))
     for length, allowed in windows.items():
-        left = left[np.isnan(found.rotation[left]) & ~found.repeats[left]]
+        left = left[np.isnan(found.rotation[left]) & ~found.is_locked[left]]
         left = left[length <= longest[left]]
         if not left.size:
             break
@@ -105,8 +105,8 @@ def _watch(
         for k, i in zip(left.tolist(), np.flatnonzero(call.is_ok).tolist(), strict=True):
             new = call.section[:, call.period_ends[i] : call.period_ends[i + 1]]
             sections[k] = section = np.concatenate([sections[k], new], axis=1)
-            found.repeats[k] = _has_repeated(section, float(same[k]))
-            seems = is_quasiperiodic(section, allowed) and not found.repeats[k]
+            found.is_locked[k] = _has_repeated(section, float(same[k]))
+            seems = is_quasiperiodic(section, allowed) and not found.is_locked[k]
             if seems and seemed[k]:
                 found.rotation[k] = rotation_number(section, largest)
             seemed[k] = seems

@@ -124,10 +124,7 @@ class Systems:
         names = [name for name in axes if name in self.spec.parameters]
         others = tuple(i for i, name in enumerate(axes) if name not in names)
         places = np.argwhere(requested.any(axis=others)) if names else np.empty((0, 0), np.intp)
-        return [
-            {name: axes[name][i] for name, i in zip(names, one, strict=True)}
-            for one in places.tolist()
-        ]
+        return _named(names, axes, places)
 
     def at(self, some: Mapping[str, float]) -> System:
         """The system where some parameters have these values, others their own.
@@ -243,8 +240,11 @@ class Systems:
             return np.zeros(n, np.intp), [self.system]
         at = np.stack([places[name] for name in names])
         several, number = np.unique(at, axis=1, return_inverse=True)
-        values = [
-            {name: axes[name][i] for name, i in zip(names, one, strict=True)}
-            for one in several.T.tolist()
-        ]
-        return number.reshape(-1), [self.at(some) for some in values]
+        return number.reshape(-1), [self.at(some) for some in _named(names, axes, several.T)]
+
+
+def _named(names: list[str], axes: Axes, places: NDArray[np.intp]) -> list[dict[str, float]]:
+    """The values of parameters at places on their axes, one place a row."""
+    return [
+        {name: axes[name][i] for name, i in zip(names, one, strict=True)} for one in places.tolist()
+    ]
