@@ -199,7 +199,7 @@ def _unless_refused(label: str, measured: Callable[..., Values], *given: Any) ->
         return measured(*given)
     except ModelError as error:
         return {"refusal": str(error)}
-    except Exception as error:  # the user's code may raise anything
+    except Exception as error:  # raised by the user's own law, which is then told as refused
         if ":" not in label:
             raise
         return {"refusal": f"{type(error).__name__}: {error}"}

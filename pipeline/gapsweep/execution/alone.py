@@ -263,7 +263,7 @@ class _Child:
         self.is_busy = False
         try:
             return ForkingPickler.loads(said[_HEAD.size :])
-        except Exception:  # bytes that are no pickle may make it raise anything
+        except Exception:  # user code wrote into the pipe: unpickling noise raises any type
             raise CallError(Status.KILLED, _OTHERWISE) from None
 
     def _piece(self) -> bytes:
@@ -359,7 +359,7 @@ def _end_with(parent: int) -> None:
 def _say(connection: Connection, number: int, answer: Any) -> None:
     try:
         said = bytes(ForkingPickler.dumps(answer))
-    except Exception as error:  # whatever the result's own methods raise
+    except Exception as error:  # pickling runs methods of the user's objects: any type, told
         said = bytes(ForkingPickler.dumps(CallError(*failure(error))))
     with open(connection.fileno(), "wb", closefd=False) as pipe:
         pipe.write(_HEAD.pack(_MARK, number, len(said)) + said)

@@ -291,7 +291,7 @@ class _Execution:
             result = future.result()
         except ClusterError:  # of the worker itself, so of none of its points
             raise
-        except Exception as error:  # whatever a task raised, or Dask about its worker
+        except Exception as error:  # a task's own, of any type, becomes the failure of its points
             if _is_gone(future) or future.status != "error":  # there again, perhaps, by now
                 self._compute_anew(job)
             else:

@@ -66,5 +66,5 @@ class Latest(Generic[Q, A]):
                         break
             except GapsweepError as error:
                 self._refuse(question, str(error))
-            except Exception as error:  # whatever it is, the next question wants its answer
+            except Exception as error:  # shown to the user; a dead thread would answer nothing more
                 self._refuse(question, described(error))

@@ -12,7 +12,7 @@ gives the same bits. Where none fits, by processor, Python, numba or sources, it
 import gc
 import hashlib
 import os
-import pickle  # the form in which numba gives machine code away; read from our own folders alone
+import pickle  # numba's own form of machine code; loaded from checked folders of this user alone
 import stat
 import sys
 import sysconfig
@@ -160,7 +160,7 @@ class _Code:
         checksum, data = found[:_CHECKSUM], found[_CHECKSUM:]
         if hashlib.sha256(data).digest() != checksum:
             return None
-        return pickle.loads(data)  # code by nature: whole, and from a folder that is ours
+        return pickle.loads(data)  # machine code, checksum right, from a folder only we can write
 
     def save(self, key: Any, code: Any) -> None:
         """Keep it, if there is room."""

@@ -255,7 +255,7 @@ class Encoder:
             copied = value.__reduce_ex__(2)
         except UnkeyableError:
             raise
-        except Exception:  # a class may raise anything there
+        except Exception:  # __reduce_ex__ of a user's class raises any type: it has no key then
             raise UnkeyableError(_type_name(kind)) from None
         self._all("object", [kind])
         if isinstance(copied, str):

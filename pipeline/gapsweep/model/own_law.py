@@ -389,7 +389,7 @@ def _check(label: str, name: str, sources: _Sources) -> None:
 def _module_of(value: Any) -> str:
     try:
         name = getattr(value, "__module__", None)
-    except Exception:  # the user's classes may raise anything
+    except Exception:  # __getattr__ of a user's class raises any type: it names no module
         return ""
     return name if isinstance(name, str) else ""
 
@@ -414,7 +414,7 @@ def _value(where: str, value: Any, name: str, sources: _Sources) -> str:
         return Encoder(sources.files[name], sources.files, is_foreign).digest(value).hex()
     except UnkeyableError as error:
         reason = str(error)
-    except Exception as error:  # the user's classes may raise anything when they are looked at
+    except Exception as error:  # methods of a user's class raise any type: refused by name
         reason = f"a {type(value).__qualname__}: {type(error).__name__}"
     raise ModelError(f"{where} cannot be keyed: {reason}: keep it inside a function")
 

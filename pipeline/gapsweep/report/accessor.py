@@ -352,4 +352,4 @@ def _plane(axes: "Axes", x: xr.DataArray, v: xr.DataArray, shown: xr.Dataset) ->
 # xarray's own register_dataset_accessor keeps the accessor in the dataset, so that both stay alive,
 # and the file open, until the garbage collector comes by. netCDF4 was seen to crash after files had
 # been closed that way; a property leaves no such cycle.
-xr.Dataset.gapsweep = property(GapsweepAccessor)  # type: ignore[attr-defined]  # xarray has none
+xr.Dataset.gapsweep = property(GapsweepAccessor)  # type: ignore[attr-defined]  # mypy: added to xarray's class

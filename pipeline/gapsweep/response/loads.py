@@ -174,7 +174,7 @@ def _values(law: ContactLaw, function: Any, x: Any) -> Any:
 def _tolerant(function: Any, x: Any) -> Any:
     try:
         return function(x)
-    except Exception:  # the user's function may raise anything where no motion has led
+    except Exception:  # a user's function raises any type out of its range: no force known there
         if not np.ndim(x):
             return np.nan
         return np.array([_tolerant(function, each) for each in x])
