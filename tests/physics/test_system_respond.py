@@ -356,6 +356,43 @@ def test_a_torus_that_is_not_settled_on_in_time_is_unresolved():
     assert "give it more time" in found.message
 
 
+def test_a_torus_beside_a_smooth_solver_s_rattle_is_found():
+    """The driven coordinate repeats to 1e-7, which is white: its own means are never even."""
+    system, _, w, amplitude = whirling(0.5)
+    law = gs.Tanh(3.0, gs.Gap(0.3, 0.3), epsilon=20.0)
+    found = gs.respond(system, law, [0.1786, 0.31242600007541543], q_0=[0.5, 1.0, 0.0], rtol=1e-7)
+    assert (found.response_class == gs.ResponseClass.QUASIPERIODIC).all()
+    turns = w / (2 * math.pi * np.array([0.1786, 0.31242600007541543])) % 1.0
+    assert_allclose(found.rotation_number, np.minimum(turns, 1.0 - turns), atol=1e-6)
+    assert_allclose(found.x_max[:, 1:], amplitude, rtol=1e-5)
+
+
+def test_an_orbit_that_is_come_to_while_watched_is_found():
+    """A spring of 3e-5 locks the whirl to its drive, over tens of thousands of periods."""
+    system, _, w, amplitude = whirling(0.5, driven=2.0)
+    coupling = 3e-5 * np.array([[1, -1, 0], [-1, 1, 0], [0, 0, 0]])
+    locked = replace(system, stiffness=system.stiffness + coupling)
+    law, phase = gs.Piecewise(1.0, gs.Gap(1e5, 1e5)), np.array([2.0, 4.0])
+    q = amplitude * np.stack([0 * phase, np.cos(phase), np.sin(phase)], axis=1)
+    v = amplitude * w * np.stack([0 * phase, -np.sin(phase), np.cos(phase)], axis=1)
+    found = gs.respond(locked, law, w / (2 * math.pi), q_0=q, v_0=v)
+    assert (found.response_class == gs.ResponseClass.PERIODIC).all()
+    assert (found.period_multiple == 1).all()
+    assert_allclose(found.x_end[0], found.x_end[1], atol=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [1e-9, 1.0])
+def test_a_part_that_its_stop_holds_is_not_hidden_by_a_weak_spring(alpha):
+    # Pressed on the stop it moves by 1e-7 of the rest, and the cubic spring adds nothing to that.
+    system = gs.System(
+        mass=np.eye(2), stiffness=[[1.0, -1e-5], [-1e-5, 0.0]], damping=np.diag([0.2, 2.0]),
+        cubic=[gs.Cubic(along=[0, 1], alpha=alpha)], contacts={"stop": [0, 1]},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.0]), gs.Harmonic(amplitude=[0.0, 10.0], k=0)],
+    )  # fmt: skip
+    found = gs.respond(system, gs.Piecewise(100.0, gs.Gap(1e-3, 1e-3)), 0.2)
+    assert found.response_class == gs.ResponseClass.PERIODIC
+
+
 def fluttering(stiffness, *, mass, loss, cubic, contact, load):
     """Two masses that flutter by circulatory springs, driven, with a stop."""
     along = zip(([1, 0], [0, 1]), cubic, strict=True)

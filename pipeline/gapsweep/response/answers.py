@@ -56,8 +56,8 @@ _UNDAMPED = (
 )
 _UNMEASURED = "nothing repeats itself, and no exponent could be measured: give it more {time}"
 _REPEATS = (
-    "repeats itself, but after more than max_period_multiple = {largest} periods: raise it (256 at "
-    "most)"
+    "repeats itself, but after more than max_period_multiple = {largest} periods (raise it, to 256 "
+    "at most), or without pulling disturbances in"
 )
 _SHRINKS = (
     "disturbances shrink, but nothing repeats itself within max_period_multiple = {largest} "
@@ -324,7 +324,9 @@ def _hidden_springs(points: Numbers, ensemble: Ensemble, walks: Walks, half: Arr
         for spring in system.cubic:
             along = spring.along
             moves = np.abs(along) @ half[k]  # at most
-            stiffness = abs(along @ system.stiffness @ along) / (along @ along) ** 2
+            # What holds it: stiffness, and inertia where contacts or other coordinates do.
+            inertia = along @ system.mass @ along * (2.0 * math.pi * ensemble.omega[points[k]]) ** 2
+            stiffness = (abs(along @ system.stiffness @ along) + inertia) / (along @ along) ** 2
             is_faint = moves < whole[k] * np.linalg.norm(along * unit[k])
             hidden[k] |= is_faint and abs(spring.alpha) * moves**2 > _LINEAR * stiffness
     return hidden

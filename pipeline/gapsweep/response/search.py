@@ -343,7 +343,8 @@ class Search:
         self._begin_growth(points[grows], 1.0)
         is_recorded = self._walks.has_extrema(points)
         self._record_last(points[~grows & ~is_recorded])
-        self._phase[points[~grows & is_recorded]] = Phase.TELL
+        told = points[~grows & is_recorded]
+        self._phase[told] = np.where(self._found.is_locked[told], Phase.ENDED, Phase.TELL)
 
     @_for_some
     def _grown(self, points: Numbers, status: Counts) -> None:
@@ -396,11 +397,10 @@ class Search:
         is_torus, found = np.isfinite(watched.rotation), self._found
         found.rotation[points], found.is_quasiperiodic[points] = watched.rotation, is_torus
         found.is_locked[points] = watched.is_locked
-        self._phase[points[watched.is_locked]] = Phase.ENDED
-        # Onto a torus a motion may settle more slowly than damping says: it is read off its end.
-        tori, n_periods = points[is_torus], watched.n_periods[is_torus]
-        self._walks.arrive(tori, watched.y[:, is_torus], self._walks.status[tori], n_periods)
-        self._record_last(tori)
+        at = is_torus | watched.is_locked  # it takes longer to get there than damping says
+        told, y, n_periods = points[at], watched.y[:, at], watched.n_periods[at]
+        self._walks.arrive(told, y, self._walks.status[told], n_periods)
+        self._record_last(told)
 
     def _rattle(self, point: int) -> None:
         """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.

@@ -92,7 +92,7 @@ def _watch(
     largest: int,
 ) -> None:
     """Watch some of the points together."""
-    seemed, same = np.zeros(len(points), bool), walks.same[points]
+    seemed, same, noise = np.zeros(len(points), bool), walks.same[points], walks.noise()[points]
     sections = dict.fromkeys(left.tolist(), np.empty((len(found.y), 0)))
     for length, allowed in windows.items():
         left = left[np.isnan(found.rotation[left]) & ~found.is_locked[left]]
@@ -106,7 +106,7 @@ def _watch(
             new = call.section[:, call.period_ends[i] : call.period_ends[i + 1]]
             sections[k] = section = np.concatenate([sections[k], new], axis=1)
             found.is_locked[k] = _has_repeated(section, float(same[k]))
-            seems = is_quasiperiodic(section, allowed) and not found.is_locked[k]
+            seems = is_quasiperiodic(section, allowed, float(noise[k])) and not found.is_locked[k]
             if seems and seemed[k]:
                 found.rotation[k] = rotation_number(section, largest)
             seemed[k] = seems
@@ -128,7 +128,7 @@ def _has_repeated(section: Array, same: float) -> bool:
     return bool(once <= same and later <= 2.0 * once + _ROUNDING * same)
 
 
-def is_quasiperiodic(section: Array, allowed: float) -> bool:
+def is_quasiperiodic(section: Array, allowed: float, noise: float) -> bool:
     """Whether a section without a period lies on a closed curve, or on a torus.
 
     There, means over time whose ends are faded out converge faster than any power of it, so that
@@ -141,6 +141,8 @@ def is_quasiperiodic(section: Array, allowed: float) -> bool:
         Section points [m], some hundreds or more.
     allowed : float
         How much the two means may differ, as a share of the scatter.
+    noise : float
+        Scatter [m] that the solver's tolerances admit: of a component with less nothing is known.
     """
     half = section.shape[1] // 2
     weights = _faded(half)
@@ -149,11 +151,13 @@ def is_quasiperiodic(section: Array, allowed: float) -> bool:
     seen = np.concatenate([centred, np.square(centred)])
     means = [each @ weights / weights.sum() for each in (seen[:, :half], seen[:, -half:])]
     spread = seen.std(axis=1)
-    # What hardly moves beside the others is rounding: a coordinate of its own that repeats, or the
-    # squares of one that has two values in turn.
-    largest = spread[: len(section)].max()
-    moves = spread > _STILL * np.repeat([largest, largest**2], len(section))
-    return bool((np.abs(means[0] - means[1]) <= allowed * spread)[moves].all())
+    # What hardly moves beside the others is rounding, or rattle of a smooth solver: a coordinate of
+    # its own that repeats, or the squares of one that has two values in turn.
+    scatter, of_squares = spread.reshape(2, -1)
+    moves = scatter > max(_STILL * scatter.max(), noise)
+    told = np.concatenate([moves, moves & (of_squares > _STILL * scatter.max() ** 2)])
+    is_same = np.abs(means[0] - means[1]) <= allowed * spread
+    return bool(told.any() and is_same[told].all())
 
 
 def rotation_number(section: Array, largest: int) -> float:
