@@ -74,6 +74,23 @@ def test_a_limit_cycle_is_where_another_integrator_goes():
     assert_allclose(found.contact_share, [beyond.mean()], atol=1e-3)
 
 
+@pytest.mark.parametrize("rtol", [1e-2, 1e-3, 1e-4])
+def test_a_loose_solver_tells_a_limit_cycle_from_rest(rtol):
+    start = {"q_0": [0.1, -0.1]}  # from far away: the cycle is small beside it
+    tight = gs.respond(fluttering(), LAW, **start)
+    loose = gs.respond(fluttering(), LAW, **start, rtol=rtol)
+    assert loose.response_class == gs.ResponseClass.PERIODIC
+    share = rtol / (1.0 - tight.multiplier_abs)  # errors of so many periods add up
+    assert_allclose(loose.x_max, tight.x_max, rtol=share)
+    assert loose.period == pytest.approx(tight.period, rel=share)
+    # Held against its stop by a load: to come to rest there is no orbit that closes.
+    load = gs.Harmonic(amplitude=[3.0, 0.0], k=0)
+    held = replace(fluttering(circulation=5.0), cubic=(), forcing=(load,))
+    found = gs.respond(held, LAW, q_0=[1e-2, -1e-2], rtol=rtol)
+    assert found.response_class == gs.ResponseClass.EQUILIBRIUM
+    assert found.lyapunov == pytest.approx(-0.15)  # half of the damping
+
+
 def test_the_first_coordinate_has_as_many_maxima_as_the_multiple_says():
     system = fluttering()
     found = gs.respond(system, LAW, q_0=[1e-3, 0.0])

@@ -356,6 +356,17 @@ def test_a_torus_that_is_not_settled_on_in_time_is_unresolved():
     assert "give it more time" in found.message
 
 
+@pytest.mark.parametrize(("n", "turns", "off"), [(3, 1, 3e-4), (16, 5, 1e-4), (19, 3, 2e-4)])
+def test_a_torus_that_nearly_closes_is_no_period_to_a_loose_solver(n, turns, off):
+    """After n periods it is back to within what a step may be off by, and creeps on."""
+    system, law, w, _ = whirling(0.5)
+    beside = 1.0 + turns / n + off
+    omega = w / (2 * math.pi * beside)
+    found = gs.respond(system, law, omega, q_0=[0.0, 0.8, 0.0], rtol=1e-3)
+    assert found.response_class == gs.ResponseClass.QUASIPERIODIC
+    assert found.rotation_number == pytest.approx(beside - 1.0, abs=1e-6)
+
+
 def test_a_torus_beside_a_smooth_solver_s_rattle_is_found():
     """The driven coordinate repeats to 1e-7, which is white: its own means are never even."""
     system, _, w, amplitude = whirling(0.5)

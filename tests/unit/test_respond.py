@@ -92,6 +92,12 @@ def test_a_motion_that_never_settles_is_watched_no_longer_than_said(zeta, omega,
     assert found.t_settled <= t_max + steady.n_periods / omega
 
 
+def test_slow_forcing_takes_no_more_periods_than_said_and_are_shown():
+    law, steady = gs.Piecewise(1e5, gs.Gap(0.4e-3, 0.1e-3)), gs.Steady(t_max=20.0)
+    found = gs.respond(gs.Oscillator(zeta=0.03, forcing=2.0), law, omega=0.02, steady=steady)
+    assert found.t_settled * 0.02 <= 20.0 * 0.02 + steady.n_periods + 10  # first looks are short
+
+
 def test_light_damping_is_never_called_settled():
     oscillator = gs.Oscillator(zeta=1e-5, alpha=0.0)
     steady = gs.Steady(t_max=2.0)

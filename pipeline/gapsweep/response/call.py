@@ -39,6 +39,8 @@ class Call:
         How long they lasted [s], and how long they were to last.
     contact_time : ndarray, shape (n, n_contacts), or None
         Time spent beyond the walls of every contact [s]; None: only the events tell.
+    swing : ndarray, shape (n,)
+        How far [m] motions swing by themselves; infinity where they are driven.
     """
 
     def __init__(
@@ -56,7 +58,7 @@ class Call:
         self._volume_rate, self.t_end = volume_rate, t_end
         self.contact_time, self.n_contacts = found.contact_time, found.n_contacts
         self.y, self.t, self._tangent_end = found.state.T, found.t, tangent_end
-        self.status = found.status
+        self.status, self.swing = found.status, np.full(len(t_end), np.inf)
         self.n_steps, self.reach = found.n_steps, reach_of(found.reach.T, unit)
         if self.status.any():
             # A fit that was left on the way but did not run away goes on; where its steady

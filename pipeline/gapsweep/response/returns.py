@@ -25,8 +25,6 @@ Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-# Tolerances within which a shot may close, where little is lost in a period.
-_NOISY = 1000.0
 # How much longer than expected a motion may take to come round, and how often it is asked again.
 _MARGIN, _LONGER, _TRIES = 1.1, 4.0, 5
 # Maxima of a coordinate that swings by less than this share of the motion say nothing of it.
@@ -46,6 +44,8 @@ class Return(Call):
     passings : tuple of ndarray, shape (number of returns, n_states), and ndarray of int, shape (n,)
     speed : ndarray, shape (n_states, n)
         Derivatives of the ends by time, as section points [m/s].
+    swing : ndarray, shape (n,)
+        How far they swing [m].
     normal : int
         The component of a state that is zero on the section.
     *given
@@ -53,10 +53,16 @@ class Return(Call):
     """
 
     def __init__(
-        self, passings: tuple[Array, Counts], speed: Array, normal: int, *given: Any
+        self,
+        passings: tuple[Array, Counts],
+        speed: Array,
+        swing: Array,
+        normal: int,
+        *given: Any,
     ) -> None:
         super().__init__(*given)
         self._passings, self._speed, self._normal = passings, speed, normal
+        self.swing = swing
 
     @property
     def passings(self) -> tuple[Array, Counts]:
@@ -125,12 +131,10 @@ class Returns(Ensemble):
         swing = norm(speed) / (2.0 * math.pi * self.omega[scenes])
         faint = np.abs(speed[normal]) <= _FAINT * norm(speed)
         is_ok, at_rest = found.status == Status.OK, swing <= REST * self.swing[scenes]
-        if tangent:  # about a rest, Newton's orbits shrink until they close within the noise
-            at_rest |= swing <= _NOISY * self.solver.rtol * self.swing[scenes]
         found.status[is_ok & (faint | ~is_back)] = ASTRAY
         found.status[is_ok & at_rest] = AT_REST
         given = self.unit[:, scenes], n_periods / t_end, t_end, self._shrinks(scenes), *tangents
-        return Return(passings, speed, normal, found, *given)
+        return Return(passings, speed, swing, normal, found, *given)
 
     def _returned(
         self, scenes: Numbers, y: Array, n: Counts, kept: Mask, *, is_shot: bool

@@ -30,7 +30,7 @@ from gapsweep.response.section import (
     repeats,
 )
 from gapsweep.response.shooting import Growths, Shots
-from gapsweep.response.tori import LONG, SHORT, ZERO, watch
+from gapsweep.response.tori import LONG, SHORT, ZERO, stay, watch
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
 
@@ -91,12 +91,11 @@ class Search:
         self._limits = Limits.of(ensemble, steady)
         # Forcing periods of the stretch waited for: unrecorded, then added to the window.
         self._pause, self._window = np.zeros((2, n), np.int64)
-        self._settled = np.zeros(n, bool)
+        self._settled, self._goal = np.zeros(n, bool), np.zeros(n)  # goal: distance from an orbit
         self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))  # size of the next window
         # Forcing periods after which a full window is looked at: rattled motions come near their
         # orbits by chance, and are looked at before it is full, too.
         self._portion = -(-steady.n_periods // (_LOOKS if ensemble.is_rattled else 1))
-        self._goal = np.zeros(n)  # distance from an orbit found
         self._found = Found(n)
         self._phase = np.full(n, int(Phase.LOOK))
         self._wait(np.arange(n))
@@ -203,8 +202,7 @@ class Search:
         length, full = self._walks.length[points], self._steady.n_periods
         left = np.maximum(np.minimum(self._look[points], full) - length, 0)
         goes_on = left > 0
-        portion = np.minimum(left[goes_on], self._portion)
-        self._ask(points[goes_on], Phase.LOOK, 0, portion)
+        self._ask(points[goes_on], Phase.LOOK, 0, np.minimum(left[goes_on], self._portion))
         may_repeat = ~goes_on & self._settled[points] & (length >= full)
         self._repeat(points[may_repeat])
         self._end_look(points[~(goes_on | may_repeat)])
@@ -297,11 +295,12 @@ class Search:
         """A settled motion that repeats itself, though shooting could not improve on it.
 
         At loose tolerances the solver's noise is larger than any Newton residual allowed. What
-        repeats less well than that may creep past where there is no orbit at all.
+        repeats less well, or not for long, creeps past where there is no orbit, or round a torus.
         """
         walks, largest = self._walks, self._steady.max_period_multiple
         same = walks.same
         found = period_multiples(walks.section, walks.length, points, same[points], largest)
+        found *= stay(walks, points, found > 0, self._limits.longest[points], largest)
         self._end_look(points[found == 0])
         for point, n in zip(points[found > 0].tolist(), found[found > 0].tolist(), strict=True):
             # So coarse that it also repeats sooner?
@@ -314,10 +313,11 @@ class Search:
             self._as_it_is(point, n, Phase.REPEAT)
 
     def _as_it_is(self, point: int, n: int, phase: int) -> None:
-        """The next n forcing periods as a periodic orbit, closed or not, if they contract."""
-        one = np.array([point])
-        endless, nothing = np.array([math.inf]), np.zeros(1)
-        self._shots.aim(one, self._walks.y[:, one], np.array([n]), endless, nothing, nothing)
+        """The next n forcing periods as an orbit, closed or not, if they contract to one."""
+        one, is_own = np.array([point]), self._ensemble.has_own_tangent
+        goal = _NEAR * self._walks.reach[one] if is_own else np.array([math.inf])
+        noise, nowhere = self._walks.noise(n)[one], np.zeros(1)
+        self._shots.aim(one, self._walks.y[:, one], np.array([n]), goal, noise, nowhere)
         self._phase[point] = phase
 
     @_for_some
@@ -339,6 +339,7 @@ class Search:
         # A motion that was given no time to settle is nobody's example; without damping nothing
         # is long enough.
         may_grow = self._settled[points] & (self._ensemble.settling_rate[points] > 0.0)
+        may_grow &= self._growths.n_all <= self._limits.longest[points]
         grows = may_grow & (self._growths.n_times[points] == 0)
         self._begin_growth(points[grows], 1.0)
         is_recorded = self._walks.has_extrema(points)
@@ -385,8 +386,7 @@ class Search:
 
     def _begin_growth(self, points: Numbers, times: float | Array) -> None:
         y, rate = self._walks.y[:, points], self._ensemble.settling_rate[points] / times
-        longest = np.asarray(self._limits.last[points] * times)
-        self._growths.begin(points, y, rate, self._omega[points], longest)
+        self._growths.begin(points, y, rate, self._omega[points], self._limits.last[points] * times)
         self._phase[points] = Phase.GROW
 
     @_for_some

@@ -30,8 +30,11 @@ _MAX_NEWTON = 6
 # What is stretched by more than this on its way is taken to be near no orbit that attracts it, as
 # most shots of chaotic motions. Nearer to one that does, it is shot again.
 _STRETCHES = 2.0
-# Newton's steps that shorten no more than this are the solver's noise.
-_SHORTENS = 0.5
+# Newton's steps that shorten no more than this are the solver's noise, if they are as short as this
+# beside how far they may lead.
+_SHORTENS, _HARDLY = 0.5, 0.05
+# Least that an orbit takes from a disturbance, so that noise does not pass for one about a rest.
+_TAKES = 1e-3
 
 # Lyapunov exponent: the mean of as many batches, each of about so many decay times at least: what
 # one of them finds says nothing of the next one. Each is of some blocks, after one to align the
@@ -143,12 +146,17 @@ class Shots:
             # Ends that meet are not enough: weakly contracting, the orbit is much farther away.
             is_near = norm(missed) <= np.maximum(goal, self._noise[points])
             is_at_best = is_near & (length >= _SHORTENS * self._last[points])
+            is_at_best &= length <= _HARDLY * self._furthest[points]
             is_found = is_ok & call.is_sound & ((length <= goal) | is_at_best)
             multipliers = floquet_multipliers(call.monodromy, call.determinant)
+            modulus = np.abs(multipliers[:, 0])
+            # About a rest, Newton's orbits shrink until they close within the noise.
+            is_rest = call.swing <= self._noise[points] / np.maximum(1.0 - modulus, _TAKES)
+            is_found &= ~is_rest
             self._keep(points, np.flatnonzero(is_found), multipliers, call)
             self._tries[points], self._last[points] = self._tries[points] + 1, length
             moved = self._moved[:, points] + step
-            goes_on = is_ok & ~is_found & (np.abs(multipliers[:, 0]) <= _STRETCHES)
+            goes_on = is_ok & ~is_found & ~is_rest & (modulus <= _STRETCHES)
             goes_on &= norm(moved) <= self._furthest[points]
             goes_on &= self._tries[points] < _MAX_NEWTON
         left = points[goes_on]
@@ -193,7 +201,9 @@ class Growths:
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
         self._rates = np.empty((n_points, self.n_all))  # of every block [1/s]
 
-    def begin(self, points: Numbers, y: Array, rate: Array, omega: Array, longest: Array) -> None:
+    def begin(
+        self, points: Numbers, y: Array, rate: Array, omega: Array, longest: NDArray[Any]
+    ) -> None:
         """Begin at states.
 
         Parameters

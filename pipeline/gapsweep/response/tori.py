@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.section import norm
+from gapsweep.response.section import norm, period_multiple
 from gapsweep.response.walks import Walks
 
 Array = NDArray[np.float64]
@@ -13,6 +13,7 @@ Numbers = NDArray[np.intp]
 
 _STILL = 1e-8  # of the largest scatter: a component with less does not move
 _REPEATS, _ROUNDING = 4, 1e-3
+_STAYS = 1 << 10  # forcing periods; more than there are points of a window
 _MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
 
 
@@ -110,6 +111,33 @@ def _watch(
             if seems and seemed[k]:
                 found.rotation[k] = rotation_number(section, largest)
             seemed[k] = seems
+
+
+def stay(
+    walks: Walks, points: Numbers, repeat: NDArray[np.bool_], longest: Array, largest: int
+) -> NDArray[np.bool_]:
+    """Which motions that repeat themselves, as `repeat` says, still do `_STAYS` periods on.
+
+    A torus that comes near itself within the solver's noise creeps on, and is far away by then. Two
+    states leave room for none. What may not be watched for so long is not known to stay.
+
+    Parameters
+    ----------
+    walks, points, longest, largest
+        As of `watch`.
+    repeat : ndarray of bool, shape (m,)
+    """
+    if len(walks.y) == 2:
+        return repeat
+    found = np.zeros(len(points), bool)
+    some = np.flatnonzero(repeat & (longest >= _STAYS))
+    if some.size:
+        at, n = points[some], np.full(len(some), _STAYS)
+        call, same = walks.ensemble.call(at, walks.y[:, at], n, np.zeros(len(at))), walks.same[at]
+        for k in np.flatnonzero(call.is_ok).tolist():
+            section = call.section[:, call.period_ends[k] : call.period_ends[k + 1]]
+            found[some[k]] = period_multiple(section, float(same[k]), largest) > 0
+    return found
 
 
 def _has_repeated(section: Array, same: float) -> bool:
