@@ -74,7 +74,7 @@ def test_a_limit_cycle_is_where_another_integrator_goes():
     assert_allclose(found.contact_share, [beyond.mean()], atol=1e-3)
 
 
-@pytest.mark.parametrize("rtol", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-4])
 def test_a_loose_solver_tells_a_limit_cycle_from_rest(rtol):
     start = {"q_0": [0.1, -0.1]}  # from far away: the cycle is small beside it
     tight = gs.respond(fluttering(), LAW, **start)
