@@ -212,7 +212,7 @@ def test_walls_must_be_a_gap():
 def test_a_plateau_is_a_turn():
     """Nothing of it is lost where the force rises, stays and falls."""
     table = gs.ForceTable([-1.0, 0.0, 1.0, 2.0, 3.0], [0.0, 0.0, 1.0, 1.0, 0.0])
-    assert {1.0, 2.0} <= {*table.turns.tolist()}
+    assert {1.0, 2.0} <= {*table.turns}
     (largest,) = largest_forces([table], np.array([0.0]), np.array([3.0]))
     assert largest == 1.0
 

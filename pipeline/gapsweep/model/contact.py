@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from decimal import Decimal
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -31,6 +32,7 @@ _NOEVENTS = "noevents"
 # A user's law has central differences for its slope: over the part of x that balances truncation
 # and rounding, and of SLOPE_LENGTH [m] where x is smaller, as nothing moves by less.
 SLOPE_STEP, SLOPE_LENGTH = 6e-6, 1e-9
+_HALVINGS = 60  # to the last digits of a double
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,11 @@ class ContactLaw:
         """Thickness of the smoothing layer at a wall [m]; NaN if it has none."""
         return math.nan
 
+    @property
+    def turns(self) -> tuple[float, ...] | None:
+        """Displacements [m] at which the force turns, maybe some more; None: look for them."""
+        return None
+
     def __post_init__(self) -> None:
         for name in ("K_c", "K_ratio"):
             object.__setattr__(self, name, checked(name, getattr(self, name), low=0.0))
@@ -152,6 +159,10 @@ class Piecewise(ContactLaw):
     def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
         return {"located": not parameter}
 
+    @property
+    def turns(self) -> tuple[float, ...]:
+        return ()
+
     def force(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
         return np.asarray(self.K_c * unit_force(x, self.gap, self.K_ratio))
@@ -177,6 +188,10 @@ class _Sharpened(ContactLaw):
     @property
     def layer(self) -> float:
         return 1.0 / self.sharpness
+
+    @property
+    def turns(self) -> tuple[float, ...] | None:
+        return ()
 
     @classmethod
     def canonical(cls, label: str, parameter: str) -> str:
@@ -249,9 +264,34 @@ class Tanh(_Switched):
     family: ClassVar[str] = "tanh"
     colour: ClassVar[str] = "#0072B2"
 
+    @cached_property
+    def turns(self) -> tuple[float, ...] | None:
+        """Between equal walls: before each of them, if they are far apart.
+
+        In ``u = ε (x - middle)`` with walls ``w`` apart the slope is
+        ``h'(u - w/2) + h'(-u - w/2)``, ``h'`` that of ``z (1 + tanh z)``. It is negative in the
+        middle, positive at the walls, and changes sign once between; where it is positive in the
+        middle, it is everywhere.
+        """
+        if self.K_ratio != 1.0:
+            return None
+        half = 0.5 * self.epsilon * self.gap.width
+        low, high = 0.0, half
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            falls = _blend_slope(middle - half) + _blend_slope(-middle - half) < 0.0
+            low, high = (middle, high) if falls else (low, middle)
+        centre, turn = 0.5 * (self.gap.j_2 - self.gap.j_1), low / self.epsilon
+        return centre - turn, centre + turn
+
     def _switch(self, z: Array) -> tuple[Array, Array]:
         s = np.tanh(z)
         return s, 1.0 - s * s
+
+
+def _blend_slope(z: float) -> float:
+    s = math.tanh(z)
+    return 1.0 + s + z * (1.0 - s * s)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -45,6 +46,19 @@ class Fitted(ContactLaw):
         """Chebyshev coefficients in `u`: numerator [N] and denominator [-], lowest first."""
         fit = self.fit
         return self.K_c * np.array(fit.numerator), np.array(fit.denominator)
+
+    @cached_property
+    def turns(self) -> tuple[float, ...]:
+        top, bottom = self.coefficients
+        slope = chebyshev.chebsub(
+            chebyshev.chebmul(chebyshev.chebder(top), bottom),
+            chebyshev.chebmul(top, chebyshev.chebder(bottom)),
+        )
+        if not slope.any():
+            return ()
+        # The real part of a complex root is a point like any other.
+        roots = chebyshev.chebroots(chebyshev.chebtrim(slope, 1e-14 * np.abs(slope).max()))
+        return tuple((self.fit_range * np.unique(roots.real)).tolist())
 
     @property
     def rmse(self) -> float:

@@ -109,13 +109,10 @@ class ForceTable(ContactLaw):
         return found
 
     @property
-    def turns(self) -> Array:
-        """Displacements [m] at which the force may turn: only points of the table are.
-
-        Those between which it rises to one side and does not to the other: ends of plateaus too.
-        """
+    def turns(self) -> tuple[float, ...]:
+        """Points between which it rises to one side and not to the other: plateaus' ends too."""
         rises = np.sign(np.diff(self.F))
-        return np.asarray(self._places[1:-1][rises[1:] != rises[:-1]])
+        return tuple(self._places[1:-1][rises[1:] != rises[:-1]].tolist())
 
     def force(self, x: ArrayLike) -> Array:
         start, c_3, c_2, c_1, c_0 = self._piece(x)

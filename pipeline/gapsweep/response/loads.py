@@ -1,26 +1,14 @@
 """What a contact bears in a steady response: its largest force, and for how much of the time."""
 
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from gapsweep.model.contact import (
-    Arctan,
-    ContactLaw,
-    LogArctan,
-    Piecewise,
-    Tanh,
-    UserLaw,
-)
+from gapsweep.model.contact import ContactLaw, UserLaw
 from gapsweep.model.equilibria import search_points, sign_changes
-from gapsweep.model.fitted import Fitted
-from gapsweep.model.table import ForceTable
 from gapsweep.response.call import Call
 from gapsweep.response.ensemble import Ensemble
 
@@ -28,7 +16,6 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Numbers = NDArray[np.intp]
 
-_HALVINGS = 60  # to the last digits of a double
 # A start this close to a wall, as a share of its displacement, is on it: not even the time of a
 # graze that deep would show.
 _ON_WALL = 1e-9
@@ -45,113 +32,22 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
     Parameters
     ----------
     laws : sequence of ContactLaw, length n
-        Of one `law_kind`.
     x_min, x_max : ndarray, shape (n,)
         Displacements [m].
     """
-    if not laws:
-        return np.empty(0)
-    law = laws[0]
-    if isinstance(law, Tanh):
-        return _largest_of_tanh(laws, x_min, x_max)
-    if isinstance(law, Piecewise | Arctan | LogArctan):
-        return _largest(_together(laws), x_min, x_max, ())
-    if isinstance(law, Fitted):
-        return _largest(law, x_min, x_max, _fit_turns(law))
-    if isinstance(law, ForceTable):
-        return _largest(law, x_min, x_max, law.turns)
-    return _largest_searched(law, x_min, x_max)
-
-
-def _largest_of_tanh(laws: Sequence[Any], x_min: Array, x_max: Array) -> Array:
-    """Of walls that are equal all together; where they differ, turns have to be searched."""
-    rows: dict[Any, list[int]] = {}
-    for row, law in enumerate(laws):
-        rows.setdefault(None if law.K_ratio == 1.0 else law, []).append(row)
-    found = np.empty(len(laws))
-    for law, here in rows.items():
-        if law is None:
-            one = _together([laws[row] for row in here])
-            found[here] = _largest(one, x_min[here], x_max[here], _tanh_turns(one))
-        else:
-            found[here] = _largest_searched(law, x_min[here], x_max[here])
-    return found
-
-
-def _largest_searched(law: ContactLaw, x_min: Array, x_max: Array) -> Array:
-    """Largest magnitude of the force of any law."""
+    rows: dict[tuple[int, int], list[int]] = {}
     # Searched as far as the motion goes, in powers of two: no point's result may depend on others.
-    _, power = np.frexp(np.maximum(np.abs(x_min), np.abs(x_max)))
-    found = np.empty(len(power))
-    for each in np.unique(power).tolist():
-        here = power == each
-        found[here] = _largest(law, x_min[here], x_max[here], _searched_turns(law, 2.0**each))
+    _, powers = np.frexp(np.maximum(np.abs(x_min), np.abs(x_max)))
+    for row, (law, power) in enumerate(zip(laws, powers.tolist(), strict=True)):
+        rows.setdefault((id(law), power), []).append(row)
+    found = np.empty(len(laws))
+    for (_, power), here in rows.items():
+        law, low, high = laws[here[0]], x_min[here], x_max[here]
+        largest = np.fmax(np.abs(_force(law, low)), np.abs(_force(law, high)))
+        for turn in _searched_turns(law, 2.0**power) if law.turns is None else law.turns:
+            largest = np.fmax(largest, np.abs(_force(law, np.clip(turn, low, high))))
+        found[here] = largest
     return found
-
-
-def _together(objects: Sequence[Any]) -> Any:
-    """Objects of one class as one, each of whose numbers is a column."""
-    if all(each is objects[0] for each in objects):
-        return objects[0]
-    one = copy(objects[0])
-    for field in fields(one):
-        values = [getattr(each, field.name) for each in objects]
-        if is_dataclass(values[0]):
-            object.__setattr__(one, field.name, _together(values))
-        elif isinstance(values[0], float):
-            object.__setattr__(one, field.name, np.array(values))
-    return one
-
-
-def _largest(law: ContactLaw, x_min: Array, x_max: Array, turns: Sequence[Any] | Array) -> Array:
-    """Largest magnitude of a force at the ends and at the turns between them."""
-    largest = np.fmax(np.abs(_force(law, x_min)), np.abs(_force(law, x_max)))
-    for turn in turns:
-        largest = np.fmax(largest, np.abs(_force(law, np.clip(turn, x_min, x_max))))
-    return np.asarray(largest)
-
-
-def _tanh_turns(law: Tanh) -> tuple[Array, Array]:
-    """Displacements [m] at which the force turns between equal walls: it dips before each of them,
-    if they are far apart.
-
-    In ``u = ε (x - middle)`` with walls ``w`` apart its slope is ``h'(u - w/2) + h'(-u - w/2)``,
-    ``h'`` that of ``z (1 + tanh z)``. It is negative in the middle, positive at the walls, and
-    changes sign once between; where it is positive in the middle, it is everywhere.
-    """
-    width, which = np.unique(law.epsilon * law.gap.width, return_inverse=True)
-
-    def slope(u: Array) -> Array:
-        return _blend_slope(u - 0.5 * width) + _blend_slope(-u - 0.5 * width)
-
-    low, high = np.zeros_like(width), 0.5 * width
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        falls = slope(middle) < 0.0
-        low, high = np.where(falls, middle, low), np.where(falls, high, middle)
-    turn = low[which].reshape(np.shape(law.epsilon)) / law.epsilon
-    centre = 0.5 * (law.gap.j_2 - law.gap.j_1)
-    return centre + turn, centre - turn
-
-
-def _blend_slope(z: Array) -> Array:
-    s = np.tanh(z)
-    return np.asarray(1.0 + s + z * (1.0 - s * s))
-
-
-@lru_cache(maxsize=256)
-def _fit_turns(law: Fitted) -> tuple[float, ...]:
-    """Displacements [m] at which the force of a fit turns, and some at which it does not."""
-    top, bottom = law.coefficients
-    slope = chebyshev.chebsub(
-        chebyshev.chebmul(chebyshev.chebder(top), bottom),
-        chebyshev.chebmul(top, chebyshev.chebder(bottom)),
-    )
-    if not slope.any():
-        return ()
-    # The real part of a complex root is a point like any other.
-    roots = chebyshev.chebroots(chebyshev.chebtrim(slope, 1e-14 * np.abs(slope).max()))
-    return tuple((law.fit_range * np.unique(roots.real)).tolist())
 
 
 @lru_cache(maxsize=256)
