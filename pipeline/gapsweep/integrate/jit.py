@@ -17,6 +17,7 @@ import stat
 import sys
 import sysconfig
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -38,6 +39,8 @@ from numba.core.sigutils import normalize_signature
 from numba.core.typed_passes import InlineOverloads, NopythonRewrites
 from numba.core.untyped_passes import InlineClosureLikes, InlineInlinables, WithLifting
 from numba.extending import overload
+
+from gapsweep.integrate.problem import LOADING
 
 
 class _Part(JITCodeLibrary):
@@ -236,7 +239,21 @@ def entry(function: Callable[..., Any]) -> Any:
     found = njit(nogil=True, pipeline_class=_OurCompiler)(function)
     found._cache = _Cache(function)
     found.compile = _by_one_process(function, _in_one_go(found.compile))
+    found._compile_for_args = _counted(found._compile_for_args)
     return found
+
+
+def _counted(usual: Callable[..., Any]) -> Callable[..., Any]:
+    """What a dispatcher does at the first call with arguments of such types; counts its time."""
+
+    def compiled(*args: Any) -> Any:
+        begin = time.thread_time()
+        try:
+            return usual(*args)
+        finally:
+            LOADING.seconds += time.thread_time() - begin
+
+    return compiled
 
 
 def _in_one_go(usual: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,5 +1,6 @@
 """What an engine is given: initial value problems and solver settings."""
 
+import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -140,6 +141,18 @@ class Problems:
 
 
 Integrate = Callable[[Problems], Motions]
+
+
+class Loading(threading.local):
+    """Processor time [s] that a thread has spent on loading or compiling an engine so far.
+
+    The first call of a process waits for it: it is no part of what a motion costs.
+    """
+
+    seconds: float = 0.0
+
+
+LOADING = Loading()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

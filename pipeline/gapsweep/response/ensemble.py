@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import COUNTS, Motions
-from gapsweep.integrate.problem import Integrate, Models, Problems
+from gapsweep.integrate.problem import LOADING, Integrate, Models, Problems
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
@@ -268,10 +268,11 @@ class Ensemble:
         return tangents, ends.T
 
     def _solved(self, integrate: Integrate, problems: Problems, n_periods: NDArray[Any]) -> Motions:
-        begin = time.thread_time()
+        begin = time.thread_time() - LOADING.seconds
         found = integrate(problems)
+        spent = time.thread_time() - LOADING.seconds - begin
         # What ran together shares the processor time in proportion to its steps.
-        seconds = (time.thread_time() - begin) * found.n_steps / max(found.n_steps.sum(), 1)
+        seconds = spent * found.n_steps / max(found.n_steps.sum(), 1)
         counts = (getattr(found, name) for name in COUNTS)
         lasted = found.t * self.omega[problems.which] * _begun(problems, found)
         n_periods = np.where(arrived(found, problems.t_end), n_periods, lasted)
