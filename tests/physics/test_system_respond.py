@@ -325,6 +325,32 @@ def test_a_torus_beside_a_part_that_repeats_is_found():
     assert found.rotation_number == pytest.approx(1.0 / w - 1.0, abs=1e-8)
 
 
+def test_a_torus_is_not_given_the_slow_orbit_that_it_passes():
+    """Every few dozen periods it comes within 1 % of its reach of a stable one (|mu| = .999)."""
+    system = gs.System(
+        mass=[[1.914, 0.689], [0.689, 1.81]], stiffness=[[3.247, -0.0404], [-0.0404, 0.4857]],
+        damping=[[0.0071, 0.00166], [0.00166, 0.0048]],
+        contacts={"a": [0.19, -1.46], "b": [0.135, 0.1835]},
+        forcing=[
+            gs.Harmonic(amplitude=[3.317, -2.016]), gs.Harmonic(amplitude=[-0.54, 0.2756], k=0)
+        ],
+        cubic=[
+            gs.Cubic(along=[-0.072, -1.778], alpha=0.794),
+            gs.Cubic(along=[-2.21, -0.268], alpha=1.438),
+        ],
+    )  # fmt: skip
+    laws = {
+        "a": gs.Piecewise(464.0, gs.Gap(0.02375, 0.00971)),
+        "b": gs.Piecewise(574.0, gs.Gap(0.79, 0.387)),
+    }
+    start = {"q_0": [-0.1361, -0.0336], "v_0": [-0.0368, 0.0759]}
+    found = gs.respond(system, laws, 1.5947, **start)
+    assert found.response_class == gs.ResponseClass.QUASIPERIODIC
+    state = found.x_end, found.v_end
+    later = gs.simulate(system, laws, 1.5947, q_0=state[0], v_0=state[1], t_end=300.0)
+    assert np.ptp(np.array(later.section)[:, 0]) > 0.05 * found.amplitude[0]  # it is no orbit
+
+
 def whirling(growth, driven=1.3):
     """A driven coordinate beside two that whirl: q = A (cos wt, sin wt), A^2 = w^2 - 1."""
     w = 1.0 + growth

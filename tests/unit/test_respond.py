@@ -17,7 +17,7 @@ from gapsweep.response.maps import floquet_multipliers, newton_steps
 from gapsweep.response.respond import respond_all
 from gapsweep.response.scene import Scene
 from gapsweep.response.section import likely_multiple, period_multiple
-from gapsweep.response.shooting import Growths
+from gapsweep.response.shooting import Growths, Shots
 from gapsweep.status import Status
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
@@ -71,6 +71,54 @@ def test_known_period_two_of_hard_asymmetric_contact():
     assert_allclose(response.x_max, 0.423e-3, atol=0.0006e-3)
     assert response.response_class is gs.ResponseClass.PERIODIC
     assert response.period_multiple == 2
+
+
+def test_an_exponent_is_growth_per_time_however_long_returns_take():
+    rng, growths = np.random.default_rng(4), Growths(2, 1)
+    n, time = growths.n_all, rng.uniform(0.5, 3.0, growths.n_all)
+    logs = rng.normal(
+        0.3, 0.1, n
+    )  # whatever time they take: the mean of rates is 1.4 times as much
+    point, one = np.array([0]), np.ones(1)
+    growths.begin(point, np.zeros((2, 1)), one, one, np.array([1.0 * n]))
+    blocks = SimpleNamespace(
+        is_ok=np.ones(n, bool), status=np.zeros(n, int), y=np.zeros((2, n)), omega=1.0 / time,
+        monodromy=np.exp(logs)[:, None, None] * np.eye(2), is_sound=np.ones(n, bool),
+        strayed=np.zeros(n),
+    )  # fmt: skip
+    growths.step(point, n, blocks)
+    (found,), (error,) = growths.exponents(point)
+    assert found == pytest.approx(logs[1:].sum() / time[1:].sum())  # the first one aligns
+    # As a sample of such ratios scatters.
+    drawn = np.random.default_rng(5)
+    ratios = [
+        drawn.normal(0.3, 0.1, 60).sum() / drawn.uniform(0.5, 3.0, 60).sum() for _ in range(999)
+    ]
+    assert 0.5 < error / np.std(ratios) < 2.0
+
+
+def test_newton_goes_on_while_ends_still_come_nearer():
+    """Where multipliers nearly turn once in a shot, ends meet far away from the orbit."""
+    shots, point, noise = Shots(2, 1, 2), np.array([0]), 5e-5
+    nowhere = np.zeros((2, 1))
+    shots.aim(point, nowhere, np.ones(1, int), *np.array([[1e-9], [noise], [1.0]]))
+
+    def shot(missed, length):
+        """Whether an orbit is found where ends are so far apart and Newton's step is so long."""
+        one = np.ones(1, bool)
+        call = SimpleNamespace(
+            y=shots.y + np.array([[missed], [0.0]]), unit=np.ones((2, 1)), is_ok=one, is_sound=one,
+            monodromy=(1.0 - missed / length) * np.eye(2)[None], swing=np.array([np.inf]),
+            determinant=np.array([(1.0 - missed / length) ** 2]), omega=np.ones(1),
+            section=nowhere, period_ends=np.array([0, 1]),
+        )  # fmt: skip
+        (is_found,), (is_lost,) = shots.step(point, call)
+        assert not is_lost
+        return is_found
+
+    assert not shot(3e-3, 1.5e-3)
+    assert not shot(2e-5, 1.2e-3)  # within the noise, but a hundred times nearer than before
+    assert shot(1.8e-5, 1.1e-3)
 
 
 def test_long_lists_of_extrema_are_cut_and_counted():

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.answers import answers
+from gapsweep.response.approach import NEAR, approach, farthest, is_slow
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
 from gapsweep.response.found import SURE, Found, Phase
 from gapsweep.response.limits import Limits
@@ -23,11 +24,9 @@ from gapsweep.response.section import (
     DEVIATIONS,
     converging_multiples,
     likely_multiple,
-    norm,
     period_multiples,
     prime_multiple,
     repeat_nearly,
-    repeats,
 )
 from gapsweep.response.shooting import Growths, Shots
 from gapsweep.response.tori import LONG, SHORT, ZERO, stay, watch
@@ -58,10 +57,6 @@ _LOOKS = 4
 _CLOSE = 0.1
 # Newton may move this share of the response's reach; from farther away it leads anywhere.
 _SMALL_STEP = 0.2
-# Before an orbit counts as its own, the motion must come within this share of the reach of it,
-# and this much closer than it was.
-_NEAR = 1e-2
-_CLOSER = 0.5
 # A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
 _INSIDE = 1.0 - 1e-6
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
@@ -241,54 +236,37 @@ class Search:
     def _compare(self, points: Numbers) -> None:
         """Whether the motion itself approaches an orbit: the guard against a swapped attractor.
 
-        It does, if it is near and came closer over its recorded window. Else it goes on,
-        unrecorded, for as long as its slowest multiplier needs to come near, and must be near
-        then. What would take longer than the motion is watched is not waited for: near the orbit
-        it must have shrunk at least half as much over its window as the multiplier says.
+        It does, if it is near and came closer over its recorded window. Else it goes on for as
+        long as its slowest multiplier needs to come near, and must be near then. What would take
+        longer than the motion is watched is not waited for.
         """
-        walks, n = self._walks, self._shots.n[points]
-        same, near = walks.same[points], _NEAR * walks.reach[points]
-        before = self._distance(points)
-        last = walks.length[points] - 1
-        orbit = self._shots.y[:, points] / self._ensemble.unit[:, points]
-        first = norm(walks.section[:, points, last % n] - orbit)
-        is_own = before <= np.maximum(same, np.minimum(near, _CLOSER * first))
-        goal = np.maximum(np.minimum(_CLOSER * before, near), same)
-        modulus = np.maximum(np.abs(self._shots.multipliers[points, 0]), 1e-12)
+        walks, full = self._walks, self._steady.n_periods
+        found = approach(walks, self._shots, points, full)
         # Transient chaos that has ended late leaves as much time as it took.
         more = np.where(self._growths.n_times[points] > 0, self._limits.last[points], 0)
         n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
-        self._goal[points] = goal
-        away = np.flatnonzero(~is_own)
-        # One factor of two more: a state's directions do not shrink as one.
-        stretch = repeats(0.5 * goal[away] / before[away], modulus[away]) * n[away]
-        is_short = stretch <= n_left[away]
-        self._ask(points[away[is_short]], Phase.APPROACH, stretch[is_short], 0)
-        for k in away[~is_short].tolist():
-            expected = float(modulus[k]) ** int(last[k] // n[k])
-            has_shrunk = before[k] <= 0.5 * (1.0 + expected) * first[k]
-            is_own[k] = has_shrunk and before[k] <= near[k]
-            found, point = self._found, points[k]
-            if has_shrunk and found.lyapunov[point] > 0.0:
-                # It is on its way, and what grew before says nothing of it.
-                found.lyapunov[point] = found.lyapunov_error[point] = np.nan
-        waits = np.isin(np.arange(len(points)), away[is_short])
+        waits = ~found.is_own & (found.stretch <= n_left)
+        away, self._goal[points] = points[waits], found.goal
+        slow = is_slow(self._shots, away, full)
+        walks.forget(away[slow])
+        self._ask(away, Phase.APPROACH, found.stretch[waits], np.where(slow, full, 0))
+        stays = ~found.is_own & ~waits
+        # It is on its way, and what grew before says nothing of it.
+        grew = points[stays & found.has_shrunk & (self._found.lyapunov[points] > 0.0)]
+        self._found.lyapunov[grew] = self._found.lyapunov_error[grew] = np.nan
+        is_own = found.is_own | (stays & found.has_shrunk & found.is_near)
         self._close(points[is_own])
         self._go_on(points[~is_own & ~waits])
 
     @_for_some
     def _arrive(self, points: Numbers) -> None:
-        is_near = self._distance(points) <= self._goal[points]
+        far = farthest(self._walks, self._shots, points, self._steady.n_periods)
+        is_near = far <= self._goal[points]
         self._close(points[is_near])
         away = points[~is_near]
         # A window that is to go on begins anew: what was not recorded would be a gap in it.
         self._walks.forget(away[self._walks.length[away] < self._look[away]])
         self._go_on(away)
-
-    def _distance(self, points: Numbers) -> Array:
-        """Distances of motions, at whole periods of their orbits, from these' starts [m]."""
-        apart = self._walks.y[:, points] - self._shots.y[:, points]
-        return norm(apart / self._ensemble.unit[:, points])
 
     @_for_some
     def _repeat(self, points: Numbers) -> None:
@@ -315,7 +293,7 @@ class Search:
     def _as_it_is(self, point: int, n: int, phase: int) -> None:
         """The next n forcing periods as an orbit, closed or not, if they contract to one."""
         one, is_own = np.array([point]), self._ensemble.has_own_tangent
-        goal = _NEAR * self._walks.reach[one] if is_own else np.array([math.inf])
+        goal = NEAR * self._walks.reach[one] if is_own else np.array([math.inf])
         noise, nowhere = self._walks.noise(n)[one], np.zeros(1)
         self._shots.aim(one, self._walks.y[:, one], np.array([n]), goal, noise, nowhere)
         self._phase[point] = phase

@@ -72,7 +72,8 @@ class Shots:
         self.omega = np.full(n_points, np.nan)
         self.section = [np.empty((n_states, 0))] * n_points
         self._moved, self._tries = np.zeros_like(self.y), np.zeros(n_points, np.int64)
-        self._last = np.zeros(n_points)  # length of the last step
+        # Length of the last step, and how far apart the ends were.
+        self._last, self._apart = np.zeros((2, n_points))
         self._goal, self._noise, self._furthest = np.zeros((3, n_points))
 
     def aim(
@@ -96,11 +97,12 @@ class Shots:
         self.y[:, points], self.n[points] = y, n
         self._goal[points], self._noise[points], self._furthest[points] = goal, noise, furthest
         self._moved[:, points], self._tries[points] = 0.0, 0
-        self._last[points] = np.inf
+        self._last[points] = self._apart[points] = np.inf
 
     def shorten(self, points: Numbers, n: Counts) -> None:
         """Begin again at orbits that were found, over fewer forcing periods."""
-        self.n[points], self._tries[points], self._last[points] = n, 0, np.inf
+        self.n[points], self._tries[points] = n, 0
+        self._last[points] = self._apart[points] = np.inf
 
     def advance(self, ensemble: Ensemble, points: Numbers) -> tuple[Mask, Mask]:
         """Shoot once more; returns as `step`."""
@@ -144,9 +146,11 @@ class Shots:
             step = newton_steps(call.monodromy, missed.T).T
             length = norm(step)
             # Ends that meet are not enough: weakly contracting, the orbit is much farther away.
-            is_near = norm(missed) <= np.maximum(goal, self._noise[points])
-            is_at_best = is_near & (length >= _SHORTENS * self._last[points])
-            is_at_best &= length <= _HARDLY * self._furthest[points]
+            apart = norm(missed)
+            is_near = apart <= np.maximum(goal, self._noise[points])
+            shortens = length < _SHORTENS * self._last[points]
+            shortens |= apart < _SHORTENS * self._apart[points]
+            is_at_best = is_near & ~shortens & (length <= _HARDLY * self._furthest[points])
             is_found = is_ok & call.is_sound & ((length <= goal) | is_at_best)
             multipliers = floquet_multipliers(call.monodromy, call.determinant)
             modulus = np.abs(multipliers[:, 0])
@@ -154,7 +158,8 @@ class Shots:
             is_rest = call.swing <= self._noise[points] / np.maximum(1.0 - modulus, _TAKES)
             is_found &= ~is_rest
             self._keep(points, np.flatnonzero(is_found), multipliers, call)
-            self._tries[points], self._last[points] = self._tries[points] + 1, length
+            self._tries[points] += 1
+            self._last[points], self._apart[points] = length, apart
             moved = self._moved[:, points] + step
             goes_on = is_ok & ~is_found & ~is_rest & (modulus <= _STRETCHES)
             goes_on &= norm(moved) <= self._furthest[points]
@@ -199,7 +204,8 @@ class Growths:
         self.y = np.empty((n_states, n_points))
         self.n_periods, self.n_blocks, self.n_times = np.zeros((3, n_points), np.int64)
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
-        self._rates = np.empty((n_points, self.n_all))  # of every block [1/s]
+        # Of every block: the logarithm of the growth, and how long it took [s].
+        self._growth, self._time = np.empty((2, n_points, self.n_all))
 
     def begin(
         self, points: Numbers, y: Array, rate: Array, omega: Array, longest: NDArray[Any]
@@ -283,9 +289,8 @@ class Growths:
         # numpy's own logarithm is another one on another processor.
         logs = [math.log(each) if each else -math.inf for each in lengths[row, block].tolist()]
         now = points[row]
-        self._rates[now, self.n_blocks[now] + block] = (
-            logs * call.omega[row * n + block] / self.n_periods[now]
-        )
+        at = now, self.n_blocks[now] + block
+        self._growth[at], self._time[at] = logs, self.n_periods[now] / call.omega[row * n + block]
         before = self.n_blocks[points]
         self.n_blocks[points] += counts
         squares = before * self.strayed[points] ** 2 + np.square(strayed).sum(axis=1)
@@ -298,10 +303,16 @@ class Growths:
         The errors are those of batch means. NaN where the tangent was unsound.
         """
         # The first block turns the vector into the direction of growth.
-        batches = self._rates[points, 1:].reshape(-1, _N_BATCHES, _BLOCKS).mean(axis=2)
+        growth, time = (
+            each[points, 1:].reshape(-1, _N_BATCHES, _BLOCKS).sum(axis=2)
+            for each in (self._growth, self._time)
+        )
+        # Returns take longer or shorter: a mean of rates would count the short ones too much.
+        exponent, share = growth.sum(axis=1) / time.sum(axis=1), time / time.mean(axis=1)[:, None]
         with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing
-            error = batches.std(axis=1, ddof=1) / math.sqrt(_N_BATCHES)
-        return batches.mean(axis=1), error
+            apart = (growth / time - exponent[:, None]) * share
+            error = np.sqrt(np.square(apart).mean(axis=1) / (_N_BATCHES - 1))
+        return exponent, error
 
     def shear(self, points: Numbers, omega: Array) -> Array:
         """Exponents [1/s] of what grows in proportion to time, as neighbours on a torus part.
