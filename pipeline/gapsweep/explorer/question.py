@@ -331,9 +331,8 @@ def not_computed(study: Study) -> str:
     if not own:
         return ""
     return (
-        f"Not computed here: {', '.join(own)}, of your own; of a run the squares show what is "
-        "stored. The black line is the exact law of straight walls, with K_c and the gap of the "
-        "sliders."
+        f"Not computed here: your own {', '.join(own)}. Squares show what a run has stored; black "
+        "is the exact law of straight walls, with K_c and the gap of the sliders."
     )
 
 
