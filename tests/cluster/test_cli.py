@@ -200,9 +200,22 @@ def test_query_prints_the_columns_and_digits_asked_for(finished):
         float(f"{float(r['x_max']):.3g}") for r in rows
     ]
     assert list(rows[0])[-2:] == ["x_max", "status"]
-    table = gapsweep(finished, "query", "tiny.toml", "--to", "table").stdout
+    shown = gapsweep(finished, "query", "tiny.toml", "--to", "table")
+    table = shown.stdout
     assert max(map(len, table.splitlines())) <= 80
     assert table.count("piecewise") == 2
+    assert "x_max" not in table
+    assert "--to csv all" in shown.stderr
+
+
+def test_query_says_how_to_have_other_columns_to_one_who_names_none(finished):
+    whole = gapsweep(finished, "query", "tiny.toml")
+    header = whole.stdout.splitlines()[0].split(",")
+    assert {"x_max", "x_min", "amplitude", "lyapunov", "n_steps"} <= {*header}
+    assert "--to table prints the few" in whole.stderr
+    asked = gapsweep(finished, "query", "tiny.toml", "--to", "csv")
+    assert asked.stdout == whole.stdout
+    assert "--to" not in asked.stderr
 
 
 def test_explain_names_the_field_that_differs(finished):

@@ -88,3 +88,22 @@ def test_full_disk_while_exporting(folder):
     )  # fmt: skip
     with gs.open(folder / "out" / "responses.nc") as ds:
         assert (ds["status"] == gs.Status.OK).all()
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("arguments", [["--version"], ["plan", "full.toml"], ["plan", "--help"]])
+def test_a_full_device_is_one_line(folder, arguments, unbuffered):
+    command = [sys.executable, "-c", RUN, *arguments]
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            command, cwd=folder, env=environment, stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert done.returncode == 1
+    assert done.stderr == "error: No space left on device\n"
+
+
+def test_a_closed_output_hinders_nothing(folder):
+    command = f"{sys.executable} -c '{RUN}' plan full.toml >&-"
+    done = subprocess.run(["sh", "-c", command], cwd=folder, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -512,10 +512,11 @@ def test_the_largest_force_of_a_stiffness_that_changes_is_not_said():
     assert np.isnan(found.force_max).all()
 
 
-def test_basins_of_a_system_are_refused():
+@pytest.mark.parametrize("omega", [{}, {"omega": None}, {"omega": 3.0}, {"omega": "fast"}])
+def test_basins_of_a_system_are_refused_before_anything_else(omega):
     system, law = coupled()
     with pytest.raises(gs.ModelError, match=r"ask gapsweep\.respond for an array of starts"):
-        gs.basins(system, law["wall"], 3.0, x=[0.0], v=[0.0])
+        gs.basins(system, law, **omega, x=[0.0], v=[0.0])
 
 
 def test_what_leaves_an_orbit_slowly_is_not_chaotic():

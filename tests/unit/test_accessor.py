@@ -282,6 +282,55 @@ def test_what_cannot_be_drawn_is_refused_with_the_remedy(responses, attractors, 
         call(responses, attractors)
 
 
+@pytest.fixture(scope="module")
+def unforced(responses):
+    """As of a system that nothing forces: over a number of its own, and no frequency."""
+    one = responses.isel(omega=0, drop=True)
+    faster = one.copy()
+    for name in ("x_max", "amplitude", "extrema"):
+        faster[name] = 2.0 * one[name]
+    return xr.concat([one, faster], xr.DataArray([10.0, 12.0], dims="speed", name="speed"))
+
+
+def test_what_has_no_frequency_is_drawn_along_what_is_swept(unforced, ax):
+    unforced.gapsweep.bifurcation(ax=ax)
+    assert_allclose(drawn(ax), expected(unforced["extrema"].rename(speed="omega")))
+    for other in (
+        unforced.gapsweep.frequency_response(),
+        unforced.gapsweep.compare("piecewise", "tanh-1e4"),
+    ):
+        assert other.get_xlabel() == ax.get_xlabel() == "speed"
+        plt.close(other.figure)
+
+
+def test_a_summary_of_every_speed_is_a_curve(compared, ax):
+    one = compared[["amplitude_error_median"]]
+    speeds = xr.DataArray([10.0, 12.0], dims="speed", name="speed")
+    xr.concat([one, 3.0 * one], speeds).gapsweep.agreement(representation="tanh-1e4", ax=ax)
+    (line,) = ax.lines
+    here = one["amplitude_error_median"].sel(representation="tanh-1e4", regime="all").item()
+    assert_allclose(line.get_xydata(), [[10.0, here], [12.0, 3.0 * here]])
+
+
+def test_of_several_swept_numbers_one_is_asked_for(unforced):
+    stiffer = unforced.assign_coords(K_c=2.0 * unforced["K_c"])
+    both = xr.concat([unforced, stiffer], "K_c", coords="minimal", compat="override")
+    with pytest.raises(
+        gs.DatasetError, match=r"omega: no .*: choose, as along='(K_c|speed)'"
+    ) as refused:
+        both.gapsweep.bifurcation()
+    assert "drop=True" not in str(refused.value)
+    axes = both.gapsweep.bifurcation(K_c=1.4e4)
+    assert axes.get_xlabel() == "speed"
+    plt.close(axes.figure)
+
+
+def test_attractors_of_the_starts_of_a_system_are_looked_for_in_another_file(responses):
+    of_system = responses.drop_vars(["x_0", "v_0"]).assign_coords(coordinate="arm")
+    with pytest.raises(gs.DatasetError, match=r"q_0 and v_0 .* are in attractors\.nc"):
+        of_system.gapsweep.attractors()
+
+
 def part(n):
     """Positions along a dimension: one, or some."""
     return st.integers(0, n - 1) | st.lists(st.integers(0, n - 1), min_size=1, unique=True)

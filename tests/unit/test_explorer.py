@@ -2,14 +2,18 @@
 
 import asyncio
 import gc
+import json
 import subprocess
 import sys
 import threading
+import tomllib
 import urllib.request
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
+from bokeh.document import Document
 from tests.made import datasets, periodic, tables
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
@@ -35,7 +39,17 @@ from gapsweep.explorer.answers import (
     sweeps,
 )
 from gapsweep.explorer.latest import Latest
-from gapsweep.explorer.question import EXACT, asked, dials, labels, numbers, of_model, of_study
+from gapsweep.explorer.page import Page
+from gapsweep.explorer.question import (
+    EXACT,
+    asked,
+    dials,
+    labels,
+    not_computed,
+    numbers,
+    of_model,
+    of_study,
+)
 from gapsweep.explorer.stored import Stored
 
 SOON = 30.0  # seconds that something may take before a test gives up
@@ -441,6 +455,42 @@ def test_a_wrong_path_is_a_line_not_a_traceback(tmp_path, capsys):
     assert "cannot be read" in capsys.readouterr().err
     assert exit_code(["explore", str(tmp_path), "--no-browser"]) == 1
     assert "error: " in capsys.readouterr().err
+
+
+SYSTEM = """
+[study]
+name = "moved"
+[system]
+function = "moved_nowhere:system"
+[[sweep]]
+representation = "piecewise"
+K_c = 1.0
+gap = [0.1, 0.1]
+"""
+
+
+def test_a_study_of_systems_is_refused_before_its_code_is_looked_for(tmp_path, capsys):
+    (tmp_path / "moved.toml").write_text(SYSTEM)
+    run = tmp_path / "run"
+    run.mkdir()
+    told = xr.Dataset(attrs={"study_json": json.dumps(tomllib.loads(SYSTEM))})
+    told.to_netcdf(run / "responses.nc", engine="netcdf4")
+    for path in (tmp_path / "moved.toml", run):
+        assert exit_code(["explore", str(path), "--no-browser"]) == 1
+        said = capsys.readouterr().err
+        assert f"error: {path}: a study of systems: explore shows oscillators" in said
+        assert "report of 'gapsweep run'" in said
+
+
+def test_the_page_says_that_its_line_is_no_law_of_the_users(tmp_path):
+    tables_ = tables(("bump:clean@fine", "piecewise"), (5.0, 6.0), protocol={"fine": {}})
+    said = not_computed(gs.Study.from_dict(tables_))
+    assert "Not computed here: your own bump:clean." in said
+    document = Document()
+    Page(document, of_model(LINEAR, FREE), {}, None, said).stop()
+    (div,) = document.select({"name": "note"})
+    assert said in div.text
+    assert not not_computed(gs.Study.from_dict(tables(("piecewise",), (5.0, 6.0))))
 
 
 def test_without_bokeh_the_remedy_is_named():

@@ -459,3 +459,22 @@ def test_gaps_of_systems_are_labelled_in_their_own_unit():
     study = gs.Study.from_dict(changed(TWO_MASSES, sweep__0__gap=[[1e6, 1.0]]))
     assert study.grid.labels("gap") == ["1000000/1"]
     assert study.grid.shape == study.grid.cut(study.select(gap="1000000/1")).shape
+
+
+def test_a_wrong_system_is_told_beside_a_wrong_sweep():
+    study = deepcopy(TWO_MASSES)
+    study["system"]["contacts"]["stop"] = [1.0]
+    study["sweep"][0]["omega"] = {"start": 1.0, "stop": 2.0}
+    study["sweep"][0]["Kc"] = study["sweep"][0].pop("K_c")
+    with pytest.raises(gs.StudyError) as refused:
+        gs.Study.from_dict(study)
+    said = [problem.split(": ", 1)[1] for problem in refused.value.problems]
+    assert "system: contact 'stop': has the shape (1,), must have (2,)" in said
+    assert "sweep[0].omega: give step or num" in said
+    assert any(problem.startswith("sweep[0].Kc") for problem in said)
+
+
+@pytest.mark.parametrize("tables", [3, [], {"system": 3}, {"system": {"mass": "heavy"}}])
+def test_what_is_no_study_is_refused_whatever_it_is(tables):
+    with pytest.raises(gs.StudyError):
+        gs.Study.from_dict(tables)

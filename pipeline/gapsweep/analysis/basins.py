@@ -37,7 +37,7 @@ _ATTRIBUTES = {
 def basins(
     oscillator: Oscillator,
     law: ContactLaw,
-    omega: float,
+    omega: float | None = None,
     *,
     x: ArrayLike,
     v: ArrayLike,
@@ -54,7 +54,7 @@ def basins(
     oscillator : Oscillator
     law : ContactLaw
     omega : float
-        Forcing frequency [Hz], ``> 0``.
+        Forcing frequency [Hz], ``> 0``; None is refused.
     x, v : array_like, shape (n_x,), (n_v,)
         Initial displacements [m] and velocities [m/s], at forcing phase zero.
     engine, rtol, atol, steady
@@ -84,6 +84,15 @@ def basins(
     >>> ds["attractor"].shape
     (2, 3)
     """
+    steady = Steady() if steady is None else steady
+    check_kinds(oscillator, steady)
+    if not isinstance(oscillator, Oscillator):
+        raise ModelError(
+            "oscillator: basins lie over x and v of a gapsweep.Oscillator; of a System ask "
+            "gapsweep.respond for an array of starts"
+        )
+    if omega is None:
+        raise ModelError("omega: missing; give the forcing frequency [Hz], as 9.0")
     if client is not None:
         check_workers(client)
         if isinstance(law, UserLaw):
@@ -98,13 +107,7 @@ def basins(
         solver=Solver.of(engine, rtol, atol),
     )
     v_0, x_0 = (each.ravel() for each in np.meshgrid(starts_v, starts_x, indexing="ij"))
-    settings = scene, Steady() if steady is None else steady
-    check_kinds(oscillator, settings[1])
-    if not isinstance(oscillator, Oscillator):
-        raise ModelError(
-            "oscillator: basins lie over x and v of a gapsweep.Oscillator; of a System ask "
-            "gapsweep.respond for an array of starts"
-        )
+    settings = scene, steady
     parts = [(x_0[i : i + _PART], v_0[i : i + _PART]) for i in range(0, x_0.size, _PART)]
     grouping = Grouping(unit_of(scene.omega))
     for answer in _answers(parts, *settings, client):

@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import warnings
+from contextlib import suppress
 from typing import TextIO
 
 import click
@@ -59,7 +60,15 @@ def main() -> None:
     # What imports and figures make lives on: looked through as often as usual, it takes an eighth
     # of the time of a short run.
     gc.set_threshold(20_000, 25, 25)
+    if sys.stdout is None:  # closed, by >&-
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  # to the end
     code = exit_code()
+    try:
+        sys.stdout.flush()
+    except OSError:
+        # It has been said; at its end Python would try once more, and complain.
+        with suppress(OSError):
+            sys.stdout.close()
     if code == INTERRUPTED:
         # All is said: whoever presses Ctrl-C once more shall see no library's clean-up break.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -73,6 +82,7 @@ def exit_code(arguments: list[str] | None = None) -> int:
         warnings.showwarning = _one_line
         try:
             result = commands.main(arguments, prog_name="gapsweep", standalone_mode=False)
+            sys.stdout.flush()  # a device may be full
         except GapsweepError as error:
             for line in str(error).splitlines():
                 click.echo(f"error: {line}", err=True)

@@ -176,6 +176,8 @@ def query(
         f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True
     )
     written(found, shown, output)
+    if shown.hint:
+        click.echo(shown.hint, err=True)
     return FINISHED
 
 

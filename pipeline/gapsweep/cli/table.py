@@ -23,6 +23,8 @@ from gapsweep.study.study import Study
 # What fits a terminal beside the dimensions: how the motion is, and whether it is one.
 _COLUMNS = ("amplitude", "period_multiple", "response_class", "status")
 _DIGITS = 4
+_OF_TABLE = "more: --columns x_max,x_min,... prints others, --to csv all, --digits 6 more digits"
+_OF_CSV = "all columns to the last digit, as csv: --to table prints the few that tell the motion"
 # A longer name has two lines above its column.
 _LONG = 10
 
@@ -39,19 +41,24 @@ class Form:
         Variables, beside the dimensions; all if empty.
     digits : int, optional
         Significant digits; all if None.
+    hint : str
+        How to have other columns, to one who has not said which.
     """
 
     kind: str
     columns: Sequence[str] = ()
     digits: int | None = None
+    hint: str = ""
 
     @classmethod
     def of(
         cls, kind: str | None, columns: str | None, digits: int | None, output: Path | None
     ) -> "Form":
         """What a command line asks for; a table is for whom sits at a terminal."""
+        hint = ""
         if kind is None:
             kind = "table" if output is None and sys.stdout.isatty() else "csv"
+            hint = _OF_CSV if kind == "csv" and output is None and not columns else ""
         if kind == "nc" and output is None:
             raise click.UsageError("--to nc needs --output FILE")
         if kind == "nc" and (columns or digits):
@@ -60,8 +67,8 @@ class Form:
             raise click.UsageError("--to table is for the terminal; --output takes csv, json or nc")
         named = tuple(columns.split(",")) if columns else ()
         if kind == "table":
-            return cls(kind, named or _COLUMNS, digits or _DIGITS)
-        return cls(kind, named, digits)
+            return cls(kind, named or _COLUMNS, digits or _DIGITS, "" if named else _OF_TABLE)
+        return cls(kind, named, digits, hint)
 
     def check(self, study: Study) -> None:
         """Refuse columns that nothing of a study has, before anything is computed."""

@@ -90,12 +90,20 @@ class Page:
         As of `dials`.
     stored : Stored, optional
         A run whose points are shown behind.
+    note : str
+        What is to be known of the figures; empty: nothing.
     """
 
     def __init__(
-        self, document: Document, question: Question, ranges: dict[str, Any], stored: Stored | None
+        self,
+        document: Document,
+        question: Question,
+        ranges: dict[str, Any],
+        stored: Stored | None,
+        note: str = "",
     ) -> None:
         self._document, self._question, self._stored = document, question, stored
+        self._note = note
         self._is_setting = False
         self._curves: dict[tuple[str, str], Curve] = {}
         self._motions: dict[str, Motion] = {}
@@ -160,6 +168,9 @@ class Page:
         head = Div(text="<b style='font-size:18px'>gapsweep explore</b>", stylesheets=[_WORDS])
         note = Div(text=_NOTE, stylesheets=[_WORDS], width=_SIDE)
         scenes = [] if self._stored is None else [self._scene_choice(self._stored)]
+        if self._note:
+            said = f"<b>{escape(self._note)}</b>"
+            scenes.append(Div(text=said, name="note", stylesheets=[_WORDS], width=_SIDE))
         side = column(
             head, self._status, *scenes, *self._sliders.values(), self._band, self._laws,
             self._from_rest, self._over, note, width=_SIDE + 20, spacing=2,

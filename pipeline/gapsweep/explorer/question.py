@@ -273,18 +273,30 @@ def of_model(
     )
 
 
-def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
-    """The question that a study starts the page with, and the ranges of what it sweeps.
+def refuse_systems(tables: Mapping[str, Any], source: object) -> None:
+    """Refuse the tables of a study of systems, before any code that makes one is imported.
 
     Raises
     ------
     ModelError
-        If it is a study of systems, or nothing in it can be shown.
     """
-    if study.systems is not None:
+    if tables.get("system") is not None:
         raise ModelError(
-            f"{study.source}: a study of systems: explore shows oscillators; leave out [system]"
+            f"{source}: a study of systems: explore shows oscillators; a system is shown by the "
+            "report of 'gapsweep run', by ds.gapsweep.bifurcation() and map() of gapsweep.open, "
+            "and its motions by gapsweep.respond and simulate"
         )
+
+
+def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
+    """The question that a study of oscillators starts the page with, and the ranges of what it
+    sweeps.
+
+    Raises
+    ------
+    ModelError
+        If nothing in it can be shown.
+    """
     grid = study.grid
     ranges = {
         name: (min(axis), max(axis))
@@ -311,6 +323,17 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     others = [label for label in ours if label not in (EXACT, AUTO)]
     question = asked(values, band, stand_ins=tuple(others[:1]), fit_range=study.spec.fit.range)
     return question, ranges
+
+
+def not_computed(study: Study) -> str:
+    """What the page says of laws of the user's own: its black line is none of them."""
+    own = [label for label in _plain(study.grid.representations) if ":" in label]
+    if not own:
+        return ""
+    return (
+        f"Not computed here: your own {', '.join(own)}. Squares show what a run has stored; black "
+        "is the exact law of straight walls, with K_c and the gap of the sliders."
+    )
 
 
 def _plain(representations: Sequence[str]) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.explorer.answers import Points
-from gapsweep.explorer.question import of_study
+from gapsweep.explorer.question import not_computed, of_study, refuse_systems
 from gapsweep.model.labels import law_of
 from gapsweep.model.oscillator import OSCILLATOR
 from gapsweep.stages import RESPONSES
@@ -28,14 +28,19 @@ class Stored:
         What the page starts with.
     ranges : dict of str to (float, float)
         Of what the study sweeps.
+    note : str
+        What the page says of the study's own laws; empty if it has none.
     scenes : dict of str to dict of str to float
         The numbers of every scene in SI units, by its name.
     """
 
     def __init__(self, folder: Path) -> None:
         self._dataset = netcdf.read(folder / RESPONSES)
-        study = Study.from_dict(_tables(self._dataset), source=str(folder))
+        tables = _tables(self._dataset)
+        refuse_systems(tables, folder)
+        study = Study.from_dict(tables, source=str(folder))
         self.question, self.ranges = of_study(study)
+        self.note = not_computed(study)
         self._places = dict(_scenes(self._dataset))
         self.scenes = {name: _numbers(self._scene(name)) for name in self._places}
 

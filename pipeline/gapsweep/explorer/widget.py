@@ -5,11 +5,19 @@ from pathlib import Path
 from typing import Any
 
 from gapsweep.errors import ModelError
-from gapsweep.explorer.question import DEFAULT_STAND_INS, Question, of_model, of_study
+from gapsweep.explorer.question import (
+    DEFAULT_STAND_INS,
+    Question,
+    not_computed,
+    of_model,
+    of_study,
+    refuse_systems,
+)
 from gapsweep.explorer.server import Explorer
 from gapsweep.explorer.stored import Stored
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
+from gapsweep.study.spec import read
 from gapsweep.study.study import Study
 
 
@@ -64,14 +72,17 @@ def explore_path(path: Path | None, port: int) -> Explorer:
         return opened(of_model(), port=port)
     if path.is_dir():
         stored = Stored(path)
-        return opened(stored.question, stored.ranges, stored, port=port)
-    return opened(*of_study(Study.load(path)), port=port)
+        return opened(stored.question, stored.ranges, stored, stored.note, port=port)
+    refuse_systems(dict(read(path)), path)
+    study = Study.load(path)
+    return opened(*of_study(study), note=not_computed(study), port=port)
 
 
 def opened(
     question: Question,
     ranges: dict[str, tuple[float, float]] | None = None,
     stored: Stored | None = None,
+    note: str = "",
     *,
     port: int,
 ) -> Explorer:
@@ -87,6 +98,6 @@ def opened(
         ) from None
 
     def fill(document: Any) -> Callable[[], None]:
-        return Page(document, question, ranges or {}, stored).stop
+        return Page(document, question, ranges or {}, stored, note).stop
 
     return Explorer(fill, port)

@@ -19,6 +19,7 @@ from gapsweep.report.selection import missing_variable, places, scene
 from gapsweep.report.style import NOT_PERIODIC, colour
 from gapsweep.report.summary import as_html, as_text
 from gapsweep.response.result import ResponseClass
+from gapsweep.study.grid import COORDINATE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,20 +48,22 @@ class GapsweepAccessor:
         return as_html(self._dataset)
 
     def frequency_response(
-        self, *, along: str = "omega", ax: "Axes | None" = None, **wanted: Any
+        self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
     ) -> "Axes":
         """Amplitude over frequency, one curve per representation and start.
 
         Parameters
         ----------
-        along : str
-            Numeric dimension of the horizontal axis.
+        along : str, optional
+            Numeric dimension of the horizontal axis; None: omega, or where there is none, as of
+            systems that nothing forces, the only number that is swept.
         ax : Axes, optional
             Drawn into; new ones if None.
         **wanted
             Selection by coordinate; one stiffness, one gap and one value of every other parameter
             must be left.
         """
+        along = self._axis(along, wanted)
         shown = self._along(along, {"amplitude": _CURVES}, wanted)
         axes = _axes(ax)
         drawing.curves(axes, shown["amplitude"], along)
@@ -69,7 +72,7 @@ class GapsweepAccessor:
         return _finished(axes, shown, along)
 
     def bifurcation(
-        self, *, along: str = "omega", ax: "Axes | None" = None, **wanted: Any
+        self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
     ) -> "Axes":
         """All steady extrema over frequency, from all starts.
 
@@ -82,6 +85,7 @@ class GapsweepAccessor:
             As for `frequency_response`.
         """
         needed = {"extrema": (*_CURVES, "extremum"), "response_class": _CURVES}
+        along = self._axis(along, wanted)
         shown = self._along(along, needed, wanted)
         labels = labels_of(shown)
         other = NOT_PERIODIC if len(labels) == 1 else None
@@ -97,7 +101,7 @@ class GapsweepAccessor:
         return _finished(axes, shown, along)
 
     def compare(
-        self, a: str, b: str, *, along: str = "omega", ax: "Axes | None" = None, **wanted: Any
+        self, a: str, b: str, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
     ) -> "Axes":
         """Peaks of two representations from all starts, `a` behind `b`.
 
@@ -112,6 +116,7 @@ class GapsweepAccessor:
             As for `frequency_response`.
         """
         needed = {"x_max": _CURVES, "response_class": _CURVES}
+        along = self._axis(along, wanted)
         shown = self._along(along, needed, {**wanted, "representation": [a, b]})
         axes = _axes(ax)
         backdrop.walls(axes, shown, along, of_peaks=True)
@@ -123,7 +128,7 @@ class GapsweepAccessor:
         return _finished(axes, shown, along)
 
     def attractors(
-        self, *, along: str = "omega", ax: "Axes | None" = None, **wanted: Any
+        self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
     ) -> "Axes":
         """Which attractors there are.
 
@@ -144,6 +149,7 @@ class GapsweepAccessor:
             if "attractor" in dataset:
                 return _starts(dataset, ax)
             raise DatasetError(missing_variable(dataset, "basin_share"))
+        along = self._axis(along, wanted)
         if dataset.sizes.get(along, 1) == 1:
             return _sections(dataset, ax)
         needed = dict.fromkeys(
@@ -162,7 +168,7 @@ class GapsweepAccessor:
         self,
         variable: str = "amplitude_error_median",
         *,
-        along: str = "omega",
+        along: str | None = None,
         ax: "Axes | None" = None,
         **wanted: Any,
     ) -> "Axes":
@@ -179,14 +185,15 @@ class GapsweepAccessor:
         """
         if variable not in self._dataset:
             raise DatasetError(missing_variable(self._dataset, variable) + _AGREEMENT)
+        along = self._axis(along, wanted)
+        if "regime" in self._dataset[variable].dims:
+            wanted = {"regime": "all", **wanted}
         if along in self._dataset[variable].dims:
             shown = self._along(along, {variable: _CURVES}, wanted)
             axes = _axes(ax)
             drawing.curves(axes, shown[variable], along)
             axes.set_ylabel(axis_label(shown[variable]))
             return _finished(axes, shown, along)
-        if "regime" in self._dataset[variable].dims:
-            wanted = {"regime": "all", **wanted}
         value = _numbers(self._dataset, variable, ("representation",), wanted)
         assert value is not None
         reference = self._dataset.attrs.get("reference")
@@ -258,15 +265,24 @@ class GapsweepAccessor:
         axes.set_ylabel(axis_label(shown["cpu_time"]))
         return _titled(axes, shown)
 
+    def _axis(self, along: str | None, wanted: dict[str, Any]) -> str:
+        """The horizontal axis: as it is given, or else omega or the only number that is swept."""
+        if along is not None or "omega" in self._dataset.coords:
+            return along or "omega"
+        swept = maps.numeric_axes(selected(self._dataset, wanted))
+        return swept[0] if len(swept) == 1 else "omega"
+
     def _along(
         self, along: str, variables: Mapping[str, tuple[str, ...]], wanted: dict[str, Any]
     ) -> xr.Dataset:
         """The variables that are drawn, over `along` and the other dimensions they need."""
         if along not in self._dataset.coords:
-            raise DatasetError(
-                f"{along}: no coordinate of this dataset, so nothing can be drawn along it; "
-                "select without drop=True to keep it"
-            )
+            swept = maps.numeric_axes(self._dataset)
+            remedy = "select without drop=True to keep it"
+            if swept:
+                remedy = f"it sweeps {', '.join(swept)}: choose, as along={swept[0]!r}"
+            said = f"{along}: no coordinate of this dataset, so nothing can be drawn along it"
+            raise DatasetError(f"{said}; {remedy}")
         if self._dataset[along].dtype.kind not in "iuf":
             raise DatasetError(f"{along}: holds text; draw along omega or K_c")
         needed = {name: tuple(dict.fromkeys((along, *dims))) for name, dims in variables.items()}
@@ -318,6 +334,11 @@ def _basins(found: xr.Dataset, ax: "Axes | None") -> "Axes":
 
 
 def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
+    if COORDINATE in dataset.coords:
+        raise DatasetError(
+            "attractors: the starts of a system, q_0 and v_0 of every coordinate, lie in no plane; "
+            "its attractors are in attractors.nc, which gs.open opens"
+        )
     # As variables, so that of a single start they get their dimension back too.
     dataset = dataset.reset_coords([name for name in ("x_0", "v_0") if name in dataset.coords])
     names = ("attractor", "period_multiple", "x_max", "x_0", "v_0")

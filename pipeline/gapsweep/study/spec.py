@@ -52,7 +52,7 @@ from gapsweep.study.axes import (
 from gapsweep.study.bench import BenchTable
 from gapsweep.study.problems import problems
 from gapsweep.study.schema import TAKEN
-from gapsweep.study.system_tables import ContactTable, SystemTable
+from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
 
 # Of a time history; its dense output is kept in memory.
 MAX_HISTORY_PERIODS = 10_000
@@ -393,4 +393,5 @@ def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:
-        raise StudyError(problems(source, error, StudySpec)) from None
+        also = wrong_matrices(tables, source)
+        raise StudyError([*problems(source, error, StudySpec), *also]) from None

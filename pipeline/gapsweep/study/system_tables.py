@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from gapsweep.aside import printing_aside
 from gapsweep.errors import ModelError, StudyError, described
@@ -121,6 +121,19 @@ def maker(table: SystemTable, source: str) -> Callable[[Mapping[str, float]], Sy
     except ModelError as error:
         raise StudyError([f"{source}: system: {error}"]) from None
     return made
+
+
+def wrong_matrices(tables: Any, source: str) -> list[str]:
+    """What is wrong with a system of matrices, for a study in which something else is wrong too."""
+    try:
+        table = SystemTable.model_validate(tables["system"])
+        if table.function is None:  # no code is run for that
+            maker(table, source)({})
+    except (ValidationError, TypeError, LookupError):  # which has been said
+        return []
+    except StudyError as error:
+        return list(error.problems)
+    return []
 
 
 def said(parameters: Mapping[str, float]) -> str:
