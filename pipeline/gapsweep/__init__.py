@@ -27,13 +27,13 @@ if TYPE_CHECKING:
         LogArctan,
         Piecewise,
         Tanh,
-        UserLaw,
         static_error,
     )
     from gapsweep.model.fitted import Polynomial, RationalPolynomial
     from gapsweep.model.labels import canonical_label, contact_law, law
     from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
     from gapsweep.model.table import ForceTable
+    from gapsweep.model.user_law import UserLaw
     from gapsweep.report.motion import plot
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
@@ -53,7 +53,6 @@ _ON_DEMAND = {
             "LogArctan",
             "Piecewise",
             "Tanh",
-            "UserLaw",
             "static_error",
         ),
         "model.contact",
@@ -62,6 +61,7 @@ _ON_DEMAND = {
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
     **dict.fromkeys(("query", "run"), "workflow"),
     "ForceTable": "model.table",
+    "UserLaw": "model.user_law",
     "Study": "study.study",
     "basins": "analysis.basins",
     "explore": "explorer.widget",

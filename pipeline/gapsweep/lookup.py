@@ -109,6 +109,7 @@ def explain(
     cache: str | Path | None,
     limit: int,
     on_progress: OnProgress | None = None,
+    /,
     **wanted: Any,
 ) -> list[Explanation]:
     """Why the selected points, the first `limit` of them, are hits or misses."""

@@ -443,3 +443,14 @@ def test_what_is_unresolved_says_why(damping, steady, said):
     found = gs.respond(system, LAW, q_0=[1e-3], steady=steady)
     assert found.status == gs.Status.UNRESOLVED
     assert said in found.message
+
+
+def test_an_exact_law_has_no_range_to_leave():
+    """Where nothing is a number, no gap is beyond any wall."""
+    light = gs.System(
+        mass=[[1e-50]], stiffness=[[1.0]], damping=[[0.1]], contacts={"stop": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0])],
+    )  # fmt: skip
+    found = gs.respond(light, gs.Piecewise(20.0, gs.Gap(0.1, 0.1)), 0.2)
+    assert found.status.failed
+    assert found.status is not gs.Status.OUT_OF_FIT_RANGE

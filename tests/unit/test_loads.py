@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 
 import gapsweep as gs
-from gapsweep.model.contact import UserLaw
 from gapsweep.model.fitted import RationalPolynomial
+from gapsweep.model.user_law import UserLaw
 from gapsweep.response.loads import largest_forces
 
 LINEAR = gs.Oscillator(alpha=0.0)

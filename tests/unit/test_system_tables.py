@@ -1,6 +1,7 @@
 """Study files with [system]: what they mean, and what they refuse."""
 
 import json
+import os
 import subprocess
 import sys
 from copy import deepcopy
@@ -422,6 +423,49 @@ def test_a_function_that_depends_on_more_than_its_arguments_is_refused(tmp_path,
         "def make(k):\n    return gs.System(mass=[[1.0 + next(count)]], stiffness=[[k]])\n",
     )  # fmt: skip
     with pytest.raises(gs.StudyError, match="two calls make different systems"):
+        gs.Study.from_dict(tables)
+
+
+def test_so_is_one_that_does_so_at_a_swept_value(tmp_path, monkeypatch):
+    tables = of_function(
+        tmp_path, monkeypatch, "sometimes",
+        "import itertools\nimport gapsweep as gs\n\ncount = itertools.count()\n\n\n"
+        "def make(k):\n    more = 0.0 if k == 1.0 else next(count)\n"
+        "    mass = [[1.0 + more]]\n"
+        "    return gs.System(mass=mass, stiffness=[[k]], contacts={'stop': [1.0]})\n",
+    )  # fmt: skip
+    study = gs.Study.from_dict(tables)
+    with pytest.raises(gs.StudyError, match="at k = 2: two calls make different systems"):
+        study.systems.at({"k": 2.0})
+
+
+def test_half_a_system_is_refused(tmp_path, monkeypatch):
+    tables = of_function(
+        tmp_path, monkeypatch, "half",
+        "import gapsweep as gs\n\n\nclass make(gs.System):\n"
+        "    def __init__(self, k):\n        pass\n",
+    )  # fmt: skip
+    with pytest.raises(gs.StudyError, match=r"half:make: AttributeError: .*no attribute 'mass'"):
+        gs.Study.from_dict(tables)
+
+
+def test_a_function_that_goes_elsewhere_takes_nobody_with_it(tmp_path, monkeypatch):
+    tables = of_function(
+        tmp_path, monkeypatch, "elsewhere",
+        "import os\n\n\ndef make(k):\n    os.chdir('/')\n    raise ValueError('far away')\n",
+    )  # fmt: skip
+    here = os.getcwd()
+    with pytest.raises(gs.StudyError, match="far away"):
+        gs.Study.from_dict(tables)
+    assert os.getcwd() == here
+
+
+@pytest.mark.parametrize("name", ["workers", "self", "study", "along"])
+def test_names_of_arguments_are_no_parameters(name):
+    """`gs.query(study, workers=1)` would take the value for a number of processes."""
+    tables = changed(SECTION, sweep__0__speed=[8.0])
+    tables["parameters"] = {**tables["parameters"], name: 1.0}
+    with pytest.raises(gs.StudyError, match=f"'{name}' has a meaning of its own"):
         gs.Study.from_dict(tables)
 
 

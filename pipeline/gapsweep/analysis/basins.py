@@ -11,9 +11,10 @@ from gapsweep.analysis.arrays import Array
 from gapsweep.errors import ModelError
 from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
-from gapsweep.model.contact import ContactLaw, UserLaw
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.system import floats
+from gapsweep.model.user_law import UserLaw
 from gapsweep.response.attractors import Attractors, Grouping
 from gapsweep.response.respond import check_kinds, respond_all
 from gapsweep.response.result import Responses, Steady

@@ -103,9 +103,13 @@ def selected(wanted: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _selected(text: str) -> tuple[str, Any]:
+    from gapsweep.study.schema import OF_CALLS
+
     key, equals, value = text.partition("=")
     if not equals or not value:
         raise click.BadParameter(f"{text!r}: must read KEY=VALUE", param_hint="--sel")
+    if key in OF_CALLS:
+        raise click.BadParameter(f"{key!r}: no dimension of a study", param_hint="--sel")
     if key in _LABELLED:
         return key, value.split(",")
     if key == "initial_condition" and not value.replace(",", "").replace(":", "").isdecimal():

@@ -22,11 +22,11 @@ from gapsweep.model.contact import (
     LogArctan,
     Piecewise,
     Tanh,
-    UserLaw,
 )
 from gapsweep.model.fitted import Polynomial, RationalPolynomial
 from gapsweep.model.oscillator import OSCILLATOR
 from gapsweep.model.table import ForceTable
+from gapsweep.model.user_law import UserLaw
 
 Array = NDArray[np.float64]
 Columns = Sequence[Array]

@@ -26,11 +26,11 @@ from gapsweep.model.contact import (
     LogArctan,
     Piecewise,
     Tanh,
-    UserLaw,
 )
 from gapsweep.model.fitted import Fitted, Polynomial, RationalPolynomial
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.table import ForceTable
+from gapsweep.model.user_law import UserLaw
 
 AUTO = "auto"
 EXAMPLES = (

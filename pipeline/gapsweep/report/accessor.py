@@ -101,7 +101,14 @@ class GapsweepAccessor:
         return _finished(axes, shown, along)
 
     def compare(
-        self, a: str, b: str, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
+        self,
+        a: str,
+        b: str,
+        /,
+        *,
+        along: str | None = None,
+        ax: "Axes | None" = None,
+        **wanted: Any,
     ) -> "Axes":
         """Peaks of two representations from all starts, `a` behind `b`.
 

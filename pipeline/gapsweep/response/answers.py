@@ -116,8 +116,7 @@ def _failures(
     y = walks.y[:, failures]
     gaps = ensemble.gaps(ensemble.turning(failures, y))
     low, high = ensemble.valid_range[:, :, failures]
-    is_inside = (gaps >= low) & (gaps <= high)
-    has_left = np.asarray(~is_inside.all(axis=0))
+    has_left = np.asarray(((gaps < low) | (gaps > high)).any(axis=0))  # not so what is no number
     statuses, messages = [], {}
     for k, point in enumerate(failures.tolist()):
         reached = Status(walks.status[point])

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.contact import ContactLaw, UserLaw
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import search_points, sign_changes
+from gapsweep.model.user_law import UserLaw
 from gapsweep.response.call import Call
 from gapsweep.response.ensemble import Ensemble
 

@@ -267,8 +267,14 @@ MULTIPLIERS: dict[str, Variable] = {
 }
 N_ATTRACTORS = Variable("i4", "1", "number of attractors found", 0)
 
+# What stands beside selections in calls: arguments of `query` and of the figures.
+OF_CALLS = {
+    *("self", "study", "client", "cache", "workers", "scheduler", "on_progress"),
+    *("along", "ax", "variable", "x", "y"),
+}
 # Names that a parameter of a system cannot have: they mean something else in files and selections.
 TAKEN = {
+    *OF_CALLS,
     *COORDINATES,
     *VARIABLES,
     *LISTS,

@@ -264,7 +264,7 @@ class Study:
         requested = requested_of(self._blocks, self._axes)
         return Grid(self._axes, requested, self.systems.parts if self.systems else {})
 
-    def select(self, **wanted: Any) -> Selection:
+    def select(self, /, **wanted: Any) -> Selection:
         """Select among the study's own coordinates.
 
         Parameters

@@ -1,6 +1,7 @@
 """The tables of a study file that describe a system: matrices, or a function of named numbers."""
 
 from collections.abc import Callable, Mapping
+from contextlib import chdir
 from dataclasses import fields
 from typing import Annotated, Any
 
@@ -155,8 +156,11 @@ def _function(name: str) -> Any:
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
     """What a function makes of named numbers."""
     try:
-        with printing_aside():
+        with printing_aside(), chdir("."):  # wherever it goes, cache and results stay here
             found = function(**parameters)
+            parts = {}
+            if isinstance(found, System):
+                parts = {each.name: getattr(found, each.name) for each in fields(System)}
     except (ModelError, KeyboardInterrupt):
         raise
     except BaseException as error:  # the user's code may raise anything, SystemExit too
@@ -167,7 +171,7 @@ def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
         raise ModelError(f"{name}: must return a gapsweep.System, not {type(found).__name__}")
     # Checked anew: its contacts and modulations are dictionaries, which the function may have
     # changed since it made it.
-    return System(**{each.name: getattr(found, each.name) for each in fields(System)})
+    return System(**parts)
 
 
 def _of_matrices(table: SystemTable) -> System:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.model.contact import SLOPE_LENGTH, SLOPE_STEP
+from gapsweep.model.user_law import SLOPE_LENGTH, SLOPE_STEP
 
 from . import laws, parameters
 from .laws import Formula, Law
