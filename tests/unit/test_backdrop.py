@@ -6,8 +6,8 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from gapsweep.report import backdrop
-from gapsweep.report.drawing import attractor_peaks, said_of_peaks
-from gapsweep.report.figures import bifurcation
+from gapsweep.report.drawing import attractor_peaks, frame, said_of_peaks
+from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.style import BANDS
 from gapsweep.response.result import ResponseClass
 
@@ -99,3 +99,42 @@ def test_a_dot_without_a_known_basin_is_no_small_basin():
 )
 def test_a_caption_says_of_dots_what_is_to_be_seen(found, said):
     assert said_of_peaks(found) == said
+
+
+def growing():
+    """Two laws whose last response was still growing when it was left, far beyond the others."""
+    shown = scene("periodic", "periodic", "unresolved")
+    values = shown["extrema"] * xr.DataArray([1.0, -2.0], dims="extremum")
+    shown["extrema"] = values.where(shown["omega"] < 6.0, 5e3 * values).assign_attrs(METRES)
+    for name, over in (("x_max", shown["extrema"].max("extremum")), ("amplitude", 1.5e-3)):
+        shown[name] = (0.0 * shown["extrema"].max("extremum") + over).assign_attrs(METRES)
+    shown["amplitude"] = shown["amplitude"].where(shown["omega"] < 6.0, 7.5).assign_attrs(METRES)
+    other = shown.assign_coords(representation=["piecewise"])
+    return xr.concat([shown, other], "representation", coords="minimal", compat="override")
+
+
+def test_what_is_still_growing_does_not_set_the_axis():
+    shown = growing().drop_vars(["j_1", "j_2"])
+    axes = [
+        *bifurcation(shown).axes,
+        *frequency_response(shown).axes,
+        shown.gapsweep.bifurcation(ax=Figure().subplots()),
+        shown.gapsweep.frequency_response(ax=Figure().subplots()),
+        shown.gapsweep.compare("piecewise", "tanh-10000", ax=Figure().subplots()),
+    ]
+    for one in axes:
+        low, high = one.get_ylim()
+        assert -2.5 < low < high < 2.5  # mm: a little more than the steady ones need
+        left, right = one.get_xlim()
+        assert left < 4.0 < 6.0 < right
+        drawn = {y for line in one.lines for y in np.ravel(line.get_ydata())}
+        assert max(drawn) > 4e3  # there, and cut off
+        assert {bar.get_label() for bar in one.patches} <= {"_unresolved"}
+    assert [t.get_text() for t in axes[-1].get_legend().get_texts()][-1] == "unresolved"
+    low, high = frame(shown, "x_max", "piecewise")
+    assert low < 1.0 < high < 3.0
+
+
+def test_where_all_is_growing_it_is_seen():
+    (axes,) = bifurcation(growing().isel(representation=[0], omega=[2])).axes
+    assert axes.get_ylim()[1] > 5e3

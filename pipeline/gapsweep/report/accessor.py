@@ -61,9 +61,13 @@ class GapsweepAccessor:
             Selection by coordinate; one stiffness, one gap and one value of every other parameter
             must be left.
         """
-        shown = self._along(along, {"amplitude": _CURVES}, wanted)
+        kinds_too = ["response_class"] if "response_class" in self._dataset else []
+        shown = self._along(along, dict.fromkeys(["amplitude", *kinds_too], _CURVES), wanted)
+        kinds = shown.get("response_class")
         axes = _axes(ax)
-        drawing.curves(axes, shown["amplitude"], along)
+        drawing.curves(axes, shown["amplitude"], along, kinds)
+        if kinds_too:
+            backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown["amplitude"], "amplitude"))
         axes.set_ylim(bottom=0)
         return _finished(axes, shown, along)
@@ -73,6 +77,7 @@ class GapsweepAccessor:
     ) -> "Axes":
         """All steady extrema over frequency, from all starts.
 
+        What is unresolved has a pale band, and does not set the axis: it may be beyond.
         One representation: its colour where the response is periodic, red where it is not.
         Several: each in its colour.
 
@@ -93,6 +98,7 @@ class GapsweepAccessor:
         others = shown["extrema"].where(shown["response_class"] != ResponseClass.PERIODIC)
         if other and others.notnull().any():
             axes.plot([], [], ".", color=other, label="not periodic")
+        backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown["extrema"], "steady extrema"))
         return _finished(axes, shown, along)
 
@@ -119,6 +125,7 @@ class GapsweepAccessor:
             one = selected(shown, {"representation": label})
             drawing.peaks(axes, one, size, along=along)
             axes.plot([], [], "o", color=colour(label), markersize=size, label=label)
+        backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
         return _finished(axes, shown, along)
 

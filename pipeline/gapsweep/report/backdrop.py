@@ -1,5 +1,6 @@
 """What stands behind the points of a figure, and what a caption says of it: walls, and bands."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ _NOT_DRAWN = {
     ResponseClass.EQUILIBRIUM: "what is at rest",
     ResponseClass.FAILED: "what has no steady response",
 }
+_UNRESOLVED = "unresolved"
 _WALLS = {"j_1": -1.0, "j_2": 1.0}
 
 
@@ -44,19 +46,29 @@ def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega", *, of_peaks: bo
             axes.axhline(sign * float(drawn(scene[name])), **WALL)
 
 
-def bands(axes: "Axes", one: xr.Dataset, along: str = "omega") -> None:
-    """Pale bands behind one representation where the response from any start is not periodic."""
+def bands(
+    axes: "Axes", one: xr.Dataset, along: str = "omega", *, of: Iterable[str] = tuple(BANDS)
+) -> None:
+    """Pale bands behind what is drawn where any response is of a class that is not periodic."""
     x = drawn(one[along])
     width = np.gradient(x) if x.size > 1 else np.ones(1)
     kinds = one["response_class"].transpose(along, ...).values.reshape(x.size, -1)
     left = np.ones(x.size, dtype=bool)
-    for kind, shade in BANDS.items():
+    for kind in of:
         where = left & (kinds == ResponseClass[kind.upper()]).any(axis=1)
         left &= ~where
-        look: dict[str, Any] = {"color": shade, "zorder": 0, "antialiased": False}
+        look: dict[str, Any] = {"color": BANDS[kind], "zorder": 0, "antialiased": False}
         bars = axes.bar(x[where], 1.0, width[where], transform=axes.get_xaxis_transform(), **look)
         for bar in bars:
             bar.set_label(f"_{kind}")
+
+
+def unresolved(axes: "Axes", scene: xr.Dataset, along: str) -> None:
+    """The bands of what is unresolved, named in the legend, where there is any."""
+    if _UNRESOLVED in _has(scene):
+        bands(axes, scene, along, of=[_UNRESOLVED])
+        look: dict[str, Any] = {"color": BANDS[_UNRESOLVED], "markersize": 8}
+        axes.plot([], [], "s", label=_UNRESOLVED, **look)
 
 
 def _has(scene: xr.Dataset) -> list[str]:
@@ -79,7 +91,8 @@ def said_of_bands(scene: xr.Dataset) -> str:
     if not (kinds := _has(scene)):
         return ""
     whose = " from some start" if scene.sizes.get(START, 1) > 1 else ""
-    return f" Bands: the response{whose} is {' or '.join(kinds)}."
+    beyond = " Unresolved ones may lie beyond the axis." if _UNRESOLVED in kinds else ""
+    return f" Bands: the response{whose} is {' or '.join(kinds)}.{beyond}"
 
 
 def said_of_missing(scene: xr.Dataset) -> str:

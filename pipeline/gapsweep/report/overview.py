@@ -264,7 +264,7 @@ def _curves(
         f"Bifurcation diagram, {where}{start}",
     )
     if n_starts == 1:
-        shown = here[["amplitude"]].load().expand_dims([REPRESENTATION, _START])
+        shown = here[["amplitude", "response_class"]].load().expand_dims([REPRESENTATION, _START])
         caption = f"Amplitude (half the range) of the steady response: {where}."
         yield Figured(frequency_response(shown, along), caption, f"Response curve, {where}")
     elif found is not None:
