@@ -1,10 +1,13 @@
 """Bands and walls behind points: what is drawn is what the key and the caption name."""
 
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
+import gapsweep.report.accessor  # noqa: F401  # plain datasets do not bring it along
 from gapsweep.report import backdrop
 from gapsweep.report.drawing import attractor_peaks, frame, said_of_peaks
 from gapsweep.report.figures import bifurcation, frequency_response
@@ -138,3 +141,59 @@ def test_what_is_still_growing_does_not_set_the_axis():
 def test_where_all_is_growing_it_is_seen():
     (axes,) = bifurcation(growing().isel(representation=[0], omega=[2])).axes
     assert axes.get_ylim()[1] > 5e3
+
+
+def of_system(coordinate, K_ratio=1.0):
+    """The same responses, of one coordinate of a system: two contacts feel the arm alone."""
+    system = {
+        "coordinates": ["body", "arm"],
+        "contacts": {"lever": [0.0, -2.0], "stop": [0.0, 1.0], "between": [1.0, -1.0]},
+    }
+    own = {"stop": {"gap": [5.0, 6.0], "K_ratio": 0.0, "K_c": None}}
+    shown = scene("periodic", "periodic").assign_coords(coordinate=coordinate, K_ratio=K_ratio)
+    shown.attrs = {"system_json": json.dumps(system), "study_json": json.dumps({"contact": own})}
+    for name in ("extrema", "j_1", "j_2"):
+        del shown[name].attrs["units"]
+    return shown
+
+
+@pytest.mark.parametrize(
+    ("shown", "of_peaks", "heights", "said"),
+    [
+        (of_system("arm"), False, [-1.5e-3, 1e-3, 6.0], " Dashed: walls within the axis."),
+        (of_system("arm", K_ratio=0.0), False, [-1.5e-3, 6.0], " Dashed: walls within the axis."),
+        (of_system("arm"), True, [1e-3, 6.0], " Dashed: walls within the axis."),
+        (of_system("body"), False, [], ""),
+        (scene("periodic").assign_coords(K_ratio=0.0), False, [3.0], " Dashed: the wall."),
+    ],
+)
+def test_walls_of_a_system_stand_where_its_coordinate_meets_them(shown, of_peaks, heights, said):
+    axes = Figure().subplots()
+    backdrop.walls(axes, shown, of_peaks=of_peaks)
+    assert sorted(line.get_ydata()[0] for line in axes.lines) == pytest.approx(heights)
+    assert backdrop.said_of_walls(shown, of_peaks=of_peaks) == said
+
+
+def test_a_wall_of_a_system_sets_no_axis():
+    (axes,) = bifurcation(of_system("arm")).axes
+    assert axes.get_ylim()[1] < 0.1
+
+
+def test_a_figure_of_a_system_names_the_coordinate_and_what_is_fixed():
+    (axes,) = bifurcation(of_system("arm")).axes
+    assert axes.get_ylabel() == "arm: extrema"
+    both = [of_system("arm"), of_system("arm")]
+    shown = xr.concat(both, "initial_condition", coords="minimal", compat="override")
+    shown = shown.assign_coords(
+        initial_condition=[0, 1], start=("initial_condition", ["sweep_up", "fixed"])
+    )
+    for number, said in enumerate(("initial_condition = 0 (sweep_up)", "initial_condition = 1")):
+        axes = shown.gapsweep.bifurcation(initial_condition=number, ax=Figure().subplots())
+        assert axes.get_ylabel() == "arm: steady extrema"
+        assert axes.get_xlabel() == "forcing frequency [Hz]"
+        title = axes.get_title(loc="left")
+        assert title.startswith("tanh-10000, ")
+        assert said in title.split(", ")[-1]
+        assert "arm" in title.split(", ")
+    only = shown.isel(initial_condition=[0]).gapsweep.bifurcation(ax=Figure().subplots())
+    assert "initial_condition" not in only.get_title(loc="left")
