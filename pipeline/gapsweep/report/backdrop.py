@@ -90,7 +90,10 @@ def _one(name: str, scene: xr.Dataset, own: Mapping[str, float]) -> float:
 
 
 def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
-    """What a contact feels of the drawn coordinate, and what it has of its own; of all that do."""
+    """What a contact feels of the drawn coordinate, and what it has of its own; of all that do.
+
+    Directions are those at the values in ``[parameters]``: of others files say nothing.
+    """
     if COORDINATE not in scene.coords:
         yield 1.0, {}
         return

@@ -37,12 +37,8 @@ _FORCES = {
     "s₂ = (2/π) arctan γ(x − j₂), γ [1/m] in its name",
 }
 _RATIO = _NUMBERS["K_ratio"]
-_OWN = {
-    "representation": "",
-    "K_c": "K_c",
-    "gap": "j₁/j₂",
-    "K_ratio": "r",
-}  # what a contact may have of its own
+# What a contact may have of its own.
+_OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r"}
 _EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q + Σ α (a·q)³ a + Σ F(b·q) b = loads"
 _EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
