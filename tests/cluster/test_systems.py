@@ -183,6 +183,9 @@ def test_the_report_shows_every_coordinate(made):
     page = (folder / "out" / "report" / "index.html").read_text()
     for name in study.grid.parts["coordinate"]:
         assert f", {name}" in page
+    # Whether its lengths are metres, millimetres or radians, its user alone knows.
+    for unit in ("[m]", "N/m", " mm", "[1/m]"):
+        assert unit not in page
 
 
 def test_laws_are_compared_coordinate_by_coordinate(made):

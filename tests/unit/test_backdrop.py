@@ -1,13 +1,16 @@
 """Bands and walls behind points: what is drawn is what the key and the caption name."""
 
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
+import gapsweep.report.accessor  # noqa: F401  # plain datasets do not bring it along
 from gapsweep.report import backdrop
-from gapsweep.report.drawing import attractor_peaks, said_of_peaks
-from gapsweep.report.figures import bifurcation
+from gapsweep.report.drawing import attractor_peaks, frame, said_of_peaks
+from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.style import BANDS
 from gapsweep.response.result import ResponseClass
 
@@ -99,3 +102,98 @@ def test_a_dot_without_a_known_basin_is_no_small_basin():
 )
 def test_a_caption_says_of_dots_what_is_to_be_seen(found, said):
     assert said_of_peaks(found) == said
+
+
+def growing():
+    """Two laws whose last response was still growing when it was left, far beyond the others."""
+    shown = scene("periodic", "periodic", "unresolved")
+    values = shown["extrema"] * xr.DataArray([1.0, -2.0], dims="extremum")
+    shown["extrema"] = values.where(shown["omega"] < 6.0, 5e3 * values).assign_attrs(METRES)
+    for name, over in (("x_max", shown["extrema"].max("extremum")), ("amplitude", 1.5e-3)):
+        shown[name] = (0.0 * shown["extrema"].max("extremum") + over).assign_attrs(METRES)
+    shown["amplitude"] = shown["amplitude"].where(shown["omega"] < 6.0, 7.5).assign_attrs(METRES)
+    other = shown.assign_coords(representation=["piecewise"])
+    return xr.concat([shown, other], "representation", coords="minimal", compat="override")
+
+
+def test_what_is_still_growing_does_not_set_the_axis():
+    shown = growing().drop_vars(["j_1", "j_2"])
+    axes = [
+        *bifurcation(shown).axes,
+        *frequency_response(shown).axes,
+        shown.gapsweep.bifurcation(ax=Figure().subplots()),
+        shown.gapsweep.frequency_response(ax=Figure().subplots()),
+        shown.gapsweep.compare("piecewise", "tanh-10000", ax=Figure().subplots()),
+    ]
+    for one in axes:
+        low, high = one.get_ylim()
+        assert -2.5 < low < high < 2.5  # mm: a little more than the steady ones need
+        left, right = one.get_xlim()
+        assert left < 4.0 < 6.0 < right
+        drawn = {y for line in one.lines for y in np.ravel(line.get_ydata())}
+        assert max(drawn) > 4e3  # there, and cut off
+        assert {bar.get_label() for bar in one.patches} <= {"_unresolved"}
+    assert [t.get_text() for t in axes[-1].get_legend().get_texts()][-1] == "unresolved"
+    low, high = frame(shown, "x_max", "piecewise")
+    assert low < 1.0 < high < 3.0
+
+
+def test_where_all_is_growing_it_is_seen():
+    (axes,) = bifurcation(growing().isel(representation=[0], omega=[2])).axes
+    assert axes.get_ylim()[1] > 5e3
+
+
+def of_system(coordinate, K_ratio=1.0):
+    """The same responses, of one coordinate of a system: two contacts feel the arm alone."""
+    system = {
+        "coordinates": ["body", "arm"],
+        "contacts": {"lever": [0.0, -2.0], "stop": [0.0, 1.0], "between": [1.0, -1.0]},
+    }
+    own = {"stop": {"gap": [5.0, 6.0], "K_ratio": 0.0, "K_c": None}}
+    shown = scene("periodic", "periodic").assign_coords(coordinate=coordinate, K_ratio=K_ratio)
+    shown.attrs = {"system_json": json.dumps(system), "study_json": json.dumps({"contact": own})}
+    for name in ("extrema", "j_1", "j_2"):
+        del shown[name].attrs["units"]
+    return shown
+
+
+@pytest.mark.parametrize(
+    ("shown", "of_peaks", "heights", "said"),
+    [
+        (of_system("arm"), False, [-1.5e-3, 1e-3, 6.0], " Dashed: walls within the axis."),
+        (of_system("arm", K_ratio=0.0), False, [-1.5e-3, 6.0], " Dashed: walls within the axis."),
+        (of_system("arm"), True, [1e-3, 6.0], " Dashed: walls within the axis."),
+        (of_system("body"), False, [], ""),
+        (scene("periodic").assign_coords(K_ratio=0.0), False, [3.0], " Dashed: the wall."),
+    ],
+)
+def test_walls_of_a_system_stand_where_its_coordinate_meets_them(shown, of_peaks, heights, said):
+    axes = Figure().subplots()
+    backdrop.walls(axes, shown, of_peaks=of_peaks)
+    assert sorted(line.get_ydata()[0] for line in axes.lines) == pytest.approx(heights)
+    assert backdrop.said_of_walls(shown, of_peaks=of_peaks) == said
+
+
+def test_a_wall_of_a_system_sets_no_axis():
+    (axes,) = bifurcation(of_system("arm")).axes
+    assert axes.get_ylim()[1] < 0.1
+
+
+def test_a_figure_of_a_system_names_the_coordinate_and_what_is_fixed():
+    (axes,) = bifurcation(of_system("arm")).axes
+    assert axes.get_ylabel() == "arm: extrema"
+    both = [of_system("arm"), of_system("arm")]
+    shown = xr.concat(both, "initial_condition", coords="minimal", compat="override")
+    shown = shown.assign_coords(
+        initial_condition=[0, 1], start=("initial_condition", ["sweep_up", "fixed"])
+    )
+    for number, said in enumerate(("initial_condition = 0 (sweep_up)", "initial_condition = 1")):
+        axes = shown.gapsweep.bifurcation(initial_condition=number, ax=Figure().subplots())
+        assert axes.get_ylabel() == "arm: steady extrema"
+        assert axes.get_xlabel() == "forcing frequency [Hz]"
+        title = axes.get_title(loc="left")
+        assert title.startswith("tanh-10000, ")
+        assert said in title.split(", ")[-1]
+        assert "arm" in title.split(", ")
+    only = shown.isel(initial_condition=[0]).gapsweep.bifurcation(ax=Figure().subplots())
+    assert "initial_condition" not in only.get_title(loc="left")

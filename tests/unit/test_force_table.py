@@ -15,6 +15,7 @@ from scipy.interpolate import PchipInterpolator
 import gapsweep as gs
 from gapsweep.analysis.scenes import Scene as BenchScene
 from gapsweep.analysis.truth import motion
+from gapsweep.execution.assemble import attributes_of
 from gapsweep.execution.layout import Layout
 from gapsweep.integrate.problem import Solver
 from gapsweep.model import own_law
@@ -303,6 +304,14 @@ def test_only_a_table_that_is_odd_has_mirror_images(tables, bench, forces, is_od
     found = layout.is_symmetric(piece).reshape(2, -1)
     assert (found[0] == is_odd).all()
     assert found[1].all()
+
+
+def test_files_say_how_many_points_a_table_has_and_where_it_ends(tables, bench):
+    label = "bench_spring:spring"
+    tables["protocol"] = {"loose": {"rtol": 1e-5}}
+    tables["sweep"][0]["representation"] = ["piecewise", label, f"{label}@loose"]
+    held = json.loads(attributes_of(gs.Study.from_dict(tables))["tables_json"])
+    assert held == {label: {"points": len(X), "low": X[0], "high": X[-1]}}
 
 
 def test_the_library_that_draws_the_curve_is_part_of_the_key(tables, bench):

@@ -17,7 +17,7 @@ def simulated(**options):
 
 
 def data(axes):
-    (line,) = axes.get_lines()
+    (line,) = (line for line in axes.get_lines() if line.get_linestyle() != "--")
     return line.get_xdata(), line.get_ydata()
 
 
@@ -69,6 +69,45 @@ def test_a_coordinate_of_a_system_is_chosen_by_name():
     assert_allclose(x, run.sample(t)[0][:, 1])
     with pytest.raises(gs.ModelError, match=f"'x_9': must be one of .*{second}"):
         gs.plot(run, "x_9")
+
+
+def levels(axes, side):
+    """Where dashed lines stand across an axes, or up it."""
+    ends = (getattr(line, f"get_{side}data")() for line in axes.get_lines())
+    dashed = (line.get_linestyle() == "--" for line in axes.get_lines())
+    return sorted(end[0] for end, is_one in zip(ends, dashed, strict=True) if is_one)
+
+
+def test_walls_are_dashed_and_set_no_axis():
+    history, phase, section, spectrum = gs.plot(simulated()).axes
+    assert_allclose(levels(history, "y"), [-0.4, 0.4])
+    for axes in (phase, section):
+        assert_allclose(levels(axes, "x"), [-0.4, 0.4])
+    assert not levels(spectrum, "y")
+    law = gs.Piecewise(1e3, gs.Gap(9.0, 9.0))
+    far = gs.simulate(gs.Oscillator(), law, OMEGA, t_end=9.0, dense_output=True)
+    history = gs.plot(far).axes[0]
+    _, x = data(history)
+    assert x.max() < history.get_ylim()[1] < 2.0 * x.max()
+
+
+def test_walls_stand_where_the_coordinate_meets_them():
+    """Half as far where the contact feels it twice, on the other side where it is reversed."""
+    system = gs.System(
+        mass=[[1.0, 0.0], [0.0, 1.0]],
+        stiffness=[[30.0, -10.0], [-10.0, 20.0]],
+        contacts={"lever": [0.0, -2.0], "stop": [0.0, 1.0], "between": [1.0, -1.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
+        coordinates=("body", "arm"),
+    )
+    laws = {
+        "lever": gs.Piecewise(100.0, gs.Gap(0.1, 0.3)),
+        "stop": gs.Piecewise(100.0, gs.Gap(0.5, 0.6), K_ratio=0.0),
+        "between": gs.Piecewise(100.0, gs.Gap(0.7, 0.8)),
+    }
+    run = gs.simulate(system, laws, 0.6, t_end=50.0, dense_output=True)
+    assert_allclose(levels(gs.plot(run, "arm").axes[0], "y"), [-0.15, 0.05, 0.6])
+    assert levels(gs.plot(run, "body").axes[0], "y") == []
 
 
 def test_at_rest_there_is_a_picture_too():

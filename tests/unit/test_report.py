@@ -14,6 +14,7 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 from tests.made import chaotic, datasets, failed, periodic, tables
+from tests.unit.test_system_tables import TWO_MASSES
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.systems import OF_SYSTEM
@@ -156,6 +157,12 @@ def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):
     assert findings(responses, [], None)[0].endswith(
         "and 1 without a steady response (1 out of fit range); "
         "1 with a steady response beyond the range of their fit."
+    )
+    both = [responses, responses.assign_coords(representation=["mine:table"])]
+    both = xr.concat(both, "representation", coords="minimal", compat="override")
+    assert findings(both, [], None)[0].endswith(
+        "; 1 with a steady response beyond the range of their fit"
+        "; 1 with a steady response beyond the table's ends."
     )
 
 
@@ -360,11 +367,29 @@ def test_the_model_of_a_system_is_what_its_function_made():
     told = model(responses)
     assert ("M at mean_load = 0.3", "[[1]]") in told
     assert ("Load", "[0.3]") in told
-    assert ("Load", "[0.004] (2πkω)² cos(2·2πωt)") in told
+    assert ("Load", "[0.004] (4πω)² cos(4πωt)") in told
     assert ("b of mesh", "[1]") in told
-    assert dict(told)["F of mesh"].startswith("times 1 + -0.2 cos(1·2πωt)")
+    assert dict(told)["F of mesh"].startswith("times 1 + -0.2 cos(2πωt)")
     assert dict(told)["j₁/j₂"] == "1/1"
+    assert dict(told)["r"].startswith("1 (lower wall's")
+    one_sided = responses.assign_coords(K_ratio=[0.0], representation=["tanh-1e4"])
+    told = dict(model(one_sided))
+    assert told["r"] == "0 (lower wall's stiffness over K_c); 0: no lower wall"
+    assert "ε [1/unit of x] in its name" in told["F of tanh"]
+    assert [
+        model_module._turning({"k": k, "phase": phase})
+        for k, phase in ((0, 0.0), (0, 0.5), (1, 0.0), (3, 0.5))
+    ] == ["", " cos(0.5)", " cos(2πωt)", " cos(6πωt + 0.5)"]
     assert model_module._rows([[1.0, -0.0], [0.5, 2e-7]]) == "[[1, 0], [0.5, 2e-7]]"
+
+
+def test_a_contact_of_its_own_numbers_is_told():
+    study = Study.from_dict(TWO_MASSES)
+    coords = {"representation": ["piecewise"], "K_c": [10.0], "gap": ["0.1/0.2"]}
+    responses = xr.Dataset(coords=coords, attrs=study.attributes | {OF_SYSTEM: "x"})
+    told = dict(model(responses))
+    assert told["Of between alone"] == "K_c 50, j₁/j₂ 0.5/0.4, r 2"
+    assert "Of stop alone" not in told
 
 
 def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
@@ -380,6 +405,11 @@ def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
     assert "0.4/0.4 mm" in told["Numbers"]
     users = responses.assign_coords(representation=["piecewise", "mine:spring", *"ab"])
     assert dict(model(users.isel(representation=[0, 1])))["F of mine:spring"] == "the user's own"
+    tables_json = json.dumps({"mine:spring": {"points": 7, "low": -1e-3, "high": 2.5e-3}})
+    measured = users.isel(representation=[0, 1]).assign_attrs(tables_json=tables_json)
+    assert dict(model(measured))["F of mine:spring"].startswith(
+        "a table of 7 points from −1 to 2.5 mm,"
+    )
     del study["sweep"][0]["gap"]
     study["sweep"][0] |= {"j_1": 0.4e-3, "j_2": [0.4e-3, 0.8e-3]}
     responses, _ = datasets(tmp_path / "j", study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
@@ -749,6 +779,6 @@ def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):
     said = "every attractor that the starts reach, swept from several at 2 Hz only."
     assert said in path.read_text()
     # The map says so too, below its contact.
-    assert '<th scope="row">starts a frequency</th><td class="error first">1–2</td>' in (
+    assert '<th scope="row">starts per frequency</th><td class="error first">1–2</td>' in (
         path.read_text()
     )

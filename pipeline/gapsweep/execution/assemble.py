@@ -6,6 +6,7 @@ by piece (whole scenes, neighbours), so that memory stays small. Attractors are 
 a scene, not of a point: they are grouped here, from all starts of a scene.
 """
 
+import json
 import math
 from collections.abc import Callable
 from functools import partial
@@ -18,6 +19,9 @@ from numpy.typing import NDArray
 
 from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attractors, set_flags
 from gapsweep.execution.plan import Plan
+from gapsweep.model import own_law
+from gapsweep.model.labels import law_of
+from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
 from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.response.section import unit_of
@@ -101,8 +105,21 @@ def attributes_of(study: Study) -> dict[str, str]:
     """Attributes of both files that say whose they are."""
     return {
         **study.attributes,
+        **_tables(study),
         "numerics_fingerprint": numerics_fingerprint(),
     }
+
+
+def _tables(study: Study) -> dict[str, str]:
+    """What the measured laws of the sweeps are: to those who read files, these are but names."""
+    labels = {law_of(label) for label in study.grid.representations if ":" in label}
+    laws = {label: own_law.named(label) for label in sorted(labels)}
+    found = {
+        label: {"points": len(law.x), "low": law.x[0], "high": law.x[-1]}
+        for label, law in laws.items()
+        if isinstance(law, ForceTable)
+    }
+    return {"tables_json": json.dumps(found)} if found else {}
 
 
 def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.int32]:

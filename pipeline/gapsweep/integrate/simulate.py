@@ -127,8 +127,8 @@ def simulate(
         )
 
     if isinstance(oscillator, System):
-        return SystemTrajectory(oscillator, solve, t_0, frequency.shape, dense_output)
-    return Trajectory(solve, t_0, frequency.shape, dense_output)
+        return SystemTrajectory(oscillator, laws, solve, t_0, frequency.shape, dense_output)
+    return Trajectory((laws,), solve, t_0, frequency.shape, dense_output)
 
 
 def starts(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Counts, Events, Motions
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.system import System, floats
 from gapsweep.status import Status
 
@@ -44,6 +45,8 @@ class Trajectory:
         sides evaluated (for a Taylor method, expansions).
     status : Status
         How the run ended; integers in an array.
+    laws : tuple of ContactLaw
+        Of the contacts; of an oscillator the one.
     monodromy : ndarray, shape (2, 2), or None
         Derivative of the end state by the initial state, with ``tangent=True``.
 
@@ -59,11 +62,13 @@ class Trajectory:
 
     def __init__(
         self,
+        laws: tuple[ContactLaw, ...],
         solve: Callable[[float, bool], Motions],
         t_0: float,
         shape: tuple[int, ...],
         dense_output: bool,
     ) -> None:
+        self.laws = laws
         self._solve, self._has_dense_output = solve, dense_output
         self._dense: tuple[float, Motions] | None = None
         self.t_0 = t_0

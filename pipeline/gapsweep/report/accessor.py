@@ -4,6 +4,7 @@
 ``xarray.open_dataset``, ``import gapsweep.report.accessor`` once.
 """
 
+import textwrap
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -19,13 +20,14 @@ from gapsweep.report.selection import missing_variable, places, scene
 from gapsweep.report.style import NOT_PERIODIC, colour
 from gapsweep.report.summary import as_html, as_text
 from gapsweep.response.result import ResponseClass
-from gapsweep.study.grid import COORDINATE
+from gapsweep.study.grid import COORDINATE, START
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MANY_STARTS = 500  # from here on those that form a grid are a mesh
 _CURVES = ("representation", "initial_condition")
+_WIDTH = 90  # characters of a title that fit over axes of the usual size
 _RIM, _DOT = 5.0, 3.0  # points: of the law behind, of the one before it
 
 
@@ -64,9 +66,13 @@ class GapsweepAccessor:
             must be left.
         """
         along = self._axis(along, wanted)
-        shown = self._along(along, {"amplitude": _CURVES}, wanted)
+        kinds_too = ["response_class"] if "response_class" in self._dataset else []
+        shown = self._along(along, dict.fromkeys(["amplitude", *kinds_too], _CURVES), wanted)
+        kinds = shown.get("response_class")
         axes = _axes(ax)
-        drawing.curves(axes, shown["amplitude"], along)
+        drawing.curves(axes, shown["amplitude"], along, kinds)
+        if kinds_too:
+            backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown["amplitude"], "amplitude"))
         axes.set_ylim(bottom=0)
         return _finished(axes, shown, along)
@@ -76,6 +82,7 @@ class GapsweepAccessor:
     ) -> "Axes":
         """All steady extrema over frequency, from all starts.
 
+        What is unresolved has a pale band, and does not set the axis: it may be beyond.
         One representation: its colour where the response is periodic, red where it is not.
         Several: each in its colour.
 
@@ -97,6 +104,7 @@ class GapsweepAccessor:
         others = shown["extrema"].where(shown["response_class"] != ResponseClass.PERIODIC)
         if other and others.notnull().any():
             axes.plot([], [], ".", color=other, label="not periodic")
+        backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown["extrema"], "steady extrema"))
         return _finished(axes, shown, along)
 
@@ -131,6 +139,7 @@ class GapsweepAccessor:
             one = selected(shown, {"representation": label})
             drawing.peaks(axes, one, size, along=along)
             axes.plot([], [], "o", color=colour(label), markersize=size, label=label)
+        backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
         return _finished(axes, shown, along)
 
@@ -319,9 +328,12 @@ def _titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
     """Say what is what, and what the plot shows one value of."""
     if axes.get_legend() is None and axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8)
-    names = ["scene", "representation", *places(shown), "regime"]
-    one = [name for name in names if name in shown.coords and shown[name].size == 1]
-    axes.set_title(", ".join(named(shown[name]) for name in one), fontsize=9, loc="left")
+    names = ["scene", "representation", *places(shown), "regime", COORDINATE, START]
+    one = [named(shown[name]) for name in names if name in shown.coords and shown[name].size == 1]
+    if START in shown.coords and "start" in shown.coords and shown["start"].size == 1:
+        one[-1] += f" ({shown['start'].item()})"
+    words = textwrap.wrap(", ".join(each.replace(" ", "\u00a0") for each in one), _WIDTH)
+    axes.set_title("\n".join(words).replace("\u00a0", " "), fontsize=9, loc="left")
     return axes
 
 

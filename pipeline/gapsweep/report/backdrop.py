@@ -1,9 +1,12 @@
 """What stands behind the points of a figure, and what a caption says of it: walls, and bands."""
 
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from gapsweep.report.scales import drawn
 from gapsweep.report.style import BANDS, WALL
@@ -18,45 +21,117 @@ _NOT_DRAWN = {
     ResponseClass.EQUILIBRIUM: "what is at rest",
     ResponseClass.FAILED: "what has no steady response",
 }
+_UNRESOLVED = "unresolved"
 _WALLS = {"j_1": -1.0, "j_2": 1.0}
 
 
-def said_of_walls(scene: xr.Dataset, *, of_peaks: bool = False) -> str:
-    """What a caption says of walls, with a blank before: nothing where none is drawn.
-
-    A system's walls bound the gap of its contact, whatever coordinates that is made of.
-    """
-    if COORDINATE in scene.coords:
-        return ""
-    return " Dashed: the upper wall." if of_peaks else " Dashed: walls."
+def said_of_walls(scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> str:
+    """What a caption says of walls, with a blank before: nothing where none is drawn."""
+    n = len(list(_walls(scene, along, of_peaks)))
+    if n and COORDINATE in scene.coords:
+        return " Dashed: walls within the axis."
+    which = "the upper wall" if of_peaks else "walls" if n > 1 else "the wall"
+    return f" Dashed: {which}." if n else ""
 
 
 def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> None:
-    """Both walls of the gap, or the upper one, where they can be drawn; what moves is a curve."""
-    if not said_of_walls(scene):
+    """Both walls of the gap, or the upper one, where they can be drawn; what moves is a curve.
+
+    Of a system those of the contacts that feel the drawn coordinate alone.
+    """
+    from matplotlib.lines import Line2D
+
+    for height in _walls(scene, along, of_peaks):
+        if height.ndim:
+            axes.plot(drawn(scene[along]), height, label="_wall", **WALL)
+        elif COORDINATE not in scene.coords:
+            axes.axhline(float(height), **WALL)
+        else:  # a wall that no motion comes near, as of gears under load, sets no axis
+            across = {"transform": axes.get_yaxis_transform(), **WALL}
+            axes.add_artist(Line2D([0.0, 1.0], [float(height)] * 2, **across))
+
+
+def in_coordinate(directions: Mapping[str, Sequence[float]], number: int) -> dict[str, float]:
+    """Contacts that feel one coordinate alone, and what they feel of it: it times a factor.
+
+    Parameters
+    ----------
+    directions : mapping of str to sequence of float
+        Of every contact.
+    number : int
+        Of the coordinate.
+    """
+    return {
+        name: float(direction[number])
+        for name, direction in directions.items()
+        if np.count_nonzero(direction) == 1 and direction[number]
+    }
+
+
+def _walls(scene: xr.Dataset, along: str, of_peaks: bool) -> Iterator[NDArray[np.float64]]:
+    """Heights at which walls are drawn: a number, or of those that move one for every place."""
+    for factor, own in _contacts(scene):
+        for name, sign in _WALLS.items():
+            # A wall without stiffness is none.
+            is_none = name == "j_1" and _one("K_ratio", scene, own) == 0.0
+            if is_none or (of_peaks and sign * factor < 0.0):
+                continue
+            if name in own:
+                yield np.asarray(sign / factor * own[name])
+            elif name == along or (name in scene.coords and scene[name].ndim == 0):
+                yield sign / factor * drawn(scene[name])
+
+
+def _one(name: str, scene: xr.Dataset, own: Mapping[str, float]) -> float:
+    """The one value that something has; NaN if it has several, or none is known."""
+    if name in own:
+        return own[name]
+    return float(scene[name]) if name in scene.coords and scene[name].ndim == 0 else np.nan
+
+
+def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
+    """What a contact feels of the drawn coordinate, and what it has of its own; of all that do.
+
+    Directions are those at the values in ``[parameters]``: of others files say nothing.
+    """
+    if COORDINATE not in scene.coords:
+        yield 1.0, {}
         return
-    for name, sign in _WALLS.items():
-        if of_peaks and name == "j_1":
-            continue
-        if name == along:
-            axes.plot(drawn(scene[name]), sign * drawn(scene[name]), label="_wall", **WALL)
-        elif name in scene.coords and scene[name].ndim == 0:
-            axes.axhline(sign * float(drawn(scene[name])), **WALL)
+    if scene[COORDINATE].ndim or "system_json" not in scene.attrs:
+        return
+    system = json.loads(scene.attrs["system_json"])
+    own = json.loads(scene.attrs["study_json"]).get("contact", {})
+    number = system["coordinates"].index(str(scene[COORDINATE].item()))
+    for name, factor in in_coordinate(system["contacts"], number).items():
+        table = own.get(name, {})
+        gap = dict(zip(_WALLS, table.get("gap") or (), strict=False))
+        ratio = table.get("K_ratio")
+        yield factor, gap | ({} if ratio is None else {"K_ratio": ratio})
 
 
-def bands(axes: "Axes", one: xr.Dataset, along: str = "omega") -> None:
-    """Pale bands behind one representation where the response from any start is not periodic."""
+def bands(
+    axes: "Axes", one: xr.Dataset, along: str = "omega", *, of: Iterable[str] = tuple(BANDS)
+) -> None:
+    """Pale bands behind what is drawn where any response is of a class that is not periodic."""
     x = drawn(one[along])
     width = np.gradient(x) if x.size > 1 else np.ones(1)
     kinds = one["response_class"].transpose(along, ...).values.reshape(x.size, -1)
     left = np.ones(x.size, dtype=bool)
-    for kind, shade in BANDS.items():
+    for kind in of:
         where = left & (kinds == ResponseClass[kind.upper()]).any(axis=1)
         left &= ~where
-        look: dict[str, Any] = {"color": shade, "zorder": 0, "antialiased": False}
+        look: dict[str, Any] = {"color": BANDS[kind], "zorder": 0, "antialiased": False}
         bars = axes.bar(x[where], 1.0, width[where], transform=axes.get_xaxis_transform(), **look)
         for bar in bars:
             bar.set_label(f"_{kind}")
+
+
+def unresolved(axes: "Axes", scene: xr.Dataset, along: str) -> None:
+    """The bands of what is unresolved, named in the legend, where there is any."""
+    if _UNRESOLVED in _has(scene):
+        bands(axes, scene, along, of=[_UNRESOLVED])
+        look: dict[str, Any] = {"color": BANDS[_UNRESOLVED], "markersize": 8}
+        axes.plot([], [], "s", label=_UNRESOLVED, **look)
 
 
 def _has(scene: xr.Dataset) -> list[str]:
@@ -79,7 +154,8 @@ def said_of_bands(scene: xr.Dataset) -> str:
     if not (kinds := _has(scene)):
         return ""
     whose = " from some start" if scene.sizes.get(START, 1) > 1 else ""
-    return f" Bands: the response{whose} is {' or '.join(kinds)}."
+    beyond = " Unresolved ones may lie beyond the axis." if _UNRESOLVED in kinds else ""
+    return f" Bands: the response{whose} is {' or '.join(kinds)}.{beyond}"
 
 
 def said_of_missing(scene: xr.Dataset) -> str:

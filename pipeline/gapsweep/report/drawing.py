@@ -13,7 +13,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.model.labels import EXACT
-from gapsweep.report.scales import drawn, factor, is_log, shown_unit
+from gapsweep.report.mesh import mesh
+from gapsweep.report.scales import drawn, factor, shown_unit
 from gapsweep.report.style import WALL, colour, lines
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -24,77 +25,9 @@ if TYPE_CHECKING:
 
 MANY = 60  # points as vectors would make a file heavy
 _MOST_NAMES = 24  # that fit beside a colour bar
-_FINENESS = 2000  # cells of one width along an axis of uneven ones
 _SPARE = 0.5  # room around the exact law, in widths of its range
 _FEW = 60  # points on a curve that can be told apart
 _DOT = 12.0  # points², of an attractor whose basin is not known
-
-
-def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
-    """Edges of the cells of an axis, halfway between its values.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Ascending.
-    log : bool
-        Whether halfway on a logarithmic axis.
-
-    Returns
-    -------
-    ndarray, shape (n + 1,)
-    """
-    at = np.log(values) if log else values
-    if at.size == 1:
-        half = 0.05 if log else 0.05 * abs(float(at[0])) or 0.5
-        ends = np.array([at[0] - half, at[0] + half])
-    else:
-        inner = 0.5 * (at[1:] + at[:-1])
-        ends = np.concatenate([[2.0 * at[0] - inner[0]], inner, [2.0 * at[-1] - inner[-1]]])
-        if at[0] > 0.0 and not log:
-            ends[0] = max(ends[0], 0.0)  # what is positive has no cells below zero
-    return np.exp(ends) if log else ends
-
-
-def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **style: Any) -> Any:
-    """Cells whose edges lie halfway between the values, as one image; logarithmic by `is_log`.
-
-    Parameters
-    ----------
-    cells : ndarray, shape (n_y, n_x, ...)
-        What `matplotlib.axes.Axes.imshow` takes.
-    """
-    scaled: dict[int, NDArray[np.float64]] = {}
-    for axis, coordinate in ((1, x), (0, y)):
-        ends = edges(drawn(coordinate), log=is_log(coordinate))
-        which = "yx"[axis]
-        axes.set(**{f"{which}scale": "log" if is_log(coordinate) else "linear"})
-        axes.set(**{f"{which}lim": (ends[0], ends[-1])})
-        scaled[axis] = getattr(axes, f"{which}axis").get_transform().transform(ends)
-        cells = _even(cells, scaled[axis], axis)
-    limits = axes.get_xlim(), axes.get_ylim()
-    # Evenly spaced on the scale, not in the data: matplotlib would stretch it a second time.
-    look = {"transform": axes.transLimits + axes.transAxes, "interpolation": "none", **style}
-    extent = *scaled[1][[0, -1]].tolist(), *scaled[0][[0, -1]].tolist()
-    made = axes.imshow(cells, extent=extent, origin="lower", aspect="auto", **look)
-    axes.set(xlim=limits[0], ylim=limits[1])
-    axes.grid(visible=False)
-    return made
-
-
-def _even(cells: NDArray[Any], ends: NDArray[np.float64], axis: int) -> NDArray[Any]:
-    """Cells of one width along an axis: as they are, or repeated to fit their edges.
-
-    Parameters
-    ----------
-    ends : ndarray, shape (n + 1,)
-        The edges on the scale of the axis.
-    """
-    even = np.linspace(ends[0], ends[-1], ends.size)
-    if np.allclose(ends, even, rtol=0.0, atol=0.01 * (even[1] - even[0])):
-        return cells
-    middles = np.linspace(ends[0], ends[-1], 2 * _FINENESS + 1)[1::2]
-    return np.take(cells, np.searchsorted(ends, middles, side="right") - 1, axis=axis)
 
 
 def labels_of(dataset: xr.Dataset) -> list[str]:
@@ -102,30 +35,39 @@ def labels_of(dataset: xr.Dataset) -> list[str]:
     return [str(label) for label in dataset["representation"].values]
 
 
-def curves(axes: "Axes", variable: xr.DataArray, along: str) -> None:
+def curves(
+    axes: "Axes", variable: xr.DataArray, along: str, kinds: xr.DataArray | None = None
+) -> None:
     """A curve per representation and start; the exact law thick, behind the others.
 
     Parameters
     ----------
     variable : DataArray
         Dimensions representation, `along`, initial_condition.
+    kinds : DataArray, optional
+        The ``response_class`` of each value; what is not steady sets no axis.
     """
+    setting = variable.notnull() if kinds is None else _setting(variable, kinds)
     x = drawn(variable[along])
     labels = [str(label) for label in variable["representation"].values]
     styles = lines(labels)
     for label in labels:
-        y = drawn(variable.sel(representation=label).transpose("initial_condition", along))
+        order = ("initial_condition", along)
+        y = drawn(variable.sel(representation=label).transpose(*order))
         if not np.isfinite(y).any():
             continue
+        sets = setting.sel(representation=label).transpose(*order).values
         exact = label == EXACT
         few = x.size <= _FEW
         for start, curve in enumerate(y):
             # A start may be swept at every second frequency only: dots show which.
             there = np.isfinite(curve)
-            axes.plot(
+            _line(
+                axes,
                 x[there],
                 curve[there],
-                styles[label],
+                sets[start, there],
+                linestyle=styles[label],
                 color=colour(label),
                 label=label if start == 0 else f"_{label}",  # one of each in a legend
                 linewidth=2.2 if exact else 1.2,
@@ -147,15 +89,16 @@ def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = No
     """
     label, own = _label(one), colour(_label(one))
     x, y = _broadcast(one, "extrema", along)
-    is_periodic = one["response_class"].transpose(along, "initial_condition").values
-    periodic = (is_periodic == ResponseClass.PERIODIC)[..., None]
+    kinds = one["response_class"].transpose(along, "initial_condition")
+    sets = _setting(one["extrema"], kinds).transpose(*kinds.dims, ...).values
+    periodic = (kinds.values == ResponseClass.PERIODIC)[..., None]
     for chosen, shade, kind in (
         (periodic, own, "periodic"),
         (~periodic, other or own, "not periodic"),
     ):
         shown = chosen & np.isfinite(y)
         look = {"color": shade, "marker": ".", "markersize": 2.5, "label": f"_{label}, {kind}"}
-        _points(axes, x[shown], y[shown], **look)
+        _points(axes, x[shown], y[shown], sets[shown], **look)
 
 
 def peaks(
@@ -180,14 +123,15 @@ def peaks(
     """
     label = _label(one)
     places, height = _broadcast(one, "x_max", along)
-    kinds = one["response_class"].transpose(along, "initial_condition").values
-    periodic = kinds == ResponseClass.PERIODIC
+    kinds = one["response_class"].transpose(along, "initial_condition")
+    sets = _setting(one["x_max"], kinds).transpose(*kinds.dims).values
+    periodic = kinds.values == ResponseClass.PERIODIC
     below, above = height < low, height > high
     style = {"color": colour(label), "marker": "o", "markersize": size, "markeredgewidth": 0.0}
     for where, alpha, kind in ((~periodic, 0.35, "not periodic"), (periodic, 1.0, "periodic")):
         shown = where & np.isfinite(height) & ~below & ~above
         style["label"] = f"_{label}, {kind}"
-        _points(axes, places[shown], height[shown], alpha=alpha, **style)
+        _points(axes, places[shown], height[shown], sets[shown], alpha=alpha, **style)
     outside(axes, places[below], low, "v", label)
     outside(axes, places[above], high, "^", label)
 
@@ -210,7 +154,10 @@ def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
     exact : str
         The exact law's label.
     """
-    bottom, top = drawn(scene[lowest]), drawn(scene["x_max"])
+    bottom, top = (
+        drawn(scene[name].where(_setting(scene[name], scene["response_class"])))
+        for name in (lowest, "x_max")
+    )
     is_exact = scene["representation"].values == exact
     if not np.isfinite(top[is_exact]).any():
         is_exact[:] = True
@@ -415,8 +362,33 @@ def _broadcast(one: xr.Dataset, name: str, along: str) -> Iterator[NDArray[np.fl
     return iter((np.broadcast_to(places, values.shape), values))
 
 
-def _points(axes: "Axes", x: NDArray[Any], y: NDArray[Any], **style: Any) -> None:
-    axes.plot(x, y, linestyle="none", rasterized=bool(x.size > MANY), **style)
+def _setting(values: xr.DataArray, kinds: xr.DataArray) -> xr.DataArray:
+    """Which values set the axis: those of steady responses, and all if there are none.
+
+    A motion that was still growing when it was left is larger than any that is steady.
+    """
+    known = values.notnull()
+    steady = known & (kinds != ResponseClass.UNRESOLVED)
+    return steady if steady.any() else known
+
+
+def _points(
+    axes: "Axes", x: NDArray[Any], y: NDArray[Any], sets: NDArray[np.bool_], **style: Any
+) -> None:
+    _line(axes, x, y, sets, linestyle="none", rasterized=bool(x.size > MANY), **style)
+
+
+def _line(
+    axes: "Axes", x: NDArray[Any], y: NDArray[Any], sets: NDArray[np.bool_], **style: Any
+) -> None:
+    """A line of which only some values set the axis across; the others may be beyond it."""
+    from matplotlib.lines import Line2D
+
+    axes.add_artist(Line2D(x, y, **style))  # which, unlike plot, leaves the limits alone
+    places = np.column_stack([x, y])
+    axes.update_datalim(places, updatey=False)
+    axes.update_datalim(places[sets])
+    axes.autoscale_view()
 
 
 def _shades(n: int) -> Any:

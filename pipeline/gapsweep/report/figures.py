@@ -34,7 +34,7 @@ def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
     """
     figure = Figure(figsize=(_WIDTH, 4.2))
     axes = figure.subplots()
-    drawing.curves(axes, responses["amplitude"], along)
+    drawing.curves(axes, responses["amplitude"], along, responses.get("response_class"))
     _axis(axes, responses[along])
     axes.set_ylabel(axis_label(responses["amplitude"], "amplitude"))
     axes.set_ylim(bottom=0)

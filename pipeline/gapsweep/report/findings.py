@@ -87,7 +87,19 @@ def outcomes(responses: xr.Dataset) -> str:
     counts = _counted(kind[asked])
     why = _counted(status[asked & (kind == ResponseClass.FAILED)])
     reasons = ", ".join(f"{n} {Status(s).label.replace('_', ' ')}" for s, n in sorted(why.items()))
-    left = int(((status == Status.OUT_OF_FIT_RANGE) & (kind != ResponseClass.FAILED)).sum())
+    left = (responses["status"] == Status.OUT_OF_FIT_RANGE) & (
+        responses["response_class"] != ResponseClass.FAILED
+    )
+    others_than = [dim for dim in left.dims if dim != REPRESENTATION]
+    of_laws = zip(labels_of(responses), left.sum(others_than).values, strict=True)
+    n_left = Counter[bool]()
+    for label, n in of_laws:
+        n_left[":" in label] += int(n)  # only tables of the user's laws have ends
+    beyond = "".join(
+        f"; {n_left[is_table]} with a steady response beyond {words}"
+        for is_table, words in ((False, "the range of their fit"), (True, "the table's ends"))
+        if n_left[is_table]
+    )
     others = "".join(
         f"{counts[kind]} {words}, " for kind, words in _OF_SYSTEMS.items() if counts[kind]
     )
@@ -96,7 +108,7 @@ def outcomes(responses: xr.Dataset) -> str:
         f"{counts[ResponseClass.CHAOTIC]} chaotic, {counts[ResponseClass.UNRESOLVED]} unresolved "
         f"and {counts[ResponseClass.FAILED]} without a steady response"
         f"{f' ({reasons})' if reasons else ''}"
-        f"{f'; {left} with a steady response beyond the range of their fit' if left else ''}."
+        f"{beyond}."
     )
 
 

@@ -13,7 +13,7 @@ from gapsweep.analysis.classes import CHAOTIC, CLASSES, class_numbers
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
-from gapsweep.report import drawing
+from gapsweep.report.mesh import mesh
 from gapsweep.report.scales import axis_label, drawn, is_crowded_low
 from gapsweep.report.selection import missing_variable, scene
 from gapsweep.report.style import BLANK, CLASS_COLOURS, sequence
@@ -224,7 +224,7 @@ def draw(axes: "Axes", shown: Picture) -> None:
     if shown.names:
         palette = np.rint(255 * to_rgba_array(shown.colours)).astype(np.uint8)
         rgba[shown.kind >= 0] = palette[shown.kind[shown.kind >= 0]]
-    drawing.mesh(axes, shown.x, shown.y, rgba)
+    mesh(axes, shown.x, shown.y, rgba)
     axes.set_xlabel(axis_label(shown.x))
     axes.set_ylabel(axis_label(shown.y))
     is_blank = not (is_number | (shown.kind >= 0)).all()

@@ -1,7 +1,7 @@
 """The model of a run, as a report tells it: its equation, its numbers, the forces of its laws."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,9 @@ _FORCES = {
     "logarctan": "0 at x = 0, of slope ½ K_c [r (1 − s₁) + 1 + s₂], s₁ = (2/π) arctan γ(x + j₁), "
     "s₂ = (2/π) arctan γ(x − j₂), γ [1/m] in its name",
 }
+_RATIO = _NUMBERS["K_ratio"]
+# What a contact may have of its own.
+_OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r"}
 _EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q + Σ α (a·q)³ a + Σ F(b·q) b = loads"
 _EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
@@ -66,7 +69,7 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
     return [
         ("Equation", _EQUATION),
         ("Numbers", ", ".join(told)),
-        *dict(map(_law, labels)).items(),
+        *_laws(responses, labels),
     ]
 
 
@@ -83,29 +86,65 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
     told += [(f"b of {name}", _rows(along)) for name, along in held["contacts"].items()]
     told += [("a, α", f"{_rows(each['along'])}, {plain(each['alpha'])}") for each in held["cubic"]]
     for load in held["forcing"]:
-        size = f"{_rows(load['amplitude'])}{' (2πkω)²' if load['inertial'] else ''}"
+        size = f"{_rows(load['amplitude'])}{f' ({_rate(load)})²' if load['inertial'] else ''}"
         told.append(("Load", f"{size}{_turning(load)}"))
     for name, terms in held["modulation"].items():
         parts = (f"{plain(term['depth'])}{_turning(term)}" for term in terms)
         told.append((f"F of {name}", f"times 1 + {' + '.join(parts)}"))
-    told += [(_NUMBERS["K_c"][0], _told(responses["K_c"].values))] if "K_c" in responses else []
-    if "gap" in responses:
-        gaps = _listed([shortened(str(gap)) for gap in responses["gap"].values])
-        told.append(("j₁/j₂", gaps))
+    told += _numbers_of_contacts(responses, study.get("contact", {}))
     equation = _EQUATION_OF_SYSTEMS + (_EQUATION_OF_LAGS if lags else "")
     labels = [label for label in labels_of(responses) if label != AUTO]
     names = ", ".join(held["coordinates"])
     return [
         ("Equation", f"{equation}; x = b·q, q = ({names})"),
         *told,
-        *dict(map(_law, labels)).items(),
+        *_laws(responses, labels),
     ]
+
+
+def _numbers_of_contacts(
+    responses: xr.Dataset, own: Mapping[str, Mapping[str, Any]]
+) -> Iterator[tuple[str, str]]:
+    """What the sweep gives to all contacts of a system, and what some have of their own."""
+    for name, symbol in {"K_c": "K_c", "j_1": "j₁", "j_2": "j₂"}.items():
+        if name in responses.dims:
+            yield symbol, _told(responses[name].values)
+    if "gap" in responses:
+        yield "j₁/j₂", _listed([shortened(str(gap)) for gap in responses["gap"].values])
+    ratios = _told(responses["K_ratio"].values) if "K_ratio" in responses else "1"
+    if "K_c" in responses.dims:
+        yield _RATIO[0], f"{ratios} {_RATIO[1]}{_said_of_none(ratios)}"
+    for contact, table in own.items():
+        told = (
+            f"{symbol} {_one(table[name])}".strip()
+            for name, symbol in _OWN.items()
+            if table.get(name) is not None
+        )
+        yield f"Of {contact} alone", ", ".join(told)
+
+
+def _one(value: Any) -> str:
+    """A label, a number, or the two distances of a gap."""
+    if isinstance(value, str):
+        return value
+    return "/".join(map(plain, np.ravel(value)))
+
+
+def _said_of_none(ratios: str) -> str:
+    """That there is no lower wall where its stiffness is zero."""
+    return "; 0: no lower wall" if "0" in ratios.split(", ") else ""
 
 
 def _turning(term: Any) -> str:
     """The cosine that a load or a modulation is multiplied by; of a constant one nothing."""
-    phase = f" + {plain(term['phase'])}" if term["phase"] else ""
-    return f" cos({term['k']}·2πωt{phase})" if term["k"] or phase else ""
+    angle = [f"{_rate(term)}t"] if term["k"] else []
+    angle += [plain(term["phase"])] if term["phase"] else []
+    return f" cos({' + '.join(angle)})" if angle else ""
+
+
+def _rate(term: Any) -> str:
+    """Its angular frequency, of ω in Hz."""
+    return f"{2 * term['k']}πω"
 
 
 def _rows(numbers: Any) -> str:
@@ -132,9 +171,29 @@ def _listed(texts: Sequence[str]) -> str:
     return ", ".join(texts) if len(texts) <= _MANY else f"{texts[0]} to {texts[-1]}"
 
 
-def _law(label: str) -> tuple[str, str]:
-    """What the force is, under the name of the law's family or of the user's function."""
-    law = family(label)
-    if law is None:
-        return f"F of {law_of(label)}", "the user's own"
-    return f"F of {law.family}", _FORCES[law.family]
+def _laws(responses: xr.Dataset, labels: Iterable[str]) -> list[tuple[str, str]]:
+    """What the force is, under the name of each law's family or of what the user wrote."""
+    tables = json.loads(responses.attrs.get("tables_json", "{}"))
+    is_length = not is_of_systems(responses)
+    found = {}
+    for label in labels:
+        law = family(label)
+        if law is None:
+            table = tables.get(law_of(label))
+            said = _table(table, is_length) if table else "the user's own"
+            found[f"F of {law_of(label)}"] = said
+        else:
+            # What a length of a system is, its user alone knows.
+            unit = "[1/m]" if is_length else "[1/unit of x]"
+            found[f"F of {law.family}"] = _FORCES[law.family].replace("[1/m]", unit)
+    return list(found.items())
+
+
+def _table(table: Mapping[str, Any], is_length: bool) -> str:
+    """Of a measured force how many points there are, and from where to where."""
+    scale, unit = (1e3, " mm") if is_length else (1.0, "")
+    low, high = (plain(scale * table[end]).replace("-", "−") for end in ("low", "high"))
+    return (
+        f"a table of {table['points']} points from {low} to {high}{unit}, a monotone cubic between "
+        "them"
+    )

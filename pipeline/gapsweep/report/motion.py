@@ -8,7 +8,9 @@ from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.histories import spectrum
 from gapsweep.errors import ModelError
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
-from gapsweep.report.style import CLASS_COLOURS, MATPLOTLIB
+from gapsweep.model.contact import ContactLaw
+from gapsweep.report.backdrop import in_coordinate
+from gapsweep.report.style import CLASS_COLOURS, MATPLOTLIB, WALL
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,6 +28,9 @@ _SECTION = CLASS_COLOURS["chaotic"]
 
 def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None = None) -> "Figure":
     """Draw a motion: its history, phase portrait, stroboscopic section and amplitude spectrum.
+
+    Dashed are the walls that it comes near: of a system, of contacts that feel that coordinate
+    alone.
 
     Parameters
     ----------
@@ -93,6 +98,13 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
             highest = 2.0 * frequency[amplitude > _WORTH * largest].max()
             lines.set(yscale="log", ylim=(_FLOOR * largest, 2.0 * largest))
             lines.set_xlim(0.0, min(max(highest, 10.0 * frequency[1]), frequency[-1]))
+        for axes in (history, phase, section):
+            axes.autoscale_view()
+            axes.autoscale(enable=False)  # walls set no axis: they may be far away
+        for wall in _walls(run, number):
+            history.axhline(scale * wall, **WALL)
+            phase.axvline(scale * wall, **WALL)
+            section.axvline(scale * wall, **WALL)
     return figure
 
 
@@ -120,6 +132,21 @@ def _quantity(run: Trajectory, coordinate: str | None) -> tuple[int, str, float,
     # Whether it is a length or an angle the user knows.
     name = names[0] if coordinate is None else coordinate
     return names.index(name), name, 1.0, ""
+
+
+def _walls(run: Trajectory, number: int) -> list[float]:
+    """Where the walls that one coordinate meets by itself stand, in its unit."""
+    if not isinstance(run, SystemTrajectory):
+        return _both(1.0, run.laws[0])
+    laws = dict(zip(run.system.contacts, run.laws, strict=True))
+    felt = in_coordinate(run.system.contacts, number)
+    return [wall for name, factor in felt.items() for wall in _both(factor, laws[name])]
+
+
+def _both(factor: float, law: ContactLaw) -> list[float]:
+    """Where a coordinate meets the walls of a contact that feels it times a factor."""
+    lower = [-law.gap.j_1 / factor] if law.K_ratio else []  # a wall without stiffness is none
+    return [*lower, law.gap.j_2 / factor]
 
 
 def _is_forced(run: Trajectory) -> bool:

@@ -202,14 +202,8 @@ def _maps(
         parts.append((here, "attractor"))
     elif found is not None:
         parts.append((found, "n_attractors"))
-    yield from maps_of(parts + [(part, "amplitude") for part in _named(here)], axes, where)
-
-
-def _named(here: xr.Dataset) -> Iterator[xr.Dataset]:
-    """A dataset coordinate by coordinate, whose amplitudes say of which they are."""
-    for part, suffix in by_coordinate(here):
-        part["amplitude"].attrs["long_name"] = f"{part['amplitude'].attrs['long_name']}{suffix}"
-        yield part
+    amplitudes = [(part, "amplitude") for part, _ in by_coordinate(here)]
+    yield from maps_of(parts + amplitudes, axes, where)
 
 
 def maps_of(
@@ -260,11 +254,11 @@ def _curves(
     yield Figured(
         bifurcation(shown, along),
         f"All steady zero-velocity displacements: {where}{start}."
-        f"{said_of_bands(shown)}{said_of_missing(shown)}{said_of_walls(here)}",
+        f"{said_of_bands(shown)}{said_of_missing(shown)}{said_of_walls(shown, along)}",
         f"Bifurcation diagram, {where}{start}",
     )
     if n_starts == 1:
-        shown = here[["amplitude"]].load().expand_dims([REPRESENTATION, _START])
+        shown = here[["amplitude", "response_class"]].load().expand_dims([REPRESENTATION, _START])
         caption = f"Amplitude (half the range) of the steady response: {where}."
         yield Figured(frequency_response(shown, along), caption, f"Response curve, {where}")
     elif found is not None:
@@ -272,7 +266,7 @@ def _curves(
         yield Figured(
             attractors_figure(shown.expand_dims(REPRESENTATION), along),
             f"Peak displacement of every attractor: {where}.{said_of_peaks(shown)}"
-            f"{said_of_walls(here, of_peaks=True)}",
+            f"{said_of_walls(shown, along, of_peaks=True)}",
             f"Attractors and their basins, {where}",
         )
 

@@ -10,7 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.study.schema import written
+from gapsweep.study.grid import COORDINATE
+from gapsweep.study.schema import parts_of, written
 from gapsweep.study.selection import is_numeric
 
 _WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
@@ -30,8 +31,13 @@ def drawn(variable: xr.DataArray) -> NDArray[np.float64]:
 
 
 def axis_label(variable: xr.DataArray, words: str = "") -> str:
-    """The words, or else the variable's long name, and the unit in which it is drawn."""
+    """The words, or else the variable's long name, and the unit in which it is drawn.
+
+    Of a system's one coordinate, its name before.
+    """
     words = words or str(variable.attrs.get("long_name", variable.name))
+    if COORDINATE in variable.coords and parts_of(str(variable.name), [COORDINATE]):
+        words = f"{variable[COORDINATE].item()}: {words}"
     unit = shown_unit(variable)[1]
     return f"{words} [{unit}]" if unit else words
 
@@ -55,7 +61,8 @@ class Told:
 
     def __str__(self) -> str:
         """As ``K_c = 14000 N/m``."""
-        names = {"scene": "", "representation": "", "gap": "gap ", "regime": "regime: "}
+        names = dict.fromkeys(("scene", "representation", COORDINATE), "")
+        names |= {"gap": "gap ", "regime": "regime: "}
         return f"{names.get(self.name, f'{self.name} = ')}{self.value} {self.unit}".strip()
 
 

@@ -128,4 +128,4 @@ def _many(asked: NDArray[np.bool_]) -> str:
     if least == most == all_in_all:
         return f"{most} {noun}"
     of_all = f" of {all_in_all}" if all_in_all > most else ""
-    return f"{most if least == most else f'{least} to {most}'}{of_all} {noun} a frequency"
+    return f"{most if least == most else f'{least} to {most}'}{of_all} {noun} per frequency"

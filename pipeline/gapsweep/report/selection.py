@@ -9,6 +9,7 @@ from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.model.oscillator import OSCILLATOR, Gap
 from gapsweep.report.scales import shortened
+from gapsweep.study.grid import START
 from gapsweep.study.schema import PARAMETER
 from gapsweep.study.selection import listed
 
@@ -50,9 +51,11 @@ def scene(
     for dim in part.dims:
         if dim not in needed:
             raise DatasetError(_too_many(part, str(dim)))
-    return xr.Dataset(
+    shown = xr.Dataset(
         {name: _over(part, name, dims) for name, dims in variables.items()}, attrs=part.attrs
     ).load()
+    # Nobody asks which start it is where there is no other.
+    return shown.drop_vars(START, errors="ignore") if dataset.sizes.get(START) == 1 else shown
 
 
 def _over(part: xr.Dataset, name: str, dims: Sequence[str]) -> xr.DataArray:
