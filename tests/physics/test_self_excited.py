@@ -454,3 +454,28 @@ def test_an_exact_law_has_no_range_to_leave():
     found = gs.respond(light, gs.Piecewise(20.0, gs.Gap(0.1, 0.1)), 0.2)
     assert found.status.failed
     assert found.status is not gs.Status.OUT_OF_FIT_RANGE
+
+
+@pytest.mark.parametrize("rtol", [1e-5, 1e-7, 1e-9])
+def test_what_shrinks_slower_than_damping_says_is_given_time(rtol):
+    """Preloaded against its stop: out of contact it would settle at another rate."""
+    system = gs.System(
+        mass=[[2.15, -0.19], [-0.19, 2.28]], stiffness=[[1.35, 0.69], [0.55, 1.16]],
+        damping=[[0.124, 0.081], [0.116, -0.0146]], contacts={"stop": [0.75, 0.58]},
+        forcing=[gs.Harmonic(amplitude=[0.38, 0.03], k=0)],
+        cubic=[
+            gs.Cubic(along=[0.077, 0.2], alpha=1.19), gs.Cubic(along=[-1.05, -1.33], alpha=1.81)
+        ],
+        lags=gs.Lags([[0.23], [2.02]], [[-2.04, 0.71]], [[0.98, -0.34]], [[-0.445]]),
+    )  # fmt: skip
+    law = gs.Piecewise(11.3, gs.Gap(0.26, 0.74), K_ratio=0.5)
+    found = gs.respond(system, law, q_0=[-1.1, -0.6], rtol=rtol, atol=1e-3 * rtol)
+    assert found.response_class == gs.ResponseClass.EQUILIBRIUM
+    # It shrinks at that rate, by an integrator that knows no rest.
+    state = {"q_0": [-1.1, -0.6]}
+    early, late = (
+        gs.simulate(system, law, **state, t_end=t, rtol=1e-11).q - found.x_end
+        for t in (300.0, 500.0)
+    )
+    rate = math.log(np.linalg.norm(late) / np.linalg.norm(early)) / 200.0
+    assert found.lyapunov == pytest.approx(rate, abs=0.01)

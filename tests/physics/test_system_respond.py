@@ -501,6 +501,13 @@ def test_rotation_numbers_of_bent_curves(rotation, sense):
             assert rotation_number(np.stack(both), 32) == pytest.approx(rotation, abs=1e-6)
 
 
+@pytest.mark.parametrize("off", [0.0, 1e-9, 1e-7])
+def test_parts_that_turn_by_a_fraction_unfelt_have_that_rotation_number(off):
+    turns = 2 * math.pi * (0.3 + off) * np.arange(8192)
+    section = np.stack([np.cos(turns), np.sin(turns) + 0.2 * np.cos(2 * turns)])
+    assert rotation_number(section, 32) == pytest.approx(0.3 + off, abs=1e-9)
+
+
 def test_the_largest_force_of_a_stiffness_that_changes_is_not_said():
     system = gs.System(
         mass=[[1.0]], stiffness=[[0.0]], damping=[[0.1]], contacts={"mesh": [1.0]},

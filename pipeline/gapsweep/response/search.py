@@ -18,7 +18,7 @@ from gapsweep.response.approach import NEAR, approach, farthest, is_slow
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
 from gapsweep.response.found import SURE, Found, Phase
 from gapsweep.response.limits import Limits
-from gapsweep.response.rates import about_rest
+from gapsweep.response.rates import REST, about_rest
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
     DEVIATIONS,
@@ -52,6 +52,9 @@ def _for_some(method: Answer) -> Answer:
 
 
 _FIRST_WINDOW = 5
+# What shrinks slower than damping says is given so many forcing periods at most, and looked at so
+# many times.
+_PATIENCE, _LOOKS_LATER = 1e5, 8
 _LOOKS = 4
 # Shooting is worth a try when section points repeat within this share of the reach.
 _CLOSE = 0.1
@@ -91,7 +94,7 @@ class Search:
         # Forcing periods after which a full window is looked at: rattled motions come near their
         # orbits by chance, and are looked at before it is full, too.
         self._portion = -(-steady.n_periods // (_LOOKS if ensemble.is_rattled else 1))
-        self._found = Found(n)
+        self._found, self._has_time = Found(n), np.zeros(n, bool)
         self._phase = np.full(n, int(Phase.LOOK))
         self._wait(np.arange(n))
 
@@ -355,12 +358,27 @@ class Search:
         self._circle(points[may_circle & ~is_long & ~goes_on], SHORT)
         self._circle(points[may_circle & is_zero], ZERO)
         self._circle(points[may_circle & is_long & (exponent > high)], LONG)
+        shrinks = (self._phase[points] == Phase.TELL) & (exponent < -SURE * error)
+        self._give_time(points[shrinks], exponent[shrinks])
         left = self._phase[points] == Phase.TELL
-        contracts = left & (exponent < -SURE * error) & (not self._ensemble.has_own_tangent)
+        contracts = left & shrinks & (not self._ensemble.has_own_tangent)
         self._phase[points[left & is_zero]] = Phase.ENDED
         self._aperiodic(points[left & ~is_zero & ~contracts])
         for point in points[contracts].tolist():
             self._rattle(point)
+
+    @_for_some
+    def _give_time(self, points: Numbers, exponent: Array) -> None:
+        """Once, what shrinks, by the rate that is known now: damping may have promised another."""
+        limits, omega = self._limits, self._growths.omega(points)
+        n_periods = np.ceil(math.log(REST) / exponent * omega)
+        may = ~self._has_time[points] & (n_periods <= np.minimum(limits.longest[points], _PATIENCE))
+        points, n_periods = points[may], n_periods[may].astype(np.int64)
+        limits.last[points] = self._walks.n_periods[points] + n_periods
+        limits.pause[points] = np.maximum(n_periods // _LOOKS_LATER, 1)
+        self._has_time[points] = True
+        self._walks.unrecord(points)
+        self._wait(points)
 
     def _begin_growth(self, points: Numbers, times: float | Array) -> None:
         y, rate = self._walks.y[:, points], self._ensemble.settling_rate[points] / times

@@ -314,6 +314,10 @@ class Growths:
             error = np.sqrt(np.square(apart).mean(axis=1) / (_N_BATCHES - 1))
         return exponent, error
 
+    def omega(self, points: Numbers) -> Array:
+        """Section points per second [Hz] while growths that have all blocks lasted."""
+        return np.asarray(self.n_all_periods(points) / self._time[points].sum(axis=1))
+
     def shear(self, points: Numbers, omega: Array) -> Array:
         """Exponents [1/s] of what grows in proportion to time, as neighbours on a torus part.
 

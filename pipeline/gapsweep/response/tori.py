@@ -14,6 +14,7 @@ Numbers = NDArray[np.intp]
 _STILL = 1e-8  # of the largest scatter: a component with less does not move
 _REPEATS, _ROUNDING = 4, 1e-3
 _STAYS = 1 << 10  # forcing periods; more than there are points of a window
+_LEAKS = 1e-5  # of the scatter: what taking out lines leaves
 _MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
 
 
@@ -205,14 +206,16 @@ def rotation_number(section: Array, largest: int) -> float:
     """
     left = section - section.mean(axis=1, keepdims=True)
     n = section.shape[1]
-    multiples = np.arange(1, largest + 1)
+    multiples, whole, lines = np.arange(1, largest + 1), left.std(), []
     for _ in range(largest):
-        line = _strongest_line(left)
+        lines.append(_strongest_line(left))
         # What turns about a torus is nowhere so near to such a fraction that it is not locked.
-        if (np.abs(line * multiples - np.rint(line * multiples)) > multiples / n**2).all():
+        near = lines[-1] * multiples
+        if (np.abs(near - np.rint(near)) > multiples / n**2).all():
             break
-        left -= _of_line(left, line)
-    return abs(line)
+        left -= _of_line(left, lines[-1])
+    # Parts that do not feel each other may turn by a fraction all the same: then nothing is left.
+    return abs(lines[-1] if left.std() > _LEAKS * whole else lines[0])
 
 
 def _faded(n: int) -> Array:

@@ -92,6 +92,10 @@ class Walks:
         """Whether a window of scenes was recorded with all events."""
         return np.asarray(self.extrema.counts[points * self.n_turning] >= 0)
 
+    def unrecord(self, points: Numbers) -> None:
+        """Have windows recorded with all events anew: they were not the last."""
+        self.extrema.counts[self.rows(points)] = -1
+
     def window(self, point: int) -> Array:
         """Section points [m] of one window, shape (n_states, length)."""
         return self.section[:, point, : self.length[point]]
