@@ -20,7 +20,7 @@ from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, frequency_response, maps
 from gapsweep.report.maps import Picture, numbered_as, numeric_axes, on_grid, picture
 from gapsweep.report.parts import Figured, Part
-from gapsweep.report.scales import named, shown_unit
+from gapsweep.report.scales import long_name, named, shown_unit
 from gapsweep.report.selection import places
 from gapsweep.report.tables import number, scene_tables
 from gapsweep.status import Status
@@ -81,9 +81,7 @@ def overview(
     n_scenes = int(asked.any((REPRESENTATION, *swept(asked))).sum())
     axes, few = _axes(responses)
     cuts = [{axis: [i]} for axis in few for i in range(responses.sizes[axis])] or [{}]
-    names, one_by_one = (
-        [str(responses[axis].attrs.get("long_name", axis)) for axis in some] for some in (axes, few)
-    )
+    names, one_by_one = ([long_name(responses[axis]) for axis in some] for some in (axes, few))
     both = " and ".join(names)
     each = f", for each of {len(cuts)} values of {one_by_one[0]}" if few else ""
     others = {REPRESENTATION, _START, *axes, *few}

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.study.grid import COORDINATE
-from gapsweep.study.schema import parts_of, written
+from gapsweep.study.schema import PARAMETER, parts_of, written
 from gapsweep.study.selection import is_numeric
 
 _WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
@@ -30,12 +30,17 @@ def drawn(variable: xr.DataArray) -> NDArray[np.float64]:
     return np.asarray(variable.values * factor(variable), dtype=float)
 
 
+def long_name(variable: xr.DataArray) -> str:
+    """A variable's long name; a system's parameter has but its own."""
+    return str(variable.attrs.get("long_name", variable.name)).removeprefix(f"{PARAMETER} ")
+
+
 def axis_label(variable: xr.DataArray, words: str = "") -> str:
     """The words, or else the variable's long name, and the unit in which it is drawn.
 
     Of a system's one coordinate, its name before.
     """
-    words = words or str(variable.attrs.get("long_name", variable.name))
+    words = words or long_name(variable)
     if COORDINATE in variable.coords and parts_of(str(variable.name), [COORDINATE]):
         words = f"{variable[COORDINATE].item()}: {words}"
     unit = shown_unit(variable)[1]
