@@ -138,6 +138,21 @@ def test_what_is_still_growing_does_not_set_the_axis():
     assert low < 1.0 < high < 3.0
 
 
+def test_a_law_of_which_all_is_growing_does_not_either():
+    shown = growing().drop_vars(["j_1", "j_2"])
+    other = shown["representation"] == "tanh-10000"
+    kinds = shown["response_class"]
+    shown["response_class"] = kinds.where(~other, int(ResponseClass.UNRESOLVED))
+    for name in ("extrema", "x_max"):
+        shown[name] = (shown[name] * (1.0 + 5e3 * other)).assign_attrs(METRES)
+    for axes in (
+        *bifurcation(shown).axes,
+        shown.gapsweep.bifurcation(ax=Figure().subplots()),
+        shown.gapsweep.compare("piecewise", "tanh-10000", ax=Figure().subplots()),
+    ):
+        assert axes.get_ylim()[1] < 2.5
+
+
 def test_where_all_is_growing_it_is_seen():
     (axes,) = bifurcation(growing().isel(representation=[0], omega=[2])).axes
     assert axes.get_ylim()[1] > 5e3

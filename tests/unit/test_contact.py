@@ -252,3 +252,13 @@ def test_unknown_labels_are_refused(label):
 def test_label_of_a_missing_module_says_what_to_do():
     with pytest.raises(gs.ModelError, match=r"no_such_module.*importable here and on every worker"):
         gs.contact_law("no_such_module:spring", SOFT, SYMMETRIC)
+
+
+def test_a_fit_that_would_leave_a_wall_out_is_refused():
+    """In millimetres, say: its force would be zero."""
+    gap = gs.Gap(5e-3, 1e-3)
+    with pytest.raises(gs.ModelError, match=r"fit range = 0\.004: must be > 0\.005"):
+        gs.Polynomial(1e4, gap, degree=5)
+    assert gs.Polynomial(1e4, gap, degree=5, fit_range=6e-3).force(2e-3) > 0.0
+    # A wall without stiffness is none.
+    assert gs.Polynomial(1e4, gap, degree=5, K_ratio=0.0).force(2e-3) > 0.0

@@ -55,7 +55,7 @@ def basins(
     oscillator : Oscillator
     law : ContactLaw
     omega : float
-        Forcing frequency [Hz], ``> 0``; None is refused.
+        Forcing frequency [Hz], ``> 0``. Without one, a System is told what to ask instead.
     x, v : array_like, shape (n_x,), (n_v,)
         Initial displacements [m] and velocities [m/s], at forcing phase zero.
     engine, rtol, atol, steady

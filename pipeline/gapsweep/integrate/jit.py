@@ -239,21 +239,22 @@ def entry(function: Callable[..., Any]) -> Any:
     found = njit(nogil=True, pipeline_class=_OurCompiler)(function)
     found._cache = _Cache(function)
     found.compile = _by_one_process(function, _in_one_go(found.compile))
-    found._compile_for_args = _counted(found._compile_for_args)
-    return found
+    return counted(found)
 
 
-def _counted(usual: Callable[..., Any]) -> Callable[..., Any]:
-    """What a dispatcher does at the first call with arguments of such types; counts its time."""
+def counted(dispatcher: Any) -> Any:
+    """Have a dispatcher count what it takes at the first call with arguments of some types."""
+    usual = dispatcher._compile_for_args
 
-    def compiled(*args: Any) -> Any:
+    def compiled(*args: Any, **kwargs: Any) -> Any:
         begin = time.thread_time()
         try:
-            return usual(*args)
+            return usual(*args, **kwargs)
         finally:
             LOADING.seconds += time.thread_time() - begin
 
-    return compiled
+    dispatcher._compile_for_args = compiled
+    return dispatcher
 
 
 def _in_one_go(usual: Callable[..., Any]) -> Callable[..., Any]:

@@ -25,11 +25,11 @@ class Fitted(ContactLaw):
         super().__post_init__()
         value = checked("fit range", self.fit_range, low=0.0, strict=True)
         object.__setattr__(self, "fit_range", value)
-        farther = max(self.gap.j_1, self.gap.j_2)
+        farther = max(self.gap.j_1 if self.K_ratio else 0.0, self.gap.j_2)
         if value <= farther:
             raise ModelError(
-                f"fit range = {value:g}: must be > {farther:g}, where the farther wall stands; "
-                "nearer there is no force to fit ([fit] range of a study)"
+                f"fit range = {value:g}: must be > {farther:g}, where the farther wall stands, "
+                "whose contact the fit would leave out: raise it ([fit] range of a study)"
             )
         _ = self.fit
 

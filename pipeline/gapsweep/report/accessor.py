@@ -9,13 +9,14 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, drawing, maps
 from gapsweep.report.drawing import labels_of
-from gapsweep.report.scales import axis_label, is_log, named
+from gapsweep.report.scales import axis_label, drawn, is_log, named
 from gapsweep.report.selection import missing_variable, places, scene
 from gapsweep.report.style import NOT_PERIODIC, colour
 from gapsweep.report.summary import as_html, as_text
@@ -66,12 +67,12 @@ class GapsweepAccessor:
             must be left.
         """
         along = self._axis(along, wanted)
-        kinds_too = ["response_class"] if "response_class" in self._dataset else []
-        shown = self._along(along, dict.fromkeys(["amplitude", *kinds_too], _CURVES), wanted)
+        names = ["amplitude", *({"response_class"} & set(self._dataset))]
+        shown = self._along(along, dict.fromkeys(names, _CURVES), wanted)
         kinds = shown.get("response_class")
         axes = _axes(ax)
         drawing.curves(axes, shown["amplitude"], along, kinds)
-        if kinds_too:
+        if kinds is not None:
             backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown["amplitude"], "amplitude"))
         axes.set_ylim(bottom=0)
@@ -93,7 +94,7 @@ class GapsweepAccessor:
         """
         needed = {"extrema": (*_CURVES, "extremum"), "response_class": _CURVES}
         along = self._axis(along, wanted)
-        shown = self._along(along, needed, wanted)
+        shown = drawing.with_setting(self._along(along, needed, wanted), "extrema")
         labels = labels_of(shown)
         other = NOT_PERIODIC if len(labels) == 1 else None
         axes = _axes(ax)
@@ -132,7 +133,8 @@ class GapsweepAccessor:
         """
         needed = {"x_max": _CURVES, "response_class": _CURVES}
         along = self._axis(along, wanted)
-        shown = self._along(along, needed, {**wanted, "representation": [a, b]})
+        both = self._along(along, needed, {**wanted, "representation": [a, b]})
+        shown = drawing.with_setting(both, "x_max")
         axes = _axes(ax)
         backdrop.walls(axes, shown, along, of_peaks=True)
         for label, size in ((a, _RIM), (b, _DOT)):
@@ -319,6 +321,9 @@ def _axes(ax: "Axes | None") -> "Axes":
 
 def _finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
     axes.set_xlabel(axis_label(shown[along]))
+    # Also where nothing is drawn.
+    axes.update_datalim(np.column_stack([drawn(shown[along])] * 2), updatey=False)
+    axes.autoscale_view()
     if is_log(shown[along]):
         axes.set_xscale("log")
     return _titled(axes, shown)
@@ -332,7 +337,12 @@ def _titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
     one = [named(shown[name]) for name in names if name in shown.coords and shown[name].size == 1]
     if START in shown.coords and "start" in shown.coords and shown["start"].size == 1:
         one[-1] += f" ({shown['start'].item()})"
-    words = textwrap.wrap(", ".join(each.replace(" ", "\u00a0") for each in one), _WIDTH)
+    words = textwrap.wrap(
+        ", ".join(each.replace(" ", "\u00a0") for each in one),
+        _WIDTH,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
     axes.set_title("\n".join(words).replace("\u00a0", " "), fontsize=9, loc="left")
     return axes
 

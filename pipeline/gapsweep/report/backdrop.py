@@ -42,11 +42,14 @@ def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega", *, of_peaks: bo
     from matplotlib.lines import Line2D
 
     for height in _walls(scene, along, of_peaks):
-        if height.ndim:
+        if COORDINATE not in scene.coords and height.ndim:
             axes.plot(drawn(scene[along]), height, label="_wall", **WALL)
         elif COORDINATE not in scene.coords:
             axes.axhline(float(height), **WALL)
-        else:  # a wall that no motion comes near, as of gears under load, sets no axis
+        # A wall of a system that no motion comes near, as of gears under load, sets no axis.
+        elif height.ndim:
+            axes.add_artist(Line2D(drawn(scene[along]), height, label="_wall", **WALL))
+        else:
             across = {"transform": axes.get_yaxis_transform(), **WALL}
             axes.add_artist(Line2D([0.0, 1.0], [float(height)] * 2, **across))
 
@@ -112,7 +115,7 @@ def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
 def bands(
     axes: "Axes", one: xr.Dataset, along: str = "omega", *, of: Iterable[str] = tuple(BANDS)
 ) -> None:
-    """Pale bands behind what is drawn where any response is of a class that is not periodic."""
+    """Pale bands where any response is of one of the classes `of`."""
     x = drawn(one[along])
     width = np.gradient(x) if x.size > 1 else np.ones(1)
     kinds = one["response_class"].transpose(along, ...).values.reshape(x.size, -1)
@@ -124,6 +127,7 @@ def bands(
         bars = axes.bar(x[where], 1.0, width[where], transform=axes.get_xaxis_transform(), **look)
         for bar in bars:
             bar.set_label(f"_{kind}")
+            bar.sticky_edges.y.clear()  # they stand in the axis' own units
 
 
 def unresolved(axes: "Axes", scene: xr.Dataset, along: str) -> None:

@@ -35,6 +35,9 @@ def labels_of(dataset: xr.Dataset) -> list[str]:
     return [str(label) for label in dataset["representation"].values]
 
 
+SETS = "sets_axis"
+
+
 def curves(
     axes: "Axes", variable: xr.DataArray, along: str, kinds: xr.DataArray | None = None
 ) -> None:
@@ -47,7 +50,7 @@ def curves(
     kinds : DataArray, optional
         The ``response_class`` of each value; what is not steady sets no axis.
     """
-    setting = variable.notnull() if kinds is None else _setting(variable, kinds)
+    setting = variable.notnull() if kinds is None else sets_axis(variable, kinds)
     x = drawn(variable[along])
     labels = [str(label) for label in variable["representation"].values]
     styles = lines(labels)
@@ -83,14 +86,14 @@ def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = No
     Parameters
     ----------
     one : Dataset
-        ``extrema(along, initial_condition, extremum)`` and ``response_class``.
+        ``extrema(along, initial_condition, extremum)``, ``response_class`` and `SETS`.
     other : str, optional
         Colour of responses that are not periodic; the representation's own if None.
     """
     label, own = _label(one), colour(_label(one))
     x, y = _broadcast(one, "extrema", along)
     kinds = one["response_class"].transpose(along, "initial_condition")
-    sets = _setting(one["extrema"], kinds).transpose(*kinds.dims, ...).values
+    sets = one[SETS].transpose(*kinds.dims, ...).values
     periodic = (kinds.values == ResponseClass.PERIODIC)[..., None]
     for chosen, shade, kind in (
         (periodic, own, "periodic"),
@@ -115,7 +118,7 @@ def peaks(
     Parameters
     ----------
     one : Dataset
-        ``x_max(along, initial_condition)`` and ``response_class``.
+        ``x_max(along, initial_condition)``, ``response_class`` and `SETS`.
     size : float
         Diameter [points].
     low, high : float
@@ -124,7 +127,7 @@ def peaks(
     label = _label(one)
     places, height = _broadcast(one, "x_max", along)
     kinds = one["response_class"].transpose(along, "initial_condition")
-    sets = _setting(one["x_max"], kinds).transpose(*kinds.dims).values
+    sets = one[SETS].transpose(*kinds.dims).values
     periodic = kinds.values == ResponseClass.PERIODIC
     below, above = height < low, height > high
     style = {"color": colour(label), "marker": "o", "markersize": size, "markeredgewidth": 0.0}
@@ -155,7 +158,7 @@ def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
         The exact law's label.
     """
     bottom, top = (
-        drawn(scene[name].where(_setting(scene[name], scene["response_class"])))
+        drawn(scene[name].where(sets_axis(scene[name], scene["response_class"])))
         for name in (lowest, "x_max")
     )
     is_exact = scene["representation"].values == exact
@@ -362,7 +365,12 @@ def _broadcast(one: xr.Dataset, name: str, along: str) -> Iterator[NDArray[np.fl
     return iter((np.broadcast_to(places, values.shape), values))
 
 
-def _setting(values: xr.DataArray, kinds: xr.DataArray) -> xr.DataArray:
+def with_setting(scene: xr.Dataset, name: str) -> xr.Dataset:
+    """A scene with a variable `SETS`: which values of another one set the axis, of all its laws."""
+    return scene.assign({SETS: sets_axis(scene[name], scene["response_class"])})
+
+
+def sets_axis(values: xr.DataArray, kinds: xr.DataArray) -> xr.DataArray:
     """Which values set the axis: those of steady responses, and all if there are none.
 
     A motion that was still growing when it was left is larger than any that is steady.

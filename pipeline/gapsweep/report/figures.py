@@ -54,7 +54,8 @@ def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
         backdrop.bands(axes, one, along)
         drawing.extrema(axes, one, along)
 
-    figure = _grid(responses, along, axis_label(responses["extrema"], "extrema"), extrema)
+    shown = drawing.with_setting(responses, "extrema")
+    figure = _grid(shown, along, axis_label(responses["extrema"], "extrema"), extrema)
     backdrop.key_of_bands(figure, responses)
     return figure
 
@@ -83,11 +84,15 @@ def by_contact(contacts: Mapping[str, xr.Dataset]) -> Figure:
     Parameters
     ----------
     contacts : mapping of str to Dataset
-        What to call each contact; its peaks, dimensions representation and initial_condition.
+        What to call each contact; its peaks and their classes, dimensions representation and
+        initial_condition.
     """
     figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
     axes: Any = figure.subplots()
-    peaks = {name: one["x_max"] for name, one in contacts.items()}
+    peaks = {  # a motion that was still growing when it was left would set the axis
+        name: one["x_max"].where(drawing.sets_axis(one["x_max"], one["response_class"]))
+        for name, one in contacts.items()
+    }
     axes.xaxis.update_units(list(peaks))  # in this order
     for label in dict.fromkeys(label for one in contacts.values() for label in labels_of(one)):
         ours = {name: one for name, one in peaks.items() if label in one["representation"]}
@@ -118,6 +123,7 @@ def beside_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Fi
     """
     figure = Figure(figsize=(_WIDTH, 2.3), layout="constrained")
     panels = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
+    scene = drawing.with_setting(scene, "x_max")
     low, high = drawing.frame(scene, "x_max", exact)
     sizes = (7.0, 3.2) if scene.sizes["omega"] <= _FEW else (3.4, 1.6)
     for axes, (label, title) in zip(panels, titles.items(), strict=True):

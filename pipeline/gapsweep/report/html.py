@@ -327,7 +327,8 @@ def _at_one_frequency(scenes: Scenes, columns: Sequence[At], omega: str) -> Part
         scene = scenes.at(at)
         assert scene is not None, "a column is of a scene that was swept"
         said.append(_said(scene))
-        peaks.append(_without_protocols(scene)[["x_max"]].isel(omega=0).load())
+        names = ["x_max", "response_class"]
+        peaks.append(_without_protocols(scene)[names].isel(omega=0).load())
     differs = [len(set(column)) > 1 for column in zip(*said, strict=True)]
     names = [", ".join(word for word, d in zip(each, differs, strict=True) if d) for each in said]
     told = [  # of what differs by less than is printed, the first, the second, ...

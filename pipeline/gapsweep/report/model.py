@@ -111,28 +111,24 @@ def _numbers_of_contacts(
             yield symbol, _told(responses[name].values)
     if "gap" in responses:
         yield "j₁/j₂", _listed([shortened(str(gap)) for gap in responses["gap"].values])
-    ratios = _told(responses["K_ratio"].values) if "K_ratio" in responses else "1"
-    if "K_c" in responses.dims:
-        yield _RATIO[0], f"{ratios} {_RATIO[1]}{_said_of_none(ratios)}"
+    if "K_ratio" in responses or "K_c" in responses.dims:
+        ratios = np.ravel(responses["K_ratio"].values) if "K_ratio" in responses else np.ones(1)
+        none = "" if ratios.all() else "; 0: no lower wall"
+        yield _RATIO[0], f"{_told(ratios)} {_RATIO[1]}{none}"
     for contact, table in own.items():
         told = (
-            f"{symbol} {_one(table[name])}".strip()
+            f"{symbol} {_written(table[name])}".strip()
             for name, symbol in _OWN.items()
             if table.get(name) is not None
         )
         yield f"Of {contact} alone", ", ".join(told)
 
 
-def _one(value: Any) -> str:
+def _written(value: Any) -> str:
     """A label, a number, or the two distances of a gap."""
     if isinstance(value, str):
         return value
     return "/".join(map(plain, np.ravel(value)))
-
-
-def _said_of_none(ratios: str) -> str:
-    """That there is no lower wall where its stiffness is zero."""
-    return "; 0: no lower wall" if "0" in ratios.split(", ") else ""
 
 
 def _turning(term: Any) -> str:

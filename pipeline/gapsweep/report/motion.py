@@ -145,8 +145,8 @@ def _walls(run: Trajectory, number: int) -> list[float]:
 
 def _both(factor: float, law: ContactLaw) -> list[float]:
     """Where a coordinate meets the walls of a contact that feels it times a factor."""
-    lower = [-law.gap.j_1 / factor] if law.K_ratio else []  # a wall without stiffness is none
-    return [*lower, law.gap.j_2 / factor]
+    places = (-law.gap.j_1, law.K_c * law.K_ratio), (law.gap.j_2, law.K_c)
+    return [place / factor for place, stiffness in places if stiffness]  # else there is none
 
 
 def _is_forced(run: Trajectory) -> bool:

@@ -40,7 +40,8 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
     # Searched as far as the motion goes, in powers of two: no point's result may depend on others.
     _, powers = np.frexp(np.maximum(np.abs(x_min), np.abs(x_max)))
     for row, (law, power) in enumerate(zip(laws, powers.tolist(), strict=True)):
-        rows.setdefault((id(law), power), []).append(row)
+        # By identity: these live on, and some hash slowly.
+        rows.setdefault((id(law), power if law.turns is None else 0), []).append(row)
     found = np.empty(len(laws))
     for (_, power), here in rows.items():
         law, low, high = laws[here[0]], x_min[here], x_max[here]

@@ -52,10 +52,10 @@ def _for_some(method: Answer) -> Answer:
 
 
 _FIRST_WINDOW = 5
+_LOOKS = 4
 # What shrinks slower than damping says is given so many forcing periods at most, and looked at so
 # many times.
 _PATIENCE, _LOOKS_LATER = 1e5, 8
-_LOOKS = 4
 # Shooting is worth a try when section points repeat within this share of the reach.
 _CLOSE = 0.1
 # Newton may move this share of the response's reach; from farther away it leads anywhere.
@@ -241,7 +241,8 @@ class Search:
 
         It does, if it is near and came closer over its recorded window. Else it goes on for as
         long as its slowest multiplier needs to come near, and must be near then. What would take
-        longer than the motion is watched is not waited for.
+        longer than the motion is watched is not waited for: near the orbit it must have shrunk at
+        least half as much over its window as the multiplier says.
         """
         walks, full = self._walks, self._steady.n_periods
         found = approach(walks, self._shots, points, full)

@@ -152,18 +152,13 @@ class Systems:
                 )
             self._known[key] = made
         made = self._known[key]
-        if some:
-            same = (made.coordinates, tuple(made.contacts)) == (
-                self.system.coordinates,
-                tuple(self.system.contacts),
+        if some and _form(made) != _form(self.system):
+            raise StudyError(
+                [
+                    f"{self.source}: system at {said(some)}: has other coordinates, contacts "
+                    "or loads than at the values in [parameters]: write a study of its own"
+                ]
             )
-            if not same or Structure.of(made) != self.structure:
-                raise StudyError(
-                    [
-                        f"{self.source}: system at {said(some)}: has other coordinates, contacts "
-                        "or loads than at the values in [parameters]: write a study of its own"
-                    ]
-                )
         return made
 
     def check(self) -> None:
@@ -250,9 +245,13 @@ class Systems:
         return number.reshape(-1), [self.at(some) for some in _named(names, axes, several.T)]
 
 
+def _form(system: System) -> tuple[Any, ...]:
+    """What all systems of a study share: all but numbers."""
+    return system.coordinates, tuple(system.contacts), Structure.of(system)
+
+
 def _are_alike(a: System, b: System) -> bool:
-    structure = Structure.of(a)
-    return structure == Structure.of(b) and np.array_equal(structure.row(a), structure.row(b))
+    return _form(a) == _form(b) and np.array_equal(Structure.of(a).row(a), Structure.of(b).row(b))
 
 
 def _named(names: list[str], axes: Axes, places: NDArray[np.intp]) -> list[dict[str, float]]:

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
-from gapsweep.integrate.jit import entry
+from gapsweep.integrate.jit import counted, entry
 from gapsweep.integrate.taylor.layout import aligned
 
 from . import lanes as ln
@@ -107,7 +107,7 @@ def _advance(
 # One function for all laws of this package. A user's law is a type that exists in this process
 # only, so it goes through a second dispatcher that leaves the disk cache alone.
 _advance_cached = entry(_advance)
-_advance_user = njit(nogil=True)(_advance)
+_advance_user = counted(njit(nogil=True)(_advance))
 
 
 def drained(
