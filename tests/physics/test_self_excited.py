@@ -479,3 +479,33 @@ def test_what_shrinks_slower_than_damping_says_is_given_time(rtol):
     )
     rate = math.log(np.linalg.norm(late) / np.linalg.norm(early)) / 200.0
     assert found.lyapunov == pytest.approx(rate, abs=0.01)
+
+
+def test_what_grows_without_bound_is_not_chaotic():
+    """A hardening spring makes it faster and faster: disturbances grow in proportion to it."""
+    system = gs.System(
+        mass=[[1.19183728733539]], stiffness=[[0.3934567834255728]],
+        damping=[[-0.023693476944914537]], contacts={"stop": [0.92136423]},
+        lags=gs.Lags([[-0.0734788]], [[1.19387572]], [[0.24663904]], [[-0.112592]]),
+        cubic=[gs.Cubic(along=[0.63271976], alpha=1.3369748136671296)],
+    )  # fmt: skip
+    law = gs.Piecewise(0.5666465797054446, gs.Gap(0.0, 0.18606140284921324), K_ratio=0.5)
+    steady = gs.Steady(t_max=3e4)
+    found = gs.respond(system, law, q_0=[0.26798492], steady=steady)
+    assert found.response_class == gs.ResponseClass.UNRESOLVED
+    assert "still going farther" in found.message
+    run = gs.simulate(system, law, q_0=[0.26798492], t_end=2000.0)
+    assert run.status is gs.Status.DIVERGED
+
+
+@pytest.mark.parametrize("gap", [gs.Gap(0.0, 0.5), gs.Gap(0.5, 0.5)])
+def test_a_rest_on_a_wall_that_spreads_on_both_sides_is_not_steady(gap):
+    system = gs.System(
+        mass=[[1.0]], stiffness=[[1.0]], damping=[[-0.1]], contacts={"stop": [1.0]},
+        cubic=[gs.Cubic(along=[1.0], alpha=1.0)],
+    )  # fmt: skip
+    found = gs.respond(system, gs.Piecewise(2.0, gap))
+    assert found.response_class == gs.ResponseClass.UNRESOLVED
+    assert found.lyapunov == pytest.approx(0.05)
+    run = gs.simulate(system, gs.Piecewise(2.0, gap), q_0=[1e-6], t_end=200.0)
+    assert abs(run.q[0]) > 1e-3

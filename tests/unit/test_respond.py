@@ -121,6 +121,20 @@ def test_newton_goes_on_while_ends_still_come_nearer():
     assert shot(1.8e-5, 1.1e-3)
 
 
+def test_slow_orbits_of_any_multiple_are_their_own():
+    """Their windows hold whole periods of three, of which 64 is no multiple."""
+    oscillator, omega = gs.Oscillator(zeta=0.0032, forcing=3.75), np.array([17.925, 18.025, 18.325])
+    law = gs.Piecewise(5900.0, gs.Gap(0.1e-3, 0.5e-3))
+    found = gs.respond(oscillator, law, omega, x_0=-1e-3, v_0=-0.05)
+    assert found.period_multiple.tolist() == [3, 3, 3]
+    assert (found.multiplier_abs > 0.98).all()
+    # As it is told without the limit of a window: for as many periods, the section repeats itself.
+    late = gs.simulate(oscillator, law, omega, x_0=-1e-3, v_0=-0.05, t_end=4000.0 / 17.9)
+    for each, orbit in zip(late.section, found.x_end, strict=True):
+        places = np.sort(np.array(each)[-3:, 0])
+        assert np.abs(places - orbit).min() < 1e-9
+
+
 def test_long_lists_of_extrema_are_cut_and_counted():
     steady = gs.Steady(settle_tol=1e-3, t_max=8.0, max_extrema=20)
     law = gs.Piecewise(1.4e4, gs.Gap(0.0, 0.8e-3))

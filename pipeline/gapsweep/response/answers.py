@@ -63,6 +63,7 @@ _SHRINKS = (
     "disturbances shrink, but nothing repeats itself within max_period_multiple = {largest} "
     "periods: raise it (256 at most), or give the motion more {time}"
 )
+_GROWS = "the motion was still going farther than ever when it was left: give it more {time}"
 _STAYS = (
     "disturbances grow, but the motion stays near one that repeats itself: it leaves that slowly, "
     "or its chaos is thin; give it more {time}, or watch more of it (n_periods)"
@@ -134,6 +135,8 @@ def _why_unresolved(point: int, ensemble: Ensemble, found: Found, steady: Steady
         reason = _UNDAMPED
     elif found.is_locked[point]:
         reason = _REPEATS
+    elif found.is_growing[point]:
+        reason = _GROWS
     elif math.isnan(exponent):
         reason = _UNMEASURED
     elif abs(exponent) <= SURE * error:

@@ -33,6 +33,8 @@ class Found:
         A contact moves too little beside the rest.
     is_locked : ndarray of bool, shape (n,)
         Repeats itself, after more periods than are looked for.
+    is_growing : ndarray of bool, shape (n,)
+        Goes farther than it ever was, with nothing that forces it.
     lyapunov, lyapunov_error : ndarray, shape (n,)
         Largest Lyapunov exponent [1/s] and its standard error, where it was measured.
     offset : ndarray, shape (n,)
@@ -45,7 +47,7 @@ class Found:
         self.is_periodic, self.is_chaotic = np.zeros(n, bool), np.zeros(n, bool)
         self.is_quasiperiodic, self.is_at_rest = np.zeros(n, bool), np.zeros(n, bool)
         self.is_astray, self.is_hidden = np.zeros(n, bool), np.zeros(n, bool)
-        self.is_locked = np.zeros(n, bool)
+        self.is_locked, self.is_growing = np.zeros(n, bool), np.zeros(n, bool)
         self.lyapunov, self.lyapunov_error = np.full(n, np.nan), np.full(n, np.nan)
         self.offset, self.rotation = np.full(n, np.nan), np.full(n, np.nan)
 

@@ -41,7 +41,7 @@ def about_rest(scene: Scene, y: Array, unit: Array, swing: float) -> tuple[float
         Largest real part [1/s] of an eigenvalue of the motion about it. A rate beside which the
         fastest is so great that rounding makes it is zero. On a wall the motion is not the same on
         either side, and goes from one to the other: NaN, but where it leaves to one of them for
-        good, along an eigenvector, at that rate.
+        good, along an eigenvector, at that rate, or volumes grow on all: at least as fast.
     offset : float
         Distance [m] of `y` from the rest, as a section point, by Newton's step.
     """
@@ -50,7 +50,9 @@ def about_rest(scene: Scene, y: Array, unit: Array, swing: float) -> tuple[float
     growth = [np.linalg.eigvals(a) for _, a in found]
     if len(growth) > 1:
         leaving = [float(rate.real) for each in growth for rate in each if not rate.imag]
-        largest = max(leaving, default=math.nan)
+        # Where volumes grow on every side, they do on the way from one to the other.
+        spreading = min(float(each.real.mean()) for each in growth)
+        largest = max([spreading, *leaving])
         return (largest if largest > 0.0 else math.nan), offset
     largest = float(growth[0].real.max())
     return (0.0 if abs(largest) <= _STILL * np.abs(growth).max() else largest), offset

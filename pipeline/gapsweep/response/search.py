@@ -29,7 +29,7 @@ from gapsweep.response.section import (
     repeat_nearly,
 )
 from gapsweep.response.shooting import Growths, Shots
-from gapsweep.response.tori import LONG, SHORT, ZERO, stay, watch
+from gapsweep.response.tori import LONG, SHORT, ZERO, stay, stay_within, watch
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
 
@@ -251,9 +251,11 @@ class Search:
         n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
         waits = ~found.is_own & (found.stretch <= n_left)
         away, self._goal[points] = points[waits], found.goal
-        slow = is_slow(self._shots, away, full)
+        slow, n = is_slow(self._shots, away, full), self._shots.n[away]
         walks.forget(away[slow])
-        self._ask(away, Phase.APPROACH, found.stretch[waits], np.where(slow, full, 0))
+        # Whole periods of the orbit: its start is what the motion must be near to in the end.
+        window = np.where(slow, np.maximum(full // n, 1) * n, 0)
+        self._ask(away, Phase.APPROACH, found.stretch[waits], window)
         stays = ~found.is_own & ~waits
         # It is on its way, and what grew before says nothing of it.
         grew = points[stays & found.has_shrunk & (self._found.lyapunov[points] > 0.0)]
@@ -347,8 +349,7 @@ class Search:
         shear = growths.shear(points, self._omega[points])
         may_circle = np.abs(exponent) <= np.maximum(_BEYOND_DOUBT * error, shear)
         may_circle &= len(self._walks.y) > 2
-        is_long = growths.n_times[points] > 1
-        times = growths.times_longer(points)
+        is_long, times = growths.n_times[points] > 1, growths.times_longer(points)
         # Another solver's tangent says less of the motion the longer it is.
         goes_on = may_circle & ~is_long & self._ensemble.has_own_tangent
         goes_on &= times * growths.n_all_periods(points) <= self._limits.longest[points]
@@ -433,7 +434,9 @@ class Search:
         section, length = walks.section[:, points], walks.length[points]
         is_alike = repeat_nearly(section, length, walks.step_error[points], largest)
         grows = self._found.lyapunov[points] > SURE * self._found.lyapunov_error[points]
-        self._found.is_chaotic[points] = grows & ~is_alike
+        chaotic = points[grows & ~is_alike]
+        self._found.is_growing[chaotic] = ~stay_within(walks, chaotic)
+        self._found.is_chaotic[chaotic] = ~self._found.is_growing[chaotic]
 
     @_for_some
     def _fail(self, points: Numbers) -> None:

@@ -14,6 +14,7 @@ Numbers = NDArray[np.intp]
 _STILL = 1e-8  # of the largest scatter: a component with less does not move
 _REPEATS, _ROUNDING = 4, 1e-3
 _STAYS = 1 << 10  # forcing periods; more than there are points of a window
+_FARTHER = 1.1  # than the farthest ever: chaos is not met for the first time so late
 _LEAKS = 1e-5  # of the scatter: what taking out lines leaves
 _MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
 
@@ -139,6 +140,19 @@ def stay(
             section = call.section[:, call.period_ends[k] : call.period_ends[k + 1]]
             found[some[k]] = period_multiple(section, float(same[k]), largest) > 0
     return found
+
+
+def stay_within(walks: Walks, points: Numbers) -> NDArray[np.bool_]:
+    """Which motions go no farther in `_STAYS` more returns than they ever were; forced ones do not.
+
+    What grows without bound stretches disturbances too, and is no chaos.
+    """
+    if not (walks.ensemble.is_free and points.size):
+        return np.ones(len(points), bool)
+    swing = walks.ensemble.swing
+    before, n = swing[points].copy(), np.full(len(points), _STAYS)
+    call = walks.ensemble.call(points, walks.y[:, points], n, np.full(len(points), np.inf))
+    return np.asarray(call.is_ok & (swing[points] <= _FARTHER * before))
 
 
 def _has_repeated(section: Array, same: float) -> bool:
