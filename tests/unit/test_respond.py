@@ -135,6 +135,23 @@ def test_slow_orbits_of_any_multiple_are_their_own():
         assert np.abs(places - orbit).min() < 1e-9
 
 
+@pytest.mark.parametrize("n_periods", [64, 66])
+def test_a_slow_orbit_that_a_solver_rattles_is_waited_for_once(n_periods):
+    """About it noise adds up to more than the solver's own: it comes no nearer, however long."""
+    rng = np.random.default_rng(77)
+    for _ in range(7):
+        zeta, forcing = 10.0 ** rng.uniform(-3.3, -2.0), rng.uniform(1.0, 5.0)
+        K_c, gap = 10.0 ** rng.uniform(3.0, 5.0), gs.Gap(*rng.uniform(0.0, 1e-3, 2))
+        omega, rtol = np.sort(rng.uniform(4.0, 25.0, 12)), 10.0 ** -rng.choice([5, 6, 9])
+        x_0, v_0 = rng.uniform(-1e-3, 1e-3), rng.uniform(-0.06, 0.06)
+    oscillator, law = gs.Oscillator(zeta=zeta, forcing=forcing), gs.Tanh(K_c, gap, epsilon=3e4)
+    given = {"omega": omega, "x_0": x_0, "v_0": v_0, "rtol": rtol, "atol": 1e-3 * rtol}
+    steady = gs.Steady(n_periods=n_periods)
+    found = gs.respond(oscillator, law, **given, steady=steady)
+    longest = steady.max_decay_times / oscillator.decay_rate * omega
+    assert (found.t_simulated * omega < 4.0 * np.maximum(longest, steady.max_periods)).all()
+
+
 def test_long_lists_of_extrema_are_cut_and_counted():
     steady = gs.Steady(settle_tol=1e-3, t_max=8.0, max_extrema=20)
     law = gs.Piecewise(1.4e4, gs.Gap(0.0, 0.8e-3))

@@ -63,6 +63,10 @@ def approach(walks: Walks, shots: Shots, points: Numbers, n_periods: int) -> App
     modulus = _modulus(shots, points)
     has_shrunk = _last(walks, shots, points) <= 0.5 * (1.0 + modulus ** (last // n)) * first
     far = farthest(walks, shots, points, n_periods)
+    # About a slow orbit the solver's noise adds up until as much is lost as comes anew.
+    rattled = same / np.sqrt(1.0 - modulus ** (2.0 / n))
+    slow = is_slow(shots, points, n_periods)
+    same = np.where(slow, np.maximum(same, np.minimum(rattled, near)), same)
     goal = np.maximum(np.minimum(_CLOSER * far, near), same)
     # One factor of two more: a state's directions do not shrink as one.
     stretch = repeats(0.5 * goal / np.maximum(far, goal), modulus) * n

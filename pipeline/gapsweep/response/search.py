@@ -53,8 +53,7 @@ def _for_some(method: Answer) -> Answer:
 
 _FIRST_WINDOW = 5
 _LOOKS = 4
-# What shrinks slower than damping says is given so many forcing periods at most, and looked at so
-# many times.
+# Forcing periods at most for what shrinks slower than damping says, and looks at it.
 _PATIENCE, _LOOKS_LATER = 1e5, 8
 # Shooting is worth a try when section points repeat within this share of the reach.
 _CLOSE = 0.1
@@ -83,8 +82,7 @@ class Search:
         self._ensemble, self._steady = ensemble, steady
         self._omega, self._walks = ensemble.omega, Walks(ensemble, start)
         n_states = len(start)
-        n_multipliers = n_states - 1 if ensemble.is_free else n_states
-        self._shots = Shots(n_states, n, n_multipliers)
+        self._shots = Shots(n_states, n, n_states - int(ensemble.is_free))
         self._growths = Growths(n_states, n)
         self._limits = Limits.of(ensemble, steady)
         # Forcing periods of the stretch waited for: unrecorded, then added to the window.
@@ -94,7 +92,8 @@ class Search:
         # Forcing periods after which a full window is looked at: rattled motions come near their
         # orbits by chance, and are looked at before it is full, too.
         self._portion = -(-steady.n_periods // (_LOOKS if ensemble.is_rattled else 1))
-        self._found, self._has_time = Found(n), np.zeros(n, bool)
+        self._found = Found(n)
+        self._has_time, self._has_waited = np.zeros((2, n), bool)  # beyond the limits
         self._phase = np.full(n, int(Phase.LOOK))
         self._wait(np.arange(n))
 
@@ -239,18 +238,19 @@ class Search:
     def _compare(self, points: Numbers) -> None:
         """Whether the motion itself approaches an orbit: the guard against a swapped attractor.
 
-        It does, if it is near and came closer over its recorded window. Else it goes on for as
-        long as its slowest multiplier needs to come near, and must be near then. What would take
-        longer than the motion is watched is not waited for: near the orbit it must have shrunk at
-        least half as much over its window as the multiplier says.
+        Else it goes on for as long as its slowest multiplier needs to come near, and must be near
+        then. What would take longer than the motion is watched is not waited for: near the orbit
+        it must have shrunk at least half as much over its window as the multiplier says.
         """
         walks, full = self._walks, self._steady.n_periods
         found = approach(walks, self._shots, points, full)
-        # Transient chaos that has ended late leaves as much time as it took.
-        more = np.where(self._growths.n_times[points] > 0, self._limits.last[points], 0)
+        # Transient chaos that has ended late leaves as much time as it took, once.
+        late = (self._growths.n_times[points] > 0) & ~self._has_waited[points]
+        more = np.where(late, self._limits.last[points], 0)
         n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
         waits = ~found.is_own & (found.stretch <= n_left)
         away, self._goal[points] = points[waits], found.goal
+        self._has_waited[points[waits & late]] = True
         slow, n = is_slow(self._shots, away, full), self._shots.n[away]
         walks.forget(away[slow])
         # Whole periods of the orbit: its start is what the motion must be near to in the end.
@@ -403,9 +403,9 @@ class Search:
     def _rattle(self, point: int) -> None:
         """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.
 
-        A kink that is passed unlocated throws a step off by more than its error estimate. The
-        tangent is another solver's, so that the exponent tells this from chaos; and what does not
-        contract, or scatters more than the solver strays, is on its way or has another period.
+        A kink passed unlocated throws a step off by more than its error estimate. The tangent is
+        another solver's, so that the exponent tells this from chaos; what does not contract, or
+        scatters more than the solver strays, is on its way or has another period.
         """
         lyapunov, reach = self._found.lyapunov[point], self._walks.reach[point]
         window, largest = self._walks.window(point), self._steady.max_period_multiple
