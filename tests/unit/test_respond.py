@@ -89,6 +89,12 @@ def test_an_exponent_is_growth_per_time_however_long_returns_take():
     growths.step(point, n, blocks)
     (found,), (error,) = growths.exponents(point)
     assert found == pytest.approx(logs[1:].sum() / time[1:].sum())  # the first one aligns
+    # What overflows and then shrinks to nothing grew by no number, without a word.
+    growths.begin(point, np.zeros((2, 1)), one, one, np.array([1.0 * n]))
+    with np.errstate(all="ignore"):
+        blocks.monodromy = np.exp(np.where(np.arange(n) % 2, 1e3, -1e3))[:, None, None] * np.eye(2)
+    growths.step(point, n, blocks)
+    assert np.isnan(growths.exponents(point)[0]).all()
     # As a sample of such ratios scatters.
     drawn = np.random.default_rng(5)
     ratios = [

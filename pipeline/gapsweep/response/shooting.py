@@ -302,14 +302,15 @@ class Growths:
 
         The errors are those of batch means. NaN where the tangent was unsound.
         """
-        # The first block turns the vector into the direction of growth.
-        growth, time = (
-            each[points, 1:].reshape(-1, _N_BATCHES, _BLOCKS).sum(axis=2)
-            for each in (self._growth, self._time)
-        )
-        # Returns take longer or shorter: a mean of rates would count the short ones too much.
-        exponent, share = growth.sum(axis=1) / time.sum(axis=1), time / time.mean(axis=1)[:, None]
-        with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing
+        with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing, or overflowed
+            # The first block turns the vector into the direction of growth.
+            growth, time = (
+                each[points, 1:].reshape(-1, _N_BATCHES, _BLOCKS).sum(axis=2)
+                for each in (self._growth, self._time)
+            )
+            # Returns take longer or shorter: a mean of rates would count the short ones too much.
+            exponent = growth.sum(axis=1) / time.sum(axis=1)
+            share = time / time.mean(axis=1)[:, None]
             apart = (growth / time - exponent[:, None]) * share
             error = np.sqrt(np.square(apart).mean(axis=1) / (_N_BATCHES - 1))
         return exponent, error
