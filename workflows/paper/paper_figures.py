@@ -28,7 +28,7 @@ Overlay = tuple[str, str, NDArray[np.float64]]
 
 def peak_curves(scene: xr.Dataset) -> Figure:
     """Peak displacements in a scene, a panel per law with the exact one behind it."""
-    labels = labels_of(scene)
+    labels, scene = labels_of(scene), drawing.with_setting(scene, "x_max")
     figure, panels = _panels(scene, "peak displacement [mm]", len(labels), 3, 2.4, of_peaks=True)
     low, high = drawing.frame(scene, "x_max", _exact(scene))
     for axes, label in zip(panels, labels, strict=True):
