@@ -416,27 +416,19 @@ def test_what_is_no_system_is_told_by_its_type(tmp_path, monkeypatch):
         gs.Study.from_dict(tables)
 
 
-def test_a_function_that_depends_on_more_than_its_arguments_is_refused(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "more", "at"),
+    [("loose", "next(count)", ""), ("sometimes", "0.0 if k == 1.0 else next(count)", " at k = 2")],
+)
+def test_a_function_of_more_than_its_arguments_is_refused(tmp_path, monkeypatch, name, more, at):
     tables = of_function(
-        tmp_path, monkeypatch, "loose",
+        tmp_path, monkeypatch, name,
         "import itertools\nimport gapsweep as gs\n\ncount = itertools.count()\n\n\n"
-        "def make(k):\n    return gs.System(mass=[[1.0 + next(count)]], stiffness=[[k]])\n",
-    )  # fmt: skip
-    with pytest.raises(gs.StudyError, match="two calls make different systems"):
-        gs.Study.from_dict(tables)
-
-
-def test_so_is_one_that_does_so_at_a_swept_value(tmp_path, monkeypatch):
-    tables = of_function(
-        tmp_path, monkeypatch, "sometimes",
-        "import itertools\nimport gapsweep as gs\n\ncount = itertools.count()\n\n\n"
-        "def make(k):\n    more = 0.0 if k == 1.0 else next(count)\n"
-        "    mass = [[1.0 + more]]\n"
+        f"def make(k):\n    mass = [[1.0 + ({more})]]\n"
         "    return gs.System(mass=mass, stiffness=[[k]], contacts={'stop': [1.0]})\n",
     )  # fmt: skip
-    study = gs.Study.from_dict(tables)
-    with pytest.raises(gs.StudyError, match="at k = 2: two calls make different systems"):
-        study.systems.at({"k": 2.0})
+    with pytest.raises(gs.StudyError, match=f"system{at}: two calls make different systems"):
+        gs.Study.from_dict(tables).systems.at({"k": 2.0})
 
 
 def test_half_a_system_is_refused(tmp_path, monkeypatch):

@@ -61,7 +61,7 @@ def main() -> None:
     # of the time of a short run.
     gc.set_threshold(20_000, 25, 25)
     if sys.stdout is None:  # closed, by >&-
-        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  # to the end
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  # open until the process ends
     code = exit_code()
     try:
         sys.stdout.flush()

@@ -46,7 +46,7 @@ class Approach(NamedTuple):
     stretch: Counts
 
 
-def approach(walks: Walks, shots: Shots, points: Numbers, n_periods: int) -> Approach:
+def approach(walks: Walks, shots: Shots, points: Numbers, slow: Mask) -> Approach:
     """Compare the windows of motions with orbits that were found for them.
 
     Parameters
@@ -54,18 +54,17 @@ def approach(walks: Walks, shots: Shots, points: Numbers, n_periods: int) -> App
     walks : Walks
     shots : Shots
     points : ndarray of int, shape (m,)
-    n_periods : int
-        As of `farthest`.
+    slow : ndarray of bool, shape (m,)
+        As `is_slow` says.
     """
     n, last = shots.n[points], walks.length[points] - 1
     same, near = walks.same[points], NEAR * walks.reach[points]
     first = norm(walks.section[:, points, last % n] - _orbits(walks, shots, points))
     modulus = _modulus(shots, points)
     has_shrunk = _last(walks, shots, points) <= 0.5 * (1.0 + modulus ** (last // n)) * first
-    far = farthest(walks, shots, points, n_periods)
+    far = farthest(walks, shots, points, slow)
     # About a slow orbit the solver's noise adds up until as much is lost as comes anew.
     rattled = same / np.sqrt(1.0 - modulus ** (2.0 / n))
-    slow = is_slow(shots, points, n_periods)
     same = np.where(slow, np.maximum(same, np.minimum(rattled, near)), same)
     goal = np.maximum(np.minimum(_CLOSER * far, near), same)
     # One factor of two more: a state's directions do not shrink as one.
@@ -79,20 +78,18 @@ def is_slow(shots: Shots, points: Numbers, n_periods: int) -> Mask:
     return np.asarray(_modulus(shots, points) ** (n_periods / shots.n[points]) > _SLOW)
 
 
-def farthest(walks: Walks, shots: Shots, points: Numbers, n_periods: int) -> Array:
+def farthest(walks: Walks, shots: Shots, points: Numbers, slow: Mask) -> Array:
     """Distances of motions, at whole periods of their orbits, from these' starts [m].
 
     The last ones; where orbits are slow, the largest in the windows.
 
     Parameters
     ----------
-    walks, shots, points
+    walks, shots, points, slow
         As of `approach`.
-    n_periods : int
-        Forcing periods of a full window.
     """
     found = _last(walks, shots, points)
-    for k in np.flatnonzero(is_slow(shots, points, n_periods)).tolist():
+    for k in np.flatnonzero(slow).tolist():
         every = walks.window(points[k])[:, :: -shots.n[points[k]]]
         away = norm(every - _orbits(walks, shots, points[[k]]))
         found[k] = max(found[k], away.max(initial=0.0))

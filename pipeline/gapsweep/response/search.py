@@ -243,18 +243,18 @@ class Search:
         it must have shrunk at least half as much over its window as the multiplier says.
         """
         walks, full = self._walks, self._steady.n_periods
-        found = approach(walks, self._shots, points, full)
+        slow = is_slow(self._shots, points, full)
+        found = approach(walks, self._shots, points, slow)
         # Transient chaos that has ended late leaves as much time as it took, once.
         late = (self._growths.n_times[points] > 0) & ~self._has_waited[points]
         more = np.where(late, self._limits.last[points], 0)
         n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
         waits = ~found.is_own & (found.stretch <= n_left)
-        away, self._goal[points] = points[waits], found.goal
+        away, n, self._goal[points] = points[waits], self._shots.n[points[waits]], found.goal
         self._has_waited[points[waits & late]] = True
-        slow, n = is_slow(self._shots, away, full), self._shots.n[away]
-        walks.forget(away[slow])
+        walks.forget(points[waits & slow])
         # Whole periods of the orbit: its start is what the motion must be near to in the end.
-        window = np.where(slow, np.maximum(full // n, 1) * n, 0)
+        window = np.where(slow[waits], np.maximum(full // n, 1) * n, 0)
         self._ask(away, Phase.APPROACH, found.stretch[waits], window)
         stays = ~found.is_own & ~waits
         # It is on its way, and what grew before says nothing of it.
@@ -266,8 +266,8 @@ class Search:
 
     @_for_some
     def _arrive(self, points: Numbers) -> None:
-        far = farthest(self._walks, self._shots, points, self._steady.n_periods)
-        is_near = far <= self._goal[points]
+        slow = is_slow(self._shots, points, self._steady.n_periods)
+        is_near = farthest(self._walks, self._shots, points, slow) <= self._goal[points]
         self._close(points[is_near])
         away = points[~is_near]
         # A window that is to go on begins anew: what was not recorded would be a gap in it.
