@@ -14,7 +14,7 @@ Numbers = NDArray[np.intp]
 _STILL = 1e-8  # of the largest scatter: a component with less does not move
 _REPEATS, _ROUNDING = 4, 1e-3
 _STAYS = 1 << 10  # forcing periods; more than there are points of a window
-_FARTHER = 1.1  # than the farthest ever: chaos is not met for the first time so late
+_FARTHER = 1.1  # than the farthest ever
 _LEAKS = 1e-5  # of the scatter: what taking out lines leaves
 _MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
 
@@ -143,16 +143,23 @@ def stay(
 
 
 def stay_within(walks: Walks, points: Numbers) -> NDArray[np.bool_]:
-    """Which motions go no farther in `_STAYS` more returns than they ever were; forced ones do not.
+    """Which motions do not go farther and farther; forced ones do not.
 
-    What grows without bound stretches disturbances too, and is no chaos.
+    What grows without bound stretches disturbances too, and is no chaos. That goes farther than it
+    ever was within `_STAYS` returns by chance, and hardly once more.
     """
-    if not (walks.ensemble.is_free and points.size):
-        return np.ones(len(points), bool)
-    swing = walks.ensemble.swing
-    before, n = swing[points].copy(), np.full(len(points), _STAYS)
-    call = walks.ensemble.call(points, walks.y[:, points], n, np.full(len(points), np.inf))
-    return np.asarray(call.is_ok & (swing[points] <= _FARTHER * before))
+    stays, swing, y = np.ones(len(points), bool), walks.ensemble.swing, walks.y[:, points]
+    left = np.flatnonzero(stays & walks.ensemble.is_free)
+    for n_returns in (_STAYS, 4 * _STAYS):
+        if not left.size:
+            break
+        at, n = points[left], np.full(len(left), n_returns)
+        before = swing[at]
+        call = walks.ensemble.call(at, y[:, left], n, np.full(len(left), np.inf))
+        farther, y[:, left] = swing[at] > _FARTHER * before, call.y
+        stays[left] = call.is_ok & ~farther
+        left = left[call.is_ok & farther]
+    return stays
 
 
 def _has_repeated(section: Array, same: float) -> bool:
