@@ -216,11 +216,11 @@ class Search:
         modulus = np.abs(self._shots.multipliers[points, 0])
         shooting = phase == Phase.SHOOT
         inside = points[shooting & (modulus < _INSIDE)]
-        tolerance = np.maximum(10.0 * self._walks.same, 1e-6 * self._walks.reach)
-        prime = self._shots.primes(inside, tolerance[inside])
-        is_prime = prime == self._shots.n[inside]
-        self._compare(inside[is_prime])
-        self._shots.shorten(inside[~is_prime], prime[~is_prime])
+        tolerance = np.maximum(self._walks.same, 1e-6 * self._walks.reach)
+        part = self._shots.parts(inside, tolerance[inside])
+        is_whole = part == self._shots.n[inside]
+        self._compare(inside[is_whole])
+        self._shots.shorten(inside[~is_whole], part[~is_whole])
         is_undamped = self._ensemble.settling_rate[points] == 0.0
         stays = modulus < np.where(is_undamped, 1.0 + _ON_CIRCLE, 1.0)
         self._close(points[~shooting & stays])
@@ -230,7 +230,10 @@ class Search:
     @_for_some
     def _miss(self, points: Numbers, phase: Counts) -> None:
         """Shots without an orbit that may be the motion's own."""
-        self._go_on(points[phase == Phase.SHOOT])
+        shot = points[phase == Phase.SHOOT]
+        is_part = self._shots.restore(shot)
+        self._compare(shot[is_part])
+        self._go_on(shot[~is_part])
         self._end_look(points[phase == Phase.REPEAT])
         self._aperiodic(points[phase == Phase.RATTLE])
 

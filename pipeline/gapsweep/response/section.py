@@ -282,20 +282,24 @@ def prime_multiple(orbit: Array, tolerance: float) -> int:
     tolerance : float
         Largest distance [m] of two points, in any component, taken for the same.
     """
-    return int(prime_multiples(orbit[:, None], np.array([tolerance]))[0])
+    n = orbit.shape[1]
+    divisors = [d for d in range(1, n) if n % d == 0]
+    return next((d for d in divisors if _are_near(orbit, np.roll(orbit, d, 1), tolerance).all()), n)
 
 
-def prime_multiples(orbits: Array, tolerance: Array) -> Counts:
-    """`prime_multiple` of orbits of one length.
+def largest_parts(orbits: Array, tolerance: Array) -> Counts:
+    """Largest proper divisors of their length after which closed orbits repeat; else the length.
 
     Parameters
     ----------
     orbits : ndarray, shape (n_states, m, n)
+        Section points [m] of orbits of n forcing periods.
     tolerance : ndarray, shape (m,)
+        Largest distance [m] of two points, in any component, that count as the same.
     """
     n = int(orbits.shape[2])
     found = np.full(orbits.shape[1], n, np.int64)
-    for d in range(n // 2, 0, -1):
+    for d in range(1, n // 2 + 1):
         if n % d == 0:
             repeats = _are_near(orbits, np.roll(orbits, d, axis=2), tolerance[:, None])
             found[repeats.all(axis=1)] = d

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gapsweep.response.call import Call
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.maps import floquet_multipliers, newton_steps
-from gapsweep.response.section import norm, prime_multiples
+from gapsweep.response.section import largest_parts, norm
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -33,6 +33,9 @@ _STRETCHES = 2.0
 # Newton's steps that shorten no more than this are the solver's noise, if they are as short as this
 # beside how far they may lead.
 _SHORTENS, _HARDLY = 0.5, 0.05
+# A part of an orbit closes so much better than the parts are alike, or as well as the whole; no
+# better than rounding lets it, as a share of the largest component.
+_MUCH_BETTER, _AS_WELL, _ROUNDING = 0.1, 5.0, 1e-10
 # Least that an orbit takes from a disturbance, so that noise does not pass for one about a rest.
 _TAKES = 1e-3
 
@@ -75,6 +78,8 @@ class Shots:
         # Length of the last step, and how far apart the ends were.
         self._last, self._apart = np.zeros((2, n_points))
         self._goal, self._noise, self._furthest = np.zeros((3, n_points))
+        # By point: an orbit that was found, while part of its period is tried.
+        self._whole: dict[int, tuple[Any, ...]] = {}
 
     def aim(
         self, points: Numbers, y: Array, n: Counts, goal: Array, noise: Array, furthest: Array
@@ -98,19 +103,42 @@ class Shots:
         self._goal[points], self._noise[points], self._furthest[points] = goal, noise, furthest
         self._moved[:, points], self._tries[points] = 0.0, 0
         self._last[points] = self._apart[points] = np.inf
+        for k in points.tolist():
+            self._whole.pop(k, None)
 
     def shorten(self, points: Numbers, n: Counts) -> None:
-        """Begin again at orbits that were found, over fewer forcing periods."""
+        """Begin again at orbits that were found, over fewer forcing periods.
+
+        A shorter orbit must close much better than the parts of the whole one are alike, or as well
+        as that one closed: predicted noise may exceed the distance of a doubled period's halves.
+        """
+        for k, part in zip(points.tolist(), n.tolist(), strict=True):
+            of_point = self.y[:, k].copy(), self.n[k], self.multipliers[k].copy(), self.omega[k]
+            self._whole[k] = *of_point, self.section[k]
+            section = self.section[k]
+            unlike = np.abs(section - np.roll(section, part, axis=1)).max()
+            goal = max(_MUCH_BETTER * unlike, _ROUNDING * np.abs(section).max())
+            self._goal[k] = min(self._goal[k], goal)
         self.n[points], self._tries[points] = n, 0
+        self._noise[points] = _AS_WELL * self._apart[points]
         self._last[points] = self._apart[points] = np.inf
+
+    def restore(self, points: Numbers) -> Mask:
+        """Return to the whole orbits of shots over parts of their periods; which those are."""
+        is_part = np.array([k in self._whole for k in points.tolist()], bool)
+        for k in points[is_part].tolist():
+            self.y[:, k], self.n[k], self.multipliers[k], self.omega[k], self.section[k] = (
+                self._whole.pop(k)
+            )
+        return is_part
 
     def advance(self, ensemble: Ensemble, points: Numbers) -> tuple[Mask, Mask]:
         """Shoot once more; returns as `step`."""
         y, n = self.y[:, points], self.n[points]
         return self.step(points, ensemble.call(points, y, n, np.zeros(len(n)), tangent=True))
 
-    def primes(self, points: Numbers, tolerance: Array) -> Counts:
-        """After how many forcing periods orbits repeat themselves: fewer than shot over, maybe.
+    def parts(self, points: Numbers, tolerance: Array) -> Counts:
+        """Forcing periods of the largest parts after which orbits repeat; of the whole if none do.
 
         Parameters
         ----------
@@ -123,7 +151,7 @@ class Shots:
         for n in np.unique(found[found > 1]).tolist():
             here = found == n
             orbits = np.stack([self.section[point] for point in points[here].tolist()], axis=1)
-            found[here] = prime_multiples(orbits, tolerance[here])
+            found[here] = largest_parts(orbits, tolerance[here])
         return found
 
     def step(self, points: Numbers, call: Call) -> tuple[Mask, Mask]:
