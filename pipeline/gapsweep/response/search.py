@@ -180,6 +180,7 @@ class Search:
             self._walks.length,
             points,
             np.maximum(_CLOSE * reach, same),
+            same,
             self._steady.max_period_multiple,
         )
         shot = points[n > 0]

@@ -172,14 +172,14 @@ def period_multiples(
 
 
 def converging_multiples(
-    sections: Array, lengths: Counts, points: Numbers, closeness: Array, largest: int
+    sections: Array, lengths: Counts, points: Numbers, closeness: Array, same: Array, largest: int
 ) -> Counts:
     """Smallest n towards whose repeat each section is contracting as well as any; 0 if none is.
 
-    Each of the last four points must be within `closeness` of the one n periods before, and the
-    later two of them nearer than the farthest of those within it among up to `_WATCHED` points: of
-    four alone, a solver's noise makes the later ones nearer or farther as it likes. After a doubled
-    period, half of it may stay within `closeness` for ever: the whole one repeats much better.
+    Each of the last four points must be within `closeness` of the one n periods before, and either
+    all within `same`, or the later two of them nearer than the farthest of those within `closeness`
+    among up to `_WATCHED` points. After a doubled period, half of it may stay within `closeness`
+    for ever: the whole one repeats much better.
 
     Parameters
     ----------
@@ -191,6 +191,8 @@ def converging_multiples(
         Numbers of the rows.
     closeness : ndarray, shape (m,)
         Distance [m] from which shooting is worth a try.
+    same : ndarray, shape (m,)
+        Distance [m] within which the solver's noise decides which points are nearer.
     largest : int
         Largest n tried; n + 4 points are needed for n.
 
@@ -211,8 +213,9 @@ def converging_multiples(
     steps = norm(latest[:, section, :_WATCHED] - latest[:, section[:, None], place])
     # What was farther away was on its way here, and may be on its way out again.
     steps = np.where(steps < closeness[section, None], steps, np.nan)
+    farthest = steps[:, :4].max(axis=1)  # NaN beyond `closeness`
     contracts = steps[:, :2].max(axis=1) <= np.fmax.reduce(steps[:, 2:], axis=1)
-    farthest = np.where(contracts, steps[:, :4].max(axis=1), np.nan)  # NaN beyond `closeness`
+    farthest[~(contracts | (farthest <= same[section]))] = np.nan
     best = np.full(len(points), np.inf)
     np.fmin.at(best, section, farthest)
     converging = farthest <= _AS_WELL * best[section]
