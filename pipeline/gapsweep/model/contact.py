@@ -18,11 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.fit import (
-    N_FIT_POINTS,
-    goodness,
-    unit_force,
-)
+from gapsweep.model.fit import unit_force
 from gapsweep.model.oscillator import Gap, checked
 
 Array = NDArray[np.float64]
@@ -385,21 +381,6 @@ def checked_law(law: ContactLaw) -> ContactLaw:
             f"law = {law!r}: must be a contact law, as gapsweep.contact_law({label!r}, K_c, gap) is"
         )
     return law
-
-
-def static_error(law: ContactLaw, fit_range: float = FIT_RANGE) -> tuple[float, float]:
-    """RMSE [N] and R² [-] of any law against the exact force on 8001 uniform points.
-
-    Examples
-    --------
-    >>> import gapsweep as gs
-    >>> law = gs.contact_law("tanh-1e4", 1.4e4, gs.Gap(0.4e-3, 0.4e-3))
-    >>> rmse, r_squared = gs.static_error(law)
-    >>> r_squared > 0.99
-    True
-    """
-    x = np.linspace(-fit_range, fit_range, N_FIT_POINTS)
-    return goodness(checked_law(law).force(x), law.exact.force(x))
 
 
 def _penetrations(x: ArrayLike, gap: Gap) -> tuple[Array, Array]:
