@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.fit import unit_force
 from gapsweep.model.oscillator import Gap, checked
+from gapsweep.status import DIVERGED_AT
 
 Array = NDArray[np.float64]
 FIT_RANGE = 4e-3
@@ -82,6 +83,12 @@ class ContactLaw:
     def exact(self) -> "Piecewise":
         """The exact law between the same walls."""
         return Piecewise(self.K_c, self.gap, K_ratio=self.K_ratio)
+
+    @property
+    def walls(self) -> tuple[float, float]:
+        """Places of the lower and the upper wall [m]; one without stiffness stands out of reach."""
+        low = -self.gap.j_1 if self.K_ratio * self.K_c else -DIVERGED_AT
+        return low, self.gap.j_2 if self.K_c else DIVERGED_AT
 
     @property
     def is_symmetric(self) -> bool:
