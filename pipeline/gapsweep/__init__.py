@@ -17,18 +17,12 @@ from gapsweep.status import Status
 
 if TYPE_CHECKING:
     from gapsweep.analysis.basins import basins
+    from gapsweep.analysis.force_error import static_error
     from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
     from gapsweep.model import systems
-    from gapsweep.model.contact import (
-        Arctan,
-        ContactLaw,
-        LogArctan,
-        Piecewise,
-        Tanh,
-        static_error,
-    )
+    from gapsweep.model.contact import Arctan, ContactLaw, LogArctan, Piecewise, Tanh
     from gapsweep.model.fitted import Polynomial, RationalPolynomial
     from gapsweep.model.labels import canonical_label, contact_law, law
     from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
@@ -46,17 +40,7 @@ _ON_DEMAND = {
     **dict.fromkeys(("Response", "ResponseClass", "Steady"), "response.result"),
     **dict.fromkeys(("Polynomial", "RationalPolynomial"), "model.fitted"),
     **dict.fromkeys(("canonical_label", "contact_law", "law"), "model.labels"),
-    **dict.fromkeys(
-        (
-            "Arctan",
-            "ContactLaw",
-            "LogArctan",
-            "Piecewise",
-            "Tanh",
-            "static_error",
-        ),
-        "model.contact",
-    ),
+    **dict.fromkeys(("Arctan", "ContactLaw", "LogArctan", "Piecewise", "Tanh"), "model.contact"),
     **dict.fromkeys(("Cubic", "Harmonic", "Lags", "Modulation", "System"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
     **dict.fromkeys(("query", "run"), "workflow"),
@@ -69,6 +53,7 @@ _ON_DEMAND = {
     "plot": "report.motion",
     "respond": "response.respond",
     "simulate": "integrate.simulate",
+    "static_error": "analysis.force_error",
     "systems": "model.systems",
 }
 # Names that stand for a module, not for something in it.

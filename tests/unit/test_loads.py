@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 import gapsweep as gs
@@ -25,6 +25,7 @@ def linear_amplitude(stiffness, omega):
     return o.forcing / math.hypot(stiffness - o.mass * omega_rad**2, damping * omega_rad)
 
 
+SLIGHT = 1e-15  # N/m: felt by nothing
 SPRING = LINEAR.mass * LINEAR.omega_n_rad**2
 
 
@@ -44,17 +45,20 @@ def test_a_contact_without_a_gap_is_a_spring_that_always_bears(law, rtol):
 
 @pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC])
 @pytest.mark.parametrize("law", [gs.Piecewise, gs.Tanh, "no events", "scipy"])
-def test_walls_without_stiffness_are_passed_by_a_known_sine(law, gap):
+def test_walls_of_hardly_any_stiffness_are_passed_by_a_known_sine(law, gap):
     tolerances = {"engine": "scipy", "rtol": 1e-9, "atol": 1e-13} if law == "scipy" else TIGHT
-    laws = {gs.Tanh: gs.Tanh(0.0, gap, 1e4), "no events": gs.Piecewise(0.0, gap, located=False)}
-    law = laws.get(law, gs.Piecewise(0.0, gap))
+    laws = {
+        gs.Tanh: gs.Tanh(SLIGHT, gap, 1e4),
+        "no events": gs.Piecewise(SLIGHT, gap, located=False),
+    }
+    law = laws.get(law, gs.Piecewise(SLIGHT, gap))
     omega = np.array([4.5, 5.0, 6.0])
     amplitude = np.array([linear_amplitude(SPRING, each) for each in omega])
     assert np.all(amplitude > gap.j_2)
     angles = np.arccos(gap.j_1 / amplitude) + np.arccos(gap.j_2 / amplitude)
     response = gs.respond(LINEAR, law, omega, **tolerances)
     assert_allclose(response.contact_share, angles / math.pi, rtol=1e-6)
-    assert_array_equal(response.force_max, 0.0)
+    assert_allclose(response.force_max, 0.0, atol=SLIGHT)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
@@ -116,7 +120,7 @@ def test_what_is_not_periodic_has_the_share_of_its_last_window(located):
     # Undamped and linear: two frequencies, known for all times.
     oscillator, omega = gs.Oscillator(zeta=0.0, alpha=0.0), 6.1
     steady = gs.Steady(t_max=20.0)
-    law = gs.Piecewise(0.0, ASYMMETRIC, located=located)
+    law = gs.Piecewise(SLIGHT, ASYMMETRIC, located=located)
     response = gs.respond(oscillator, law, omega, steady=steady, **TIGHT)
     assert response.response_class is gs.ResponseClass.UNRESOLVED
     end = response.t_settled

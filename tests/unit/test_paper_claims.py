@@ -172,7 +172,7 @@ class Drawn(Run):
             return dims, rng.choice([0, 5, 13], shape)
         size = rng.choice([0.0, 0.05, 1.0, 6.0])
         value = 10.0 ** (rng.uniform(-8, 2) + rng.normal(0.0, size, shape))
-        if key == "smooth_rmse_resolved" and rng.random() < 0.5:
+        if key == "smooth_rmse" and rng.random() < 0.5:
             value = np.sort(value, axis=-1)[..., ::-1]
         return dims, value * rng.choice([1.0, -1.0] if key.endswith("at_zero") else [1.0], shape)
 
@@ -203,7 +203,7 @@ class Drawn(Run):
                 "poly_smallest_degree": ("K_c", "gap"), "tanh_threshold": ("K_c", "gap"),
                 **dict.fromkeys(("ratpoly_rmse", "ratpoly_in_gap_force", "ratpoly_force_at_zero"),
                                 ("gap", "ratio")),
-                "smooth_rmse_resolved": ("family", "gap", "parameter"),
+                "smooth_rmse": ("family", "gap", "parameter"),
             }  # fmt: skip
         elif name == "cftool":
             axes = {"gap": scene["gap"], "ratio": list(RANDOM_RATIOS), "unit": list(UNITS)}
@@ -211,7 +211,7 @@ class Drawn(Run):
         elif name == "static":
             x = np.linspace(-4e-3, 4e-3, 81)
             axes = {**laws, **scene, "x": x, "equilibrium": np.arange(3)}
-            names = ("rmse", "r_squared", "rmse_in_gap", "rmse_outside", "rmse_resolved", "n_wells",
+            names = ("rmse", "r_squared", "rmse_in_gap", "rmse_outside", "n_wells",
                      "in_gap_force_ratio", "in_gap_frequency_error")  # fmt: skip
             dims = dict.fromkeys(names, ("representation", "K_c", "gap"))
             dims |= {"force_error": (*dims["rmse"], "x"), "forcing": ()}

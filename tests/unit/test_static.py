@@ -105,6 +105,24 @@ def test_errors_are_those_of_static_error(dataset):
         assert (float(scene["rmse"]), float(scene["r_squared"])) == (rmse, r_squared)
 
 
+@pytest.mark.parametrize(
+    "label", ["tanh-1e9", "tanh-1e6", "arctan-1e5", "logarctan-1e7", "poly-13"]
+)
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC])
+def test_static_error_is_an_integral_however_thin_the_layer(label, gap):
+    law = gs.contact_law(label, SOFT, gap, K_ratio=0.3)
+    steps = np.geomspace(1e-12, 2.0 * RANGE, 20_001)
+    near = np.add.outer([-gap.j_1, gap.j_2], [*-steps, 0.0, *steps]).ravel()
+    x = np.union1d(np.clip(near, -RANGE, RANGE), np.linspace(-RANGE, RANGE, 20_001))
+    exact = gs.Piecewise(SOFT, gap, K_ratio=0.3).force(x)
+    residual = np.trapezoid((law.force(x) - exact) ** 2, x)
+    mean = np.trapezoid(exact, x) / (2.0 * RANGE)
+    rmse, r_squared = gs.static_error(law)
+    assert_allclose(rmse, math.sqrt(residual / (2.0 * RANGE)), rtol=1e-5)
+    lost = residual / np.trapezoid((exact - mean) ** 2, x)
+    assert_allclose(1.0 - r_squared, lost, rtol=1e-5, atol=4e-16)
+
+
 def test_fit_range_of_the_study_is_used():
     wide = static(study(["poly-13"], [SOFT], [SYMMETRIC], fit={"range": 8e-3}))
     assert float(wide["x"].max()) == 8e-3
@@ -133,7 +151,7 @@ def test_symmetric_soft_errors(dataset, label, rmse):
 def test_rational_error_is_the_quoted_one_on_the_points_of_its_fit(dataset):
     scene = at(dataset, "ratpoly-5/3")
     assert f"{float(scene['fit_rmse']):.3f}" == "0.130"
-    # On 8001 points the two ends of the range weigh less.
+    # As an integral the two ends of the range weigh less.
     assert f"{float(scene['rmse']):.3f}" == "0.129"
     assert float(scene["r_squared"]) > 0.998
 

@@ -140,7 +140,7 @@ def limit(run: Run) -> Found:
     tests, falls = [], []
     for family in TANGENTS:
         for gap in (SYMMETRIC, ASYMMETRIC):
-            error = _ladder(run, "smooth_rmse_resolved", family=family, gap=gap)
+            error = _ladder(run, "smooth_rmse", family=family, gap=gap)
             fall = float(error.sel(parameter=1e9) / error.sel(parameter=1e4))
             values = error.sel(parameter=slice(1e3, 1e9)).values
             falls.append(1.0 / fall)
@@ -469,7 +469,7 @@ def quality_tests(rmse: Sequence[float], r_squared: Sequence[float]) -> list[Tes
 def tangent_order(run: Run) -> Found:
     tests = []
     for parameter in (1e4, 1e6):
-        errors = _ladder(run, "smooth_rmse_resolved", gap=SYMMETRIC, parameter=parameter)
+        errors = _ladder(run, "smooth_rmse", gap=SYMMETRIC, parameter=parameter)
         tests += [
             Test(f"{parameter:g} /m: error of {one} over that of {other}",
                  _plain(errors.sel(family=one) / errors.sel(family=other)), "<", 1.0)
@@ -510,7 +510,7 @@ def rational_convergence(run: Run) -> Found:
 def only_the_parameter(run: Run) -> Found:
     tests = []
     for family in TANGENTS:
-        errors = _ladder(run, "smooth_rmse_resolved", family=family, parameter=1e4)
+        errors = _ladder(run, "smooth_rmse", family=family, parameter=1e4)
         two = errors.sel(gap=[SYMMETRIC, ASYMMETRIC])
         ratio = _plain(two.max() / two.min())
         tests.append(Test(f"{family}: errors of the two gaps, ratio", ratio, "<=", ALIKE))
@@ -1721,8 +1721,8 @@ def without_restarts(run: Run) -> Found:
     "RMS error of every tangent law falls by twice the factor of either fit or more.")  # fmt: skip
 def faster_convergence(run: Run) -> Found:
     fall = {
-        weak: _force(run, "rmse_resolved", weak, SOFT_SYMMETRIC)
-        / _force(run, "rmse_resolved", strong, SOFT_SYMMETRIC)
+        weak: _force(run, "rmse", weak, SOFT_SYMMETRIC)
+        / _force(run, "rmse", strong, SOFT_SYMMETRIC)
         for weak, strong in zip(WEAK, STRONG, strict=True)
     }
     tests = [

@@ -12,10 +12,10 @@ import xarray as xr
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
+from gapsweep.analysis.force_error import in_gap, largest_in_gap, static_error
 from gapsweep.analysis.thresholds import tanh_threshold
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import Arctan, LogArctan, Tanh, static_error
+from gapsweep.model.contact import Arctan, LogArctan, Tanh
 from gapsweep.model.fit import N_FIT_POINTS, goodness, unit_force
 from gapsweep.model.fitted import RationalPolynomial
 from gapsweep.model.oscillator import Gap
@@ -62,8 +62,8 @@ LADDER: dict[str, tuple[tuple[str, ...], Variable]] = {
          "largest in-gap force of a rational polynomial per unit contact stiffness"),
         ("ratpoly_force_at_zero", ("gap", "ratio"), "f8", "m",
          "force of a rational polynomial at x = 0 per unit contact stiffness"),
-        ("smooth_rmse_resolved", ("family", "gap", "parameter"), "f8", "m",
-         "RMS force error per unit contact stiffness as an integral over the range"),
+        ("smooth_rmse", ("family", "gap", "parameter"), "f8", "m",
+         "RMS force error of a smooth law per unit contact stiffness"),
         ("smooth_r_squared", ("family", "gap", "parameter"), "f8", "1",
          "coefficient of determination of a smooth law"),
         ("tanh_threshold", ("K_c", "gap"), "f8", "m-1",
@@ -212,10 +212,8 @@ def smooth_ladder(gap: Gap, x_max: float) -> Values:
 
 
 def _smooth_rung(law: SmoothLaw, x_max: float) -> Values:
-    return {
-        "smooth_rmse_resolved": np.array(resolved_rmse(law, x_max)[0]),
-        "smooth_r_squared": np.array(static_error(law, x_max)[1]),
-    }
+    rmse, r_squared = static_error(law, x_max)
+    return {"smooth_rmse": np.array(rmse), "smooth_r_squared": np.array(r_squared)}
 
 
 def _stacked(rows: list[Values], axis: int = 0) -> Values:

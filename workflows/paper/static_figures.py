@@ -87,9 +87,8 @@ def static_convergence(ladders: xr.Dataset) -> Figure:
             rungs = ladders[f"poly_{name}"].sel(constraint=left_out)
             _rungs(row[0], rungs, "degree", shade, "free" if left_out == free else left_out)
         _rungs(row[1], ladders[f"ratpoly_{name}"], "ratio", colour("ratpoly"), "")
-        resolved = {"rmse": "rmse_resolved"}.get(name, name)
         for family in ladders["family"].values.tolist():
-            rungs = ladders[f"smooth_{resolved}"].sel(family=family)
+            rungs = ladders[f"smooth_{name}"].sel(family=family)
             _rungs(row[2], rungs, "parameter", colour(family), family)
         row[0].sharey(row[1])
         row[2].set_xscale("log")

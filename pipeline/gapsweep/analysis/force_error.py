@@ -1,15 +1,13 @@
-"""What can be said of one contact law from its force alone.
-
-Two samplings, because they answer differently (docs/decisions/0006-static-part.md):
-`static_error` on 8001 uniform points is the definition that published errors follow; the
-resolved errors here are integrals over the range, which no smoothing layer slips through.
-"""
+"""Errors of a contact law: integrals over the range, which resolve every smoothing layer."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gapsweep.model.contact import ContactLaw
+from gapsweep.model.contact import FIT_RANGE, ContactLaw, checked_law
 from gapsweep.model.equilibria import panels, search_points, sign_changes
 from gapsweep.model.oscillator import Gap
+
+Array = NDArray[np.float64]
 
 
 def in_gap(gap: Gap, x_max: float) -> tuple[float, float]:
@@ -26,20 +24,41 @@ def largest_in_gap(law: ContactLaw, x_max: float) -> float:
     return float(np.max(np.abs(law.force(np.append(points, peaks)))))
 
 
-def resolved_rmse(law: ContactLaw, x_max: float) -> tuple[float, float, float]:
-    """RMS force error [N] over ``±x_max``, over the gap and over the rest, as integrals.
+def static_error(law: ContactLaw, fit_range: float = FIT_RANGE) -> tuple[float, float]:
+    """RMSE [N] and R² [-] of any law against the exact force, integrated over ``±fit_range`` [m].
 
-    NaN for a part that does not exist.
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.contact_law("tanh-1e4", 1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> rmse, r_squared = gs.static_error(law)
+    >>> r_squared > 0.99
+    True
     """
-    nodes, weights = panels(search_points(law, x_max))
-    error = law.force(nodes) - law.exact.force(nodes)
+    _, weights, exact, error = _sampled(checked_law(law), fit_range)
+    residual, length = (error**2 * weights).sum(), weights.sum()
+    spread = ((exact - (exact * weights).sum() / length) ** 2 * weights).sum()
+    # A gap wider than the range leaves nothing to explain: any exact zero is a perfect fit.
+    r_squared = 1.0 - residual / spread if spread > 0.0 else residual == 0.0
+    return float(np.sqrt(residual / length)), float(r_squared)
+
+
+def error_of_parts(law: ContactLaw, x_max: float) -> tuple[float, float]:
+    """RMSE [N] in the gap and in the rest of ``±x_max`` [m]; NaN for a part that does not exist."""
+    nodes, weights, _, error = _sampled(law, x_max)
     low, high = in_gap(law.gap, x_max)
     # No panel straddles a wall: the walls are search points.
     inside = (nodes[:, 2] > low) & (nodes[:, 2] < high)
     squares, lengths = (error**2 * weights).sum(axis=1), weights.sum(axis=1)
-    parts = (np.ones_like(inside), inside, ~inside)
-    whole, within, rest = (
+    within, rest = (
         float(np.sqrt(squares[part].sum() / lengths[part].sum())) if part.any() else np.nan
-        for part in parts
+        for part in (inside, ~inside)
     )
-    return whole, within, rest
+    return within, rest
+
+
+def _sampled(law: ContactLaw, x_max: float) -> tuple[Array, Array, Array, Array]:
+    """Nodes [m] of a quadrature, their weights [m], the exact force and the error there [N]."""
+    nodes, weights = panels(search_points(law, x_max))
+    exact = law.exact.force(nodes)
+    return nodes, weights, exact, law.force(nodes) - exact

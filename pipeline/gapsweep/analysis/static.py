@@ -17,10 +17,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.arrays import Array
-from gapsweep.analysis.force_error import in_gap, largest_in_gap, resolved_rmse
+from gapsweep.analysis.force_error import error_of_parts, in_gap, largest_in_gap, static_error
 from gapsweep.analysis.thresholds import tanh_threshold
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw, static_error
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
 from gapsweep.model.labels import AUTO, contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
@@ -42,12 +42,11 @@ CURVES = {
     "force_error": Variable("f8", "N", "contact force minus that of the exact law"),
 }
 SCENE_VARIABLES = {
-    "rmse": Variable("f8", "N", "RMS force error on 8001 uniform points of the fit range"),
-    "r_squared": Variable("f8", "1", "coefficient of determination of the force on those points"),
+    "rmse": Variable("f8", "N", "RMS force error over the fit range"),
+    "r_squared": Variable("f8", "1", "coefficient of determination of the force over that range"),
     "fit_rmse": Variable("f8", "N", "RMS force error of a fit on the points it was made on"),
-    "rmse_resolved": Variable("f8", "N", "RMS force error as an integral over the fit range"),
-    "rmse_in_gap": Variable("f8", "N", "RMS force error as an integral over the gap"),
-    "rmse_outside": Variable("f8", "N", "RMS force error as an integral outside the gap"),
+    "rmse_in_gap": Variable("f8", "N", "RMS force error in the gap"),
+    "rmse_outside": Variable("f8", "N", "RMS force error outside the gap"),
     "in_gap_force": Variable("f8", "N", "largest force between the walls"),
     "force_at_zero": Variable("f8", "N", "contact force at x = 0"),
     "in_gap_frequency": Variable("f8", "Hz", "frequency of small motions amid the gap"),
@@ -229,12 +228,11 @@ def _of_spring(oscillator: Oscillator, of_walls: Values, x_max: float) -> Values
 
 def _errors(law: ContactLaw, x_max: float) -> Values:
     rmse, r_squared = static_error(law, x_max)
-    whole, within, rest = resolved_rmse(law, x_max)
+    within, rest = error_of_parts(law, x_max)
     return {
         "rmse": rmse,
         "r_squared": r_squared,
         "fit_rmse": getattr(law, "rmse", np.nan),
-        "rmse_resolved": whole,
         "rmse_in_gap": within,
         "rmse_outside": rest,
     }

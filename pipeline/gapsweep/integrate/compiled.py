@@ -63,9 +63,9 @@ def _oscillator_arrays(models: Models) -> dict[str, Any]:
 
 
 def _gap_arrays(laws: Sequence[Any]) -> dict[str, Any]:
-    gaps = [law.gap for law in laws]
+    low, high = np.reshape([law.walls for law in laws], (-1, 2)).T
     stiffness = {name: _column(laws, name) for name in ("K_c", "K_ratio")}
-    return stiffness | {name: _column(gaps, name) for name in ("j_1", "j_2")}
+    return stiffness | {"j_1": -low, "j_2": high}
 
 
 def _given(problems: Problems) -> dict[str, Any]:
@@ -243,7 +243,7 @@ def _kernel_law(laws: Sequence[Any], *, restart: bool) -> Any:
             return representations.log_arctan(**gaps, gamma=_column(laws, "gamma"))
         case Piecewise():
             return representations.piecewise(**gaps, restart=restart and law.located)
-    walls = {"j_1": law.gap.j_1, "j_2": law.gap.j_2}
+    walls = {"j_1": -law.walls[0], "j_2": law.walls[1]}
     match law:
         case Polynomial():
             return representations.polynomial(law.coefficients[0], law.fit_range, **walls)

@@ -235,7 +235,7 @@ def _plain(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[float,
     segment = _solve(scene, run, None, 0.0, y_0, t_end, None)
     for contact, law in enumerate(scene.laws):
         gap = gap_of(scene, segment.motion, contact)
-        for wall in (-law.gap.j_1, law.gap.j_2):
+        for wall in law.walls:
             run.contacts += [(t, contact) for t in roots(gap, 0, wall).tolist()]
     run.contacts.sort()
     run.pieces.append(segment.motion)

@@ -69,8 +69,7 @@ class Scene:
         return float(self.directions[contact] @ q[: self.n])
 
     def wall(self, contact: int, side: int) -> float:
-        gap = self.laws[contact].gap
-        return gap.j_2 if side > 0 else -gap.j_1
+        return self.laws[contact].walls[side > 0]
 
     def force(self, contact: int, modes: Modes) -> Force:
         """Contact force: the law itself, or one branch of the exact one."""

@@ -27,7 +27,7 @@ class UserLaw(ContactLaw):
     function : callable
         Scalar force [N] as a function of the displacement [m]. It must live in a module
         that the workers can import. `K_c`, `K_ratio` and `gap` only label it and place the
-        walls at which contacts are counted.
+        walls at which contacts are counted: none where the stiffness is zero.
 
     Examples
     --------

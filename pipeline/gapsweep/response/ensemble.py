@@ -58,7 +58,7 @@ class Ensemble:
     walls : ndarray, shape (2, n_contacts, n)
         Places of the lower and of the upper walls in the contacts' gaps [m].
     felt_walls : ndarray, shape (2, n_contacts, n)
-        The same, NaN where the stiffness is no other beyond the wall.
+        The same, NaN where no gap lies between equal walls.
     is_modulated : ndarray of bool, shape (n_contacts, n)
         Whether the force of a contact changes with time.
     has_own_tangent, is_rattled : bool
@@ -314,17 +314,14 @@ def _of_laws(law: Any) -> list[list[tuple[float, float]]]:
     laws = law if isinstance(law, tuple) else (law,)
     return [
         [each.valid_range for each in laws],
-        [(-each.gap.j_1, each.gap.j_2) for each in laws],
+        [each.walls for each in laws],
         [_felt_walls(each) for each in laws],
     ]
 
 
 def _felt_walls(law: ContactLaw) -> tuple[float, float]:
     """Places of the walls at which the stiffness changes, at once or, of a smooth law, around."""
-    upper, lower = law.K_c, law.K_c * law.K_ratio
-    if law.gap.j_1 == law.gap.j_2 == 0.0:
-        upper = lower = upper - lower
-    return -law.gap.j_1 if lower else math.nan, law.gap.j_2 if upper else math.nan
+    return (math.nan, math.nan) if law.gap.width == 0.0 and law.K_ratio == 1.0 else law.walls
 
 
 def _units(systems: Sequence[System], omega: Array) -> Array:

@@ -74,12 +74,13 @@ def _sides(scene: Scene, y: Array, swing: float) -> Iterator[Any]:
     choices = []
     for gap, law in zip(system.directions @ y[: system.n], scene.laws, strict=True):
         near = _ON_WALL * (law.gap.width + abs(gap)) + REST * swing
-        modes = {int(gap > law.gap.j_2) - int(gap < -law.gap.j_1)}
-        for wall, mode in ((law.gap.j_2, 1), (-law.gap.j_1, -1)):
+        low, high = law.walls
+        modes = {int(gap > high) - int(gap < low)}
+        for wall, mode in ((high, 1), (low, -1)):
             if isinstance(law, Piecewise) and abs(gap - wall) <= near:
                 modes |= {0, mode}
         # Where no gap lies between the walls, nothing is between their sides.
-        choices.append(sorted(modes - {0} if law.gap.width == 0.0 and len(modes) > 1 else modes))
+        choices.append(sorted(modes - {0} if low == high and len(modes) > 1 else modes))
     if all(len(modes) == 1 for modes in choices):
         yield None
     elif all(isinstance(law, Piecewise) for law in scene.laws):

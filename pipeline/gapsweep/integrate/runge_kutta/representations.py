@@ -42,9 +42,12 @@ def tanh(
 ) -> Law:
     """Freeplay smoothed with tanh; K_c [N/m], j_1, j_2 [m], epsilon [1/m], K_ratio [-]."""
     q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
-    half_gap = 0.5 * (q[..., parameters.WALL_HIGH] - q[..., parameters.WALL_LOW])
+    high = q[..., parameters.WALL_HIGH]
+    # A lower wall without stiffness stands out of reach: the gap's centre would lose digits there.
+    low = np.where(q[..., parameters.RATIO] == 0.0, high, q[..., parameters.WALL_LOW])
+    half_gap = 0.5 * (high - low)
     q[..., parameters.SHARPNESS], q[..., parameters.HALF_GAP] = sharpness, half_gap
-    q[..., parameters.CENTRE] = 0.5 * (q[..., parameters.WALL_HIGH] + q[..., parameters.WALL_LOW])
+    q[..., parameters.CENTRE] = 0.5 * (high + low)
     q[..., parameters.DECAY] = np.exp(-4.0 * sharpness * half_gap)
     layer = parameters.TANH_SATURATION / sharpness
     q[..., parameters.LAYER] = q[..., parameters.SATURATION] = layer
