@@ -9,12 +9,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.integrate.motion import VANISHED
 from gapsweep.response.call import Call
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.found import SURE, Found
 from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares, largest_forces
-from gapsweep.response.maps import NOTHING
 from gapsweep.response.rates import rates
 from gapsweep.response.result import (
     LISTS,
@@ -157,7 +157,7 @@ def _stability(
     largest = shots.multipliers[points[is_orbit], 0]
     modulus[is_orbit] = np.hypot(largest.real, largest.imag)
     follows = is_orbit & np.isnan(lyapunov)
-    shrinks = follows & (modulus > NOTHING)
+    shrinks = follows & (modulus > VANISHED)
     # What swings until it has shrunk to nothing shrank on average as areas do; what creeps did not.
     rate = ensemble.decay_rate[points]
     swings = follows & ~shrinks & (ensemble.settling_rate[points] == rate)

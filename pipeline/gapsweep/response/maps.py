@@ -7,9 +7,10 @@ needs for its motion. No result depends on the others.
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.integrate.motion import VANISHED
+
 Array = NDArray[np.float64]
 
-NOTHING = 1e-290  # below it doubles lose digits
 
 
 def newton_steps(monodromy: Array, moved: Array) -> Array:
@@ -67,7 +68,7 @@ def floquet_multipliers(monodromy: Array, determinant: Array) -> NDArray[np.comp
         )
         order = np.argsort(-np.abs(found), axis=1, kind="stable")
         found = np.take_along_axis(found, order, axis=1)
-    found[np.abs(found) < NOTHING] = 0.0
+    found[np.abs(found) < VANISHED] = 0.0
     found[~is_finite] = complex(np.nan, np.nan)
     return found
 

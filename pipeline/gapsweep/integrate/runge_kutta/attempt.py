@@ -10,6 +10,7 @@ import numpy as np
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import inlined
+from gapsweep.integrate.motion import VANISHED
 from gapsweep.integrate.simd import fma, load, maximum, minimum, select, store
 
 from . import lanes as ln
@@ -204,6 +205,7 @@ def _commit_tangent(at, lane, commit):
     for i in range(at.n_states * at.n_states):
         before, after = load(lane, at.tangent_state + i), load(lane, at.old_tangent + i)
         store(lane, at.old_tangent + i, before)
+        after = select(simd.absolute(after) < VANISHED, 0.0 * after, after)
         store(lane, at.tangent_state + i, select(commit, after, before))
 
 

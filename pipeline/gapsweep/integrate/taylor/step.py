@@ -20,6 +20,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from gapsweep.integrate.motion import VANISHED
 from gapsweep.integrate.vectors import (
     I64,
     Vec,
@@ -291,6 +292,7 @@ def _emit_tangents(lanes, coefficients, motion, step, is_unclear):
         starts = [s[0] for s in y] + [s[1] for s in y] + [s[0] for s in z]
         first = layout.tangent_state + column * layout.n_states
         for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
+            end = where(absolute(end) < VANISHED, 0.0, end)
             lanes[first + i] = where(is_unclear, start, end)
 
 
