@@ -12,7 +12,6 @@ from gapsweep.integrate.motion import VANISHED
 Array = NDArray[np.float64]
 
 
-
 def newton_steps(monodromy: Array, moved: Array) -> Array:
     """Steps from initial states towards fixed points of their maps; infinite where none is near.
 

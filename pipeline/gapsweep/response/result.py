@@ -118,6 +118,9 @@ class Steady:
         Forcing periods in a full recording window, at least twice `max_period_multiple`.
     max_period_multiple : int
         Largest period multiple looked for, 1 to 256.
+    lyapunov_error : float, optional
+        Standard error [1/s] to which the Lyapunov exponent of an aperiodic motion is measured, over
+        at most `max_periods`, ``> 0``; without it until the sign is certain.
     max_extrema : int
         Extrema kept per point, 1 to 65536.
 
@@ -136,17 +139,13 @@ class Steady:
     t_max: float | None = None
     n_periods: int = 64
     max_period_multiple: int = 32
+    lyapunov_error: float | None = None
     max_extrema: int = 256
 
     def __post_init__(self) -> None:
-        durations = (
-            "settle_tol",
-            "max_decay_times",
-            *(("t_max",) if self.t_max is not None else ()),
-        )
-        for name in durations:
-            value = checked(name, getattr(self, name), low=0.0, strict=True)
-            object.__setattr__(self, name, value)
+        for name in ("settle_tol", "max_decay_times", "t_max", "lyapunov_error"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, checked(name, value, low=0.0, strict=True))
         if self.settle_tol > 0.1:
             raise ModelError(f"settle_tol = {self.settle_tol:g}: must be <= 0.1")
         for name, largest in (

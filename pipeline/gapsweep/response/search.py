@@ -250,7 +250,7 @@ class Search:
         slow = is_slow(self._shots, points, full)
         found = approach(walks, self._shots, points, slow)
         # Transient chaos that has ended late leaves as much time as it took, once.
-        late = (self._growths.n_times[points] > 0) & ~self._has_waited[points]
+        late = (self._growths.n_periods[points] > 0) & ~self._has_waited[points]
         more = np.where(late, self._limits.last[points], 0)
         n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
         waits = ~found.is_own & (found.stretch <= n_left)
@@ -327,9 +327,9 @@ class Search:
         # A motion that was given no time to settle is nobody's example; without damping nothing
         # is long enough.
         may_grow = self._settled[points] & (self._ensemble.settling_rate[points] > 0.0)
-        may_grow &= self._growths.n_all <= self._limits.longest[points]
-        grows = may_grow & (self._growths.n_times[points] == 0)
-        self._begin_growth(points[grows], 1.0)
+        may_grow &= self._growths.n_least <= self._limits.longest[points]
+        grows = may_grow & (self._growths.n_periods[points] == 0)
+        self._begin_growth(points[grows])
         is_recorded = self._walks.has_extrema(points)
         self._record_last(points[~grows & ~is_recorded])
         told = points[~grows & is_recorded]
@@ -347,17 +347,25 @@ class Search:
         self._record_last(going)
 
     def _tell(self, points: Numbers) -> None:
-        """What motions without a period are: those that hardly part may circle for ever."""
+        """What motions without a period are: those with a zero exponent may be quasiperiodic.
+
+        A growth is doubled until the exponent is not zero beyond doubt, and as well known as the
+        user wants, or until its time is over.
+        """
         growths, found = self._growths, self._found
         exponent, error = found.lyapunov[points], found.lyapunov_error[points]
         shear = growths.shear(points, self._omega[points])
         may_circle = np.abs(exponent) <= np.maximum(_BEYOND_DOUBT * error, shear)
         may_circle &= len(self._walks.y) > 2
-        is_long, times = growths.n_times[points] > 1, growths.times_longer(points)
+        is_long = growths.is_long(points)
+        n_doubled = 2 * growths.n_all_periods(points)
+        is_undecided = (may_circle | (np.abs(exponent) <= SURE * error)) & ~is_long
+        is_rough = error > (self._steady.lyapunov_error or math.inf)
         # Another solver's tangent says less of the motion the longer it is.
-        goes_on = may_circle & ~is_long & self._ensemble.has_own_tangent
-        goes_on &= times * growths.n_all_periods(points) <= self._limits.longest[points]
-        self._begin_growth(points[goes_on], times[goes_on])
+        goes_on = is_undecided | (is_rough & (n_doubled <= self._steady.max_periods))
+        goes_on &= self._ensemble.has_own_tangent & (n_doubled <= self._limits.longest[points])
+        growths.double(points[goes_on], self._walks.y[:, points[goes_on]])
+        self._phase[points[goes_on]] = Phase.GROW
         # What turns about a torus shrinks and grows again, never by as much as it parts.
         high, low = np.maximum(SURE * error, shear), -np.maximum(SURE * error, 0.5 * shear)
         is_zero = is_long & (low <= exponent) & (exponent <= high)
@@ -386,9 +394,10 @@ class Search:
         self._walks.unrecord(points)
         self._wait(points)
 
-    def _begin_growth(self, points: Numbers, times: float | Array) -> None:
-        y, rate = self._walks.y[:, points], self._ensemble.settling_rate[points] / times
-        self._growths.begin(points, y, rate, self._omega[points], self._limits.last[points] * times)
+    def _begin_growth(self, points: Numbers) -> None:
+        y, rate = self._walks.y[:, points], self._ensemble.settling_rate[points]
+        longest = self._limits.last[points] - self._steady.n_periods
+        self._growths.begin(points, y, rate, self._omega[points], longest)
         self._phase[points] = Phase.GROW
 
     @_for_some

@@ -39,14 +39,17 @@ _MUCH_BETTER, _AS_WELL, _ROUNDING = 0.1, 5.0, 1e-10
 # Least that an orbit takes from a disturbance, so that noise does not pass for one about a rest.
 _TAKES = 1e-3
 
-# Lyapunov exponent: the mean of as many batches, each of about so many decay times at least: what
-# one of them finds says nothing of the next one. Each is of some blocks, after one to align the
-# vector.
-_N_BATCHES, _BATCH, _BLOCKS = 10, 2.82, 6
+# Lyapunov exponent: the mean of batches, each of about so many decay times at least: what one of
+# them finds says nothing of the next one. There are ten batches of six parts at first; as the parts
+# become longer, more batches of fewer parts. A block in front aligns the vector.
+_BATCH, _PARTS, _N_PARTS = 2.82, 6, 60
+_AT_ONCE = 512  # blocks of one motion in a call
 _MOST_NUMBERS = 1 << 16  # of tangents in one call: with what else belongs to them, ten megabytes
-# A growth that did not tell is measured over again: at least so many times as long, for a third of
-# its error, and so many forcing periods, in which chaos outgrows what is in proportion to time.
-_LONGER, _LONG = 8.0, 8192
+# A first growth lasts at least this share of the time that a motion had to find a period.
+_SHARE = 0.25
+# A growth that decides nothing is doubled until it lasts so many times as long as the first, for a
+# third of its error, and so many forcing periods, in which chaos outgrows linear growth.
+_LONGER, _LONG = 8, 8192
 
 
 class Shots:
@@ -215,25 +218,24 @@ class Growths:
     y : ndarray, shape (n_states, n_points)
         Where the motions are.
     n_periods : ndarray of int, shape (n_points,)
-        Forcing periods in a motion's blocks.
+        Forcing periods in a motion's blocks; 0 if a growth was never begun.
     n_blocks : ndarray of int, shape (n_points,)
-        Blocks behind it.
-    n_times : ndarray of int, shape (n_points,)
-        How many times a growth was begun.
+        Blocks behind it, since the growth was begun or doubled.
     strayed : ndarray, shape (n_points,)
         How far [m] the solver strayed in a block: root of the mean square.
-    n_all : int
-        Blocks that a growth has.
+    n_least : int
+        Blocks that a growth has at least.
     """
 
-    n_all = 1 + _N_BATCHES * _BLOCKS
+    n_least = 1 + _N_PARTS
 
     def __init__(self, n_states: int, n_points: int) -> None:
         self.y = np.empty((n_states, n_points))
-        self.n_periods, self.n_blocks, self.n_times = np.zeros((3, n_points), np.int64)
+        self.n_periods, self.n_blocks, self._goal = np.zeros((3, n_points), np.int64)
+        self._in_part, self._first = np.ones((2, n_points), np.int64)  # blocks, now and at first
         self._direction, self.strayed = np.empty((n_points, n_states)), np.zeros(n_points)
-        # Of every block: the logarithm of the growth, and how long it took [s].
-        self._growth, self._time = np.empty((2, n_points, self.n_all))
+        # Of the block in front, then of every part: logarithm of the growth, and duration [s].
+        self._growth, self._time = np.zeros((2, n_points, self.n_least))
 
     def begin(
         self, points: Numbers, y: Array, rate: Array, omega: Array, longest: NDArray[Any]
@@ -249,29 +251,44 @@ class Growths:
         omega : ndarray, shape (m,)
             Forcing frequency [Hz].
         longest : ndarray, shape (m,)
-            Forcing periods that all blocks together may have, about.
+            Forcing periods that the motion had to find a period: all blocks have no more, about.
         """
         # No coordinate may be left out: another one's growth may never reach it.
         start = np.linspace(1.0, 0.0, len(y))
         self.y[:, points], self._direction[points], self.n_blocks[points] = y, start, 0
-        self.n_times[points] += 1
-        wanted = np.minimum(_BATCH / _BLOCKS / rate * omega, longest / self.n_all)
-        self.n_periods[points] = np.maximum(1, np.ceil(wanted))
+        self._growth[points], self._time[points] = 0.0, 0.0
+        wanted = np.minimum(_BATCH / _PARTS / rate * omega, longest / self.n_least)
+        self.n_periods[points] = n_periods = np.maximum(1, np.ceil(wanted))
+        in_part = np.maximum(1, _SHARE * longest // (n_periods * self.n_least))
+        self._in_part[points] = self._first[points] = in_part
+        self._goal[points] = 1 + _N_PARTS * self._in_part[points]
+
+    def double(self, points: Numbers, y: Array) -> None:
+        """Go on for as long as growths have lasted, after a block that aligns the vector again."""
+        half = _N_PARTS // 2
+        for each in (self._growth, self._time):
+            each[points, 1 + half :] = each[points, 1::2] + each[points, 2::2]
+            each[points, : 1 + half] = 0.0
+        self.y[:, points], self.n_blocks[points] = y, 0
+        self._in_part[points] *= 2
+        self._goal[points] = 1 + half * self._in_part[points]
 
     def n_all_periods(self, points: Numbers) -> Counts:
         """How many forcing periods growths last; one if never begun."""
-        return np.maximum(self.n_all * self.n_periods[points], 1)
+        return np.maximum((1 + _N_PARTS * self._in_part[points]) * self.n_periods[points], 1)
 
-    def times_longer(self, points: Numbers) -> Array:
-        """How many times as long as growths that did not tell the next ones are."""
-        return np.maximum(_LONGER, _LONG / self.n_all_periods(points))
+    def is_long(self, points: Numbers) -> Mask:
+        """Which growths are no longer doubled for a decision."""
+        grew = self._in_part[points] >= _LONGER * self._first[points]
+        return np.asarray(grew & (self.n_all_periods(points) >= _LONG))
 
     def advance(self, ensemble: Ensemble, points: Numbers) -> tuple[Numbers, Counts]:
         """Go on with some of the points; who is then over, and as what, as in `step`."""
         n = 1
         if ensemble.is_chained:
-            # All blocks of a point: where a chain is cut may not depend on its company.
-            n = self.n_all
+            # Where a chain is cut may not depend on its company.
+            left = np.minimum(self._goal - self.n_blocks, _AT_ONCE)[points]
+            n, points = int(left[0]), points[left == left[0]]
             points = points[: max(1, _MOST_NUMBERS // (n * len(self.y) ** 2))]
         blocks = np.repeat(points, n)
         follows = np.append(False, blocks[1:] == blocks[:-1])
@@ -317,30 +334,30 @@ class Growths:
         # numpy's own logarithm is another one on another processor.
         logs = [math.log(each) if each else -math.inf for each in lengths[row, block].tolist()]
         now = points[row]
-        at = now, self.n_blocks[now] + block
-        self._growth[at], self._time[at] = logs, self.n_periods[now] / call.omega[row * n + block]
+        part = (self.n_blocks[now] + block - 1) // self._in_part[now] + 1  # the block in front: 0
+        np.add.at(self._growth, (now, part), logs)
+        np.add.at(self._time, (now, part), self.n_periods[now] / call.omega[row * n + block])
         before = self.n_blocks[points]
         self.n_blocks[points] += counts
         squares = before * self.strayed[points] ** 2 + np.square(strayed).sum(axis=1)
         self.strayed[points] = np.sqrt(squares / np.maximum(before + counts, 1))
-        return (status != Status.OK) | (self.n_blocks[points] == self.n_all), status
+        return (status != Status.OK) | (self.n_blocks[points] == self._goal[points]), status
 
     def exponents(self, points: Numbers) -> tuple[Array, Array]:
         """Largest Lyapunov exponents [1/s] of motions that have all blocks; standard errors.
 
         The errors are those of batch means. NaN where the tangent was unsound.
         """
-        with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing, or overflowed
-            # The first block turns the vector into the direction of growth.
-            growth, time = (
-                each[points, 1:].reshape(-1, _N_BATCHES, _BLOCKS).sum(axis=2)
-                for each in (self._growth, self._time)
+        exponent, error = np.empty((2, len(points)))
+        # The first block turns the vector into the direction of growth.
+        growth, time = (each[points, 1:] for each in (self._growth, self._time))
+        parts = -(-_PARTS // self._in_part[points])  # of a batch: 6, 3, 2 or 1
+        for n in np.unique(parts).tolist():
+            some = parts == n
+            batches = (
+                each[some].reshape(-1, _N_PARTS // n, n).sum(axis=2) for each in (growth, time)
             )
-            # Returns take longer or shorter: a mean of rates would count the short ones too much.
-            exponent = growth.sum(axis=1) / time.sum(axis=1)
-            share = time / time.mean(axis=1)[:, None]
-            apart = (growth / time - exponent[:, None]) * share
-            error = np.sqrt(np.square(apart).mean(axis=1) / (_N_BATCHES - 1))
+            exponent[some], error[some] = _batch_means(*batches)
         return exponent, error
 
     def omega(self, points: Numbers) -> Array:
@@ -369,6 +386,17 @@ class Growths:
         """
         shrinks = 2.0 * exponent * int(self.n_periods[point]) / omega
         return math.sqrt(2.0 / -math.expm1(shrinks)) * float(self.strayed[point])
+
+
+def _batch_means(growth: Array, time: Array) -> tuple[Array, Array]:
+    """Mean rates of growth and their standard errors, of batches along the second axis."""
+    with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing, or overflowed
+        # Returns take longer or shorter: a mean of rates would count the short ones too much.
+        exponent = growth.sum(axis=1) / time.sum(axis=1)
+        share = time / time.mean(axis=1)[:, None]
+        apart = (growth / time - exponent[:, None]) * share
+        error = np.sqrt(np.square(apart).mean(axis=1) / (growth.shape[1] - 1))
+    return exponent, error
 
 
 def _stretched(tangents: Array, directions: Array, counted: Mask) -> tuple[Array, Array]:

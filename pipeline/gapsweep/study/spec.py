@@ -158,6 +158,7 @@ class SteadyTable(Table):
     t_max: Positive | None = _STEADY.t_max
     n_periods: Annotated[int, Field(ge=2, le=10**6)] = _STEADY.n_periods
     max_period_multiple: Annotated[int, Field(ge=1, le=256)] = _STEADY.max_period_multiple
+    lyapunov_error: Positive | None = _STEADY.lyapunov_error
     max_extrema: Annotated[int, Field(ge=1, le=65536)] = _STEADY.max_extrema
 
     @model_validator(mode="after")
