@@ -21,6 +21,7 @@ from gapsweep.response.limits import Limits
 from gapsweep.response.rates import REST, about_rest
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
+    ALIKE,
     DEVIATIONS,
     converging_multiples,
     likely_multiple,
@@ -180,7 +181,7 @@ class Search:
             self._walks.length,
             points,
             np.maximum(_CLOSE * reach, same),
-            same,
+            np.minimum(ALIKE * reach, same),
             self._steady.max_period_multiple,
         )
         shot = points[n > 0]
@@ -224,6 +225,14 @@ class Search:
         self._shots.shorten(inside[~is_whole], part[~is_whole])
         is_undamped = self._ensemble.settling_rate[points] == 0.0
         stays = modulus < np.where(is_undamped, 1.0 + _ON_CIRCLE, 1.0)
+        if self._ensemble.has_own_tangent:
+            # Newton multiplies what the solver strays in a period by 1 / (1 - modulus): about a
+            # slow orbit that is far, and the motion is there if it had the time to settle.
+            is_near = self._shots.last_step[points] <= NEAR * self._walks.reach[points]
+            has_settled = is_slow(self._shots, points, self._steady.n_periods) & stays
+            n_repeats = (self._walks.n_periods[points] / self._shots.n[points])[has_settled]
+            has_settled[has_settled] = modulus[has_settled] ** n_repeats <= self._steady.settle_tol
+            stays &= is_near | has_settled
         self._close(points[~shooting & stays])
         refused = ~np.where(shooting, modulus < _INSIDE, stays)
         self._miss(points[refused], phase[refused])
@@ -302,10 +311,9 @@ class Search:
 
     def _as_it_is(self, point: int, n: int, phase: int) -> None:
         """The next n forcing periods as an orbit, closed or not, if they contract to one."""
-        one, is_own = np.array([point]), self._ensemble.has_own_tangent
-        goal = NEAR * self._walks.reach[one] if is_own else np.array([math.inf])
-        noise, nowhere = self._walks.noise(n)[one], np.zeros(1)
-        self._shots.aim(one, self._walks.y[:, one], np.array([n]), goal, noise, nowhere)
+        one, anywhere, nowhere = np.array([point]), np.array([math.inf]), np.zeros(1)
+        noise = self._walks.noise(n)[one]
+        self._shots.aim(one, self._walks.y[:, one], np.array([n]), anywhere, noise, nowhere)
         self._phase[point] = phase
 
     @_for_some

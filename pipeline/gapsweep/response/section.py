@@ -23,7 +23,7 @@ CLOUD_SHARE = 0.8
 CLOUD_CLOSE = 0.25
 # What repeats itself to this share cannot be told from a periodic motion: two orbits so close are
 # taken for one, too.
-_ALIKE = 1e-3
+ALIKE = 1e-3
 _WATCHED = 16  # section points in which a motion that is near a repeat must not have moved away
 _AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
@@ -252,11 +252,11 @@ def repeat_nearly(sections: Array, lengths: Counts, error: Array, largest: int) 
     every = np.arange(len(lengths))
     inside = np.arange(sections.shape[2]) < lengths[:, None]
     extent = np.where(inside, np.abs(sections), 0.0).max(axis=2, initial=0.0)
-    moves = extent > error / _ALIKE
+    moves = extent > error / ALIKE
     # What does not move repeats in any case.
     shares = sections * np.where(moves, 1.0 / np.where(moves, extent, 1.0), 0.0)[..., None]
     found = period_multiples(sections, lengths, every, error, largest) > 0
-    alike = np.full(len(lengths), _ALIKE)
+    alike = np.full(len(lengths), ALIKE)
     also = period_multiples(shares, lengths, every, alike, largest) > 0
     return np.asarray(found | (also & moves.any(axis=0)))
 

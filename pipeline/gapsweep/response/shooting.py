@@ -69,6 +69,8 @@ class Shots:
         Section points per second [Hz] on an orbit that was found.
     section : list of ndarray, shape (n_states, n)
         Section points [m] of an orbit that was found.
+    last_step : ndarray, shape (n_points,)
+        Length of the last Newton step [m].
     """
 
     def __init__(self, n_states: int, n_points: int, n_multipliers: int) -> None:
@@ -78,8 +80,7 @@ class Shots:
         self.omega = np.full(n_points, np.nan)
         self.section = [np.empty((n_states, 0))] * n_points
         self._moved, self._tries = np.zeros_like(self.y), np.zeros(n_points, np.int64)
-        # Length of the last step, and how far apart the ends were.
-        self._last, self._apart = np.zeros((2, n_points))
+        self.last_step, self._apart = np.zeros((2, n_points))  # _apart: distance of the ends
         self._goal, self._noise, self._furthest = np.zeros((3, n_points))
         # By point: an orbit that was found, while part of its period is tried.
         self._whole: dict[int, tuple[Any, ...]] = {}
@@ -105,7 +106,7 @@ class Shots:
         self.y[:, points], self.n[points] = y, n
         self._goal[points], self._noise[points], self._furthest[points] = goal, noise, furthest
         self._moved[:, points], self._tries[points] = 0.0, 0
-        self._last[points] = self._apart[points] = np.inf
+        self.last_step[points] = self._apart[points] = np.inf
         for k in points.tolist():
             self._whole.pop(k, None)
 
@@ -124,7 +125,7 @@ class Shots:
             self._goal[k] = min(self._goal[k], goal)
         self.n[points], self._tries[points] = n, 0
         self._noise[points] = _AS_WELL * self._apart[points]
-        self._last[points] = self._apart[points] = np.inf
+        self.last_step[points] = self._apart[points] = np.inf
 
     def restore(self, points: Numbers) -> Mask:
         """Return to the whole orbits of shots over parts of their periods; which those are."""
@@ -179,7 +180,7 @@ class Shots:
             # Ends that meet are not enough: weakly contracting, the orbit is much farther away.
             apart = norm(missed)
             is_near = apart <= np.maximum(goal, self._noise[points])
-            shortens = length < _SHORTENS * self._last[points]
+            shortens = length < _SHORTENS * self.last_step[points]
             shortens |= apart < _SHORTENS * self._apart[points]
             is_at_best = is_near & ~shortens & (length <= _HARDLY * self._furthest[points])
             is_found = is_ok & call.is_sound & ((length <= goal) | is_at_best)
@@ -190,7 +191,7 @@ class Shots:
             is_found &= ~is_rest
             self._keep(points, np.flatnonzero(is_found), multipliers, call)
             self._tries[points] += 1
-            self._last[points], self._apart[points] = length, apart
+            self.last_step[points], self._apart[points] = length, apart
             moved = self._moved[:, points] + step
             goes_on = is_ok & ~is_found & ~is_rest & (modulus <= _STRETCHES)
             goes_on &= norm(moved) <= self._furthest[points]
