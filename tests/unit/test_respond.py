@@ -40,8 +40,9 @@ def test_linear_oscillator_reaches_its_closed_form_amplitude():
 def test_an_orbit_is_found_where_a_period_hardly_contracts(omega, rtol):
     # Ends that meet to the solver's noise are no orbit's: it is 1 / |1 - multiplier| times as far.
     oscillator = gs.Oscillator(alpha=0.0)
+    # The amplitude is 8e-9 m at 2,000 Hz: an absolute tolerance of 1e-9 m says nothing of it.
     found = gs.respond(
-        oscillator, gs.Piecewise(1e4, SYMMETRIC), omega, 1e-4, rtol=rtol, atol=1e-3 * rtol
+        oscillator, gs.Piecewise(1e4, SYMMETRIC), omega, 1e-4, rtol=rtol, atol=1e-4 * rtol
     )
     stiffness = oscillator.mass * oscillator.omega_n_rad**2
     r = omega / oscillator.omega_n
@@ -75,7 +76,7 @@ def test_known_period_two_of_hard_asymmetric_contact():
 
 def test_an_exponent_is_growth_per_time_however_long_returns_take():
     rng, growths = np.random.default_rng(4), Growths(2, 1)
-    n, time = growths.n_all, rng.uniform(0.5, 3.0, growths.n_all)
+    n, time = growths.n_least, rng.uniform(0.5, 3.0, growths.n_least)
     logs = rng.normal(
         0.3, 0.1, n
     )  # whatever time they take: the mean of rates is 1.4 times as much
@@ -485,7 +486,7 @@ def made_call(tangent, ok, sound, strayed, omega):
 def test_blocks_of_growth_in_one_call_are_those_of_one_call_each():
     """Also where a block fails, first, in the middle or last, and where one is unsound."""
     rng, omega = np.random.default_rng(1), 9.0
-    points, n = np.array([4, 1, 3, 0]), Growths(3, 1).n_all
+    points, n = np.array([4, 1, 3, 0]), Growths(3, 1).n_least
     tangent = rng.normal(size=(4, n, 3, 3))
     ok, sound = np.ones((4, n), bool), np.ones((4, n), bool)
     strayed = rng.uniform(size=(4, n))

@@ -24,7 +24,7 @@ from gapsweep.response.result import (
     Steady,
     missing,
 )
-from gapsweep.response.section import reach_of
+from gapsweep.response.section import period_multiple, reach_of
 from gapsweep.response.shooting import Shots
 from gapsweep.response.walks import Walks
 from gapsweep.status import Status
@@ -52,23 +52,34 @@ _LINEAR = 1e-3  # of a spring's stiffness, below which what a cubic one adds is 
 
 
 _UNDAMPED = (
-    "nothing damps it, so that no motion settles: only what repeats itself at once is judged"
+    "without damping a motion does not settle, and this one does not repeat within "
+    "max_period_multiple = {largest} periods"
 )
-_UNMEASURED = "nothing repeats itself, and no exponent could be measured: give it more {time}"
-_REPEATS = (
-    "repeats itself, but after more than max_period_multiple = {largest} periods (raise it, to 256 "
-    "at most), or without pulling disturbances in"
+_UNMEASURED = (
+    "no stable orbit of up to max_period_multiple = {largest} periods was found, and no Lyapunov "
+    "exponent was measured: give it more {time}"
+)
+_LOCKED = (
+    "it repeats, but after more than max_period_multiple = {largest} periods (raise it, to 256 at "
+    "most), or not on a stable orbit"
+)
+_BLURRED = (
+    "it repeats every {n} periods within the solver's noise, but shooting finds no stable orbit "
+    "there: lower rtol and atol"
 )
 _SHRINKS = (
-    "disturbances shrink, but nothing repeats itself within max_period_multiple = {largest} "
-    "periods: raise it (256 at most), or give the motion more {time}"
+    "the Lyapunov exponent, {exponent}, is negative, but no stable orbit of up to "
+    "max_period_multiple = {largest} periods was found: raise it (256 at most), or give it more "
+    "{time}"
 )
-_GROWS = "the motion was still going farther than ever when it was left: give it more {time}"
+_UNSTABLE = "it rests on an unstable equilibrium (exponent {exponent}): start it elsewhere"
+_GROWS = "the motion was still going farther than ever at the end: give it more {time}"
 _STAYS = (
-    "disturbances grow, but the motion stays near one that repeats itself: it leaves that slowly, "
-    "or its chaos is thin; give it more {time}, or watch more of it (n_periods)"
+    "the Lyapunov exponent, {exponent}, is positive, but the motion repeats to a thousandth: it "
+    "leaves an unstable orbit slowly, or its chaos is weak; give it more {time}, or record more of "
+    "it (n_periods)"
 )
-_UNTOLD = "disturbances neither grow nor shrink beyond doubt: give it more {time}"
+_UNCERTAIN = "the sign of the Lyapunov exponent, {exponent}, is not certain: give it more {time}"
 _TIME = "time (max_decay_times, max_periods, t_max)"
 
 
@@ -99,7 +110,7 @@ def answers(
     for is_so, message in ((found.is_astray, _ASTRAY), (found.is_hidden, _HIDDEN)):
         messages |= dict.fromkeys(np.flatnonzero(is_so).tolist(), message)
     for point in np.flatnonzero(columns["status"] == Status.UNRESOLVED).tolist():
-        messages.setdefault(point, _why_unresolved(point, ensemble, found, steady))
+        messages.setdefault(point, _why_unresolved(point, ensemble, walks, found, steady))
     columns |= ensemble.costs()
     of_all = {}
     for name, dtype in LISTS.items():
@@ -129,21 +140,30 @@ def _failures(
     return statuses, messages
 
 
-def _why_unresolved(point: int, ensemble: Ensemble, found: Found, steady: Steady) -> str:
+def _why_unresolved(
+    point: int, ensemble: Ensemble, walks: Walks, found: Found, steady: Steady
+) -> str:
     exponent, error = found.lyapunov[point], found.lyapunov_error[point]
-    if ensemble.settling_rate[point] <= 0.0:
-        reason = _UNDAMPED
+    largest = steady.max_period_multiple
+    n = period_multiple(walks.window(point), float(walks.same[point]), largest)
+    if found.is_at_rest[point]:
+        reason = _UNSTABLE
     elif found.is_locked[point]:
-        reason = _REPEATS
+        reason = _LOCKED
     elif found.is_growing[point]:
         reason = _GROWS
+    elif n:
+        reason = _BLURRED
+    elif ensemble.settling_rate[point] <= 0.0:
+        reason = _UNDAMPED
     elif math.isnan(exponent):
         reason = _UNMEASURED
     elif abs(exponent) <= SURE * error:
-        reason = _UNTOLD
+        reason = _UNCERTAIN
     else:
         reason = _SHRINKS if exponent < 0.0 else _STAYS
-    return reason.format(largest=steady.max_period_multiple, time=_TIME)
+    number = f"{exponent:.3g} ± {error:.1g} 1/s"
+    return reason.format(largest=largest, n=n, exponent=number, time=_TIME)
 
 
 def _stability(

@@ -62,6 +62,7 @@ _CLOSE = 0.1
 _SMALL_STEP = 0.2
 # A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
 _INSIDE = 1.0 - 1e-6
+_SCATTERED = 10.0  # times the predicted noise, of a section that its solver scatters
 _ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
 # Of ten batches, chance alone exceeds that once in 130 times; this, once in ten thousand.
 _BEYOND_DOUBT = 6.0
@@ -218,20 +219,26 @@ class Search:
         modulus = np.abs(self._shots.multipliers[points, 0])
         shooting = phase == Phase.SHOOT
         inside = points[shooting & (modulus < _INSIDE)]
-        tolerance = np.maximum(self._walks.same, 1e-6 * self._walks.reach)
+        # Kinks that are not located scatter a section more than its predicted noise.
+        is_rattled = self._ensemble.is_rattled
+        same = (_SCATTERED if is_rattled else 1.0) * self._walks.same
+        tolerance = np.maximum(same, 1e-6 * self._walks.reach)
         part = self._shots.parts(inside, tolerance[inside])
         is_whole = part == self._shots.n[inside]
         self._compare(inside[is_whole])
-        self._shots.shorten(inside[~is_whole], part[~is_whole])
+        self._shots.shorten(inside[~is_whole], part[~is_whole], is_scattered=is_rattled)
         is_undamped = self._ensemble.settling_rate[points] == 0.0
         stays = modulus < np.where(is_undamped, 1.0 + _ON_CIRCLE, 1.0)
         if self._ensemble.has_own_tangent:
             # Newton multiplies what the solver strays in a period by 1 / (1 - modulus): about a
             # slow orbit that is far, and the motion is there if it had the time to settle.
             is_near = self._shots.last_step[points] <= NEAR * self._walks.reach[points]
+            if self._ensemble.is_free:  # undamped orbits form families: Newton has no step
+                is_near |= is_undamped
             has_settled = is_slow(self._shots, points, self._steady.n_periods) & stays
+            has_settled &= self._walks.n_periods[points] >= self._limits.last[points]
             n_repeats = (self._walks.n_periods[points] / self._shots.n[points])[has_settled]
-            has_settled[has_settled] = modulus[has_settled] ** n_repeats <= self._steady.settle_tol
+            has_settled[has_settled] = modulus[has_settled] ** n_repeats <= NEAR
             stays &= is_near | has_settled
         self._close(points[~shooting & stays])
         refused = ~np.where(shooting, modulus < _INSIDE, stays)
@@ -285,6 +292,8 @@ class Search:
         away = points[~is_near]
         # A window that is to go on begins anew: what was not recorded would be a gap in it.
         self._walks.forget(away[self._walks.length[away] < self._look[away]])
+        begin = self._walks.n_periods[away] - self._walks.length[away]
+        self._settled[away] |= begin >= self._limits.settled[away]
         self._go_on(away)
 
     @_for_some
@@ -454,10 +463,11 @@ class Search:
         # motion stays near: but there it repeats itself.
         section, length = walks.section[:, points], walks.length[points]
         is_alike = repeat_nearly(section, length, walks.step_error[points], largest)
-        grows = self._found.lyapunov[points] > SURE * self._found.lyapunov_error[points]
-        chaotic = points[grows & ~is_alike]
-        self._found.is_growing[chaotic] = ~stay_within(walks, chaotic)
-        self._found.is_chaotic[chaotic] = ~self._found.is_growing[chaotic]
+        exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
+        unlike = points[(exponent >= -SURE * error) & ~is_alike]
+        self._found.is_growing[unlike] = ~stay_within(walks, unlike)
+        self._found.is_chaotic[points] = (exponent > SURE * error) & ~is_alike
+        self._found.is_chaotic[points] &= ~self._found.is_growing[points]
 
     @_for_some
     def _fail(self, points: Numbers) -> None:

@@ -110,21 +110,22 @@ class Shots:
         for k in points.tolist():
             self._whole.pop(k, None)
 
-    def shorten(self, points: Numbers, n: Counts) -> None:
+    def shorten(self, points: Numbers, n: Counts, *, is_scattered: bool) -> None:
         """Begin again at orbits that were found, over fewer forcing periods.
 
-        A shorter orbit must close much better than the parts of the whole one are alike, or as well
-        as that one closed: predicted noise may exceed the distance of a doubled period's halves.
+        The shorter orbit must close much better than the parts of the whole one are alike, or as
+        well as that one closed: predicted noise may hide a doubled period. If it does not, the
+        whole is the orbit (`restore`). A solver that scatters sections shows nothing of this.
         """
-        for k, part in zip(points.tolist(), n.tolist(), strict=True):
+        kept = [] if is_scattered else zip(points.tolist(), n.tolist(), strict=True)
+        for k, part in kept:
             of_point = self.y[:, k].copy(), self.n[k], self.multipliers[k].copy(), self.omega[k]
             self._whole[k] = *of_point, self.section[k]
-            section = self.section[k]
-            unlike = np.abs(section - np.roll(section, part, axis=1)).max()
-            goal = max(_MUCH_BETTER * unlike, _ROUNDING * np.abs(section).max())
-            self._goal[k] = min(self._goal[k], goal)
+            unlike = np.abs(self.section[k] - np.roll(self.section[k], part, axis=1)).max()
+            least = _ROUNDING * np.abs(self.section[k]).max()
+            self._goal[k] = min(self._goal[k], max(_MUCH_BETTER * unlike, least))
+            self._noise[k] = _AS_WELL * self._apart[k]
         self.n[points], self._tries[points] = n, 0
-        self._noise[points] = _AS_WELL * self._apart[points]
         self.last_step[points] = self._apart[points] = np.inf
 
     def restore(self, points: Numbers) -> Mask:
