@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import gapsweep as gs
-from gapsweep.report.answer import Contact, contacts, in_words, lines, times
+from gapsweep.report.answer import Contact, contacts, in_words, times
 from gapsweep.report.tables import percent
 
 ROOT = Path(__file__).parents[1]
@@ -34,7 +34,8 @@ cannot be told from it, and where the 95 % interval reaches far to both sides of
 place of the number. It covers the choice of frequencies and how far prices of exact against exact
 are from 1, in all contacts together. Another solver has other prices: this one
 locates contacts inside its steps, which makes the exact law cheap. A law that a row does not name
-was not swept there, or failed throughout.
+was not swept there, or failed throughout. Nothing is judged (–) where the exact law has no steady
+response, or touches no wall.
 
 - **use**: 95 % of the amplitudes lie within 5 %, the thickness of a plotted line, and 95 % of the
   exact law's attractors are found; or both as often as by the exact law against itself, under
@@ -57,6 +58,16 @@ the response from it. Found: of the exact law's attractors, over frequencies. Co
 together, of which the few that are chaotic run longest and weigh most; periodic: where the exact
 law is.
 """
+
+
+def lines(found: Sequence[Contact]) -> Iterator[list[str]]:
+    """The table as texts: a contact, the laws by what may be done with them, tanh."""
+    for one in found:
+        columns = [
+            ", ".join(f"{law.name} {law.cost}" for law in laws) or ("–" if one.unjudged else "none")
+            for laws in one.columns.values()
+        ]
+        yield [one.place, *columns, one.threshold, "–" if one.unjudged else one.least_tanh]
 
 
 def table(head: Sequence[str], rows: Iterator[list[str]] | list[list[str]]) -> str:

@@ -78,16 +78,21 @@ def datasets(folder, study_tables, answer) -> tuple[xr.Dataset, xr.Dataset]:
     answer : callable
         From label, frequency [Hz] and number of the start to a Response; None: not in the cache.
     """
-    folder = Path(folder)
     study = Study.from_dict(study_tables)
     grid = study.grid
+
+    def at(place):
+        label, omega = grid.representations[place["representation"]], grid.omega[place["omega"]]
+        return answer(label, omega, place["initial_condition"])
+
+    return datasets_by_place(folder, study, at)
+
+
+def datasets_by_place(folder, study, at) -> tuple[xr.Dataset, xr.Dataset]:
+    """The same, answered by a function of a point's place on every axis, by name."""
+    folder = Path(folder)
     (folder / "cache.sqlite").unlink(missing_ok=True)
     with Cache(folder / "cache.sqlite") as cache:
-
-        def at(place):
-            label, omega = grid.representations[place["representation"]], grid.omega[place["omega"]]
-            return answer(label, omega, place["initial_condition"])
-
         commit(cache, study, at)
         planned = plan(study, cache)
         export(study, planned, cache, folder / "responses.nc", folder / "attractors.nc")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.walls import far_walls
+from gapsweep.analysis.walls import never_reached
 from gapsweep.console import progress_bar
 from gapsweep.errors import StoreError
 from gapsweep.execution.assemble import attributes_of, fill
@@ -54,12 +54,15 @@ class Outcome:
         Number of sweep points per failure status.
     failed_motions : mapping of str to mapping
         By file, the number of motions in it per failure status.
+    walls : str
+        In which cases the exact law touches no wall; empty if in none.
     """
 
     folder: Path
     progress: Progress
     failures: Mapping[str, int]
     failed_motions: Mapping[str, Mapping[str, int]]
+    walls: str
 
 
 def run(
@@ -135,6 +138,8 @@ def run(
             retry_failed=retry_failed,
             on_progress=observer,
         )
+    if outcome.walls:
+        warnings.warn(outcome.walls, stacklevel=2)
     found = netcdf.read(outcome.folder / RESPONSES)
     if found.attrs["study_json"] != study.json:  # since the folder was let go
         found.close()
@@ -201,12 +206,13 @@ def carry_out(
                 retry_failed=retry_failed,
                 say=say,
             )
-    values = partial(netcdf.values, folder / RESPONSES)
-    if study.spec.system is None and (said := far_walls(values)):
-        warnings.warn(said, stacklevel=3)
+    walls = ""
+    if study.spec.system is None:
+        values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
+        walls = never_reached(values, grid.dims, grid.representations)
     motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
     failed = {file: counts for file, counts in motions.items() if counts}
-    return Outcome(folder, progress, failures, failed)
+    return Outcome(folder, progress, failures, failed, walls)
 
 
 @salvaging

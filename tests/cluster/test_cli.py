@@ -347,17 +347,39 @@ def test_impossible_request_is_one_clear_line(folder, arguments, message):
     assert sorted(p.name for p in folder.iterdir()) == ["tiny.toml"]
 
 
-def test_a_gap_in_millimetres_is_noticed(folder):
-    """It is a thousand times too wide: no motion reaches its walls."""
-    (folder / "tiny.toml").write_text(QUICK.replace("[[0.4e-3, 0.4e-3]]", "[[0.4, 0.4]]"))
-    done = gapsweep(folder, "run", "tiny.toml")
-    assert done.returncode == 0, done.stderr
-    (line,) = [line for line in done.stderr.splitlines() if "wall" in line]
-    assert re.fullmatch(
-        r"warning: no motion comes near a wall: the largest displacement is 0\.\d+ mm, the nearest "
-        "wall stands at 400 mm; gaps are in metres, as 4e-4",
-        line,
-    )
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ("[[0.4e-3, 0.4e-3]]", "[[0.4, 0.4]]"),  # in millimetres
+        ("[12.0, 20.0]", "[3000.0, 9425.0]"),  # in rad/s
+        ("zeta = 0.03", "zeta = 3"),  # in percent
+    ],
+)
+def test_a_wall_that_is_never_reached_is_noticed(folder, right, wrong):
+    """By plan, before anything is computed, and in the last line of run."""
+    linear = "[oscillator]\nzeta = 0.03\nalpha = 0.0\n[[sweep]]"
+    text = QUICK.replace("[[sweep]]", linear).replace(right, wrong)
+    (folder / "tiny.toml").write_text(text)
+    largest = []
+    for command in ("plan", "run"):
+        done = gapsweep(folder, command, "tiny.toml")
+        assert done.returncode == 0, done.stderr
+        last = done.stdout.splitlines()[-1]
+        gap = re.search(r"the wall is never reached: .* ([0-9.e-]+) mm, gap ([0-9.]+) mm", last)
+        assert gap, last
+        assert float(gap[2]) == (400 if "0.4, 0.4" in text else 0.4)
+        largest.append(float(gap[1]))
+    assert 0.0 < largest[1] <= largest[0] < float(gap[2])
+    planned = json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)
+    assert "never reached" in planned["walls"]
+    page = (folder / "data" / "runs" / "tiny" / "report" / "index.html").read_text()
+    assert page.index("The wall is never reached") < page.index("cannot be judged")
+
+
+def test_a_wall_that_is_reached_is_no_matter(finished_once):
+    done = gapsweep(finished_once, "run", "tiny.toml")
+    assert "never reached" not in done.stdout + done.stderr
+    assert json.loads(gapsweep(finished_once, "plan", "tiny.toml", "--json").stdout)["walls"] == ""
 
 
 def test_wrong_command_line_is_clicks_own(folder):

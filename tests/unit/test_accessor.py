@@ -21,7 +21,9 @@ from tests.made import chaotic, datasets, failed, periodic, tables
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement import agreement
-from gapsweep.report.style import NOT_PERIODIC, colour
+from gapsweep.report.figures import frequency_response
+from gapsweep.report.points import as_csv
+from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, colour
 
 mpl.use("Agg")
 LABELS = ["piecewise", "tanh-1e4", "poly-13"]
@@ -110,6 +112,29 @@ def expected(variable):
 
 def walls(axes):
     return sorted(line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == "--")
+
+
+def test_no_line_leads_over_a_jump(tmp_path, ax):
+    """In a figure of the report neither, nor in its numbers; every value is drawn all the same."""
+    size = dict(
+        zip(np.arange(7.0, 15.0), [0.98, 1.13, 1.35, 1.7, 0.35, 0.29, 0.24, 0.2], strict=True)
+    )
+
+    def answer(label, omega, start):
+        return periodic([(1e-3 * size[omega], 0.0)], omega)
+
+    found, _ = datasets(tmp_path, tables(["piecewise", "tanh-1e4"], size), answer)
+    found.gapsweep.frequency_response(ax=ax)
+    with mpl.rc_context(MATPLOTLIB):
+        figure = frequency_response(found.isel(K_c=0, gap=0))
+    for axes in (ax, figure.axes[0]):
+        for line in axes.lines:
+            x, y = line.get_xdata(), line.get_ydata()
+            assert_allclose(x[np.isfinite(y)], list(size))
+            assert_allclose(y[np.isfinite(y)], list(size.values()))
+            assert np.nanmax(np.abs(np.diff(y))) < 0.4  # mm, of neighbours that a line joins
+    values = [row.split(",")[4] for row in as_csv(figure).splitlines() if ",line," in row]
+    assert values.count("") == 2
 
 
 def test_frequency_response_draws_every_amplitude(responses, ax):

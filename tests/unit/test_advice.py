@@ -21,7 +21,7 @@ GAP = gs.Gap(0.4e-3, 0.4e-3)
 
 oscillators = st.builds(
     gs.Oscillator,
-    zeta=st.floats(0.01, 0.5),
+    zeta=st.floats(0.01, 0.5) | st.floats(0.9, 3.0),
     omega_n=st.floats(3.0, 8.0),
     mass=st.floats(1.0, 5.0),
     alpha=st.floats(-1e9, 1e9),
@@ -74,7 +74,7 @@ def test_gain_of_the_cubic_spring_is_the_integral_of_the_impulse_response():
     ("oscillator", "start"),
     [
         (gs.Oscillator(zeta=0.0), (0.0, 0.0)),  # the cubic spring may pump without end
-        (gs.Oscillator(zeta=1.5), (0.0, 0.0)),
+        (gs.Oscillator(zeta=1.5), (4.1e-4, 0.0)),
         (gs.Oscillator(zeta=0.0, omega_n=20.0, alpha=0.0), (0.0, 0.0)),  # resonance
         (gs.Oscillator(), (5e-4, 0.0)),
         (gs.Oscillator(), None),
@@ -83,6 +83,16 @@ def test_gain_of_the_cubic_spring_is_the_integral_of_the_impulse_response():
 def test_nothing_is_left_out_where_nothing_is_certain(oscillator, start):
     found = advise(oscillator, 1.4e4, GAP, 20.0, start)
     assert (found.model, found.bound, found.K_c) == (Model.EXACT, math.inf, 1.4e4)
+
+
+def test_overdamped_motions_have_bounds_too():
+    """A start that creeps back decays from where it is; forces of one sign add up to the static."""
+    oscillator = gs.Oscillator(zeta=2.0, alpha=0.0, forcing=0.0)
+    assert advise(oscillator, 1e4, GAP, 5.0, (3e-4, 0.0)).bound == pytest.approx(3e-4)
+    static = gs.Oscillator(zeta=2.0, forcing=0.0)
+    bound = advise(static, 1e4, GAP, 5.0, (3e-4, 0.0)).bound
+    stiffness = static.mass * static.omega_n_rad**2
+    assert_allclose(bound, 3e-4 + static.alpha * bound**3 / stiffness, rtol=1e-9)
 
 
 def test_a_wall_at_the_origin_is_always_reached():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.made import chaotic, datasets, failed, periodic, tables
+from tests.made import chaotic, datasets, datasets_by_place, failed, periodic, tables, unresolved
 
 from gapsweep.analysis.agreement import agreement
 from gapsweep.analysis.statistics import repeatability, widened
@@ -18,12 +18,12 @@ from gapsweep.report.answer import (
     _worst,
     contacts,
     in_words,
-    lines,
     times,
     verdict,
 )
 from gapsweep.report.findings import findings
 from gapsweep.report.scales import Told
+from gapsweep.study.study import Study
 
 NOTHING = {name: np.full(1, np.nan) for name in ("median", "p95", "found")}
 OMEGA = tuple(np.arange(1.0, 13.0, 0.5))  # 24 blocks: enough for every interval
@@ -146,9 +146,8 @@ def test_every_law_has_its_verdict_and_its_price(tmp_path):
     }
     assert contact.least_tanh == "1e4"
     assert_allclose(contact.laws[0].values["median"], 0.004, rtol=1e-9)
-    (line,) = lines([contact])
-    assert line[0] == "14000 N/m, 0.4/0.4 mm"
-    assert line[2] == "none"
+    assert contact.place == "14000 N/m, 0.4/0.4 mm"
+    assert contact.columns["with care"] == []
 
 
 def test_a_law_that_misses_as_much_as_the_exact_law_by_itself_is_in_doubt(tmp_path):
@@ -187,6 +186,41 @@ def test_code_of_the_users_that_only_fails_is_no_stand_in(tmp_path):
     assert {one.law for one in contact.laws} == LAWS.keys() - {"piecewise", "piecewise@half"}
     alone = {name: LAWS[name] for name in ("piecewise", "piecewise@half")} | broken
     assert made(tmp_path, alone)[1] == []
+
+
+@pytest.mark.parametrize("one_case", [True, False])
+def test_without_a_steady_exact_response_no_law_is_judged(tmp_path, one_case):
+    """As of an oscillator without damping: nothing says that a law is not adequate."""
+    labels = ["piecewise", "tanh-1e4", "tests.laws:raising"]
+    study = tables(labels, OMEGA)
+    study["sweep"][0]["forcing"] = [4.0] if one_case else [4.0, 5.0]
+
+    def at(place):
+        omega = OMEGA[place["omega"]]
+        is_lost = one_case or place["forcing"] == 0
+        return (unresolved if is_lost else periodic)([(1e-3, 0.0)], omega)
+
+    found = contacts(agreement(*datasets_by_place(tmp_path, Study.from_dict(study), at)))
+    said = in_words(found)
+    assert [one.verdict for one in found[0].laws] == []
+    assert "cannot be judged" in said[-1]
+    assert "the exact law has no steady response" in said[-1]
+    assert "no stand-in" not in " ".join(said)
+    if not one_case:
+        assert [one.verdict for one in found[1].laws] == ["use", "use"]
+
+
+def test_a_law_without_an_exact_attractor_to_find_has_no_verdict(tmp_path):
+    """The exact law is steady elsewhere: the case is judged, but not this law."""
+
+    def answer(label, omega, start):
+        return (unresolved if omega < 6.0 else periodic)([(1e-3, 0.0)], omega)
+
+    study = tables(["piecewise", "tanh-1e4"], OMEGA)
+    few = dict(study["sweep"][0], representation=["poly-13"], omega=list(OMEGA[:6]))
+    study["sweep"].append(few)
+    (contact,) = contacts(agreement(*datasets(tmp_path, study, answer)))
+    assert [one.law for one in contact.laws] == ["tanh-1e4"]
 
 
 def test_too_few_frequencies_for_an_interval_settle_nothing(tmp_path):

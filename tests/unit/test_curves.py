@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from tests.made import chaotic, datasets, failed, periodic, tables, unresolved
 
-from gapsweep.analysis.curves import WINDOW, changes, curve_metrics, jumps
+from gapsweep.analysis.curves import WINDOW, breaks, changes, curve_metrics, jumps
 from gapsweep.analysis.slab import slab
 
 OMEGA = np.round(np.arange(5.0, 9.0, 0.1), 12)
@@ -91,3 +91,35 @@ def test_only_like_changes_are_matched(curve):
     points, curves = curve_metrics(*curve(doubling(7.05, 2), doubling(7.25, 3)), HALF_GAP)
     assert np.isnan(points["change_shift"]).all()
     assert curves["n_changes"] == [1]
+
+
+def resonance(omega):
+    """A linear resonance, sampled coarsely."""
+    return 1.0 / np.hypot(1.0 - omega**2, 0.06 * omega)
+
+
+@pytest.mark.parametrize(
+    ("values", "at"),
+    [
+        # The exact law of the quick study, 1 Hz apart [mm].
+        ([0.904, 1.174, 0.976, 1.126, 1.353, 1.697, 0.354, 0.285, 0.235], [6]),
+        ([1.0, 1.02, 1.05, 1.09, 3.0, 1.16, 1.19, 1.21], [4, 5]),  # one value on another branch
+        ([1.0, 1.01, 0.3, 1.03, 0.31, 1.05, 1.06], [2, 3, 4, 5]),  # in turns
+        ([1.0, 1.2, 1.5, 1.9, 2.4, 3.0], []),
+        ([1.0, 1.5, 1.8, 1.9, 1.8, 1.5, 1.0], []),  # over a peak
+        ([1.0, 1.01, 1.0, 1.01], []),  # what no eye sees
+        ([1.0, 9.0], []),
+        ([1.0], []),
+        ([], []),
+    ],
+)
+def test_a_line_is_broken_where_it_would_lead_to_another_branch(values, at):
+    found = np.array(values)
+    assert breaks(found).tolist() == at
+    assert breaks(found[::-1]).tolist() == sorted(len(found) - i for i in at)
+    assert breaks(1e-3 * found).tolist() == at
+
+
+def test_a_resonance_is_one_branch():
+    for step in (0.05, 0.01):
+        assert breaks(resonance(np.arange(0.1, 3.0, step))).tolist() == []

@@ -3,6 +3,7 @@
 import asyncio
 import gc
 import json
+import re
 import subprocess
 import sys
 import threading
@@ -26,18 +27,22 @@ from gapsweep.explorer.answers import (
     BASINS,
     DOWN,
     MAP,
+    NATURAL_PERIODS,
+    REST,
     SAMPLES_PER_PERIOD,
     UP,
     Motion,
     Plane,
     answers,
     basins,
+    decay_times,
     from_rest,
     motion,
     nearest,
     response_map,
     sweeps,
 )
+from gapsweep.explorer.figures import Figures, legend
 from gapsweep.explorer.latest import Latest
 from gapsweep.explorer.page import Page
 from gapsweep.explorer.question import (
@@ -51,6 +56,7 @@ from gapsweep.explorer.question import (
     of_study,
 )
 from gapsweep.explorer.stored import Stored
+from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED
 
 SOON = 30.0  # seconds that something may take before a test gives up
 FREE = gs.Piecewise(K_c=0.0, gap=gs.Gap(1e-3, 1e-3))
@@ -255,7 +261,55 @@ def test_a_motion_that_fails_says_so():
 
 def test_little_damping_bounds_what_a_redraw_costs():
     steady = shown.settled(gs.Oscillator(zeta=0.0))
-    assert steady.t_max == pytest.approx(100.0 / 5.0)
+    assert steady.t_max == pytest.approx(NATURAL_PERIODS / 5.0)
+
+
+@pytest.mark.parametrize("zeta", [0.0, 1e-3, 0.01, 0.02, 0.5, 3.0])
+def test_the_settling_time_that_is_stated_is_the_one_that_is_used(zeta):
+    oscillator = gs.Oscillator(zeta=zeta, alpha=0.0)
+    given = shown.settled(oscillator).t_max * oscillator.settling_rate
+    assert decay_times(oscillator) == pytest.approx(given)
+    (stated,) = re.findall(r"given ([0-9.]+) of 13 decay times", legend(of_model(oscillator), ()))
+    assert float(stated) == pytest.approx(given, rel=0.05)
+
+
+def looked_at(question):
+    """The figures of a question, as if its motion had been shown."""
+    found = Figures()
+    found.look_at(question)
+    found.planes.look_at(question, {dial.name: dial for dial in dials(question)}[question.over])
+    return found
+
+
+@pytest.mark.parametrize(("zeta", "is_given"), [(1e-3, False), (0.03, True)])
+def test_what_has_not_settled_is_grey_and_called_so(zeta, is_given):
+    """A nearly linear response that had 0.65 of 13 decay times is none that is not periodic."""
+    question = of_model(gs.Oscillator(zeta=zeta), gs.Piecewise(1e3, gs.Gap(0.4e-3, 0.4e-3)))
+    curve = from_rest(question, EXACT)
+    kind = gs.ResponseClass.UNRESOLVED
+    curve = replace(curve, response_class=np.full(200, kind), period_multiple=np.zeros(200, int))
+    found = looked_at(question)
+    found.show(question, curve)
+    data = found._curves[0, REST].data
+    assert set(data["colour"]) == {NOT_PERIODIC if is_given else NOT_SETTLED}
+    assert set(data["kind"]) == {"not periodic" if is_given else "not settled"}
+    nothing = np.zeros(0)
+    wild = Motion(EXACT, 9.0, *[nothing] * 3, np.zeros((0, 2)), nothing, nothing)
+    words = legend(question, [wild]).split("<br>")[0]
+    assert ("not settled" in words) != is_given
+
+
+def test_rows_of_a_map_have_settled_by_their_own_damping():
+    dampings = (1e-3, 0.3)
+    question = replace(of_model(gs.Oscillator(), stand_ins=()), over="zeta", over_values=dampings)
+    found = looked_at(question)
+    never = np.zeros((2, 3), bool)
+    plane = Plane(EXACT, MAP, np.arange(3.0), np.array(dampings), np.ones((2, 3)), never)
+    found.planes.show(0, plane)
+    (image,) = found.planes._images[MAP, 0][1].data["image"]
+    assert image.tolist() == [[0.0] * 3, [1.0] * 3]
+    mapper = found.planes.figures[MAP, 0].renderers[1].glyph.color_mapper
+    assert (mapper.palette, mapper.low, mapper.high) == ([NOT_SETTLED, NOT_PERIODIC], 0.0, 1.0)
 
 
 def test_motions_of_micrometres_are_as_good_as_those_of_millimetres():
@@ -409,7 +463,9 @@ def test_the_page_is_there_and_for_this_machine_only():
     try:
         for _ in range(2):  # visitors, each with a document of their own
             with urllib.request.urlopen(with_page.url, timeout=SOON) as answer:
-                assert b"gapsweep explore" in answer.read()
+                page = answer.read()
+                assert b"gapsweep explore" in page
+                assert b'name="viewport" content="width=device-width' in page
         assert {socket.getsockname()[0] for socket in sockets(with_page)} == {"127.0.0.1"}
         assert with_page.url in with_page._repr_html_()
     finally:

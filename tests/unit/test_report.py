@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
-from tests.made import chaotic, datasets, failed, periodic, tables
+from tests.made import chaotic, datasets, datasets_by_place, failed, periodic, tables
 from tests.unit.test_system_tables import TWO_MASSES
 
 from gapsweep.analysis.agreement import agreement
@@ -77,19 +77,47 @@ def test_failures_are_counted_once_and_never_ranked(tmp_path):
     assert {one.law: one.verdict for one in found[0].laws} == {"tanh-1e4": "use", "poly-13": "no"}
 
 
-@pytest.mark.parametrize(("wall", "is_far"), [(0.4e-3, False), (0.009, False), (0.4, True)])
-def test_walls_that_nothing_comes_near_are_the_first_finding(tmp_path, wall, is_far):
-    study = tables(LABELS[:1], OMEGA, gap=(wall, wall))
-    responses, _ = datasets(tmp_path, study, amplitudes(EQUAL))
-    first = findings(responses, [], None)[0]
-    assert (
-        first.startswith(
-            "No motion comes near a wall: the largest displacement is 1 mm, the "
-            "nearest wall stands at 400 mm"
-        )
-        == is_far
-    )
-    assert len(findings(responses.assign_attrs({OF_SYSTEM: "x"}), [], None)) == 1
+def touching(folder, gaps):
+    """Datasets of some gaps [m]; the exact law touches walls nearer than 1 mm, at one frequency."""
+    study = tables(LABELS, OMEGA, **HALF)
+    study["sweep"][0]["gap"] = [[gap, gap] for gap in gaps]
+
+    def at(place):
+        size, omega = EQUAL[LABELS[place["representation"]]] * 1e-3, OMEGA[place["omega"]]
+        is_touched = gaps[place["gap"]] < 1e-3 and omega == OMEGA[-1]
+        return periodic([(size, 0.0)], omega, n_contacts=9 * is_touched)
+
+    return datasets_by_place(folder, Study.from_dict(study), at)
+
+
+@pytest.mark.parametrize(
+    ("gaps", "n_judged", "said"),
+    [
+        ((0.1, 0.2), 0, ("The wall is never reached: ", "1 mm, gap 100 mm; gaps are in metres")),
+        ((0.4e-3, 0.1), 1, ("The wall is never reached in 1 of 2 cases: ", "1 mm; gaps are in ")),
+        ((0.4e-3, 0.5e-3), 2, ()),
+    ],
+)
+def test_no_law_is_judged_by_a_wall_that_the_exact_law_never_touches(
+    tmp_path, gaps, n_judged, said
+):
+    """As where gaps are meant in millimetres; one touch at one frequency is enough."""
+    responses, attractors = touching(tmp_path, gaps)
+    compared = agreement(responses, attractors)
+    found = contacts(compared)
+    assert [bool(contact.laws) for contact in found] == [gap < 1e-3 for gap in gaps]
+    sentences = findings(responses, found, None)
+    page = write_report(tmp_path / "index.html", responses, compared, timing(responses)).read_text()
+    headline = page[page.index('class="answer">') :].partition("</p>")[0]
+    for part in said:
+        assert part in headline
+        assert part in sentences[0]
+    assert ("never reached" in page) == bool(said)
+    assert ("cannot be judged" in page) == bool(said)
+    assert len(re.findall('<td class="error[^>]*><a', page)) == 2 * n_judged
+    assert "adequate" not in headline or n_judged
+    of_system = responses.assign_attrs({OF_SYSTEM: "x"})
+    assert "never reached" not in " ".join(findings(of_system, [], None))
 
 
 def test_several_attractors_are_told(tmp_path):

@@ -39,6 +39,12 @@ DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
 # --- numbers ---------------------------------------------------------------------------------
 
 
+def test_of_what_is_not_known_no_share_is_taken():
+    known, unknown = [1.0, 0.0, 1.0], [np.nan] * 5
+    assert share([*known, *unknown]).value == share(known).value
+    assert share([*known, *unknown]).n == 3
+
+
 def test_the_floor_of_a_share_is_twice_the_spread_of_shares_among_so_many():
     rng = np.random.default_rng(1)
     for n, likely in ((30, 0.5), (100, 0.2), (300, 0.9)):

@@ -56,6 +56,22 @@ def jumps(slab: Slab, start: int, along: Ints, half_gap: float) -> Events:
     return _events(slab, along, chosen, np.sign(steps[chosen]).astype(np.int64), size[chosen])
 
 
+def breaks(curve: Array) -> Ints:
+    """Positions in a curve before which a line is broken, as no line joins two branches.
+
+    As of `jumps`, but a step's neighbours may lie near either end: one value may be on a branch.
+    """
+    if len(curve) < 3:  # a single step has no measure
+        return np.empty(0, int)
+    padded = np.concatenate([curve[:1], curve, curve[-1:]])
+    before, here, there, after = (padded[i : len(padded) - 3 + i] for i in range(4))
+    size, scale = np.abs(there - here), np.maximum(np.abs(here), np.abs(there))
+    sides = (np.fmin(np.abs(side - here), np.abs(side - there)) for side in (before, after))
+    near = np.maximum(*sides)
+    near[[0, -1]] = size[[1, -2]]  # at the ends the only neighbour
+    return np.flatnonzero((size >= JUMP * scale) & (size > STEEPER * near)) + 1
+
+
 def changes(slab: Slab, start: int, along: Ints) -> Events:
     """Changes of class or period multiple; to or from unresolved and failed is none."""
     numbers = slab.class_number[along, start]

@@ -123,9 +123,10 @@ def _spread(deviations: Floats) -> float:
 
 
 def share(hits: ArrayLike, of: ArrayLike | None = None) -> Number:
-    """Share of what was looked at that fulfils a condition, as a `mean`."""
+    """Share of what was looked at that fulfils a condition, as a `mean`; NaN is not known."""
     of = getattr(hits, "omega", None) if of is None else of
-    return mean(np.asarray(hits, dtype=bool), of)
+    each = np.asarray(hits, dtype=float)
+    return mean(np.where(np.isnan(each), each, each != 0.0), of)
 
 
 def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:

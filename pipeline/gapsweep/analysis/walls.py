@@ -1,59 +1,62 @@
-"""Whether any motion of a study comes near a wall."""
+"""Which cases of a study (stiffness, gap and further parameters) touch no wall."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-# Walls so many times as far away as any motion leads: their distances must be of another unit.
-_FAR = 10.0
+from gapsweep.model.labels import EXACT
+from gapsweep.study.grid import START
+
+if TYPE_CHECKING:
+    from gapsweep.study.study import Study
+
+_IN_CASE = ("representation", "omega", START)  # all other dimensions are of cases
+_SAMPLED = 16  # every so many points of a study show for most cases that a wall may be reached
 
 
-def far_walls(values: Callable[[str], Any]) -> str:
-    """That no motion comes near a wall, as where a gap is given in millimetres; else nothing.
+def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Sequence[str]) -> str:
+    """In which cases the exact law touches no wall, as one sentence; empty if in none.
 
     Parameters
     ----------
     values : callable
         From the name of a variable of ``responses.nc`` to its values.
+    dims, labels : sequence of str
+        Dimensions of a sweep point, and representations: all count if the exact law is not swept.
     """
-    largest = max(_largest(np.asarray(values(name))) for name in ("x_min", "x_max"))
-    nearest = min(np.min(np.abs(values(name)), initial=np.inf) for name in ("j_1", "j_2"))
-    if not 0.0 < _FAR * largest < nearest < np.inf:
+    rows = [labels.index(EXACT)] if EXACT in labels else list(range(len(labels)))
+    contacts, x_max, x_min = (np.asarray(values(n)) for n in ("n_contacts", "x_max", "x_min"))
+    if not contacts.size:  # the file cannot be read
         return ""
+    within = tuple(i for i, dim in enumerate(dims) if dim in _IN_CASE)
+    reach = np.maximum(x_max[rows], -x_min[rows])
+    known = np.isfinite(reach)
+    n_cases = np.count_nonzero(known.any(within))
+    never = known.any(within) & ~contacts[rows].any(within)
+    if not never.any():
+        return ""
+    largest = 1e3 * reach.max(within, initial=0.0, where=known)[never].max()
+    where, gap = f" in {never.sum()} of {n_cases} cases", ""
+    if never.sum() == n_cases:
+        nearest = 1e3 * min(np.min(values(name)) for name in ("j_1", "j_2"))
+        where, gap = "", f", gap {nearest:.3g} mm"
     return (
-        f"no motion comes near a wall: the largest displacement is {1e3 * largest:.3g} mm, the "
-        f"nearest wall stands at {1e3 * nearest:.3g} mm; gaps are in metres, as 4e-4"
+        f"the wall is never reached{where}: |x| at most {largest:.3g} mm{gap}; gaps are in metres, "
+        "frequencies in hertz, and zeta = 0.02 is 2 %"
     )
 
 
-def untouched(values: Callable[[str], Any], contacts: Sequence[str]) -> str:
-    """That no steady motion of a system reaches a wall of some contact; else nothing.
-
-    Parameters
-    ----------
-    values : callable
-        From the name of a variable of ``responses.nc`` to its values, contacts along the last axis.
-    contacts : sequence of str
-        Their names, in this order.
-    """
-    if not contacts:
-        return ""
-    share = np.asarray(values("contact_share")).reshape(-1, len(contacts))
-    known = np.isfinite(share)
-    is_touched = share.max(axis=0, initial=0.0, where=known) > 0.0
-    names = [name for name, is_one in zip(contacts, is_touched, strict=True) if not is_one]
-    largest = max(_largest(np.asarray(values(name))) for name in ("x_min", "x_max"))
-    if not names or not known.any() or not largest:
-        return ""
-    return (
-        f"no steady motion reaches a wall of {', '.join(names)}: the largest coordinate is "
-        f"{largest:.3g}; gaps are in the unit of the coordinates"
-    )
-
-
-def _largest(x: NDArray[np.float64]) -> float:
-    """Largest modulus that is finite; without a copy, for there may be 10^7."""
-    known = np.isfinite(x)
-    return float(max(x.max(initial=0.0, where=known), -x.min(initial=0.0, where=known)))
+def bounded(study: "Study") -> str:
+    """The same of a study of oscillators before it is run, from the bounds of `advise`."""
+    grid = study.grid
+    asked = grid.requested.any(axis=0)
+    within = tuple(i for i, dim in enumerate(grid.dims[1:]) if dim in _IN_CASE)
+    bound = np.full(asked.shape, np.nan)
+    for step in (_SAMPLED, 1):
+        may_reach = np.isinf(bound).any(within, keepdims=True)
+        cells = np.flatnonzero(asked & ~may_reach)[::step]
+        bound.flat[cells] = [one.bound for one in study.advice(cells)]
+    found = {"n_contacts": np.isinf(bound), "x_max": bound, "x_min": -bound}
+    values = grid.coordinates() | {name: some[None] for name, some in found.items()}
+    return never_reached(values.__getitem__, grid.dims, [EXACT])

@@ -54,6 +54,8 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
         _say_failed("points", outcome.failures, RESPONSES)
     for file, counts in outcome.failed_motions.items():
         _say_failed("motions", counts, file)
+    if outcome.walls:  # last, as it says that the results are not about contact
+        click.echo(outcome.walls)
     return SOME_FAILED if outcome.failures or outcome.failed_motions else FINISHED
 
 
@@ -87,6 +89,7 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import lookup
+    from gapsweep.analysis.walls import bounded
     from gapsweep.console import duration, print_table, progress_bar
 
     loaded = options.loaded(study, engine)
@@ -94,6 +97,7 @@ def plan(
         planned = lookup.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = lookup.expected_seconds(planned, cache, workers)
         stages = lookup.stage_reasons(loaded, planned, out, cache)
+    walls = bounded(loaded) if loaded.spec.system is None else ""
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,
@@ -103,7 +107,7 @@ def plan(
     }
     if as_json:
         rounded = None if expected is None else round(expected, 3)
-        click.echo(json.dumps(numbers | {"expected_s": rounded, "stages": stages}))
+        click.echo(json.dumps(numbers | {"expected_s": rounded, "stages": stages, "walls": walls}))
         return FINISHED
     for name, value in numbers.items():
         click.echo(f"{name:>8}  {value}")
@@ -112,6 +116,8 @@ def plan(
     states = {file: f"to be made: {why}" if why else "up to date" for file, why in stages.items()}
     click.echo()
     print_table(("file", "state"), states.items())
+    if walls:
+        click.echo(f"\n{walls}")
     return FINISHED
 
 

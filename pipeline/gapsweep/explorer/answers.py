@@ -1,8 +1,8 @@
 """What the page shows: pure functions from a question to arrays, in the order of their haste.
 
 Every response begins from rest, whatever was shown before, so that the same sliders show the same
-figure. It is given less time to settle than a study's (`settled`): a figure that follows a slider
-may show a slow transient as not periodic, a dataset may not.
+figure. It is given less time to settle than a study's (`settled`): where that is less than
+`DECAY_TIMES`, what does not repeat itself is not settled, which says nothing of what it will be.
 """
 
 import math
@@ -31,8 +31,8 @@ _ATOL, _OF_DEFLECTION = 1e-9, 1e-6  # m, or less: of what the largest force does
 REST, UP, DOWN = "from rest", "sweep up", "sweep down"
 BASINS, MAP = "basins", "map"
 # Decay times after which a transient counts as gone, and natural periods that bound them where
-# damping is so weak that a slider would have to wait.
-DECAY_TIMES, NATURAL_PERIODS = 13.0, 100.0
+# damping is so weak that a slider would have to wait: below a damping ratio of 0.02.
+DECAY_TIMES, NATURAL_PERIODS = 13.0, 104.0
 _NEVER = 1e-9  # of a disturbance: what is left of it after 20 decay times
 # Of a motion: forcing periods of its section, and the last ones, which the other figures show.
 N_SECTION, N_PERIODS, SAMPLES_PER_PERIOD = 300, 60, 128
@@ -342,6 +342,11 @@ def _transient(oscillator: Oscillator) -> float:
     """How long [s] motions are given to settle."""
     bound, rate = NATURAL_PERIODS / oscillator.omega_n, oscillator.settling_rate
     return min(bound, DECAY_TIMES / rate) if rate else bound
+
+
+def decay_times(oscillator: Oscillator) -> float:
+    """Decay times that motions are given to settle; where damping is weak not all `DECAY_TIMES`."""
+    return min(DECAY_TIMES, NATURAL_PERIODS * oscillator.settling_rate / oscillator.omega_n)
 
 
 def _settling(oscillator: Oscillator, omega: float) -> int:

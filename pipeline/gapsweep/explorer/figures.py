@@ -10,6 +10,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from gapsweep.explorer.answers import (
+    DECAY_TIMES,
     DOWN,
     REST,
     SAMPLES_PER_PERIOD,
@@ -18,13 +19,13 @@ from gapsweep.explorer.answers import (
     Motion,
     Plane,
     Points,
+    decay_times,
 )
 from gapsweep.explorer.canvas import blank, guide
 from gapsweep.explorer.planes import Planes
 from gapsweep.explorer.question import MAX_STAND_INS, Question
 from gapsweep.model.labels import EXACT
-from gapsweep.report.style import NOT_PERIODIC, colour, lines
-from gapsweep.response.result import ResponseClass
+from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, colour, lines
 
 _MM = 1e3
 _N_SHOWN = 8  # forcing periods in the time history
@@ -140,7 +141,7 @@ class Figures:
         if isinstance(answer, Plane):
             self.planes.show(slot, answer)
         elif isinstance(answer, Curve):
-            self._curves[slot, answer.protocol].data = _columns(answer)
+            self._curves[slot, answer.protocol].data = _columns(answer, question)
         else:
             self._show_motion(slot, _DASHES[lines(labels)[answer.label]], answer)
 
@@ -182,7 +183,8 @@ class Figures:
 
 def legend(question: Question, motions: Iterable[Motion]) -> str:
     """What the colours and marks are, and what each law's motion is, as HTML."""
-    said = {motion.label: _kind(motion) for motion in motions}
+    given = decay_times(question.oscillator)
+    said = {motion.label: _kind(motion, given) for motion in motions}
     laws = "".join(
         f'<span style="margin-right:1.4em"><b style="color:{colour(label)}">●</b> '
         f"{escape(label)}{' (exact)' if label == EXACT else ''}"
@@ -191,26 +193,28 @@ def legend(question: Question, motions: Iterable[Motion]) -> str:
     )
     marks = (
         "● from rest&ensp;△ exact law, sweep up&ensp;▽ sweep down&ensp;"
-        f'<b style="color:{NOT_PERIODIC}">●</b> not periodic (dots of stand-ins: pale)&ensp;┈ walls'
+        f'<b style="color:{NOT_PERIODIC}">●</b> not periodic (dots of stand-ins: pale)&ensp;'
+        f'<b style="color:{NOT_SETTLED}">●</b> not settled (transients are given '
+        f"{given:.2g} of {DECAY_TIMES:g} decay times)&ensp;┈ walls"
     )
     return f'{laws}<br><span style="color:#555">{marks}</span>'
 
 
-def _kind(motion: Motion) -> str:
+def _kind(motion: Motion, given: float) -> str:
     if motion.problem:
         return "fails"
     n = motion.period_multiple
-    return f"period {n}" if n else "no period found"
+    return f"period {n}" if n else "not settled" if given < DECAY_TIMES else "no period found"
 
 
-def _columns(curve: Curve) -> dict[str, Sequence[Any] | NDArray[Any]]:
+def _columns(curve: Curve, question: Question) -> dict[str, Sequence[Any] | NDArray[Any]]:
     own, is_periodic = colour(curve.label), curve.is_periodic
     is_exact = curve.label == EXACT
-    shade = np.where(is_periodic, own, NOT_PERIODIC if is_exact else own)
-    kinds = [
-        f"period {n}" if n else ResponseClass(kind).name.lower()
-        for n, kind in zip(curve.period_multiple, curve.response_class, strict=True)
-    ]
+    strange, name = NOT_PERIODIC if is_exact else own, "not periodic"
+    if decay_times(question.oscillator) < DECAY_TIMES:
+        strange, name = NOT_SETTLED, "not settled"
+    shade = np.where(is_periodic, own, strange)
+    kinds = [f"period {n}" if n else name for n in curve.period_multiple]
     n = len(curve.omega)
     return {
         "omega": curve.omega,

@@ -23,7 +23,6 @@ from bokeh.models import (
 from gapsweep.errors import GapsweepError
 from gapsweep.explorer.answers import (
     BASINS,
-    DECAY_TIMES,
     MAP,
     N_MAP,
     N_OMEGA,
@@ -55,10 +54,8 @@ _FRAME = 60  # ms in which a browser draws one figure, before others keep it bus
 _WARMING = "Compiling the engine: the first time takes up to a minute …"
 _NOTE = (
     f"{N_OMEGA} frequencies, every response from rest, then sweeps of the exact law; "
-    "compiled engine, rtol 1e-6, atol 1e-9 m at most. Transients are given "
-    f"{DECAY_TIMES:g} decay times: what takes longer is shown as not periodic, and "
-    "<code>gapsweep run</code> waits for it. "
-    "Click a dot, a start or a place in the map to look at its motion."
+    "compiled engine, rtol 1e-6, atol 1e-9 m at most. <code>gapsweep run</code> waits for what is "
+    "not settled here. Click a dot, a start or a place in the map to look at its motion."
 )
 # Hues survive the turn that makes black white: the figures of a light page, in the dark.
 _STYLE = """
@@ -69,7 +66,8 @@ body { margin: 12px 16px; }
 _TEMPLATE = (
     """
 {% block title %}gapsweep explore{% endblock %}
-{% block postamble %}<style>"""
+{% block postamble %}<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>"""
     + _STYLE
     + """</style>{% endblock %}
 """
@@ -181,9 +179,9 @@ class Page:
         planes = [_side_by_side(figures[name, 0], figures[name, 1]) for name in (BASINS, MAP)]
         main = column(
             self._legend, shown.response, below, shown.history, *planes,
-            sizing_mode="stretch_width",
+            sizing_mode="stretch_width", min_width=320,
         )  # fmt: skip
-        return row(side, main, sizing_mode="stretch_width", spacing=12)
+        return _side_by_side(side, main)
 
     def _scene_choice(self, stored: Stored) -> Select:
         self._scene = Select(

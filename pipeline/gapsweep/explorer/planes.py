@@ -16,11 +16,11 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
-from gapsweep.explorer.answers import BASINS, MAP, Plane
+from gapsweep.explorer.answers import BASINS, DECAY_TIMES, MAP, Plane, decay_times
 from gapsweep.explorer.canvas import blank, guide
 from gapsweep.explorer.question import Dial, Question, numbers
 from gapsweep.model.labels import EXACT
-from gapsweep.report.style import NOT_PERIODIC, sequence
+from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, sequence
 
 _MM = 1e3
 _SLOTS = 2  # the exact law and the first stand-in
@@ -67,7 +67,7 @@ class Planes:
 
     def look_at(self, question: Question, over: Dial) -> None:
         """Mark where the question is; what is of another one goes."""
-        self._over = over
+        self._question, self._over = question, over
         here = {
             BASINS: (question.start[0] * _MM, question.start[1] * _MM),
             MAP: (question.omega, over.place(numbers(question)[over.name])),
@@ -106,7 +106,10 @@ class Planes:
         left, bottom = x[0] - wide / 2, y[0] - high / 2
         corner = {"x": [left], "y": [bottom], "dw": [n * wide], "dh": [m * high]}
         is_strange = ~plane.is_periodic & np.isfinite(plane.x_max)
-        pictures = plane.x_max * _MM, np.where(is_strange, 1.0, np.nan)
+        here = self._question
+        rows = [here.at(self._over.name, each) for each in plane.y[:m]] if is_map else [here]
+        has_time = [[decay_times(each.oscillator) >= DECAY_TIMES] for each in rows]
+        pictures = plane.x_max * _MM, np.where(is_strange, has_time, np.nan)
         for source, picture in zip(self._images[plane.name, slot], pictures, strict=True):
             source.data = {"image": [picture], **corner}
         shown = self.figures[plane.name, slot]
@@ -130,9 +133,11 @@ def _plane(
     words = ("displacement x [mm]", "velocity v [mm/s]") if name == BASINS else ("ω [Hz]", "")
     ranges = {"x_range": Range1d(0.0, 1.0), "y_range": Range1d(0.0, 1.0)}
     shown = blank(*words, 330, min_width=320, **ranges)
-    red = LinearColorMapper([NOT_PERIODIC], nan_color="#00000000")
+    strange = LinearColorMapper(
+        [NOT_SETTLED, NOT_PERIODIC], low=0.0, high=1.0, nan_color="#00000000"
+    )
     sources = []
-    for mapper, what in ((peaks, "peaks"), (red, "not periodic")):
+    for mapper, what in ((peaks, "peaks"), (strange, "not periodic")):
         source = ColumnDataSource({each: [] for each in _IMAGE}, name=f"{name} {slot} {what}")
         shown.image(**{each: each for each in _IMAGE}, source=source, color_mapper=mapper)
         sources.append(source)

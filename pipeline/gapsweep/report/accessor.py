@@ -53,7 +53,7 @@ class GapsweepAccessor:
     def frequency_response(
         self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
     ) -> "Axes":
-        """Amplitude over frequency, one curve per representation and start.
+        """Amplitude over frequency, one curve per representation and start, broken at jumps.
 
         Parameters
         ----------

@@ -23,7 +23,8 @@ said to save time. ±: the intervals of a law and of exact against exact leave i
 of a line between "use", "with care" and "no" it lies, or the frequencies are too few for intervals.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,6 +47,7 @@ _SHOWN = {
     "found": "recall_pooled",
 }
 _PRICE = "cpu_time_per_period_ratio"
+_CONTACTS = "n_contacts_per_period"
 COLUMNS = ("use", "with care", "no")
 _NO_STAND_INS = ("piecewise-noevents", AUTO)
 # Of each number the estimate, and the best and the worst end of its interval.
@@ -109,7 +111,8 @@ class Contact:
     """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in.
 
     `swept` are the values of what the study sweeps beside, `at` is its position in the files,
-    `floor_price` what the exact law with other settings costs over itself.
+    `floor_price` what the exact law with other settings costs over itself, `unjudged` why no law
+    can be judged there.
     """
 
     K_c: float
@@ -120,6 +123,7 @@ class Contact:
     swept: Sequence[Told] = ()
     floor_price: float = np.nan
     at: At = field(default_factory=dict)
+    unjudged: str = ""
 
     @property
     def others(self) -> str:
@@ -182,7 +186,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
     agreement, static : Dataset
         As stored in the run's folder; without `static`, thresholds of tanh are not known.
     """
-    names = [*_SHOWN.values(), _PRICE]
+    names = [*_SHOWN.values(), _PRICE, _CONTACTS]
     pooled = agreement[[*names, *(f"{n}_ci" for n in names), "n_points"]].sel(regime="all").load()
     pooled["n_exact"] = agreement["n_attractors_exact"].sum("omega")
     exact = str(agreement.attrs["floor_representations"]).split()
@@ -203,14 +207,16 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
             label: {name: table[r, *at.values()] for name, table in tables.items()}
             for r, label in enumerate(labels)
         }
-        here_too = [law for law in laws if _is_judged(law, where[law])]
-        if not here_too:
+        unjudged = _unjudged(where[str(agreement.attrs["reference"])])
+        here_too = [law for law in laws if where[law]["n_points"] > 0]
+        can_be = [] if unjudged else [law for law in here_too if _is_judged(law, where[law])]
+        if not (here_too if unjudged else can_be):
             continue
         floors = _worst([_values(where[label]) for label in exact])
-        judged = [_judged(law, where[law], floors, noise) for law in here_too]
+        judged = [_judged(law, where[law], floors, noise) for law in can_be]
         here = pooled.coords.to_dataset().isel(at)
         gap, swept = gap_label(here), [Told.of(here[name]) for name in beside(here)]
-        known = _threshold(static, here), swept, _floor_price(where, exact), at
+        known = _threshold(static, here), swept, _floor_price(where, exact), at, unjudged
         contact = Contact(float(here["K_c"]), gap, floors, judged, *known)
         order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
         found.append((contact.K_c, *order, contact))
@@ -260,10 +266,17 @@ def _worst(exact: Sequence[Values]) -> Values:
     return worst
 
 
+def _unjudged(exact: Row) -> str:
+    """Why no law can be judged by the exact one; empty where all can."""
+    if np.isnan(exact[_SHOWN["found"]]):  # of no attractors
+        return "the exact law has no steady response"
+    return "" if exact[_CONTACTS] else "the exact law touches no wall"
+
+
 def _is_judged(label: str, row: Row) -> bool:
-    """Whether a law was asked for; code of the user's of which every point failed has a mistake."""
+    """Whether there is an attractor to find; code of the user's that only fails has a mistake."""
     is_broken = ":" in label and np.isnan(row[_SHOWN["median"]])
-    return bool(row["n_points"] > 0 and not is_broken)
+    return not is_broken and bool(np.isfinite(row[_SHOWN["found"]]))
 
 
 def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
@@ -295,11 +308,12 @@ def _threshold(static: xr.Dataset | None, here: xr.Dataset) -> str:
 
 
 def in_words(found: Sequence[Contact]) -> list[str]:
-    """What to take, what a stand-in costs where it must be one, and what is not told in full."""
-    if len(found) > MOST_CONTACTS:
-        cut = f"Told one by one are the first {how_many(MOST_CONTACTS, found)}."
-        return [*_said(found), f"{cut} All are in agreement.nc."]
-    return _said(found)
+    """What to take, what a stand-in costs where it must be one, and where no law can be judged."""
+    judged = [contact for contact in found if not contact.unjudged]
+    said = _said(judged) if judged else []
+    for reason, n in Counter(c.unjudged for c in found if c.unjudged).items():
+        said.append(f"Laws cannot be judged in {how_many(n, found)}: {reason}.")
+    return said
 
 
 def how_many(n: int, found: Sequence[Contact]) -> str:
@@ -374,18 +388,3 @@ def times(price: float) -> str:
         return "–"
     digits = ".0f" if price >= 9.95 else ".1f" if price >= 0.95 else ".2g"
     return f"{price:{digits}}\u00a0×"
-
-
-def lines(found: Sequence[Contact]) -> Iterator[list[str]]:
-    """The table as texts: a contact, the laws by what may be done with them, tanh."""
-    for one in found:
-        columns = [
-            ", ".join(f"{law.name} {law.cost}" for law in laws) or "none"
-            for laws in one.columns.values()
-        ]
-        yield [
-            one.place,
-            *columns,
-            one.threshold,
-            one.least_tanh,
-        ]

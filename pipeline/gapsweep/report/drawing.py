@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.analysis.curves import breaks
 from gapsweep.model.labels import EXACT
 from gapsweep.report.mesh import mesh
 from gapsweep.report.scales import drawn, factor, shown_unit
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 MANY = 60  # points as vectors would make a file heavy
 _MOST_NAMES = 24  # that fit beside a colour bar
 _SPARE = 0.5  # room around the exact law, in widths of its range
-_FEW = 60  # points on a curve that can be told apart
 _DOT = 12.0  # points², of an attractor whose basin is not known
 
 
@@ -41,7 +41,7 @@ SETS = "sets_axis"
 def curves(
     axes: "Axes", variable: xr.DataArray, along: str, kinds: xr.DataArray | None = None
 ) -> None:
-    """A curve per representation and start; the exact law thick, behind the others.
+    """A curve per representation and start, broken at jumps; the exact law thick, behind others.
 
     Parameters
     ----------
@@ -61,21 +61,21 @@ def curves(
             continue
         sets = setting.sel(representation=label).transpose(*order).values
         exact = label == EXACT
-        few = x.size <= _FEW
         for start, curve in enumerate(y):
             # A start may be swept at every second frequency only: dots show which.
             there = np.isfinite(curve)
+            gaps = breaks(curve[there])
             _line(
                 axes,
-                x[there],
-                curve[there],
-                sets[start, there],
+                np.insert(x[there], gaps, np.nan),
+                np.insert(curve[there], gaps, np.nan),
+                np.insert(sets[start, there], gaps, False),
                 linestyle=styles[label],
                 color=colour(label),
                 label=label if start == 0 else f"_{label}",  # one of each in a legend
                 linewidth=2.2 if exact else 1.2,
                 zorder=1 if exact else 2,
-                marker="." if few else None,
+                marker=".",  # also of a value between two jumps
                 markersize=5 if exact else 3,
             )
 

@@ -23,7 +23,7 @@ _MANY = 4  # names along an axis, of which more are turned
 
 
 def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
-    """Amplitude over frequency, one curve per representation and start.
+    """Amplitude over frequency, one curve per representation and start, broken at jumps.
 
     Parameters
     ----------

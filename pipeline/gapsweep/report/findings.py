@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.grid import REPRESENTATION
 from gapsweep.analysis.systems import is_of_systems
-from gapsweep.analysis.walls import far_walls, untouched
+from gapsweep.analysis.walls import never_reached
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact, Judged, how_many
 from gapsweep.report.drawing import labels_of
@@ -48,7 +48,7 @@ def findings(
     """
     # First, as it says that nothing else here is about contacts.
     far = said_of_far_walls(responses)
-    sentences = [f"{far[0].upper()}{far[1:]}."] if far else []
+    sentences = [far] if far else []
     sentences.append(outcomes(responses))
     sentences += _along(responses)
     if attractors is not None:
@@ -69,14 +69,24 @@ _SAID = 3  # stretches of it that are said
 
 
 def said_of_far_walls(responses: xr.Dataset) -> str:
-    """That nothing comes near a wall, or reaches one of a contact; else nothing."""
+    """In which cases motions reach no wall, or which contacts of a system; empty if none."""
+    if not is_of_systems(responses):
+        dims = [str(dim) for dim in responses["status"].dims]
+        said = never_reached(lambda name: responses[name].values, dims, labels_of(responses))
+        return f"{said[0].upper()}{said[1:]}." if said else ""
     if CONTACT not in responses.dims:
-        return "" if is_of_systems(responses) else far_walls(lambda name: responses[name].values)
-    contacts = responses[CONTACT].values.tolist()
-    return untouched(lambda name: responses[name].transpose(..., _LAST[name]).values, contacts)
+        return ""
+    share, ends = responses["contact_share"], abs(responses[["x_min", "x_max"]]).to_dataarray()
+    is_touched = (share > 0.0).any([dim for dim in share.dims if dim != CONTACT]).values
+    largest = float(ends.where(np.isfinite(ends)).max())
+    if is_touched.all() or not share.notnull().any() or not largest > 0.0:
+        return ""
+    return (
+        f"No steady motion reaches a wall of {', '.join(responses[CONTACT].values[~is_touched])}: "
+        f"the largest coordinate is {largest:.3g}; gaps are in the unit of the coordinates."
+    )
 
 
-_LAST = {"contact_share": CONTACT, "x_min": COORDINATE, "x_max": COORDINATE}
 _OF_SYSTEMS = {ResponseClass.QUASIPERIODIC: "quasiperiodic", ResponseClass.EQUILIBRIUM: "at rest"}
 
 

@@ -104,7 +104,6 @@ def write_report(
     # Its rules are those of one displacement between two walls.
     is_judged = not is_of_systems(responses)
     found = contacts(agreement, static) if agreement is not None and is_judged else []
-    far = said_of_far_walls(responses) if is_judged else ""
     told = found[:MOST_CONTACTS]
     hero = _hero(responses, told)
     figures = [*([hero] if hero else []), *(one for part in parts for one in part["figures"])]
@@ -117,7 +116,8 @@ def write_report(
             responses, found, claims, advice, attractors=attractors, agreement=agreement
         ),
         contacts=told,
-        answer=[f"There is no contact to judge: {far}."] if far else in_words(found),
+        far=said_of_far_walls(responses) if is_judged else "",
+        answer=in_words(found),
         signs=SIGNS,
         groups=GROUPS,
         stiffnesses=heads(contact.K_c for contact in told),
@@ -354,7 +354,7 @@ def _scene_figures(
         return
     found = _attractors(attractors, scene, at)
     if found is None:  # curves of many starts would cross between attractors
-        caption = "Amplitude (half the range) of the steady response."
+        caption = "Amplitude (half the range) of the steady response; broken where it jumps."
         yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
     yield Figured(
         bifurcation(scene),

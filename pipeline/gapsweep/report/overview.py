@@ -257,7 +257,7 @@ def _curves(
     )
     if n_starts == 1:
         shown = here[["amplitude", "response_class"]].load().expand_dims([REPRESENTATION, _START])
-        caption = f"Amplitude (half the range) of the steady response: {where}."
+        caption = f"Amplitude (half the range) of the steady response, broken at jumps: {where}."
         yield Figured(frequency_response(shown, along), caption, f"Response curve, {where}")
     elif found is not None:
         shown = found[["x_max", "basin_share", "response_class"]].load()

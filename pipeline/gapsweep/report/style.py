@@ -9,7 +9,7 @@ from gapsweep.model.labels import family, law_of
 
 _NOEVENTS = "#999999"  # the exact law, like one that is not
 # What is not periodic is red in every map; pale is what is most common.
-NOT_PERIODIC, BLANK = "#c00000", "#ffffff"
+NOT_PERIODIC, NOT_SETTLED, BLANK = "#c00000", "#a0a0a0", "#ffffff"
 CLASS_COLOURS = {
     "periodic": "#9ecae1",
     "chaotic": NOT_PERIODIC,

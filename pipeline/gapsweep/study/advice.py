@@ -225,11 +225,12 @@ def _linear_motion(
         else complex(math.inf)
     )
     steady = abs(response)
-    if not math.isfinite(steady) or zeta >= 1.0:
-        # Overdamped oscillators have no simple envelope, and resonance without damping no bound.
+    if not math.isfinite(steady):  # resonance without damping
         return steady, math.inf
     x = start[0] - response.real
     v = start[1] + omega_rad * response.imag
+    if zeta >= 1.0:  # no envelope; the energy of a free motion never grows
+        return steady, math.hypot(x, v / omega_n)
     damped = omega_n * math.sqrt(1.0 - zeta**2)
     return steady, math.hypot(x, (v + oscillator.decay_rate * x) / damped)
 
@@ -239,9 +240,10 @@ def _cubic_share(oscillator: Oscillator) -> float:
     zeta = oscillator.zeta
     if oscillator.alpha == 0.0:
         return 0.0
-    if not 0.0 < zeta < 1.0:
+    if not zeta > 0.0:
         return math.inf
-    half_period = math.pi * zeta / math.sqrt(1.0 - zeta**2)
+    # From critical damping on the impulse response has one sign: its integral is the static gain.
+    half_period = math.pi * zeta / math.sqrt(1.0 - zeta**2) if zeta < 1.0 else math.inf
     gain = 1.0 / (oscillator.omega_n_rad**2 * math.tanh(0.5 * half_period))
     return gain * abs(oscillator.alpha) / oscillator.mass
 
