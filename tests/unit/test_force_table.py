@@ -106,7 +106,7 @@ def test_motions_are_those_on_scipys_curve(engine):
         o, gs.ForceTable(x, forces), 7.0, *start, t_end=0.5, engine=engine, tangent=True, **TIGHT
     )
     assert found.status == gs.Status.OK
-    assert_allclose([found.x, found.v], truth.y[:, -1], atol=1e-9, rtol=1e-7)
+    assert_allclose([found.x_end, found.v_end], truth.y[:, -1], atol=1e-9, rtol=1e-7)
     shrinks = math.exp(-2.0 * o.zeta * o.omega_n_rad * 0.5)
     assert np.linalg.det(found.monodromy) == pytest.approx(shrinks, rel=1e-6)
 
@@ -119,7 +119,7 @@ def test_a_finer_table_of_a_law_comes_closer_to_it(law, gain):
     o, omega = gs.Oscillator(), np.linspace(5.0, 12.0, 16)
     truth = gs.simulate(o, law, omega, t_end=0.5, **TIGHT)
     coarse, middle, fine = (
-        np.abs(gs.simulate(o, sampled(law, n), omega, t_end=0.5, **TIGHT).x - truth.x).max()
+        np.abs(gs.simulate(o, sampled(law, n), omega, t_end=0.5, **TIGHT).x_end - truth.x_end).max()
         for n in (321, 641, 1281)
     )
     assert fine < middle / gain < coarse / gain**2
@@ -180,9 +180,9 @@ def test_company_changes_no_bit():
     together = gs.simulate(o, gs.ForceTable(X, F), omega, t_end=1.0)
     for k in (0, 7, 18):
         alone = gs.simulate(o, gs.ForceTable(X, F), omega[k], t_end=1.0)
-        assert (alone.x, alone.v, alone.n_steps) == (
-            together.x[k],
-            together.v[k],
+        assert (alone.x_end, alone.v_end, alone.n_steps) == (
+            together.x_end[k],
+            together.v_end[k],
             together.n_steps[k],
         )
 

@@ -65,15 +65,15 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     4
     """
     number, name, scale, unit = _quantity(run, coordinate)
-    start = 0.5 * (run.t_0 + run.t) if start is None else start
-    if not run.t_0 <= start < run.t:
-        raise ModelError(f"start = {start:g} s: must be within {run.t_0:g}..{run.t:g} s")
+    start = 0.5 * (run.t_0 + run.t_end) if start is None else start
+    if not run.t_0 <= start < run.t_end:
+        raise ModelError(f"start = {start:g} s: must be within {run.t_0:g}..{run.t_end:g} s")
     period, n_periods = _periods(run, start)
     per_period = max(_PER_PERIOD, _FEWEST // n_periods)
     back = np.arange(n_periods * per_period, 0, -1) / per_period
-    t = np.maximum(run.t - period * back, run.t_0)
+    t = np.maximum(run.t_end - period * back, run.t_0)
     x, v = (scale * each.reshape(t.size, -1)[:, number] for each in run.sample(t)[:2])
-    at_end = t >= run.t - _N_PERIODS * period
+    at_end = t >= run.t_end - _N_PERIODS * period
     labels = f"{name}{unit}", f"velocity{unit.replace(']', '/s]')}"
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -110,7 +110,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
 
 def _periods(run: Trajectory, start: float) -> tuple[float, int]:
     """A period [s], and how many whole ones are shown from `start` on; what is shorter is one."""
-    shown = run.t - start
+    shown = run.t_end - start
     times = run.t_section[run.t_section >= start]
     if times.size < 2:
         return shown, 1
