@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from gapsweep.analysis.truth import motion
 from gapsweep.execution.assemble import attributes_of
 from gapsweep.execution.layout import Layout
 from gapsweep.integrate.problem import Solver
+from gapsweep.lookup import plan
 from gapsweep.model import own_law
 from gapsweep.response.loads import largest_forces
 
@@ -263,6 +265,25 @@ def bench(tmp_path, monkeypatch):
 def test_a_label_names_a_table_of_a_module(bench):
     law = gs.contact_law("bench_spring:spring", 1.0, gs.Gap(1e-4, 2e-4))
     assert (law.x, law.F, law.gap) == (X, F, gs.Gap(1e-4, 2e-4))
+
+
+@pytest.mark.parametrize(
+    ("factor", "gap", "is_odd"),
+    [
+        (1.0, [4e-4, 4e-4], False),
+        (1e3, [4e-4, 4e-4], True),  # the table in mm
+        (1.0, [0.4, 0.4], True),  # the gap in mm
+        (1e3, [4e-4, 1.0], False),  # a wall that is out of reach
+        (1e3, [0.0, 0.0], False),
+    ],
+)
+def test_a_table_in_another_unit_than_the_gap_is_warned_of(tables, bench, factor, gap, is_odd):
+    np.savetxt(bench, np.transpose([np.multiply(X, factor), F]), delimiter=",")
+    tables["sweep"][0] |= {"representation": ["bench_spring:spring"], "gap": gap}
+    study = gs.Study.from_dict(tables)
+    warned = pytest.warns(UserWarning, match="bench_spring:spring") if is_odd else nullcontext()
+    with warned:
+        plan(study)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])

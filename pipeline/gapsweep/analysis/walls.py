@@ -1,10 +1,15 @@
 """Whether any motion of a study comes near a wall."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gapsweep.errors import ModelError
+from gapsweep.model import own_law
+from gapsweep.study.study import Study
 
 # Walls so many times as far away as any motion leads: their distances must be of another unit.
 _FAR = 10.0
@@ -26,6 +31,19 @@ def far_walls(values: Callable[[str], Any]) -> str:
         f"no motion comes near a wall: the largest displacement is {1e3 * largest:.3g} mm, the "
         f"nearest wall stands at {1e3 * nearest:.3g} mm; gaps are in metres, as 4e-4"
     )
+
+
+def wrong_tables(study: Study) -> Iterator[str]:
+    """Warnings of force tables that end before any wall, or a thousand times beyond all walls."""
+    walls = [wall for gap in study.grid.gaps for wall in (gap.j_1, gap.j_2) if wall]
+    for label in study.own_laws if walls else ():
+        with suppress(ModelError):  # of a law that cannot be used: reported where it is used
+            ends = [abs(end) for end in getattr(own_law.named(label), "valid_range", ()) if end]
+            if ends and (max(ends) < min(walls) or min(ends) > 1e3 * max(walls)):
+                yield (
+                    f"{label}: the force table reaches x = {max(ends):g}, the walls of the study "
+                    f"are at {min(walls):g} to {max(walls):g}: give both in metres"
+                )
 
 
 def untouched(values: Callable[[str], Any], contacts: Sequence[str]) -> str:
