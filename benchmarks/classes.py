@@ -65,16 +65,16 @@ def growth(system, law, omega, states, rng):
     away = rng.normal(size=states.shape)
     away *= APART / np.linalg.norm(away, axis=1, keepdims=True)
     both = run(system, law, omega, np.concatenate([states, states + away]), WATCHED)
-    q, v = (part[: len(states)] - part[len(states) :] for part in (both.q, both.v))
+    q, v = (part[: len(states)] - part[len(states) :] for part in (both.q_end, both.v_end))
     return float(np.median(np.linalg.norm(np.concatenate([q, v], axis=1), axis=1))) / APART
 
 
 def brute_force(system, law, omega, state, rng):
     """The name of a class, or None where it has no answer."""
     settled = run(system, law, omega, state, TRANSIENT)
-    if omega is None and np.abs(settled.v).max() < 1e-9:
+    if omega is None and np.abs(settled.v_end).max() < 1e-9:
         return "equilibrium"
-    window = run(system, law, omega, np.concatenate([settled.q, settled.v]), WINDOW)
+    window = run(system, law, omega, np.concatenate([settled.q_end, settled.v_end]), WINDOW)
     section = np.asarray(window.section)
     reach = np.abs(section).max(axis=0)
     for n in range(1, 65):

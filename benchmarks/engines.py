@@ -145,7 +145,7 @@ def scipy_cost(law, scene, rounds):
             OSCILLATOR, law, scene.omega, t_end=scene.t_end, engine="scipy", rtol=1e-4, atol=1e-7
         )
         times.append(time.process_time() - begin)
-    return 1e3 * min(times), scene.error("piecewise", run.x, run.v)
+    return 1e3 * min(times), scene.error("piecewise", run.x_end, run.v_end)
 
 
 def main():

@@ -51,7 +51,7 @@ def brute_force(law, omega, x_0, v_0, rtol=1e-12):
     n = math.ceil(200.0 * omega)
     settled = gs.simulate(OSCILLATOR, law, omega, x_0, v_0, t_end=n / omega, **tight)
     window = gs.simulate(
-        OSCILLATOR, law, omega, settled.x, settled.v, t_end=N_SECTION / omega, **tight
+        OSCILLATOR, law, omega, settled.x_end, settled.v_end, t_end=N_SECTION / omega, **tight
     )
     section = complex_points(window.section, omega)
     reach = np.abs(section.view(float)).max()

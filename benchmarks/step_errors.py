@@ -54,7 +54,7 @@ def main():
                 seconds += time.process_time() - begin
                 attempts += int((run.n_steps + run.n_rejected).sum())
                 stretch = np.maximum(1.0, np.abs(truth.monodromy[:, 0, 0]))
-                errors.append(np.abs(run.x - truth.x) / (SCALE * rtol * stretch))
+                errors.append(np.abs(run.x_end - truth.x_end) / (SCALE * rtol * stretch))
             error = np.concatenate(errors)
             print(
                 f"| {label} | {rtol:g} | {attempts / error.size:.1f} | "

@@ -38,7 +38,7 @@ def main():
         left = []
         for _ in range(arguments.periods // STRETCH):
             run = gs.simulate(oscillator, law, omega, x, v, t_end=STRETCH / omega)
-            x, v = run.x, run.v
+            x, v = run.x_end, run.v_end
             is_chaotic &= [not repeats(section) for section in run.section]
             left.append(int(is_chaotic.sum()))
         shown = ", ".join(

@@ -24,7 +24,7 @@ def exact_end_state(oscillator, law, omega, x_0, v_0, t_end):
         run = gs.simulate(
             oscillator, law, omega, x_0, v_0, t_end=t_end, engine="scipy", rtol=1e-13, atol=1e-17
         )
-        return run.x, run.v, run.n_contacts
+        return run.x_end, run.v_end, run.n_contacts
     return _heyoka_end_state(oscillator, law, omega, x_0, v_0, t_end)
 
 

@@ -104,7 +104,7 @@ def determinant_error(case: Case, response: Response, rtol: float) -> float:
         allowed = max(exact, 1e-3 * float(np.square(tangent).sum()))
         missed = abs(float(np.linalg.det(tangent)) - exact)
         worst += missed / allowed if allowed > 0.0 else 0.0
-        x, v = run.x, run.v
+        x, v = run.x_end, run.v_end
     return worst
 
 
@@ -122,7 +122,9 @@ def is_settled_by_force(case: Case, response: Response) -> bool:
         t_end=periods / case.omega,
         **tight,
     )
-    window = gs.simulate(case.oscillator, law, case.omega, run.x, run.v, t_end=64 / case.omega)
+    window = gs.simulate(
+        case.oscillator, law, case.omega, run.x_end, run.v_end, t_end=64 / case.omega
+    )
     x = window.section[:, 0]
     reach = np.abs(x).max()
     return any(np.abs(x[n:] - x[:-n]).max() < 1e-6 * reach for n in range(1, 33))
@@ -144,7 +146,7 @@ def energy_error(oscillator: gs.Oscillator, x_0: float, rtol: float) -> float:
     run = gs.simulate(
         oscillator, law, 1.0, x_0, t_end=50.0 * cycle, rtol=rtol, atol=1e-3 * rtol * x_0
     )
-    return abs(energy(run.x, run.v) / energy(x_0, 0.0) - 1.0)
+    return abs(energy(run.x_end, run.v_end) / energy(x_0, 0.0) - 1.0)
 
 
 def is_periodic(response: Response) -> bool:

@@ -51,7 +51,7 @@ class Case:
     def errors(self, run: gs.SystemTrajectory) -> tuple[float, float]:
         """Of coordinates and velocities, beside the largest of each."""
         truth = self.truth
-        return relative(run.q, truth.q), relative(run.v, truth.v)
+        return relative(run.q_end, truth.q), relative(run.v_end, truth.v)
 
     def wrong(self, run: gs.SystemTrajectory) -> str:
         """What is wrong with a run at the tolerances above; nothing if all is well."""

@@ -127,3 +127,14 @@ def test_public_names_exist_and_are_sorted():
     assert sorted(gapsweep.__all__) == list(gapsweep.__all__)
     assert all(hasattr(gapsweep, name) for name in gapsweep.__all__)
     assert all(getattr(gapsweep, name).__doc__ for name in gapsweep.__all__)
+
+
+@pytest.mark.parametrize("use_jedi", [True, False])
+def test_completion_offers_the_public_names_and_nothing_else(use_jedi):
+    completer = pytest.importorskip("IPython.core.completer")
+    given = {"use_jedi": use_jedi, "disable_matchers": ["IPCompleter.magic_matcher"]}
+    offered = completer.IPCompleter(namespace={"gapsweep": gapsweep}, **given)
+    with completer.provisionalcompleter():
+        found = [each.text for each in offered.completions("gapsweep.", 9)]
+    assert sorted(text.rpartition(".")[2] for text in found) == gapsweep.__all__
+    assert set(dir(gapsweep)) == {*gapsweep.__all__, "__version__"}

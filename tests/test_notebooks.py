@@ -6,6 +6,7 @@ import pytest
 
 jupytext = pytest.importorskip("jupytext")
 nbclient = pytest.importorskip("nbclient")
+nbformat = pytest.importorskip("nbformat")
 
 FOLDER = Path(__file__).parents[1] / "workflows" / "notebooks"
 # What must be read in the outputs, and how many figures must be drawn.
@@ -25,6 +26,13 @@ PROMISES = {
     "on_a_cluster": (["10 of 10 points were stored"], 1),
 }
 
+# A first cell whose last value is a picture.
+PLOT = """
+import gapsweep as gs
+law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+gs.plot(gs.simulate(gs.Oscillator(), law, 9.0, t_end=2.0, dense_output=True))
+"""
+
 
 def test_every_notebook_is_tested():
     assert {path.stem for path in FOLDER.glob("*.md")} == set(PROMISES)
@@ -43,3 +51,13 @@ def test_notebook_runs_and_shows_what_it_promises(name, tmp_path, monkeypatch):
     assert not [text for text in words if text not in shown]
     assert sum("image/png" in out.get("data", {}) for out in outputs) == n_figures
     assert (tmp_path / "data" / "cache.sqlite").exists()
+
+
+@pytest.mark.parametrize("before", ["", "import matplotlib.pyplot as plt", "%matplotlib inline"])
+def test_a_plot_as_the_first_cell_shows_one_picture(before, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYDEVD_DISABLE_FILE_VALIDATION", "1")
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(before + PLOT)])
+    where = {"metadata": {"path": str(tmp_path)}}
+    nbclient.NotebookClient(notebook, timeout=300, resources=where).execute()
+    shown = [out.get("data", {}) for out in notebook.cells[0].outputs]
+    assert sum("image/png" in each for each in shown) == 1

@@ -34,4 +34,4 @@ class Gapsweep:
         )
         if self.sampled:
             run.sample(scene.grid)
-        return run.x, run.v
+        return run.x_end, run.v_end

@@ -143,10 +143,10 @@ def blaming(
     except (KeyboardInterrupt, GeneratorExit, StudyError):
         raise
     except BaseException as error:  # the user's code may raise anything, SystemExit too
-        raise StudyError([_blame(path, error, what, function)]) from None
+        raise StudyError([blame(path, error, what, function)]) from None
 
 
-def _blame(path: Path, error: BaseException, what: str, function: Any) -> str:
+def blame(path: Path, error: BaseException, what: str, function: Any = None) -> str:
     """File, line and exception: the last line that ran in the folder of a file."""
     where, said = str(path), described(error).replace(f"{_package(path)}.", ".")
     folder = path.absolute().parent

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gapsweep import own_code
+from gapsweep.analysis.walls import wrong_tables
 from gapsweep.errors import StoreError, StudyError
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import Plan
@@ -256,11 +257,13 @@ def bench(
 
 
 def try_out_own_laws(study: Study, timeout: float, say: Callable[[str], None] | None) -> None:
-    """Refuse laws of the user's own that would end this process, or hang, where keys are made."""
+    """Refuse laws of the user's own that would end this process, or hang; warn of other units."""
     if study.own_laws:
         from gapsweep.execution.try_out import try_out
 
         try_out(study, timeout, say or (lambda _: None))
+        for said in wrong_tables(study):
+            warnings.warn(said, stacklevel=3)
 
 
 def failed_motions(path: Path) -> dict[str, int]:

@@ -23,7 +23,7 @@ def piecewise_run(row, **options):
 
 
 def scaled_error(oscillator, run, row, amplitude):
-    distances = abs(run.x - row["x_T"]), abs(run.v - row["v_T"]) / oscillator.omega_n_rad
+    distances = abs(run.x_end - row["x_T"]), abs(run.v_end - row["v_T"]) / oscillator.omega_n_rad
     return max(distances) / amplitude
 
 

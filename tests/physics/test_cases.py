@@ -50,8 +50,8 @@ def highest(system, omega, u):
         return exact.motion(system, omega, u[:1], u[1:], [], t)
 
     t = np.linspace(0.25, 1.35, 34) / omega
-    best = 1 + int(np.argmax([at(each).q[0] for each in t[1:-1]]))
-    return at(brentq(lambda s: at(s).v[0], t[best - 1], t[best + 1], xtol=1e-13)).q[0]
+    best = 1 + int(np.argmax([at(each).q_end[0] for each in t[1:-1]]))
+    return at(brentq(lambda s: at(s).v_end[0], t[best - 1], t[best + 1], xtol=1e-13)).q_end[0]
 
 
 # --- Duffing oscillators between two wells --------------------------------------------------------
@@ -209,7 +209,7 @@ def test_backlash_between_two_inertias_does_not_chatter(damping, n_contacts):
     contact = exact.Contact(np.array([-1.0, 1.0]), 1000.0, 0.5, 0.5)
     truth = exact.motion(exact.System(*matrices, (contact,)), 0.0, [0.0, 0.0], speeds, [], 10.0)
     assert run.n_contacts == truth.n_crossings == n_contacts
-    assert_allclose([*run.q, *run.v], truth.state, atol=1e-10)
+    assert_allclose([*run.q_end, *run.v_end], truth.state, atol=1e-10)
     if damping == 0.2:
         found = gs.respond(machine, law, v_0=speeds)
         assert found.response_class is ResponseClass.EQUILIBRIUM
@@ -235,9 +235,9 @@ def test_a_ball_bounces_on_a_stiff_floor_without_loss():
     assert_allclose([contact, 2.0 * fall + contact], [9.978859429952e-3, 0.9134867623352])
     late = math.fmod(10.0, 2.0 * fall + contact)
     height = 1.0 - 4.9 * min(late, 2.0 * fall + contact - late) ** 2
-    assert_allclose(run.q[0], height, rtol=1e-10)
+    assert_allclose(run.q_end[0], height, rtol=1e-10)
     assert_allclose(height, 0.9885430815855681, rtol=1e-12)
-    assert_allclose(9.8 * run.q[0] + 0.5 * run.v[0] ** 2, 9.8, rtol=1e-11)
+    assert_allclose(9.8 * run.q_end[0] + 0.5 * run.v_end[0] ** 2, 9.8, rtol=1e-11)
     assert run.n_contacts == 22
 
 
@@ -345,7 +345,7 @@ def test_limit_stops_under_a_force_that_switches():
             forcing=[load],
         )  # fmt: skip
         run = gs.simulate(system, law, q_0=q, v_0=v, t_end=2.0)
-        q, v = run.q, run.v
+        q, v = run.q_end, run.v_end
     assert_allclose(q[0], -0.45295359, atol=1e-8)
 
 
@@ -368,7 +368,7 @@ def test_hertzian_contact():
         return v, o.forcing / o.mass * math.cos(9.0 * W * t) - 2.0 * o.decay_rate * v - springs
 
     truth = solve_ivp(rhs, (0.0, 3.0), [0.0, 0.0], "DOP853", rtol=1e-12, atol=1e-16).y[:, -1]
-    assert_allclose([run.x, run.v / 50.0], truth / [1.0, 50.0], atol=1e-10)
+    assert_allclose([run.x_end, run.v_end / 50.0], truth / [1.0, 50.0], atol=1e-10)
 
 
 # --- Datasets -------------------------------------------------------------------------------------
@@ -421,7 +421,6 @@ def test_folders_with_any_characters_work(finished):
 
 
 # How xarray says that labels are stored as characters is not what is tested here.
-@pytest.mark.filterwarnings("ignore:String dimension naming mismatch")
 @pytest.mark.parametrize("form", ["NETCDF4", "NETCDF3_64BIT"])
 def test_parts_that_are_put_together_and_saved_again_are_whole(finished, tmp_path, form):
     """xarray#11250, #1225, #11028 and #156: no label is cut, no value changed."""

@@ -54,8 +54,8 @@ def test_random_scenes_reach_the_end_state_of_an_independent_method(
     sensitivity = np.abs(run.monodromy / [[1, 1 / oscillator.omega_n_rad]]).max()
     allowed = amplitude * max(1e-9, 1e-11 * sensitivity)
     assert run.n_contacts == n_contacts
-    assert abs(run.x - x) < allowed
-    assert abs(run.v - v) / (oscillator.omega_n_rad + 2 * math.pi * omega) < 10 * allowed
+    assert abs(run.x_end - x) < allowed
+    assert abs(run.v_end - v) / (oscillator.omega_n_rad + 2 * math.pi * omega) < 10 * allowed
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_a_thousand_fast_cycles_in_no_time_of_a_slow_forcing_keep_their_clock(la
     x = (driven * cmath.exp(1j * w * time)).real + (free * cmath.exp(root * time)).real
     assert run.n_contacts == 0 if gap else run.n_contacts > 2000
     # the end's phase is rounded once, and the cycles to some 1e-12
-    assert abs(run.x - x) < x_0 * (2.0**-54 / omega * abs(root) + 1e-10)
+    assert abs(run.x_end - x) < x_0 * (2.0**-54 / omega * abs(root) + 1e-10)
 
 
 @pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents"])
@@ -113,7 +113,7 @@ def test_an_end_on_a_wall_and_on_a_whole_period_has_one_section():
         omega=19.683221843643295, x_0=8.005878267864099e-06, v_0=0.027973520499627154,
         t_end=0.05080469081452488, controller="ode45", restart=True,
     )  # fmt: skip
-    assert abs(abs(run.x) - 4e-4) < 1e-15
+    assert abs(abs(run.x_end) - 4e-4) < 1e-15
     assert_allclose(run.t_section, [0.05080469081452488], rtol=1e-12)
 
 
@@ -123,10 +123,14 @@ def test_a_point_is_the_same_alone_and_in_any_company(label):
     omega = np.linspace(3.0, 25.0, 37)
     together = gs.simulate(gs.Oscillator(), law, omega, t_end=2.0)
     backwards = gs.simulate(gs.Oscillator(), law, omega[::-1], t_end=2.0)
-    assert together.x.tobytes() == backwards.x[::-1].tobytes()
+    assert together.x_end.tobytes() == backwards.x_end[::-1].tobytes()
     for i in (0, 17, 36):
         alone = gs.simulate(gs.Oscillator(), law, omega[i], t_end=2.0)
-        assert (alone.x, alone.v, alone.nfev) == (together.x[i], together.v[i], together.nfev[i])
+        assert (alone.x_end, alone.v_end, alone.nfev) == (
+            together.x_end[i],
+            together.v_end[i],
+            together.nfev[i],
+        )
         assert alone.extrema.tobytes() == together.extrema[i].tobytes()
 
 
@@ -259,7 +263,7 @@ def test_restart_changes_the_price_not_the_motion(controller):
     located = gs.simulate(*scene, **options)
     restarted = gs.simulate(*scene, restart=True, controller=controller, **options)
     assert restarted.n_contacts == located.n_contacts
-    assert_allclose(restarted.x, located.x, atol=1e-8)
+    assert_allclose(restarted.x_end, located.x_end, atol=1e-8)
     assert restarted.nfev > 3 * located.nfev
 
 
@@ -267,7 +271,7 @@ def test_restarts_at_walls_of_hardly_any_stiffness_end():
     scene = gs.Oscillator(), gs.Piecewise(1e-15, SYMMETRIC), 9.0
     located, restarted = (gs.simulate(*scene, t_end=1.0, restart=r) for r in (False, True))
     assert restarted.n_contacts == located.n_contacts > 5
-    assert_allclose(restarted.x, located.x, atol=1e-8)
+    assert_allclose(restarted.x_end, located.x_end, atol=1e-8)
 
 
 def test_ode45_steps_over_contacts_it_does_not_locate():
@@ -340,7 +344,7 @@ def test_few_points_in_fewer_lanes_are_the_same(rtol, options):
         for at in (omega[0], omega[:4], omega)
     )
     for run in (four, five):
-        for name in ("x", "v", "n_steps", "n_contacts"):
+        for name in ("x_end", "v_end", "n_steps", "n_contacts"):
             assert getattr(run, name)[0] == getattr(alone, name), name
         assert_array_equal(run.extrema[0], alone.extrema)
         assert_array_equal(run.t_contacts[0], alone.t_contacts)
@@ -349,7 +353,7 @@ def test_few_points_in_fewer_lanes_are_the_same(rtol, options):
         else:
             for part, own in zip(run.sample(times), alone.sample(times), strict=True):
                 assert_array_equal(part[0], own)
-    assert four.x.tolist() == five.x[:4].tolist()
+    assert four.x_end.tolist() == five.x_end[:4].tolist()
     assert alone.n_contacts > 10
 
 

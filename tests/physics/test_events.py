@@ -76,7 +76,7 @@ def test_contacts_are_the_sides_that_extrema_change():
     starts = rng.uniform(-5e-4, 5e-4, 256), rng.uniform(-0.02, 0.02, 256)
     omega = rng.uniform(20.0, 60.0, 256)
     runs = gs.simulate(OSCILLATOR, law, omega, *starts, t_end=1.0, rtol=1e-3, atol=1e-6)
-    ends = zip(starts[0], runs.extrema, runs.x, strict=True)
+    ends = zip(starts[0], runs.extrema, runs.x_end, strict=True)
     sides = [np.array([x_0, *extrema, x_1]) > 1e-4 for x_0, extrema, x_1 in ends]
     passed = np.array([np.sum(side[1:] != side[:-1]) for side in sides])
     assert np.mean(passed == runs.n_contacts) > 0.99
@@ -108,8 +108,8 @@ def test_forcing_slower_than_any_clock_is_a_constant_force(label, omega):
     run = gs.simulate(OSCILLATOR, law, omega, t_end=1.0, dense_output=True)
     truth = gs.simulate(OSCILLATOR, law, omega, t_end=1.0, engine="scipy", **TIGHT)
     assert run.status is gs.Status.OK
-    assert run.t == 1.0
-    assert_allclose([run.x, run.v], [truth.x, truth.v], rtol=1e-6)
+    assert run.t_end == 1.0
+    assert_allclose([run.x_end, run.v_end], [truth.x_end, truth.v_end], rtol=1e-6)
     assert run.n_contacts == len(run.t_contacts) == truth.n_contacts > 20
     assert_allclose(run.extrema, truth.extrema, rtol=1e-7)
     assert_allclose(run.sample(0.5), run_half(law, omega), rtol=1e-7)
@@ -117,14 +117,14 @@ def test_forcing_slower_than_any_clock_is_a_constant_force(label, omega):
 
 def run_half(law, omega):
     half = gs.simulate(OSCILLATOR, law, omega, t_end=0.5, engine="scipy", **TIGHT)
-    return half.x, half.v
+    return half.x_end, half.v_end
 
 
 @pytest.mark.parametrize("label", ["piecewise", "tanh-1e4", "piecewise-noevents"])
 @pytest.mark.parametrize(("t_0", "t_end"), [(0.0, 1.0), (0.1, 0.3), (1e3, 1e3 + 0.7)])
 def test_a_motion_ends_at_the_time_asked_for(label, t_0, t_end):
     law = gs.contact_law(label, SOFT, GAPS["wide"])
-    assert gs.simulate(OSCILLATOR, law, 8.7, t_0=t_0, t_end=t_end).t == t_end
+    assert gs.simulate(OSCILLATOR, law, 8.7, t_0=t_0, t_end=t_end).t_end == t_end
 
 
 @pytest.mark.parametrize("label", ["piecewise", "tanh-1e4"])

@@ -389,7 +389,7 @@ def test_thin_chaos_of_the_section_is_no_torus(speed, is_torus):
     run = gs.simulate(
         section, law, q_0=near[:, :3], v_0=near[:, 3:], t_end=400.0, rtol=1e-12, atol=1e-15
     )
-    apart = np.concatenate([run.q[1] - run.q[0], run.v[1] - run.v[0]]) / scale
+    apart = np.concatenate([run.q_end[1] - run.q_end[0], run.v_end[1] - run.v_end[0]]) / scale
     assert (np.abs(apart).max() < 1e-5) == is_torus
 
 
@@ -473,7 +473,7 @@ def test_what_shrinks_slower_than_damping_says_is_given_time(rtol):
     # It shrinks at that rate, by an integrator that knows no rest.
     state = {"q_0": [-1.1, -0.6]}
     early, late = (
-        gs.simulate(system, law, **state, t_end=t, rtol=1e-11).q - found.x_end
+        gs.simulate(system, law, **state, t_end=t, rtol=1e-11).q_end - found.x_end
         for t in (300.0, 500.0)
     )
     rate = math.log(np.linalg.norm(late) / np.linalg.norm(early)) / 200.0
@@ -507,4 +507,4 @@ def test_a_rest_on_a_wall_that_spreads_on_both_sides_is_not_steady(gap):
     assert found.response_class == gs.ResponseClass.UNRESOLVED
     assert found.lyapunov == pytest.approx(0.05)
     run = gs.simulate(system, gs.Piecewise(2.0, gap), q_0=[1e-6], t_end=200.0)
-    assert abs(run.q[0]) > 1e-3
+    assert abs(run.q_end[0]) > 1e-3

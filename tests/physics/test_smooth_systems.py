@@ -92,8 +92,8 @@ def motion():
 def test_a_motion_is_that_of_the_equation_written_out(motion):
     truth = solved(3.5, 1.5).y[:5, -1]
     assert motion.status == gs.Status.OK
-    assert_allclose([*motion.q, *motion.v, *motion.z], truth, rtol=0.0, atol=2e-8)
-    assert_allclose(motion.q, truth[:2], rtol=0.0, atol=1e-9)
+    assert_allclose([*motion.q_end, *motion.v_end, *motion.z_end], truth, rtol=0.0, atol=2e-8)
+    assert_allclose(motion.q_end, truth[:2], rtol=0.0, atol=1e-9)
 
 
 def test_its_events_are_those_of_the_equation(motion):
@@ -127,7 +127,7 @@ def test_its_tangent_is_that_of_its_neighbours(motion):
             y = start + sign * d * np.eye(5)[column]
             given = {"q_0": y[:2], "v_0": y[2:4], "z_0": y[4:]}
             end = gs.simulate(machine(), LAWS, 3.5, t_end=1.5, **given, **TIGHT)
-            ends.append(np.concatenate([end.q, end.v, end.z]))
+            ends.append(np.concatenate([end.q_end, end.v_end, end.z_end]))
         slope = (ends[0] - ends[1]) / (2.0 * d)
         scale = np.abs(motion.monodromy[:, column]).max()
         assert_allclose(slope, motion.monodromy[:, column], rtol=0.0, atol=1e-4 * scale)
@@ -142,7 +142,7 @@ def test_its_samples_lie_on_it(motion):
     q, v, z = run.sample(t)
     # Whose steps are not cut for a tangent.
     end = gs.simulate(machine(), LAWS, 3.5, t_end=1.5, **START, **TIGHT)
-    assert_allclose(q[-1], end.q, rtol=0.0, atol=1e-12)
+    assert_allclose(q[-1], end.q_end, rtol=0.0, atol=1e-12)
     assert_allclose([*q[2], *v[2], *z[2]], motion.section[0], rtol=0.0, atol=1e-9)
     middle = solved(3.5, 0.4).y[:5, -1]
     assert_allclose([*q[1], *v[1], *z[1]], middle, rtol=0.0, atol=1e-8)
@@ -153,8 +153,8 @@ def test_other_coordinates_give_the_same_motion(motion):
     back = np.linalg.inv(change)
     start = {"q_0": back @ START["q_0"], "v_0": back @ START["v_0"], "z_0": START["z_0"]}
     turned = gs.simulate(machine(change), LAWS, 3.5, t_end=1.5, **start, **TIGHT)
-    assert_allclose(change @ turned.q, motion.q, rtol=0.0, atol=1e-9)
-    assert_allclose(change @ turned.v, motion.v, rtol=0.0, atol=2e-8)
+    assert_allclose(change @ turned.q_end, motion.q_end, rtol=0.0, atol=1e-9)
+    assert_allclose(change @ turned.v_end, motion.v_end, rtol=0.0, atol=2e-8)
     assert turned.n_contacts == motion.n_contacts
     assert_allclose(turned.t_contacts["wall"], motion.t_contacts["wall"], atol=1e-7)
 
@@ -165,7 +165,7 @@ def test_company_changes_no_bit():
     together = gs.simulate(machine(), LAWS, omega, **options)
     for k in (0, 9, 18):
         alone = gs.simulate(machine(), LAWS, omega[k], **options)
-        assert np.array_equal(alone.q, together.q[k])
+        assert np.array_equal(alone.q_end, together.q_end[k])
         assert np.array_equal(alone.monodromy, together.monodromy[k])
         assert np.array_equal(alone.t_contacts["stop"], together.t_contacts[k]["stop"])
 
@@ -175,7 +175,7 @@ def test_errors_follow_the_tolerance():
     errors = []
     for rtol in (1e-4, 1e-6, 1e-8, 1e-10):
         run = gs.simulate(machine(), LAWS, 3.5, t_end=1.0, rtol=rtol, atol=1e-3 * rtol, **START)
-        errors.append(np.abs(run.q - exact.q).max() / np.abs(exact.q).max())
+        errors.append(np.abs(run.q_end - exact.q_end).max() / np.abs(exact.q_end).max())
     assert np.all(np.array(errors) < 300.0 * np.array([1e-4, 1e-6, 1e-8, 1e-10]))
 
 
@@ -219,8 +219,8 @@ def test_an_uncoupled_pair_moves_as_two_oscillators(first, second):
         alone = gs.simulate(oscillator, law, omega, t_end=t_end, **TIGHT)
         assert not alone.status.any()
         atol = 1e-9 if getattr(law, "located", True) else 1e-7  # its kinks are stepped over
-        assert_allclose(together.q[:, i], alone.x, rtol=0.0, atol=atol)
-        assert_allclose(together.v[:, i], alone.v, rtol=0.0, atol=50.0 * atol)
+        assert_allclose(together.q_end[:, i], alone.x_end, rtol=0.0, atol=atol)
+        assert_allclose(together.v_end[:, i], alone.v_end, rtol=0.0, atol=50.0 * atol)
         for k in range(3):
             found = together.t_contacts[k][f"stop {i}"]
             assert_allclose(found, alone.t_contacts[k], atol=1e-5)
@@ -253,7 +253,7 @@ def test_a_system_without_gaps_moves_as_a_matrix_exponential_says():
     turn = np.array([[0.0, -w, 0.0], [w, 0.0, 0.0], [0.0, 0.0, 0.0]])
     flow = expm(2.0 * np.block([[free, loads], [np.zeros((3, 4)), turn]]))
     end = flow @ [*start, 1.0, 0.0, 1.0]
-    assert_allclose([*found.q, *found.v], end[:4], rtol=0.0, atol=1e-9)
+    assert_allclose([*found.q_end, *found.v_end], end[:4], rtol=0.0, atol=1e-9)
     assert_allclose(found.monodromy, flow[:4, :4], rtol=0.0, atol=1e-7)
 
 
@@ -263,7 +263,7 @@ def test_a_thin_layer_is_not_stepped_over():
     exact = gs.simulate(system, gs.Piecewise(1.4e6, GAP), omega, t_end=0.5, **start, **TIGHT)
     thin = gs.simulate(system, gs.Tanh(1.4e6, GAP, 1e9), omega, t_end=0.5, rtol=1e-7, **start)
     assert exact.n_contacts == thin.n_contacts > 20
-    assert_allclose(thin.q, exact.q, rtol=0.0, atol=1e-5 * np.abs(exact.q).max())
+    assert_allclose(thin.q_end, exact.q_end, rtol=0.0, atol=1e-5 * np.abs(exact.q_end).max())
 
 
 def test_a_table_that_one_contact_leaves_is_named_by_the_status():
@@ -360,7 +360,7 @@ def test_a_limit_cycle_of_a_rounded_freeplay_is_found():
     found = gs.respond(section, law, q_0=[0.01, 0.0, 0.0])
     assert found.response_class == gs.ResponseClass.PERIODIC
     far = gs.simulate(section, law, q_0=[0.01, 0.0, 0.0], t_end=60.0)
-    late = gs.simulate(section, law, q_0=far.q, v_0=far.v, z_0=far.z, t_end=2.0)
+    late = gs.simulate(section, law, q_0=far.q_end, v_0=far.v_end, z_0=far.z_end, t_end=2.0)
     assert_allclose(found.x_max[2], late.extrema["beta"].max(), rtol=1e-5)
     assert_allclose(found.x_min[2], late.extrema["beta"].min(), rtol=1e-5)
 

@@ -86,8 +86,8 @@ def test_a_change_of_coordinates_changes_nothing_else(case):
         tangent=True
     )
     run = case.run(tangent=True)
-    assert relative(turn @ turned.q, run.q) < case.allowed
-    assert relative(turn @ turned.v, run.v) < case.allowed
+    assert relative(turn @ turned.q_end, run.q_end) < case.allowed
+    assert relative(turn @ turned.v_end, run.v_end) < case.allowed
     assert turned.n_contacts == run.n_contacts
 
 
@@ -119,9 +119,9 @@ def test_units_by_powers_of_two_change_no_bit(case):
         case.t_end * time,
     )
     run, same = case.run(tangent=True), scaled.run(tangent=True, atol=1e-15 * length)
-    assert same_bits(same.q, run.q * length)
-    assert same_bits(same.v, run.v * (length / time))
-    assert same_bits(same.z, run.z * length)
+    assert same_bits(same.q_end, run.q_end * length)
+    assert same_bits(same.v_end, run.v_end * (length / time))
+    assert same_bits(same.z_end, run.z_end * length)
     assert same.n_steps == run.n_steps
 
 
@@ -130,7 +130,7 @@ def test_the_order_of_contacts_does_not_matter(case):
     turned = replace(case, system=replace(case.system, contacts=contacts)).run(tangent=True)
     run = case.run(tangent=True)
     assert turned.n_contacts == run.n_contacts
-    assert relative(turned.q, run.q) < case.allowed
+    assert relative(turned.q_end, run.q_end) < case.allowed
 
 
 def test_a_point_is_the_same_alone_and_in_company(case):
@@ -143,8 +143,12 @@ def test_a_point_is_the_same_alone_and_in_company(case):
     tight = {"rtol": 1e-12, "atol": 1e-15, "tangent": True}
     many = gs.simulate(system, laws, omega, q_0=starts, **given, **tight)
     alone = case.run(tangent=True)
-    assert many.q.shape == (31, n)
-    for found, expected in ((many.q, alone.q), (many.v, alone.v), (many.z, alone.z)):
+    assert many.q_end.shape == (31, n)
+    for found, expected in (
+        (many.q_end, alone.q_end),
+        (many.v_end, alone.v_end),
+        (many.z_end, alone.z_end),
+    ):
         assert same_bits(found[-1], expected)
     assert same_bits(many.monodromy[-1], alone.monodromy)
     for name, extrema in alone.extrema.items():
@@ -194,8 +198,8 @@ def test_springs_that_only_circulate_move_a_start_at_rest(case):
 def test_rest_stays_rest(case):
     run = rest(case).run(tangent=True)
     assert run.status == gs.Status.OK
-    assert not run.q.any()
-    assert not run.v.any()
+    assert not run.q_end.any()
+    assert not run.v_end.any()
 
 
 # ---------------------------------------------------------------- records
@@ -206,8 +210,8 @@ def test_samples_sections_and_contacts_lie_on_the_motion(case):
     times = np.linspace(0.0, case.t_end, 7)
     q, v, z = run.sample(times)
     assert same_bits(q[0], case.q_0)
-    assert relative(q[-1], run.q) < 1e-14
-    assert relative(z[-1], run.z) < 1e-14
+    assert relative(q[-1], run.q_end) < 1e-14
+    assert relative(z[-1], run.z_end) < 1e-14
     for t, *state in zip(times[1:], q[1:], v[1:], strict=True):
         truth = replace(case, t_end=t).truth
         assert relative(np.array(state), np.array([truth.q, truth.v])) < case.allowed
@@ -287,8 +291,8 @@ def test_uncoupled_oscillators_move_as_each_alone():
         for one, law, x_0 in zip(ones, laws, (1e-4, -2e-4), strict=True)
     ]
     for i, part in enumerate(parts):
-        assert both.q[i] == pytest.approx(part.x, rel=1e-9)
-        assert both.v[i] == pytest.approx(part.v, rel=1e-9)
+        assert both.q_end[i] == pytest.approx(part.x_end, rel=1e-9)
+        assert both.v_end[i] == pytest.approx(part.v_end, rel=1e-9)
         assert len(both.t_contacts["ab"[i]]) == part.n_contacts > 0
         assert len(both.extrema[f"q_{i + 1}"]) == len(part.extrema)
 
@@ -332,7 +336,7 @@ def test_inertial_loads_grow_with_the_square_of_their_frequency(engine):
     for i, rate in enumerate(2.0 * np.pi * k * omega):
         plain = gs.Harmonic(amplitude=1e-3 * LOAD * rate**2, k=k, phase=0.4)
         alone = gs.simulate(replace(SYSTEM, forcing=[plain]), LAWS, omega[i], **how)
-        np.testing.assert_allclose(inertial.q[i], alone.q, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(inertial.q_end[i], alone.q_end, rtol=0, atol=1e-10)
         assert inertial.n_contacts[i] == alone.n_contacts > 0
 
 
@@ -386,8 +390,8 @@ def test_cubes_and_periodic_stiffness_agree_with_runge_kutta():
         state, count = by_runge_kutta(q_0, v_0)
         assert run.n_contacts == count > 10
         allowed = TOLERANCE * max(1.0, np.linalg.norm(run.monodromy, 2))
-        assert relative(run.q, state[:2]) < allowed
-        assert relative(run.v, state[2:]) < allowed
+        assert relative(run.q_end, state[:2]) < allowed
+        assert relative(run.v_end, state[2:]) < allowed
 
 
 def test_monodromy_of_cubes_and_periodic_stiffness_is_the_derivative():
@@ -396,7 +400,7 @@ def test_monodromy_of_cubes_and_periodic_stiffness_is_the_derivative():
     sizes = np.array([1e-8, 1e-8, 1e-6, 1e-6])
     for j, step in enumerate(np.diag(sizes)):
         ends = [simulated(*np.split(start + sign * step, 2)) for sign in (1.0, -1.0)]
-        ahead, behind = (np.concatenate([end.q, end.v]) for end in ends)
+        ahead, behind = (np.concatenate([end.q_end, end.v_end]) for end in ends)
         column = (ahead - behind) / (2.0 * sizes[j])
         assert relative(run.monodromy[:, j], column) < 1e-4
     trace = -T_END * np.trace(np.linalg.solve(MASS, DAMPING))
@@ -446,7 +450,7 @@ def test_a_mass_in_equilibrium_on_its_wall_stays_there_and_lets_the_others_move(
     law = gs.Piecewise(100.0, gs.Gap(1.0, 1.0))
     run = gs.simulate(system, law, q_0=[start, 0.5], t_end=50.0, rtol=1e-10, atol=1e-13)
     assert run.status == gs.Status.OK
-    assert run.q == pytest.approx([1.0, 0.5 * np.cos(100.0)], abs=1e-8)
+    assert run.q_end == pytest.approx([1.0, 0.5 * np.cos(100.0)], abs=1e-8)
 
 
 def test_a_contact_without_a_gap_that_rests_on_its_walls_is_a_spring():
@@ -483,7 +487,7 @@ def test_masses_that_touch_and_move_alike_move_as_one(K_c, j_2):
     run = gs.simulate(system, law, 2.5, q_0=[0.013, 0.013], **how)
     alone = gs.simulate(one, free, 2.5, q_0=[0.013], **how)
     assert run.status == gs.Status.OK
-    assert run.q == pytest.approx([alone.q[0], alone.q[0]], abs=1e-9)
+    assert run.q_end == pytest.approx([alone.q_end[0], alone.q_end[0]], abs=1e-9)
 
 
 def test_walls_at_one_place_are_passed_at_once_and_no_step_underflows():

@@ -133,8 +133,8 @@ def test_orbits_of_coupled_masses_are_where_brute_force_settles():
             system,
             law,
             omega[k],
-            q_0=settled.q,
-            v_0=settled.v,
+            q_0=settled.q_end,
+            v_0=settled.v_end,
             t_end=n / omega[k],
             dense_output=True,
         )
@@ -152,7 +152,7 @@ def test_orbits_of_coupled_masses_are_where_brute_force_settles():
             assert_allclose(found.contact_share[k, i], share, atol=2e-3)
         # No orbit can do without the energy that damping takes.
         states = np.reshape(found.section[k], (-1, 4))
-        assert np.abs(states - np.concatenate([run.q, run.v])).max(axis=1).min() < 1e-5
+        assert np.abs(states - np.concatenate([run.q_end, run.v_end])).max(axis=1).min() < 1e-5
     assert n_checked > 10
 
 
@@ -212,7 +212,7 @@ def test_lags_are_part_of_the_state():
         q, v, z = np.reshape(found.section[k], (-1, 3))[-1]
         t_end = found.period_multiple[k] / omega[k]
         end = gs.simulate(system, law, omega[k], q_0=[q], v_0=[v], z_0=[z], t_end=t_end)
-        assert_allclose([*end.q, *end.v, *end.z], [q, v, z], rtol=1e-6, atol=1e-9)
+        assert_allclose([*end.q_end, *end.v_end, *end.z_end], [q, v, z], rtol=1e-6, atol=1e-9)
 
 
 def test_company_changes_no_bit():
@@ -448,7 +448,7 @@ def neighbours_part(system, law, omega, found, n_periods):
         system, law, np.full(2, omega), q_0=both[:, :2], v_0=both[:, 2:], t_end=n_periods / omega,
         rtol=1e-12, atol=1e-15,
     )  # fmt: skip
-    return np.linalg.norm(np.diff(np.concatenate([run.q, run.v], axis=1), axis=0)) / 2e-9
+    return np.linalg.norm(np.diff(np.concatenate([run.q_end, run.v_end], axis=1), axis=0)) / 2e-9
 
 
 def test_a_torus_whose_disturbances_grow_for_a_while_is_not_chaotic():

@@ -22,7 +22,7 @@ PLUNGE = [0.01, 0.0, 0.0]
 
 
 def state(motion):
-    return np.concatenate([motion.q, motion.v, motion.z])
+    return np.concatenate([motion.q_end, motion.v_end, motion.z_end])
 
 
 # The typical section.
@@ -67,7 +67,7 @@ def test_a_motion_without_freeplay_grows_beyond_flutter_alone(speed, grows):
         gs.simulate(section, law, q_0=PLUNGE, t_end=t_end, **EXACT) for t_end in (10.0, 40.0)
     )
     for motion in (early, late):
-        expected = expm(attached(speed, "darabseh") * motion.t) @ [*PLUNGE, *np.zeros(5)]
+        expected = expm(attached(speed, "darabseh") * motion.t_end) @ [*PLUNGE, *np.zeros(5)]
         np.testing.assert_allclose(state(motion), expected, rtol=0, atol=1e-9)
     # Its flap swings through both walls, which are one, twice a period.
     assert late.n_contacts == pytest.approx(4 * 40.0 * 6.0877, rel=0.01)
@@ -210,7 +210,9 @@ def test_limit_cycles_of_the_section(copy, speed, larger, smaller, frequency, cr
     section = gs.systems.typical_section(speed, copy)
     law = gs.systems.typical_section_law(copy)
     far = gs.simulate(section, law, q_0=PLUNGE, t_end=40.0, rtol=1e-11)
-    late = gs.simulate(section, law, q_0=far.q, v_0=far.v, z_0=far.z, t_end=2.0, rtol=1e-11)
+    late = gs.simulate(
+        section, law, q_0=far.q_end, v_0=far.v_end, z_0=far.z_end, t_end=2.0, rtol=1e-11
+    )
     times = late.t_contacts["flap"]
     periods = times[crossings:] - times[:-crossings]
     np.testing.assert_allclose(periods, 1.0 / frequency, rtol=1e-6)
@@ -228,7 +230,7 @@ def test_the_printed_change_of_limit_cycle():
     ):
         section = gs.systems.typical_section(speed, "conner-scaled")
         far = gs.simulate(section, law, q_0=PLUNGE, t_end=300.0)
-        late = gs.simulate(section, law, q_0=far.q, v_0=far.v, z_0=far.z, t_end=2.0)
+        late = gs.simulate(section, law, q_0=far.q_end, v_0=far.v_end, z_0=far.z_end, t_end=2.0)
         times, flap = late.t_contacts["flap"], np.degrees(late.extrema["beta"])
         periods = times[crossings:] - times[:-crossings]
         np.testing.assert_allclose(periods, periods[0], rtol=1e-5)
@@ -244,7 +246,7 @@ def test_the_section_comes_to_rest_in_slow_air():
         gs.simulate(gs.systems.typical_section(speed, "conner-scaled"), law, q_0=PLUNGE, t_end=40.0)
         for speed in (4.5, 4.75)
     )
-    assert np.abs(slow.q).max() < 1e-5
+    assert np.abs(slow.q_end).max() < 1e-5
     assert slow.t_contacts["flap"].max() < 30.0
     assert fast.t_contacts["flap"].max() > 39.5
 
@@ -405,7 +407,7 @@ def test_a_motion_of_the_soft_impact_oscillator():
 )
 def test_responses_of_the_soft_impact_oscillator(rate, periods, largest, orbit):
     settled = soft_impact(rate, 798 * W / rate)
-    again = soft_impact(rate, 6 * W / rate, q_0=settled.q, v_0=settled.v)
+    again = soft_impact(rate, 6 * W / rate, q_0=settled.q_end, v_0=settled.v_end)
     repeats = [k for k in range(1, 4) if np.abs(again.section[k] - again.section[0]).max() < 1e-7]
     assert repeats[0] == periods
     assert np.abs(again.section - orbit).max(axis=1).min() < 1e-7

@@ -193,7 +193,7 @@ def test_a_motion_that_creeps_is_not_its_own_orbit(omega, n, modulus):
             gs.Oscillator(), CREEPING, omega, found.x_end, found.v_end,
             t_end=found.period_multiple / omega, rtol=1e-12, atol=1e-15,
         )  # fmt: skip
-        assert abs(run.x - found.x_end) < 1e-7 * found.x_max
+        assert abs(run.x_end - found.x_end) < 1e-7 * found.x_max
 
 
 def test_where_an_orbit_has_just_vanished_none_is_found():

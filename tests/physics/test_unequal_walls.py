@@ -37,7 +37,9 @@ def test_both_engines_agree(label, K_ratio):
     # Kinks that are not located cost digits in either engine.
     allowed = 1e-7 if label == "piecewise-noevents" else 1e-9
     assert ours.n_contacts == reference.n_contacts > 20
-    assert_allclose([ours.x, ours.v / 50.0], [reference.x, reference.v / 50.0], atol=allowed)
+    assert_allclose(
+        [ours.x_end, ours.v_end / 50.0], [reference.x_end, reference.v_end / 50.0], atol=allowed
+    )
 
 
 @pytest.mark.parametrize("K_ratio", [1e-12, 0.2, 5.0])
@@ -46,7 +48,7 @@ def test_restarts_change_the_price_not_the_motion(K_ratio):
     located = gs.simulate(*scene, t_end=1.0, **TIGHT)
     restarted = gs.simulate(*scene, t_end=1.0, restart=True, **TIGHT)
     assert restarted.n_contacts == located.n_contacts > 20
-    assert_allclose(restarted.x, located.x, atol=1e-10)
+    assert_allclose(restarted.x_end, located.x_end, atol=1e-10)
 
 
 @pytest.mark.parametrize("K_ratio", [0.2, 5.0])
@@ -65,7 +67,7 @@ def test_a_linear_oscillator_moves_as_matrix_exponentials_say(gap, K_ratio):
     law = gs.Piecewise(K_c, gap, K_ratio=K_ratio)
     run = gs.simulate(o, law, 9.0, 1e-4, 0.02, t_end=1.0, tangent=True, **TIGHT)
     assert run.n_contacts == truth.n_crossings > 20
-    assert_allclose([run.x, run.v], [truth.q[0], truth.v[0]], atol=1e-11, rtol=1e-8)
+    assert_allclose([run.x_end, run.v_end], [truth.q[0], truth.v[0]], atol=1e-11, rtol=1e-8)
     assert_allclose(run.monodromy, truth.monodromy, atol=1e-6, rtol=1e-6)
 
 
@@ -78,7 +80,7 @@ def test_a_bilinear_spring_swings_in_two_half_periods(K_ratio, engine):
     period = math.pi * (math.sqrt(o.mass / above) + math.sqrt(o.mass / below))
     law = gs.Piecewise(K_c, CLOSED, K_ratio=K_ratio)
     run = gs.simulate(o, law, 1.0, x_0, t_end=3.0 * period, engine=engine, **TIGHT)
-    assert_allclose(run.x, x_0, rtol=1e-8)
+    assert_allclose(run.x_end, x_0, rtol=1e-8)
     assert_allclose(run.extrema.min(), -x_0 * math.sqrt(above / below), rtol=1e-9)
     # Each wall is passed twice in each period, both in one place; one without stiffness is none.
     assert run.n_contacts == (12 if K_ratio else 6)
@@ -94,10 +96,10 @@ def test_walls_exchanged_mirror_the_motion(label, K_ratio, engine):
     here = gs.simulate(oscillator, law, 9.0, 1e-4, 0.02, **options)
     there = gs.simulate(pushed, mirrored(law), 9.0, -1e-4, -0.02, **options)
     if engine == "compiled" and label in ("piecewise", "piecewise-noevents"):
-        assert (there.x, there.v) == (-here.x, -here.v)
+        assert (there.x_end, there.v_end) == (-here.x_end, -here.v_end)
     assert there.n_contacts == here.n_contacts > 20
     # What rounding in the force's own terms comes to by the end.
-    assert_allclose([there.x, there.v / 50.0], [-here.x, -here.v / 50.0], atol=1e-9)
+    assert_allclose([there.x_end, there.v_end / 50.0], [-here.x_end, -here.v_end / 50.0], atol=1e-9)
 
 
 @pytest.mark.parametrize("label", LABELS)
@@ -106,7 +108,11 @@ def test_equal_walls_move_as_walls_of_no_ratio(label):
     laws = [gs.contact_law(label, 1.4e4, GAP), gs.contact_law(label, 1.4e4, GAP, K_ratio=1.0)]
     runs = [gs.simulate(scene[0], law, scene[1], t_end=1.0) for law in laws]
     assert laws[0] == laws[1]
-    assert (runs[0].x, runs[0].v, runs[0].nfev) == (runs[1].x, runs[1].v, runs[1].nfev)
+    assert (runs[0].x_end, runs[0].v_end, runs[0].nfev) == (
+        runs[1].x_end,
+        runs[1].v_end,
+        runs[1].nfev,
+    )
 
 
 @pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", *LABELS[4:]])
@@ -135,7 +141,7 @@ def test_a_wall_without_stiffness_is_none(label, engine):
         )
         for j_1 in (GAP.j_1, 3e-3)
     )  # fmt: skip
-    assert (near.x, near.v, near.nfev) == (far.x, far.v, far.nfev)
+    assert (near.x_end, near.v_end, near.nfev) == (far.x_end, far.v_end, far.nfev)
     assert near.n_contacts == far.n_contacts > 10
     # Only the other wall is passed.
     assert_allclose(near.sample(near.t_contacts)[0], GAP.j_2, atol=1e-8)
@@ -213,7 +219,7 @@ def test_systems_agree_between_engines_and_start_on_their_walls():
             for engine in ("compiled", "scipy")
         ]
         assert runs[0].n_contacts == runs[1].n_contacts > 5
-        assert_allclose(runs[0].q, runs[1].q, atol=1e-8)
+        assert_allclose(runs[0].q_end, runs[1].q_end, atol=1e-8)
 
 
 @pytest.mark.parametrize("law", [gs.Piecewise, gs.Tanh])
@@ -228,6 +234,6 @@ def test_a_wall_without_stiffness_of_a_system_is_none(law):
         )
         for j_1 in (0.001, 0.5)
     ]  # fmt: skip
-    assert (runs[0].q == runs[1].q).all()
-    assert (runs[0].v == runs[1].v).all()
+    assert (runs[0].q_end == runs[1].q_end).all()
+    assert (runs[0].v_end == runs[1].v_end).all()
     assert runs[0].n_contacts == runs[1].n_contacts

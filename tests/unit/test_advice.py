@@ -229,6 +229,20 @@ def test_command_advises_without_computing(tmp_path, monkeypatch, capsys):
     assert "; not tanh-1e4" in text
     assert exit_code(["advise", "s.toml", "--json"]) == FINISHED
     assert json.loads(capsys.readouterr().out)["error"] == 1e-3
+    assert "not assessed" not in text
     assert exit_code(["advise", "s.toml", "--error", "2"]) == FAULT
     assert "error = 2: must be in" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]
+
+
+def test_a_law_of_the_user_is_said_not_to_be_assessed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text("def bushing(x):\n    return 2e4 * x**3\n")
+    (tmp_path / "s.toml").write_text(
+        '[study]\nname = "s"\n[[sweep]]\nrepresentation = ["own:bushing", "tanh-1e4"]\n'
+        "K_c = [1.4e4]\ngap = [[0.4e-3, 0.4e-3]]\nomega = [7.0, 30.0]\n"
+    )
+    assert exit_code(["advise", "s.toml"]) == FINISHED
+    assert "own:bushing is not assessed" in capsys.readouterr().out
+    assert exit_code(["advise", "s.toml", "--json"]) == FINISHED
+    assert json.loads(capsys.readouterr().out)["not_assessed"] == ["own:bushing"]

@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from gapsweep.analysis.truth import motion
 from gapsweep.execution.assemble import attributes_of
 from gapsweep.execution.layout import Layout
 from gapsweep.integrate.problem import Solver
+from gapsweep.lookup import plan
 from gapsweep.model import own_law
 from gapsweep.response.loads import largest_forces
 
@@ -106,7 +108,7 @@ def test_motions_are_those_on_scipys_curve(engine):
         o, gs.ForceTable(x, forces), 7.0, *start, t_end=0.5, engine=engine, tangent=True, **TIGHT
     )
     assert found.status == gs.Status.OK
-    assert_allclose([found.x, found.v], truth.y[:, -1], atol=1e-9, rtol=1e-7)
+    assert_allclose([found.x_end, found.v_end], truth.y[:, -1], atol=1e-9, rtol=1e-7)
     shrinks = math.exp(-2.0 * o.zeta * o.omega_n_rad * 0.5)
     assert np.linalg.det(found.monodromy) == pytest.approx(shrinks, rel=1e-6)
 
@@ -119,7 +121,7 @@ def test_a_finer_table_of_a_law_comes_closer_to_it(law, gain):
     o, omega = gs.Oscillator(), np.linspace(5.0, 12.0, 16)
     truth = gs.simulate(o, law, omega, t_end=0.5, **TIGHT)
     coarse, middle, fine = (
-        np.abs(gs.simulate(o, sampled(law, n), omega, t_end=0.5, **TIGHT).x - truth.x).max()
+        np.abs(gs.simulate(o, sampled(law, n), omega, t_end=0.5, **TIGHT).x_end - truth.x_end).max()
         for n in (321, 641, 1281)
     )
     assert fine < middle / gain < coarse / gain**2
@@ -180,9 +182,9 @@ def test_company_changes_no_bit():
     together = gs.simulate(o, gs.ForceTable(X, F), omega, t_end=1.0)
     for k in (0, 7, 18):
         alone = gs.simulate(o, gs.ForceTable(X, F), omega[k], t_end=1.0)
-        assert (alone.x, alone.v, alone.n_steps) == (
-            together.x[k],
-            together.v[k],
+        assert (alone.x_end, alone.v_end, alone.n_steps) == (
+            together.x_end[k],
+            together.v_end[k],
             together.n_steps[k],
         )
 
@@ -263,6 +265,25 @@ def bench(tmp_path, monkeypatch):
 def test_a_label_names_a_table_of_a_module(bench):
     law = gs.contact_law("bench_spring:spring", 1.0, gs.Gap(1e-4, 2e-4))
     assert (law.x, law.F, law.gap) == (X, F, gs.Gap(1e-4, 2e-4))
+
+
+@pytest.mark.parametrize(
+    ("factor", "gap", "is_odd"),
+    [
+        (1.0, [4e-4, 4e-4], False),
+        (1e3, [4e-4, 4e-4], True),  # the table in mm
+        (1.0, [0.4, 0.4], True),  # the gap in mm
+        (1e3, [4e-4, 1.0], False),  # a wall that is out of reach
+        (1e3, [0.0, 0.0], False),
+    ],
+)
+def test_a_table_in_another_unit_than_the_gap_is_warned_of(tables, bench, factor, gap, is_odd):
+    np.savetxt(bench, np.transpose([np.multiply(X, factor), F]), delimiter=",")
+    tables["sweep"][0] |= {"representation": ["bench_spring:spring"], "gap": gap}
+    study = gs.Study.from_dict(tables)
+    warned = pytest.warns(UserWarning, match="bench_spring:spring") if is_odd else nullcontext()
+    with warned:
+        plan(study)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])

@@ -152,6 +152,24 @@ print(held[0]["representation"].item(), again["gap"].item())
 """
 
 
+@pytest.mark.parametrize("written_by", ["whole", "part by part"])
+def test_texts_that_are_cut_or_joined_are_saved_again_without_a_warning(tmp_path, written_by):
+    labels = np.array(["piecewise", "piecewise-noevents"])
+    path, again = tmp_path / "labels.nc", tmp_path / "again.nc"
+    if written_by == "whole":
+        netcdf.write(xr.Dataset(coords={"law": labels}), path, {})
+    else:
+        with netcdf.writing(path, {}) as dataset:
+            dataset.createDimension("law", 2)
+            netcdf.create_texts(dataset, "law", ("law",), labels)
+    with gs.open(path) as whole:
+        parts = [whole.isel(law=[i]) for i in (1, 0, 1)]
+        for some in (parts[1], xr.concat(parts, "law")):
+            some.to_netcdf(again)  # warnings are errors here
+            with xr.open_dataset(again) as read:
+                assert read["law"].values.tolist() == some["law"].values.tolist()
+
+
 def test_a_run_goes_on_beside_datasets_that_are_held(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", HELD], cwd=tmp_path, capture_output=True, text=True, timeout=100

@@ -46,7 +46,7 @@ def test_a_start_that_rounding_put_beside_a_wall_is_on_it(wall, sign, towards, v
         assert beside.status == gs.Status.OK
         # The wall itself is passed, or is not, a moment after the start.
         assert abs(beside.n_contacts - exact.n_contacts) <= (1 if wall else 2)
-        assert abs(beside.x - exact.x) < 1e-10
+        assert abs(beside.x_end - exact.x_end) < 1e-10
 
 
 @pytest.mark.parametrize("forcing", [4.0, -4.0])
@@ -74,7 +74,7 @@ def test_conserved_energy_survives_many_contacts(engine, rtol):
         rtol=rtol,
         atol=1e-3 * rtol,
     )
-    energy = 0.5 * oscillator.mass * run.v**2 + potential(oscillator, law, run.x)
+    energy = 0.5 * oscillator.mass * run.v_end**2 + potential(oscillator, law, run.x_end)
     assert run.n_contacts > 100
     assert_allclose(energy, 0.5 * oscillator.mass * 0.05**2, rtol=2e3 * rtol)
 
@@ -125,7 +125,7 @@ def test_symmetric_gap_mirrors_the_motion(tight):
     two = gs.simulate(
         gs.Oscillator(forcing=-4.0), law, 9.0, x_0=-1e-4, v_0=-0.01, t_end=3.0, **tight
     )
-    assert_allclose([one.x, one.v], [-two.x, -two.v], rtol=1e-9)
+    assert_allclose([one.x_end, one.v_end], [-two.x_end, -two.v_end], rtol=1e-9)
     assert one.n_contacts == two.n_contacts
 
 
@@ -138,14 +138,14 @@ def test_zero_gap_is_a_stiffer_spring(tight):
     # The damping term is 2 ζ ω_n: keep it the same with the higher frequency.
     plain = gs.Oscillator(omega_n=omega_n, zeta=0.03 * 5.0 / omega_n)
     free = gs.simulate(plain, gs.Piecewise(0.0, SYMMETRIC), 9.0, t_end=2.0, **tight)
-    assert_allclose([gapless.x, gapless.v], [free.x, free.v], atol=1e-10)
+    assert_allclose([gapless.x_end, gapless.v_end], [free.x_end, free.v_end], atol=1e-10)
 
 
 def test_whole_periods_before_the_start_change_nothing(tight):
     law = gs.Piecewise(SOFT, SYMMETRIC)
     early = gs.simulate(gs.Oscillator(), law, 8.0, t_end=2.0, **tight)
     late = gs.simulate(gs.Oscillator(), law, 8.0, t_0=1e6, t_end=1e6 + 2.0, **tight)
-    assert_allclose([late.x, late.v], [early.x, early.v], rtol=1e-9)
+    assert_allclose([late.x_end, late.v_end], [early.x_end, early.v_end], rtol=1e-9)
     assert_allclose(late.section, early.section, atol=1e-12)
 
 
@@ -153,18 +153,64 @@ def test_sample_returns_start_and_end(tight):
     run = gs.simulate(gs.Oscillator(), gs.Tanh(SOFT, SYMMETRIC, 1e4), 8.0, x_0=1e-4, t_end=1.0,
                       dense_output=True, **tight)  # fmt: skip
     x, v = run.sample([0.0, 1.0])
-    assert_allclose(x, [1e-4, run.x], rtol=1e-12)
-    assert_allclose(v, [0.0, run.v], atol=1e-14)
+    assert_allclose(x, [1e-4, run.x_end], rtol=1e-12)
+    assert_allclose(v, [0.0, run.v_end], atol=1e-14)
     with pytest.raises(gs.ModelError, match=r"t = 2 s: must be within 0..1 s"):
         run.sample(2.0)
+
+
+@pytest.mark.parametrize(
+    ("label", "engine"),
+    [("piecewise", "compiled"), ("tanh-1e4", "compiled"), ("piecewise", "scipy")],
+)
+def test_the_history_is_the_motion_and_is_fine_enough_to_plot(label, engine):
+    """Its polygon lies within 1 % of the largest displacement of samples at any other time."""
+    law, options = gs.contact_law(label, SOFT, SYMMETRIC), {"t_0": 0.5, "t_end": 3.0}
+    given = {"x_0": 1e-4, "engine": engine, "dense_output": True, **options}
+    run = gs.simulate(gs.Oscillator(), law, 25.0, **given)
+    assert run.t.shape == run.x.shape == run.v.shape
+    assert_allclose([run.t[0], run.t[-1], run.t_end], [0.5, 3.0, 3.0])
+    assert_allclose(np.diff(run.t), run.t[1] - run.t[0])
+    assert_allclose([run.x[0], run.x[-1], run.v[-1]], [1e-4, run.x_end, run.v_end], rtol=1e-9)
+    between = np.random.default_rng(1).uniform(0.5, 3.0, 500)
+    for samples, history in zip(run.sample(between), (run.x, run.v), strict=True):
+        error = np.abs(np.interp(between, run.t, history) - samples).max()
+        assert error < 0.01 * np.abs(history).max()
+
+
+def test_the_history_of_many_motions_has_their_shape():
+    law, given = gs.Piecewise(SOFT, SYMMETRIC), {"t_end": 0.5, "dense_output": True}
+    runs = gs.simulate(gs.Oscillator(), law, [[7.0], [9.0]], [0.0, 1e-4, 2e-4], **given)
+    assert runs.x.shape == runs.v.shape == (2, 3, runs.t.size)
+    assert_allclose(runs.x[..., -1], runs.x_end, rtol=1e-9)
+    system = gs.System(mass=np.eye(2), stiffness=[[30.0, -10.0], [-10.0, 20.0]])
+    run = gs.simulate(system, {}, q_0=[[0.1, 0.0]] * 3, **given)
+    assert run.q.shape == run.v.shape == (3, run.t.size, 2)
+    assert run.z.shape == (3, run.t.size, 0)
+    assert_allclose(run.q[:, -1], run.q_end, rtol=1e-9)
+    assert_allclose(run.q, run.sample(run.t)[0])
+
+
+@pytest.mark.parametrize("name", ["t", "x", "v"])
+def test_a_run_without_a_history_says_how_to_keep_one(name):
+    run = gs.simulate(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0, t_end=0.1)
+    with pytest.raises(gs.ModelError, match="dense_output=True"):
+        getattr(run, name)
+
+
+def test_a_motion_that_fails_at_once_has_no_history():
+    law, given = gs.contact_law("poly-13", SOFT, SYMMETRIC), {"t_end": 1.0, "dense_output": True}
+    run = gs.simulate(gs.Oscillator(), law, 9.0, [0.0, 1e3], **given)
+    with pytest.raises(gs.ModelError, match="first step"):
+        _ = run.x
 
 
 def test_arrays_broadcast_to_many_points():
     law = gs.Piecewise(SOFT, SYMMETRIC)
     runs = gs.simulate(gs.Oscillator(), law, [[7.0], [9.0]], [0.0, 1e-4, 2e-4], t_end=0.5, **LOOSE)
     single = gs.simulate(gs.Oscillator(), law, 9.0, 1e-4, t_end=0.5, **LOOSE)
-    assert runs.x.shape == runs.status.shape == (2, 3)
-    assert runs.x[1, 1] == single.x
+    assert runs.x_end.shape == runs.status.shape == (2, 3)
+    assert runs.x_end[1, 1] == single.x_end
     assert_allclose(runs.extrema[1, 1], single.extrema)
 
 
@@ -172,7 +218,7 @@ def test_run_away_ends_as_diverged():
     softening = gs.Oscillator(alpha=-7e8)
     run = gs.simulate(softening, gs.Piecewise(0.0, SYMMETRIC), 5.0, x_0=5e-3, t_end=5.0, **LOOSE)
     assert run.status is gs.Status.DIVERGED
-    assert run.t < 5.0
+    assert run.t_end < 5.0
 
 
 @pytest.mark.parametrize(
@@ -199,7 +245,7 @@ def test_a_wall_too_stiff_for_one_step_is_a_status():
     law = gs.Piecewise(1e35, gs.Gap(0.0, 8e-4))
     run = gs.simulate(gs.Oscillator(), law, 9.0, t_end=0.5, engine="scipy")
     assert run.status is gs.Status.STEP_UNDERFLOW
-    assert run.t < 0.5
+    assert run.t_end < 0.5
 
 
 @pytest.mark.parametrize("label", ["piecewise", "tanh-1e4"])
@@ -213,13 +259,16 @@ def test_a_run_that_is_sampled_first_is_the_run_that_is_sampled_last(label):
 
     first, last = run(), run()
     sampled_first = first.sample(t)
-    ends = [(each.x, each.v, each.n_steps, each.status, each.n_contacts) for each in (last, first)]
+    ends = [
+        (each.x_end, each.v_end, each.n_steps, each.status, each.n_contacts)
+        for each in (last, first)
+    ]
     for name, ours, theirs in zip("xvnsc", *ends, strict=True):
         assert ours.tobytes() == theirs.tobytes(), name
     for ours, theirs in zip(sampled_first, last.sample(t), strict=True):
         assert ours.tobytes() == theirs.tobytes()
     # Seconds into the last step are a difference of rounded times.
-    np.testing.assert_allclose(sampled_first[0][..., -1], first.x, rtol=1e-11)
+    np.testing.assert_allclose(sampled_first[0][..., -1], first.x_end, rtol=1e-11)
 
 
 @pytest.mark.parametrize("label", ["piecewise", "tanh-1e5", "poly-13"])
@@ -228,5 +277,5 @@ def test_the_end_of_a_run_can_be_sampled_wherever_rounding_puts_it(label):
     for omega in np.random.default_rng(3).uniform(1.0, 30.0, 20).tolist():
         for t_end in (1.0 / omega, np.nextafter(1.0 / omega, 1.0)):
             run = gs.simulate(gs.Oscillator(), law, omega, t_end=t_end, dense_output=True)
-            x, v = run.sample(run.t)
-            assert [x, v] == pytest.approx([run.x, run.v], rel=1e-9, abs=1e-12)
+            x, v = run.sample(run.t_end)
+            assert [x, v] == pytest.approx([run.x_end, run.v_end], rel=1e-9, abs=1e-12)

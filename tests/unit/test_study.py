@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from tests.stored import all_keys, point
 
 import gapsweep as gs
+from gapsweep.cli.options import selected
 from gapsweep.study import fingerprint, points
 from gapsweep.study.points import canonical
 
@@ -484,3 +485,25 @@ def test_problems_say_what_would_do(tables, edit, said):
     edit(tables)
     (problem,) = problems(tables)
     assert said in problem
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        "0/0.8",
+        (0.0, 0.8e-3),
+        [[0.0, 0.8e-3]],
+        np.array([0.0, 0.8e-3]),
+        selected(("gap=0,0.8e-3",))["gap"],
+    ],
+)
+def test_a_gap_is_selected_as_a_study_file_gives_it(tables, wanted):
+    tables["sweep"][0]["gap"] = [[0.4e-3, 0.4e-3], [0.0, 0.8e-3], [0.8e-3, 0.0]]
+    study = gs.Study.from_dict(tables)
+    gap = study.grid.dims.index("gap")
+    assert study.select(gap=wanted)[gap].tolist() == [1]
+    assert study.select(gap=[(0.0, 0.8e-3), (0.8e-3, 0.0)])[gap].tolist() == [1, 2]
+    assert study.select(gap=["0/0.8", "0.8/0"])[gap].tolist() == [1, 2]
+    for wrong in (0.4e-3, (0.0, 0.9e-3), (-4e-4, 4e-4), "0.4", slice(0.0, 0.8e-3)):
+        with pytest.raises(gs.StudyError, match="gap = "):
+            study.select(gap=wrong)

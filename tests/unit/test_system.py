@@ -102,6 +102,6 @@ def test_a_body_that_nothing_holds_may_start_at_any_time():
     run = gs.simulate(body, {}, 1.0, t_0=0.25, t_end=1.25, v_0=[3.0], z_0=[])
     turn = 2.0 * np.pi
     drift = (np.sin(turn * 1.25) - np.sin(turn * 0.25)) / turn
-    assert run.v[0] == pytest.approx(3.0 + drift, abs=1e-8)
+    assert run.v_end[0] == pytest.approx(3.0 + drift, abs=1e-8)
     # x = int v: the load's own motion is -cos / turn^2, and its speed at the start is no part of it
-    assert run.q[0] == pytest.approx(3.0 - 1.0 / turn, abs=1e-8)
+    assert run.q_end[0] == pytest.approx(3.0 - 1.0 / turn, abs=1e-8)

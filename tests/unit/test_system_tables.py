@@ -279,7 +279,25 @@ def test_an_edited_function_is_that_of_the_next_study(tmp_path, monkeypatch):
 def test_what_a_function_raises_is_one_line(tmp_path, monkeypatch, raised):
     name = f"raising{abs(hash(raised))}"
     tables = of_function(tmp_path, monkeypatch, name, f"def make(k):\n    raise {raised}\n")
-    with pytest.raises(gs.StudyError, match=r"its arguments are those in \[parameters\]"):
+    with pytest.raises(gs.StudyError, match=rf"{name}\.py:2: {name}:make: ") as refused:
+        gs.Study.from_dict(tables)
+    assert "[parameters]" not in str(refused.value)
+    assert len(refused.value.problems) == 1
+
+
+def test_a_call_that_fails_inside_a_function_is_told_from_a_call_of_the_function(
+    tmp_path, monkeypatch
+):
+    """Both are a TypeError of arguments: the line of the first, the parameters for the second."""
+    inside = "import gapsweep as gs\ndef make(k):\n    return gs.Harmonic([k, 0.0])\n"
+    tables = of_function(tmp_path, monkeypatch, "calls_inside", inside)
+    with pytest.raises(gs.StudyError, match=r"calls_inside\.py:3: .*TypeError") as refused:
+        gs.Study.from_dict(tables)
+    assert "[parameters]" not in str(refused.value)
+    tables = of_function(tmp_path, monkeypatch, "other_names", "def make(stiffness):\n    pass\n")
+    with pytest.raises(
+        gs.StudyError, match=r"TypeError.*its arguments are those in \[parameters\]"
+    ):
         gs.Study.from_dict(tables)
 
 

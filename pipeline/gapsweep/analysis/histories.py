@@ -247,7 +247,7 @@ def _motion(asked: _Asked) -> Mapping[str, Any]:
         )
     except ModelError:
         return {"status": Status.MODEL_INVALID}
-    if motion.t < t.max():
+    if motion.t_end < t.max():
         return {"status": motion.status}
     x, v = motion.sample(t)
     steady = np.transpose([x[-1], v[-1]])[::SAMPLES_PER_PERIOD]

@@ -79,8 +79,8 @@ def motion(scene: Scene, law: ContactLaw | None, solver: Solver, later: int = 0)
     section = run.section
     if run.status is Status.OK:
         # The last period end is the end, however t_end was rounded.
-        section = np.vstack([section[: scene.n_periods - 1], (run.x, run.v)])
-    places = [scene.x_0, run.x, *run.extrema, *section[:, 0]]
+        section = np.vstack([section[: scene.n_periods - 1], (run.x_end, run.v_end)])
+    places = [scene.x_0, run.x_end, *run.extrema, *section[:, 0]]
     at_pole = run.status is Status.MODEL_INVALID
     low, high = law.valid_range
     is_inside = low <= np.min(places) and np.max(places) <= high  # NaN is not

@@ -1,10 +1,13 @@
 """Which cases of a study (stiffness, gap and further parameters) touch no wall."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gapsweep.errors import ModelError
+from gapsweep.model import own_law
 from gapsweep.model.labels import EXACT
 from gapsweep.study.grid import START
 
@@ -60,3 +63,16 @@ def bounded(study: "Study") -> str:
     found = {"n_contacts": np.isinf(bound), "x_max": bound, "x_min": -bound}
     values = grid.coordinates() | {name: some[None] for name, some in found.items()}
     return never_reached(values.__getitem__, grid.dims, [EXACT])
+
+
+def wrong_tables(study: "Study") -> Iterator[str]:
+    """Warnings of force tables that end before any wall, or a thousand times beyond all walls."""
+    walls = [wall for gap in study.grid.gaps for wall in (gap.j_1, gap.j_2) if wall]
+    for label in study.own_laws if walls else ():
+        with suppress(ModelError):  # of a law that cannot be used: reported where it is used
+            ends = [abs(end) for end in getattr(own_law.named(label), "valid_range", ()) if end]
+            if ends and (max(ends) < min(walls) or min(ends) > 1e3 * max(walls)):
+                yield (
+                    f"{label}: the force table reaches x = {max(ends):g}, the walls of the study "
+                    f"are at {min(walls):g} to {max(walls):g}: give both in metres"
+                )

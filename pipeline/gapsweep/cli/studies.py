@@ -253,12 +253,13 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
     from gapsweep.analysis.advice import advice, sentences
     from gapsweep.console import print_table, print_text
 
-    found = advice(options.loaded(study, None), error)
-    scenes = sentences(found)
+    loaded = options.loaded(study, None)
+    found = advice(loaded, error)
+    scenes, error, own = sentences(found), found.attrs["error"], loaded.own_laws
     if as_json:
-        click.echo(json.dumps({"error": found.attrs["error"], "scenes": scenes}))
+        click.echo(json.dumps({"error": error, "not_assessed": own, "scenes": scenes}))
         return FINISHED
-    print_text(f"for an error of the steady amplitude of {found.attrs['error']:g}:")
+    print_text(f"for an error of the steady amplitude of {error:g}:")
     for scene in scenes:
         print_text(_scene(scene))
         for one in scene["starts"]:
@@ -273,6 +274,8 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
             )  # fmt: skip
         click.echo()
         print_text(scene["stand_ins"])
+    for label in own:
+        print_text(f"{label} is not assessed: advice is for straight walls of stiffness K_c")
     return FINISHED
 
 

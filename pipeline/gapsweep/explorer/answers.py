@@ -239,7 +239,7 @@ def _carried(
             oscillator, law, at, *state, t_end=_settling(oscillator, at) / at, rtol=RTOL, atol=atol
         )
         # A motion that has failed leaves no state: the sweep goes on from rest.
-        state = (run.x, run.v) if run.status == Status.OK else (0.0, 0.0)
+        state = (run.x_end, run.v_end) if run.status == Status.OK else (0.0, 0.0)
         found.append(state)
     return np.transpose(found)
 

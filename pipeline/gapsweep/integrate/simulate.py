@@ -75,7 +75,7 @@ def simulate(
         As in `gapsweep.integrate.problem.Solver`; tolerances that are None take the engine's
         defaults: compiled 1e-9 and 1e-12, scipy 1e-4 and 1e-7.
     dense_output : bool
-        Whether ``sample(t)`` may be asked for.
+        Whether to keep the motion between steps, for its history `t`, `x`, `v` and ``sample(t)``.
     tangent : bool
         Whether to integrate the variational equations along, for ``monodromy``; steps of stand-ins
         are then cut for them, too. Where kinks of the force are not located (``located=False``, a

@@ -16,6 +16,7 @@ from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 _CLOCK_ROUNDING = 1e-9  # of the time since the start
+_PER_STEP = 16  # samples of a history: a Taylor step may be as long as a fifth of a period
 
 
 def _of_motions(column: Callable[[Motions], NDArray[Any]]) -> Any:
@@ -24,7 +25,7 @@ def _of_motions(column: Callable[[Motions], NDArray[Any]]) -> Any:
 
 
 class Trajectory:
-    """One simulated motion, or an array of them: its end, its events, its cost.
+    """One simulated motion, or an array of them: its end, its history, its events, its cost.
 
     Every attribute is a plain value for one motion. For an array of motions it is an array of
     their shape; ragged lists (`extrema`, `section`, ...) become arrays of arrays.
@@ -35,9 +36,13 @@ class Trajectory:
 
     Attributes
     ----------
-    t, x, v : float
-        Time [s], displacement [m] and velocity [m/s] where the run ended: at ``t_end``, or
-        earlier if `status` is not ok.
+    t_end, x_end, v_end : float
+        Time [s], displacement [m] and velocity [m/s] where the run ended; earlier than asked for
+        if `status` is not ok.
+    t, x, v : ndarray
+        Their history, with ``dense_output=True``, at evenly spaced times from `t_0` to `t_end`: 16
+        for every step of the solver. An array of motions has one row of times, which ends at the
+        earliest `t_end`; times are the last axis of `x` and `v`.
     t_0 : float
         Start [s].
     n_contacts, n_steps, n_rejected, nfev : int
@@ -84,9 +89,12 @@ class Trajectory:
     def _n(self) -> int:
         return math.prod(self.shape)
 
-    t = _of_motions(lambda motions: motions.t)
-    x = _of_motions(lambda motions: motions.state[:, 0])
-    v = _of_motions(lambda motions: motions.state[:, 1])
+    t_end = _of_motions(lambda motions: motions.t)
+    x_end = _of_motions(lambda motions: motions.state[:, 0])
+    v_end = _of_motions(lambda motions: motions.state[:, 1])
+    t = property(lambda run: run._history[0])
+    x = property(lambda run: run._history[1])
+    v = property(lambda run: run._history[2])
     n_contacts = _of_motions(lambda motions: motions.n_contacts)
     n_steps = _of_motions(lambda motions: motions.n_steps)
     n_rejected = _of_motions(lambda motions: motions.n_rejected)
@@ -108,7 +116,7 @@ class Trajectory:
 
     @property
     def extrema(self) -> Array:
-        """Displacements [m] of all zero-velocity points in ``(t_0, t]``."""
+        """Displacements [m] of all zero-velocity points in ``(t_0, t_end]``."""
         return self._ragged(self._events.extrema, self._events.n_extrema)
 
     @property
@@ -123,7 +131,10 @@ class Trajectory:
 
     @property
     def section(self) -> Array:
-        """Stroboscopic section, shape (n, 2): ``(x, v)`` at every whole forcing period."""
+        """Section, shape (n_points, n_states): the state at every whole forcing period.
+
+        Of a motion that nothing forces, where its first coordinate has a maximum.
+        """
         return self._ragged(self._events.section, self._events.n_section)
 
     @property
@@ -144,8 +155,6 @@ class Trajectory:
         ModelError
             If the run kept no dense output, or a time lies outside it.
         """
-        if not self._has_dense_output:
-            raise ModelError("no dense output was asked for: simulate with dense_output=True")
         try:
             t = floats(t)
         except (TypeError, ValueError, OverflowError):
@@ -156,6 +165,8 @@ class Trajectory:
         earlier = first - _CLOCK_ROUNDING * (first - self.t_0)
         motions = self._dense_from(earlier) if is_inside else self._motions
         end = float(np.min(motions.t))
+        if not motions.n_steps.all():
+            raise ModelError("a motion failed in its first step: it has no history")
         inside = (t >= self.t_0) & (t <= end)
         if not np.all(inside):
             outside = float(t[~inside].flat[0])
@@ -168,10 +179,21 @@ class Trajectory:
         return states[..., 0], states[..., 1]
 
     def _dense_from(self, t: float) -> Motions:
-        """Dense output from `t` on; kept, and made anew only for earlier times."""
+        """Dense output from `t` on; kept, and computed again only for earlier times."""
+        if not self._has_dense_output:
+            raise ModelError(
+                "no history was kept, only t_end, ...: simulate with dense_output=True"
+            )
         if self._dense is None or self._dense[0] > t:
             self._dense = t, self._solve(t, True)
         return self._dense[1]
+
+    @cached_property
+    def _history(self) -> tuple[Array, ...]:
+        """Times, and what `sample` returns there."""
+        motions = self._dense_from(self.t_0)
+        t = np.linspace(self.t_0, motions.t.min(), 1 + _PER_STEP * int(motions.n_steps.max()))
+        return t, *self.sample(t)
 
     @cached_property
     def _events(self) -> Events:
@@ -194,10 +216,12 @@ class SystemTrajectory(Trajectory):
 
     Attributes
     ----------
-    q, v : ndarray, shape (..., n)
+    q_end, v_end : ndarray, shape (..., n)
         Coordinates [m] and velocities [m/s] where the run ended.
-    z : ndarray, shape (..., m)
+    z_end : ndarray, shape (..., m)
         First-order states there.
+    q, v, z : ndarray, shape (..., n_times, n) or (..., n_times, m)
+        Their history at the times `t`, with ``dense_output=True``.
     monodromy : ndarray, shape (..., 2 n + m, 2 n + m), or None
         Derivative of the end state (q, v, z) by the initial one, with ``tangent=True``.
 
@@ -206,7 +230,7 @@ class SystemTrajectory(Trajectory):
     >>> import gapsweep as gs
     >>> system, law = gs.systems.two_masses(), gs.systems.two_masses_law()
     >>> run = gs.simulate(system, law, 0.6, t_end=20.0)
-    >>> run.q.shape, sorted(run.extrema) == sorted(system.coordinates)
+    >>> run.q_end.shape, sorted(run.extrema) == sorted(system.coordinates)
     ((2,), True)
     """
 
@@ -214,21 +238,15 @@ class SystemTrajectory(Trajectory):
         self.system = system
         super().__init__(*given)
 
-    @property
-    def _state(self) -> Array:
-        return self._motions.state.reshape(*self.shape, -1)
+    q_end = property(lambda run: run._end[0])
+    v_end = property(lambda run: run._end[1])
+    z_end = property(lambda run: run._end[2])
+    q = property(lambda run: run._history[1])
+    z = property(lambda run: run._history[3])
 
     @cached_property
-    def q(self) -> Array:
-        return self._as_sampled(self._state)[0]
-
-    @cached_property
-    def v(self) -> Array:
-        return self._as_sampled(self._state)[1]
-
-    @cached_property
-    def z(self) -> Array:
-        return self._as_sampled(self._state)[2]
+    def _end(self) -> tuple[Array, ...]:
+        return self._as_sampled(self._motions.state.reshape(*self.shape, -1))
 
     def _as_sampled(self, states: Array) -> tuple[Array, ...]:
         n = self.system.n
@@ -236,7 +254,7 @@ class SystemTrajectory(Trajectory):
 
     @property
     def extrema(self) -> Any:
-        """Values [m] of each coordinate where its velocity is zero in ``(t_0, t]``, by its name."""
+        """Values [m] of each coordinate where its velocity is zero in ``(t_0, t_end]``, by name."""
         return self._by_name(self.system.coordinates, "extrema", "extrema_of", "n_extrema")
 
     @property
@@ -248,14 +266,6 @@ class SystemTrajectory(Trajectory):
     def t_contacts(self) -> Any:
         """Times [s] at which every contact crossed a wall, in or out, by its name."""
         return self._by_name(self.system.contacts, "t_contacts", "contacts_of", "n_contacts")
-
-    @property
-    def section(self) -> Array:
-        """Section, shape (n_points, 2 n + m): at every whole forcing period.
-
-        Of a motion that nothing forces, where its first coordinate has a maximum.
-        """
-        return super().section
 
     def _by_name(self, names: Iterable[str], values: str, owners: str, counts: str) -> Any:
         """Recorded values as a dict by name; of an array of motions an array of dicts."""

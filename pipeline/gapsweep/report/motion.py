@@ -1,8 +1,10 @@
 """A simulated motion as a picture: history, phase portrait, section and spectrum."""
 
-from typing import TYPE_CHECKING
+from io import BytesIO
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 
 from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.histories import spectrum
@@ -11,9 +13,6 @@ from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw
 from gapsweep.report.backdrop import in_coordinate
 from gapsweep.report.style import CLASS_COLOURS, MATPLOTLIB, WALL
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _PER_PERIOD = 512  # samples: harmonics up to the 256th are told from each other
 _MOST_PERIODS = 256
@@ -26,7 +25,16 @@ _SECTIONS = {True: "Stroboscopic section", False: "Section at maxima of the firs
 _SECTION = CLASS_COLOURS["chaotic"]
 
 
-def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None = None) -> "Figure":
+class _Picture(Figure):
+    """A figure that a notebook shows without pyplot; one of pyplot's would be shown twice."""
+
+    def _repr_png_(self) -> bytes:
+        file = BytesIO()
+        self.savefig(file, format="png")
+        return file.getvalue()
+
+
+def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None = None) -> Figure:
     """Draw a motion: its history, phase portrait, stroboscopic section and amplitude spectrum.
 
     Dashed are the walls that it comes near: of a system, of contacts that feel that coordinate
@@ -65,21 +73,18 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     4
     """
     number, name, scale, unit = _quantity(run, coordinate)
-    start = 0.5 * (run.t_0 + run.t) if start is None else start
-    if not run.t_0 <= start < run.t:
-        raise ModelError(f"start = {start:g} s: must be within {run.t_0:g}..{run.t:g} s")
+    start = 0.5 * (run.t_0 + run.t_end) if start is None else start
+    if not run.t_0 <= start < run.t_end:
+        raise ModelError(f"start = {start:g} s: must be within {run.t_0:g}..{run.t_end:g} s")
     period, n_periods = _periods(run, start)
     per_period = max(_PER_PERIOD, _FEWEST // n_periods)
     back = np.arange(n_periods * per_period, 0, -1) / per_period
-    t = np.maximum(run.t - period * back, run.t_0)
+    t = np.maximum(run.t_end - period * back, run.t_0)
     x, v = (scale * each.reshape(t.size, -1)[:, number] for each in run.sample(t)[:2])
-    at_end = t >= run.t - _N_PERIODS * period
+    at_end = t >= run.t_end - _N_PERIODS * period
     labels = f"{name}{unit}", f"velocity{unit.replace(']', '/s]')}"
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
     with rc_context(MATPLOTLIB):
-        figure = Figure(figsize=(9.0, 6.0))
+        figure = _Picture(figsize=(9.0, 6.0))
         (history, phase), (section, lines) = figure.subplots(2, 2)
         history.plot(t[at_end], x[at_end], color="black", linewidth=0.8)
         ended = "" if t[at_end][0] <= run.t_0 else ", its end"
@@ -110,7 +115,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
 
 def _periods(run: Trajectory, start: float) -> tuple[float, int]:
     """A period [s], and how many whole ones are shown from `start` on; what is shorter is one."""
-    shown = run.t - start
+    shown = run.t_end - start
     times = run.t_section[run.t_section >= start]
     if times.size < 2:
         return shown, 1

@@ -259,6 +259,8 @@ def read(path: str | Path) -> "xr.Dataset":
             f"{path}: no SHA-256 beside it, damage would go unnoticed; copy SHA256SUMS along",
             stacklevel=2,
         )
+    for variable in opened.variables.values():  # of texts that may be cut, and then saved again
+        variable.encoding.pop("char_dim_name", None)
     _keep_names_once(opened)
     return opened
 

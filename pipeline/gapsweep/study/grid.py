@@ -146,9 +146,13 @@ class Grid:
     def labels(self, name: str) -> Sequence[Any]:
         """Values of an axis as its coordinate in the dataset holds them."""
         axis = self.axes[name]
-        if name == "gap":  # of systems in units that the user knows
-            return [f"{g.j_1:.12g}/{g.j_2:.12g}" if self.parts else g.label for g in axis]
+        if name == "gap":
+            return [self.label(gap) for gap in axis]
         return axis.number.tolist() if isinstance(axis, Starts) else axis
+
+    def label(self, gap: Gap) -> str:
+        """Wall distances as text: in mm, of systems in the unit of their coordinates."""
+        return f"{gap.j_1:.12g}/{gap.j_2:.12g}" if self.parts else gap.label
 
     def coordinates(self) -> dict[str, NDArray[Any]]:
         """Values of all coordinates of the dataset; states of sweeps are NaN."""

@@ -4,6 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import AUTO, EXACT, law_of
-from gapsweep.model.oscillator import OSCILLATOR, Oscillator
+from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
 from gapsweep.model.structure import Structure
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advised
@@ -271,9 +272,9 @@ class Study:
         ----------
         **wanted
             Values of dimensions: a value, a list or, for numbers, a slice that includes both
-            ends. Labels, as ``"tanh-1e4"`` and ``"0.4/0.4"``, for `representation` and `gap`,
-            numbers of starts for `initial_condition`. Numbers are compared after rounding to 12
-            significant digits.
+            ends. Labels, as ``"tanh-1e4"`` and ``"0.4/0.4"``, for `representation` and `gap`; a
+            gap also as in a study file, ``(4e-4, 4e-4)`` or a list of such pairs. Numbers of starts
+            for `initial_condition`. Numbers are compared after rounding to 12 significant digits.
 
         Raises
         ------
@@ -281,6 +282,9 @@ class Study:
             If a name is no dimension, a value is not among the study's own, or no block asks for
             what is selected.
         """
+        with suppress(KeyError, TypeError, ValueError):  # labels already
+            pairs = np.array(wanted["gap"], dtype=float).reshape(-1, 2).tolist()
+            wanted["gap"] = [self.grid.label(Gap(*pair)) for pair in pairs]
         axes = {name: self.grid.labels(name) for name in self.grid.axes}
         problems = [
             f"{self.source}: {name}: no dimension of the study; choose from {', '.join(axes)}"

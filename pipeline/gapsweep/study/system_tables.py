@@ -1,13 +1,16 @@
 """The tables of a study file that describe a system: matrices, or a function of named numbers."""
 
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import chdir
 from dataclasses import fields
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, model_validator
 
 from gapsweep.aside import printing_aside
+from gapsweep.beside import blame
 from gapsweep.errors import ModelError, StudyError, described
 from gapsweep.model import own_law, systems
 from gapsweep.model.labels import FUNCTION
@@ -164,9 +167,11 @@ def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
     except (ModelError, KeyboardInterrupt):
         raise
     except BaseException as error:  # the user's code may raise anything, SystemExit too
-        raise ModelError(
-            f"{name}: {described(error)}; its arguments are those in [parameters]"
-        ) from None
+        message = f"{name}: {described(error)}; its arguments are those in [parameters]"
+        if error.__traceback__ is not None and error.__traceback__.tb_next:  # it has been called
+            module = sys.modules.get(name.partition(":")[0], systems)
+            message = blame(Path(str(module.__file__)), error, name)
+        raise ModelError(message) from None
     if not isinstance(found, System):
         raise ModelError(f"{name}: must return a gapsweep.System, not {type(found).__name__}")
     # Checked anew: its contacts and modulations are dictionaries, which the function may have
