@@ -191,6 +191,29 @@ def test_a_forced_bilinear_oscillator(turns, multiple, extremes, multiplier):
         assert_allclose(largest, multiplier, atol=1e-5)
 
 
+@pytest.mark.parametrize("a", [0.1, 1.0, 3.0])
+@pytest.mark.parametrize("cubic", [0.0, 1.0])
+def test_free_vibration_that_starts_on_its_orbit_is_periodic(a, cubic):
+    """BifurcationKit.jl#232: the backbone from `respond`; 2 pi without a cubic spring."""
+    found = gs.respond(single(1.0, cubic=cubic), {}, q_0=[a])
+    assert (found.status, found.response_class) == (gs.Status.OK, ResponseClass.PERIODIC)
+    c = cubic * a * a
+    period = 4.0 * ellipk(c / (2.0 + 2.0 * c)) / math.sqrt(1.0 + c)
+    assert_allclose(found.period, period, rtol=1e-8)
+    assert_allclose([found.x_min[0], found.x_max[0]], [-a, a], rtol=1e-8)
+    assert_allclose(found.multiplier_abs, 1.0, atol=1e-3)  # twice 1: rounding moves it by its root
+
+
+@pytest.mark.parametrize("a", [1e-3, 1.0, 100.0])
+def test_free_vibration_of_a_breathing_crack_is_periodic(a):
+    """Chu & Shen (1992): the same period at any amplitude, from `respond`."""
+    crack = gs.System(mass=[[1.0]], stiffness=[[1.0]], contacts={"crack": [1.0]})
+    found = gs.respond(crack, bilinear(0.0, 0.0)[1], q_0=[a])
+    assert found.response_class is ResponseClass.PERIODIC
+    assert_allclose(found.period, math.pi + math.pi / 3.0, rtol=1e-8)
+    assert_allclose([found.x_min[0], found.x_max[0]], [-3.0 * a, a], rtol=1e-8)
+
+
 # --- Impacts on stiff springs ---------------------------------------------------------------------
 
 
