@@ -11,7 +11,6 @@ import gapsweep
 PACKAGE = Path(gapsweep.__file__).parent
 LAYERS = (
     {"errors", "status", "source", "aside"},
-    {"loaded"},
     {"beside", "model"},
     {"integrate"},
     {"response"},

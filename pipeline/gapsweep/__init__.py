@@ -11,7 +11,6 @@ from gapsweep.errors import (
     StoreError,
     StudyError,
 )
-from gapsweep.loaded import LOADED as LOADED
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.status import Status
 

@@ -25,8 +25,11 @@ _SETTINGS = (
 
 
 def run_folder(study: Study, out: str | Path | None) -> Path:
-    """Where a run leaves its files: the argument, else ``data/runs/<study name>``."""
-    return Path(out) if out is not None else RUNS / study.name
+    """Where a run leaves its files: the argument, else ``data/runs/<study name>``.
+
+    Absolute, as `cache_path`: code of the user's may change the current folder.
+    """
+    return (Path(out) if out is not None else RUNS / study.name).absolute()
 
 
 @contextmanager

@@ -34,7 +34,7 @@ def cache_path(cache: str | Path | None) -> Path:
     path = Path(cache or os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE)
     if not path.name:
         raise StoreError(f"{path}: is a folder; name a file in it, as {path / DEFAULT_CACHE.name}")
-    return path
+    return path.absolute()
 
 
 def plan(
@@ -53,10 +53,9 @@ def plan(
     StudyError
         If a law of the user's own ends its process or hangs where keys are made.
     """
-    say = partial(tell, on_progress, Progress(0, 0))
+    path, say = cache_path(cache), partial(tell, on_progress, Progress(0, 0))
     try_out_own_laws(study, timeout, say)
     say("looking up what is stored")
-    path = cache_path(cache)
     if not path.exists():
         return make_plan(study, selection=selection)
     with Cache(path, read_only=True) as store:
@@ -113,9 +112,8 @@ def explain(
     **wanted: Any,
 ) -> list[Explanation]:
     """Why the selected points, the first `limit` of them, are hits or misses."""
-    selection = study.select(**wanted)
-    planned = plan(study, cache, selection=selection, on_progress=on_progress)
-    path = cache_path(cache)
+    selection, path = study.select(**wanted), cache_path(cache)
+    planned = plan(study, path, selection=selection, on_progress=on_progress)
     if not path.exists():
         raise StoreError(f"{path}: no such file, so every point is missing")
     with Cache(path, read_only=True) as store:

@@ -294,7 +294,7 @@ def report(folder: str | Path, study: Study | None = None) -> Path:
     GapsweepError
         If the folder holds no run, one of its files is damaged, or the study has no sections.
     """
-    folder = Path(folder)
+    folder = Path(folder).absolute()
     with alone_in_run(folder):
         if study is not None:
             own_code.draw(*own_code.own_stage(SECTIONS, study, folder))

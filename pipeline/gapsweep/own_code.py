@@ -103,7 +103,7 @@ def claims(folder: str | Path, study: Study | None = None) -> dict[str, Any]:
     GapsweepError
         If there are no responses or no claims, or a file is damaged.
     """
-    folder = Path(folder)
+    folder = Path(folder).absolute()
     with alone_in_run(folder):
         if study is not None:
             return decide(*own_stage(CLAIMS, study, folder))

@@ -32,7 +32,12 @@ def read(path: Path, module: str) -> Source:
     OSError, SyntaxError, ValueError
         If it cannot be read, or is not Python.
     """
-    tree = ast.parse(path.read_bytes())
+    return parsed(path.read_bytes(), path, module)
+
+
+def parsed(data: bytes, path: Path, module: str) -> Source:
+    """`read`, of a file whose bytes are known."""
+    tree = ast.parse(data)
     package = module if path.stem == "__init__" else module.rpartition(".")[0]
     statements = list(_statements(tree))
     names = tuple(_imported(statements, package))

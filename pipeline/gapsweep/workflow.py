@@ -173,7 +173,7 @@ def carry_out(
             stacklevel=3,
         )
     planned = plan(
-        study, cache, retry_failed=retry_failed, timeout=timeout, on_progress=on_progress
+        study, path, retry_failed=retry_failed, timeout=timeout, on_progress=on_progress
     )
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last

@@ -241,7 +241,7 @@ def test_cache_commands(finished):
     assert (done.returncode, done.stdout) == (1, "4 points, 2 damaged\n")
     again = gapsweep(finished, "run", "tiny.toml", *copy)
     assert again.stdout.startswith("4 points: 2 from the cache, 2 computed\n")
-    assert "warning: copy.sqlite: 2 damaged results, computed again\n" in again.stderr
+    assert "copy.sqlite: 2 damaged results, computed again\n" in again.stderr
 
 
 def test_verify_notices_a_wrong_number_with_a_right_checksum(finished):

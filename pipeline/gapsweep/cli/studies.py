@@ -91,8 +91,10 @@ def plan(
     from gapsweep import lookup
     from gapsweep.analysis.walls import bounded
     from gapsweep.console import duration, print_table, progress_bar
+    from gapsweep.folder import run_folder
 
     loaded = options.loaded(study, engine)
+    cache, out = lookup.cache_path(cache), run_folder(loaded, out)
     with progress_bar() as observer:
         planned = lookup.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = lookup.expected_seconds(planned, cache, workers)
@@ -174,6 +176,7 @@ def query(
     shown = Form.of(form, columns, digits, output)
     if output is not None:
         check_output(output)
+        output = output.absolute()
     loaded = options.loaded(study, engine)
     shown.check(loaded)
     with progress_bar() as observer:

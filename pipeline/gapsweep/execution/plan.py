@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.execution.sweeps import origins
 from gapsweep.model import own_law
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
@@ -132,16 +133,13 @@ def _parts(follows: NDArray[np.bool_]) -> Iterator[slice]:
 def _started_elsewhere(
     cache: Cache, keys: NDArray[np.void], status: NDArray[np.int8], follows: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Which stored points did not start from the last point before them that has not failed."""
-    numbers = np.arange(len(keys))
-    first = np.maximum.accumulate(np.where(follows, 0, numbers))
-    settled = np.maximum.accumulate(np.where(status > Status.OUT_OF_FIT_RANGE, -1, numbers))
-    rows = np.flatnonzero(follows & (status >= 0))
-    origin = settled[rows - 1]
-    expected = keys[np.maximum(origin, 0)]
-    expected[origin < first[rows]] = np.zeros(1, KEY)
+    """Which stored points did not start where they would start now."""
+    rows = np.flatnonzero(follows | np.append(follows[1:], False))
+    is_first = ~follows[rows]
+    started, has_end = cache.origins(keys[rows])
+    expected = origins(keys[rows], is_first, has_end, np.zeros(is_first.sum(), KEY))
     found = np.zeros(len(keys), bool)
-    found[rows] = cache.origins(keys[rows]) != expected
+    found[rows] = (started != expected) & (status[rows] >= 0)
     return found
 
 

@@ -1,17 +1,44 @@
-"""Where a sweep goes on whose first part is stored."""
+"""Where the points of a sweep start: from the last point before them that has an end."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import StoreError
-from gapsweep.execution.task import States
 from gapsweep.store.cache import Cache
 from gapsweep.study.points import KEY
 
 
+def origins(
+    keys: NDArray[np.void],
+    is_first: NDArray[np.bool_],
+    has_end: NDArray[np.bool_],
+    before: NDArray[np.void],
+) -> NDArray[np.void]:
+    """Keys of the points at whose ends the points of sweeps start; zero of those that start at rest.
+
+    Parameters
+    ----------
+    keys : ndarray of void, shape (n,)
+        Content keys of the points, sweep after sweep.
+    is_first : ndarray of bool, shape (n,)
+        Which points begin a sweep, or a part of one.
+    has_end : ndarray of bool, shape (n,)
+        As of `Responses`.
+    before : ndarray of void, shape (n_firsts,)
+        Origins of the first points.
+    """
+    numbers = np.arange(len(keys))
+    first = np.maximum.accumulate(np.where(is_first, numbers, 0))
+    last = np.maximum.accumulate(np.append(-1, np.where(has_end, numbers, -1)))[:-1]
+    found = keys[last]
+    at_first = last < first
+    found[at_first] = before[np.cumsum(is_first) - 1][at_first]
+    return found
+
+
 def start_of(
     cache: Cache, previous: NDArray[np.void], n_states: int
-) -> tuple[States, NDArray[np.void]]:
+) -> tuple[NDArray[np.float64], NDArray[np.void]]:
     """Where a sweep that has come to the point of a key goes on, and the key of whose end that is.
 
     At rest, a state of `n_states` zeros, and zero, if it has not begun.
@@ -29,8 +56,8 @@ def start_of(
                 "again to resume"
             )
         _, contents, row = place
-        (end,) = contents.responses.take([row]).ends
-        if np.isfinite(end).all():
-            return end, previous
+        response = contents.responses.take([row])
+        if response.has_end.all():
+            return response.ends[0], previous
         previous = contents.previous[[row]]
     return np.zeros(n_states), previous

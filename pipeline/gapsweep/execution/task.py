@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, described
+from gapsweep.execution.sweeps import origins
 from gapsweep.integrate.problem import ENGINES
 from gapsweep.integrate.simulate import loaded
 from gapsweep.model import own_law
@@ -37,7 +38,7 @@ from gapsweep.study.fingerprint import check_unedited
 from gapsweep.study.points import KEY, OF_CONTACT, OURS, Kind, Points, with_ratio
 from gapsweep.study.software import software, versions
 
-_RESTARTED = "the point before it failed: starts from the last settled one"
+_RESTARTED = "the point before it has no end state: starts from the last one that has"
 
 # What was computed before has its machine code.
 _warm: set[Kind] = set()
@@ -69,8 +70,7 @@ class Tile:
         Displacement [m] and velocity [m/s] from which each sweep starts, of a system all of its
         state; of no meaning for fixed starts, which are among the points' numbers.
     origins : ndarray of void, shape (m,)
-        Keys of the points whose ends those states are; zero at rest. After failures it is the last
-        point before them that settled.
+        Keys of the points whose ends those states are, as of `sweeps.origins`.
     """
 
     points: Points
@@ -104,11 +104,8 @@ class Tile:
 
     def _started(self, responses: Responses) -> NDArray[np.void]:
         """Keys of the points that each one really started from."""
-        found, is_first = self.previous.copy(), np.zeros(len(self), bool)
-        found[self.firsts], is_first[self.firsts] = self.origins, True
-        for row in np.flatnonzero(~_ended(responses.ends)[:-1] & ~is_first[1:]).tolist():
-            found[row + 1] = found[row]
-        return found
+        is_first = np.isin(np.arange(len(self)), self.firsts)
+        return origins(self.keys, is_first, responses.has_end, self.origins)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,7 +219,7 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
     """Steady responses of a tile; a failure is one with its status.
 
     The first points of all sweeps advance together, then the second ones, and so on. A point whose
-    predecessor failed starts where the last one ended that did.
+    predecessor has no end state starts from the last one that has; `origins` says which.
 
     Parameters
     ----------
@@ -239,20 +236,13 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
         found = (ask or _together)(tile.points.take(rows), states[here])
         for row in np.flatnonzero(after_failure[here]).tolist():
             found.messages.setdefault(row, _RESTARTED)
-        after_failure[here] = found.columns["status"] > Status.OUT_OF_FIT_RANGE
-        ends = found.ends
-        ended = _ended(ends)
-        states[here[ended]] = ends[ended]
+        after_failure[here] = ~found.has_end
+        states[here[found.has_end]] = found.ends[found.has_end]
         parts.append(found)
         order.append(rows)
     if len(parts) == 1:
         return parts[0]
     return Responses.concatenated(parts).take(np.argsort(np.concatenate(order)))
-
-
-def _ended(ends: States) -> NDArray[np.bool_]:
-    """Which motions have an end that another can start from."""
-    return np.asarray(np.isfinite(ends).all(axis=1))
 
 
 def _together(points: Points, states: States) -> Responses:

@@ -378,6 +378,11 @@ class Responses:
         names = [name for name in ("x_end", "v_end", "z_end") if name in self.columns]
         return np.column_stack([self.columns[name] for name in names])
 
+    @property
+    def has_end(self) -> NDArray[np.bool_]:
+        """Which of these states are numbers, shape (n,)."""
+        return np.asarray(np.isfinite(self.ends).all(axis=1))
+
     def row(self, k: int) -> Response:
         """One response as plain values."""
         return self.take([k]).rows()[0]

@@ -305,15 +305,21 @@ class Cache:
         found = self._slab(index.ids[held.slab[0]]) if held.slab[0] >= 0 else None
         return None if found is None else (*found, int(held.row[0]))
 
-    def origins(self, keys: NDArray[np.void]) -> NDArray[np.void]:
-        """Keys of the points that stored results started from; zero of those not stored."""
+    def origins(self, keys: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.bool_]]:
+        """Keys of the points that stored results started from, and which of them have an end.
+
+        Zero of those not stored, which are taken to have one.
+        """
         index = self._refreshed()
         held, origins = index.find(keys), np.zeros(len(keys), KEY)
+        has_end = np.ones(len(keys), bool)
         for number, asked in _grouped(held.slab):
             found = self._slab(index.ids[number])
             if found is not None:
-                origins[asked] = found[1].previous[held.row[asked]]
-        return origins
+                rows = held.row[asked]
+                origins[asked] = found[1].previous[rows]
+                has_end[asked] = found[1].responses.has_end[rows]
+        return origins, has_end
 
     def seconds(self, keys: NDArray[np.void]) -> NDArray[np.float64]:
         """Processor time [s] of each key's result, as its slab's mean; NaN if it is not stored."""

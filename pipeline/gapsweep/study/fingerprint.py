@@ -2,18 +2,18 @@
 
 The fingerprint of the numerics enters every cache key, so that results of other code are never
 taken for these. The fingerprint of a stage's code says whether its dataset is up to date.
-Both are taken once per process: an edit during a run changes nothing in it.
+Both are of the bytes that this process read as it imported this module: an edit during a run
+changes neither.
 """
 
 import hashlib
-import time
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
 import gapsweep.model
 from gapsweep.errors import ClusterError
-from gapsweep.source import Source, read, short_digest, with_parents
+from gapsweep.source import Source, parsed, short_digest, with_parents
 
 _PACKAGE = Path(gapsweep.model.__file__).parents[1]
 # What decides a result, from a point's numbers to its response.
@@ -24,14 +24,18 @@ NUMERICS = (
 
 
 @cache
-def numerics_fingerprint(package: Path = _PACKAGE) -> str:
-    """SHA-256 (16 hex digits) of the modules in `NUMERICS`.
+def _bytes(path: Path) -> bytes:
+    """A file as this process first read it."""
+    return path.read_bytes()
 
-    Raises
-    ------
-    ClusterError
-        If one was edited since this process has begun to load the package: it may run either.
-    """
+
+for _source in _PACKAGE.rglob("*.py"):
+    _bytes(_source)  # now, before the engines and the stages are imported
+
+
+@cache
+def numerics_fingerprint(package: Path = _PACKAGE) -> str:
+    """SHA-256 (16 hex digits) of the modules in `NUMERICS`."""
     return _digest(package, _numerics(package))
 
 
@@ -40,46 +44,28 @@ def numerics_bytes() -> str:
     """SHA-256 (16 hex digits) of the same modules to the last byte, comments included.
 
     By this two processes know in no time whether they run the same; the other one is for keys.
-
-    Raises
-    ------
-    ClusterError
-        As `numerics_fingerprint`.
     """
     files = sorted(_numerics(_PACKAGE))
-    parts = ((path.relative_to(_PACKAGE).as_posix().encode(), path.read_bytes()) for path in files)
+    parts = ((path.relative_to(_PACKAGE).as_posix().encode(), _bytes(path)) for path in files)
     return short_digest(b"\0".join(part for named in parts for part in named))
 
 
 def check_unedited() -> None:
-    """Whether what is loaded from now on is what the fingerprints are of.
+    """Compare the modules in `NUMERICS` with what this process read of them.
 
     Raises
     ------
     ClusterError
-        As `numerics_fingerprint`.
+        If one was edited since: what this process imports later may not be what it has imported.
     """
-    _numerics(_PACKAGE)
+    for path in _numerics(_PACKAGE):
+        if path.read_bytes() != _bytes(path):
+            raise ClusterError(f"{path}: edited after this process loaded gapsweep: start it again")
 
 
 def _numerics(package: Path) -> list[Path]:
-    """The files of the modules in `NUMERICS`, if none was edited since they were loaded."""
     paths = (package / name for name in NUMERICS)
-    files = [m for p in paths for m in (p.rglob("*.py") if p.is_dir() else [p])]
-    if package == _PACKAGE:
-        _check_unedited(files)
-    return files
-
-
-def _check_unedited(files: Iterable[Path]) -> None:
-    """Whether none of our files was edited since this process began to load them."""
-    now = time.time()
-    for file in files:
-        stat = file.stat()
-        # A file that is put in place of another may keep its date. A clock that is ahead on
-        # another machine is no edit.
-        if any(gapsweep.LOADED < at <= now for at in (stat.st_mtime, stat.st_ctime)):
-            raise ClusterError(f"{file}: edited after this process loaded gapsweep: start it again")
+    return [m for p in paths for m in (p.rglob("*.py") if p.is_dir() else [p])]
 
 
 @cache
@@ -90,14 +76,8 @@ def code_fingerprint(name: str) -> str:
     ----------
     name : str
         Path of the module in the package, as ``"analysis/timing.py"``.
-
-    Raises
-    ------
-    ClusterError
-        As `numerics_fingerprint`: what the old code makes must not count as the new one's.
     """
     needed = modules(_PACKAGE / name, _PACKAGE)
-    _check_unedited(needed)
     templates = {path for module in needed for path in (module.parent / "templates").glob("*")}
     return _digest(_PACKAGE, needed | templates)
 
@@ -133,13 +113,13 @@ def _digest(package: Path, files: Iterable[Path]) -> str:
     for path in sorted(files):
         digest.update(path.relative_to(package).as_posix().encode())
         is_code = path.suffix == ".py"
-        digest.update(_read(path, package).digest.encode() if is_code else path.read_bytes())
+        digest.update(_read(path, package).digest.encode() if is_code else _bytes(path))
     return digest.hexdigest()[:16]
 
 
 @cache
 def _read(path: Path, package: Path) -> Source:
-    return read(path, _name(path, package))
+    return parsed(_bytes(path), path, _name(path, package))
 
 
 def _name(path: Path, package: Path) -> str:

@@ -181,7 +181,11 @@ class Study:
         return self._beside(self.spec.report)
 
     def _beside(self, table: ModuleTable | None) -> Path | None:
-        return None if table is None else Path(self.source).parent / table.module
+        return None if table is None else self._folder / table.module
+
+    @cached_property
+    def _folder(self) -> Path:
+        return Path(self.source).absolute().parent
 
     @cached_property
     def oscillator(self) -> Oscillator:

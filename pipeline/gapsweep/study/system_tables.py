@@ -151,7 +151,8 @@ def _function(name: str) -> Any:
         return getattr(systems, name)
     own_law.refresh()
     try:
-        return own_law.named(name)
+        with chdir("."):
+            return own_law.named(name)
     except ModelError as error:
         raise ModelError(str(error).replace(own_law.OF_LAWS, _NEEDED)) from None
 
