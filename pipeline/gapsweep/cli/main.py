@@ -60,6 +60,9 @@ def main() -> None:
     # What imports and figures make lives on: looked through as often as usual, it takes an eighth
     # of the time of a short run.
     gc.set_threshold(20_000, 25, 25)
+    for number in (signal.SIGTERM, signal.SIGHUP):  # a batch system ends jobs with one of them
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup ignores SIGHUP
+            signal.signal(number, _interrupt)
     if sys.stdout is None:  # closed, by >&-
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  # open until the process ends
     code = exit_code()
@@ -73,6 +76,11 @@ def main() -> None:
         # All is said: whoever presses Ctrl-C once more shall see no library's clean-up break.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.exit(code)
+
+
+def _interrupt(*_: object) -> None:
+    """Handle a signal as Ctrl-C is handled at this moment."""
+    signal.raise_signal(signal.SIGINT)
 
 
 def exit_code(arguments: list[str] | None = None) -> int:

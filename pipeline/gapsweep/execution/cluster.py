@@ -88,8 +88,10 @@ def _deaf_to_interrupts() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):  # not a POSIX system
         yield
         return
-    resource_tracker.ensure_running()  # which lifts every block once it is started
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    stopping = {signal.SIGINT, signal.SIGHUP}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, stopping)
+    resource_tracker.ensure_running()  # which lifts the block of Ctrl-C once it is started
+    signal.pthread_sigmask(signal.SIG_BLOCK, stopping)
     try:
         yield
     finally:
