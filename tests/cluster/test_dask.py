@@ -1,5 +1,6 @@
 """Clusters started by hand: other code, TLS, lost schedulers, workers that come and go."""
 
+import asyncio
 import os
 import re
 import shutil
@@ -10,12 +11,14 @@ import sys
 import threading
 import time
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
 import xarray as xr
+from distributed import Client, LocalCluster
 
 import gapsweep as gs
 from gapsweep.execution.cluster import cluster
@@ -246,3 +249,22 @@ def test_basins_on_a_cluster_are_those_of_one_process(client):
     own = gs.law(lambda x: 0.0, 1.0, gs.Gap(0.0, 0.0))
     with pytest.raises(gs.ModelError, match="client: not for laws of your own"):
         gs.basins(gs.Oscillator(), own, 19.0, **axes, client=client)
+
+
+def test_an_asynchronous_client_is_refused_and_disturbs_no_run_without_it(tables, tmp_path):
+    study, cache = gs.Study.from_dict(tables), tmp_path / "c.sqlite"
+
+    async def main():
+        options = {"processes": False, "asynchronous": True, "dashboard_address": None}
+        async with (
+            LocalCluster(n_workers=1, **options) as started,
+            Client(started, asynchronous=True) as client,
+        ):
+            for call in (partial(gs.run, out=tmp_path / "out"), gs.query):
+                with pytest.raises(gs.ClusterError, match="asynchronous"):
+                    call(study, client, cache=cache)
+            assert stored(tmp_path) == 0
+            with gs.run(study, out=tmp_path / "out", cache=cache) as ds:
+                assert (ds["status"] == gs.Status.OK).all()
+
+    asyncio.run(main())

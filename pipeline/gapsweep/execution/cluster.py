@@ -130,6 +130,8 @@ def check_workers(client: Client) -> None:
         If there is no worker, or one cannot answer, or one has other numerics, another Python,
         or other versions of the libraries that compute.
     """
+    if client.asynchronous:
+        raise ClusterError("client: asynchronous; pass a synchronous one, as Client(address)")
     try:
         client.wait_for_workers(1, timeout=_CONNECT_SECONDS)
         answers = client.run(software, on_error="return")

@@ -127,8 +127,10 @@ def _attributes(held: Any) -> dict[str, Any]:
 def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> None:
     """Write a small dataset as a whole, with attributes and provenance; else like `writing`.
 
-    Ctrl-C waits for it.
+    Ctrl-C waits for it. A Dask client of the user's takes no part: an asynchronous one could not.
     """
+    import dask  # xarray has imported it
+
     with _LOCK, _uninterrupted(), recording(path, _is_ours) as temporary, _errors(path):
         stamped = dataset.assign_attrs({**attributes, **provenance()})
         encoding = {
@@ -137,7 +139,8 @@ def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> N
             | ({"dtype": "S1"} if variable.dtype.kind in "OU" else {})
             for name, variable in stamped.variables.items()
         }
-        stamped.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        with dask.config.set(scheduler="synchronous"):
+            stamped.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
         with netCDF4.Dataset(temporary) as written:
             for variable in written.variables.values():
                 _ = variable[:]
