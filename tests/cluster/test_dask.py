@@ -190,6 +190,26 @@ def test_local_cluster_listens_on_the_loopback_only():
         assert re.match(r"http://127\.0\.0\.1:\d+/", client.dashboard_link)
 
 
+STRANGER = """
+import os, sys
+from distributed import Client
+with Client(sys.argv[1], timeout=5) as client:
+    print(client.run_on_scheduler(os.getpid), client.run(os.getpid))
+"""
+
+
+def test_another_process_cannot_join_the_local_cluster():
+    with cluster(workers=1) as client:
+        client.wait_for_workers(1)
+        address = client.scheduler_info()["address"]
+        port = address.rsplit(":", 1)[1]
+        for there in (address, f"tcp://127.0.0.1:{port}"):
+            command = [sys.executable, "-c", STRANGER, there]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+            assert done.returncode != 0
+            assert done.stdout == ""
+
+
 @pytest.fixture
 def certificate(tmp_path):
     openssl = shutil.which("openssl")

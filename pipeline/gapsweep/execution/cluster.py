@@ -47,11 +47,13 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
         If the scheduler cannot be reached, or no local cluster starts.
     """
     if scheduler is None:
-        # Free ports on the loopback: nobody else may look in, no other cluster is disturbed.
+        # Free ports on the loopback, so that no other cluster is disturbed. Temporary TLS keys, so
+        # that no other process of the machine can run code in the workers or in this process.
         options: dict[str, Any] = {
             "host": "127.0.0.1",
             "processes": True,
             "threads_per_worker": 1,
+            "security": True,
             "dashboard_address": "127.0.0.1:0",
         }
         # What goes wrong on a worker becomes the status of its points; its log only repeats it.
