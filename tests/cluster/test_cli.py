@@ -366,18 +366,22 @@ def test_wrong_command_line_is_clicks_own(folder):
     assert gapsweep(folder, "--help").returncode == 0
 
 
+# As a script starts what ends with &: Ctrl-C is ignored.
+IN_BACKGROUND = "sh", "-c", 'trap "" INT; exec "$@"', "sh"
+
+
 @pytest.mark.parametrize(
-    ("number", "is_for_all"),
+    ("number", "send", "prefix"),
     [
-        (signal.SIGINT, True),  # a terminal sends it to the whole process group, workers included
-        (signal.SIGTERM, True),
-        (signal.SIGTERM, False),
-        (signal.SIGHUP, True),
+        (signal.SIGINT, os.killpg, ()),  # a terminal sends it to all processes, workers included
+        (signal.SIGTERM, os.killpg, IN_BACKGROUND),
+        (signal.SIGTERM, os.kill, ()),
+        (signal.SIGHUP, os.killpg, ()),
     ],
 )
-def test_a_signal_stops_a_run_cleanly_and_the_next_run_resumes(folder, number, is_for_all):
-    process = slow_run(folder)
-    (os.killpg if is_for_all else os.kill)(process.pid, number)
+def test_a_signal_stops_a_run_cleanly_and_the_next_run_resumes(folder, number, send, prefix):
+    process = slow_run(folder, *prefix)
+    send(process.pid, number)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert errors.strip().splitlines()[-1] == "interrupted; run again to resume"

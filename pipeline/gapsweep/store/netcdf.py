@@ -25,7 +25,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.errors import GapsweepError, StoreError
+from gapsweep.errors import STOPPING, GapsweepError, StoreError
 from gapsweep.store.artefact import digests, is_intact, recording
 
 if TYPE_CHECKING:
@@ -149,18 +149,20 @@ def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> N
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Ctrl-C arrives when this block ends: within, it would leave xarray's lock held for ever."""
-    before = signal.getsignal(signal.SIGINT)
-    if before is None or threading.current_thread() is not threading.main_thread():
+    before = {number: signal.getsignal(number) for number in STOPPING}
+    if None in before.values() or threading.current_thread() is not threading.main_thread():
         yield  # interrupts are the main thread's; another program's handler is its own
         return
     waiting: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, _: waiting.append(number))
+    for number in before:
+        signal.signal(number, lambda number, _: waiting.append(number))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-        if waiting:
-            signal.raise_signal(signal.SIGINT)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in waiting[:1]:
+            signal.raise_signal(number)
 
 
 @contextmanager
