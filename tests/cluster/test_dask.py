@@ -1,6 +1,7 @@
 """Clusters started by hand: other code, TLS, lost schedulers, workers that come and go."""
 
 import asyncio
+import json
 import os
 import re
 import shutil
@@ -10,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
@@ -108,32 +109,88 @@ def test_cluster_started_by_hand_computes_the_study(tables, tmp_path):
         assert (ds["status"] == gs.Status.OK).all()
 
 
-def test_worker_with_other_code_is_refused_before_anything_runs(tables, tmp_path):
+def with_other_numerics(folder):
     ignored = shutil.ignore_patterns("__pycache__")
-    copy = shutil.copytree(SOURCES, tmp_path / "other" / "gapsweep", ignore=ignored)
+    copy = shutil.copytree(SOURCES, folder / "other" / "gapsweep", ignore=ignored)
     status = copy / "status.py"
     status.write_text(
         status.read_text().replace("NOT_REQUESTED = 1", "NOT_REQUESTED = 1\n    X = 12")
     )
-    with (
-        scheduler() as (address, _),
-        worker(address, PYTHONPATH=str(copy.parent)),
-        pytest.raises(gs.ClusterError, match=r"tcp://.* runs other numerics .*install the"),
-    ):
-        run(tables, tmp_path, address)
-    assert stored(tmp_path) == 0
+    return copy.parent
 
 
-def test_worker_without_gapsweep_is_refused(tables, tmp_path):
-    broken = tmp_path / "broken" / "gapsweep"
+def without_gapsweep(folder):
+    broken = folder / "broken" / "gapsweep"
     broken.mkdir(parents=True)
     (broken / "__init__.py").write_text("raise ImportError('no gapsweep here')")
-    with (
-        scheduler() as (address, _),
-        worker(address, PYTHONPATH=str(broken.parent)),
-        pytest.raises(gs.ClusterError, match=r"cannot run gapsweep .* install the same version"),
+    return broken.parent
+
+
+@pytest.mark.parametrize(
+    ("installed", "reason"),
+    [
+        (with_other_numerics, r"tcp://.* runs other numerics .*install the"),
+        (without_gapsweep, r"cannot run gapsweep .* install the same version"),
+    ],
+)
+class TestWorkerWithOtherCode:
+    def test_a_cluster_of_such_workers_is_refused(self, installed, reason, tables, tmp_path):
+        with (
+            scheduler() as (address, _),
+            worker(address, PYTHONPATH=str(installed(tmp_path))),
+            pytest.raises(gs.ClusterError, match=reason),
+        ):
+            run(tables, tmp_path, address)
+        assert stored(tmp_path) == 0
+
+    def test_one_that_joins_late_leaves_and_the_run_goes_on(
+        self, installed, reason, slow, tmp_path, recwarn
     ):
-        run(tables, tmp_path, address)
+        other = {"PYTHONPATH": str(installed(tmp_path))}
+        with ExitStack() as joined, scheduler() as (address, _), worker(address):
+
+            def join(progress):
+                if progress.n_computed >= 3 and not late:
+                    late.append(joined.enter_context(worker(address, **other)))
+
+            late = []
+            with run(slow, tmp_path, address, batch=1, on_progress=join) as ds:
+                assert (ds["status"] == gs.Status.OK).all()
+            assert late[0].wait(timeout=30) == 0
+        if installed is with_other_numerics:  # without gapsweep it closes itself
+            (told,) = [str(each.message) for each in recwarn if "retired" in str(each.message)]
+            assert re.search(reason, told)
+
+
+def test_a_cluster_that_starts_workers_when_there_is_work_gets_it(tables, tmp_path):
+    stages = []
+    with (
+        LocalCluster(n_workers=0, processes=False, dashboard_address=None) as started,
+        Client(started) as client,
+    ):
+        started.adapt(minimum=0, maximum=2, interval="100ms")
+        study = gs.Study.from_dict(tables)
+        with gs.run(
+            study, client, out=tmp_path / "out", cache=tmp_path / "c.sqlite",
+            on_progress=lambda progress: stages.append(progress.stage),
+        ) as ds:  # fmt: skip
+            assert (ds["status"] == gs.Status.OK).all()
+    assert "waiting for workers" in stages
+
+
+def test_a_run_waits_until_the_first_worker_joins_and_says_so(tables, tmp_path):
+    with ExitStack() as joined, scheduler() as (address, _):
+
+        def join(progress):
+            if progress.stage == "waiting for workers" and not workers:
+                heard_of.add(json.loads((tmp_path / "out" / "run.json").read_text())["updated"])
+                if len(heard_of) > 1 or time.monotonic() > deadline:
+                    workers.append(joined.enter_context(worker(address)))
+
+        heard_of, workers, deadline = set(), [], time.monotonic() + 15
+        with run(tables, tmp_path, address, on_progress=join) as ds:
+            assert (ds["status"] == gs.Status.OK).all()
+    assert len(heard_of) > 1, "the state of the run is kept up to date meanwhile"
 
 
 def test_lost_scheduler_is_a_clear_error_and_the_run_resumes(slow, tmp_path):
