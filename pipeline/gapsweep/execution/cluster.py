@@ -61,6 +61,8 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
         }
         # What goes wrong on a worker becomes the status of its points; its log only repeats it.
         options["silence_logs"] = logging.CRITICAL
+        # Which Dask ends too early for this one, of connections to workers that died.
+        logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
         with dask.config.set(_LOCAL_SETTINGS), _without_main(), ExitStack() as opened:
             with _deaf_to_interrupts():
                 try:
