@@ -35,7 +35,7 @@ FENCES = {
     "netCDF4": {"store", "execution"},
     "psutil": {"store", "execution"},
     "filelock": {"integrate"},
-    "dask": {"execution"},
+    "dask": {"execution", "store"},
     "distributed": {"execution", "workflow"},
     "matplotlib": {"report"},
     "bokeh": {"explorer"},

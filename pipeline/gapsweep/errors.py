@@ -13,8 +13,11 @@ Each message names the value, the allowed range and the remedy. A sweep point th
 fails numerically raises nothing: its `Status` is part of the result.
 """
 
+import signal
 from collections.abc import Sequence
 
+# Ctrl-C, the end of a batch job and that of a terminal: what a run stops at, to be resumed later.
+STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _LONGEST = 300  # characters of an error that is somebody else's
 
 

@@ -388,26 +388,75 @@ def test_wrong_command_line_is_clicks_own(folder):
     assert gapsweep(folder, "--help").returncode == 0
 
 
-def test_ctrl_c_stops_cleanly_and_the_next_run_resumes(folder):
+# As a script starts what ends with &: Ctrl-C is ignored.
+IN_BACKGROUND = "sh", "-c", 'trap "" INT; exec "$@"', "sh"
+
+
+@pytest.mark.parametrize(
+    ("number", "send", "prefix"),
+    [
+        (signal.SIGINT, os.killpg, ()),  # a terminal sends it to all processes, workers included
+        (signal.SIGTERM, os.killpg, IN_BACKGROUND),
+        (signal.SIGTERM, os.kill, ()),
+        (signal.SIGHUP, os.killpg, ()),
+    ],
+)
+def test_a_signal_stops_a_run_cleanly_and_the_next_run_resumes(folder, number, send, prefix):
+    process = slow_run(folder, *prefix)
+    send(process.pid, number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors.strip().splitlines()[-1] == "interrupted; run again to resume"
+    assert "Traceback" not in errors
+    wait_until(lambda: not is_group(process.pid), 10)  # no process of the run is left
+    assert "interrupted" in gapsweep(folder, "status", "data/runs/tiny").stdout
+    kept = json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)
+    assert 3 <= kept["hits"] < 800
+
+
+def test_nohup_keeps_a_run_going(folder):
+    process = slow_run(folder, "nohup")
+    try:
+        reached = stored_points(folder)
+        os.killpg(process.pid, signal.SIGHUP)
+        wait_for_points(folder, reached + 20)
+        assert process.poll() is None
+    finally:
+        os.killpg(process.pid, signal.SIGTERM)
+        process.communicate(timeout=60)
+
+
+def slow_run(folder, *prefix):
+    """A run in a process group of its own, that has stored its first points."""
     slow = QUICK.replace("omega = [12.0, 20.0]", "omega = { start = 6.0, stop = 30.0, num = 400 }")
     slow = slow.replace("settle_tol = 1e-2", "settle_tol = 1e-6")
     (folder / "tiny.toml").write_text(slow + '[solver]\nengine = "scipy"\nrtol = 1e-8\n')
     command = [sys.executable, "-c", "from gapsweep.cli import main; main()", "run", "tiny.toml"]
     process = subprocess.Popen(
-        command, cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True
+        [*prefix, *command], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    deadline = time.monotonic() + 60
-    while stored_points(folder) < 3:
+    wait_for_points(folder, 3)
+    return process
+
+
+def wait_for_points(folder, n):
+    wait_until(lambda: stored_points(folder) >= n, 60)
+
+
+def wait_until(is_so, seconds):
+    deadline = time.monotonic() + seconds
+    while not is_so():
         assert time.monotonic() < deadline
         time.sleep(0.1)
-    # A terminal sends the signal to the whole process group, workers included.
-    os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert errors.strip().splitlines()[-1] == "interrupted; run again to resume"
-    assert "Traceback" not in errors
-    kept = json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)
-    assert 3 <= kept["hits"] < 800
+
+
+def is_group(number):
+    """Whether any process is left of a process group."""
+    try:
+        os.killpg(number, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 def stored_points(folder):

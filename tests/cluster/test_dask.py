@@ -1,5 +1,7 @@
 """Clusters started by hand: other code, TLS, lost schedulers, workers that come and go."""
 
+import asyncio
+import json
 import os
 import re
 import shutil
@@ -9,13 +11,15 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
 import xarray as xr
+from distributed import Client, LocalCluster
 
 import gapsweep as gs
 from gapsweep.execution.cluster import cluster
@@ -105,32 +109,88 @@ def test_cluster_started_by_hand_computes_the_study(tables, tmp_path):
         assert (ds["status"] == gs.Status.OK).all()
 
 
-def test_worker_with_other_code_is_refused_before_anything_runs(tables, tmp_path):
+def with_other_numerics(folder):
     ignored = shutil.ignore_patterns("__pycache__")
-    copy = shutil.copytree(SOURCES, tmp_path / "other" / "gapsweep", ignore=ignored)
+    copy = shutil.copytree(SOURCES, folder / "other" / "gapsweep", ignore=ignored)
     status = copy / "status.py"
     status.write_text(
         status.read_text().replace("NOT_REQUESTED = 1", "NOT_REQUESTED = 1\n    X = 12")
     )
-    with (
-        scheduler() as (address, _),
-        worker(address, PYTHONPATH=str(copy.parent)),
-        pytest.raises(gs.ClusterError, match=r"tcp://.* runs other numerics .*install the"),
-    ):
-        run(tables, tmp_path, address)
-    assert stored(tmp_path) == 0
+    return copy.parent
 
 
-def test_worker_without_gapsweep_is_refused(tables, tmp_path):
-    broken = tmp_path / "broken" / "gapsweep"
+def without_gapsweep(folder):
+    broken = folder / "broken" / "gapsweep"
     broken.mkdir(parents=True)
     (broken / "__init__.py").write_text("raise ImportError('no gapsweep here')")
-    with (
-        scheduler() as (address, _),
-        worker(address, PYTHONPATH=str(broken.parent)),
-        pytest.raises(gs.ClusterError, match=r"cannot run gapsweep .* install the same version"),
+    return broken.parent
+
+
+@pytest.mark.parametrize(
+    ("installed", "reason"),
+    [
+        (with_other_numerics, r"tcp://.* runs other numerics .*install the"),
+        (without_gapsweep, r"cannot run gapsweep .* install the same version"),
+    ],
+)
+class TestWorkerWithOtherCode:
+    def test_a_cluster_of_such_workers_is_refused(self, installed, reason, tables, tmp_path):
+        with (
+            scheduler() as (address, _),
+            worker(address, PYTHONPATH=str(installed(tmp_path))),
+            pytest.raises(gs.ClusterError, match=reason),
+        ):
+            run(tables, tmp_path, address)
+        assert stored(tmp_path) == 0
+
+    def test_one_that_joins_late_leaves_and_the_run_goes_on(
+        self, installed, reason, slow, tmp_path, recwarn
     ):
-        run(tables, tmp_path, address)
+        other = {"PYTHONPATH": str(installed(tmp_path))}
+        with ExitStack() as joined, scheduler() as (address, _), worker(address):
+
+            def join(progress):
+                if progress.n_computed >= 3 and not late:
+                    late.append(joined.enter_context(worker(address, **other)))
+
+            late = []
+            with run(slow, tmp_path, address, batch=1, on_progress=join) as ds:
+                assert (ds["status"] == gs.Status.OK).all()
+            assert late[0].wait(timeout=30) == 0
+        if installed is with_other_numerics:  # without gapsweep it closes itself
+            (told,) = [str(each.message) for each in recwarn if "retired" in str(each.message)]
+            assert re.search(reason, told)
+
+
+def test_a_cluster_that_starts_workers_when_there_is_work_gets_it(tables, tmp_path):
+    stages = []
+    with (
+        LocalCluster(n_workers=0, processes=False, dashboard_address=None) as started,
+        Client(started) as client,
+    ):
+        started.adapt(minimum=0, maximum=2, interval="100ms")
+        study = gs.Study.from_dict(tables)
+        with gs.run(
+            study, client, out=tmp_path / "out", cache=tmp_path / "c.sqlite",
+            on_progress=lambda progress: stages.append(progress.stage),
+        ) as ds:  # fmt: skip
+            assert (ds["status"] == gs.Status.OK).all()
+    assert "waiting for workers" in stages
+
+
+def test_a_run_waits_until_the_first_worker_joins_and_says_so(tables, tmp_path):
+    with ExitStack() as joined, scheduler() as (address, _):
+
+        def join(progress):
+            if progress.stage == "waiting for workers" and not workers:
+                heard_of.add(json.loads((tmp_path / "out" / "run.json").read_text())["updated"])
+                if len(heard_of) > 1 or time.monotonic() > deadline:
+                    workers.append(joined.enter_context(worker(address)))
+
+        heard_of, workers, deadline = set(), [], time.monotonic() + 15
+        with run(tables, tmp_path, address, on_progress=join) as ds:
+            assert (ds["status"] == gs.Status.OK).all()
+    assert len(heard_of) > 1, "the state of the run is kept up to date meanwhile"
 
 
 def test_lost_scheduler_is_a_clear_error_and_the_run_resumes(slow, tmp_path):
@@ -185,6 +245,26 @@ def test_local_cluster_listens_on_the_loopback_only():
         }
         assert listening == {"127.0.0.1"}
         assert re.match(r"http://127\.0\.0\.1:\d+/", client.dashboard_link)
+
+
+STRANGER = """
+import os, sys
+from distributed import Client
+with Client(sys.argv[1], timeout=5) as client:
+    print(client.run_on_scheduler(os.getpid), client.run(os.getpid))
+"""
+
+
+def test_another_process_cannot_join_the_local_cluster():
+    with cluster(workers=1) as client:
+        client.wait_for_workers(1)
+        address = client.scheduler_info()["address"]
+        port = address.rsplit(":", 1)[1]
+        for there in (address, f"tcp://127.0.0.1:{port}"):
+            command = [sys.executable, "-c", STRANGER, there]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+            assert done.returncode != 0
+            assert done.stdout == ""
 
 
 @pytest.fixture
@@ -246,3 +326,22 @@ def test_basins_on_a_cluster_are_those_of_one_process(client):
     own = gs.law(lambda x: 0.0, 1.0, gs.Gap(0.0, 0.0))
     with pytest.raises(gs.ModelError, match="client: not for laws of your own"):
         gs.basins(gs.Oscillator(), own, 19.0, **axes, client=client)
+
+
+def test_an_asynchronous_client_is_refused_and_disturbs_no_run_without_it(tables, tmp_path):
+    study, cache = gs.Study.from_dict(tables), tmp_path / "c.sqlite"
+
+    async def main():
+        options = {"processes": False, "asynchronous": True, "dashboard_address": None}
+        async with (
+            LocalCluster(n_workers=1, **options) as started,
+            Client(started, asynchronous=True) as client,
+        ):
+            for call in (partial(gs.run, out=tmp_path / "out"), gs.query):
+                with pytest.raises(gs.ClusterError, match="asynchronous"):
+                    call(study, client, cache=cache)
+            assert stored(tmp_path) == 0
+            with gs.run(study, out=tmp_path / "out", cache=cache) as ds:
+                assert (ds["status"] == gs.Status.OK).all()
+
+    asyncio.run(main())

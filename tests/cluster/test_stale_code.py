@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from distributed import Client
 from tests.cluster.test_dask import ROOT, SOURCES, scheduler, stored, worker
 
 import gapsweep as gs
@@ -160,6 +161,19 @@ def test_a_worker_with_another_copy_of_the_law_is_refused(of_mine, tmp_path, min
         shutil.copyfile(mine / "laws.py", theirs / "mine" / "laws.py")
         shutil.copyfile(mine / "table.txt", theirs / "mine" / "table.txt")
         assert asked(of_mine, tmp_path, scheduler=address)[1] == 0
+
+
+def test_a_law_in_a_single_file_can_be_sent_to_the_workers(tables, tmp_path, monkeypatch):
+    (tmp_path / "hertz.py").write_text("def wall(x):\n    return 1e4 * x\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    tables["sweep"][0] |= {"representation": ["hertz:wall"], "omega": [20.0]}
+    tables["oscillator"] = {"zeta": 0.3}
+    with scheduler() as (address, _), worker(address), Client(address) as client:
+        with pytest.raises(gs.ClusterError, match=r"client\.upload_file\("):
+            asked(tables, tmp_path, client=client)
+        client.upload_file(str(tmp_path / "hertz.py"))
+        assert asked(tables, tmp_path, client=client)[1] == 0
+    sys.modules.pop("hertz", None)
 
 
 def test_a_worker_with_other_libraries_is_refused(tables, tmp_path):

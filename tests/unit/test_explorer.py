@@ -10,13 +10,14 @@ import threading
 import tomllib
 import urllib.request
 from dataclasses import replace
+from urllib.parse import urljoin, urlsplit
 
 import numpy as np
 import pytest
 import xarray as xr
 from bokeh.document import Document
 from tests.made import datasets, periodic, tables
-from tornado.httpclient import HTTPClientError, HTTPRequest
+from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 import gapsweep as gs
@@ -482,7 +483,7 @@ def test_a_port_that_is_taken_is_refused():
     page = gs.explore(stand_ins=())
     try:
         with pytest.raises(GapsweepError, match="in use; choose another"):
-            gs.explore(port=int(page.url.rsplit(":", 1)[1].strip("/")))
+            gs.explore(port=urlsplit(page.url).port)
     finally:
         page.stop()
     gc.collect()
@@ -502,6 +503,28 @@ def test_another_site_cannot_talk_to_the_page():
     try:
         with pytest.raises(HTTPClientError, match="403"):
             asyncio.run(knock())
+    finally:
+        page.stop()
+
+
+@pytest.mark.parametrize("path", ["/", "/ws", "/static/js/bokeh.min.js", "/guessed/ws"])
+def test_a_site_that_takes_the_name_of_this_machine_does_not_know_the_path(path):
+    """DNS rebinding: its pages reach the port, with a host and an origin that agree."""
+    page = gs.explore(stand_ins=())
+    port = urlsplit(page.url).port
+    headers = {"Host": f"rebound.example:{port}", "Origin": f"http://rebound.example:{port}"}
+
+    async def knock():
+        if path.endswith("ws"):
+            await websocket_connect(HTTPRequest(f"ws://127.0.0.1:{port}{path}", headers=headers))
+        await AsyncHTTPClient().fetch(f"http://127.0.0.1:{port}{path}", headers=headers)
+
+    try:
+        with pytest.raises(HTTPClientError, match="404"):
+            asyncio.run(knock())
+        with urllib.request.urlopen(page.url, timeout=SOON) as answer:
+            (script, *_) = re.findall(rb'src="([^"]*/static/[^"]*)"', answer.read())
+        urllib.request.urlopen(urljoin(page.url, script.decode()), timeout=SOON).close()
     finally:
         page.stop()
 

@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 
 import gapsweep as gs
+from gapsweep.errors import STOPPING
 from gapsweep.store import netcdf
 
 
@@ -48,20 +49,22 @@ def test_writer_that_fails_leaves_the_old_file_and_no_other(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["SHA256SUMS", "small.nc"]
 
 
-def test_an_interrupt_waits_until_a_file_is_written(tmp_path, monkeypatch):
+@pytest.mark.parametrize("number", STOPPING)
+def test_an_interrupt_waits_until_a_file_is_written(tmp_path, monkeypatch, number):
     """Within xarray it would leave its lock held: the next file would wait for ever."""
     original = xr.Dataset.to_netcdf
 
     def interrupted(dataset, *arguments, **options):
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(number)
         return original(dataset, *arguments, **options)
 
+    before = signal.signal(number, signal.default_int_handler)  # as the command line has it
     monkeypatch.setattr(xr.Dataset, "to_netcdf", interrupted)
     with pytest.raises(KeyboardInterrupt):
         netcdf.write(small(), tmp_path / "small.nc", {})
     with gs.open(tmp_path / "small.nc") as read:
         assert read.sizes == {"t": 3}
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.signal(number, before) is signal.default_int_handler
 
 
 @pytest.mark.parametrize("size", [0, 1, 100, 4000])

@@ -1,11 +1,17 @@
 """`simulate` on the reference engine: events, symmetry, conserved quantities, refusals."""
 
 import math
+import multiprocessing
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from functools import partial
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
+from tests import laws
 
 import gapsweep as gs
 
@@ -279,3 +285,80 @@ def test_the_end_of_a_run_can_be_sampled_wherever_rounding_puts_it(label):
             run = gs.simulate(gs.Oscillator(), law, omega, t_end=t_end, dense_output=True)
             x, v = run.sample(run.t_end)
             assert [x, v] == pytest.approx([run.x_end, run.v_end], rel=1e-9, abs=1e-12)
+
+
+SEVERAL = np.array([[8.0, 9.0], [10.0, 11.0]])
+TWO_MASSES = gs.systems.two_masses(), gs.systems.two_masses_law()
+
+
+@pytest.mark.parametrize("dense_output", [False, True])
+@pytest.mark.parametrize(
+    ("model", "law", "omega"),
+    [
+        (gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0),
+        (gs.Oscillator(), gs.Tanh(SOFT, SYMMETRIC, epsilon=1e4), SEVERAL),
+        (gs.Oscillator(), gs.law(laws.innocent, 1e3, SYMMETRIC), 9.0),
+        (*TWO_MASSES, 0.6),
+        (*TWO_MASSES, SEVERAL / 16.0),
+    ],
+)
+def test_a_trajectory_is_the_same_after_pickling(model, law, omega, dense_output):
+    run, asked = (
+        gs.simulate(model, law, omega, t_end=2.0, dense_output=dense_output, tangent=True)
+        for _ in range(2)
+    )
+    _ = values(asked)  # its records are there when it is pickled; those of the other are not
+    for sent in (run, asked):
+        received = pickle.loads(pickle.dumps(sent))
+        assert_same(values(received), values(asked))
+        if dense_output:
+            for t in (0.5, [0.1, 2.0]):
+                assert_same(received.sample(t), asked.sample(t))
+        with pytest.raises(gs.ModelError):
+            received.sample(-1.0)
+
+
+def test_the_end_of_a_motion_is_not_computed_again_after_pickling(monkeypatch):
+    run = gs.simulate(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), SEVERAL, t_end=2.0)
+    sent = pickle.dumps(run)
+    monkeypatch.setattr("gapsweep.integrate.simulate.prepared", None)
+    assert_same(pickle.loads(sent).n_steps, run.n_steps)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_trajectories_come_back_from_a_pool_of_processes(engine):
+    asked = partial(
+        gs.simulate, gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), t_end=1.0, engine=engine,
+        dense_output=True,
+    )  # fmt: skip
+    omega = [8.0, 9.0, 10.0]
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        there = list(pool.map(asked, omega))
+    for ours, theirs in zip(map(asked, omega), there, strict=True):
+        assert_same(values(theirs), values(ours))
+        assert_same(theirs.sample(0.7), ours.sample(0.7))
+
+
+def values(run):
+    """All attributes that a trajectory has, but for the model that moves."""
+    found = {}
+    for name in dir(run):
+        if not name.startswith("_") and name not in ("sample", "laws", "system"):
+            with suppress(gs.ModelError):
+                found[name] = getattr(run, name)
+    assert {"status", "n_steps", "extrema", "t_contacts", "section"} <= found.keys()
+    return found
+
+
+def assert_same(one, other):
+    """Equal to the last bit, in mappings and ragged arrays too."""
+    if isinstance(other, dict):
+        assert one.keys() == other.keys()
+        one, other = one.values(), other.values()
+    elif isinstance(other, np.ndarray) and other.dtype.hasobject:
+        one, other = one.flat, other.flat
+    elif not isinstance(other, tuple):
+        np.testing.assert_array_equal(one, other)
+        return
+    for each in zip(one, other, strict=True):
+        assert_same(*each)

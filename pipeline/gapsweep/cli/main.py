@@ -14,7 +14,7 @@ from gapsweep.cli import runs, studies
 from gapsweep.cli.cache import cache_commands
 from gapsweep.cli.init import init
 from gapsweep.cli.options import FAULT, FINISHED, INTERRUPTED
-from gapsweep.errors import GapsweepError
+from gapsweep.errors import STOPPING, GapsweepError
 
 
 class _InOrder(click.Group):
@@ -60,6 +60,9 @@ def main() -> None:
     # What imports and figures make lives on: looked through as often as usual, it takes an eighth
     # of the time of a short run.
     gc.set_threshold(20_000, 25, 25)
+    for number in STOPPING:  # Ctrl-C is one of them, batch systems send the others
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup ignores SIGHUP
+            signal.signal(number, signal.default_int_handler)
     if sys.stdout is None:  # closed, by >&-
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  # open until the process ends
     code = exit_code()
@@ -71,7 +74,8 @@ def main() -> None:
             sys.stdout.close()
     if code == INTERRUPTED:
         # All is said: whoever presses Ctrl-C once more shall see no library's clean-up break.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for number in STOPPING:
+            signal.signal(number, signal.SIG_IGN)
     sys.exit(code)
 
 

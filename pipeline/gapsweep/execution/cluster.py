@@ -2,7 +2,9 @@
 
 import logging
 import signal
-from collections.abc import Iterator, Mapping
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from multiprocessing import resource_tracker, spawn
 from typing import Any
@@ -14,6 +16,7 @@ from gapsweep.errors import ClusterError
 from gapsweep.study.software import software
 
 _CONNECT_SECONDS = 10
+_WAIT_SECONDS = 0.1
 _WORKER = "Dask Worker process"  # what Dask calls them
 _LOCAL_SETTINGS = {
     # Points of a lost worker are tried again by us, where they can harm nobody.
@@ -47,15 +50,19 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
         If the scheduler cannot be reached, or no local cluster starts.
     """
     if scheduler is None:
-        # Free ports on the loopback: nobody else may look in, no other cluster is disturbed.
+        # Free ports on the loopback, so that no other cluster is disturbed. Temporary TLS keys, so
+        # that no other process of the machine can run code in the workers or in this process.
         options: dict[str, Any] = {
             "host": "127.0.0.1",
             "processes": True,
             "threads_per_worker": 1,
+            "security": True,
             "dashboard_address": "127.0.0.1:0",
         }
         # What goes wrong on a worker becomes the status of its points; its log only repeats it.
         options["silence_logs"] = logging.CRITICAL
+        # Which Dask ends too early for this one, of connections to workers that died.
+        logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
         with dask.config.set(_LOCAL_SETTINGS), _without_main(), ExitStack() as opened:
             with _deaf_to_interrupts():
                 try:
@@ -88,8 +95,10 @@ def _deaf_to_interrupts() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):  # not a POSIX system
         yield
         return
-    resource_tracker.ensure_running()  # which lifts every block once it is started
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    stopping = {signal.SIGINT, signal.SIGHUP}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, stopping)
+    resource_tracker.ensure_running()  # which lifts the block of Ctrl-C once it is started
+    signal.pthread_sigmask(signal.SIG_BLOCK, stopping)
     try:
         yield
     finally:
@@ -119,49 +128,64 @@ def _without_main() -> Iterator[None]:
         spawn.get_preparation_data = usual
 
 
-def check_workers(client: Client) -> None:
-    """Refuse a cluster whose workers are missing, or run other code than we do.
+def check_workers(client: Client, waiting: Callable[[], None] = lambda: None) -> None:
+    """Retire the workers that run other code than this process.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    waiting : callable
+        Called again and again until there is a worker.
 
     Raises
     ------
     ClusterError
-        If there is no worker, or one cannot answer, or one has other numerics, another Python,
-        or other versions of the libraries that compute.
+        If no other workers would be left, or the client is asynchronous.
+
+    Warns
+    -----
+    UserWarning
+        For each worker that is retired.
     """
+    if client.asynchronous:
+        raise ClusterError("client: asynchronous; pass a synchronous one, as Client(address)")
     try:
-        client.wait_for_workers(1, timeout=_CONNECT_SECONDS)
+        task = None
+        while not client.nthreads():
+            # A cluster that adapts to its work starts workers once there is a task.
+            task = task or client.submit(int, pure=False)
+            waiting()
+            time.sleep(_WAIT_SECONDS)
         answers = client.run(software, on_error="return")
     except (OSError, TimeoutError) as error:
-        raise ClusterError(f"the cluster has no usable worker: {first_line(error)}") from None
-    for worker, answer in answers.items():
-        if isinstance(answer, OSError):
-            continue  # it left meanwhile; what comes instead is checked with its first result
-        if isinstance(answer, BaseException):
-            raise ClusterError(
-                f"{worker} cannot run gapsweep ({first_line(answer)}): install the same version "
-                "there, in the environment that its 'dask worker' runs in"
-            )
-        check_software(worker, answer)
+        raise ClusterError(f"the cluster was lost: {first_line(error)}; run again") from None
+    # An OSError: the worker left meanwhile.
+    found = {w: _refusal(a) for w, a in answers.items() if not isinstance(a, OSError)}
+    refused = {worker: reason for worker, reason in found.items() if reason}
+    for worker, reason in refused.items():
+        if len(refused) == len(found):
+            raise ClusterError(f"{worker} {reason}")
+        warnings.warn(f"{worker} {reason}; this worker was retired", stacklevel=2)
+    client.retire_workers(list(refused))
 
 
-def check_software(worker: str, theirs: Mapping[str, str]) -> None:
-    """Refuse a worker that would compute something else; `theirs` is its `software`.
-
-    Raises
-    ------
-    ClusterError
-        If its numerics, its Python or a library differ from ours.
-    """
+def _refusal(answer: Mapping[str, str] | BaseException) -> str:
+    """Why a worker that answers so with its `software` is refused; empty if it is not."""
+    if isinstance(answer, BaseException):
+        return (
+            f"cannot run gapsweep ({first_line(answer)}): install the same version there, in the "
+            "environment that its 'dask worker' runs in"
+        )
     for name, ours in software().items():
-        if name == "numerics" and theirs[name] != ours:
-            raise ClusterError(
-                f"{worker} runs other numerics (sources {theirs[name]}, here {ours}): install the "
-                "same gapsweep there and start it again"
+        theirs = answer.get(name)
+        if name == "numerics" and theirs != ours:
+            return (
+                f"runs other numerics (sources {theirs}, here {ours}): install the same gapsweep "
+                "there and start it again"
             )
-        if theirs[name] != ours:
-            raise ClusterError(
-                f"{worker} runs {name} {theirs[name]}, here {ours}: use the same on both sides"
-            )
+        if theirs != ours:
+            return f"runs {name} {theirs}, here {ours}: use the same on both sides"
+    return ""
 
 
 def first_line(error: BaseException) -> str:

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from distributed import Client, Future, as_completed
@@ -18,7 +19,7 @@ from distributed.scheduler import KilledWorker
 
 from gapsweep.errors import ClusterError
 from gapsweep.execution.alone import compute_alone, time_limit
-from gapsweep.execution.cluster import check_software, check_workers
+from gapsweep.execution.cluster import check_workers
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.portions import (
     MAX_BATCH,
@@ -30,7 +31,7 @@ from gapsweep.execution.portions import (
     repeated,
     shuffled,
 )
-from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress
+from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.sweeps import start_of
 from gapsweep.execution.task import Task, TaskResult, Tile, compute, process
 from gapsweep.integrate.problem import DEFAULT_ENGINE
@@ -106,11 +107,12 @@ def execute(
     Raises
     ------
     ClusterError
-        If the workers run other code, or the cluster is lost; what arrived is stored. Or if the
+        If all workers run other code, or the cluster is lost; what arrived is stored. Or if the
         time limit is none.
     """
     timeout = time_limit(timeout)
-    check_workers(client)
+    before = Progress(plan.n_points, plan.n_hits)
+    check_workers(client, partial(tell, on_progress, before, "waiting for workers"))
     with Claims(cache.path, plan.keys.data) as claims:
         run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)
         try:
@@ -295,9 +297,15 @@ class _Execution:
             if _is_gone(future) or future.status != "error":  # there again, perhaps, by now
                 self._compute_anew(job)
             else:
+                if not isinstance(error, KilledWorker):
+                    check_workers(self.client)  # one with other code may have joined
                 self._take_up(job, error)
         else:
-            self._keep(job, result)
+            if result.software == software():
+                self._keep(job, result)
+                return
+            check_workers(self.client)  # one with other code has joined
+            self._compute_anew(job)
 
     def _compute_anew(self, job: _Job) -> None:
         if job.losses == _MAX_LOSSES:
@@ -326,7 +334,6 @@ class _Execution:
         self._keep(job, TaskResult(slabs, 0.0, software()))
 
     def _keep(self, job: _Job, result: TaskResult) -> None:
-        check_software("a worker", result.software)
         self.arrived += result.slabs
         self.progress.n_computed += len(job.rows)
         self.progress.n_failed += sum(slab.n_failed for slab in result.slabs)

@@ -44,8 +44,9 @@ class Recorder:
         if not progress.stage:  # before and after the points nothing is counted
             n_computed, n_failed = progress.n_computed, progress.n_failed
             self.state = replace(self.state, computed=n_computed, failed=n_failed)
-            if time.monotonic() - self.written > _STATE_SECONDS:
-                self.write()
+        is_begun = not progress.stage or self.written > -np.inf
+        if is_begun and time.monotonic() - self.written > _STATE_SECONDS:
+            self.write()
         if self.on_progress is not None:
             self.on_progress(progress)
 

@@ -1,6 +1,7 @@
 """The page on a port of this machine, in a thread of its own."""
 
 import asyncio
+import secrets
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -47,15 +48,18 @@ class Explorer:
         asyncio.set_event_loop(asyncio.new_event_loop())
         self._loop = IOLoop.current()
         try:
-            # Bound to this machine; pages of other sites are refused, since their origin differs.
+            # Bound to this machine, under a path that pages of other sites cannot guess: a foreign
+            # name that is redirected to this machine (DNS rebinding) would have the right origin.
+            path = f"/{secrets.token_urlsafe()}"
             self._server = Server(
                 Application(FunctionHandler(self._filled)),
                 port=port,
                 address="127.0.0.1",
+                prefix=path,
                 io_loop=self._loop,
             )
             self._server.start()
-            self.url, self._failure = f"http://localhost:{self._server.port}/", ""
+            self.url, self._failure = f"http://localhost:{self._server.port}{path}/", ""
         except OSError as error:
             self._failure = str(error.strerror)
             return

@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -109,26 +111,35 @@ def simulate(
     n = frequency.size
     models = Models(systems=[oscillator] * n, laws=[laws] * n, omega=frequency.ravel())
     _check_clock(oscillator, frequency, t_0)
-    integrate = prepared(models, solver)
-
-    def solve(record_from: float, dense_output: bool) -> Motions:
-        return integrate(
-            Problems(
-                which=np.arange(n),
-                start=start.reshape(n, -1),
-                t_0=np.full(n, t_0),
-                t_end=np.full(n, t_end),
-                record_from=np.full(n, record_from),
-                dense_output=dense_output,
-                tangent=tangent,
-                section_only=dense_output,
-                contacts=math.isfinite(record_from) and not dense_output,
-            )
-        )
-
+    problems = Problems(
+        which=np.arange(n),
+        start=start.reshape(n, -1),
+        t_0=np.full(n, t_0),
+        t_end=np.full(n, t_end),
+        record_from=np.full(n, math.inf),
+        tangent=tangent,
+    )
+    if dense_output:  # nothing runs yet, but what no engine takes is refused now
+        prepared(models, solver)
+    solve = partial(_solved, models, solver, problems)
     if isinstance(oscillator, System):
         return SystemTrajectory(oscillator, laws, solve, t_0, frequency.shape, dense_output)
     return Trajectory((laws,), solve, t_0, frequency.shape, dense_output)
+
+
+def _solved(
+    models: Models, solver: Solver, problems: Problems, record_from: float, dense_output: bool
+) -> Motions:
+    """One pass over the problems, recorded from a time [s] on."""
+    return prepared(models, solver)(
+        replace(
+            problems,
+            record_from=np.full(len(problems), record_from),
+            dense_output=dense_output,
+            section_only=dense_output,
+            contacts=math.isfinite(record_from) and not dense_output,
+        )
+    )
 
 
 def starts(

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -33,6 +34,7 @@ class Trajectory:
     Events come from a second, recording pass over the same motion when they are first asked for:
     most runs need none, and the motion does not depend on it by a single bit. A run that is to be
     sampled is made when it is first asked about anything: if by `sample`, one pass does for all.
+    A pickle holds the end and the events asked for so far; dense output is computed again.
 
     Attributes
     ----------
@@ -80,6 +82,12 @@ class Trajectory:
         self.shape = shape
         if not dense_output:
             _ = self._motions
+
+    def __getstate__(self) -> dict[str, Any]:
+        """State for pickling: values, without the engine's records, which `_solve` makes again."""
+        none: Any = None
+        motions = replace(self._motions, events=none, sampler=none)
+        return vars(self) | {"_dense": None, "_motions": motions}
 
     @cached_property
     def _motions(self) -> Motions:
@@ -163,7 +171,7 @@ class Trajectory:
         is_inside = self.t_0 <= first < math.inf
         # A little earlier: rounding of the clock may put the end behind the last step.
         earlier = first - _CLOCK_ROUNDING * (first - self.t_0)
-        motions = self._dense_from(earlier) if is_inside else self._motions
+        motions = self._dense_from(earlier if is_inside else math.inf)
         end = float(np.min(motions.t))
         if not motions.n_steps.all():
             raise ModelError("a motion failed in its first step: it has no history")

@@ -130,7 +130,9 @@ def require(label: str, wanted: str) -> None:
         here, there = json.loads(code(label)), json.loads(wanted)
         unstable = _unstable(label) if here != there else []
     except ModelError as error:  # the client could use it
-        raise ClusterError(f"a worker cannot use the law {error}") from None
+        raise ClusterError(
+            f"a worker cannot use the law {error}, as after client.upload_file('law.py')"
+        ) from None
     if unstable:
         raise ClusterError(
             f"{label!r}: {', '.join(unstable)} is another at every import: make it a constant, or "

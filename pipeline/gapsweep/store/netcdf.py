@@ -25,7 +25,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.errors import GapsweepError, StoreError
+from gapsweep.errors import STOPPING, GapsweepError, StoreError
 from gapsweep.store.artefact import digests, is_intact, recording
 
 if TYPE_CHECKING:
@@ -127,8 +127,10 @@ def _attributes(held: Any) -> dict[str, Any]:
 def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> None:
     """Write a small dataset as a whole, with attributes and provenance; else like `writing`.
 
-    Ctrl-C waits for it.
+    Ctrl-C waits for it. A Dask client of the user's takes no part: an asynchronous one could not.
     """
+    import dask  # xarray has imported it
+
     with _LOCK, _uninterrupted(), recording(path, _is_ours) as temporary, _errors(path):
         stamped = dataset.assign_attrs({**attributes, **provenance()})
         encoding = {
@@ -137,7 +139,8 @@ def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> N
             | ({"dtype": "S1"} if variable.dtype.kind in "OU" else {})
             for name, variable in stamped.variables.items()
         }
-        stamped.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        with dask.config.set(scheduler="synchronous"):
+            stamped.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
         with netCDF4.Dataset(temporary) as written:
             for variable in written.variables.values():
                 _ = variable[:]
@@ -146,18 +149,20 @@ def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> N
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Ctrl-C arrives when this block ends: within, it would leave xarray's lock held for ever."""
-    before = signal.getsignal(signal.SIGINT)
-    if before is None or threading.current_thread() is not threading.main_thread():
+    before = {number: signal.getsignal(number) for number in STOPPING}
+    if None in before.values() or threading.current_thread() is not threading.main_thread():
         yield  # interrupts are the main thread's; another program's handler is its own
         return
     waiting: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, _: waiting.append(number))
+    for number in before:
+        signal.signal(number, lambda number, _: waiting.append(number))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
         if waiting:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(waiting[0])
 
 
 @contextmanager
