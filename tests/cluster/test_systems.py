@@ -11,7 +11,6 @@ from tests.unit.test_system_tables import SECTION, TWO_MASSES, changed
 
 import gapsweep as gs
 from gapsweep import lookup
-from gapsweep.execution.again import recomputed_otherwise
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import plan
 from gapsweep.folder import changed_since
@@ -173,9 +172,6 @@ def test_nothing_is_computed_twice_and_all_is_sound(made):
     assert planned.n_missing == 0
     with Cache(folder / "c.sqlite") as store:
         assert verify(store).is_sound
-        differing, n_skipped = recomputed_otherwise(store, 5)
-    assert not differing
-    assert not n_skipped
 
 
 def test_the_report_shows_every_coordinate(made):

@@ -72,12 +72,6 @@ def test_code_that_a_study_names_is_found_in_the_current_folder_after_libraries(
     ran = shadowed / "ran"
     assert not ran.exists() or set(ran.read_text().split("cftime")) == {""}
 
-    done = gapsweep(shadowed, "cache", "verify", "--sample", "2")
-    assert (done.returncode, done.stdout) == (0, "2 points, 0 damaged\n")
-    assert "2 points of laws of your own not computed again: name them with --study" in done.stderr
-    done = gapsweep(shadowed, "cache", "verify", "--sample", "2", "--study", "tiny.toml")
-    assert (done.returncode, done.stderr) == (0, "")
-
 
 def test_code_that_only_a_row_names_is_not_run(shadowed):
     (shadowed / "evil.py").write_text(MARK + "def law(x):\n    return 0.0\n")
@@ -85,7 +79,6 @@ def test_code_that_only_a_row_names_is_not_run(shadowed):
     evil = replace(point(study, 0, 0, 0, 0, 0).kind, representation="evil:law")
     with Cache(shadowed / "c.sqlite") as cache:
         cache.commit(made([1], [gs.Response(status=gs.Status.OK)], kind=evil))
-    done = gapsweep(shadowed, "cache", "verify", "--sample", "4")
+    done = gapsweep(shadowed, "cache", "verify")
     assert done.returncode == 0, done.stderr
     assert not (shadowed / "ran").exists()
-    assert "1 points of laws of your own not computed again" in done.stderr

@@ -20,7 +20,7 @@ def cache_commands() -> None:
     \b
     Examples:
       gapsweep cache info
-      gapsweep cache verify --sample 20
+      gapsweep cache verify
     """
 
 
@@ -68,55 +68,30 @@ def info(cache: Path | None, as_json: bool) -> None:
 
 @cache_commands.command()
 @options.cache
-@click.option(
-    "--sample",
-    type=click.IntRange(min=0),
-    default=0,
-    help="Compute so many random points again and compare.  [default: 0]",
-)
-@click.option(
-    "--study",
-    type=click.Path(path_type=Path),
-    help="Study that names the laws of your own that --sample may run.  [default: none]",
-)
-def verify(cache: Path | None, sample: int, study: Path | None) -> int:
-    """Check the file, every point, and on request the numbers.
+def verify(cache: Path | None) -> int:
+    """Check the file and every point against their checksums.
 
     \b
     Examples:
-      gapsweep cache verify --sample 20
-      gapsweep cache verify --sample 20 --study own.toml
+      gapsweep cache verify
     """
     from gapsweep.console import busy
-    from gapsweep.execution.again import recomputed_otherwise
     from gapsweep.store import maintenance
 
-    own_laws = options.loaded(study, None).own_laws if study else ()
-    differing: list[tuple[str, list[str]]] = []
-    n_skipped = 0
     with busy("reading every point"), _existing(cache) as store:
         verdict = maintenance.verify(store)
-        if sample:
-            differing, n_skipped = recomputed_otherwise(store, sample, own_laws)
     for fault in verdict.faults:
         click.echo(f"file: {fault}", err=True)
     for key in verdict.damaged[: options.FEW]:
         click.echo(f"damaged point: {key}", err=True)
     if (n_more := len(verdict.damaged) - options.FEW) > 0:
         click.echo(f"and {n_more} more", err=True)
-    for key, names in differing:
-        click.echo(f"computed again, {', '.join(names)} came out otherwise: {key}", err=True)
-    if n_skipped:
-        click.echo(
-            f"{n_skipped} points of laws of your own not computed again: name them with --study",
-            err=True,
-        )
     click.echo(f"{verdict.n_points} points, {len(verdict.damaged)} damaged")
     if verdict.faults:
         click.echo("the next run saves the sound ones and sets the file aside", err=True)
     elif verdict.damaged:
         click.echo("the next run computes damaged points again", err=True)
-    return 0 if verdict.is_sound and not differing else 1
+    return 0 if verdict.is_sound else 1
 
 
 @cache_commands.command()

@@ -14,7 +14,7 @@ def origins(
     has_end: NDArray[np.bool_],
     before: NDArray[np.void],
 ) -> NDArray[np.void]:
-    """Keys of the points at whose ends the points of sweeps start; zero of those that start at rest.
+    """Keys of the points at whose ends points of sweeps start; zero of those that start at rest.
 
     Parameters
     ----------

@@ -159,12 +159,6 @@ def numerics_of(slab: Slab) -> str:
     return str(_identity(slab).get("numerics", ""))
 
 
-def representation_of(slab: Slab) -> str:
-    """The law of a row; empty if the row does not say."""
-    kind = _identity(slab).get("kind")
-    return str(kind.get("representation", "")) if isinstance(kind, dict) else ""
-
-
 def _identity(slab: Slab) -> dict[str, Any]:
     """What a row says of all its points; nothing if a run cannot have written it."""
     try:
