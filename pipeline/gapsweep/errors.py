@@ -17,7 +17,7 @@ import signal
 from collections.abc import Sequence
 
 # Ctrl-C, the end of a batch job and that of a terminal: what a run stops at, to be resumed later.
-STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+STOPPING = signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)
 _LONGEST = 300  # characters of an error that is somebody else's
 
 

@@ -129,7 +129,7 @@ def without_gapsweep(folder):
 @pytest.mark.parametrize(
     ("installed", "reason"),
     [
-        (with_other_numerics, r"tcp://.* runs other numerics .*install the"),
+        (with_other_numerics, r"tcp://.* runs gapsweep with the sources .*install the"),
         (without_gapsweep, r"cannot run gapsweep .* install the same version"),
     ],
 )

@@ -184,7 +184,9 @@ def test_a_worker_with_other_libraries_is_refused(tables, tmp_path):
     with (
         scheduler() as (address, _),
         worker(address, PYTHONPATH=path),
-        pytest.raises(gs.ClusterError, match=r"^tcp://\S+ runs llvmlite 0.1, here \d\S+: use the"),
+        pytest.raises(
+            gs.ClusterError, match=r"^tcp://\S+ runs llvmlite 0.1, here \d\S+: install the"
+        ),
     ):
         asked(tables, tmp_path, scheduler=address)
     assert stored(tmp_path) == 0

@@ -129,13 +129,7 @@ def _without_main() -> Iterator[None]:
 
 
 def check_workers(client: Client, waiting: Callable[[], None] = lambda: None) -> None:
-    """Retire the workers that run other code than this process.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    waiting : callable
-        Called again and again until there is a worker.
+    """Retire the workers that run other code; `waiting` is called until there is a worker.
 
     Raises
     ------
@@ -157,7 +151,7 @@ def check_workers(client: Client, waiting: Callable[[], None] = lambda: None) ->
             waiting()
             time.sleep(_WAIT_SECONDS)
         answers = client.run(software, on_error="return")
-    except (OSError, TimeoutError) as error:
+    except OSError as error:
         raise ClusterError(f"the cluster was lost: {first_line(error)}; run again") from None
     # An OSError: the worker left meanwhile.
     found = {w: _refusal(a) for w, a in answers.items() if not isinstance(a, OSError)}
@@ -166,7 +160,7 @@ def check_workers(client: Client, waiting: Callable[[], None] = lambda: None) ->
         if len(refused) == len(found):
             raise ClusterError(f"{worker} {reason}")
         warnings.warn(f"{worker} {reason}; this worker was retired", stacklevel=2)
-    client.retire_workers(list(refused))
+        client.retire_workers([worker])
 
 
 def _refusal(answer: Mapping[str, str] | BaseException) -> str:
@@ -177,14 +171,9 @@ def _refusal(answer: Mapping[str, str] | BaseException) -> str:
             "environment that its 'dask worker' runs in"
         )
     for name, ours in software().items():
-        theirs = answer.get(name)
-        if name == "numerics" and theirs != ours:
-            return (
-                f"runs other numerics (sources {theirs}, here {ours}): install the same gapsweep "
-                "there and start it again"
-            )
-        if theirs != ours:
-            return f"runs {name} {theirs}, here {ours}: use the same on both sides"
+        if (theirs := answer.get(name)) != ours:
+            what = "gapsweep with the sources" if name == "numerics" else name
+            return f"runs {what} {theirs}, here {ours}: install the same there and start it again"
     return ""
 
 
