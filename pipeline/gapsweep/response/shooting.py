@@ -277,7 +277,8 @@ class Growths:
 
     def n_all_periods(self, points: Numbers) -> Counts:
         """How many forcing periods growths last; one if never begun."""
-        return np.maximum((1 + _N_PARTS * self._in_part[points]) * self.n_periods[points], 1)
+        n_blocks = 1 + _N_PARTS * self._in_part[points]
+        return np.asarray(np.maximum(n_blocks * self.n_periods[points], 1))
 
     def is_long(self, points: Numbers) -> Mask:
         """Which growths are no longer doubled for a decision."""
