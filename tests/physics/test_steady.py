@@ -520,3 +520,48 @@ def test_reasons_for_unresolved_motions_say_what_was_measured():
     found = gs.respond(free, {}, q_0=[1.0, 0.3])  # two frequencies, one the root of three times
     assert found.status is gs.Status.UNRESOLVED
     assert "without damping" in found.message
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-7, 1e-9])
+def test_a_motion_that_still_decays_is_not_given_twice_its_period(rtol):
+    """Just before a period doubling, multiplier -.9997: over two periods noise hides the decay."""
+    oscillator = gs.Oscillator(
+        zeta=0.034362877546037354, omega_n=5.895811864635071, mass=2.640328790405397,
+        alpha=134787075.5594873, forcing=9.846942415323008,
+    )  # fmt: skip
+    law = gs.Piecewise(83442.60736460447, gs.Gap(0.00046901049319167604, 0.0011412095596463237))
+    spread = np.random.default_rng(0).normal(1.0, 0.3, (2, 12))
+    found = gs.respond(
+        oscillator, law, 3.4203341416757778, *([[7.9e-4], [6.6e-3]] * spread), rtol=rtol
+    )
+    assert (found.period_multiple == 1).all()
+    assert_allclose(found.multiplier_abs, 0.99971, atol=2e-5)
+
+
+def test_a_slow_orbit_is_waited_for_while_its_exponent_is_uncertain():
+    oscillator = gs.Oscillator(
+        zeta=0.058683619490886366, omega_n=22.936952450152123, mass=2.389001307182264,
+        alpha=0.0, forcing=43.59405750440655,
+    )  # fmt: skip
+    law = gs.Piecewise(998889.4350542114, gs.Gap(0.0002465640644099716, 0.0002465640644099716))
+    start = 0.00017574811262109933, -0.008884149786463796
+    found = gs.respond(oscillator, law, 16.412240228581283, *start)
+    assert found.period_multiple == 1
+    assert_allclose(found.multiplier_abs, 0.99777, atol=1e-5)
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-9])
+def test_free_vibration_between_walls_is_periodic(rtol):
+    stiff, walls = gs.System(mass=[[1.0]], stiffness=[[20.0]], contacts={"c": [1.0]}), 200.0
+    found = gs.respond(
+        stiff, gs.Piecewise(walls, gs.Gap(0.5, 0.5)), q_0=[1.0], rtol=rtol, atol=1e-3 * rtol
+    )
+    assert found.response_class is gs.ResponseClass.PERIODIC
+    # A quarter period: from the wall to the turning point, and across half of the gap.
+    inner, outer = math.sqrt(20.0), math.sqrt(20.0 + walls)
+    speed, depth = math.sqrt(0.75 * 20.0 + 0.25 * walls), 0.5  # at the wall, beyond it
+    middle = 20.0 * 0.5 / (20.0 + walls)  # of the outer swing, beyond the wall: at -middle
+    outside = math.acos(middle / (depth + middle)) / outer
+    inside = math.asin(0.5 / math.hypot(0.5, speed / inner)) / inner
+    assert_allclose(found.period, 4.0 * (inside + outside), rtol=max(10.0 * rtol, 1e-8))
+    assert_allclose(found.multiplier_abs, 1.0, atol=max(rtol, 1e-6))

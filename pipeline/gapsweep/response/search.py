@@ -222,13 +222,17 @@ class Search:
         # Kinks that are not located scatter a section more than its predicted noise.
         is_rattled = self._ensemble.is_rattled
         same = (_SCATTERED if is_rattled else 1.0) * self._walks.same
-        tolerance = np.maximum(same, 1e-6 * self._walks.reach)
-        part = self._shots.parts(inside, tolerance[inside])
+        tolerance = np.maximum(same, 1e-6 * self._walks.reach)[inside]
+        # A slow orbit of several periods is not known any better than noise is amplified.
+        amplified = same[inside] / (1.0 - np.abs(self._shots.multipliers[inside, 0]))
+        near = NEAR * self._walks.reach[inside]
+        part = self._shots.parts(inside, np.maximum(tolerance, np.minimum(amplified, near)))
         is_whole = part == self._shots.n[inside]
         self._compare(inside[is_whole])
         self._shots.shorten(inside[~is_whole], part[~is_whole], is_scattered=is_rattled)
         is_undamped = self._ensemble.settling_rate[points] == 0.0
-        stays = modulus < np.where(is_undamped, 1.0 + _ON_CIRCLE, 1.0)
+        on_circle = 1.0 + max(_ON_CIRCLE, self._ensemble.solver.rtol)
+        stays = modulus < np.where(is_undamped, on_circle, 1.0)
         if self._ensemble.has_own_tangent:
             # Newton multiplies what the solver strays in a period by 1 / (1 - modulus): about a
             # slow orbit that is far, and the motion is there if it had the time to settle.
@@ -278,7 +282,8 @@ class Search:
         self._ask(away, Phase.APPROACH, found.stretch[waits], window)
         stays = ~found.is_own & ~waits
         # It is on its way, and what grew before says nothing of it.
-        grew = points[stays & found.has_shrunk & (self._found.lyapunov[points] > 0.0)]
+        grows = self._found.lyapunov[points] > SURE * self._found.lyapunov_error[points]
+        grew = points[stays & found.has_shrunk & grows]
         self._found.lyapunov[grew] = self._found.lyapunov_error[grew] = np.nan
         is_own = found.is_own | (stays & found.has_shrunk & found.is_near)
         self._close(points[is_own])
@@ -377,7 +382,8 @@ class Search:
         is_long = growths.is_long(points)
         n_doubled = 2 * growths.n_all_periods(points)
         is_undecided = (may_circle | (np.abs(exponent) <= SURE * error)) & ~is_long
-        is_rough = error > (self._steady.lyapunov_error or math.inf)
+        wanted = self._steady.lyapunov_error  # a short measurement may miss intermittent chaos
+        is_rough = np.full(len(points), wanted is not None) & (~is_long | (error > (wanted or 0.0)))
         # Another solver's tangent says less of the motion the longer it is.
         goes_on = is_undecided | (is_rough & (n_doubled <= self._steady.max_periods))
         goes_on &= self._ensemble.has_own_tangent & (n_doubled <= self._limits.longest[points])

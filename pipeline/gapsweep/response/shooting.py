@@ -189,6 +189,7 @@ class Shots:
             modulus = np.abs(multipliers[:, 0])
             # About a rest, Newton's orbits shrink until they close within the noise.
             is_rest = call.swing <= self._noise[points] / np.maximum(1.0 - modulus, _TAKES)
+            is_rest &= np.isfinite(goal)  # of an orbit as it is, Newton moves nothing
             is_found &= ~is_rest
             self._keep(points, np.flatnonzero(is_found), multipliers, call)
             self._tries[points] += 1
