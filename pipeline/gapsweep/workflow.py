@@ -167,9 +167,7 @@ def carry_out(
             f"{', '.join(changed)} changed; --out takes another folder",
             stacklevel=3,
         )
-    planned = plan(
-        study, path, retry_failed=retry_failed, timeout=timeout, on_progress=on_progress
-    )
+    planned = plan(study, path, retry_failed=retry_failed, timeout=timeout, on_progress=on_progress)
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
     with Recorder(folder, study, path, planned, on_progress) as recorder:
