@@ -105,9 +105,11 @@ def check_writable(folder: Path, other: str = "another folder with --out") -> No
         raise StoreError(f"{folder}: is a link to nothing; remove it, or name {other}")
     existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
     try:
+        str(folder).encode()  # netCDF takes no other names
         with tempfile.TemporaryFile(dir=existing):
             pass
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or f"not UTF-8: {error}"
         raise StoreError(
-            f"{folder}: cannot be written: {existing}: {error.strerror}; name {other}"
+            f"{folder}: cannot be written: {existing}: {reason}; name {other}"
         ) from None

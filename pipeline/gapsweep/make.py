@@ -49,7 +49,7 @@ from gapsweep.stages import (
 )
 from gapsweep.status import Status
 from gapsweep.store import netcdf
-from gapsweep.store.artefact import alone_in
+from gapsweep.store.artefact import alone_in, reading
 from gapsweep.store.cache import Cache
 from gapsweep.study.study import Study
 
@@ -309,7 +309,7 @@ def _report(folder: Path) -> Path:
             f"{(folder / REPORT).parent}: a symbolic link, which could lead anywhere: remove it"
         )
     stage = next(stage for stage in STAGES if stage.file == REPORT)
-    with ExitStack() as files:
+    with reading(folder), ExitStack() as files:
 
         def stored(name: str) -> "xr.Dataset | None":
             if not (folder / name).exists():

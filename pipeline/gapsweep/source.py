@@ -24,20 +24,15 @@ class Source:
     imports: tuple[str, ...]
 
 
-def read(path: Path, module: str) -> Source:
-    """Read a file as the module of that dotted name.
+def read(path: Path, module: str, data: bytes | None = None) -> Source:
+    """Read a file, or bytes of it that are known, as the module of that dotted name.
 
     Raises
     ------
     OSError, SyntaxError, ValueError
         If it cannot be read, or is not Python.
     """
-    return parsed(path.read_bytes(), path, module)
-
-
-def parsed(data: bytes, path: Path, module: str) -> Source:
-    """`read`, of a file whose bytes are known."""
-    tree = ast.parse(data)
+    tree = ast.parse(path.read_bytes() if data is None else data)
     package = module if path.stem == "__init__" else module.rpartition(".")[0]
     statements = list(_statements(tree))
     names = tuple(_imported(statements, package))

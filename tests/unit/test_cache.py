@@ -317,6 +317,19 @@ def test_cache_of_another_format_is_refused(tmp_path, version):
     assert path.read_bytes() == before
 
 
+@pytest.mark.parametrize("bit", range(32))
+def test_a_flipped_bit_in_the_format_of_the_header_loses_nothing(tmp_path, bit):
+    path = tmp_path / "cache.sqlite"
+    with Cache(path) as cache:
+        cache.commit([row(1)])
+    data = bytearray(path.read_bytes())
+    data[60 + bit // 8] ^= 1 << bit % 8  # where SQLite keeps it
+    path.write_bytes(data)
+    for read_only in (True, False):
+        with Cache(path, read_only=read_only) as cache:
+            assert cache.status(keys(1)).tolist() == [gs.Status.OK]
+
+
 def test_unwritable_folder_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(gs.StoreError, match=r"file: cannot be created.* with --cache"):

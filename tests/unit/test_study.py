@@ -195,6 +195,19 @@ def test_code_that_moves_numbers_changes_keys_and_comments_do_not(tmp_path, plac
     assert prints["first"] == prints["cosmetic"] != prints["changed"]
 
 
+def test_many_problems_and_long_texts_make_a_short_message(tables):
+    tables["oscillator"] = {f"key{n}": 1.0 for n in range(20_000)}
+    said = problems(tables)
+    assert len(said) < 100
+    assert "19" in said[-1]  # so many more
+    for long in ({"representation": ["x" * 200_000]}, {"x" * 200_000: 1.0}):
+        block = tables["sweep"][0] | long
+        (line,) = problems({"study": tables["study"], "sweep": [block]})
+        assert len(line) < 2000
+    (line,) = problems(tables | {"oscillator": {}, "study": {"name": "x" * 200_000}})
+    assert len(line) < 2000
+
+
 @pytest.fixture
 def package(monkeypatch, tmp_path):
     """A copy of the package, as a process that runs it has read it."""

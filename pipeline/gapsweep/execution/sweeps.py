@@ -14,18 +14,10 @@ def origins(
     has_end: NDArray[np.bool_],
     before: NDArray[np.void],
 ) -> NDArray[np.void]:
-    """Keys of the points at whose ends points of sweeps start; zero of those that start at rest.
+    """Keys of the points at whose ends points start that stand sweep after sweep; zero at rest.
 
-    Parameters
-    ----------
-    keys : ndarray of void, shape (n,)
-        Content keys of the points, sweep after sweep.
-    is_first : ndarray of bool, shape (n,)
-        Which points begin a sweep, or a part of one.
-    has_end : ndarray of bool, shape (n,)
-        As of `Responses`.
-    before : ndarray of void, shape (n_firsts,)
-        Origins of the first points.
+    `is_first` says which begin a sweep or a part of one, `has_end` which have an end (`Responses`);
+    `before` holds the origins of the first ones.
     """
     numbers = np.arange(len(keys))
     first = np.maximum.accumulate(np.where(is_first, numbers, 0))

@@ -98,14 +98,12 @@ class Tile:
     def slabs(self, responses: Responses, host: str) -> list[Slab]:
         """Responses of all points in the form in which they are stored."""
         said = ", ".join(f"{name} {number}" for name, number in versions().items())
-        started = self._started(responses)
+        is_first = np.isin(np.arange(len(self)), self.firsts)
+        started = origins(self.keys, is_first, responses.has_end, self.origins)
+        for row in np.flatnonzero(started != self.previous).tolist():
+            responses.messages.setdefault(row, _RESTARTED)
         tables = self.points.numbers, self.keys, started, responses
         return list(slabs(self.identity, *tables, host, said))
-
-    def _started(self, responses: Responses) -> NDArray[np.void]:
-        """Keys of the points that each one really started from."""
-        is_first = np.isin(np.arange(len(self)), self.firsts)
-        return origins(self.keys, is_first, responses.has_end, self.origins)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,14 +151,7 @@ def compute(task: Task) -> TaskResult:
 
 @cache
 def load(engine: str) -> None:
-    """Load an engine into this process.
-
-    Raises
-    ------
-    ClusterError
-        If the numerics were edited before: what `software` says of this process would not be what
-        is loaded now.
-    """
+    """Load an engine into this process, if the numerics are still those that `software` names."""
     loaded(engine)
     check_unedited()
     gc.freeze()  # the garbage collector would look through all that was loaded in every tile
@@ -229,14 +220,11 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
         if None.
     """
     states, first, lengths = tile.states.copy(), tile.firsts, tile.lengths
-    after_failure, order, parts = tile.origins != tile.previous[first], [], []
+    order, parts = [], []
     for position in range(max(lengths, default=0)):
         here = np.flatnonzero(lengths > position)
         rows = first[here] + position
         found = (ask or _together)(tile.points.take(rows), states[here])
-        for row in np.flatnonzero(after_failure[here]).tolist():
-            found.messages.setdefault(row, _RESTARTED)
-        after_failure[here] = ~found.has_end
         states[here[found.has_end]] = found.ends[found.has_end]
         parts.append(found)
         order.append(rows)

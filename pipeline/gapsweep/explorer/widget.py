@@ -17,6 +17,7 @@ from gapsweep.explorer.server import Explorer
 from gapsweep.explorer.stored import Stored
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
+from gapsweep.store.artefact import reading
 from gapsweep.study.spec import read
 from gapsweep.study.study import Study
 
@@ -71,7 +72,8 @@ def explore_path(path: Path | None, port: int) -> Explorer:
     if path is None:
         return opened(of_model(), port=port)
     if path.is_dir():
-        stored = Stored(path)
+        with reading(path):
+            stored = Stored(path)
         return opened(stored.question, stored.ranges, stored, stored.note, port=port)
     refuse_systems(dict(read(path)), path)
     study = Study.load(path)

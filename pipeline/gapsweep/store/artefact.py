@@ -10,13 +10,14 @@ import os
 import platform
 import re
 import tempfile
+import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
 
-from gapsweep.errors import GapsweepError, StoreError
+from gapsweep.errors import GapsweepError, StoreError, described
 from gapsweep.store.filesystem import fcntl
 
 SUMS = "SHA256SUMS"
@@ -156,6 +157,20 @@ def _sums(folder: Path) -> list[tuple[str, str]]:
     return [(digest, name) for digest, _, name in pairs if name]  # none in a line that was cut
 
 
+@contextmanager
+def reading(folder: Path) -> Iterator[None]:
+    """Errors of this block as `StoreError`: files of another version or maker hold anything."""
+    try:
+        yield
+    except GapsweepError:
+        raise
+    except Exception as error:
+        raise StoreError(
+            f"{folder}: its files hold something else than this gapsweep writes "
+            f"({described(error)}): 'gapsweep run' makes them again"
+        ) from error
+
+
 def remove(folder: Path, names: Collection[str]) -> None:
     """Remove files of a folder, and what is recorded of them.
 
@@ -197,7 +212,11 @@ def alone_in(folder: Path) -> Iterator[None]:
     try:
         if fcntl is not None:
             with suppress(OSError):
-                fcntl.flock(descriptor, fcntl.LOCK_EX)
+                try:
+                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    warnings.warn(f"{folder}: waiting for the run that writes there", stacklevel=4)
+                    fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
         os.close(descriptor)

@@ -30,8 +30,8 @@ from gapsweep.study.points import KEY
 
 SCHEMA_VERSION = 4
 
-_TABLE = """
-CREATE TABLE slabs (
+_TABLE = f"""
+CREATE TABLE slabs (  -- format {SCHEMA_VERSION}
     id       INTEGER PRIMARY KEY AUTOINCREMENT,  -- no number is used twice, whatever is deleted
     identity TEXT NOT NULL,  -- of what the points have in common, canonical JSON
     keys     BLOB NOT NULL,  -- content keys of the points, 32 bytes each
@@ -195,11 +195,12 @@ class Cache:
             If there is something else than a cache of this format.
         """
         # In one statement: another process may make the table between two.
-        both = "SELECT user_version, (SELECT count(*) FROM sqlite_master) FROM pragma_user_version"
-        ((version, n_tables),) = self.db.execute(both).fetchall()  # which ends the reading
-        if version == 0 and n_tables == 0:
+        both = "SELECT user_version, (SELECT min(sql) FROM sqlite_master) FROM pragma_user_version"
+        ((version, table),) = self.db.execute(both).fetchall()  # which ends the reading
+        if version == 0 and table is None:
             return True
-        if version != SCHEMA_VERSION:
+        # Of two places that say the format, one may be damaged.
+        if version != SCHEMA_VERSION and table != _TABLE.strip():
             raise StoreError(
                 f"{self.path}: a cache of format {version}, this gapsweep reads format "
                 f"{SCHEMA_VERSION}: move it away, or choose another file with --cache"
@@ -306,10 +307,7 @@ class Cache:
         return None if found is None else (*found, int(held.row[0]))
 
     def origins(self, keys: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.bool_]]:
-        """Keys of the points that stored results started from, and which of them have an end.
-
-        Zero of those not stored, which are taken to have one.
-        """
+        """Keys of what results started from (or zero), and which of them have an end (or true)."""
         index = self._refreshed()
         held, origins = index.find(keys), np.zeros(len(keys), KEY)
         has_end = np.ones(len(keys), bool)

@@ -11,6 +11,7 @@ import errno
 import hashlib
 from pathlib import Path
 
+from gapsweep.errors import StoreError
 from gapsweep.store.filesystem import fcntl
 
 _HELD_BY_OTHERS = {errno.EAGAIN, errno.EACCES}
@@ -28,7 +29,10 @@ class Claims:
     """
 
     def __init__(self, cache: Path, points: bytes | memoryview) -> None:
-        self._file = cache.with_name(f"{cache.name}-claims").open("ab")
+        file = cache.with_name(f"{cache.name}-claims")
+        if file.is_symlink():
+            raise StoreError(f"{file}: a symbolic link, which could lead anywhere: remove it")
+        self._file = file.open("ab")
         digest = hashlib.sha256(points).digest()
         self._place = int.from_bytes(digest[:4], "big") * _ROOM
 

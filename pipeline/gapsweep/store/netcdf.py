@@ -190,7 +190,7 @@ def attributes(path: Path) -> dict[str, Any]:
     try:
         with netCDF4.Dataset(path) as dataset:
             return {name: dataset.getncattr(name) for name in dataset.ncattrs()}
-    except (OSError, RuntimeError, UnicodeDecodeError, AttributeError):
+    except (OSError, RuntimeError, UnicodeError, AttributeError):
         return {}
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import gapsweep.model
 from gapsweep.errors import ClusterError
-from gapsweep.source import Source, parsed, short_digest, with_parents
+from gapsweep.source import Source, read, short_digest, with_parents
 
 _PACKAGE = Path(gapsweep.model.__file__).parents[1]
 # What decides a result, from a point's numbers to its response.
@@ -51,13 +51,7 @@ def numerics_bytes() -> str:
 
 
 def check_unedited() -> None:
-    """Compare the modules in `NUMERICS` with what this process read of them.
-
-    Raises
-    ------
-    ClusterError
-        If one was edited since: what this process imports later may not be what it has imported.
-    """
+    """Raise `ClusterError` if a module in `NUMERICS` is no longer what this process has read."""
     for path in _numerics(_PACKAGE):
         if path.read_bytes() != _bytes(path):
             raise ClusterError(f"{path}: edited after this process loaded gapsweep: start it again")
@@ -119,7 +113,7 @@ def _digest(package: Path, files: Iterable[Path]) -> str:
 
 @cache
 def _read(path: Path, package: Path) -> Source:
-    return parsed(_bytes(path), path, _name(path, package))
+    return read(path, _name(path, package), _bytes(path))
 
 
 def _name(path: Path, package: Path) -> str:

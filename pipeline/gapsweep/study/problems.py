@@ -7,6 +7,7 @@ from pydantic import BaseModel, ValidationError
 
 from gapsweep.study.schema import UNITS
 
+_MOST = 50  # problems that are described
 _BOUNDS = {
     "greater_than": ("gt", ">"),
     "greater_than_equal": ("ge", ">="),
@@ -74,7 +75,11 @@ Loc = tuple[str | int, ...]
 
 def problems(source: str, error: ValidationError, spec: type[BaseModel]) -> list[str]:
     """One line for each: where, the offending value, what is allowed."""
-    return list(dict.fromkeys(_problem(source, each, spec) for each in error.errors()))
+    errors = error.errors(include_url=False)
+    lines = list(dict.fromkeys(_problem(source, each, spec) for each in errors[:_MOST]))
+    if len(errors) > _MOST:
+        lines.append(f"{source}: and {len(errors) - _MOST} more problems")
+    return lines
 
 
 def _problem(source: str, error: Any, spec: type[BaseModel]) -> str:
@@ -85,7 +90,8 @@ def _problem(source: str, error: Any, spec: type[BaseModel]) -> str:
         message = _message(error, spec)
     where = _path(loc)
     shown = "" if kind == "missing" or isinstance(value, dict) else f" = {value!r:.80}"
-    return f"{source}: {where}{shown}: {message}" if where else f"{source}: {message}"
+    at = f"{source}: {where:.200}{shown}" if where else source
+    return f"{at}: {message:.1000}"
 
 
 def _message(error: Any, spec: type[BaseModel]) -> str:

@@ -170,22 +170,18 @@ class Study:
         """Numbers of the oscillator, and the ratio of the walls' stiffnesses, of a time history."""
         return setting(history, self.spec.oscillator, self._axes)
 
-    @property
+    @cached_property
     def claims_module(self) -> Path | None:
         """The Python file that states the claims, beside the study file."""
         return self._beside(self.spec.claims)
 
-    @property
+    @cached_property
     def report_module(self) -> Path | None:
         """The Python file that makes sections of the report, beside the study file."""
         return self._beside(self.spec.report)
 
     def _beside(self, table: ModuleTable | None) -> Path | None:
-        return None if table is None else self._folder / table.module
-
-    @cached_property
-    def _folder(self) -> Path:
-        return Path(self.source).absolute().parent
+        return None if table is None else Path(self.source).absolute().parent / table.module
 
     @cached_property
     def oscillator(self) -> Oscillator:
