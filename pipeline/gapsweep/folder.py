@@ -109,7 +109,5 @@ def check_writable(folder: Path, other: str = "another folder with --out") -> No
         with tempfile.TemporaryFile(dir=existing):
             pass
     except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or f"not UTF-8: {error}"
-        raise StoreError(
-            f"{folder}: cannot be written: {existing}: {reason}; name {other}"
-        ) from None
+        why = getattr(error, "strerror", None) or f"not UTF-8: {error}"
+        raise StoreError(f"{folder}: cannot be written: {existing}: {why}; name {other}") from None

@@ -148,22 +148,29 @@ def ends(outcomes, order):
     return [found[k] for k in sorted(found)]
 
 
+drawn = st.lists(st.sampled_from(ENDED + LOST), min_size=N, max_size=N)
+
+
 @settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    outcomes=st.lists(st.sampled_from(ENDED + LOST), min_size=N, max_size=N),
-    batch=st.sampled_from([7, 100]),
-)
-def test_of_sweeps_through_every_status(answering, tmp_path_factory, outcomes, batch):
-    """A sweep goes on from its last point with an end state, in one part or in several."""
-    study = swept("piecewise", np.arange(1.0, N + 1.0).tolist())
-    repaired = [ENDED[0] if outcome[0].failed else outcome for outcome in outcomes]
+@given(first=drawn, later=drawn, batch=st.sampled_from([7, 100]))
+def test_of_sweeps_through_every_status(answering, tmp_path_factory, first, later, batch):
+    """A sweep goes on from its last point with an end state, in one part or in several.
+
+    With --retry-failed, a failed point and all behind it are computed again, and may fail.
+    """
+    study, orders = swept("piecewise", np.arange(1.0, N + 1.0).tolist()), (range(N), range(N)[::-1])
+    known = [list(first), list(first)]
     with Cache(tmp_path_factory.mktemp("drawn") / "c.sqlite") as cache:
-        for drawn, options in ((outcomes, {}), (repaired, {"retry_failed": True})):
-            answering.run(answer, drawn)
+        for outcomes, options in ((first, {}), (later, {"retry_failed": True})):
+            answering.run(answer, outcomes)
             execute(study, plan(study, cache, **options), cache, answering, batch=batch, **options)
             found = stored(study, cache)
-            for start, order in enumerate((range(N), range(N)[::-1])):
-                swept_ends = [found[0, 0, 0, k, start] for k in range(N)]
-                made = [(one.x_end, one.v_end) for one in swept_ends]
-                np.testing.assert_array_equal(made, ends(drawn, order))
+            for start, order in enumerate(orders):
+                begun = [k for k in order if outcomes is first or first[k][0].failed][:1]
+                for k in order[order.index(begun[0]) :] if begun else ():
+                    known[start][k] = outcomes[k]
+                points = [found[0, 0, 0, k, start] for k in range(N)]
+                made = [(one.x_end, one.v_end) for one in points]
+                np.testing.assert_array_equal(made, ends(known[start], order))
+                assert [one.status for one in points] == [status for status, _ in known[start]]
             assert plan(study, cache).n_missing == 0

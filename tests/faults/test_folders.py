@@ -295,13 +295,13 @@ def test_claims_wait_for_whoever_writes_into_the_folder(finished):
     (finished / "claiming.toml").write_text(STUDY + '[claims]\nmodule = "claims.py"\n')
     command = [COMMAND, "claims", "out", "--study", "claiming.toml"]
     with alone_in(finished / "out"):
-        waiting = subprocess.Popen(command, cwd=finished, stderr=subprocess.PIPE, text=True)
-        assert "out: waiting for" in waiting.stderr.readline()
+        with (finished / "stderr").open("w") as stderr:
+            waiting = subprocess.Popen(command, cwd=finished, stderr=stderr)
         with pytest.raises(subprocess.TimeoutExpired):
-            waiting.wait(2)
+            waiting.wait(10)
+        assert "out: waiting for" in (finished / "stderr").read_text()
         assert not (finished / "out" / "claims.json").exists()
-    _, errors = waiting.communicate(timeout=60)
-    assert waiting.returncode == 0, errors
+    assert waiting.wait(60) == 0, (finished / "stderr").read_text()
     assert (finished / "out" / "claims.json").exists()
 
 

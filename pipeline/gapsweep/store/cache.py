@@ -26,7 +26,7 @@ from gapsweep.response.result import Responses
 from gapsweep.store.filesystem import is_on_network
 from gapsweep.store.index import DAMAGED, Index
 from gapsweep.store.slab import Slab, Stored, stored
-from gapsweep.study.points import KEY
+from gapsweep.study.points import FIXED, KEY
 
 SCHEMA_VERSION = 4
 
@@ -372,7 +372,9 @@ class Cache:
         with self.errors():
             # What stands behind the columns of a row is read through all of these: not here.
             rows = self.db.execute(
-                "SELECT id, keys, status FROM slabs WHERE id > ? ORDER BY id", (self._index.last,)
+                "SELECT id, keys, status, instr(identity, ?) = 0 FROM slabs "
+                "WHERE id > ? ORDER BY id",
+                (f'"start":"{FIXED}"', self._index.last),
             )
             while part := rows.fetchmany(_ROWS):
                 self._index.add(part)

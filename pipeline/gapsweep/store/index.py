@@ -43,6 +43,7 @@ class _Level(NamedTuple):
     slab: NDArray[np.int32]
     row: NDArray[np.int32]
     status: NDArray[np.int8]
+    counts: NDArray[np.bool_]  # against older ones that are results
 
     @classmethod
     def of(cls, parts: "Sequence[_Level]") -> "_Level":
@@ -56,7 +57,7 @@ class _Level(NamedTuple):
         order = np.argsort(head)  # takes a third of what a stable sort does
         if (head[order[1:]] == head[order[:-1]]).any():
             # Of equally good ones the latest comes last.
-            order = np.lexsort((_is_result(whole.status), head))
+            order = np.lexsort((whole.counts, head))
             order = order[np.append(head[order[1:]] != head[order[:-1]], True)]
         return cls._make(column[order] for column in whole)
 
@@ -65,7 +66,7 @@ class _Level(NamedTuple):
         head = words[:, 0]
         at = np.minimum(np.searchsorted(self.head, head), len(self.head) - 1)
         asked = np.flatnonzero((self.head[at] == head) & (self.next[at] == words[:, 1]))
-        is_better = _is_result(self.status[at[asked]]) | ~_is_result(held.status[asked])
+        is_better = self.counts[at[asked]] | ~_is_result(held.status[asked])
         asked = asked[is_better]
         held.slab[asked], held.row[asked] = self.slab[at[asked]], self.row[at[asked]]
         held.status[asked] = self.status[at[asked]]
@@ -74,7 +75,8 @@ class _Level(NamedTuple):
 class Index:
     """Content keys of all rows of a cache, a million in 25 megabytes.
 
-    Of several results of one point the latest counts, but no failure takes the place of a result.
+    Of several results of one point the latest counts, but no failure takes the place of a result,
+    save in a sweep, where the older one may have started elsewhere.
 
     Attributes
     ----------
@@ -90,20 +92,22 @@ class Index:
         # Each much larger than the next: a run adds few keys at a time to a million.
         self._levels: list[_Level] = []
 
-    def add(self, rows: Sequence[tuple[int, Any, Any]]) -> None:
-        """Add rows: number, keys, status. Torn ones hold nothing."""
+    def add(self, rows: Sequence[tuple[int, Any, Any, Any]]) -> None:
+        """Add rows: number, keys, status, whether of sweeps. Torn ones hold nothing."""
         self.last = rows[-1][0]
-        whole = [row for row in rows if _is_whole(*row[1:])]
+        whole = [row for row in rows if _is_whole(*row[1:3])]
         if not whole:
             return
-        ids, keys, status = zip(*whole, strict=True)
+        ids, keys, status, is_swept = zip(*whole, strict=True)
         counts = np.array(list(map(len, status)), np.int32)
         words = _words(b"".join(keys))
         slab = np.repeat(np.arange(len(ids), dtype=np.int32) + len(self.ids), counts)
         row = spans(np.zeros_like(counts), counts).astype(np.int32)
         every = np.frombuffer(b"".join(status), np.int8)
+        counting = _is_result(every) | np.repeat(np.array(is_swept, bool), counts)
         self.ids += ids
-        self._levels.append(_Level.of([_Level(words[:, 0], words[:, 1], slab, row, every)]))
+        level = _Level(words[:, 0], words[:, 1], slab, row, every, counting)
+        self._levels.append(_Level.of([level]))
         while len(self._levels) > 1 and _n_keys(self._levels[-2]) < 2 * _n_keys(self._levels[-1]):
             self._levels[-2:] = [_Level.of(self._levels[-2:])]
 
