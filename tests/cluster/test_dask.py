@@ -165,7 +165,7 @@ class TestWorkerWithOtherCode:
 def test_a_cluster_that_starts_workers_when_there_is_work_gets_it(tables, tmp_path):
     stages = []
     with (
-        LocalCluster(n_workers=0, processes=False, dashboard_address=None) as started,
+        LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as started,
         Client(started) as client,
     ):
         started.adapt(minimum=0, maximum=2, interval="100ms")
@@ -332,7 +332,7 @@ def test_an_asynchronous_client_is_refused_and_disturbs_no_run_without_it(tables
     study, cache = gs.Study.from_dict(tables), tmp_path / "c.sqlite"
 
     async def main():
-        options = {"processes": False, "asynchronous": True, "dashboard_address": None}
+        options = {"processes": False, "asynchronous": True, "dashboard_address": ":0"}
         async with (
             LocalCluster(n_workers=1, **options) as started,
             Client(started, asynchronous=True) as client,

@@ -208,7 +208,7 @@ def test_failed_points_are_computed_again_only_on_request(tables, client, tmp_pa
 
 
 def test_a_cluster_started_elsewhere_is_used(tables, tmp_path):
-    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as other:
+    with LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as other:
         ds = run(tables, None, tmp_path, scheduler=other.scheduler_address)
     assert (ds["status"] == gs.Status.OK).all()
 

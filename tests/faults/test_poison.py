@@ -77,7 +77,7 @@ def test_in_process_workers_never_end_their_process(tables, tmp_path):
     tables["sweep"][0] |= {"representation": ["piecewise"], "omega": [12.0]}
     from distributed import Client
 
-    with Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None) as own:
+    with Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=":0") as own:
         ds = run(tables, tmp_path, own, timeout=1e-3)
     assert ds["status"].item() == gs.Status.OK
 
