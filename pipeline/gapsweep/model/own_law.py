@@ -103,7 +103,7 @@ def named(label: str) -> Any:
         module, _, name = label.partition(":")
         try:
             return getattr(sys.modules[module], name)
-        except AttributeError as error:
+        except (AttributeError, KeyError) as error:  # not in its module, or that was taken away
             raise _unusable(label, error) from None
 
 
