@@ -61,7 +61,9 @@ def two_masses(folder: Path) -> None:
     figure = Figure(figsize=(9.5, 5.6))
     with gs.open(folder / "responses.nc") as ds:
         for axes, name in zip(figure.subplots(2, sharex=True).flat, ("x_1", "x_2"), strict=True):
-            ds.gapsweep.bifurcation(coordinate=name, initial_condition=0, ax=axes)
+            ds.gapsweep.bifurcation(
+                representation="piecewise", coordinate=name, initial_condition=0, ax=axes
+            )
             axes.set_title("", loc="left")
             axes.set_ylabel(name)
     figure.axes[0].set_xlabel("")
