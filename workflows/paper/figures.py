@@ -92,7 +92,7 @@ def figures(run: Run) -> Iterator[Figured]:
     """The figures for which the run has the exact law and half of the paper's representations."""
     if "starts" in run.datasets:
         figure = draw.start_scan(run["starts"].load())
-        yield _figured(figure, "start", *SOFT_SYMMETRIC, _SCAN)
+        yield _figured(figure, "of the initial conditions", *SOFT_SYMMETRIC, _SCAN)
     if "static" in run.datasets and SYMMETRIC in run["static"]["gap"].values:
         yield from _static_figures(run)
     found = Scenes(run["responses"])
