@@ -312,10 +312,10 @@ def test_bands_are_the_frequencies_found_from_both_initial_conditions():
     found = band_rows(Run({"responses": responses, "bands": bands}))
     rows = {tuple(row[:4]): row[4:] for row in found}
     three = "8b", "subharmonic 17-21", "period 3"
-    assert rows[*three, "+0.4 mm"] == ["17-20", *5 * ["–"]]
+    assert rows[*three, "+0.4 mm"] == ["17\u201120", *5 * ["–"]]
     assert rows[*three, "rest"] == ["19", *5 * ["–"]]
     widest = rows["8b", "subharmonic 17-21", "period 3, widest, bisected", "rest"]
-    assert widest[:2] == ["15.00-25.00", "–"]
+    assert widest[:2] == ["15.00\u201125.00", "–"]
     peaks = [rows["8b", "primary peak", "jump, bisected", name][0] for name in scenes.STARTS]
     assert peaks == ["11.00", "10.00"]
     assert not any(row[0] == "9" for row in found)  # the hard contact was not swept

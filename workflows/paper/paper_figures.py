@@ -124,9 +124,9 @@ def start_scan(scan: xr.Dataset) -> Figure:
     all_of_them.plot(x, y, "o", color="#999999", markersize=4, label="_initial conditions")
     for name, (x_0, v_0) in STARTS.items():
         one = 100.0 * scan.sel(x_0=x_0, v_0=v_0, method="nearest")
-        x, y = float(one["outside"]), float(one["inside"])
-        all_of_them.plot([x], [y], "o", color=NOT_PERIODIC, markersize=6, label=f"_{name}")
-        all_of_them.annotate(name, (x, y), (7, 4), textcoords="offset points")
+        at = float(one["outside"]), float(one["inside"])
+        all_of_them.plot(*at, "o", color=NOT_PERIODIC, markersize=6, label=f"_{name}")
+        all_of_them.annotate(name, at, (7, 4), textcoords="offset points")
     all_of_them.set(xlabel="outside the band [%]", ylabel="inside the band [%]")
     all_of_them.set_title("all initial conditions", fontsize=9, loc="left")
     return figure

@@ -25,7 +25,7 @@ def starts(study: Study) -> xr.Dataset:
     x_0, v_0 = np.linspace(-1e-3, 1e-3, 41), np.linspace(-0.05, 0.05, 5)
     points = np.meshgrid(omega, x_0, v_0, indexing="ij")
     found = respond(study.oscillator, law, *points, rtol=1e-8, atol=1e-11)
-    hits, inside = found.period_multiple == 3, (omega >= 17.0) & (omega <= 21.0)
+    hits, inside = np.equal(found.period_multiple, 3), (omega >= 17.0) & (omega <= 21.0)
     shares = {"inside": hits[inside].mean(axis=0), "outside": hits[~inside].mean(axis=0)}
     return xr.Dataset(
         {

@@ -184,8 +184,8 @@ class _Sharpened(ContactLaw):
         # A smooth law has a force everywhere: arctan one of K_c / (pi epsilon) however far away.
         if self.K_c and (farthest := max(map(abs, self.walls))) > DIVERGED_AT:
             raise ModelError(
-                f"wall at {farthest:g}: a smooth law needs both walls within {DIVERGED_AT:g}, where "
-                "motions count as diverged; a stop on one side has K_ratio = 0"
+                f"wall at {farthest:g}: a smooth law needs walls within {DIVERGED_AT:g}, "
+                "where motions count as diverged; a stop on one side has K_ratio = 0"
             )
 
     @property
