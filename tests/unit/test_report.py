@@ -482,6 +482,15 @@ def test_numbers_of_the_map_fit_a_phone():
         assert len(row.cells["error"][0].text) <= 4
 
 
+def test_tables_of_a_section_of_the_studys_own_are_before_its_figures(page):
+    text = page.read_text()
+    section = re.search(r'<section id="own-table-3">.*?</section>', text, re.S)[0]
+    assert section.index("<table") < section.index("<figure")
+    assert text.count("The paper&#39;s Table 3</h3>") == 1
+    for anchor in re.findall(r'href="#([^"]+-tables)"', text):
+        assert f'id="{anchor}"' in text
+
+
 def test_claims_lead_to_what_they_are_about(page):
     text = page.read_text()
     links = re.findall(r'<a href="#([^"]+)">See (.*?)</a>', text)

@@ -76,10 +76,13 @@ from .scenes import (
     VERY_SOFT,
     WEAK,
 )
+from .starts import starts
 
 Array = NDArray[Any]
 
-DATASETS = {"ladders": ladders, "cftool": cftool, "bands": bands, "basins": basins}
+DATASETS = {
+    "starts": starts, "ladders": ladders, "cftool": cftool, "bands": bands, "basins": basins
+}  # fmt: skip
 
 POLY, RATPOLY, TANH, ARCTAN, LOGARCTAN = WEAK
 POLY_21, RATPOLY_5, TANH_6, ARCTAN_6, LOGARCTAN_6 = STRONG

@@ -11,5 +11,10 @@ SYMMETRIC, ASYMMETRIC, LARGE = "0.4/0.4", "0/0.8", "1.5/1.5"  # gaps [mm]
 # Between these ends the words on Fig. 6a can be true: docs/decisions/0008-claims.md.
 LARGE_ENDS = ("1.1/1.1", "1.8/1.8")
 
+Case = tuple[float, str]  # contact stiffness [N/m] and gap [mm]
 SOFT_SYMMETRIC, SOFT_ASYMMETRIC = (SOFT, SYMMETRIC), (SOFT, ASYMMETRIC)
 HARD_SYMMETRIC, HARD_ASYMMETRIC = (HARD, SYMMETRIC), (HARD, ASYMMETRIC)
+
+# Initial conditions [m, m/s]: Table 1 states rest, the figures agree with +0.4 mm (docs/claims.md).
+REST, RELEASED = "rest", "+0.4 mm"
+STARTS = {REST: (0.0, 0.0), RELEASED: (4e-4, 0.0)}

@@ -129,6 +129,7 @@ def write_report(
         cut=f"The first {how_many(len(told), found)}. " if len(found) > len(told) else "",
         starts=[starts_of(responses, EXACT, one.at) for one in told],
         anchors={part["anchor"] for part in parts},
+        own=[part["anchor"] for part in own_parts],
         hero=hero,
         folder=FIGURES,
         claims=claims and {"counts": claims["counts"], "rows": _claims(claims, parts)},
