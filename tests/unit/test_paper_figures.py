@@ -15,7 +15,7 @@ from workflows.paper.figures import LIMITS, band_rows, costs, figures, sections
 from workflows.paper.ladders import ladders
 from workflows.paper.measures import late_periods
 from workflows.paper.paper_figures import diagram, histories_and_spectra, start_scan
-from workflows.paper.starts import starts
+from workflows.paper.refined import starts
 from workflows.paper.static_figures import (
     CONSTRAINED,
     force_curves,

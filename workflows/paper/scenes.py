@@ -18,3 +18,8 @@ HARD_SYMMETRIC, HARD_ASYMMETRIC = (HARD, SYMMETRIC), (HARD, ASYMMETRIC)
 # Initial conditions [m, m/s]: Table 1 states rest, the figures agree with +0.4 mm (docs/claims.md).
 REST, RELEASED = "rest", "+0.4 mm"
 STARTS = {REST: (0.0, 0.0), RELEASED: (4e-4, 0.0)}
+
+
+def width(case: Case) -> float:
+    """Width of a gap [m]."""
+    return 1e-3 * sum(float(j) for j in case[1].split("/"))
