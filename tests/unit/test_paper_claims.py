@@ -10,11 +10,11 @@ import xarray as xr
 from workflows.paper import claims as paper
 from workflows.paper.cftool import RATIOS as RANDOM_RATIOS
 from workflows.paper.cftool import UNITS
-from workflows.paper.ladders import BASES, CONSTRAINTS, DEGREES, FAMILIES, PARAMETERS, RATIOS
+from workflows.paper.ladders import CONSTRAINTS, DEGREES, PARAMETERS, RATIOS, VARIABLES
 from workflows.paper.language import SETTINGS, At, Quantity, alike
 from workflows.paper.measures import named, ranges
 from workflows.paper.refined import BASINS, MOTIONS, WINDOWS
-from workflows.paper.scenes import EXACT, STARTS, WEAK
+from workflows.paper.scenes import EXACT, STARTS, TANGENTS, WEAK
 
 from gapsweep.analysis.verdicts import NotInRunError, Number, Run, stated
 from gapsweep.study.study import Study
@@ -159,7 +159,7 @@ class Drawn(Run):
         if key == "poly_condition":
             return dims, 10.0 ** rng.uniform(0, rng.choice([5, 60]), shape)
         if key == "ratpoly_rmse" and rng.random() < 0.5:
-            return dims, np.broadcast_to([1.0 / (n + m) for n, m in RATIOS], shape)
+            return dims, np.broadcast_to([1.0 / sum(map(int, r.split("/"))) for r in RATIOS], shape)
         if key == "poly_smallest_degree":
             return dims, rng.choice([0, 5, 13], shape)
         size = rng.choice([0.0, 0.05, 1.0, 6.0])
@@ -187,18 +187,10 @@ class Drawn(Run):
         if name == "ladders":
             axes = {
                 "gap": scene["gap"], "K_c": scene["K_c"], "constraint": list(CONSTRAINTS),
-                "degree": list(DEGREES), "basis": list(BASES), "family": list(FAMILIES),
-                "ratio": [f"{n}/{m}" for n, m in RATIOS], "parameter": list(PARAMETERS),
+                "degree": list(DEGREES), "family": list(TANGENTS), "ratio": list(RATIOS),
+                "parameter": list(PARAMETERS),
             }  # fmt: skip
-            dims = {
-                **dict.fromkeys(("poly_rmse", "poly_in_gap_force", "poly_outside_error"),
-                                ("gap", "constraint", "degree")),
-                "poly_condition": ("basis", "degree"),
-                "poly_smallest_degree": ("K_c", "gap"), "tanh_threshold": ("K_c", "gap"),
-                **dict.fromkeys(("ratpoly_rmse", "ratpoly_in_gap_force", "ratpoly_force_at_zero"),
-                                ("gap", "ratio")),
-                "smooth_rmse": ("family", "gap", "parameter"),
-            }  # fmt: skip
+            dims = {variable: dims for variable, (dims, *_) in VARIABLES.items()}
         elif name == "cftool":
             axes = {"gap": scene["gap"], "ratio": list(RANDOM_RATIOS), "unit": list(UNITS)}
             dims = dict.fromkeys(("pole_share", "best_share", "rmse", "force_at_zero"), tuple(axes))

@@ -5,15 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from gapsweep.model.fit import N_FIT_POINTS, unit_force
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.report.scales import axis_label, drawn, plain
 from gapsweep.report.style import colour, lines
 
+from .ladders import polynomial
 from .scenes import EXACT, SOFT
 
 Forces = dict[str, NDArray[np.float64]]
@@ -33,15 +32,13 @@ def unit_forces(static: xr.Dataset, labels: tuple[str, ...]) -> Forces:
     terms. Every law is proportional to the contact stiffness.
     """
     gap, x = Gap(static["j_1"].item(), static["j_2"].item()), static["x"].values
-    u, found = np.linspace(-1.0, 1.0, N_FIT_POINTS), {}
+    found = {}
     for label in (EXACT, *labels):
         law = label.removesuffix(CONSTRAINED)
         if law == label:
             found[label] = contact_law(label, 1.0, gap, x[-1]).force(x)
         else:
-            columns = u[:, None] ** 2 * chebyshev.chebvander(u, int(law.partition("-")[2]) - 2)
-            fit = np.linalg.lstsq(columns, unit_force(u * x[-1], gap), rcond=None)[0]
-            found[label] = (x / x[-1]) ** 2 * chebyshev.chebval(x / x[-1], fit)
+            found[label] = polynomial(gap, int(law.partition("-")[2]), x[-1], 2)(x)
     return found
 
 
