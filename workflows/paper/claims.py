@@ -30,8 +30,9 @@ from .measures import (
 )
 from .refined import bands, basins, motions, starts, windows
 from .scenes import (
-    ASYMMETRIC, EXACT, HARD, HARD_ASYMMETRIC, HARD_SYMMETRIC, LARGE, NO_EVENTS, SOFT,
-    SOFT_ASYMMETRIC, SOFT_SYMMETRIC, STARTS, STRONG, SYMMETRIC, TANGENTS, VERY_SOFT, WEAK,
+    ASYMMETRIC, EXACT, HARD, HARD_ASYMMETRIC, LARGE, NO_EVENTS, SOFT,
+    SOFT_ASYMMETRIC, SOFT_SYMMETRIC, STARTS, STRONG, SYMMETRIC, TABLE_2, TABLE_CASES, TANGENTS,
+    VERY_SOFT, WEAK,
 )
 
 DATASETS = {"ladders": ladders, "cftool": cftool, "bands": bands, "windows": windows,
@@ -535,12 +536,6 @@ c52 = claim(52, fig9,
 
 # --- Table 2: cost --------------------------------------------------------------------------------
 
-# In seconds: the exact law, then the laws of the grade.
-TABLE_2 = {
-    "weak": dict(zip((EXACT, *WEAK), (48.69, 18.57, 26.49, 7.66, 7.41, 7.29), strict=True)),
-    "strong": dict(zip((EXACT, *STRONG), (117.7, 65.69, 132.9, 18.57, 18.08, 18.49), strict=True)),
-}
-TABLE_SCENES = {"weak": SOFT_SYMMETRIC, "strong": HARD_SYMMETRIC}
 SECONDS = "Decided by the paper's seconds. Costs here: its tolerances, controller and restarts. "
 Seconds = Callable[[list[float]], float]
 
@@ -565,7 +560,7 @@ def over_exact(what: str, name: str) -> Quantity:
     """Costs of all laws over the exact law's."""
     return cost(what, name, {
         f"{named(label)}, {grade}": (label + PAPER, EXACT + PAPER, scene)
-        for grade, scene in TABLE_SCENES.items() for label in list(TABLE_2[grade])[1:]})
+        for grade, scene in TABLE_CASES.items() for label in list(TABLE_2[grade])[1:]})
 
 
 work = over_exact("right-hand sides over the exact law's", "nfev")
@@ -598,7 +593,7 @@ c57 = claim(57, "Table 2",
     alike(mean_of_both("slowest over mean tangent law", lambda s: max(s) / (sum(s[3:]) / 3.0)),
           constants("the paper's", {"6.5": 6.5}), ALIKE), note=SECONDS)
 LOCATED = {grade: (f"{EXACT}@paper", f"{EXACT}@paper-norestart", scene)
-           for grade, scene in TABLE_SCENES.items()}
+           for grade, scene in TABLE_CASES.items()}
 restart_work = cost("right-hand sides with restarts over without", "nfev", LOCATED)
 restart_time = cost("processor time with restarts over without, compiled", "cpu_time", LOCATED)
 # Median and half of the range of nine rounds of benchmarks/one_method.py.

@@ -20,9 +20,19 @@ from gapsweep.status import Status
 
 from . import paper_figures as draw
 from . import scenes
-from .claims import TABLE_2, TABLE_SCENES
+from .answer import answer
 from .measures import KINDS, late_periods, ranges
-from .scenes import EXACT, HARD_ASYMMETRIC, NO_EVENTS, SOFT_SYMMETRIC, STRONG, SYMMETRIC, WEAK
+from .scenes import (
+    EXACT,
+    HARD_ASYMMETRIC,
+    NO_EVENTS,
+    SOFT_SYMMETRIC,
+    STRONG,
+    SYMMETRIC,
+    TABLE_2,
+    TABLE_CASES,
+    WEAK,
+)
 from .static_figures import CONSTRAINED, force_curves, static_convergence, unit_forces
 
 LIMITS = (EXACT, NO_EVENTS, "tanh-1e6", "tanh-1e9")
@@ -79,7 +89,9 @@ _AS_DRAWN = 0.02  # of the gap's width: the smallest difference that a plot show
 
 
 def sections(run: Run) -> Iterator[Part]:
-    """The paper's bands of frequencies, its figures and its Table 2, as far as the run has them."""
+    """The answer, the paper's bands, its figures and its Table 2, as far as the run has them."""
+    with suppress(NotInRunError):
+        yield Part("answer", "Which law, where, at what price", answer(run))
     rows, drawn = band_rows(run), figures(run)
     if first := next(drawn, None):
         tables = [Table("Frequencies in the paper and here", _BANDS_HEAD, rows)] if rows else []
@@ -294,7 +306,7 @@ def costs(run: Run) -> list[Table]:
         for law, seconds in paper.items():
             with suppress(NotInRunError):
                 names = ("nfev", "cpu_time", "t_simulated")
-                one = run.points(f"{law}@paper", *TABLE_SCENES[grade], *names, start="any")
+                one = run.points(f"{law}@paper", *TABLE_CASES[grade], *names, start="any")
                 n_periods = one["t_simulated"] * one["omega"]
                 means = (float((one[name] / n_periods).mean()) for name in names[:2])
                 found[law] = [next(means), 1e6 * next(means), seconds]
