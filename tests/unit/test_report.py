@@ -273,6 +273,20 @@ def page(tmp_path_factory):
     )
 
 
+def test_a_studys_own_answer_is_what_the_report_begins_with(tmp_path):
+    study = tables(LABELS[:1], OMEGA)
+    responses, attractors = datasets(tmp_path, study, amplitudes(EQUAL))
+    files = responses, agreement(responses, attractors), timing(responses)
+    first = {}
+    for name, sentences in {"own": [HOSTILE, "second"], "none": []}.items():
+        answer = [{**PART, "anchor": "own-answer", "sentences": sentences}]
+        written = write_report(tmp_path / name / "index.html", *files, own_parts=answer)
+        first[name] = written.read_text().partition('class="answer">')[2]
+    assert re.match(r"\s*&lt;.*?</p>\s*<p>second</p>", first["own"], re.DOTALL)
+    assert "Take the exact law" in first["none"][:200]
+    assert "Take the exact law" in first["own"]  # among the rules
+
+
 def test_hostile_texts_stay_texts(page):
     text = page.read_text()
     assert "<img src=x" not in text

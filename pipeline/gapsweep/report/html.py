@@ -50,7 +50,7 @@ from gapsweep.report.tables import VERDICTS, Row, claim_rows, number, percent, s
 from gapsweep.status import Status
 from gapsweep.store.artefact import is_recorded, recording, remove
 
-ANSWER = "answer"  # the anchor of a study's own part that the page begins with
+ANSWER = "own-answer"  # the study's own part that the page begins with
 FIGURES = "figures"  # the folder of their files, beside the page
 # What stands there under such a name, reports have written.
 _FIGURE = re.compile(r"figure-[a-z0-9-]*\.(svg|pdf|csv|html)")
