@@ -7,8 +7,8 @@ import numpy as np
 from gapsweep.analysis.verdicts import Number, Run
 from gapsweep.report.tables import number
 
-from .language import SETTINGS, At
-from .measures import Quantity, cost, distance, named
+from .language import SETTINGS, At, Quantity
+from .measures import cost, distance, named
 from .refined import TRUTH
 from .scenes import (
     EXACT,

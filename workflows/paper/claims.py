@@ -312,10 +312,10 @@ def several_branches(at: At, label: str) -> Number:
     """Share of the frequencies with several attractors of a period above 1."""
     found = at.run.scene("attractors", label, *SOFT_SYMMETRIC, "period_multiple")
     status = at.run.scene("responses", label, *SOFT_SYMMETRIC, "status")["status"]
-    asked = status.isel(initial_condition=starting(at.run, "scattered")) != Status.NOT_REQUESTED
+    status = status.isel(initial_condition=starting(at.run, "scattered"))
+    asked = (status.values != Status.NOT_REQUESTED).any(status.get_axis_num("initial_condition"))
     several = (found["period_multiple"] > 1).sum("attractor") > 1
-    here = several["omega"] >= 12.0
-    return share(several[(asked.any("initial_condition").values & here).values])
+    return share(several[asked & (several["omega"].values >= 12.0)])
 
 
 branches = fig6b.table("frequencies with several branches, 12-30 Hz", several_branches, ".0%")

@@ -135,7 +135,8 @@ def distance(one: str, other: str, chaotic: bool | None = None) -> Quantity:
         motions = at.run.select("motions", start=at["start"])
         x = motions["x"].transpose("representation", "omega", "sample")
         apart = (x.sel(representation=one) - x.sel(representation=other)) / motions["width"]
-        decades = np.log10(np.maximum(np.sqrt((apart**2).mean("sample")), _LEAST)).values
+        rms = np.sqrt((apart**2).mean("sample").values)
+        decades = np.log10(np.maximum(rms, _LEAST))
         if chaotic is not None:
             wanted = ResponseClass.CHAOTIC if chaotic else ResponseClass.PERIODIC
             decades = decades[(motions["response_class"] == wanted).values]
@@ -207,7 +208,8 @@ def starting(run: Run, start: str) -> Bools:
         for name, (x_0, v_0) in STARTS.items()
     }
     scattered = fixed & ~np.any(list(known.values()), axis=0)
-    return {**starts, **known, "scattered": scattered}[start]
+    found: dict[str, Bools] = {**starts, **known, "scattered": scattered}
+    return found[start]
 
 
 def _hits(

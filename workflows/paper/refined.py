@@ -3,7 +3,7 @@
 They are computed directly: a grid this fine would have all other cases on it too.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -66,7 +66,7 @@ _VARIABLES = {
 }
 
 
-def _dataset(values: dict[str, tuple[tuple[str, ...] | str, Any]], **coords: Any) -> xr.Dataset:
+def _dataset(values: Mapping[str, Any], **coords: Any) -> xr.Dataset:
     """A dataset whose variables have the units and names of `_VARIABLES`."""
     found = xr.Dataset(values, coords)
     for name in _VARIABLES.keys() & found.variables.keys():
@@ -87,7 +87,7 @@ def bands(study: Study) -> xr.Dataset:
     """
     labels, dims = (EXACT, *WEAK), ("representation", "start")
     found = [[(_peak(study, r, s), *_period_3(study, r, s)) for s in STARTS] for r in labels]
-    peak, low, high = np.moveaxis(found, -1, 0)
+    peak, low, high = np.moveaxis(np.array(found), -1, 0)
     values = {"peak": (dims, peak), "low": (dims, low), "high": (dims, high)}
     return _dataset(values, representation=list(labels), start=list(STARTS))
 
@@ -238,7 +238,7 @@ def _period_3(study: Study, label: str, start: str) -> tuple[float, float]:
 
     def is_3(omega: Floats) -> NDArray[np.bool_]:
         found = _responses(study, label, SOFT_SYMMETRIC, omega, *STARTS[start])
-        return np.equal(found.period_multiple, 3)
+        return np.asarray(np.equal(found.period_multiple, 3))
 
     found = runs(is_3(omega))
     if not found:
