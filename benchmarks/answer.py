@@ -2,20 +2,26 @@
 
     python benchmarks/answer.py RUN_DIR
 
-From agreement.nc and static.nc of the run; the README has the same table between its markers.
+From the datasets and claims.json of the run. What is written stands between markers, but for
+docs/answer.md, which is written whole.
 """
 
+import json
 import re
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import gapsweep as gs
-from gapsweep.report.answer import Contact, contacts, in_words, times
+from gapsweep.analysis.verdicts import VERDICTS, Run
+from gapsweep.report.answer import SIGNS, Contact, contacts, in_words, times
+from gapsweep.report.scales import plain
 from gapsweep.report.tables import percent
 
 ROOT = Path(__file__).parents[1]
-MARKS = re.compile("(<!-- answer -->\n).*?(<!-- /answer -->\n)", re.DOTALL)
+sys.path.insert(0, str(ROOT))
+from workflows.paper.answer import answer  # noqa: E402
+
 HEAD = ["contact", "✓ use", "◐ with care", "✗ no", "tanh: one well", "tanh: use from ε [1/m]"]
 NUMBERS = [
     "law",
@@ -28,14 +34,8 @@ NUMBERS = [
     "periodic",
 ]
 HOW = """\
-Every number is the cost: processor time per forcing period over that of the exact law, on the same
-fixed starts, with the solver of the study; above 1 × a law costs *more* than the exact one, ≈ 1 ×
-cannot be told from it, and where the 95 % interval reaches far to both sides of 1 × it stands in
-place of the number. It covers the choice of frequencies and how far prices of exact against exact
-are from 1, in all contacts together. Another solver has other prices: this one
-locates contacts inside its steps, which makes the exact law cheap. A law that a row does not name
-was not swept there, or failed throughout. Nothing is judged (–) where the exact law has no steady
-response, or touches no wall.
+Columns are contacts: stiffness [N/m] and gap [mm]. Within 5 % means of the exact law's amplitude,
+or of half of the gap where that is larger. Blank: not swept there, or failed throughout.
 
 - **use**: 95 % of the amplitudes lie within 5 %, the thickness of a plotted line, and 95 % of the
   exact law's attractors are found; or both as often as by the exact law against itself, under
@@ -50,7 +50,24 @@ response, or touches no wall.
 - `piecewise-noevents` is the exact force, contacts not located: no stand-in; it shows what locating
   them saves. Nor is `auto` one, which takes the exact law where it must.
 """
+PRICES = """\
+The price of a law is stated in three ways, which must not be mixed:
+
+- (a) one Runge-Kutta pair (Dormand and Prince's), contacts of the exact law located: Table 2 of the
+  paper's report, and [one method](../benchmarks/README.md#one-method-and-what-restarts-cost);
+- (b) this engine's default for each law, a Taylor series for the exact law against an explicit
+  Runge-Kutta method of order 8: the prices below;
+- (c) scipy's `solve_ivp`, the exact law with terminal events and restarts: the same page.
+
+"""
 BEHIND = """\
+Every number is the cost (b): processor time per forcing period over that of the exact law, on the
+same fixed starts; above 1 × a law costs *more* than the exact one, ≈ 1 × cannot be told from it,
+and where the 95 % interval reaches far to both sides of 1 × it stands in place of the number. It
+covers the choice of frequencies and how far prices of exact against exact are from 1, in all
+contacts together. Nothing is judged (–) where the exact law has no steady response, or touches no
+wall.
+
 ## The numbers behind
 
 Errors are those of attractors paired one to one, over frequencies; with one start per frequency, of
@@ -95,25 +112,48 @@ def numbers(contact: Contact) -> str:
     return f"### {contact.place}\n\n{table(NUMBERS, rows)}"
 
 
+def signs(found: Sequence[Contact]) -> str:
+    """Laws by contacts, a sign each."""
+    laws = dict.fromkeys(law.law for one in found for law in one.laws)
+    rows = []
+    for law in laws:
+        here = [next((of for of in one.laws if of.law == law), None) for one in found]
+        cells = [f"{SIGNS[of.verdict]}{'' if of.is_firm else ' ±'}" if of else "" for of in here]
+        rows.append([f"`{law}`", *cells])
+    return table(["", *(f"{plain(one.K_c)}, {one.gap}" for one in found)], rows)
+
+
+def written(page: Path, name: str, text: str) -> None:
+    """Put a text between the markers of a page."""
+    marks = re.compile(f"(<!-- {name} -->\n?).*?(<!-- /{name} -->)", re.DOTALL)
+    changed, n = marks.subn(lambda m: m[1] + text + m[2], page.read_text())
+    if n != 1:
+        raise ValueError(f"{page}: {n} places marked <!-- {name} -->, not 1")
+    page.write_text(changed)
+
+
 def main(folder: Path) -> None:
-    agreement, static = (gs.open(folder / name) for name in ("agreement.nc", "static.nc"))
-    found = contacts(agreement, static)
-    first, *rest = in_words(found)
-    headline = f"**{first}** {' '.join(rest)}\n\n{table(HEAD, lines(found))}"
-    about = agreement.attrs
+    run = Run({path.stem: gs.open(path) for path in folder.glob("*.nc")})
+    found = contacts(run["agreement"], run["static"])
+    first, *others = answer(run)
+    lines_ = "".join(f"{n}. {line}\n" for n, line in enumerate([f"**{first}**", *others], 1))
+    headline = f"{lines_}\n{signs(found)}"
+    about = run["agreement"].attrs
     made = (
         f"Made by `python benchmarks/answer.py` from the run of study `{about['study']}` of "
         f"{about['created'][:10]}, numerics {about['numerics_fingerprint']}, on "
         f"{about['machine']}."
     )
-    page = f"# Which law, where, at what price\n\n{headline}\n{HOW}\n{made}\n\n{BEHIND}\n"
+    page = f"# Which law, where, at what price\n\n{headline}\n{HOW}\n{made}\n\n"
+    page += f"## By contact\n\n{PRICES}{' '.join(in_words(found))}\n\n{table(HEAD, lines(found))}\n"
+    page += f"{BEHIND}\n"
     page += "\n".join(map(numbers, found))
     (ROOT / "docs" / "answer.md").write_text(page.rstrip("\n") + "\n")
-    readme = ROOT / "README.md"
-    text, n_marked = MARKS.subn(lambda m: m[1] + headline + m[2], readme.read_text())
-    if n_marked != 1:
-        raise ValueError(f"{readme}: {n_marked} places marked <!-- answer -->, not 1")
-    readme.write_text(text)
+    claims = json.loads((folder / "claims.json").read_text())
+    counts = ", ".join(f"{claims['counts'][verdict]} {verdict}" for verdict in VERDICTS)
+    written(ROOT / "README.md", "answer", headline)
+    written(ROOT / "README.md", "claims", counts)
+    written(ROOT / "README.md", "run", f"{about['created'][:10]}, {about['numerics_fingerprint']}")
 
 
 if __name__ == "__main__":

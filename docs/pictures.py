@@ -10,10 +10,12 @@ from pathlib import Path
 
 import matplotlib
 from matplotlib.figure import Figure
-from workflows.paper.paper_figures import peak_curves
+from workflows.paper.figures import figures
+from workflows.paper.paper_figures import start_scan
+from workflows.paper.starts import starts
 
 import gapsweep as gs
-from gapsweep.report.scenes import Scenes, swept
+from gapsweep.analysis.verdicts import Run
 from gapsweep.report.style import MATPLOTLIB
 
 IMAGES = Path(__file__).parent / "images"
@@ -27,7 +29,6 @@ METHODS = [
     "poly-21",
 ]
 SCENES = ["soft-sym-9", "soft-asym-9", "hard-sym-9", "hard-asym-9"]
-LABELS = ["piecewise", "poly-13", "ratpoly-5/3", "tanh-1e4", "arctan-1e4", "logarctan-1e4"]
 
 
 def gallery() -> None:
@@ -38,11 +39,17 @@ def gallery() -> None:
     exec("".join(re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)), {})
 
 
+def start() -> None:
+    """Initial conditions from which the exact law has the paper's band of period 3."""
+    study = gs.Study.load(IMAGES.parents[1] / "workflows" / "paper" / "study.toml")
+    start_scan(starts(study)).savefig(IMAGES / "start.png", dpi=110)
+
+
 def peaks(folder: Path) -> None:
-    """Fig. 6c: every peak of the exact law behind those of each stand-in."""
+    """Fig. 6c: every peak of the exact law behind those of each approximation."""
     with gs.open(folder / "responses.nc") as responses:
-        scene = Scenes(responses).labelled(1.4e4, "0/0.8")
-        figure = peak_curves(swept(scene.sel(representation=LABELS)))
+        drawn = figures(Run({"responses": responses}))
+        figure = next(one.figure for one in drawn if one.name == "Fig. 6c")
     figure.savefig(IMAGES / "peaks.png", dpi=110)
 
 
@@ -61,7 +68,9 @@ def two_masses(folder: Path) -> None:
     figure = Figure(figsize=(9.5, 5.6))
     with gs.open(folder / "responses.nc") as ds:
         for axes, name in zip(figure.subplots(2, sharex=True).flat, ("x_1", "x_2"), strict=True):
-            ds.gapsweep.bifurcation(coordinate=name, initial_condition=0, ax=axes)
+            ds.gapsweep.bifurcation(
+                representation="piecewise", coordinate=name, initial_condition=0, ax=axes
+            )
             axes.set_title("", loc="left")
             axes.set_ylabel(name)
     figure.axes[0].set_xlabel("")
@@ -72,4 +81,5 @@ if __name__ == "__main__":
     with matplotlib.rc_context(MATPLOTLIB):
         for draw, folder in zip((peaks, work_precision, two_masses), sys.argv[1:], strict=False):
             draw(Path(folder).absolute())
+        start()
     gallery()

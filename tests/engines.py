@@ -136,6 +136,7 @@ def smooth(
     rtol=1e-9,
     atol=1e-12,
     controller="native",
+    restart=True,
     method=None,
     x_bound=None,
     max_attempts=None,
@@ -148,7 +149,8 @@ def smooth(
     """
     given = zeta, omega_n, mass, alpha, forcing, omega
     *arrays, _ = _flat(*given, x_0, v_0, t_0, t_end, record_from, law.q[..., 0])
-    prepared = rk.scenes(law, *arrays[:6], rtol=rtol, atol=atol, controller=controller)
+    settings = {"rtol": rtol, "atol": atol, "controller": controller, "restart": restart}
+    prepared = rk.scenes(law, *arrays[:6], **settings)
     if method is not None:
         prepared = replace(prepared, method=method)
         prepared.settings[ln.S_EXPONENT] = method.exponent

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import gapsweep as gs
+from gapsweep.study.fingerprint import numerics_fingerprint
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -44,6 +45,12 @@ def test_the_answer_is_that_of_the_documentation():
     (answer,) = re.findall("<!-- answer -->\n(.*?)<!-- /answer -->", README, re.DOTALL)
     assert answer.count("\n|") > 3
     assert answer in (ROOT / "docs" / "answer.md").read_text()
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/answer.md"])
+def test_the_answer_was_made_by_these_numerics(page):
+    """Else run workflows/paper/study.toml and benchmarks/answer.py again."""
+    assert numerics_fingerprint() in (ROOT / page).read_text()
 
 
 def test_quick_study_is_valid():

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import solve_ivp
 from tests.labels import LABELS
 from tests.oracles import exact_end_state
 
@@ -110,11 +111,11 @@ def test_an_end_on_a_wall_and_on_a_whole_period_has_one_section():
     run = gs.simulate(
         gs.Oscillator(zeta=0.01, forcing=0.0, alpha=0.0),
         gs.contact_law("piecewise", K_c=1.4e4, gap=SYMMETRIC),
-        omega=19.683221843643295, x_0=8.005878267864099e-06, v_0=0.027973520499627154,
-        t_end=0.05080469081452488, controller="ode45", restart=True,
+        omega=1.0 / 0.0700526573770261, x_0=5.327375970964657e-05, v_0=0.03683064822309625,
+        t_end=0.0700526573770261, controller="ode45", restart=True,
     )  # fmt: skip
     assert abs(abs(run.x_end) - 4e-4) < 1e-15
-    assert_allclose(run.t_section, [0.05080469081452488], rtol=1e-12)
+    assert_allclose(run.t_section, [0.0700526573770261], rtol=1e-12)
 
 
 @pytest.mark.parametrize("label", LABELS)
@@ -267,6 +268,37 @@ def test_restart_changes_the_price_not_the_motion(controller):
     assert restarted.nfev > 3 * located.nfev
 
 
+@pytest.mark.parametrize(("rtol", "atol"), [(1e-4, 1e-7), (1e-6, 1e-9)])
+@pytest.mark.parametrize("K_c", [1.4e4, 1.4e6])
+def test_ode45_locates_contacts_without_restarting(K_c, rtol, atol):
+    """Over a short time, nearer to the truth than if they are stepped over."""
+    law, omega = gs.Piecewise(K_c, SYMMETRIC), np.linspace(8.0, 12.0, 16)
+    options = {"omega": omega, "t_end": 0.4, "rtol": rtol, "atol": atol, "controller": "ode45"}
+    truth = gs.simulate(gs.Oscillator(), law, omega, t_end=0.4, **TIGHT)
+    located, restarted, over = (
+        gs.simulate(gs.Oscillator(), one, restart=restart, **options)
+        for one, restart in ((law, False), (law, True), (replace(law, located=False), False))
+    )
+    assert np.all(located.n_contacts > 5)
+    assert not np.any((located.x_end == over.x_end) | (located.x_end == restarted.x_end))
+    errors = [np.median(np.abs(run.x_end - truth.x_end)) for run in (located, restarted, over)]
+    assert errors[0] < 0.5 * errors[2]
+    assert errors[0] < 5.0 * errors[1]
+
+
+@pytest.mark.parametrize("restart", [False, True])
+@pytest.mark.parametrize("K_c", [1.4e4, 1.4e6])
+def test_contacts_of_ode45_lie_within_1e_9_of_a_period(K_c, restart):
+    scene = gs.Oscillator(), gs.Piecewise(K_c, SYMMETRIC), 11.0
+    truth = gs.simulate(*scene, t_end=0.4, tangent=True, rtol=1e-13, atol=1e-16)
+    run = gs.simulate(*scene, t_end=0.4, tangent=True, rtol=1e-12, atol=1e-15, controller="ode45",
+                      restart=restart)  # fmt: skip
+    assert len(run.t_contacts) > 5
+    assert_allclose(run.t_contacts, truth.t_contacts, rtol=0.0, atol=1e-9 / 11.0)
+    assert_allclose(run.monodromy, truth.monodromy, rtol=0.0,
+                    atol=1e-8 * np.abs(truth.monodromy).max())  # fmt: skip
+
+
 def test_restarts_at_walls_of_hardly_any_stiffness_end():
     scene = gs.Oscillator(), gs.Piecewise(1e-15, SYMMETRIC), 9.0
     located, restarted = (gs.simulate(*scene, t_end=1.0, restart=r) for r in (False, True))
@@ -313,6 +345,21 @@ def test_law_that_numba_cannot_compile_says_what_to_do():
         gs.ModelError, match=r"prints_a_number: numba cannot compile .*engine='scipy'"
     ):
         gs.simulate(gs.Oscillator(), law, 9.0, t_end=0.1)
+
+
+def test_the_reference_counts_the_right_hand_sides_of_steps_alone():
+    """Not those of the output between them."""
+    o, law, w = gs.Oscillator(), gs.Tanh(1.4e4, SYMMETRIC, 1e4), 9.0
+    run = gs.simulate(o, law, w, t_end=0.1, engine="scipy", rtol=1e-8, atol=1e-11)
+
+    def rhs(t, y):
+        push = (o.forcing * math.cos(2.0 * math.pi * w * t) - law.force(y[0])) / o.mass
+        spring = o.omega_n_rad**2 * y[0] + o.alpha / o.mass * y[0] ** 3
+        return [y[1], push - spring - 2.0 * o.decay_rate * y[1]]
+
+    bare = solve_ivp(rhs, (0.0, 0.1), [0.0, 0.0], method="DOP853", rtol=1e-8, atol=1e-11)
+    assert run.nfev == bare.nfev
+    assert run.n_steps == len(bare.t) - 1
 
 
 def test_reference_engine_has_no_ode45():

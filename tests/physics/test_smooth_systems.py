@@ -369,7 +369,8 @@ def test_a_limit_cycle_of_a_rounded_freeplay_is_found():
     ("law", "options", "said"),
     [
         ({"stop": gs.Piecewise(2e3, GAP), "wall": gs.Tanh(2e3, GAP, 1e4)}, {}, "only if all are"),
-        (gs.Piecewise(2e3, GAP), {"restart": True}, "restart: for an Oscillator"),
+        (gs.Piecewise(2e3, GAP), {"restart": True}, "restart = true.*of an Oscillator"),
+        (gs.Piecewise(2e3, GAP), {"controller": "ode45"}, "'ode45'.*of an Oscillator"),
     ],
 )
 def test_what_has_no_compiled_steps_is_refused(law, options, said):

@@ -19,6 +19,7 @@ from gapsweep.response import ensemble, shooting
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Responses
+from gapsweep.response.returns import Returns
 from gapsweep.response.scene import Scene
 from gapsweep.response.section import (
     cloud_distances,
@@ -413,6 +414,27 @@ def test_bad_grids_of_starts_are_refused(arguments, message):
     given = {"omega": 9.0, "x": [0.0], "v": [0.0]} | arguments
     with pytest.raises(gs.ModelError, match=message):
         gs.basins(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
+
+
+@pytest.mark.parametrize("omega", [9.0, 0.0])
+@pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4"])
+def test_shots_are_no_part_of_what_a_motion_costs(label, omega):
+    one = [[1.0]]
+    free = gs.System(mass=one, damping=one, stiffness=[[1e3]], contacts={"stop": [1.0]})
+    law, oscillator = gs.contact_law(label, 1.4e5, SYMMETRIC), gs.Oscillator() if omega else free
+    scene = Scene(oscillator=oscillator, law=law if omega else (law,), omega=omega,
+                  solver=Solver.of("compiled"))  # fmt: skip
+    y, periods, never = np.array([[1e-3], [0.0]]), np.full(1, 4), np.full(1, np.inf)
+    ensemble = Ensemble([scene]) if omega else Returns([scene], y)
+    one, costs = np.zeros(1, np.intp), []
+    for tangent in (False, True):
+        call = ensemble.call(one, y, periods, never, tangent=tangent)
+        assert call.is_ok.all()
+        costs.append(ensemble.costs())
+    seconds = [cost.pop("cpu_time")[0] for cost in costs]
+    assert 0.0 < seconds[0] < seconds[1]
+    assert costs[0] == costs[1]
+    assert costs[0]["nfev"] >= costs[0]["n_steps"] > 0
 
 
 @pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4", "poly-3"])

@@ -414,8 +414,26 @@ def test_responses_of_the_soft_impact_oscillator(rate, periods, largest, orbit):
     assert again.extrema["x"].max() == pytest.approx(largest, abs=1e-6)
 
 
+def test_smooth_laws_of_the_stop_of_two_masses_find_the_exact_periods():
+    stop = gs.systems.two_masses_law()
+    omega = [0.085, 0.094, 0.098, 0.1011, 0.12]
+    for label in ("piecewise", "piecewise-noevents", "tanh-1e3", "arctan-1e5"):
+        law = gs.contact_law(label, stop.K_c, stop.gap, K_ratio=stop.K_ratio)
+        found = gs.respond(gs.systems.two_masses(), law, omega=omega)
+        assert found.period_multiple.tolist() == [1, 6, 4, 1, 1], label
+        assert set(found.response_class) == {gs.ResponseClass.PERIODIC}, label
+
+
+def test_an_arctan_stop_on_one_side_has_the_force_of_its_one_wall():
+    for stop in (gs.systems.two_masses_law(), gs.systems.soft_impact_oscillator_law()):
+        law = gs.contact_law("arctan-1e3", stop.K_c, stop.gap, K_ratio=stop.K_ratio)
+        depth = np.linspace(-3.0, 1.0, 9)
+        one_wall = (0.5 + np.arctan(1e3 * depth) / np.pi) * stop.K_c * depth
+        np.testing.assert_allclose(law.force(1.0 + depth), one_wall, rtol=1e-12, atol=0.0)
+
+
 def test_no_motion_reaches_the_other_wall_of_a_one_sided_stop():
-    motion = soft_impact(0.8, 10.0, q_0=[-0.5 * gs.systems.FAR])
+    motion = soft_impact(0.8, 10.0, q_0=[-2e3])
     assert gs.Status(motion.status) is gs.Status.DIVERGED
     assert motion.n_contacts == 0
 

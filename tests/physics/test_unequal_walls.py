@@ -156,6 +156,14 @@ def test_a_wall_without_stiffness_is_as_one_out_of_reach(engine):
     assert_allclose(runs[0].contact_share, 0.359, atol=1e-3)  # own integrator; .894 with both
 
 
+@pytest.mark.parametrize("label", ["tanh-1e3", "arctan-1e3", "logarctan-1e3"])
+@pytest.mark.parametrize("gap", [gs.Gap(1e6, 1.0), gs.Gap(1.0, 1e6)])
+def test_a_smooth_law_refuses_a_wall_that_only_its_tail_reaches(label, gap):
+    with pytest.raises(gs.ModelError, match=r"wall at 1e\+06: .*within 1000, .*K_ratio = 0"):
+        gs.contact_law(label, 100.0, gap)
+    gs.contact_law(label, 100.0, gs.Gap(1e6, 1.0), K_ratio=0.0)  # no wall, hence no tail
+
+
 @pytest.mark.parametrize("law", [gs.Piecewise(0.0, SYMMETRIC), gs.Tanh(0.0, SYMMETRIC, 1e5)])
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 def test_walls_without_stiffness_are_never_touched(law, engine):

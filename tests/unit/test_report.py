@@ -273,6 +273,21 @@ def page(tmp_path_factory):
     )
 
 
+def test_a_studys_own_answer_is_what_the_report_begins_with(tmp_path):
+    study = tables(["piecewise", "tanh-1e4"], OMEGA)
+    responses, attractors = datasets(tmp_path, study, amplitudes(EQUAL))
+    files = responses, agreement(responses, attractors), timing(responses)
+    first = {}
+    for name, sentences in {"own": [HOSTILE, "second"], "none": []}.items():
+        answer = [{**PART, "anchor": "own-answer", "sentences": sentences}]
+        written = write_report(tmp_path / name / "index.html", *files, own_parts=answer)
+        first[name] = written.read_text().partition('class="answer">')[2]
+    assert "<img" not in first["own"].partition("</p>")[0]
+    assert first["own"].partition("</p>")[2].strip().startswith("<p>second</p>")
+    assert "Take the exact law" in first["none"][:200]
+    assert "Take the exact law" in first["own"]  # among the rules
+
+
 def test_hostile_texts_stay_texts(page):
     text = page.read_text()
     assert "<img src=x" not in text
@@ -480,6 +495,15 @@ def test_numbers_of_the_map_fit_a_phone():
     for error in (0.0, 1e-9, 3.14159e-4, 0.0123, 0.0996, 1.23, 99.0, np.nan):
         (row,) = heat([contact({"tanh-1e4": ("no", error, 0.5, 1.0)})])
         assert len(row.cells["error"][0].text) <= 4
+
+
+def test_tables_of_a_section_of_the_studys_own_are_before_its_figures(page):
+    text = page.read_text()
+    section = re.search(r'<section id="own-table-3">.*?</section>', text, re.S)[0]
+    assert section.index("<table") < section.index("<figure")
+    assert text.count("The paper&#39;s Table 3</h3>") == 1
+    for anchor in re.findall(r'href="#([^"]+-tables)"', text):
+        assert f'id="{anchor}"' in text
 
 
 def test_claims_lead_to_what_they_are_about(page):

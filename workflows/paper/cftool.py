@@ -2,7 +2,7 @@
 
 Its models ``ratNM`` have a denominator whose leading coefficient is one, and random starts in
 [0, 1] for every other coefficient. The paper states neither its coefficients nor the unit of x,
-on which such a start depends: both are tried.
+on which such a start depends: three are tried.
 """
 
 import numpy as np
@@ -14,10 +14,13 @@ from gapsweep.model.fit import N_RATIONAL_POINTS, unit_force
 from gapsweep.model.oscillator import Gap
 from gapsweep.study.study import Study
 
+from .scenes import LARGE, SYMMETRIC
+
 Floats = NDArray[np.float64]
 
 RATIOS = ("3/2", "5/3", "5/5")
-UNITS = {"m": 1.0, "mm": 1e3}
+UNITS = {"m": 1.0, "mm": 1e3, "4 mm": 250.0}
+GAPS = (SYMMETRIC, LARGE)
 N_RANDOM = 20
 _SAME = 1.0 + 1e-3  # errors of the same fit
 _MOST_EVALUATIONS = 400  # of the residual: cftool's limit of iterations
@@ -33,7 +36,8 @@ def cftool(study: Study) -> xr.Dataset:
         share that find the best of the others, whose ``rmse`` and ``force_at_zero`` are per unit
         contact stiffness [m], NaN if there is none.
     """
-    gaps, x_max = study.grid.gaps, study.spec.fit.range
+    gaps = [gap for gap in study.grid.gaps if gap.label in GAPS]
+    x_max = study.spec.fit.range
     found = np.array([[[_fits(g, r, u, x_max) for u in UNITS] for r in RATIOS] for g in gaps])
     names = {
         "pole_share": ("1", "share of the starts that end with a pole in the range"),

@@ -1,13 +1,15 @@
-"""The paper's words as numbers: the words that recur have one measure and one threshold.
+"""The paper's words as numbers: a glossary, the paper's figures, and what is measured in them.
 
-Each function reads one selection of a run and gives a `Number` with its floor: of what is compared
-with the exact law, the same number of another exact law; of a share, its standard error.
+A figure states its case, laws and initial condition once; its methods are tables of quantities by
+law. Numbers carry a numerical uncertainty: of what is compared with the exact law, the same number
+of the exact law with tighter tolerances or from 1 nm away; of a share, its standard error.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -15,39 +17,46 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.floors import floor_labels
 from gapsweep.analysis.histories import SAMPLES_PER_PERIOD
-from gapsweep.analysis.verdicts import NotInRunError, Number, Run, Test, mean, ratio_of_sums, share
-from gapsweep.model.labels import law_of
+from gapsweep.analysis.verdicts import NotInRunError, Number, Run, mean, ratio_of_sums, share
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
-from .scenes import EXACT
+from .language import At, Quantity
+from .refined import FINEST, runs
+from .scenes import EXACT, RELEASED, REST, STARTS, width
 
 Scene = tuple[float, str]
 Band = tuple[float, float]
 Bools = NDArray[np.bool_]
-OfLaw = Callable[[str], Number]
+OfLaw = Callable[[At, str], Number]
 
-ALL = (0.0, 30.0)  # Hz
-LINE = 0.05  # relative amplitude error: the thickness of a plotted line
-THREE_QUARTERS = 0.75  # "excellent", "agrees well": of the points, within a line
+# The glossary.
+LINE = 0.05  # "agrees": the thickness of a plotted line, as a share of the amplitude
+THREE_QUARTERS = 0.75  # "excellent", "agrees well": so many points are within a line
 HALF = 0.5  # "captures", "most": more of it than not
-TENTH = 0.1  # "captures none": at most
-TWENTIETH = 0.05  # "does not occur": of the frequencies
+TENTH = 0.1  # "to varying degrees": at least; "captures none": at most
+TWENTIETH = 0.05  # "does not occur": in fewer
+MUCH = 1.5  # "much larger": by half
+SAME_SIZE = 1.25  # "correct-size": within a quarter
 ALIKE = 1.1  # "nearly the same": within a tenth
-AS_DRAWN = 0.02  # of the gap's width: what a plot shows
+REGION = 5  # "a region": so many steps of the grid, half a hertz
+COMPARABLE = 10.0**0.5  # "can be comparable": within half a decade
+AS_DRAWN = 0.02  # "minimal", "agree well" in a diagram: this share of the gap is what a plot shows
+ALL = (0.0, 30.0)  # Hz
 _BANDS_SHOWN = 3
+_PROTOCOLS = {"paper": "1e-4", "finer": "1e-6", "jitter": "from 1 nm away"}
+_LEAST = 1e-12  # of the gap's width: distances below this are rounding
 
-NAMES = {"poly": "Poly", "ratpoly": "RatPoly", "logarctan": "log-arctan", "piecewise": "exact law"}
+NAMES = {"logarctan": "log-arctan", "piecewise": "exact law"}
 
 
 def named(label: str) -> str:
-    """The paper's name of a representation."""
-    law = law_of(label)
-    if law == "piecewise-noevents":
-        return "the exact law without events"
+    """The paper's name of a representation, with its protocol."""
+    law, _, protocol = label.partition("@")
     family, _, parameter = law.partition("-")
-    name = NAMES.get(family, family)
-    return {"poly": f"{name}-{parameter}", "ratpoly": f"{name} {parameter}"}.get(family, name)
+    name = {"poly": "Poly-{}", "ratpoly": "RatPoly {}"}.get(family, NAMES.get(family, family))
+    of = {"": "", **_PROTOCOLS}.get(protocol, protocol)
+    return f"{'no events' if parameter == 'noevents' else name.format(parameter)} {of}".strip()
 
 
 def listed(names: Iterable[str]) -> str:
@@ -56,25 +65,9 @@ def listed(names: Iterable[str]) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def each(labels: Iterable[str], says: str, number: OfLaw, op: str, limit: float) -> list[Test]:
-    """One test for each law: ``tanh: SAYS``."""
-    return [Test(f"{named(label)}: {says}", number(label), op, limit) for label in labels]
-
-
-def shown(tests: Iterable[Test], form: str = ".0%") -> str:
-    """What such tests found: ``tanh 12%, arctan 13% and log-arctan 40%``."""
-    return listed(f"{test.says.split(':')[0]} {test.number.value:{form}}" for test in tests)
-
-
-def by_law(numbers: Mapping[str, Number], form: str = ".0%") -> str:
-    """The same of numbers by label."""
-    return listed(f"{named(label)} {number.value:{form}}" for label, number in numbers.items())
-
-
 def ranges(omega: NDArray[np.float64], hits: Bools) -> str:
     """Frequencies as the bands that they make on their grid: ``15.8-27.6 Hz``."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], hits.astype(int), [0]])))
-    bands = [(int(i), int(j)) for i, j in edges.reshape(-1, 2)]
+    bands = runs(hits)
     if not bands:
         return "no frequency"
     widest = sorted(sorted(bands, key=lambda i_j: i_j[0] - i_j[1])[:_BANDS_SHOWN])
@@ -83,100 +76,389 @@ def ranges(omega: NDArray[np.float64], hits: Bools) -> str:
     return f"{', '.join(shown)} Hz{more}"
 
 
-# --- compared with the exact law ----------------------------------------------------------------
+# --- quantities of no figure ----------------------------------------------------------------------
+
+
+def constants(what: str, numbers: dict[str, float | tuple[float, float]]) -> Quantity:
+    """Numbers that no run changes, or numbers and their uncertainties."""
+
+    def part(name: str, number: float | tuple[float, float]) -> tuple[str, Callable[[At], Number]]:
+        return name, lambda _: Number(*np.atleast_1d(number).tolist())
+
+    return Quantity(what, tuple(part(*one) for one in numbers.items()))
+
+
+def of_dataset(
+    dataset: str,
+    what: str,
+    name: str,
+    reduced: Callable[[xr.DataArray], Any] = float,
+    form: str = ".3g",
+    **where: Any,
+) -> Quantity:
+    """A variable of a dataset, one number for each combination of the labels in tuples."""
+    several = {dim: labels for dim, labels in where.items() if isinstance(labels, tuple)}
+
+    def part(labels: tuple[Any, ...]) -> tuple[str, Callable[[At], Number]]:
+        chosen = dict(zip(several, labels, strict=True))
+
+        def read(at: At) -> Number:
+            settings = {dim: at[dim] for dim, label in where.items() if label is None}
+            found = at.run.select(dataset, **{**where, **chosen, **settings})[name]
+            return Number(float(reduced(found)))
+
+        says = ", ".join(f"{x:g}" if isinstance(x, float) else str(x) for x in labels)
+        return says or "it", read
+
+    return Quantity(what, tuple(part(labels) for labels in product(*several.values())), form)
+
+
+def slope(rungs: xr.DataArray) -> float:
+    """Slope of a log-log line over the degrees."""
+    return float(np.polyfit(np.log(rungs["degree"].values), np.log(rungs.values), 1)[0])
+
+
+def steepest(rungs: xr.DataArray) -> float:
+    """The largest ratio of neighbours."""
+    return float(np.max(rungs.values[1:] / rungs.values[:-1]))
+
+
+def distance(one: str, other: str, chaotic: bool | None = None) -> Quantity:
+    """Distance of two motions in the fourth forcing period, in widths of the gap.
+
+    The median over frequencies of the root mean square, with its 95 % interval as uncertainty; of
+    the frequencies at which the exact law's response is chaotic, or periodic, if that is given.
+    """
+    kinds = {None: "", True: ", chaotic frequencies", False: ", periodic frequencies"}
+
+    def read(at: At) -> Number:
+        motions = at.run.select("motions", start=at["start"])
+        x = motions["x"].transpose("representation", "omega", "sample")
+        apart = (x.sel(representation=one) - x.sel(representation=other)) / motions["width"]
+        rms = np.sqrt((apart**2).mean("sample").values)
+        decades = np.log10(np.maximum(rms, _LEAST))
+        if chaotic is not None:
+            wanted = ResponseClass.CHAOTIC if chaotic else ResponseClass.PERIODIC
+            decades = decades[(motions["response_class"] == wanted).values]
+        if decades.size < 4:
+            raise NotInRunError("too few motions of that kind")
+        n, spread = decades.size, math.sqrt(decades.size)
+        low, high = np.sort(decades)[[int(0.5 * n - spread), int(0.5 * n + spread)]]
+        return Number(float(np.median(decades)), 0.5 * float(high - low), n)
+
+    return Quantity("distance after 4 periods, gap widths",
+                    ((f"{_short(one)} from {_short(other)}{kinds[chaotic]}", read),),
+                    ".2g", log=True)  # fmt: skip
+
+
+def _short(label: str) -> str:
+    law, _, protocol = label.partition("@")
+    law = {"piecewise": "events", "piecewise-noevents": "no events"}.get(law, law)
+    return f"{law} {_PROTOCOLS.get(protocol, protocol)}".strip()
+
+
+# --- what is looked for in a response -------------------------------------------------------------
+
+
+def swings(points: xr.Dataset) -> xr.DataArray:
+    """How many swings a response has that are more than a line of its amplitude."""
+    extrema = points["extrema"].transpose("point", "extremum").values
+    lines = LINE * points["amplitude"].values
+    found = [_swings(x[np.isfinite(x)], line) for x, line in zip(extrema, lines, strict=True)]
+    return xr.DataArray(np.array(found, dtype=int), dims="point")
+
+
+def _swings(extrema: NDArray[np.float64], least: float) -> int:
+    """Turning points that are left when swings of less than `least` are not counted."""
+    count, way, last = 0, 0.0, extrema[0] if extrema.size else 0.0
+    for x in [*extrema, *extrema[:2]]:  # the motion repeats
+        if abs(x - last) >= least and (x - last) * way <= 0.0:
+            count, way, last = count + 1, x - last, x
+        elif (x - last) * way > 0.0:
+            last = x
+    return count - 1
+
+
+# The variables that tell, and the condition on them.
+KINDS: dict[str, tuple[tuple[str, ...], Callable[[xr.Dataset], xr.DataArray]]] = {
+    "periodic": (("response_class",), lambda p: p["response_class"] == ResponseClass.PERIODIC),
+    "chaos": (("response_class",), lambda p: p["response_class"] == ResponseClass.CHAOTIC),
+    "period 3": (("period_multiple",), lambda p: p["period_multiple"] == 3),
+    "period above 1": (("period_multiple",), lambda p: p["period_multiple"] > 1),
+    "period not 1": (("period_multiple",), lambda p: p["period_multiple"] != 1),
+    "ringing": (("extrema", "amplitude"), lambda p: swings(p) > 2),
+    "nonlinear behaviour": (
+        ("period_multiple", "extrema", "amplitude"),
+        lambda p: (p["period_multiple"] != 1) | (swings(p) > 2),
+    ),
+    "largest amplitude": (("amplitude",), lambda p: p["amplitude"] == p["amplitude"].max()),
+    "peak below 0": (("x_max",), lambda p: p["x_max"] < 0.0),
+    "crosses 0": (("x_max", "x_min"), lambda p: p["x_max"] * p["x_min"] < 0.0),
+}
+
+
+def starting(run: Run, start: str) -> Bools:
+    """Which initial conditions are one of the paper's, ``scattered``, ``any`` or a sweep."""
+    responses, starts = run["responses"], run.starts
+    fixed = responses["start"].values == "fixed"
+    known = {
+        name: fixed
+        & np.isclose(responses["x_0"].values, x_0, atol=1e-12)
+        & (responses["v_0"].values == v_0)
+        for name, (x_0, v_0) in STARTS.items()
+    }
+    scattered = fixed & ~np.any(list(known.values()), axis=0)
+    found: dict[str, Bools] = {**starts, **known, "scattered": scattered}
+    return found[start]
+
+
+def _hits(
+    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = REST
+) -> xr.DataArray:
+    """Which responses of a law are of a kind."""
+    names, is_kind = KINDS[kind]
+    points = run.points(label, *scene, *names, band=band, start=starting(run, start))
+    return is_kind(points).assign_coords(omega=points["omega"])
+
+
+def frequencies(
+    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = REST
+) -> tuple[NDArray[np.float64], Bools]:
+    """Frequencies that were asked for, and at which of them some response is of a kind."""
+    responses = _hits(run, label, scene, kind, band, start)
+    omega, where = np.unique(responses["omega"].values, return_inverse=True)
+    found = np.zeros(omega.size, dtype=bool)
+    np.logical_or.at(found, where, responses.values)
+    return omega, found
+
+
+# --- the paper's figures --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Table:
+    """A quantity by law: ``table["tanh-1e4"]``, ``table["poly-13", "tanh-1e4"]``."""
+
+    what: str
+    number: OfLaw
+    form: str = ".3g"
+
+    def __getitem__(self, labels: str | tuple[str, ...]) -> Quantity:
+        def part(label: str) -> tuple[str, Callable[[At], Number]]:
+            return named(label), lambda at: self.number(at, label)
+
+        of = (labels,) if isinstance(labels, str) else labels
+        return Quantity(self.what, tuple(part(label) for label in of), self.form)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the paper.
+
+    Attributes
+    ----------
+    gap : str
+        Distances of both walls [mm]; empty: the paper does not state it.
+    start : str
+        A key of `Run.starts`, or `RELEASED`, in place of which every diagram is read from rest too.
+    """
+
+    place: str
+    K_c: float
+    gap: str
+    start: str = RELEASED
+
+    @property
+    def words(self) -> str:
+        starts = {"scattered": "16 initial conditions", "any": "all initial conditions"}
+        gap = f"{self.gap} mm" if self.gap else "not stated"
+        start = starts.get(self.start, f"x_0 = {self.start}, v_0 = 0")
+        return f"K_c = {self.K_c:g} N/m, gap {gap}, {start}"
+
+    def scene(self, at: At) -> Scene:
+        return self.K_c, self.gap or at["gap"]
+
+    def start_of(self, at: At) -> str:
+        return at["start"] if self.start == RELEASED else self.start
+
+    def table(self, what: str, number: OfLaw, form: str = ".3g") -> Table:
+        return Table(f"{self.place}, {what}", number, form)
+
+    def points(self, at: At, label: str, *names: str, band: Band = ALL, **more: Any) -> xr.Dataset:
+        return at.run.points(
+            label,
+            *self.scene(at),
+            *names,
+            band=band,
+            start=starting(at.run, self.start_of(at)),
+            **more,
+        )
+
+    # Compared with the exact law.
+
+    def _errors(self, at: At, label: str, band: Band) -> tuple[xr.Dataset, NDArray[np.float64]]:
+        """Points of a law, and relative errors of their amplitudes, infinite where none is."""
+        status = at.run.scene("responses", label, *self.scene(at), "status")["status"]
+        ours, exact = (
+            at.run.scene("responses", one, *self.scene(at), "amplitude")["amplitude"]
+            for one in (label, EXACT)
+        )
+        least = 0.0
+        if at["share"] == "gap":
+            least = 0.5 * width(self.scene(at))
+        error = abs(ours - exact.values) / np.maximum(exact.values, least)
+        found = xr.Dataset({"error": error, "asked": status}).sel(omega=slice(*band))
+        found = found.isel(initial_condition=starting(at.run, self.start_of(at)))
+        found = found.stack(point=("omega", "initial_condition"), create_index=False)
+        found = found.isel(point=found["asked"].values != Status.NOT_REQUESTED)
+        if not found.sizes["point"]:
+            raise NotInRunError(f"no points of {label} at {self.place}")
+        return found, found["error"].fillna(np.inf).values
+
+    def error(self, band: Band = ALL, q: float = THREE_QUARTERS) -> Table:
+        """Amplitude error that a share `q` of the points stays below."""
+
+        def quantile(at: At, label: str) -> float:
+            return float(np.quantile(self._errors(at, label, band)[1], q, method="higher"))
+
+        def number(at: At, label: str) -> Number:
+            floor = max((quantile(at, one) for one in _floor_labels(at.run)), default=math.nan)
+            return Number(quantile(at, label), floor)
+
+        shares = {THREE_QUARTERS: "of 3 in 4", HALF: "in the median"}
+        return self.table(f"relative amplitude error {shares[q]}{_hertz(band)}", number, ".1%")
+
+    def right(self, band: Band = ALL) -> Table:
+        """Share of the frequencies with the exact class and amplitude."""
+
+        def number(at: At, label: str) -> Number:
+            points, errors = self._errors(at, label, band)
+            same = self.points(at, label, "class_agreement", band=band, data="agreement")
+            return share(
+                (errors <= LINE) & (same["class_agreement"].values == 1.0), points["omega"]
+            )
+
+        says = f"exact class, and the exact amplitude within 5 % of it{_hertz(band)}"
+        return self.table(f"frequencies with the {says}", number, ".0%")
+
+    def same_class(self, band: Band) -> Table:
+        """Share of the frequencies with the exact class."""
+
+        def number(at: At, label: str) -> Number:
+            return mean(self.points(at, label, "class_agreement", band=band, data="agreement")
+                        ["class_agreement"])  # fmt: skip
+
+        return self.table(f"frequencies of the exact class{_hertz(band)}", number, ".0%")
+
+    def of_sets(self, name: str, band: Band = ALL) -> Table:
+        """Mean of a metric of attractor sets, at the frequencies with scattered starts."""
+
+        def number(at: At, label: str) -> Number:
+            status = at.run.scene("responses", label, *self.scene(at), "status")["status"]
+            asked = status.isel(initial_condition=starting(at.run, "scattered"))
+            asked = (asked != Status.NOT_REQUESTED).any("initial_condition")
+            values = at.run.scene("agreement", label, *self.scene(at), name)[name]
+            return mean(values.isel(omega=asked.values).sel(omega=slice(*band)))
+
+        says = {"recall": "exact attractors found", "f1": "F1 of the attractor sets"}[name]
+        return self.table(f"{says}{_hertz(band)}", number, ".0%" if name == "recall" else ".2f")
+
+    def recall(self, band: Band = ALL) -> Table:
+        return self.of_sets("recall", band)
+
+    def f1(self, band: Band = ALL) -> Table:
+        return self.of_sets("f1", band)
+
+    # Of one law.
+
+    def share(self, kind: str, band: Band = ALL) -> Table:
+        """Share of the responses that are of a kind."""
+        return self.table(
+            f"responses with {kind}{_hertz(band)}",
+            lambda at, label: share(self._of_kind(at, label, kind, band)),
+            ".0%",
+        )
+
+    def count(self, kind: str, band: Band = ALL) -> Table:
+        """At how many frequencies some response is of a kind."""
+
+        def number(at: At, label: str) -> Number:
+            hits = self._of_kind(at, label, kind, band)
+            return Number(float(np.unique(hits["omega"].values[hits.values]).size))
+
+        return self.table(f"frequencies with {kind}{_hertz(band)}", number, ".0f")
+
+    def share_of_frequencies(self, kind: str, band: Band = ALL) -> Table:
+        """Share of the frequencies at which some response is of a kind."""
+
+        def number(at: At, label: str) -> Number:
+            omega, hits = frequencies(at.run, label, self.scene(at), kind, band, self.start_of(at))
+            return share(hits, omega)
+
+        return self.table(f"share of the frequencies with {kind}{_hertz(band)}", number, ".0%")
+
+    def _of_kind(self, at: At, label: str, kind: str, band: Band) -> xr.DataArray:
+        return _hits(at.run, label, self.scene(at), kind, band, self.start_of(at))
+
+    def of_points(
+        self,
+        what: str,
+        names: tuple[str, ...],
+        reduced: Callable[[xr.Dataset], Any],
+        form: str = ".3g",
+        band: Band = ALL,
+    ) -> Table:
+        """A number of all responses; the exact laws differ by its uncertainty if it is a float."""
+
+        def number(at: At, label: str) -> Number:
+            def value(one: str) -> Any:
+                return reduced(self.points(at, one, *names, band=band))
+
+            found = value(label)
+            if isinstance(found, Number):
+                return found
+            itself, *others = (float(value(one)) for one in (EXACT, *_floor_labels(at.run)))
+            apart = np.abs(np.array(others) - itself) / (abs(itself) or 1.0)
+            return Number(float(found), abs(float(found)) * float(np.max(apart, initial=0.0)))
+
+        return self.table(f"{what}{_hertz(band)}", number, form)
+
+    def static(self, what: str, name: str, form: str = ".3g") -> Table:
+        """A number of the force, which nothing rounds or samples."""
+
+        def number(at: At, label: str) -> Number:
+            found = at.run.scene("static", label, *self.scene(at), name)[name]
+            return Number(float(found))
+
+        return self.table(what, number, form)
+
+    def shift(self, table: Table) -> Table:
+        """How far a number of each law is from the exact law's."""
+
+        def number(at: At, label: str) -> Number:
+            apart = table.number(at, label) - table.number(at, EXACT)
+            return Number(abs(apart.value), apart.floor)
+
+        return Table(f"{table.what}, off the exact one", number, table.form)
+
+    def bisected(self, what: str, **ends: float) -> Table:
+        """A sum of ends of bands, each times a factor [Hz]; every one is known within `FINEST`."""
+
+        def number(at: At, label: str) -> Number:
+            found = at.run.select("bands", representation=label, start=at["start"])
+            return Number(sum(float(found[end]) * n for end, n in ends.items()), FINEST)
+
+        return self.table(f"{what} [Hz]", number, ".2f")
+
+
+def _hertz(band: Band) -> str:
+    return "" if band == ALL else f", {band[0]:g}-{band[1]:g} Hz"
 
 
 def _floor_labels(run: Run) -> list[str]:
     responses = run["responses"]
     labels = [str(label) for label in responses["representation"].values]
     return floor_labels(responses.attrs["study_json"], labels)
-
-
-def _of_sets(run: Run, name: str, label: str, scene: Scene, band: Band) -> Number:
-    """Mean of a metric of attractor sets, at the frequencies with scattered starts."""
-    status = run.scene("responses", label, *scene, "status")["status"]
-    asked = (status != Status.NOT_REQUESTED).isel(initial_condition=run.starts["scattered"])
-    values = run.scene("agreement", label, *scene, name)[name]
-    return mean(values.isel(omega=asked.any("initial_condition").values).sel(omega=slice(*band)))
-
-
-def recall(run: Run, label: str, scene: Scene, band: Band = ALL) -> Number:
-    """Share of the exact attractors that a law has too, the mean over frequencies."""
-    return _of_sets(run, "recall", label, scene, band)
-
-
-def recall_pooled(run: Run, label: str, scene: Scene) -> Number:
-    """The same of the attractors of all frequencies together, as the report's map shows it."""
-    pooled = run.scene("agreement", label, *scene, "recall_pooled")["recall_pooled"]
-    return mean(pooled.sel(regime="all"))
-
-
-def f1(run: Run, label: str, scene: Scene, band: Band = ALL) -> Number:
-    """Agreement of the attractor sets: what is missed counts, and what is invented."""
-    return _of_sets(run, "f1", label, scene, band)
-
-
-def amplitude_error(
-    run: Run,
-    label: str,
-    scene: Scene,
-    band: Band = ALL,
-    start: str = "rest",
-    q: float = THREE_QUARTERS,
-) -> Number:
-    """Amplitude error that a share `q` of the points stays below; without a response infinite."""
-
-    def quantile(label: str) -> float:
-        name = "amplitude_error"
-        points = run.points(label, *scene, name, band=band, start=start, data="agreement")
-        errors = points[name].fillna(np.inf).values
-        return float(np.quantile(errors, q, method="higher"))
-
-    floor = max((quantile(exact) for exact in _floor_labels(run)), default=math.nan)
-    return Number(quantile(label), floor)
-
-
-def right(run: Run, label: str, scene: Scene, band: Band = ALL) -> Number:
-    """Share of the frequencies at which a law from rest has the exact class and amplitude."""
-    same = run.points(label, *scene, "class_agreement", band=band, data="agreement")
-    ours, exact = (
-        run.points(one, *scene, "amplitude", band=band).set_index(point="omega")["amplitude"]
-        for one in (label, EXACT)
-    )
-    exact = exact.sel(point=ours["point"])
-    hits = abs(ours - exact) <= LINE * exact
-    return share(hits.values & (same["class_agreement"].values == 1.0), same["omega"])
-
-
-def mean_of(run: Run, name: str, label: str, scene: Scene, band: Band = ALL) -> Number:
-    """Mean of a metric that is 1 where a response from rest agrees with the exact law."""
-    return mean(run.points(label, *scene, name, band=band, data="agreement")[name])
-
-
-def width(scene: Scene) -> float:
-    """Width of the gap [m]."""
-    return 1e-3 * sum(float(j) for j in scene[1].split("/"))
-
-
-def same_picture(
-    run: Run,
-    label: str,
-    other: str,
-    scene: Scene,
-    where: Bools | None = None,
-    resolution: float = AS_DRAWN,
-) -> Number:
-    """Share of the frequencies at which two laws from rest have the same peak and trough.
-
-    The same: within a fiftieth of the gap's width, which is what a plot shows, or another share.
-    """
-    both = [run.points(one, *scene, "x_max", "x_min") for one in (label, other)]
-    common = np.intersect1d(both[0]["omega"].values, both[1]["omega"].values)
-    ours, theirs = (points.isel(point=np.isin(points["omega"], common)) for points in both)
-    ends = ["x_max", "x_min"]
-    apart = abs(ours[ends] - theirs[ends]).to_dataarray().max("variable")
-    hits = apart <= resolution * width(scene)
-    return share(hits if where is None else hits[where])
 
 
 # --- of one motion ------------------------------------------------------------------------------
@@ -211,132 +493,21 @@ def _repeats(motion: NDArray[np.float64], near: float) -> int:
     return 0
 
 
-def moved_on(run: Run, labels: Iterable[str], scene: Scene) -> dict[tuple[float, str], str]:
-    """Motions from rest that end, in their histories, on another orbit than their response.
+# --- costs ----------------------------------------------------------------------------------------
 
-    Another: peak or trough differ as a plot shows, and the response was taken before the history's
-    last part begins.
 
-    Returns
-    -------
-    dict
-        From frequency [Hz] and label to the periods of both, in words.
+def cost(what: str, name: str, of: dict[str, tuple[str, str, Scene]]) -> Quantity:
+    """Cost of a forcing period of one law over that of another, by name; both from rest.
+
+    Its uncertainty is the jackknife over frequencies.
     """
-    if "histories" not in run.datasets:
-        return {}
-    histories, found = run["histories"], {}
-    names = ("K_c", "gap", "x_0", "v_0")
-    asked = zip(*(histories[name].values.tolist() for name in names), strict=True)
-    here = np.array([each == (*scene, 0.0, 0.0) for each in asked])
-    known = [label for label in labels if label in histories["representation"].values]
-    histories = histories.isel(history=here).sel(representation=known).load()
-    periods = late_periods(histories)
-    for (h, omega), (r, label) in product(enumerate(histories["omega"].values), enumerate(known)):
-        one = histories.isel(history=h, representation=r)
-        last = one["x"].sel(part="steady")
-        ends = [float(last.max()), float(last.min())]
-        with suppress(NotInRunError):
-            what = ("x_max", "x_min", "t_simulated", "period_multiple")
-            response = run.points(label, *scene, *what, band=(omega, omega)).isel(point=0)
-            apart = np.abs(response[["x_max", "x_min"]].to_dataarray() - ends).max()
-            is_earlier = response["t_simulated"] <= one["t_end"] - one["n_periods"] / omega
-            if is_earlier and apart > AS_DRAWN * width(scene):
-                early = response["period_multiple"].item()
-                found[float(omega), label] = f"P{early} to P{periods[h, r]}".replace("P0", "none")
-    return found
 
+    def part(label: str, other: str, scene: Scene) -> Callable[[At], Number]:
+        return lambda at: ratio_of_sums(
+            *(per_period(at.run, one, scene, name) for one in (label, other))
+        )
 
-# --- of one law ---------------------------------------------------------------------------------
-
-
-# What is looked for in a response: the variables that tell, and the condition on them.
-KINDS: dict[str, tuple[tuple[str, ...], Callable[[xr.Dataset], xr.DataArray]]] = {
-    "periodic": (("response_class",), lambda p: p["response_class"] == ResponseClass.PERIODIC),
-    "chaos": (("response_class",), lambda p: p["response_class"] == ResponseClass.CHAOTIC),
-    "period 3": (("period_multiple",), lambda p: p["period_multiple"] == 3),
-    "period above 1": (("period_multiple",), lambda p: p["period_multiple"] > 1),
-    "period not 1": (("period_multiple",), lambda p: p["period_multiple"] != 1),
-    "ringing": (("n_extrema",), lambda p: p["n_extrema"] > 2),
-    "nonlinear": (
-        ("period_multiple", "n_extrema"),
-        lambda p: (p["period_multiple"] != 1) | (p["n_extrema"] != 2),
-    ),
-    "largest amplitude": (("amplitude",), lambda p: p["amplitude"] == p["amplitude"].max()),
-    "peak below 0": (("x_max",), lambda p: p["x_max"] < 0.0),
-    "crosses 0": (("x_max", "x_min"), lambda p: p["x_max"] * p["x_min"] < 0.0),
-}
-
-
-def _hits(
-    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = "rest"
-) -> xr.DataArray:
-    """Which responses of a law are of a kind."""
-    names, is_kind = KINDS[kind]
-    return is_kind(run.points(label, *scene, *names, band=band, start=start))
-
-
-def share_of(
-    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = "rest"
-) -> Number:
-    """Share of the responses of a law that are of a kind."""
-    return share(_hits(run, label, scene, kind, band, start))
-
-
-def frequencies(
-    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = "rest"
-) -> tuple[NDArray[np.float64], Bools]:
-    """Frequencies that were asked for, and at which of them some response is of a kind."""
-    responses = _hits(run, label, scene, kind, band, start)
-    omega, where = np.unique(responses["omega"].values, return_inverse=True)
-    found = np.zeros(omega.size, dtype=bool)
-    np.logical_or.at(found, where, responses.values)
-    return omega, found
-
-
-def share_of_frequencies(
-    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = "rest"
-) -> Number:
-    """Share of the frequencies at which some response is of a kind."""
-    omega, found = frequencies(run, label, scene, kind, band, start)
-    return share(found, omega)
-
-
-def largest(run: Run, name: str, label: str, scene: Scene, start: str = "rest") -> Number:
-    """Largest value of a variable."""
-    return of_law(
-        run,
-        label,
-        lambda one: Number(float(run.points(one, *scene, name, start=start)[name].max())),
-    )
-
-
-def of_law(run: Run, label: str, number: OfLaw) -> Number:
-    """A number of a law; its floor is the spread of the same number among the exact laws."""
-    itself, *others = (number(one).value for one in (EXACT, *_floor_labels(run)))
-    floor = float(np.max(np.abs(np.array(others) - itself), initial=0.0))
-    return Number(number(label).value, floor)
-
-
-def larger_over_smaller(one: Number, other: Number) -> Number:
-    """How far two numbers are apart, as a ratio."""
-    return one / other if one.value > other.value else other / one
-
-
-# --- costs --------------------------------------------------------------------------------------
-
-
-def work(run: Run, label: str, other: str, scene: Scene) -> Number:
-    """Right-hand sides per forcing period from rest, of one law over those of another.
-
-    The same on every machine; seconds are not. The floor is the jackknife over frequencies.
-    """
-    costs = [per_period(run, one, scene, "nfev") for one in (label, other)]
-    return ratio_of_sums(*costs)
-
-
-def seconds(run: Run, label: str, other: str, scene: Scene) -> str:
-    """Processor time per forcing period, of one law over that of another: a text, no test."""
-    return f"{ratio_of_sums(*(per_period(run, one, scene, 'cpu_time') for one in (label, other)))}"
+    return Quantity(what, tuple((says, part(*one)) for says, one in of.items()))
 
 
 def per_period(run: Run, label: str, scene: Scene, name: str) -> NDArray[np.float64]:

@@ -1,106 +1,135 @@
-"""Figures 6 to 11 of the paper, each from a scene's dataset to a matplotlib figure."""
+"""Figures 6 to 11 of the paper and the scan of initial conditions, from datasets to matplotlib."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gapsweep.model.labels import law_of
 from gapsweep.report import backdrop, drawing
-from gapsweep.report.drawing import MANY, labels_of
-from gapsweep.report.scales import drawn
+from gapsweep.report.drawing import labels_of
+from gapsweep.report.scales import axis_label, drawn
 from gapsweep.report.style import NOT_PERIODIC, colour, lines
 from gapsweep.status import Status
 
-from .scenes import EXACT, NO_EVENTS
+from .scenes import EXACT, NO_EVENTS, STARTS
 from .static_figures import WIDTH
 
-_DOT, _REAR = 1.6, 1.8  # points; what lies behind is larger by so much
-_FAR = 4.0  # peaks so many wall distances out need a logarithmic axis
+_DOT, _REAR = 1.6, 3.4  # diameters of dots in front and behind [points]
+Layer = tuple[str, Sequence[int]]  # a law, and positions of initial conditions
 SHOWN_PERIODS, _HARMONICS, _DECADES = 6, 5.5, 5
 
-Overlay = tuple[str, str, NDArray[np.float64]]
 
+def diagram(
+    scene: xr.Dataset,
+    panels: Mapping[str, Sequence[Layer]],
+    n_columns: int,
+    *,
+    peaks: bool = False,
+    marks: Mapping[str, NDArray[np.bool_]] | None = None,
+) -> Figure:
+    """Peaks or all extrema over frequency; the first law of the scene sets the vertical axis.
 
-def peak_curves(scene: xr.Dataset) -> Figure:
-    """Peak displacements in a scene, a panel per law with the exact one behind it."""
-    labels, scene = labels_of(scene), drawing.with_setting(scene, "x_max")
-    figure, panels = _panels(scene, "peak displacement [mm]", len(labels), 3, 2.4, of_peaks=True)
-    low, high = drawing.frame(scene, "x_max", _exact(scene))
-    for axes, label in zip(panels, labels, strict=True):
-        for one, size in {_exact(scene): _DOT + _REAR, label: _DOT}.items():
-            drawing.peaks(axes, scene.sel(representation=one), size, high=high)
-        _title(axes, scene.sel(representation=label))
-    _scale(panels[0], scene, low, high)
-    return figure
-
-
-def stacked_bifurcations(scene: xr.Dataset) -> Figure:
-    """All extrema in a scene from one start, a panel per law on common axes."""
-    labels, omega = labels_of(scene), drawn(scene["omega"])
-    figure, panels = _panels(scene, "steady extrema [mm]", len(labels), 1, 1.35)
-    low, high = drawing.frame(scene, "x_min", _exact(scene))
-    for axes, label in zip(panels, labels, strict=True):
-        one = scene.sel(representation=label)
-        backdrop.bands(axes, one)
-        _extrema(axes, one, _DOT)
-        _title(axes, one)
-        drawing.outside(axes, omega[drawn(one["x_max"]) > high], high, "^", label)
-        drawing.outside(axes, omega[drawn(one["x_min"]) < low], low, "v", label)
-    panels[0].set_ylim(low, high)
-    backdrop.key_of_bands(figure, scene)
-    return figure
-
-
-def overlaid_bifurcations(scene: xr.Dataset, overlays: Sequence[Overlay]) -> Figure:
-    """Extrema of one law over those of another, a panel per pair (figure 10).
-
-    Each pair says which law is in front, which behind, and at which frequencies [Hz] they differ.
+    Parameters
+    ----------
+    panels : mapping of str to sequence
+        Titles, and what each panel shows: laws and positions of initial conditions, back to front.
+    marks : mapping of str to ndarray of bool, optional
+        Titles, and the frequencies that have a red tick.
     """
-    figure, panels = _panels(scene, "steady extrema [mm]", len(overlays), 1, 2.1)
-    for axes, (front, rear, apart) in zip(panels, overlays, strict=True):
-        _extrema(axes, scene.sel(representation=rear), _DOT + 1.1 * _REAR)
-        _extrema(axes, scene.sel(representation=front), _DOT)
-        edge = axes.get_xaxis_transform()
-        axes.vlines(apart, 1.0, 1.04, NOT_PERIODIC, transform=edge, clip_on=False, label="_differ")
-        axes.set_title(f"{law_of(front)} on {law_of(rear)}", fontsize=9, loc="left", pad=7)
+    scene = drawing.with_setting(scene, "x_max" if peaks else "extrema")
+    n_rows, n = -(-len(panels) // n_columns), len(panels)
+    figure = Figure(figsize=(WIDTH, 0.9 + (2.4 if peaks else 1.4) * n_rows), layout="constrained")
+    grid = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
+    low, high = drawing.frame(scene, "x_max" if peaks else "x_min", labels_of(scene)[0])
+    omega = drawn(scene["omega"])
+    for axes in grid[n:]:
+        axes.remove()
+    for i, (axes, (title, layers)) in enumerate(zip(grid, panels.items(), strict=False)):
+        axes.xaxis.set_tick_params(labelbottom=i >= n - n_columns)
+        backdrop.walls(axes, scene, of_peaks=peaks)
+        for (label, starts), size in zip(layers, (_REAR, _DOT)[-len(layers) :], strict=True):
+            one = scene.sel(representation=label).isel(initial_condition=list(starts))
+            if peaks:
+                drawing.peaks(axes, one, size, high=high)
+                continue
+            drawing.extrema(axes, one, "omega")
+            for line in axes.lines[-2:]:
+                line.set_markersize(size)
+            peak, trough = (drawn(one[name])[:, 0] for name in ("x_max", "x_min"))
+            drawing.outside(axes, omega[peak > high], high, "^", label)
+            drawing.outside(axes, omega[trough < low], low, "v", label)
+        if len(layers) == 1 and not peaks:
+            backdrop.bands(axes, one)
+        if marks:
+            edge = {"transform": axes.get_xaxis_transform(), "clip_on": False, "label": "_differ"}
+            axes.vlines(omega[marks[title]], 1.0, 1.04, colors=NOT_PERIODIC, **edge)
+        axes.set_title(title, fontsize=8, loc="left", pad=7 if marks else 3)
+        note = without_response(one)
+        axes.set_title(note, fontsize=7, loc="right", color="#555555", pad=7 if marks else 3)
+    pad = 0.01 * float(np.ptp(omega)) or 0.5
+    grid[0].set(xlim=(max(0.0, omega.min() - pad), omega.max() + pad), ylim=(low, high))
+    figure.supxlabel("forcing frequency [Hz]", fontsize=9)
+    figure.supylabel(f"{'peak displacement' if peaks else 'steady extrema'} [mm]", fontsize=9)
+    if not peaks and not marks:
+        backdrop.key_of_bands(figure, scene)
     return figure
 
 
 def histories_and_spectra(histories: xr.Dataset) -> Figure:
     """Displacement and spectrum of all laws of ``histories.nc`` overlaid, a row per history."""
     labels, n = labels_of(histories), histories.sizes["history"]
-    widths = {EXACT: 3.2, NO_EVENTS: 2.0}  # what is thin lies before what is thick
-    figure = Figure(figsize=(WIDTH, 0.6 + 2.6 * n), layout="constrained")
-    panels = figure.subplots(n, 2, squeeze=False)
-    for h, (motion, spectrum) in enumerate(panels):
-        one = histories.isel(history=h)
+    widths = {EXACT: 3.2, NO_EVENTS: 2.0}  # thin lines lie on thick ones
+    figure = Figure(figsize=(WIDTH, 0.6 + 2.2 * n), layout="constrained")
+    panels = figure.subplots(n, 2, squeeze=False, sharex="col")
+    for (motion, spectrum), (_, one) in zip(panels, histories.groupby("history"), strict=True):
+        one = one.squeeze("history")
         backdrop.walls(motion, one)
         for label, line in lines(labels).items():
             own = one.sel(representation=label)
             style = {"color": colour(label), "linewidth": widths.get(law_of(label), 0.9)}
             style["label"] = f"_{label}"
             motion.plot(*_last_periods(own), line, **style)
-            multiple = own["frequency"] / one["omega"]
-            spectrum.plot(multiple, drawn(own["spectrum"]), line, **style)
+            spectrum.plot(own["frequency"] / one["omega"], drawn(own["spectrum"]), line, **style)
         top = np.nanmax(drawn(one["spectrum"]), initial=0.0) or 1.0
         motion.set(xlim=(0.0, SHOWN_PERIODS), ylabel="displacement [mm]")
-        motion.set_xlabel("forcing periods")
-        spectrum.set_xlabel("frequency / forcing frequency")
         limits = (top * 10.0**-_DECADES, 2.0 * top)
         spectrum.set(xlim=(0.0, _HARMONICS), ylabel="amplitude [mm]", yscale="log", ylim=limits)
         spectrum.minorticks_off()
-        motion.set_title(f"{float(one['omega']):g} Hz", fontsize=9, loc="left")
+        start = {at: name for name, at in STARTS.items()}
+        at = float(one["x_0"]), float(one["v_0"])
+        title = f"{float(one['omega']):g} Hz, from {start.get(at, f'{at[0]:g} m, {at[1]:g} m/s')}"
+        motion.set_title(title, fontsize=9, loc="left")
+    motion.set_xlabel("forcing periods")
+    spectrum.set_xlabel("frequency / forcing frequency")
     figure.legend(panels[0, 1].lines, labels, loc="outside upper center", ncols=4, fontsize=8)
     return figure
 
 
-def _exact(scene: xr.Dataset) -> str:
-    return next(label for label in labels_of(scene) if law_of(label) == EXACT)
+def start_scan(scan: xr.Dataset) -> Figure:
+    """Period 3 inside and outside the paper's band, over the initial condition."""
+    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+    along, all_of_them = figure.subplots(1, 2)
+    shares = {"inside": (colour(EXACT), "o-"), "outside": (NOT_PERIODIC, "s--")}
+    for name, (shade, look) in shares.items():
+        share = 100.0 * scan[name].sel(v_0=0.0)
+        along.plot(drawn(scan["x_0"]), share, look, color=shade, markersize=3, label=name)
+    along.set(xlabel=axis_label(scan["x_0"]), ylabel="frequencies with period 3 [%]")
+    along.set_title("initial velocity 0", fontsize=9, loc="left")
+    along.legend()
+    x, y = (100.0 * scan[name].values.ravel() for name in ("outside", "inside"))
+    all_of_them.plot(x, y, "o", color="#999999", markersize=4, label="_initial conditions")
+    for name, (x_0, v_0) in STARTS.items():
+        one = 100.0 * scan.sel(x_0=x_0, v_0=v_0, method="nearest")
+        at = float(one["outside"]), float(one["inside"])
+        all_of_them.plot(*at, "o", color=NOT_PERIODIC, markersize=6, label=f"_{name}")
+        all_of_them.annotate(name, at, (7, 4), textcoords="offset points")
+    all_of_them.set(xlabel="outside the band [%]", ylabel="inside the band [%]")
+    all_of_them.set_title("all initial conditions", fontsize=9, loc="left")
+    return figure
 
 
 def _last_periods(own: xr.Dataset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -112,64 +141,14 @@ def _last_periods(own: xr.Dataset) -> tuple[NDArray[np.float64], NDArray[np.floa
     return periods[shown], drawn(steady["x"])[shown]
 
 
-def _panels(
-    scene: xr.Dataset,
-    label: str,
-    n: int,
-    n_columns: int,
-    height: float,
-    *,
-    of_peaks: bool = False,
-) -> tuple[Figure, NDArray[np.object_]]:
-    """Panels over frequency on common axes, with walls."""
-    n_rows = -(-n // n_columns)
-    figure = Figure(figsize=(WIDTH, 0.9 + height * n_rows), layout="constrained")
-    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for axes in panels[n:]:
-        axes.remove()
-    for axes in panels[max(n - n_columns, 0) : n]:
-        axes.xaxis.set_tick_params(labelbottom=True)
-    for axes in panels[:n]:
-        backdrop.walls(axes, scene, of_peaks=of_peaks)
-    omega = drawn(scene["omega"])
-    pad = 0.01 * float(np.ptp(omega)) or 0.5
-    panels[0].set_xlim(max(0.0, omega.min() - pad), omega.max() + pad)
-    figure.supxlabel("forcing frequency [Hz]", fontsize=9)
-    figure.supylabel(label, fontsize=9)
-    return figure, panels[:n]
-
-
-def _scale(axes: Axes, scene: xr.Dataset, low: float, high: float) -> None:
-    """Linear; logarithmic beyond a quarter of the wall distance if the peaks go far out."""
-    linear = 0.25 * max(float(drawn(scene["j_1"])), float(drawn(scene["j_2"])))
-    if 0.0 < 4.0 * _FAR * linear < high:
-        axes.set_yscale("symlog", linthresh=linear, linscale=0.5)
-        ticks = [n * 10.0**k for k in range(-2, 4) for n in (1, 3)]
-        axes.set_yticks([0.0, *(tick for tick in ticks if linear <= tick <= high)])
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.minorticks_off()
-        axes.figure.supylabel(f"peak displacement [mm], logarithmic above {linear:g}", fontsize=9)
-        low = max(low, float(np.nanmin(drawn(scene["x_max"]))) - 0.3 * linear)
-    axes.set_ylim(low, high)
-
-
-def _extrema(axes: Axes, one: xr.Dataset, size: float) -> None:
-    extrema = drawn(one["extrema"].transpose("omega", "extremum"))
-    omega = np.broadcast_to(drawn(one["omega"])[:, None], extrema.shape)
-    shown = np.isfinite(extrema)
-    label = one["representation"].item()
-    style: dict[str, Any] = {"color": colour(label), "markersize": size, "label": f"_{label}"}
-    many = bool(shown.sum() > MANY)
-    axes.plot(omega[shown], extrema[shown], "o", mew=0.0, rasterized=many, **style)
-
-
-def _title(axes: Axes, one: xr.Dataset) -> None:
-    """Whose panel it is, and counts that must not go unseen."""
-    status = one["status"].values
-    is_steady, fit = np.isfinite(one["x_max"].values), Status.OUT_OF_FIT_RANGE
-    beyond, left = (status == fit) & is_steady, (status == fit) & ~is_steady
-    lost = (status == Status.UNRESOLVED, beyond, left, status > fit)
-    names = ("unresolved", "beyond the fit", "left the fit", "failed")
-    note = ", ".join(f"{n.sum()} {name}" for n, name in zip(lost, names, strict=True) if n.any())
-    axes.set_title(str(one["representation"].values), fontsize=9, loc="left", pad=3)
-    axes.set_title(note, fontsize=7, loc="right", color="#555555", pad=3)
+def without_response(scene: xr.Dataset) -> str:
+    """The numbers of points without a steady response, or beyond the range of a fit."""
+    status, is_steady = scene["status"].values, np.isfinite(scene["x_max"].values)
+    fit = status == Status.OUT_OF_FIT_RANGE
+    counts: dict[str, Any] = {
+        "unresolved": status == Status.UNRESOLVED,
+        "beyond the fit": fit & is_steady,
+        "left the fit": fit & ~is_steady,
+        "failed": status > Status.OUT_OF_FIT_RANGE,
+    }
+    return ", ".join(f"{hits.sum()} {name}" for name, hits in counts.items() if hits.any())

@@ -389,7 +389,7 @@ class Run:
         gap: str | None,
         *names: str,
         band: tuple[float, float] = (0.0, math.inf),
-        start: str = "rest",
+        start: str | NDArray[np.bool_] = "rest",
         data: str = _RESPONSES,
         **at: Any,
     ) -> xr.Dataset:
@@ -401,8 +401,8 @@ class Run:
             Variables over frequency and start.
         band : tuple of float
             Closed interval of frequencies [Hz].
-        start : str
-            A key of `starts`.
+        start : str or ndarray of bool
+            A key of `starts`, or which initial conditions.
         **at
             Values of the other parameters that the study sweeps, as for `scene`.
 
@@ -412,11 +412,12 @@ class Run:
             If none was asked for.
         """
         scene = (representation, K_c, gap)
-        key = (data, *scene, *names, band, start, *sorted(at.items()))
+        starts = self.starts[start] if isinstance(start, str) else start
+        key = (data, *scene, *names, band, starts.tobytes(), *sorted(at.items()))
         if key not in self._read:
             status = self.scene(_RESPONSES, *scene, "status", **at)["status"]
             found = self.scene(data, *scene, *names, **at).assign(asked=status)
-            found = found.sel(omega=slice(*band)).isel(initial_condition=self.starts[start])
+            found = found.sel(omega=slice(*band)).isel(initial_condition=starts)
             found = found.stack(point=("omega", "initial_condition"), create_index=False)
             self._read[key] = found.isel(point=found["asked"].values != Status.NOT_REQUESTED)
         if not self._read[key].sizes["point"]:

@@ -42,8 +42,12 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     laws = models.laws[:1] if models.is_plain else models.laws[0]
     located = [law for law in laws if isinstance(law, Piecewise) and law.located]
     if solver.controller != "native" or solver.restart:
-        if solver.restart and located and not models.is_plain:
-            raise ModelError("restart: for an Oscillator; of a System use engine='scipy'")
+        if located and not models.is_plain:
+            what = "restart = true" if solver.restart else "controller = 'ode45'"
+            raise ModelError(
+                f"{what}: locates contacts of an Oscillator only; of a System use engine='scipy', "
+                "or located=False (piecewise-noevents)"
+            )
         return not laws
     if located and len(located) < len(laws):
         raise ModelError(
@@ -139,12 +143,13 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
         "rtol": solver.rtol,
         "atol": solver.atol,
         "controller": solver.controller,
+        "restart": solver.restart,
     }
     if models.is_plain:
-        law = _kernel_law(models.laws, restart=solver.restart)
+        law = _kernel_law(models.laws)
         scenes = smooth.scenes(law, **_oscillator_arrays(models), **options)
     else:
-        laws = [_kernel_law(each, restart=False) for each in zip(*models.laws, strict=True)]
+        laws = [_kernel_law(each) for each in zip(*models.laws, strict=True)]
         scenes = smooth.system_scenes(laws, _scenes(models, solver), **options)
 
     def integrate(problems: Problems) -> Motions:
@@ -230,7 +235,7 @@ def _events(n: int, turns: Columns, sections: Columns, contacts: Columns) -> Eve
     )
 
 
-def _kernel_law(laws: Sequence[Any], *, restart: bool) -> Any:
+def _kernel_law(laws: Sequence[Any]) -> Any:
     """The laws of one kind, with their parameters, as the Runge–Kutta kernel takes them."""
     law = laws[0]
     gaps = _gap_arrays(laws)
@@ -242,7 +247,7 @@ def _kernel_law(laws: Sequence[Any], *, restart: bool) -> Any:
         case LogArctan():
             return representations.log_arctan(**gaps, gamma=_column(laws, "gamma"))
         case Piecewise():
-            return representations.piecewise(**gaps, restart=restart and law.located)
+            return representations.piecewise(**gaps, located=law.located)
     walls = {"j_1": -law.walls[0], "j_2": law.walls[1]}
     match law:
         case Polynomial():

@@ -65,8 +65,8 @@ class Motions:
     status : ndarray of int, shape (n,)
         `gapsweep.status.Status` values.
     n_contacts, n_steps, n_rejected, nfev : ndarray of int, shape (n,)
-        Wall crossings in and out, accepted and rejected steps, right-hand sides (for a Taylor
-        method, expansions).
+        Wall crossings in and out, accepted and rejected steps, right-hand sides of the motion
+        itself (for a Taylor method, expansions).
     reach : ndarray, shape (n, n_coordinates)
         Largest modulus of every coordinate at the start and at the ends of steps [m].
     contact_time : ndarray, shape (n, n_contacts), or None

@@ -167,10 +167,10 @@ class Solver:
         Relative [-] and absolute [m, m/s] tolerance.
     controller : str
         ``"native"``, or ``"ode45"`` for the step-size control of MATLAB's ode45 with its
-        Dormand–Prince 5(4) pair (compiled engine only).
+        Dormand–Prince 5(4) pair, which locates contacts of an Oscillator (compiled engine only).
     restart : bool
-        Whether the solver starts anew at every located contact, as the paper's does. The
-        reference engine always does; the compiled one only if asked.
+        Whether the step size is chosen anew at every located contact, as the paper's solver does,
+        rather than kept. The reference engine always restarts; the compiled one only if asked.
 
     Raises
     ------

@@ -83,10 +83,10 @@ class _Record:
 
     def count(self, scene: Scene, nfev: int, n_steps: int) -> None:
         method = scene.method
-        attempts = nfev - _START_NFEV - n_steps * _DENSE_NFEV[method]
+        nfev -= n_steps * _DENSE_NFEV[method]  # of the output between steps
         self.nfev += nfev
         self.n_steps += n_steps
-        self.n_rejected += attempts // _STEP_NFEV[method] - n_steps
+        self.n_rejected += (nfev - _START_NFEV) // _STEP_NFEV[method] - n_steps
 
 
 def prepared(models: Models, solver: Solver) -> Integrate:

@@ -49,7 +49,7 @@ class Trajectory:
         Start [s].
     n_contacts, n_steps, n_rejected, nfev : int
         Wall crossings (in and out, each counted once), accepted and rejected steps, right-hand
-        sides evaluated (for a Taylor method, expansions).
+        sides of the motion, without the search for extrema (for a Taylor method, expansions).
     status : Status
         How the run ended; integers in an array.
     laws : tuple of ContactLaw

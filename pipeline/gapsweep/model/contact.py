@@ -179,6 +179,15 @@ class _Sharpened(ContactLaw):
     is_numbers: ClassVar[bool] = True
     is_sharpened: ClassVar[bool] = True
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        # A smooth law has a force everywhere: arctan one of K_c / (pi epsilon) however far away.
+        if self.K_c and (farthest := max(map(abs, self.walls))) > DIVERGED_AT:
+            raise ModelError(
+                f"wall at {farthest:g}: a smooth law needs walls within {DIVERGED_AT:g}, "
+                "where motions count as diverged; a stop on one side has K_ratio = 0"
+            )
+
     @property
     def sharpness(self) -> float:
         """The convergence parameter [1/m]."""

@@ -18,7 +18,6 @@ from gapsweep.model.oscillator import Gap, checked
 from gapsweep.model.system import Harmonic, Lags, Modulation, System
 
 __all__ = [
-    "FAR",
     "FREEPLAY",
     "gear_pair",
     "gear_pair_law",
@@ -31,9 +30,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-# A one-sided stop has its other wall here, in gaps: a motion counts as diverged long before.
-FAR = 1e6
 
 # Flap freeplay of the typical section on either side [rad]: 2.12 degrees.
 FREEPLAY = math.radians(2.12)
@@ -297,7 +293,7 @@ def two_masses() -> System:
 
 
 def two_masses_law() -> Piecewise:
-    """The stop of `two_masses`, ``100 (x - 1)`` beyond 1; its other wall is out of reach.
+    """The one-sided stop of `two_masses`, ``100 (x - 1)`` beyond 1: `K_ratio` is 0.
 
     Examples
     --------
@@ -305,7 +301,7 @@ def two_masses_law() -> Piecewise:
     >>> gs.systems.two_masses_law().K_c
     100.0
     """
-    return Piecewise(100.0, Gap(FAR, 1.0))
+    return Piecewise(100.0, Gap(1.0, 1.0), K_ratio=0.0)
 
 
 def gear_pair(
@@ -419,9 +415,7 @@ def soft_impact_oscillator(zeta: float = 0.01, load: float = 0.9 * 0.8**2 / 1.26
 
 
 def soft_impact_oscillator_law(ratio: float = 29.0) -> Piecewise:
-    """The second spring of `soft_impact_oscillator`, ``ratio (x - 1)`` beyond 1.
-
-    Its other wall is out of reach.
+    """The second spring of `soft_impact_oscillator`, ``ratio (x - 1)`` beyond 1; `K_ratio` is 0.
 
     Parameters
     ----------
@@ -434,4 +428,4 @@ def soft_impact_oscillator_law(ratio: float = 29.0) -> Piecewise:
     >>> gs.systems.soft_impact_oscillator_law(ratio=10.0).K_c
     10.0
     """
-    return Piecewise(checked("ratio", ratio, low=0.0), Gap(FAR, 1.0))
+    return Piecewise(checked("ratio", ratio, low=0.0), Gap(1.0, 1.0), K_ratio=0.0)

@@ -50,6 +50,7 @@ from gapsweep.report.tables import VERDICTS, Row, claim_rows, number, percent, s
 from gapsweep.status import Status
 from gapsweep.store.artefact import is_recorded, recording, remove
 
+ANSWER = "own-answer"  # the study's own part that the page begins with
 FIGURES = "figures"  # the folder of their files, beside the page
 # What stands there under such a name, reports have written.
 _FIGURE = re.compile(r"figure-[a-z0-9-]*\.(svg|pdf|csv|html)")
@@ -100,6 +101,10 @@ def write_report(
         bench_parts(work_precision, stability),
         [overview(*files)] if is_wide(responses) else _scenes(*files),
     )
+    headline = [
+        line for part in own_parts if part["anchor"] == ANSWER for line in part["sentences"]
+    ]
+    own_parts = [part for part in own_parts if part["anchor"] != ANSWER]
     parts = for_page([*own_parts, *rendered(ours)], taken=["figure-hero"])
     # Its rules are those of one displacement between two walls.
     is_judged = not is_of_systems(responses)
@@ -117,7 +122,8 @@ def write_report(
         ),
         contacts=told,
         far=said_of_far_walls(responses) if is_judged else "",
-        answer=in_words(found),
+        headline=headline or in_words(found)[:1],
+        answer=in_words(found)[0 if headline else 1 :],
         signs=SIGNS,
         groups=GROUPS,
         stiffnesses=heads(contact.K_c for contact in told),
@@ -129,6 +135,7 @@ def write_report(
         cut=f"The first {how_many(len(told), found)}. " if len(found) > len(told) else "",
         starts=[starts_of(responses, EXACT, one.at) for one in told],
         anchors={part["anchor"] for part in parts},
+        own=[part["anchor"] for part in own_parts],
         hero=hero,
         folder=FIGURES,
         claims=claims and {"counts": claims["counts"], "rows": _claims(claims, parts)},

@@ -196,7 +196,7 @@ class Ensemble:
         t_end = n_periods / omega
         found, tangents = self._run(
             scenes, y, n_periods, t_end, record_from,
-            section_only=section_only, tangent=tangent, follows=follows,
+            section_only=section_only, tangent=tangent, follows=follows, is_motion=not tangent,
         )  # fmt: skip
         given = self.unit[:, scenes], omega, t_end, self._shrinks(scenes)
         return Call(found, *given, *tangents)
@@ -216,8 +216,12 @@ class Ensemble:
         section_only: bool,
         tangent: bool,
         follows: NDArray[np.bool_] | None = None,
+        is_motion: bool,
     ) -> tuple[Motions, tuple[Array | None, Array]]:
-        """Integrate scenes for some time: motions, their tangents, and where these lead."""
+        """Integrate scenes for some time: motions, their tangents, and where these lead.
+
+        `is_motion`: whether they settle or are recorded, rather than being shots or repeated.
+        """
         problems = Problems(
             which=scenes,
             start=np.ascontiguousarray(y.T),
@@ -230,7 +234,7 @@ class Ensemble:
             contact_time=not section_only,
             tangent=tangent and self._integrate_tangent is None,
         )
-        found = self._solved(self._integrate, problems, n_periods)
+        found = self._solved(self._integrate, problems, n_periods, is_motion=is_motion)
         self._pace[scenes] = np.maximum(found.n_steps, 1) / n_periods
         if not tangent or self._integrate_tangent is None:
             return found, (found.monodromy, found.state.T)
@@ -260,6 +264,7 @@ class Ensemble:
                 tangent=True,
             ),
             n_periods[begun],
+            is_motion=False,
         )
         assert exact.monodromy is not None
         tangents = np.full((len(problems), *exact.monodromy.shape[1:]), math.nan)
@@ -267,20 +272,25 @@ class Ensemble:
         tangents[begun], ends[begun] = exact.monodromy, exact.state
         return tangents, ends.T
 
-    def _solved(self, integrate: Integrate, problems: Problems, n_periods: NDArray[Any]) -> Motions:
+    def _solved(
+        self, integrate: Integrate, problems: Problems, n_periods: NDArray[Any], *, is_motion: bool
+    ) -> Motions:
         begin = time.thread_time() - LOADING.seconds
         found = integrate(problems)
         spent = time.thread_time() - LOADING.seconds - begin
         # What ran together shares the processor time in proportion to its steps.
         seconds = spent * found.n_steps / max(found.n_steps.sum(), 1)
-        counts = (getattr(found, name) for name in COUNTS)
+        counts = (is_motion * getattr(found, name) for name in COUNTS)
         lasted = found.t * self.omega[problems.which] * _begun(problems, found)
-        n_periods = np.where(arrived(found, problems.t_end), n_periods, lasted)
+        n_periods = is_motion * np.where(arrived(found, problems.t_end), n_periods, lasted)
         self._costs.append((problems.which, *counts, n_periods, seconds))
         return found
 
     def costs(self) -> dict[str, NDArray[Any]]:
-        """What the motions of each scene have cost so far, as columns of `Responses`."""
+        """What each scene has cost so far, as columns of `Responses`.
+
+        Counts and simulated time are of its motion; the processor time is of its analysis too.
+        """
         scenes, *columns = map(np.concatenate, zip(*self._costs, strict=True))
         n = len(self.omega)
         *counts, n_periods, seconds = (np.bincount(scenes, column, n) for column in columns)

@@ -207,11 +207,12 @@ class Response:
         Section points ``x, v, x, v, ...`` [m], [m/s], of a system ``q, v, z, q, v, z, ...``: the n
         of a periodic response, else the last `max_period_multiple` of the window.
     n_contacts, n_steps, n_rejected, nfev : int
-        Cost of the whole point, settling included.
+        Wall crossings, accepted and rejected steps and right-hand sides of the motion: settling and
+        recording; without shots, tangents and the search for events inside a step.
     t_settled : float
         Simulated time [s] after which the response was accepted.
     t_simulated : float
-        Simulated time in all [s], shooting included.
+        Simulated time of the motion [s], over which the counts are taken.
     noise : float
         Predicted scatter [m] of section points one response period (one forcing period if there
         is none) apart, from the solver's tolerances alone; of a rest, how far off it is.
@@ -225,7 +226,7 @@ class Response:
     z_end : tuple of float
         First-order states there, of a system that has some.
     cpu_time : float
-        Processor time of the integration [s].
+        Processor time of the integration [s], shots and tangents included.
     message : str
         Why the point failed, or is unresolved and what may help; empty otherwise.
 

@@ -123,7 +123,7 @@ class Returns(Ensemble):
             beyond = t_end if tangent else t_end * (1.0 + _BEYOND)
             again, tangents = self._run(
                 scenes, y, t_end * self.omega[scenes], beyond, record_from,
-                section_only=section_only, tangent=tangent,
+                section_only=section_only, tangent=tangent, is_motion=False,
             )  # fmt: skip
             found = replace(again, t=t_end, state=found.state, status=found.status)
         passings = passings[0], np.where(is_recorded, passings[1], 0)
@@ -154,7 +154,7 @@ class Returns(Ensemble):
                 expected = t_end[some] * self.omega[which]
                 run, _ = self._run(
                     which, y[:, some], expected, t_end[some], from_start,
-                    section_only=True, tangent=False,
+                    section_only=True, tangent=False, is_motion=not is_shot,
                 )  # fmt: skip
                 events = run.events()
                 first = np.cumsum(events.n_section) - events.n_section

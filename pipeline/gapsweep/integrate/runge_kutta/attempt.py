@@ -176,28 +176,40 @@ def _keep_start(at, lane, h):
 
 
 @inlined
-def _commit(at, lane, commit, ended, h):
-    """Move committed lanes to the end of the step; returns which of them passed a whole turn."""
+def clock(at, lane, h):
+    """Phase, the digits that its sum loses, and whole turns, h after the start of an attempt.
+
+    The clock counts turns of the forcing: the phase stays in [0, 1) however long the run is. What
+    the sum's rounding cuts off is kept (Kahan): many short steps of a long period lose nothing.
+    """
+    tau = load(lane, at.tau)
+    turned = fma(h, load(lane, at.omega), load(lane, at.tau_low))
+    tau_1 = tau + turned
+    # A landing rounded up to a whole turn is past it: what it owes takes it below, but not back.
+    whole = maximum(simd.floor(tau_1), simd.splat(0.0))
+    return tau_1 - whole, turned - (tau_1 - tau), load(lane, at.turns) + whole
+
+
+@inlined
+def _commit(at, lane, commit, moved, ended, h):
+    """Move committed lanes to the end of the step; returns which of them passed a whole turn.
+
+    `moved`: those of them whose end is the motion's, whether or not the step is cut.
+    """
     for i in range(at.n_states + at.n_rates):
         store(lane, at.q + i, select(commit, load(lane, at.q_1 + i), load(lane, at.q + i)))
     for i in range(at.n):
         reach = load(lane, at.reach + i)
         farther = maximum(reach, simd.absolute(load(lane, at.q_1 + i)))
-        store(lane, at.reach + i, select(commit, farther, reach))
+        store(lane, at.reach + i, select(moved, farther, reach))
     tau, tau_low, turns = load(lane, at.tau), load(lane, at.tau_low), load(lane, at.turns)
-    # The clock counts turns of the forcing: the phase stays in [0, 1) however long the run is. What
-    # the sum's rounding cuts off is kept (Kahan): many short steps of a long period lose nothing.
-    turned = fma(h, load(lane, at.omega), tau_low)
-    tau1 = tau + turned
-    low1 = select(ended, 0.0, turned - (tau1 - tau))
-    # A landing rounded up to a whole turn is past it: what it owes takes it below, but not back.
-    whole = maximum(simd.floor(tau1), simd.splat(0.0))
-    tau1 = select(ended, load(lane, at.end_tau), tau1 - whole)
-    turns1 = select(ended, load(lane, at.end_turns), turns + whole)
-    store(lane, at.tau, select(commit, tau1, tau))
-    store(lane, at.tau_low, select(commit, low1, tau_low))
-    store(lane, at.turns, select(commit, turns1, turns))
-    return commit & (turns1 > turns)
+    tau_1, low_1, turns_1 = clock(at, lane, h)
+    tau_1 = select(ended, load(lane, at.end_tau), tau_1)
+    turns_1 = select(ended, load(lane, at.end_turns), turns_1)
+    store(lane, at.tau, select(commit, tau_1, tau))
+    store(lane, at.tau_low, select(commit, select(ended, 0.0, low_1), tau_low))
+    store(lane, at.turns, select(commit, turns_1, turns))
+    return commit & (turns_1 > turns)
 
 
 @inlined
@@ -405,9 +417,10 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     after_failure = load(lane, at.failed) > 0.0
     h_next = _next_step(settings, error, h, after_failure, accepted)
     walls = _walls(at, q, lane, settings, commit, ordinary, h, h_next)
-    stopped = walls.stopped
+    stopped, moved = walls.stopped, commit
     if settings[ln.S_LOCATED] > 0.0:
         stopped = stopped | (commit & (exact == 2.0))
+        moved = commit & ~stopped  # the contact mode ends before the step does
 
     turns = load(lane, at.turns) + (load(lane, at.tau) - load(lane, at.phase_0))
     since_start = turns * load(lane, at.period)
@@ -417,7 +430,7 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     failed = underflow | exhausted | (commit & _is_invalid(at, kinds, q, lane, settings))
 
     ended = commit & to_end
-    passed_turn = _commit(at, lane, commit, ended, h)
+    passed_turn = _commit(at, lane, commit, moved, ended, h)
     if settings[ln.S_TANGENT] > 0.0:
         _commit_tangent(at, lane, commit)
     h_next = minimum(maximum(walls.h_next, h_min), load(lane, at.h_max))

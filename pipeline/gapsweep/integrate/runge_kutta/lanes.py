@@ -68,7 +68,8 @@ class Rows(Layout):
             # a landing (committed, but its length is not the controller's); `failed` is 1 right
             # after a rejection.
             **dict.fromkeys(("exact", "failed", "h_saved", "out_of_range"), 1),
-            **dict.fromkeys(("n_steps", "n_rejected", "n_attempts"), 1),
+            # `n_starts`: derivatives computed by themselves, at starts and on walls.
+            **dict.fromkeys(("n_steps", "n_rejected", "n_attempts", "n_starts"), 1),
             "n_contacts": k,
             # Tangent columns, and their values before the last attempt.
             **{"tangent_state": s * s, "old_tangent": s * s},
@@ -150,9 +151,10 @@ IDLE, START, STEPPING, PROBING = range(4)
     S_CONTACTS,
     S_SECTION_ONLY,
     S_LOCATED,
+    S_RESTART,
     S_HAS_RANGE,
-) = range(14)
-N_SETTINGS = 14
+) = range(15)
+N_SETTINGS = 15
 
 # --- columns of the event buffer, and kinds of records ---
 # WHICH: of an extremum the coordinate or, after all coordinates, the gap, whose value stands where
@@ -209,6 +211,7 @@ def begin_start(at, lane, lane_int, i):
     lane[at.h, i] = 0.0
     lane[at.exact, i] = 1.0
     lane[at.failed, i] = 0.0
+    lane[at.n_starts, i] += 1.0
     lane_int[MODE, i] = START
 
 
@@ -272,7 +275,9 @@ def unload_point(at, lane, lane_int, results, status, n_new_stages, i):
         # Below zero: the start lies on a wall and has not left it.
         row[R_CONTACTS] += max(lane[at.n_contacts + contact, i], 0.0)
     row[R_STEPS], row[R_REJECTED] = lane[at.n_steps, i], lane[at.n_rejected, i]
-    row[R_NFEV] = lane[at.n_attempts, i] * n_new_stages
+    # Of the motion: probes look at what it has passed.
+    n_tried = lane[at.n_steps, i] + lane[at.n_rejected, i]
+    row[R_NFEV] = n_tried * n_new_stages + lane[at.n_starts, i]
     for j in range(at.n_states):
         row[R_STATE + j] = lane[at.q + j, i]
     first = R_STATE + at.n_states

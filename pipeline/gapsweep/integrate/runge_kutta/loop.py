@@ -78,6 +78,7 @@ def _advance(
                     lane,
                     lane_int,
                     q,
+                    k_tangent,
                     probes,
                     scratch,
                     events,

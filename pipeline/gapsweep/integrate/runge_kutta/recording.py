@@ -5,10 +5,12 @@ events, which are found by `probing`.
 import numpy as np
 
 from gapsweep.integrate.jit import internal
+from gapsweep.integrate.simd import fma, lane_value, load
 
 from . import lanes as ln
-from . import parameters
-from .interpolant import roots
+from . import parameters, vecmath
+from .attempt import clock
+from .interpolant import derivative_coefficients, evaluate, position_coefficients, roots
 from .probing import (
     begin_probing,
     coefficients,
@@ -39,10 +41,8 @@ def first_step(at, lane, settings, i):
 
 
 @internal
-def started(at, lane, lane_int, settings, i):
+def begin_steps(at, lane, lane_int, settings, i):
     """The derivative at the start is known: choose the first step."""
-    for j in range(at.n_rates):
-        lane[at.a + j, i] = lane[at.a_1 + j, i]
     if settings[ln.S_ODE45] > 0.0:
         lane[at.h_max, i] = 0.1 * ln.remaining(at, lane, i)
     lane[at.h, i] = first_step(at, lane, settings, i)
@@ -95,6 +95,36 @@ def _first_edge(at, lane, q, scratch, is_located, contact, i):
 
 
 @internal
+def _led(b, theta, h, x, v, a, x_1, v_1, a_1):
+    """Where the interpolant of a step leads, and how fast it is there; b: work space."""
+    position_coefficients(h, x, v, a, x_1, v_1, a_1, b)
+    derivative_coefficients(b, b[6:])
+    return evaluate(b[:6], theta), 5.0 * evaluate(b[6:], theta) / h
+
+
+@internal
+def _shorten(at, lane, k_tangent, b, has_tangent, theta, i):
+    """End the accepted step of an oscillator at theta, on its interpolant and its tangents'."""
+    h, n_stages = lane[at.old_h, i], k_tangent.shape[0] // 2
+    lane[at.q_1, i], lane[at.v_1, i] = _led(
+        b, theta, h, lane[at.old_q, i], lane[at.old_v, i], lane[at.old_a, i],
+        lane[at.q_1, i], lane[at.v_1, i], lane[at.a_1, i],
+    )  # fmt: skip
+    for column in range(2 if has_tangent else 0):
+        old, new = at.old_tangent + 2 * column, at.tangent_state + 2 * column
+        first, last = column * n_stages, (column + 1) * n_stages - 1
+        lane[new, i], lane[new + 1, i] = _led(
+            b, theta, h, lane[old, i], lane[old + 1, i], k_tangent[first, i],
+            lane[new, i], lane[new + 1, i], k_tangent[last, i],
+        )  # fmt: skip
+    return_to_start(at, lane, i)
+    lane[at.old_h, i] = theta * h
+    tau, low, turns = clock(at, lane, load(lane, at.old_h))
+    lane[at.tau, i], lane[at.tau_low, i] = lane_value(tau, i), lane_value(low, i)
+    lane[at.turns, i], lane[at.v, i] = lane_value(turns, i), lane[at.v_1, i]
+
+
+@internal
 def _revoke(at, lane, q, is_located, i):
     """Undo the accepted step: it is repeated in part."""
     if not is_located:
@@ -115,13 +145,21 @@ def _uncount(at, lane, q, i):
 
 
 @internal
-def _cut(at, lane, lane_int, q, scratch, is_located, i):
-    """Repeat the step up to the first edge; false if it does not reach one after all."""
-    theta = 2.0
+def _cut(at, lane, lane_int, q, k_tangent, scratch, settings, i):
+    """End the step at the first edge; whether it is repeated up to there.
+
+    The interpolant is as accurate as steps of order 5: on it these end on a wall at once.
+    """
+    theta, is_located = 2.0, settings[ln.S_LOCATED] > 0.0
     for contact in range(at.contacts):
         coefficients(at, lane, scratch.b, at.gaps_from + contact, i)
         theta = min(theta, _first_edge(at, lane, q, scratch, is_located, contact, i))
     if theta > 1.0:
+        return False
+    if is_located and settings[ln.S_ODE45] > 0.0:
+        lane[at.h_saved, i] = lane[at.h, i]
+        _shorten(at, lane, k_tangent, scratch.b, settings[ln.S_TANGENT] > 0.0, theta, i)
+        lane[at.a_1, i] = _stand_on(at, lane, lane_int, q, _landing_wall(at, lane, q, i), i)
         return False
     _revoke(at, lane, q, is_located, i)
     lane[at.h_saved, i] = lane[at.old_h, i]
@@ -151,7 +189,7 @@ def _n_walls(q, i):
 
 @internal
 def _landed(at, lane, lane_int, q, i):
-    """Newton's method on the landing time; true when x is on the wall (and set to it exactly)."""
+    """Newton's method on the landing time; true when x is on the wall."""
     wall = _landing_wall(at, lane, q, i)
     miss, v = lane[at.q_1, i] - wall, lane[at.v_1, i]
     close = abs(miss) <= 1e-15 * (abs(wall) + abs(lane[at.old_q, i] - wall))
@@ -161,11 +199,23 @@ def _landed(at, lane, lane_int, q, i):
         lane[at.h, i] = min(max(h - miss / v, 0.5 * h), 2.0 * h)
         lane_int[ln.TRIES, i] += 1
         return False
+    _stand_on(at, lane, lane_int, q, wall, i)
+    return True
+
+
+@internal
+def _stand_on(at, lane, lane_int, q, wall, i):
+    """Put x on the wall exactly; the acceleration there, the same in both contact modes."""
     lane[at.q, i] = wall
     lane_int[ln.LANDING, i] = 0
     lane_int[ln.LANDED, i] = 1
     lane[at.n_contacts, i] += _n_walls(q, i)
-    return True
+    x, v, cosine = load(lane, at.q), load(lane, at.v), vecmath.cos_turns(load(lane, at.tau))
+    restoring = x * fma(load(lane, at.cubic) * x, x, load(lane, at.stiffness))
+    driving = fma(load(lane, at.push), cosine, -restoring)
+    lane[at.a, i] = lane_value(fma(-load(lane, at.damping), v, driving), i)
+    lane[at.n_starts, i] += 1.0
+    return lane[at.a, i]
 
 
 @internal
@@ -221,13 +271,17 @@ def _failure_status(at, lane, settings, committed, i):
 
 
 @internal
-def after_events(at, lane, lane_int, q, i):
+def after_events(at, lane, lane_int, q, settings, i):
     """Go on after a step and all its events; true when the point has reached its end."""
+    for j in range(at.n):
+        lane[at.reach + j, i] = max(lane[at.reach + j, i], abs(lane[at.q + j, i]))
     if lane_int[ln.LANDED, i]:
         lane_int[ln.LANDED, i] = 0
         choose_mode(at, lane, q, i)
-        ln.begin_start(at, lane, lane_int, i)
-        return False
+        lane[at.h, i] = lane[at.h_saved, i]
+        if settings[ln.S_RESTART] > 0.0:
+            begin_steps(at, lane, lane_int, settings, i)
+        return ln.remaining(at, lane, i) <= 0.0
     is_last = lane[at.turns, i] == lane[at.end_turns, i]
     return is_last and lane[at.tau, i] == lane[at.end_tau, i]
 
@@ -240,7 +294,8 @@ def _begun(at, lane, lane_int, q, settings, i):
     for j in range(at.n_rates):
         if not np.isfinite(lane[at.a_1 + j, i]):
             return ln.DIVERGED
-    started(at, lane, lane_int, settings, i)
+        lane[at.a + j, i] = lane[at.a_1 + j, i]
+    begin_steps(at, lane, lane_int, settings, i)
     if settings[ln.S_LOCATED] > 0.0:
         if _corrects_mode(at, lane, q, i):
             ln.begin_start(at, lane, lane_int, i)  # the acceleration was that of another mode
@@ -265,7 +320,9 @@ def _recorded(at, lane, lane_int, q, probes, scratch, events, counters, settings
 
 
 @internal
-def attend(at, lane, lane_int, q, probes, scratch, events, counters, settings, outcome, i):
+def attend(
+    at, lane, lane_int, q, k_tangent, probes, scratch, events, counters, settings, outcome, i
+):
     """Look after lane i; the status if its point is over, else -1."""
     is_located = settings[ln.S_LOCATED] > 0.0
     mode = lane_int[ln.MODE, i]
@@ -275,7 +332,7 @@ def attend(at, lane, lane_int, q, probes, scratch, events, counters, settings, o
     if mode == ln.PROBING:
         if not probed(at, lane, lane_int, q, probes, events, counters, i):
             return -1
-        return ln.OK if after_events(at, lane, lane_int, q, i) else -1
+        return ln.OK if after_events(at, lane, lane_int, q, settings, i) else -1
     if outcome.failed & bit:
         if outcome.accepted & bit and not is_located:  # no part of the motion, nor what it passed
             _uncount(at, lane, q, i)
@@ -283,12 +340,12 @@ def attend(at, lane, lane_int, q, probes, scratch, events, counters, settings, o
     if is_located and lane_int[ln.LANDING, i] and outcome.accepted & bit:
         if not _landed(at, lane, lane_int, q, i):
             return -1
-        t = ln.elapsed(at, lane, i)
-        if is_recording(at, lane, t, i):
-            for _ in range(_n_walls(q, i)):
-                record(at, lane, lane_int, events, counters, ln.CONTACT, t, at.q, i)
-    elif outcome.stopped & bit and _cut(at, lane, lane_int, q, scratch, is_located, i):
+    elif outcome.stopped & bit and _cut(at, lane, lane_int, q, k_tangent, scratch, settings, i):
         return -1
+    t = ln.elapsed(at, lane, i)
+    if lane_int[ln.LANDED, i] and is_recording(at, lane, t, i):
+        for _ in range(_n_walls(q, i)):
+            record(at, lane, lane_int, events, counters, ln.CONTACT, t, at.q, i)
     has_dipped = outcome.dipped & bit != 0
     if has_dipped:
         for contact in range(at.contacts):
@@ -297,4 +354,4 @@ def attend(at, lane, lane_int, q, probes, scratch, events, counters, settings, o
         at, lane, lane_int, q, probes, scratch, events, counters, settings, has_dipped, i
     ):
         return -1
-    return ln.OK if after_events(at, lane, lane_int, q, i) else -1
+    return ln.OK if after_events(at, lane, lane_int, q, settings, i) else -1

@@ -88,11 +88,11 @@ def piecewise(
     j_2: ArrayLike,
     K_ratio: ArrayLike = 1.0,
     *,
-    restart: bool = False,
+    located: bool = False,
 ) -> Law:
-    """Exact freeplay, contacts not located, or (`restart`) with a fresh start at each."""
+    """Exact freeplay; with `located` steps end at its contacts."""
     q, _ = _rows(K_c, j_1, j_2, K_ratio)
-    return Law(Formula(laws.LOCATED if restart else laws.PIECEWISE), q)
+    return Law(Formula(laws.LOCATED if located else laws.PIECEWISE), q)
 
 
 def polynomial(coefficients: ArrayLike, fit_range: float, j_1: float, j_2: float) -> Law:

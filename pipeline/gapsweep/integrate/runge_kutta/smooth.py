@@ -229,6 +229,7 @@ def prepared(
     rtol: float,
     atol: float,
     controller: str,
+    restart: bool = False,
 ) -> Scenes:
     """Scenes whose equations stand in a table; `scenes` and `system_scenes` make it.
 
@@ -238,6 +239,8 @@ def prepared(
         Tolerances; error per step below ``atol + rtol * abs(y)``.
     controller : {"native", "ode45"}
         "ode45" is Dormand-Prince 5(4) with the step control of MATLAB's ode45.
+    restart : bool
+        Whether the step size is chosen anew at every located contact.
     """
     is_low = controller == "ode45" or rtol > _HIGH_ORDER_FROM
     method = tableaux.DP5 if is_low else tableaux.DOP853
@@ -251,7 +254,7 @@ def prepared(
     settings = np.zeros(ln.N_SETTINGS)
     settings[ln.S_RTOL], settings[ln.S_ATOL] = rtol, atol
     settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = DIVERGED_AT, _MOST_ATTEMPTS
-    settings[ln.S_ODE45] = controller == "ode45"
+    settings[ln.S_ODE45], settings[ln.S_RESTART] = controller == "ode45", restart
     has_layer, has_range = (
         any((rows[:, row] > 0.0).any() for rows in parts[1:])
         for row in (parameters.LAYER, parameters.RANGE)

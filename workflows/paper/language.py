@@ -1,0 +1,234 @@
+"""How claims are written: quantities that are read from a run later, compared with operators.
+
+A `Quantity` has one number for each law, degree or case. Comparing quantities makes a `Comparison`,
+which becomes one test for each pair of numbers, and the words that say what was found. The paper
+leaves some settings open: a claim is decided with the first value of each, and once more with every
+other value of the settings that its quantities have used.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
+
+from gapsweep.analysis.verdicts import Claim, Found, NotInRunError, Number, Run, Test, verdict
+
+SETTINGS: dict[str, dict[str, str]] = {
+    "start": {"+0.4 mm": "start at +0.4 mm", "rest": "start at rest"},
+    "share": {
+        "amplitude": "errors as shares of the exact amplitude",
+        "gap": "errors as shares of the exact amplitude or half of the gap, the larger one",
+    },
+    "gap": {"1.5/1.5": "gap 1.5 mm", "1.1/1.1": "gap 1.1 mm", "1.8/1.8": "gap 1.8 mm"},
+    "unit": {"m": "x in m", "mm": "x in mm", "4 mm": "x as a share of 4 mm"},
+}
+# Where verdicts differ with this setting, nothing in the paper decides.
+DECISIVE = "unit"
+_MARKS = {True: "✓", False: "✗", None: "open"}
+
+
+@dataclass(frozen=True)
+class At:
+    """A run, the settings with which it is read, and which of them were used."""
+
+    run: Run
+    settings: dict[str, str]
+    used: set[str] = field(default_factory=set)
+
+    def __getitem__(self, setting: str) -> str:
+        self.used.add(setting)
+        return self.settings[setting]
+
+
+Read = Callable[[At], Number]
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """Numbers to be read: what they are, the name and reader of each, and how they are shown.
+
+    Those with `log` are read as decimal logarithms, so that factors are compared; they are stated
+    and shown as they are.
+    """
+
+    what: str
+    parts: tuple[tuple[str, Read], ...]
+    form: str = ".3g"
+    log: bool = False
+
+    def __lt__(self, other: Any) -> "Comparison":
+        return Comparison(self, "<", other)
+
+    def __le__(self, other: Any) -> "Comparison":
+        return Comparison(self, "<=", other)
+
+    def __gt__(self, other: Any) -> "Comparison":
+        return Comparison(self, ">", other)
+
+    def __ge__(self, other: Any) -> "Comparison":
+        return Comparison(self, ">=", other)
+
+    def __truediv__(self, other: "Quantity") -> "Quantity":
+        """How many times the other's number each is, pair by pair."""
+        divided = (lambda a, b: a - b) if self.log else (lambda a, b: a / b)
+        return replace(self._with(other, "over", divided), form=".3g", log=self.log)
+
+    def __sub__(self, other: "Quantity") -> "Quantity":
+        return self._with(other, "minus", lambda a, b: a - b)
+
+    def apart(self, other: "Quantity") -> "Quantity":
+        """Pair by pair the larger over the smaller."""
+
+        def ratio(a: Number, b: Number) -> Number:
+            larger, smaller = (a, b) if a.value > b.value else (b, a)
+            return larger - smaller if self.log else larger / smaller
+
+        return replace(self._with(other, "against", ratio), form=".3g", log=self.log)
+
+    def _with(
+        self, other: "Quantity", word: str, number: Callable[[Number, Number], Number]
+    ) -> "Quantity":
+        def part(ours: tuple[str, Read], theirs: tuple[str, Read]) -> tuple[str, Read]:
+            name = ours[0] if ours[0] == theirs[0] else f"{ours[0]} {word} {theirs[0]}"
+            return name, lambda at: number(ours[1](at), theirs[1](at))
+
+        what = self.what if self.what == other.what else f"{self.what} {word} {other.what}"
+        return Quantity(what, tuple(part(*two) for two in pairs(self, other)), self.form)
+
+    def scaled(self, number: float) -> float:
+        """A threshold as the numbers are read."""
+        return math.log10(number) if self.log else number
+
+    def shown(self, number: float) -> str:
+        return f"{10.0**number if self.log else number:{self.form}}"
+
+
+def pairs(one: Quantity, other: Quantity) -> list[tuple[tuple[str, Read], tuple[str, Read]]]:
+    """Parts of the same names two by two, or else each with each."""
+    names = ([name for name, _ in quantity.parts] for quantity in (one, other))
+    if len(one.parts) > 1 and next(names) == next(names):
+        return list(zip(one.parts, other.parts, strict=True))
+    return list(product(one.parts, other.parts))
+
+
+def alike(one: Quantity, other: Quantity, within: float) -> "Comparison":
+    """The numbers differ by no more than a factor, pair by pair."""
+    return one.apart(other) <= within
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What must hold: numbers against a threshold, or against other numbers."""
+
+    left: Quantity
+    op: str
+    right: Any
+
+    def decided(self, at: At) -> tuple[list[Test], str]:
+        """A test for each pair, and in words what was found."""
+        return self._against_numbers(at) if self._is_pairwise else self._against_threshold(at)
+
+    @property
+    def _is_pairwise(self) -> bool:
+        return isinstance(self.right, Quantity)
+
+    def _against_threshold(self, at: At) -> tuple[list[Test], str]:
+        left, limit = self.left, self.left.scaled(self.right)
+        log = "log10 of " * left.log
+        tests = [
+            Test(f"{log}{left.what}: {name}", read(at), self.op, limit) for name, read in left.parts
+        ]
+        found = (
+            f"{name} {left.shown(test.number.value)} {_MARKS[test.holds]}"
+            for (name, _), test in zip(left.parts, tests, strict=True)
+        )
+        return tests, f"{left.what} {self.op} {left.shown(limit)}: {', '.join(found)}"
+
+    def _against_numbers(self, at: At) -> tuple[list[Test], str]:
+        left, right = self.left, self.right
+        read = {part: part[1](at) for part in (*left.parts, *right.parts)}
+        log = "log10 of " * left.log
+        same = left.what == right.what
+        tests, failed = [], []
+        for ours, theirs in pairs(left, right):
+            minus = "" if ours[0] == theirs[0] else f": {ours[0]} minus {theirs[0]}"
+            what = left.what if same else f"{left.what} minus {right.what}, {ours[0]}"
+            number = read[ours] - read[theirs]
+            tests.append(Test(f"{log}{what}{minus}", number, self.op, 0.0))
+            if tests[-1].holds is not True:
+                failed.append(f"{ours[0]} {self.op} {theirs[0]} {_MARKS[tests[-1].holds]}")
+        values = (
+            ", ".join(f"{part[0]} {side.shown(read[part].value)}" for part in side.parts)
+            for side in (left, right)
+        )
+        between = self.op if same else f"{self.op} {right.what}:"
+        but = "✓" if not failed else f"({', '.join(failed)})"
+        return tests, f"{left.what}: {f' {between} '.join(values)} {but}"
+
+
+def claim(
+    id: int,
+    place: Any,
+    quote: str,
+    *comparisons: Comparison,
+    note: str = "",
+    beside: Iterable[Quantity] = (),
+    unstated: str = "",
+) -> Claim:
+    """A claim of the paper: its words, and what must hold for them.
+
+    Parameters
+    ----------
+    place : str or a case with a `place` and `words`
+        Figure, table or section.
+    note : str
+        Why these comparisons decide the words.
+    beside : iterable of Quantity
+        Numbers that are shown and decide nothing.
+    unstated : str
+        What the text leaves open; the claim is then undecidable.
+    """
+    where, words = (place, "") if isinstance(place, str) else (place.place, f"{place.words}. ")
+
+    def find(run: Run) -> Found:
+        first = {name: next(iter(values)) for name, values in SETTINGS.items()}
+        at = At(run, first)
+        tests, found = _decided(comparisons, at)
+        others = list(_with_other_settings(comparisons, at, tests))
+        shown = [
+            f"{q.what}: {', '.join(f'{n} {q.shown(r(at).value)}' for n, r in q.parts)}"
+            for q in beside
+        ]
+        own, open_to = verdict(test.holds for test in tests), unstated
+        if any(name == DECISIVE and text != own for name, _, text in others):
+            open_to = f"Not in the text: the {DECISIVE} of x. {SETTINGS[DECISIVE]['m']}: {own}"
+        said = [f"{says}: {text}" for _, says, text in others]
+        sentence = ". ".join(filter(None, [open_to, found, *shown, *said])) + "."
+        return ([] if open_to else tests), sentence.replace(f"{where}, ", "")
+
+    return Claim(id, where, quote, f"{words}{note}".strip(), find)
+
+
+def _decided(comparisons: Iterable[Comparison], at: At) -> tuple[list[Test], str]:
+    found = [comparison.decided(at) for comparison in comparisons]
+    return [test for tests, _ in found for test in tests], "; ".join(text for _, text in found)
+
+
+def _with_other_settings(
+    comparisons: Iterable[Comparison], at: At, tests: list[Test]
+) -> Iterator[tuple[str, str, str]]:
+    """Verdicts with the other values of settings that were used: setting, its words, verdict.
+
+    Another share is left out where the verdict is the same; what was found is added where not.
+    """
+    own = verdict(test.holds for test in tests)
+    for name in sorted(at.used):
+        for value, says in list(SETTINGS[name].items())[1:]:
+            with suppress(NotInRunError):
+                again, words = _decided(comparisons, At(at.run, {**at.settings, name: value}))
+                other = verdict(test.holds for test in again)
+                if other != own or name != "share":
+                    more = f" ({words})" if other != own and name != DECISIVE else ""
+                    yield name, f"With {says}", f"{other}{more}"
