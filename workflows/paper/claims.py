@@ -2,7 +2,7 @@
 
 `measures` defines what words and quantities are, `language` how quantities are compared, and when a
 claim is decided once more: from rest, with other shares, gaps or units. Claims on Figs 8 to 11 are
-decided from x_0 = +0.4 mm, from which the paper's figures are reproduced. That they were made so is
+decided from x_0 = +0.4 mm, which most of the paper's figures agree with. That they were made so is
 evidence, not proof (docs/claims.md). 75 and on are statements that the first list left out.
 """
 # fmt: off
@@ -10,6 +10,7 @@ evidence, not proof (docs/claims.md). 75 and on are statements that the first li
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -24,11 +25,11 @@ from .cftool import cftool
 from .ladders import ladders
 from .language import At, Comparison, Quantity, alike, claim
 from .measures import (
-    ALIKE, AS_DRAWN, COMPARABLE, HALF, KINDS, LINE, MUCH, REGION, SAME_SIZE, TENTH, THREE_QUARTERS,
-    TWENTIETH, Band, Figure, constants, cost, distance, named, of_dataset, slope, starting,
-    steepest,
+    ABOUT, ALIKE, AS_DRAWN, COMPARABLE, HALF, KINDS, LINE, MUCH, REGION, SAME_SIZE, SLIGHTLY,
+    TENTH, THREE_QUARTERS, TWENTIETH, Band, Figure, Table, constants, cost, distance, named,
+    of_dataset, slope, starting, steepest,
 )
-from .refined import bands, basins, motions, starts, windows
+from .refined import bands, basins, cloud, motions, runs, starts, windows
 from .scenes import (
     ASYMMETRIC, EXACT, HARD, HARD_ASYMMETRIC, LARGE, NO_EVENTS, SOFT,
     SOFT_ASYMMETRIC, SOFT_SYMMETRIC, STARTS, STRONG, SYMMETRIC, TABLE_2, TABLE_CASES, TANGENTS,
@@ -36,7 +37,7 @@ from .scenes import (
 )
 
 DATASETS = {"ladders": ladders, "cftool": cftool, "bands": bands, "windows": windows,
-            "basins": basins, "motions": motions, "starts": starts}
+            "basins": basins, "cloud": cloud, "motions": motions, "starts": starts}
 
 POLY, RATPOLY, TANH, ARCTAN, LOGARCTAN = WEAK
 POLY_21, RATPOLY_5, TANH_6, ARCTAN_6, LOGARCTAN_6 = STRONG
@@ -66,19 +67,20 @@ def ladder(what: str, name: str, reduced: Callable[[xr.DataArray], Any] = float,
 
 
 def tangents(**where: Any) -> Quantity:
-    return ladder("RMS error [m]", "smooth_rmse", **{"family": TANGENTS, **where})
+    says = "RMS error per unit stiffness [m]"
+    return ladder(says, "smooth_rmse", **{"family": TANGENTS, **where})
 
 
 def in_gap(**where: Any) -> Quantity:
-    return ladder("largest force in the gap [m]", "poly_in_gap_force", **where)
+    return ladder("largest force in the gap per unit stiffness [m]", "poly_in_gap_force", **where)
 
 
 def outside(**where: Any) -> Quantity:
-    return ladder("largest error outside [m]", "poly_outside_error", **where)
+    return ladder("largest error outside per unit stiffness [m]", "poly_outside_error", **where)
 
 
 def rational(*ratios: str) -> Quantity:
-    return ladder("RMS error [m]", "ratpoly_rmse", ratio=ratios)
+    return ladder("RMS error per unit stiffness [m]", "ratpoly_rmse", ratio=ratios)
 
 
 FREE, HELD = {"constraint": "none"}, {"constraint": "no constant or linear term"}
@@ -109,7 +111,7 @@ c2 = claim(2, "Sect. 2",
 
 NONE, EVENTS, FINER = NO_EVENTS + PAPER, EXACT + PAPER, f"{NO_EVENTS}@finer"
 SIX, NINE, TRUTH = TANH_6 + PAPER, "tanh-1e9@paper", "truth"
-AFTER_4 = "Truth: the exact law with rtol 1e-12. A nanometre grows to 2e-6 of the gap. "
+AFTER_4 = "Truth: the exact law with rtol 1e-12. Motions 1 nm apart are still within 2 nm then. "
 c3 = claim(3, "Sect. 1",
     "'Time integration methods suffer from accumulating roundoff error if the precise times and "
     "locations of contacts are not captured.'",
@@ -193,8 +195,9 @@ def random_fit(what: str, name: str, *ratios: str, gap: str = SYMMETRIC, form: s
 
 
 def at_zero(ratio: str, gap: str = SYMMETRIC) -> Quantity:
-    return random_fit("size of the force at 0, best random fit [m]", "force_at_zero", ratio,
-                      gap=gap, form=".2g", reduced=lambda force: abs(float(force)))
+    says = "size of the force at 0 per unit stiffness, best random fit [m]"
+    return random_fit(says, "force_at_zero", ratio, gap=gap, form=".2g",
+                      reduced=lambda force: abs(float(force)))
 
 
 poles = random_fit("random fits with a pole", "pole_share", "5/3", "5/5")
@@ -202,9 +205,10 @@ best_found = random_fit("random fits that are the best", "best_share", "5/3", "5
 c12 = claim(12, "Fig. 3a",
     "'The 3/2 curve is not rotationally symmetric about the origin and shows a negative force "
     "within most of the freeplay gap, unlike the 5/3 curve.'",
-    at_zero("3/2") > 1e-7, at_zero("5/3") <= 1e-7,
-    note=CFTOOL + "The sign of the force does not count: where f(x) is a best fit, so is -f(-x).")
-leaking = ("largest force in the gap [m]", "ratpoly_in_gap_force")
+    unstated="Not in the text: the coefficients of the paper's fits, on which it turns; the best "
+             "of 20 random fits of 3/2 is odd in every unit of x tried",
+    beside=[at_zero("3/2"), at_zero("5/3")], note=CFTOOL)
+leaking = ("largest force in the gap per unit stiffness [m]", "ratpoly_in_gap_force")
 c13 = claim(13, "Fig. 3a", "'The 5/3 curve also fits more closely within the freeplay gap.'",
     ladder(*leaking, ratio=("5/3",)) < ladder(*leaking, ratio=("3/2",)))
 c14 = claim(14, "Fig. 3b",
@@ -304,7 +308,7 @@ starts_on_3 = fig6b.table("share of 400 starts that end on period 3", lambda at,
 c26 = claim(26, fig6b,
     "'The RatPoly 5/3, Tanh, and Arctan models appearing to capture the entire range of "
     "subharmonic resonance'; Poly-13 and log-arctan 'do not capture any ... near 17-21 Hz'.",
-    on_3[EXACT] >= HALF, on_3[RATPOLY, TANH, ARCTAN] / on_3[EXACT] >= HALF,
+    on_3[EXACT] >= HALF, on_3[RATPOLY, TANH, ARCTAN] / on_3[EXACT] >= 1.0 - TENTH,
     starts_on_3[EXACT, RATPOLY, TANH, ARCTAN] >= TWENTIETH, starts_on_3[POLY, LOGARCTAN] < 0.01)
 
 
@@ -397,7 +401,7 @@ f1_high = fig7.f1((15.0, 30.0))
 c35 = claim(35, fig7,
     "'The tangent-based models are the most accurate, with Tanh and Arctan having similar "
     "accuracy and Log-Arctan having slightly less accuracy at higher forcing frequency.'",
-    fig7.f1()[TANH_6, ARCTAN_6] > fig7.f1()[POLY_21, RATPOLY_5],
+    fig7.f1()[TANH_6, ARCTAN_6, LOGARCTAN_6] > fig7.f1()[POLY_21, RATPOLY_5],
     alike(fig7.f1()[TANH_6], fig7.f1()[ARCTAN_6], ALIKE),
     f1_high[TANH_6, ARCTAN_6] > f1_high[LOGARCTAN_6])
 
@@ -406,7 +410,7 @@ c35 = claim(35, fig7,
 c36 = claim(36, fig8a,
     "'All models are in excellent agreement for the very soft contact case', 'all five "
     "representations capture both behaviors well' (ringing, superharmonics).",
-    fig8a.error()[WEAK] <= LINE, ringing(fig8a, HALF),
+    fig8a.error()[WEAK] <= LINE, ringing(fig8a, THREE_QUARTERS),
     note="Swings count that are more than a line.")
 c37 = claim(37, fig8b,
     "'The Poly-13 model is unable to capture the full frequency range of \"ringing\", chaotic, or "
@@ -427,12 +431,14 @@ c39 = claim(39, fig8b,
 c40 = claim(40, fig8b,
     "'The Poly-13, Arctan, and Log-Arctan slightly overestimate the frequency value of the "
     "primary resonance peak.'",
-    peak[POLY, ARCTAN, LOGARCTAN] > peak[EXACT])
-after_jump = fig8b.count("nonlinear behaviour", (11.7, 16.9))
+    peak[POLY, ARCTAN, LOGARCTAN] > peak[EXACT],
+    peak[POLY, ARCTAN, LOGARCTAN] - peak[EXACT] < SLIGHTLY)
+after_jump = fig8b.count("nonlinear behaviour", (11.7, 16.0))
 c41 = claim(41, fig8b,
     "'The RatPoly 5/3 and Arctan models predict a region of nonlinear behavior shortly after the "
     "jump phenomenon and before the region of subharmonic resonance.'",
-    after_jump[RATPOLY, ARCTAN] - after_jump[EXACT] >= REGION, note=OPTIMUM)
+    after_jump[RATPOLY, ARCTAN] - after_jump[EXACT] >= REGION,
+    after_jump[TANH] - after_jump[EXACT] < REGION, note=OPTIMUM)
 band_width = fig8b.bisected("width of the period-3 band", low=-1.0, high=1.0)
 low_end, high_end = fig8b.bisected("lower end", low=1.0), fig8b.bisected("upper end", high=1.0)
 middle = fig8b.bisected("middle of the period-3 band", low=0.5, high=0.5)
@@ -443,11 +449,13 @@ c42 = claim(42, fig8b,
     fig8b.share("period 3", (17.0, 21.0))[EXACT] >= HALF,
     band_width[RATPOLY] / band_width[EXACT] > MUCH,
     alike(band_width[TANH, ARCTAN], band_width[EXACT], SAME_SIZE),
-    middle[TANH] < middle[EXACT], middle[ARCTAN] > middle[EXACT],
+    middle[TANH] < middle[EXACT], middle[EXACT] - middle[TANH] < SLIGHTLY,
+    middle[ARCTAN] > middle[EXACT], middle[ARCTAN] - middle[EXACT] < SLIGHTLY,
     beside=[low_end[EXACT, RATPOLY, TANH, ARCTAN], high_end[EXACT, RATPOLY, TANH, ARCTAN]])
+on_3_once = fig8b.count("period 3", (12.0, 30.0))
 c43 = claim(43, fig8b,
-    "'The Poly-13 and Log-Arctan do not capture any of the subharmonic resonance.'",
-    fig8b.count("period 3", (12.0, 30.0))[POLY, LOGARCTAN] < 1.0,
+    "'The Poly-13 and Log-Arctan do not capture any subharmonic resonance behavior.'",
+    on_3_once[EXACT] >= REGION, on_3_once[POLY, LOGARCTAN] < 1.0,
     beside=[fig6b.share_of_frequencies("period 3", (12.0, 30.0))[POLY, LOGARCTAN]])
 c44 = claim(44, fig8c,
     "'All the representations seem to have failed altogether for their convergence quality.'",
@@ -522,13 +530,22 @@ c50 = claim(50, fig9,
     "'Arctan captures more of the very narrow higher-period regions between 12-20 Hz than Tanh "
     "does.'",
     narrow[ARCTAN_6] > narrow[TANH_6], beside=[narrow[ITSELF]])
-beyond_20 = fig9.count("period not 1", above_20)
+
+
+def widest_region(at: At, label: str) -> Number:
+    """Most frequencies in a row, every 0.02 Hz beyond 20 Hz, with a period other than 1."""
+    other = in_windows(at, label, "period_multiple", (20.02, 30.0)).values != 1
+    return Number(float(max((j - i for i, j in runs(other)), default=0)))
+
+
+beyond_20 = fig9.table("widest region of period not 1 beyond 20 Hz, steps of 0.02 Hz",
+                       widest_region, ".0f")
 c51 = claim(51, fig9,
     "'Log-Arctan is less accurate ... and it also predicts a narrow region of behavior beyond 20 "
     "Hz that does not occur in the other models.'",
     fig9.right(below_20)[TANH_6, ARCTAN_6] > fig9.right(below_20)[LOGARCTAN_6],
-    beyond_20[LOGARCTAN_6] >= 1.0, beyond_20[POLY_21, RATPOLY_5, TANH_6, ARCTAN_6] < 1.0,
-    beside=[beyond_20[EXACT]])
+    beyond_20[LOGARCTAN_6] >= REGION, beyond_20[EXACT, TANH_6, ARCTAN_6] < REGION,
+    note="A narrow region: five steps in a row. The fits' are in claim 52.")
 c52 = claim(52, fig9,
     "'The Poly-21 and RatPoly 5/5 models are still unable to capture any of the system's rich "
     "behavior.'",
@@ -546,11 +563,6 @@ def table_2(what: str, number: Seconds, *grades: str) -> Quantity:
                                           for grade in grades or tuple(TABLE_2)})
 
 
-def mean_of_both(what: str, number: Seconds) -> Quantity:
-    found = [number(list(column.values())) for column in TABLE_2.values()]
-    return constants(f"Table 2, {what}", {"mean": sum(found) / 2.0})
-
-
 def slower_than(i: int) -> Seconds:
     """How many laws take longer than one."""
     return lambda seconds: float(sum(other > seconds[i] for other in seconds))
@@ -564,11 +576,10 @@ def over_exact(what: str, name: str) -> Quantity:
 
 
 work = over_exact("right-hand sides over the exact law's", "nfev")
-time = over_exact("processor time over the exact law's", "cpu_time")
 c53 = claim(53, "Table 2",
     "'In both cases, the exact piecewise representation took either the first or second longest.'",
     table_2("laws that take longer than the exact one", slower_than(0)) <= 1.0,
-    note=SECONDS, beside=[work, time])
+    note=SECONDS, beside=[work])
 slower_than_rational = ("laws that take longer than RatPoly", slower_than(2))
 c54 = claim(54, "Table 2",
     "'The rational polynomial model took the longest to run for case 2 and the second longest for "
@@ -580,8 +591,8 @@ c55 = claim(55, "Table 2",
     "'The polynomial model was third slowest for both cases, but it was faster than the second "
     "slowest by a factor of about 1.5.'",
     third >= 2.0, third <= 2.0,
-    alike(mean_of_both("second slowest over polynomial", lambda s: sorted(s)[-2] / s[1]),
-          constants("the paper's", {"1.5": 1.5}), ALIKE), note=SECONDS)
+    alike(table_2("second slowest over polynomial", lambda s: sorted(s)[-2] / s[1]),
+          constants("the paper's", {"1.5": 1.5}), ABOUT), note=SECONDS)
 c56 = claim(56, "Table 2",
     "'The tangent-based representations were the fastest in both cases and differed by no more "
     "than half a second.'",
@@ -590,21 +601,24 @@ c56 = claim(56, "Table 2",
     note=SECONDS)
 c57 = claim(57, "Table 2",
     "'These averaged about 6.5 times faster than the slowest model in both cases.'",
-    alike(mean_of_both("slowest over mean tangent law", lambda s: max(s) / (sum(s[3:]) / 3.0)),
-          constants("the paper's", {"6.5": 6.5}), ALIKE), note=SECONDS)
+    alike(table_2("slowest over mean tangent law", lambda s: max(s) / (sum(s[3:]) / 3.0)),
+          constants("the paper's", {"6.5": 6.5}), ABOUT), note=SECONDS)
 LOCATED = {grade: (f"{EXACT}@paper", f"{EXACT}@paper-norestart", scene)
            for grade, scene in TABLE_CASES.items()}
 restart_work = cost("right-hand sides with restarts over without", "nfev", LOCATED)
-restart_time = cost("processor time with restarts over without, compiled", "cpu_time", LOCATED)
-# Median and half of the range of nine rounds of benchmarks/one_method.py.
-SCIPY = constants("time of solve_ivp with terminal events over a loop without restart", {
-    "soft 1e-4": (1.56, 0.05), "soft 1e-6": (1.39, 0.04), "hard 1e-4": (1.43, 0.05),
-    "hard 1e-6": (1.31, 0.09)})
-RESTARTS = "One Runge-Kutta pair, located contacts. The paper's solver is interpreted, as scipy's. "
+# Centres and halves of the ranges of nine rounds of benchmarks/one_method.py.
+LOOP = constants("time of a loop around RK45 with restarts over one without", {
+    "soft 1e-4": (1.14, 0.02), "soft 1e-6": (1.04, 0.05), "hard 1e-4": (1.09, 0.03),
+    "hard 1e-6": (1.03, 0.04)})
+EVENT_CAPABILITY = constants("time of solve_ivp with terminal events over that loop", {
+    "soft 1e-4": (1.56, 0.05), "soft 1e-6": (1.39, 0.04), "hard 1e-4": (1.42, 0.05),
+    "hard 1e-6": (1.34, 0.09)})
+RESTARTS = ("The restart alone, and with all that terminal events cost: one Runge-Kutta pair in "
+            "scipy, which is interpreted as the paper's solver is. ")
 c58 = claim(58, "Table 2",
     "'Because it uses the event detection capability, which requires the simulation to stop and "
     "restart at every instance of contact.'",
-    restart_work >= ALIKE, SCIPY >= ALIKE, beside=[restart_time], note=RESTARTS)
+    LOOP >= ALIKE, EVENT_CAPABILITY >= ALIKE, beside=[restart_work], note=RESTARTS)
 
 # --- Section 4.2: limits --------------------------------------------------------------------------
 
@@ -662,7 +676,8 @@ c65 = claim(65, fig10,
     "no-event-detection response. Any improvement gained from using the more converged "
     "representation is minimal.'",
     distance(SIX, NONE) <= AS_DRAWN, distance(NINE, NONE) <= AS_DRAWN,
-    note=AFTER_4 + "Excellent and minimal: less than a plot shows.")
+    distance(SIX, NONE) < distance(SIX, EVENTS), distance(NINE, NONE) < distance(NINE, EVENTS),
+    note=AFTER_4 + "Excellent and minimal: less than a plot shows, and nearer than with events.")
 c66 = claim(66, fig10,
     "'There are discrepancies between the result without and with event detection that do not "
     "resolve by increasing the convergence parameter.'",
@@ -685,16 +700,28 @@ def off_period(omega: float, n: int, label: str) -> Quantity:
     return fig11.table(f"off period {n} at {omega:g} Hz", number, ".0f")[label]
 
 
+
+
+def near_0_4(n: int) -> Table:
+    """Share of 101 initial conditions within 5 nm that lead to period n, at 11 Hz."""
+    def number(at: At, label: str) -> Number:
+        found = at.run.select("cloud", representation=label, start=at["start"])["period_multiple"]
+        # At loose tolerances a P6 or P9 is a P3 with the solver's noise on it.
+        return share((found > 0) & (found % n == 0) if n > 1 else found == 1)
+
+    return fig11.table(f"initial conditions within 5 nm that lead to period {n}, 11 Hz", number,
+                       ".0%")
+
+
 false_3 = fig11.table("starts that end on a period 3, 11 Hz", lambda at, label: share(
     periods(at, label, HARD_ASYMMETRIC, (11.0,)) == 3), ".0%")
 c68 = claim(68, fig11,
     "'A period-1 response with superharmonics should have been captured, but a period-3 response "
     "with both subharmonics and superharmonics is falsely detected instead' (11 Hz).",
-    off_period(11.0, 1, EXACT) <= 0.0, off_period(11.0, 3, NONE) <= 0.0,
-    off_period(11.0, 3, SIX) <= 0.0, false_3[EXACT] < 0.01,
-    beside=[off_period(11.0, 1, EVENTS), off_period(11.0, 3, NO_EVENTS)],
+    near_0_4(1)[EXACT] >= HALF, near_0_4(3)[NONE, SIX] > near_0_4(3)[EVENTS],
+    beside=[near_0_4(1)[EVENTS, NONE, SIX, NINE], near_0_4(3)[NINE], false_3[EXACT]],
     note="The exact law with tight tolerances, the others with the paper's, at which nanometres "
-         "decide for every law. False: of 400 starts none of the exact law ends on a period 3.")
+         "decide for every law. Falsely: more often than with events.")
 
 
 def ends_off(at: At, label: str) -> Number:
@@ -711,9 +738,9 @@ c69 = claim(69, fig11,
     *(off_period(21.75, 2, label) <= 0.0 for label in (EVENTS, SIX, NONE)),
     fig11.table("peak or trough off, gap widths", ends_off)[EVENTS, SIX, NONE] <= LINE)
 c70 = claim(70, fig11,
-    "'The only way to remove these numerical issues is to either refine the tolerances of the "
-    "numerical solver itself or to implement an event detection procedure', which 'can be "
-    "comparable'.",
+    "'The only way to remove these numerical issues at this point is to either refine the "
+    "tolerances of the numerical solver itself ... or to implement an event detection procedure', "
+    "which 'can be comparable'.",
     distance(FINER, TRUTH) < distance(NONE, TRUTH), distance(EVENTS, TRUTH) < distance(NONE, TRUTH),
     alike(distance(EVENTS, TRUTH), distance(FINER, TRUTH), COMPARABLE), note=AFTER_4,
     beside=[distance(f"{EXACT}@finer", TRUTH), distance(ITSELF, TRUTH)])
@@ -742,12 +769,13 @@ c73 = claim(73, "Sect. 5",
 c74 = claim(74, "Sect. 5",
     "'If ode45 with event location could be modified to run without restarting, significant time "
     "savings could be obtained.'",
-    restart_work >= 1.25, SCIPY >= 1.25, beside=[restart_time],
+    LOOP >= 1.25, EVENT_CAPABILITY >= 1.25, beside=[restart_work],
     note=RESTARTS + "Significant: a fifth is saved.")
 
 # --- What the first list left out -----------------------------------------------------------------
 
-fall = {strong: rmse[weak] / rmse[strong] for weak, strong in zip(WEAK, STRONG, strict=True)}
+fall = {strong: replace(rmse[weak] / rmse[strong], what=f"fall of {named(strong)}'s RMSE")
+        for weak, strong in zip(WEAK, STRONG, strict=True)}
 c75 = claim(75, "Fig. 5", "'They also converge significantly faster' (the tangent laws).",
     *(fall[tangent] / fall[fit] >= 2.0 for tangent in STRONG_TANGENTS for fit in STRONG[:2]),
     note="From the weak to the strong grade the error falls by twice the factor.")
@@ -768,16 +796,15 @@ c76 = claim(76, fig2c,
     "transition at the freeplay boundaries.'",
     fig2c.table("RMS error near the walls over that elsewhere", near_walls)[POLY, POLY_21] > 1.0)
 c77 = claim(77, "Sect. 4.2",
-    "'Increasing the degrees does little to improve the representation accuracy and eventually "
-    "leads to \"badly conditioned\" errors which can make the rational polynomial representation "
-    "unusable.'",
+    "'As the contact stiffness increases, however, increasing the degrees does little to improve "
+    "the representation accuracy and eventually leads to \"badly conditioned\" errors which can "
+    "make the rational polynomial representation unusable.'",
     rational("5/5") / rational("5/3") > HALF,
-    of_dataset("cftool", "5/5: random fits with a pole, worst unit of x", "pole_share",
-               lambda shares: float(shares.max()), ".0%", gap=SYMMETRIC, ratio="5/5") >= 0.25,
-    note=CFTOOL)
+    random_fit("random fits with a pole", "pole_share", "5/5") >= 0.25,
+    note=CFTOOL + "Relative errors of a fit are the same at every stiffness.")
 c78 = claim(78, "Sect. 3",
-    "'The convergence parameter should not be too large because then the smoothness of the "
-    "representation will be lost.'",
+    "'In some situations the convergence parameter should not be too large because then the "
+    "smoothness of the representation will be lost.'",
     cost("right-hand sides at 1e6 over those at 1e4, soft contact, 0/0.8 mm", "nfev",
          {law: (f"{law}-1e6", f"{law}-1e4", SOFT_ASYMMETRIC) for law in TANGENTS}) > ALIKE)
 c79 = claim(79, fig8b, "'... that all the other models are generally able to capture' (claim 37).",
@@ -788,8 +815,8 @@ c81 = claim(81, fig9,
     "'The accuracy of all representations is still limited when strong contact behavior is "
     "present.'",
     fig9.right()[ITSELF] - fig9.right()[STRONG] > TWENTIETH,
-    note="Limited: a twentieth below the exact law from 1 nm away, which is the best possible.",
-    beside=[fig9.right()[ITSELF, TANH_6, ARCTAN_6]])
+    note="Limited: a twentieth below the exact law from 1 nm away.",
+    beside=[fig9.right()[f"{EXACT}@half", ITSELF, TANH_6, ARCTAN_6]])
 
 
 def lines(label: str, omega: float, *multiples: float) -> Quantity:
@@ -808,7 +835,9 @@ def lines(label: str, omega: float, *multiples: float) -> Quantity:
         largest = float(np.nanmax(spectrum[bins > 0.1 * omega]))
         return Number(heights[-min(3, len(heights))] / largest)
 
-    at = f"{multiples[0]:.2g}" if len(multiples) == 1 else "the third superharmonic"
+    at = "the third superharmonic"
+    if len(multiples) == 1:
+        at = f"1/{1.0 / multiples[0]:.0f} of the forcing frequency"
     return fig11.table(f"spectral line at {at}, {omega:g} Hz", number)[label]
 
 
@@ -816,7 +845,8 @@ c82 = claim(82, fig11,
     "'A period-1 response with superharmonics should have been captured, but a period-3 response "
     "with both subharmonics and superharmonics'; at 21.75 Hz 'a period-2 response with one "
     "subharmonic and many superharmonics'.",
-    lines(NONE, 11.0, 1 / 3) >= 0.01, lines(EVENTS, 11.0, 1 / 3) < 0.01,
+    lines(NONE, 11.0, 1 / 3) >= 0.01, lines(SIX, 11.0, 1 / 3) >= 0.01,
+    lines(EVENTS, 11.0, 1 / 3) < 0.01,
     lines(EVENTS, 11.0, 1 / 2) < 0.01, lines(EVENTS, 21.75, 1 / 2) >= 0.01,
     lines(EVENTS, 21.75, 2, 3, 4, 5, 6) >= 0.01,
     note="A line is 1 % of the largest, many are three. In the paper's tolerances, at which "

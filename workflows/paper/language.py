@@ -94,7 +94,10 @@ class Quantity:
             name = ours[0] if ours[0] == theirs[0] else f"{ours[0]} {word} {theirs[0]}"
             return name, lambda at: number(ours[1](at), theirs[1](at))
 
-        what = self.what if self.what == other.what else f"{self.what} {word} {other.what}"
+        what = f"{self.what} {word} {other.what}"
+        if self.what == other.what:  # a ratio has no unit
+            noun = {"minus": f"difference of {self.what}"}
+            what = noun.get(word, f"ratio of {self.what.partition(' [')[0]}")
         return Quantity(what, tuple(part(*two) for two in pairs(self, other)), self.form)
 
     def scaled(self, number: float) -> float:
@@ -138,10 +141,11 @@ class Comparison:
         left, limit = self.left, self.left.scaled(self.right)
         log = "log10 of " * left.log
         tests = [
-            Test(f"{log}{left.what}: {name}", read(at), self.op, limit) for name, read in left.parts
+            Test(f"{log}{left.what}{_of(name)}", read(at), self.op, limit)
+            for name, read in left.parts
         ]
         found = (
-            f"{name} {left.shown(test.number.value)} {_MARKS[test.holds]}"
+            f"{name} {left.shown(test.number.value)} {_MARKS[test.holds]}".strip()
             for (name, _), test in zip(left.parts, tests, strict=True)
         )
         return tests, f"{left.what} {self.op} {left.shown(limit)}: {', '.join(found)}"
@@ -160,12 +164,16 @@ class Comparison:
             if tests[-1].holds is not True:
                 failed.append(f"{ours[0]} {self.op} {theirs[0]} {_MARKS[tests[-1].holds]}")
         values = (
-            ", ".join(f"{part[0]} {side.shown(read[part].value)}" for part in side.parts)
+            ", ".join(f"{part[0]} {side.shown(read[part].value)}".strip() for part in side.parts)
             for side in (left, right)
         )
         between = self.op if same else f"{self.op} {right.what}:"
         but = "✓" if not failed else f"({', '.join(failed)})"
         return tests, f"{left.what}: {f' {between} '.join(values)} {but}"
+
+
+def _of(name: str) -> str:
+    return f": {name}" if name else ""
 
 
 def claim(
@@ -198,7 +206,7 @@ def claim(
         tests, found = _decided(comparisons, at)
         others = list(_with_other_settings(comparisons, at, tests))
         shown = [
-            f"{q.what}: {', '.join(f'{n} {q.shown(r(at).value)}' for n, r in q.parts)}"
+            f"{q.what}: {', '.join(f'{n} {q.shown(r(at).value)}'.strip() for n, r in q.parts)}"
             for q in beside
         ]
         own, open_to = verdict(test.holds for test in tests), unstated

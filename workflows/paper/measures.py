@@ -39,6 +39,8 @@ TWENTIETH = 0.05  # "does not occur": in fewer
 MUCH = 1.5  # "much larger": by half
 SAME_SIZE = 1.25  # "correct-size": within a quarter
 ALIKE = 1.1  # "nearly the same": within a tenth
+ABOUT = 1.25  # "about 1.5": within a quarter
+SLIGHTLY = 0.5  # Hz; "slightly": by less than a region
 REGION = 5  # "a region": so many steps of the grid, half a hertz
 COMPARABLE = 10.0**0.5  # "can be comparable": within half a decade
 AS_DRAWN = 0.02  # "minimal", "agree well" in a diagram: this share of the gap is what a plot shows
@@ -107,8 +109,8 @@ def of_dataset(
             found = at.run.select(dataset, **{**where, **chosen, **settings})[name]
             return Number(float(reduced(found)))
 
-        says = ", ".join(f"{x:g}" if isinstance(x, float) else str(x) for x in labels)
-        return says or "it", read
+        words = (str(x) if isinstance(x, str) else f"{dim} {x:g}" for dim, x in chosen.items())
+        return ", ".join(words), read
 
     return Quantity(what, tuple(part(labels) for labels in product(*several.values())), form)
 
@@ -497,7 +499,7 @@ def _repeats(motion: NDArray[np.float64], near: float) -> int:
 
 
 def cost(what: str, name: str, of: dict[str, tuple[str, str, Scene]]) -> Quantity:
-    """Cost of a forcing period of one law over that of another, by name; both from rest.
+    """Cost of a forcing period of one law over that of another, by name; all initial conditions.
 
     Its uncertainty is the jackknife over frequencies.
     """
@@ -511,6 +513,6 @@ def cost(what: str, name: str, of: dict[str, tuple[str, str, Scene]]) -> Quantit
 
 
 def per_period(run: Run, label: str, scene: Scene, name: str) -> NDArray[np.float64]:
-    """A cost of every response from rest, per forcing period."""
-    points = run.points(label, *scene, name, "t_simulated")
+    """A cost of every response, per forcing period."""
+    points = run.points(label, *scene, name, "t_simulated", start="any")
     return np.asarray(points[name] / (points["t_simulated"] * points["omega"]))

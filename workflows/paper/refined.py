@@ -15,8 +15,9 @@ from gapsweep.integrate.simulate import simulate
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law, law_of
 from gapsweep.model.oscillator import Gap
-from gapsweep.response.respond import respond
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response
+from gapsweep.response.scene import Scene
 from gapsweep.study.study import Study
 
 from .scenes import (
@@ -43,7 +44,10 @@ BASINS = {
     SOFT_SYMMETRIC: ((17.0, 19.0, 21.0), (EXACT, *WEAK)),
     HARD_ASYMMETRIC: ((11.0, 21.75), (EXACT, NO_EVENTS, "tanh-1e6", "tanh-1e9")),
 }
-WINDOWS = (EXACT, f"{EXACT}@half", f"{EXACT}@jitter", "tanh-1e6", "arctan-1e6")
+WINDOWS = (
+    EXACT, f"{EXACT}@half", f"{EXACT}@jitter", "tanh-1e6", "arctan-1e6", "logarctan-1e6",
+)  # fmt: skip
+CLOUD = (EXACT, *(f"{law}@paper" for law in (EXACT, NO_EVENTS, "tanh-1e6", "tanh-1e9")))
 TRUTH = "truth"  # the exact law with the tightest tolerances
 MOTIONS = (
     TRUTH, f"{EXACT}@jitter", f"{EXACT}@paper", f"{EXACT}@finer", f"{NO_EVENTS}@paper",
@@ -101,7 +105,7 @@ def windows(study: Study) -> xr.Dataset:
         ``period_multiple`` (0: not periodic) and ``response_class`` over ``representation``,
         ``start`` and ``omega``.
     """
-    omega, dims = np.arange(10.0, 20.01, 0.02).round(2), ("representation", "start", "omega")
+    omega, dims = np.arange(10.0, 30.01, 0.02).round(2), ("representation", "start", "omega")
     found = [_responses(study, r, HARD_SYMMETRIC, omega, _X_0, _V_0) for r in WINDOWS]
     values = {
         name: (dims, np.array([getattr(one, name) for one in found], "i4"))
@@ -132,6 +136,21 @@ def basins(study: Study) -> xr.Dataset:
     columns = zip(*cases, strict=True)
     coords = {n: ("case", list(column)) for n, column in zip(names, columns, strict=True)}
     return _dataset({"period_multiple": (("case", "start"), periods)}, **coords)
+
+
+def cloud(study: Study) -> xr.Dataset:
+    """Periods at 11 Hz from 101 initial conditions within 5 nm, hard asymmetric contact (Fig. 11).
+
+    Returns
+    -------
+    Dataset
+        ``period_multiple`` (0: not periodic) over ``representation``, ``start`` and ``x_0``.
+    """
+    dims, near = ("representation", "start", "x_0"), np.linspace(-5e-9, 5e-9, 101)
+    found = [_responses(study, r, HARD_ASYMMETRIC, 11.0, _X_0 + near, _V_0) for r in CLOUD]
+    periods = np.array([one.period_multiple for one in found], "i4")
+    values = {"period_multiple": (dims, periods)}
+    return _dataset(values, representation=list(CLOUD), start=list(STARTS))
 
 
 def starts(study: Study) -> xr.Dataset:
@@ -203,18 +222,14 @@ def _responses(
     study: Study, label: str, case: Case, omega: ArrayLike, x_0: ArrayLike, v_0: ArrayLike
 ) -> Response:
     """Steady responses of a law, with the solver that the study has for it."""
-    solver = study.solver(label)
-    return respond(
-        study.oscillator,
-        _law(label, case),
-        omega,
-        np.add(x_0, study.start_jitter(label)),
-        v_0,
-        engine=solver.engine,
-        rtol=solver.rtol,
-        atol=solver.atol,
-        steady=study.steady,
-    )
+    law, solver = _law(label, case), study.solver(label)
+    omega, x_0, v_0 = np.broadcast_arrays(omega, np.add(x_0, study.start_jitter(label)), v_0)
+    scenes = [
+        Scene(oscillator=study.oscillator, law=law, omega=one, solver=solver)
+        for one in omega.ravel().tolist()
+    ]
+    found = respond_all(scenes, np.stack([x_0.ravel(), v_0.ravel()], axis=1), study.steady)
+    return found.shaped(omega.shape)
 
 
 def _peak(study: Study, label: str, start: str) -> float:
