@@ -56,7 +56,7 @@ The price of a law is stated in three ways, which must not be mixed:
 
 - (a) one Runge-Kutta pair (Dormand and Prince's), contacts of the exact law located and restarted:
   Table 2 of the paper's report, from both of the paper's initial conditions; without restarts:
-  [one method](../benchmarks/README.md#one-method-and-what-restarts-cost);
+  [one method](benchmarks.md);
 - (b) this engine's default for each law, a Taylor series for the exact law against an explicit
   Runge-Kutta method of order 8: the prices below;
 - (c) scipy's `solve_ivp`, the exact law with terminal events and restarts: the same page.

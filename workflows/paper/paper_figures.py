@@ -67,9 +67,8 @@ def diagram(
         if marks:
             edge = {"transform": axes.get_xaxis_transform(), "clip_on": False, "label": "_differ"}
             axes.vlines(omega[marks[title]], 1.0, 1.04, colors=NOT_PERIODIC, **edge)
-        axes.set_title(title, fontsize=8, loc="left", pad=7 if marks else 3)
-        note = without_response(one)
-        axes.set_title(note, fontsize=7, loc="right", color="#555555", pad=7 if marks else 3)
+        words = filter(None, [title, without_response(one)])
+        axes.set_title("\n".join(words), fontsize=8, loc="left", pad=7 if marks else 3)
     pad = 0.01 * float(np.ptp(omega)) or 0.5
     grid[0].set(xlim=(max(0.0, omega.min() - pad), omega.max() + pad), ylim=(low, high))
     figure.supxlabel("forcing frequency [Hz]", fontsize=9)
