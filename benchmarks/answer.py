@@ -51,14 +51,14 @@ or of half of the gap where that is larger. Blank: not swept there, or failed th
 - `piecewise-noevents` is the exact force, contacts not located: no stand-in; it shows what locating
   them saves. Nor is `auto` one, which takes the exact law where it must.
 """
-PRICES = """\
-The price of a law is stated in three ways, which must not be mixed:
+COSTS = """\
+The cost of a law is stated in three ways, which must not be mixed:
 
 - (a) one Runge-Kutta pair (Dormand and Prince's), contacts of the exact law located and restarted:
   Table 2 of the paper's report, from both of the paper's initial conditions; without restarts:
   [one method](benchmarks.md);
 - (b) this engine's default for each law, a Taylor series for the exact law against an explicit
-  Runge-Kutta method of order 8: the prices below;
+  Runge-Kutta method of order 8: the costs below;
 - (c) scipy's `solve_ivp`, the exact law with terminal events and restarts: the same page.
 
 """
@@ -66,7 +66,7 @@ BEHIND = """\
 Every number is the cost (b): processor time per forcing period over that of the exact law, on the
 same fixed starts; above 1 × a law costs *more* than the exact one, ≈ 1 × cannot be told from it,
 and where the 95 % interval reaches far to both sides of 1 × it stands in place of the number. It
-covers the choice of frequencies and how far prices of exact against exact are from 1, in all
+covers the choice of frequencies and how far costs of exact against exact are from 1, in all
 contacts together. Nothing is judged (–) where the exact law has no steady response, or touches no
 wall.
 
@@ -148,7 +148,7 @@ def main(folder: Path) -> None:
         f"{about['machine']}."
     )
     page = f"# Which law, where, at what price\n\n{headline}\n{HOW}\n{made}\n\n"
-    page += f"## By contact\n\n{PRICES}{' '.join(in_words(found))}\n\n{table(HEAD, lines(found))}\n"
+    page += f"## By contact\n\n{COSTS}{' '.join(in_words(found))}\n\n{table(HEAD, lines(found))}\n"
     page += f"{BEHIND}\n"
     page += "\n".join(map(numbers, every))
     (ROOT / "docs" / "answer.md").write_text(page.rstrip("\n") + "\n")

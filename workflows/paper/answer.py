@@ -1,4 +1,4 @@
-"""The answer in five lines, made from a run: which law, where, why, and at what price."""
+"""The answer in five lines, made from a run: which law, where, why, and at what cost."""
 
 from collections.abc import Iterable
 
@@ -36,7 +36,7 @@ SCIPY_TIME = (0.34, 0.74)
 
 
 def answer(run: Run) -> list[str]:
-    """Five lines; the first holds for every way in which a law's price is stated.
+    """Five lines; the first holds for every way in which a law's cost is stated.
 
     Raises
     ------
@@ -60,8 +60,8 @@ def answer(run: Run) -> list[str]:
     times = (f"{SOFT / SPRING:.1f}", f"{HARD / SPRING:.0f}")
     small, large = (0.5 * width(case) for case in (SOFT_SYMMETRIC, SOFT_LARGE))
     return [
-        f"Locate contacts and take the exact law: at the paper's tolerance it is "
-        f"{_range(_nearer(run), '.0f')} times nearer to the truth after four forcing periods than "
+        f"Locate contacts and take the exact law: at the paper's tolerance its error is "
+        f"{_range(_nearer(run), '.0f')} times smaller after four forcing periods than "
         f"without location (hard contact, 0/0.8 mm). What a tangent law saves depends on the "
         f"solver: it takes {_range(_work(run), '.2f')} of the exact law's right-hand sides with "
         f"one Runge-Kutta pair, {_range(_times(run), '.2g')} times its time with this engine's "
@@ -83,7 +83,7 @@ def answer(run: Run) -> list[str]:
         f"({found(WEAK[:2], VERY_SOFT_SYMMETRIC)}); at the hard one they find "
         f"{found((*WEAK[:2], *STRONG[:2]), HARD_SYMMETRIC)}.",
         f"At hard contact and 0/0.8 mm no law is to blame: the exact law, started 1 nm away, finds "
-        f"{found(itself, HARD_ASYMMETRIC)} of its own attractors, tanh with ε = 1e9 /m "
+        f"{found(itself, HARD_ASYMMETRIC)} of the attractors, tanh with ε = 1e9 /m "
         f"{found(['tanh-1e9'], HARD_ASYMMETRIC)}, with 1e6 {found(['tanh-1e6'], HARD_ASYMMETRIC)}.",
     ]
 

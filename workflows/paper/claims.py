@@ -185,7 +185,7 @@ c11 = claim(11, fig8b,
     "'Regression is performed over the displacement range x in [-4, 4] mm as this encompassed the "
     "largest displacements present for the parameters in Table 1.'",
     fig8b.of_points(*top)[EXACT] <= 4e-3,
-    beside=[Figure("Upward sweep", SOFT, SYMMETRIC, "sweep_up").of_points(*top)[EXACT]])
+    context=[Figure("Upward sweep", SOFT, SYMMETRIC, "sweep_up").of_points(*top)[EXACT]])
 
 
 def random_fit(what: str, name: str, *ratios: str, gap: str = SYMMETRIC, form: str = ".0%",
@@ -207,7 +207,7 @@ c12 = claim(12, "Fig. 3a",
     "within most of the freeplay gap, unlike the 5/3 curve.'",
     unstated="Not in the text: the coefficients of the paper's fits, on which it turns; the best "
              "of 20 random fits of 3/2 is odd in every unit of x tried",
-    beside=[at_zero("3/2"), at_zero("5/3")], note=CFTOOL)
+    context=[at_zero("3/2"), at_zero("5/3")], note=CFTOOL)
 leaking = ("largest force in the gap per unit stiffness [m]", "ratpoly_in_gap_force")
 c13 = claim(13, "Fig. 3a", "'The 5/3 curve also fits more closely within the freeplay gap.'",
     ladder(*leaking, ratio=("5/3",)) < ladder(*leaking, ratio=("3/2",)))
@@ -276,7 +276,7 @@ c24 = claim(24, fig6a,
     "'For ω > 22 Hz the peak amplitude is predicted to be negative' (RatPoly 5/3).",
     unstated="Not in the text: the coefficients of the paper's fit, on which it turns; the "
              "least-squares optimum of a symmetric gap is odd",
-    beside=[fig6a.share("peak below 0", (22.0, 30.0))[RATPOLY], at_zero("5/3", LARGE)])
+    context=[fig6a.share("peak below 0", (22.0, 30.0))[RATPOLY], at_zero("5/3", LARGE)])
 
 
 def ringing(figure: Figure, least: float) -> Comparison:
@@ -290,7 +290,7 @@ def ringing(figure: Figure, least: float) -> Comparison:
 c25 = claim(25, fig8b,
     "'All the representations are able to capture the region of superharmonic resonance to "
     "varying degrees' (Fig. 6b).",
-    ringing(fig8b, TENTH), beside=[fig8b.error((0.1, 5.0), HALF)[WEAK]])
+    ringing(fig8b, TENTH), context=[fig8b.error((0.1, 5.0), HALF)[WEAK]])
 
 
 def periods(at: At, label: str, scene: tuple[float, str], omega: Sequence[float]) -> Any:
@@ -332,7 +332,7 @@ c28 = claim(28, fig8b,
     "'The RatPoly 5/3, Tanh, and Arctan also have the best agreement to the primary resonance "
     "peak and to the jump to lower amplitude' (Fig. 6b).",
     fig8b.shift(peak)[RATPOLY, TANH, ARCTAN] < fig8b.shift(peak)[POLY, LOGARCTAN],
-    jump_error[RATPOLY, TANH, ARCTAN] < jump_error[POLY, LOGARCTAN], beside=[peak[EXACT, *WEAK]])
+    jump_error[RATPOLY, TANH, ARCTAN] < jump_error[POLY, LOGARCTAN], context=[peak[EXACT, *WEAK]])
 c29 = claim(29, fig6c,
     "'The Poly-13 model shows excellent agreement up until the jump phenomenon, and afterwards "
     "captures none' (12 Hz).",
@@ -419,7 +419,7 @@ c37 = claim(37, fig8b,
 chaos = fig8b.count("chaos", (4.0, 5.0))
 c38 = claim(38, fig8b,
     "'The Arctan and Log-Arctan models also fail to capture the narrow chaotic band near 4-5 Hz.'",
-    chaos[EXACT] >= 1.0, chaos[ARCTAN, LOGARCTAN] < 1.0, beside=[chaos[POLY, RATPOLY, TANH]])
+    chaos[EXACT] >= 1.0, chaos[ARCTAN, LOGARCTAN] < 1.0, context=[chaos[POLY, RATPOLY, TANH]])
 rarer = fig8b.table("frequencies with period not 1 near 6 and near 7 Hz, the fewer",
     lambda at, label: min((fig8b.count("period not 1", band).number(at, label)
                            for band in ((5.5, 6.4), (6.5, 7.4))), key=lambda n: n.value), ".0f")
@@ -451,12 +451,12 @@ c42 = claim(42, fig8b,
     alike(band_width[TANH, ARCTAN], band_width[EXACT], SAME_SIZE),
     middle[TANH] < middle[EXACT], middle[EXACT] - middle[TANH] < SLIGHTLY,
     middle[ARCTAN] > middle[EXACT], middle[ARCTAN] - middle[EXACT] < SLIGHTLY,
-    beside=[low_end[EXACT, RATPOLY, TANH, ARCTAN], high_end[EXACT, RATPOLY, TANH, ARCTAN]])
+    context=[low_end[EXACT, RATPOLY, TANH, ARCTAN], high_end[EXACT, RATPOLY, TANH, ARCTAN]])
 on_3_once = fig8b.count("period 3", (12.0, 30.0))
 c43 = claim(43, fig8b,
     "'The Poly-13 and Log-Arctan do not capture any subharmonic resonance behavior.'",
     on_3_once[EXACT] >= REGION, on_3_once[POLY, LOGARCTAN] < 1.0,
-    beside=[fig6b.share_of_frequencies("period 3", (12.0, 30.0))[POLY, LOGARCTAN]])
+    context=[fig6b.share_of_frequencies("period 3", (12.0, 30.0))[POLY, LOGARCTAN]])
 c44 = claim(44, fig8c,
     "'All the representations seem to have failed altogether for their convergence quality.'",
     fig8c.right()[WEAK] < HALF)
@@ -495,7 +495,7 @@ c47 = claim(47, fig8c,
     "'Tanh predicts a very low-amplitude periodic response with a high mean value, almost as if "
     "the system becomes trapped in a potential well away from the origin.'",
     fig8c.static(*wells)[TANH] >= 2.0, fig8c.of_points(*small)[TANH] > HALF,
-    beside=[fig8c.of_points("positive mean", ends, beyond(1.0, 1.0), ".0%")[TANH]])
+    context=[fig8c.of_points("positive mean", ends, beyond(1.0, 1.0), ".0%")[TANH]])
 c48 = claim(48, fig8c, "'Arctan also captures none of the correct system physics.'",
     fig8c.right()[ARCTAN] <= TENTH)
 
@@ -525,11 +525,11 @@ c49 = claim(49, fig9,
     "nonlinear behavior between 10-12 Hz' (tanh and arctan).",
     fig9.same_class((0.5, 4.5))[TANH_6, ARCTAN_6] >= THREE_QUARTERS,
     fig9.same_class((4.6, 9.9))[TANH_6, ARCTAN_6] >= HALF,
-    near_11[TANH_6, ARCTAN_6] >= THREE_QUARTERS, beside=[near_11[ITSELF]])
+    near_11[TANH_6, ARCTAN_6] >= THREE_QUARTERS, context=[near_11[ITSELF]])
 c50 = claim(50, fig9,
     "'Arctan captures more of the very narrow higher-period regions between 12-20 Hz than Tanh "
     "does.'",
-    narrow[ARCTAN_6] > narrow[TANH_6], beside=[narrow[ITSELF]])
+    narrow[ARCTAN_6] > narrow[TANH_6], context=[narrow[ITSELF]])
 
 
 def widest_region(at: At, label: str) -> Number:
@@ -579,7 +579,7 @@ work = over_exact("right-hand sides over the exact law's", "nfev")
 c53 = claim(53, "Table 2",
     "'In both cases, the exact piecewise representation took either the first or second longest.'",
     table_2("laws that take longer than the exact one", slower_than(0)) <= 1.0,
-    note=SECONDS, beside=[work])
+    note=SECONDS, context=[work])
 slower_than_rational = ("laws that take longer than RatPoly", slower_than(2))
 c54 = claim(54, "Table 2",
     "'The rational polynomial model took the longest to run for case 2 and the second longest for "
@@ -618,7 +618,7 @@ RESTARTS = ("The restart alone, and with all that terminal events cost: one Rung
 c58 = claim(58, "Table 2",
     "'Because it uses the event detection capability, which requires the simulation to stop and "
     "restart at every instance of contact.'",
-    LOOP >= ALIKE, EVENT_CAPABILITY >= ALIKE, beside=[restart_work], note=RESTARTS)
+    LOOP >= ALIKE, EVENT_CAPABILITY >= ALIKE, context=[restart_work], note=RESTARTS)
 
 # --- Section 4.2: limits --------------------------------------------------------------------------
 
@@ -719,7 +719,7 @@ c68 = claim(68, fig11,
     "'A period-1 response with superharmonics should have been captured, but a period-3 response "
     "with both subharmonics and superharmonics is falsely detected instead' (11 Hz).",
     near_0_4(1)[EXACT] >= HALF, near_0_4(3)[NONE, SIX] > near_0_4(3)[EVENTS],
-    beside=[near_0_4(1)[EVENTS, NONE, SIX, NINE], near_0_4(3)[NINE], false_3[EXACT]],
+    context=[near_0_4(1)[EVENTS, NONE, SIX, NINE], near_0_4(3)[NINE], false_3[EXACT]],
     note="The exact law with tight tolerances, the others with the paper's, at which nanometres "
          "decide for every law. Falsely: more often than with events.")
 
@@ -743,7 +743,7 @@ c70 = claim(70, fig11,
     "which 'can be comparable'.",
     distance(FINER, TRUTH) < distance(NONE, TRUTH), distance(EVENTS, TRUTH) < distance(NONE, TRUTH),
     alike(distance(EVENTS, TRUTH), distance(FINER, TRUTH), COMPARABLE), note=AFTER_4,
-    beside=[distance(f"{EXACT}@finer", TRUTH), distance(ITSELF, TRUTH)])
+    context=[distance(f"{EXACT}@finer", TRUTH), distance(ITSELF, TRUTH)])
 c71 = claim(71, fig11,
     "'The limit of applicability of the hyperbolic tangent model approaches that of the exact "
     "piecewise model without any event detection procedure.'",
@@ -769,7 +769,7 @@ c73 = claim(73, "Sect. 5",
 c74 = claim(74, "Sect. 5",
     "'If ode45 with event location could be modified to run without restarting, significant time "
     "savings could be obtained.'",
-    LOOP >= 1.25, EVENT_CAPABILITY >= 1.25, beside=[restart_work],
+    LOOP >= 1.25, EVENT_CAPABILITY >= 1.25, context=[restart_work],
     note=RESTARTS + "Significant: a fifth is saved.")
 
 # --- What the first list left out -----------------------------------------------------------------
@@ -816,7 +816,7 @@ c81 = claim(81, fig9,
     "present.'",
     fig9.right()[ITSELF] - fig9.right()[STRONG] > TWENTIETH,
     note="Limited: a twentieth below the exact law from 1 nm away.",
-    beside=[fig9.right()[f"{EXACT}@half", ITSELF, TANH_6, ARCTAN_6]])
+    context=[fig9.right()[f"{EXACT}@half", ITSELF, TANH_6, ARCTAN_6]])
 
 
 def lines(label: str, omega: float, *multiples: float) -> Quantity:

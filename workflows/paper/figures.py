@@ -91,7 +91,7 @@ _AS_DRAWN = 0.02  # of the gap's width: the smallest difference that a plot show
 def sections(run: Run) -> Iterator[Part]:
     """The answer, the paper's bands, its figures and its Table 2, as far as the run has them."""
     with suppress(NotInRunError):
-        yield Part("answer", "Which law, where, at what price", answer(run))
+        yield Part("answer", "Which law, where, at what cost", answer(run))
     rows, drawn = band_rows(run), figures(run)
     if first := next(drawn, None):
         tables = [Table("Frequencies in the paper and here", _BANDS_HEAD, rows)] if rows else []

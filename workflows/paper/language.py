@@ -182,7 +182,7 @@ def claim(
     quote: str,
     *comparisons: Comparison,
     note: str = "",
-    beside: Iterable[Quantity] = (),
+    context: Iterable[Quantity] = (),
     unstated: str = "",
 ) -> Claim:
     """A claim of the paper: its words, and what must hold for them.
@@ -193,7 +193,7 @@ def claim(
         Figure, table or section.
     note : str
         Why these comparisons decide the words.
-    beside : iterable of Quantity
+    context : iterable of Quantity
         Numbers that are shown and decide nothing.
     unstated : str
         What the text leaves open; the claim is then undecidable.
@@ -207,7 +207,7 @@ def claim(
         others = list(_with_other_settings(comparisons, at, tests))
         shown = [
             f"{q.what}: {', '.join(f'{n} {q.shown(r(at).value)}'.strip() for n, r in q.parts)}"
-            for q in beside
+            for q in context
         ]
         own, open_to = verdict(test.holds for test in tests), unstated
         if any(name == DECISIVE and text != own for name, _, text in others):
