@@ -10,7 +10,6 @@ from scipy.integrate import trapezoid
 
 import gapsweep as gs
 from gapsweep.integrate.taylor import exact
-from gapsweep.response.tori import rotation_number
 
 GAP = gs.Gap(4e-4, 6e-4)
 # Damped so that each scene has one attractor: which one a start ends on is another question.
@@ -321,8 +320,6 @@ def test_a_torus_beside_a_part_that_repeats_is_found():
     law = gs.Piecewise(3.0, gs.Gap(1.0, 1.0))
     found = gs.respond(system, law, w / (2 * math.pi), q_0=[0.3, 0])
     assert found.response_class == gs.ResponseClass.QUASIPERIODIC
-    # One turn in 2 pi, seen every 2 pi / w.
-    assert found.rotation_number == pytest.approx(1.0 / w - 1.0, abs=1e-8)
 
 
 def test_a_torus_is_not_given_the_slow_orbit_that_it_passes():
@@ -372,7 +369,6 @@ def test_a_torus_that_is_settled_on_slowly_is_read_off_its_end(growth, q):
     found = gs.respond(system, law, w / (2 * math.pi * beside), q_0=[0.0, q, 0.0])
     assert found.response_class == gs.ResponseClass.QUASIPERIODIC
     assert np.array(found.x_max)[1:] == pytest.approx(amplitude, rel=1e-6)
-    assert found.rotation_number == pytest.approx(2.0 - beside, abs=1e-8)
 
 
 def test_a_torus_that_is_not_settled_on_in_time_is_unresolved():
@@ -390,17 +386,14 @@ def test_a_torus_that_nearly_closes_is_no_period_to_a_loose_solver(n, turns, off
     omega = w / (2 * math.pi * beside)
     found = gs.respond(system, law, omega, q_0=[0.0, 0.8, 0.0], rtol=1e-3)
     assert found.response_class == gs.ResponseClass.QUASIPERIODIC
-    assert found.rotation_number == pytest.approx(beside - 1.0, abs=1e-6)
 
 
 def test_a_torus_beside_a_smooth_solver_s_rattle_is_found():
     """The driven coordinate repeats to 1e-7, which is white: its own means are never even."""
-    system, _, w, amplitude = whirling(0.5)
+    system, _, _, amplitude = whirling(0.5)
     law = gs.Tanh(3.0, gs.Gap(0.3, 0.3), epsilon=20.0)
     found = gs.respond(system, law, [0.1786, 0.31242600007541543], q_0=[0.5, 1.0, 0.0], rtol=1e-7)
     assert (found.response_class == gs.ResponseClass.QUASIPERIODIC).all()
-    turns = w / (2 * math.pi * np.array([0.1786, 0.31242600007541543])) % 1.0
-    assert_allclose(found.rotation_number, np.minimum(turns, 1.0 - turns), atol=1e-6)
     assert_allclose(found.x_max[:, 1:], amplitude, rtol=1e-5)
 
 
@@ -463,8 +456,6 @@ def test_a_torus_whose_disturbances_grow_for_a_while_is_not_chaotic():
     found = gs.respond(system, law, omega, q_0=[1e-3, -1e-3])
     assert (found.response_class == gs.ResponseClass.QUASIPERIODIC).all()
     assert (np.abs(found.lyapunov) < 5e-4 * omega).all()
-    turns = np.diff(found.rotation_number)
-    assert (turns < 0.0).all() or (turns > 0.0).all()
     for at in omega[4:6]:
         one = gs.respond(system, law, at, q_0=[1e-3, -1e-3])
         assert neighbours_part(system, law, at, one, 1000) < 1e3  # as time goes by
@@ -486,28 +477,6 @@ def test_an_exponent_is_measured_as_well_as_asked_for():
     precise = gs.respond(system, law, omega, **start, steady=steady)
     assert precise.lyapunov_error <= wanted
     assert abs(precise.lyapunov - found.lyapunov) < 4.0 * found.lyapunov_error
-
-
-@pytest.mark.parametrize("rotation", [0.0123, 0.2871, 0.4712])
-@pytest.mark.parametrize("sense", [-1.0, 1.0])
-def test_rotation_numbers_of_bent_curves(rotation, sense):
-    angle = 2.0 * np.pi * rotation * sense * np.arange(4096)
-    curve = np.exp(1j * (angle + 0.6 * np.sin(angle))) * (1.0 + 0.2 * np.cos(2.0 * angle))
-    section = np.stack([3.0 + curve.real, 0.4 * curve.imag, 0.1 * curve.real**2])
-    assert rotation_number(section, 32) == pytest.approx(rotation, abs=1e-8)
-    # A larger part that repeats beside it, or that the torus lies about.
-    for n in (2, 3, 7):
-        beside = 5.0 * np.cos(np.arange(4096) % n)
-        for both in ([*section, beside], [section[0] + beside, *section[1:]]):
-            # 2/7 is six lines of such a spectrum away: they overlap by less than a millionth.
-            assert rotation_number(np.stack(both), 32) == pytest.approx(rotation, abs=1e-6)
-
-
-@pytest.mark.parametrize("off", [0.0, 1e-9, 1e-7])
-def test_parts_that_turn_by_a_fraction_unfelt_have_that_rotation_number(off):
-    turns = 2 * math.pi * (0.3 + off) * np.arange(8192)
-    section = np.stack([np.cos(turns), np.sin(turns) + 0.2 * np.cos(2 * turns)])
-    assert rotation_number(section, 32) == pytest.approx(0.3 + off, abs=1e-9)
 
 
 def test_the_largest_force_of_a_stiffness_that_changes_is_not_said():

@@ -43,7 +43,6 @@ def test_every_field_of_an_oscillators_response_is_a_column_a_list_or_the_messag
         *LISTS,
         "message",
         "period",
-        "rotation_number",
         "z_end",
     }
 

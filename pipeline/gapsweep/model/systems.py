@@ -93,7 +93,6 @@ def _from_ratios(m: float, m_t: float) -> _Section:
 
 _COPIES = {
     "darabseh": _Section(m=1.558, m_t=3.3843, zeta=(0.0133, 0.01626, 0.0133)),
-    "conner": _Section(m=1.5666, m_t=3.39298),
     "conner-scaled": _from_ratios(m=1.5666, m_t=3.39298),
 }
 
@@ -120,20 +119,19 @@ def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225
     speed : float
         Of the air, U [m/s], ``> 0``; the studies go from 4 to 24.
     copy : str
-        Whose numbers: ``"darabseh"``, ``"conner"``, or ``"conner-scaled"``, which follows from the
-        ratios that are printed beside the inertias of ``"conner"``, and is not quite the same.
+        Source of the numbers: ``"darabseh"``, or ``"conner-scaled"``, which follows from the
+        dimensionless ratios that Conner et al. print.
     density : float
         Of the air [kg/m³], ``>= 0``.
 
     Notes
     -----
     Conner, Tang, Dowell and Virgin, *J. Fluids Struct.* 11 (1997) 89-109. Printed: linear flutter,
-    the flap on its spring, at 23.9 m/s; it is at 23.898, 23.880 and 23.846 m/s in the three copies.
+    the flap on its spring, at 23.9 m/s; it is at 23.898 and 23.846 m/s in the two copies.
     They disagree in masses (m 1.558 or 1.5666 kg/m, with what plunges along 3.3843 or 3.39298) and
     damping ratios (0.0133, 0.01626, 0.0133 or 0.0113, 0.01626, 0.0115), taken here of each
     coordinate alone. Motions are printed from h = 0.01 m: with ``"conner-scaled"`` an asymmetric
-    limit cycle at 12.36842 m/s, and a change to another at 12.7778 m/s. The springs of ``"conner"``
-    have the printed frequencies with the mass of the other copy.
+    limit cycle at 12.36842 m/s, and a change to another at 12.7778 m/s.
 
     Raises
     ------

@@ -194,9 +194,6 @@ def _stability(
     noise = walks.noise(np.where(found.is_periodic, shots.n, 1))[points]
     noise = np.where(found.is_at_rest[points], found.offset[points], noise)
     of_systems = {}
-    if not ensemble.is_plain:
-        circles = kinds == ResponseClass.QUASIPERIODIC
-        of_systems["rotation_number"] = np.where(circles, found.rotation[points], np.nan)
     if ensemble.is_free:
         of_systems["period"] = np.where(is_orbit, n / omega, np.nan)
     return of_systems | {

@@ -39,8 +39,6 @@ class Found:
         Largest Lyapunov exponent [1/s] and its standard error, where it was measured.
     offset : ndarray, shape (n,)
         Distances [m] of motions at rest from where they will be in the end.
-    rotation : ndarray, shape (n,)
-        Rotation numbers [-] of quasiperiodic motions.
     """
 
     def __init__(self, n: int) -> None:
@@ -49,7 +47,7 @@ class Found:
         self.is_astray, self.is_hidden = np.zeros(n, bool), np.zeros(n, bool)
         self.is_locked, self.is_growing = np.zeros(n, bool), np.zeros(n, bool)
         self.lyapunov, self.lyapunov_error = np.full(n, np.nan), np.full(n, np.nan)
-        self.offset, self.rotation = np.full(n, np.nan), np.full(n, np.nan)
+        self.offset = np.full(n, np.nan)
 
     def hide(self, points: NDArray[np.intp]) -> None:
         """Take back what was found of points where a contact moves too little."""

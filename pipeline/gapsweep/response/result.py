@@ -43,7 +43,7 @@ COLUMNS = {
 }
 LISTS = {"extrema": "f8", "extremum_kind": "i1", "multipliers": "f8", "section": "f8"}
 # What systems have besides.
-_OF_SYSTEMS = {"period": "f8", "rotation_number": "f8", "z_end": "f8"}
+_OF_SYSTEMS = {"period": "f8", "z_end": "f8"}
 # Of what systems have several values: of every coordinate, of every contact, of every lag.
 OF_COORDINATES = ("n_extrema", "x_max", "x_min", "amplitude", "x_end", "v_end")
 OF_CONTACTS = ("force_max", "contact_share")
@@ -218,9 +218,6 @@ class Response:
         is none) apart, from the solver's tolerances alone; of a rest, how far off it is.
     period : float
         Period [s] of a periodic response that nothing forces; NaN of others.
-    rotation_number : float
-        Turns about its torus from one section point to the next, 0 to 1/2, of a quasiperiodic
-        response; NaN of others.
     x_end, v_end : float
         Last section point [m], [m/s]: where a sweep's next point starts.
     z_end : tuple of float
@@ -263,7 +260,6 @@ class Response:
     t_simulated: float = math.nan
     noise: float = math.nan
     period: float = math.nan
-    rotation_number: float = math.nan
     x_end: float = math.nan
     v_end: float = math.nan
     z_end: tuple[float, ...] = ()
@@ -414,8 +410,7 @@ class Responses:
             values[name] = np.empty(len(self), dtype=object)
             values[name][:] = [np.array(items, plain) for items in self._split(name)]
         values["message"] = np.array([self.messages.get(k, "") for k in range(len(self))], object)
-        for name in ("period", "rotation_number"):
-            values.setdefault(name, np.full(len(self), math.nan))
+        values.setdefault("period", np.full(len(self), math.nan))
         values.setdefault("z_end", np.empty((len(self), 0)))
         return Response(
             **{name: value.reshape(*shape, *value.shape[1:]) for name, value in values.items()}

@@ -426,12 +426,10 @@ class Search:
     @_for_some
     def _circle(self, points: Numbers, windows: dict[int, float]) -> None:
         """Watch motions for so long that they run round a torus, if they are on one."""
-        limits = self._limits.longest[points], self._steady.max_period_multiple
-        watched = watch(self._walks, points, windows, *limits)
-        is_torus, found = np.isfinite(watched.rotation), self._found
-        found.rotation[points], found.is_quasiperiodic[points] = watched.rotation, is_torus
-        found.is_locked[points] = watched.is_locked
-        at = is_torus | watched.is_locked  # it takes longer to get there than damping says
+        watched = watch(self._walks, points, windows, self._limits.longest[points])
+        self._found.is_quasiperiodic[points] = watched.is_torus
+        self._found.is_locked[points] = watched.is_locked
+        at = watched.is_torus | watched.is_locked  # it takes longer to get there than damping says
         told, y, n_periods = points[at], watched.y[:, at], watched.n_periods[at]
         self._walks.arrive(told, y, self._walks.status[told], n_periods)
         self._record_last(told)

@@ -15,7 +15,6 @@ _STILL = 1e-8  # of the largest scatter: a component with less does not move
 _REPEATS, _ROUNDING = 4, 1e-3
 _STAYS = 1 << 10  # forcing periods; more than there are points of a window
 _FARTHER = 1.1  # than the farthest ever
-_LEAKS = 1e-5  # of the scatter: what taking out lines leaves
 _MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
 
 
@@ -36,8 +35,8 @@ class Watched(NamedTuple):
 
     Attributes
     ----------
-    rotation : ndarray, shape (m,)
-        Rotation numbers of those on tori; NaN of others.
+    is_torus : ndarray of bool, shape (m,)
+        Whether they run round a torus.
     is_locked : ndarray of bool, shape (m,)
         Whether they repeat themselves after however many periods.
     y : ndarray, shape (n_states, m)
@@ -46,15 +45,13 @@ class Watched(NamedTuple):
         Forcing periods for which they were watched.
     """
 
-    rotation: Array
+    is_torus: NDArray[np.bool_]
     is_locked: NDArray[np.bool_]
     y: Array
     n_periods: NDArray[np.int64]
 
 
-def watch(
-    walks: Walks, points: Numbers, windows: dict[int, float], longest: Array, largest: int
-) -> Watched:
+def watch(walks: Walks, points: Numbers, windows: dict[int, float], longest: Array) -> Watched:
     """Follow motions until they are seen to run round a torus.
 
     A torus shows in two windows in turn: chaos may look like one by chance, hardly twice.
@@ -69,11 +66,9 @@ def watch(
         Forcing periods of windows, which begin where the motions are, and how much means differ.
     longest : ndarray, shape (m,)
         Forcing periods for which each may be watched.
-    largest : int
-        Largest multiple of a forcing period that counts as one.
     """
     found = Watched(
-        np.full(len(points), np.nan),
+        np.zeros(len(points), bool),
         np.zeros(len(points), bool),
         walks.y[:, points],
         np.zeros(len(points), np.int64),
@@ -81,7 +76,7 @@ def watch(
     at_a_time = max(1, _MOST_POINTS // max(windows))
     for first in range(0, len(points), at_a_time):
         some = np.arange(first, min(first + at_a_time, len(points)))
-        _watch(found, some, walks, points, windows, longest, largest)
+        _watch(found, some, walks, points, windows, longest)
     return found
 
 
@@ -92,13 +87,12 @@ def _watch(
     points: Numbers,
     windows: dict[int, float],
     longest: Array,
-    largest: int,
 ) -> None:
     """Watch some of the points together."""
     seemed, same, noise = np.zeros(len(points), bool), walks.same[points], walks.noise()[points]
     sections = dict.fromkeys(left.tolist(), np.empty((len(found.y), 0)))
     for length, allowed in windows.items():
-        left = left[np.isnan(found.rotation[left]) & ~found.is_locked[left]]
+        left = left[~(found.is_torus[left] | found.is_locked[left])]
         left = left[length <= longest[left]]
         if not left.size:
             break
@@ -110,8 +104,7 @@ def _watch(
             sections[k] = section = np.concatenate([sections[k], new], axis=1)
             found.is_locked[k] = _has_repeated(section, float(same[k]))
             seems = is_quasiperiodic(section, allowed, float(noise[k])) and not found.is_locked[k]
-            if seems and seemed[k]:
-                found.rotation[k] = rotation_number(section, largest)
+            found.is_torus[k] = seems and seemed[k]
             seemed[k] = seems
 
 
@@ -125,9 +118,11 @@ def stay(
 
     Parameters
     ----------
-    walks, points, longest, largest
+    walks, points, longest
         As of `watch`.
     repeat : ndarray of bool, shape (m,)
+    largest : int
+        Largest multiple of a forcing period that counts as one.
     """
     if len(walks.y) == 2:
         return repeat
@@ -210,64 +205,7 @@ def is_quasiperiodic(section: Array, allowed: float, noise: float) -> bool:
     return bool(told.any() and is_same[told].all())
 
 
-def rotation_number(section: Array, largest: int) -> float:
-    """How many turns a motion makes about its torus from one section point to the next.
-
-    The strongest line in the spectrum of the section, in the plane in which it scatters most, its
-    ends faded out (Laskar, Physica D 67 (1993) 257, doi 10.1016/0167-2789(93)90210-R). Lines of
-    an orbit that the torus lies about, or of a part that repeats beside it, are taken out first.
-    A section cannot tell a turn more, nor in which sense, so that it is within 0..1/2.
-
-    Parameters
-    ----------
-    section : ndarray, shape (n_states, n_periods)
-        Section points [m] on closed curves, some hundreds or more.
-    largest : int
-        Largest number of points after which a part may repeat.
-    """
-    left = section - section.mean(axis=1, keepdims=True)
-    n = section.shape[1]
-    multiples, whole, lines = np.arange(1, largest + 1), left.std(), []
-    for _ in range(largest):
-        lines.append(_strongest_line(left))
-        # What turns about a torus is nowhere so near to such a fraction that it is not locked.
-        near = lines[-1] * multiples
-        if (np.abs(near - np.rint(near)) > multiples / n**2).all():
-            break
-        left -= _of_line(left, lines[-1])
-    # Parts that do not feel each other may turn by a fraction all the same: then nothing is left.
-    return abs(lines[-1] if left.std() > _LEAKS * whole else lines[0])
-
-
 def _faded(n: int) -> Array:
     """Weights of points whose ends are faded out, as smoothly as can be."""
     t = (np.arange(n) + 0.5) / n
     return np.asarray(np.exp(-1.0 / (t * (1.0 - t))))
-
-
-def _strongest_line(section: Array) -> float:
-    """Its frequency in turns a point, within -1/2..1/2."""
-    from scipy.optimize import minimize_scalar  # tenths of a second to import, and few are on tori
-
-    _, directions = np.linalg.eigh(section @ section.T)
-    first, second = directions[:, -1] @ section, directions[:, -2] @ section
-    n = section.shape[1]
-    faded = _faded(n) * (first + 1j * second)
-    spectrum = np.abs(np.fft.fft(faded))
-    near = float(np.fft.fftfreq(n)[spectrum.argmax()])
-
-    def weakness(frequency: float) -> float:
-        return -float(abs(np.vdot(np.exp(2j * np.pi * frequency * np.arange(n)), faded)))
-
-    found = minimize_scalar(weakness, (near - 1.0 / n, near, near + 1.0 / n), tol=1e-10)
-    return float((found.x + 0.5) % 1.0 - 0.5)
-
-
-def _of_line(section: Array, line: float) -> Array:
-    """What of a section turns by so much from point to point, in either sense."""
-    n = section.shape[1]
-    turning = np.exp(2j * np.pi * line * np.arange(n))
-    weights = _faded(n)
-    part = np.stack([turning.real, turning.imag])
-    amounts = np.linalg.lstsq((part * weights).T, (section * weights).T, rcond=1e-9)[0]
-    return np.asarray(amounts.T @ part)

@@ -234,7 +234,6 @@ SECTION = ("section_x", "section_v")
 # What systems have besides: variables, and the last part of their section points.
 OF_SYSTEMS = {
     "period": Variable("f8", "s", "period of a response that nothing forces"),
-    "rotation_number": Variable("f8", "1", "turns about a torus per section point, 0 to 1/2"),
 }
 SECTION_Z = Variable("f8", "", "first-order states of the section")
 _PART_OF = {
