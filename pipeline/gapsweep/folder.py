@@ -1,27 +1,20 @@
 """The folder of a run: whose it is, who may write there."""
 
-import json
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from gapsweep.errors import StoreError, StudyError
+from gapsweep.errors import StoreError
 from gapsweep.stages import RESPONSES, STABILITY, WORK_PRECISION
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
 from gapsweep.store.state import NO_FOLDER, RunState
-from gapsweep.study.spec import check
 from gapsweep.study.study import Study
 
 RUNS = Path("data/runs")
 # The files by which one sees whose folder it is.
 _OWNED = (RESPONSES, WORK_PRECISION, STABILITY)
-# Tables of a study that every response rests on.
-_SETTINGS = (
-    *("oscillator", "system", "parameters", "contact"),
-    *("solver", "protocol", "steady", "fit", "auto"),
-)
 
 
 def run_folder(study: Study, out: str | Path | None) -> Path:
@@ -65,32 +58,6 @@ def check_owner(study: Study, folder: Path) -> None:
             f"{folder}: holds the files of study {owner!r}, this one is {study.name!r}: choose "
             "another folder with --out, or delete this one"
         )
-
-
-def changed_since(study: Study, folder: Path) -> list[str]:
-    """What an earlier run of the same name has in the folder, and this study no longer asks for.
-
-    Tables and keys whose values differ, and axes that have lost values: a grid that only grew is no
-    change. Empty if there is no earlier run.
-    """
-    stored = netcdf.attributes(folder / RESPONSES).get("study_json")
-    if stored is None or stored == study.json:
-        return []
-    now = json.loads(study.json)
-    try:
-        before = dict(json.loads(stored))
-    except (TypeError, ValueError):  # damaged, and made again
-        return []
-    changed = []
-    for table in _SETTINGS:
-        old, new = (each.get(table) or {} for each in (before, now))
-        differ = (key for key in sorted({*old, *new}) if old.get(key) != new.get(key))
-        changed += [f"{table}.{key}" for key in differ]
-    try:
-        axes = Study(check(before, str(folder))).grid.axes
-    except StudyError:  # of a version that asked for other things
-        return [*changed, "sweep"]
-    return changed + [n for n, old in axes.items() if {*old} - {*study.grid.axes.get(n, ())}]
 
 
 def check_writable(folder: Path, other: str = "another folder with --out") -> None:

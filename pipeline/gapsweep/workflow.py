@@ -24,7 +24,7 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.recorder import Recorder
-from gapsweep.folder import changed_since, check_owner, check_writable, run_folder
+from gapsweep.folder import check_owner, check_writable, run_folder
 from gapsweep.lookup import cache_path, plan
 from gapsweep.make import failed_motions, try_out_own_laws, update, update_points
 from gapsweep.own_code import check_modules
@@ -166,12 +166,6 @@ def carry_out(
     folder, path = run_folder(study, out), cache_path(cache)
     check_writable(folder)
     check_owner(study, folder)
-    if changed := changed_since(study, folder):
-        warnings.warn(
-            f"{folder}: replaces the datasets of an earlier {study.name!r}, as "
-            f"{', '.join(changed)} changed; --out takes another folder",
-            stacklevel=3,
-        )
     planned = plan(study, path, retry_failed=retry_failed, timeout=timeout, on_progress=on_progress)
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last

@@ -225,7 +225,7 @@ BOXES = """
 (() => {
   const faults = [];
   for (const image of document.images) {
-    const shown = image.className === "wide" ? 1000 : 366;
+    const shown = 1000;
     const text = decodeURIComponent(image.src.slice(image.src.indexOf(",") + 1));
     const svg = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
     svg.setAttribute("width", shown);

@@ -172,7 +172,6 @@ def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
     assert "figures.py:6: sections: AttributeError: 'Non" in capsys.readouterr().err
 
 
-@pytest.mark.filterwarnings("ignore:.* replaces the datasets of an earlier")
 def test_the_report_shows_nothing_that_rests_on_other_responses(tables, client, tmp_path):
     """Another study of the same name leaves files in the folder that this one does not make."""
     out, where = tmp_path / "out", {"out": tmp_path / "out", "cache": tmp_path / "cache.sqlite"}

@@ -1,6 +1,5 @@
 """Studies of systems on real workers: every number is that of `gapsweep.respond`."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,6 @@ import gapsweep as gs
 from gapsweep import lookup
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import plan
-from gapsweep.folder import changed_since
 from gapsweep.response.result import ResponseClass
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
@@ -336,15 +334,3 @@ def test_a_function_is_asked_only_where_a_block_has_points(tmp_path, monkeypatch
         export(study, planned, store, *files)
     with xr.open_dataset(files[0]) as found:
         assert (found["status"] == gs.Status.INTERRUPTED).sum() == 2
-
-
-def test_what_a_changed_system_replaces_is_said(made):
-    study, folder, _ = made
-    tables = json.loads(study.json)
-    if study.name == "section":
-        tables["parameters"]["density"] = 1.3
-        told = ["parameters.density"]
-    else:
-        tables["system"]["damping"] = [[0.4, -0.1], [-0.1, 0.2]]
-        told = ["system.damping"]
-    assert changed_since(gs.Study.from_dict(tables), folder / "out") == told

@@ -55,7 +55,6 @@ def responses(tables, folder):
         return list(stored(study, cache).values())
 
 
-@pytest.mark.filterwarnings("ignore:.* replaces the datasets of an earlier")
 def test_only_a_users_law_can_be_one_that_numba_does_not_compile(one_point, tmp_path):
     labels = ["tanh-1e4", f"{LAWS}:undefined", f"{LAWS}:leaving"]
     with cluster(workers=1) as own:

@@ -20,7 +20,6 @@ from gapsweep import make, workflow
 from gapsweep.cli.main import commands
 from gapsweep.execution.portions import SWEEP_PART
 from gapsweep.explorer.widget import explore_path
-from gapsweep.folder import changed_since
 from gapsweep.store.artefact import alone_in, checked, recording
 from gapsweep.store.state import RunState
 
@@ -70,32 +69,6 @@ def test_another_study_is_refused_in_a_folder_that_is_taken(finished):
     assert done.stderr.count("\n") == 1
     assert "out: holds the files of study 'tiny', this one is 'other'" in done.stderr
     assert (finished / "out" / "responses.nc").read_bytes() == before
-
-
-def test_what_a_study_no_longer_asks_for_is_told(finished):
-    """Growth of a grid is no change: that is the normal way of working."""
-    for change, told in {
-        ("num = 20", "num = 39"): [],
-        ('name = "tiny"', 'name = "tiny"\ntitle = "Tiny"'): [],
-        ("stop = 15.0, num = 20", "stop = 14.0, num = 5"): ["omega"],
-        ("[[sweep]]", "[oscillator]\nzeta = 0.05\n[[sweep]]"): ["oscillator.zeta"],
-        ("n_periods = 16", "n_periods = 32"): ["steady.n_periods"],
-        ('"sweep_up"', "[[0.0, 0.0]]"): ["initial_condition"],
-        ("gap = [[0.4e-3, 0.4e-3]]", "j_1 = 0.4e-3\nj_2 = 0.4e-3"): ["gap"],
-    }.items():
-        (finished / "edited.toml").write_text(STUDY.replace(*change))
-        edited = gs.Study.load(finished / "edited.toml")
-        assert changed_since(edited, finished / "out") == told
-    assert changed_since(edited, finished / "elsewhere") == []
-
-
-def test_a_run_says_what_it_replaces(finished):
-    shutil.copytree(finished / "out", finished / "copy")
-    fewer = STUDY.replace("num = 20", "num = 2")
-    (finished / "fewer.toml").write_text(fewer)
-    done = gapsweep(finished, "run", "fewer.toml", "--out", "copy", "--cache", "its.sqlite")
-    assert done.returncode == 0, done.stderr
-    assert "copy: replaces the datasets of an earlier 'tiny', as omega" in done.stderr
 
 
 def test_status_knows_a_run_of_which_everything_is_stored(finished, monkeypatch):

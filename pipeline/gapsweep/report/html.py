@@ -41,7 +41,7 @@ from gapsweep.report.maps import numbered_as
 from gapsweep.report.model import model
 from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import Figured, Part, for_page, pictured, rendered
-from gapsweep.report.provenance import as_toml, provenance
+from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import named, plain
 from gapsweep.report.scenes import Scenes, said_of_starts, starts_of, swept
 from gapsweep.report.selection import anchor_of, beside, gap_label
@@ -53,7 +53,7 @@ from gapsweep.store.artefact import is_recorded, recording, remove
 ANSWER = "own-answer"  # the study's own part that the page begins with
 FIGURES = "figures"  # the folder of their files, beside the page
 # What stands there under such a name, reports have written.
-_FIGURE = re.compile(r"figure-[a-z0-9-]*\.(svg|pdf|csv|html)")
+_FIGURE = re.compile(r"figure-[a-z0-9-]*\.(svg|csv|html)")
 _TEMPLATES = Path(__file__).parent / "templates"
 _FEW = 5  # frequencies, which a caption names
 
@@ -147,7 +147,7 @@ def write_report(
         has_protocols=any("@" in label for label in labels_of(responses)),
         model=model(responses),
         provenance=provenance(responses),
-        toml=as_toml(json.loads(responses.attrs["study_json"])),
+        settings=_indented(responses.attrs["study_json"]),
         version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
         fingerprint=responses.attrs["numerics_fingerprint"],
     )
@@ -158,6 +158,10 @@ def write_report(
         temporary.write_text(page, encoding="utf-8")
     _remove_others(folder, written)
     return path
+
+
+def _indented(document: str) -> str:
+    return json.dumps(json.loads(document), indent=2, ensure_ascii=False)
 
 
 def _environment() -> jinja2.Environment:

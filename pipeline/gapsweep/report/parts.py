@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 
 from gapsweep.report.pictures import (
     PACKED,
-    VIEWS,
     address,
     is_picture,
     pictures,
@@ -166,13 +165,13 @@ def for_page(parts: Iterable[Mapping[str, Any]], taken: Iterable[str] = ()) -> l
 
 def shown(figure: Mapping[str, str]) -> dict[str, Any]:
     """A figure for the page: pictures, files, and the data of a page of its own, maybe none."""
-    views = {name: {"src": address(figure[name]), **size(figure[name])} for name in VIEWS}
-    files = {"svg": figure["wide"].encode()}
+    picture = {"src": address(figure["svg"]), **size(figure["svg"])}
+    files = {"svg": figure["svg"].encode()}
     for kind in PACKED:
         with suppress(KeyError, ValueError, zlib.error):  # not there, or not as it was packed
             files[kind] = unpacked(figure[kind])
-    return {**figure, **views, "data": files.pop("json", b"").decode(), "files": files}
+    return {**figure, "picture": picture, "data": files.pop("json", b"").decode(), "files": files}
 
 
 def _is_sound(figure: Mapping[str, str]) -> bool:
-    return all(is_picture(figure.get(name, "")) for name in VIEWS)
+    return is_picture(figure.get("svg", ""))

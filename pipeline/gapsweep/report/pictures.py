@@ -1,4 +1,4 @@
-"""Figures as pictures: SVG with text as text, for wide screens and for narrow ones.
+"""Figures as SVG with text as text.
 
 In a page they stand as images, not as elements of their own: a study has tens of thousands of
 points, and a browser lays out none of them. As images they cannot run scripts either.
@@ -17,31 +17,24 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import MaxNLocator
-from matplotlib.transforms import ScaledTranslation
 from PIL import Image
 
-from gapsweep.report.points import as_csv, as_json, label_of
+from gapsweep.report.points import as_csv, as_json
 
-VIEWS, PACKED = ("wide", "narrow"), ("pdf", "csv", "json")
+PACKED = "csv", "json"
 # What matplotlib draws with. Others run scripts, lead elsewhere or change what is shown.
 _DRAWING = {
     "svg", "g", "defs", "style", "path", "use", "clipPath", "rect", "circle", "image", "text",
     "tspan",
 }  # fmt: skip
-_NARROW = 3.6  # inches: a phone shows points of a font as large as a page does
-_INDENT = 0.45  # inches: what labels take beside a panel at least
 _SMALLEST = 8.5  # points of a font, 11 pixels
-_LONG = 18  # letters of a label of which two do not fit beside each other there
-_SPACES = ("handlelength", "handletextpad", "columnspacing", "borderpad")  # of a legend
 _COLOURS = 64  # of points drawn as pixels
 _PIXELS = re.compile("data:image/png;base64,([^\"']*)")
 # Hundredths of a point are enough, but not of the numbers in texts.
 _TAG, _DIGITS = re.compile("<[^>]*>"), re.compile(r"([1-9]\d*\.\d\d)\d+")
 _VALUE = re.compile('="([^"\']*)"')
 _SIZE = re.compile(r'width="([\d.]+)pt" height="([\d.]+)pt"')
-_AS_TEXT: dict[Any, Any] = {"svg.fonttype": "none", "pdf.fonttype": 42, "savefig.dpi": 130}
-_PRINTED = 300  # pixels per inch of dense points
+_AS_TEXT: dict[Any, Any] = {"svg.fonttype": "none", "savefig.dpi": 130}
 # What says nothing: rotations by zero, fonts that nobody has, names that nothing refers to.
 _IDLE = re.compile(
     r" transform=\"rotate\(-0 [^\"]*\"|, 'Bitstream[^;]*(?=, sans-serif)|<metadata>.*</metadata>"
@@ -57,23 +50,22 @@ _PLAIN = "<>/:;=,.'()!*+-_~@[]{}|^`$?"
 
 
 def pictures(figure: Figure) -> dict[str, str]:
-    """A figure, which is used up, as texts that JSON can hold.
+    """A figure as texts that JSON can hold; the figure is cleared.
 
-    Its `VIEWS` as SVG: as it is, and its panels stacked; `PACKED`, itself as PDF and, if it shows
-    numbers, what it shows as CSV, and as JSON for a page that draws it.
+    Returns
+    -------
+    dict of str to str
+        ``svg``, and if the figure shows numbers, these `PACKED` as ``csv``, and as ``json`` for a
+        page that draws them.
     """
     numbers = as_csv(figure).encode(), as_json(figure).encode()
     texts: list[Any] = figure.findobj(Text)
     for text in texts:
         text.set_fontsize(max(_SMALLEST, text.get_fontsize()))
-    wide = svg(figure)
-    figure.set_layout_engine("none")  # it stands, and takes as long as all else
-    page = pdf(figure)
-    stack(figure)
-    narrow = svg(figure)
+    picture = svg(figure)
     figure.clear()  # its cycles would keep every figure's data until the collector comes by
-    files = {kind: packed(h) for kind, h in zip(PACKED, (page, *numbers), strict=True) if h}
-    return {**dict(zip(VIEWS, (wide, narrow), strict=True)), **files}
+    files = {kind: packed(h) for kind, h in zip(PACKED, numbers, strict=True) if h}
+    return {"svg": picture, **files}
 
 
 def packed(data: bytes) -> str:
@@ -84,14 +76,6 @@ def packed(data: bytes) -> str:
 def unpacked(text: str) -> bytes:
     """The file that was `packed`."""
     return zlib.decompress(base64.b64decode(text))
-
-
-def pdf(figure: Figure) -> bytes:
-    """A figure as PDF with text as text, the same for the same data."""
-    buffer = io.BytesIO()
-    with rc_context(_AS_TEXT):
-        figure.savefig(buffer, format="pdf", dpi=_PRINTED, metadata={"CreationDate": None})
-    return buffer.getvalue()
 
 
 def svg(figure: Figure) -> str:
@@ -132,59 +116,6 @@ def _fewer_colours(found: re.Match[str]) -> str:
         few = pixels.convert("RGBA").quantize(_COLOURS, method=Image.Quantize.FASTOCTREE)
         few.save(buffer, "png", optimize=True)
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
-
-
-def stack(figure: Figure) -> None:
-    """Put the panels of a figure one below the other, each with its own axes, on a narrow page."""
-    panels: list[Any] = [
-        a for a in figure.axes if a.get_subplotspec() and a.get_label() != "<colorbar>"
-    ]
-    shown = [axes for axes in panels if axes.get_visible()]
-    for axes in set(panels) - set(shown):
-        axes.remove()
-    if not shown:
-        return
-    n_rows = shown[0].get_gridspec().nrows
-    height = max(1.2, (figure.get_figheight() - 0.9) / n_rows)
-    apart = any(axes.get_gridspec().ncols > 1 for axes in shown)  # labels were in common
-    figure.set_size_inches(_NARROW, 0.9 + len(shown) * (height + 0.3 * apart))
-    labels = [(label_of(axes, "x"), label_of(axes, "y")) for axes in shown]
-    figure.set_layout_engine("constrained")
-    grid = figure.add_gridspec(len(shown), 1)
-    for i, (axes, (x, y)) in enumerate(zip(shown, labels, strict=True)):
-        axes.set_subplotspec(grid[i])
-        if apart:
-            axes.set(xlabel=x, ylabel=y)
-            axes.tick_params(labelbottom=True, labelleft=True)
-        for axis in (axes.xaxis, axes.yaxis):
-            if isinstance(locator := axis.get_major_locator(), MaxNLocator):
-                locator.set_params(nbins=5)
-    legends = [*figure.legends, *filter(None, (axes.get_legend() for axes in shown))]
-    for legend in legends:
-        _set_narrow(legend, is_only=len(legends) == 1)
-
-
-def _set_narrow(legend: Any, *, is_only: bool) -> None:
-    """Set a legend anew in one or two columns, the only one above; others stay within their panel.
-
-    A legend that finds room in a wide panel covers what a narrow one shows.
-    """
-    names = [text.get_text() for text in legend.get_texts()]
-    look = {name: getattr(legend, name) for name in _SPACES}
-    look["ncols"] = 2 if max(map(len, names), default=0) < _LONG else 1
-    look |= {"title": legend.get_title().get_text(), "alignment": legend.get_alignment()}
-    look |= {"fontsize": _SMALLEST, "title_fontsize": _SMALLEST}
-    parent = legend.get_figure() if is_only else legend.axes or legend.get_figure()
-    if parent is not legend.axes:
-        look["loc"] = "outside upper left"
-    elif (anchor := legend.get_bbox_to_anchor()) is not legend.axes.bbox:
-        look |= {"loc": legend._loc, "bbox_to_anchor": anchor}
-        # Under the labels too: what overhangs on the right, the panels of a column lose.
-        look["bbox_transform"] = ScaledTranslation(-_INDENT, 0.0, legend.figure.dpi_scale_trans)
-    else:
-        return
-    legend.remove()
-    parent.legend(list(filter(None, legend.legend_handles)), names, **look)
 
 
 def address(picture: str) -> Markup:

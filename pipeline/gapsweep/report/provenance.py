@@ -1,8 +1,7 @@
 """Where a report comes from: the study, its solver, the machine, what it took."""
 
 import json
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -50,42 +49,3 @@ def _solver(*tables: Mapping[str, Any]) -> str:
         f"{name} {plain(value) if isinstance(value, float) else value}"
         for name, value in shown.items()
     )
-
-
-def as_toml(study: Mapping[str, Any]) -> str:
-    """A study as TOML, which makes the same study again.
-
-    Parameters
-    ----------
-    study : mapping
-        What attribute ``study_json`` of a dataset holds.
-    """
-    return "\n\n".join(block for name in study for block in _blocks(name, study[name]))
-
-
-def _blocks(name: str, table: Any) -> Iterator[str]:
-    """Its tables; a list holds one after the other."""
-    head = f"[[{name}]]" if isinstance(table, list) else f"[{name}]"
-    for one in table if isinstance(table, list) else [table]:
-        rows = (
-            f"{_key(key)} = {_value(value)}" for key, value in one.items() if value not in _NOTHING
-        )
-        yield "\n".join([head, *rows])
-
-
-_NOTHING: tuple[Any, ...] = None, [], {}  # as where it is left out
-
-
-def _key(name: str) -> str:
-    """A key as TOML writes it: bare if it may be."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
-
-
-def _value(value: Any) -> str:
-    """A value as TOML writes it, which is JSON but for tables and one character."""
-    if isinstance(value, Mapping):
-        inside = (f"{_key(k)} = {_value(held)}" for k, held in value.items() if held is not None)
-        return f"{{ {', '.join(inside)} }}"
-    if isinstance(value, list):
-        return f"[{', '.join(map(_value, value))}]"
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
