@@ -5,6 +5,7 @@ import io
 import json
 import re
 import subprocess
+from html import unescape
 from urllib.parse import unquote
 from xml.etree import ElementTree
 

@@ -1,7 +1,5 @@
 """Laws between walls of different stiffness, and studies that sweep the ratio."""
 
-import json
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,7 +16,6 @@ from gapsweep.execution.layout import Layout
 from gapsweep.model.equilibria import equilibria
 from gapsweep.model.fit import Fit
 from gapsweep.model.fitted import Fitted
-from gapsweep.study.points import NUMBERS, UNEQUAL, Kind, Points, with_ratio
 
 SOFT, HARD, RANGE = 1.4e4, 1.4e6, 4e-3
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
@@ -163,27 +160,6 @@ def test_sweeps_of_every_ratio_are_chains_of_their_own(tables):
     both = swept(tables, [0.2, 1.0], initial_condition="sweep_up")
     apart = set.union(*(set(all_keys(study).values()) for study in alone))
     assert set(all_keys(both).values()) == apart
-
-
-def test_identities_of_points_say_what_their_columns_are(tables):
-    study = swept(tables, [0.2, 1.0], representation="piecewise", omega=7.0)
-    kinds = {points.kind for _, points in study.points(np.arange(2))}
-    assert {kind.numbers for kind in kinds} == {NUMBERS, UNEQUAL}
-    for kind in kinds:
-        assert Kind.of(kind.identity) == kind
-        assert tuple(json.loads(kind.identity)["numbers"]) == kind.numbers
-        assert "numbers" not in json.loads(kind.identity)["kind"]
-
-
-def test_tables_with_and_without_a_ratio_are_of_one_form(tables):
-    study = swept(tables, [0.2, 1.0], representation="piecewise", omega=7.0)
-    for _, points in study.points(np.arange(2)):
-        (row,) = with_ratio(points.numbers)
-        ratio = row[UNEQUAL.index("K_ratio")]
-        assert ratio == (1.0 if points.kind.numbers == NUMBERS else 0.2)
-        assert row[-2:].tolist() == [0.0, 0.0]
-        assert row[UNEQUAL.index("forcing")] == points.column("forcing")[0] == 4.0
-        assert isinstance(points, Points)
 
 
 def test_scenes_are_symmetric_between_equal_walls_alone(tables):

@@ -14,7 +14,7 @@ from gapsweep.store.index import DAMAGED
 from gapsweep.store.maintenance import contents_of, readable
 from gapsweep.store.slab import Slab, Stored
 from gapsweep.study.grid import Starts
-from gapsweep.study.points import UNEQUAL, Points, with_ratio
+from gapsweep.study.points import Points
 from gapsweep.study.schema import UNITS
 from gapsweep.study.study import Study
 
@@ -75,15 +75,14 @@ def _differing(
 ) -> Differences:
     """In what a point differs from the one of a slab that is most like it."""
     differing = _differences(_fields(asked.kind.identity), _fields(slab.identity))
-    stored, (numbers,) = with_ratio(contents.numbers), with_ratio(asked.numbers)
+    stored, (numbers,) = contents.numbers, asked.numbers
     if stored.shape[1] != len(numbers):  # of systems of another structure
         return differing
     unlike, is_other = stored != numbers, contents.previous != previous
     row = int(np.argmin(unlike.sum(axis=1) + is_other))
-    names = asked.kind.numbers if asked.kind.structure else UNEQUAL
     for column in np.flatnonzero(unlike[row]).tolist():
         both = numbers[column].item(), stored[row, column].item()
-        differing[names[column]] = repr(both[0]), repr(both[1])
+        differing[asked.kind.numbers[column]] = repr(both[0]), repr(both[1])
     if is_other[row]:
         differing["previous"] = _hex(previous.tobytes()), _hex(contents.previous[row].tobytes())
     return differing

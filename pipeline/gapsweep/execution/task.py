@@ -35,7 +35,7 @@ from gapsweep.response.scene import Scene
 from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
 from gapsweep.study.fingerprint import check_unedited
-from gapsweep.study.points import KEY, OF_CONTACT, OURS, Kind, Points, with_ratio
+from gapsweep.study.points import KEY, OF_CONTACT, OURS, Kind, Points
 from gapsweep.study.software import software, versions
 
 _RESTARTED = "the point before it has no end state: starts from the last one that has"
@@ -281,10 +281,10 @@ def _oscillators(points: Points) -> tuple[Iterable[Any], Model]:
         return Oscillator(**dict(zip(OSCILLATOR, values, strict=True)))
 
     def model(row: list[float]) -> tuple[Oscillator, ContactLaw, float]:
-        K_c, j_1, j_2, omega, *others, K_ratio, _, _ = row
+        K_c, j_1, j_2, K_ratio, omega, *others, _, _ = row
         return oscillator(*others), law(kind.representation, K_c, j_1, j_2, K_ratio), omega
 
-    return with_ratio(points.numbers).tolist(), model
+    return points.numbers.tolist(), model
 
 
 def _systems(points: Points) -> tuple[Iterable[Any], Model]:

@@ -28,11 +28,8 @@ SWEEPS = ("sweep_up", "sweep_down")
 OURS = "null"  # in place of the code of a user's law
 
 # The columns of every table of points: what differs from point to point.
-NUMBERS = ("K_c", "j_1", "j_2", "omega", *OSCILLATOR, "x_0", "v_0")
-# Those of points whose walls differ. Others do without, and have the keys that they always had.
-UNEQUAL = (*NUMBERS[:-2], "K_ratio", *NUMBERS[-2:])
-# Those of every contact of a system, which come first there.
-OF_CONTACT = ("K_c", "j_1", "j_2", "K_ratio")
+OF_CONTACT = ("K_c", "j_1", "j_2", "K_ratio")  # of every contact, first
+NUMBERS = (*OF_CONTACT, "omega", *OSCILLATOR, "x_0", "v_0")
 KEY = np.dtype("V32")  # a content key, as an element of an array
 
 Numbers = NDArray[np.intp]
@@ -68,7 +65,7 @@ class Kind:
     law_code : str
         Of a user's own law, as JSON; whoever computes the point must have the same.
     numbers : tuple of str
-        Columns of the table: `NUMBERS`, or `UNEQUAL` if the walls differ, or `of_systems`.
+        Columns of the table: `NUMBERS`, or `of_systems`.
     structure : Structure, optional
         Of systems; their arrays are among the numbers.
     contacts : tuple of str
@@ -153,7 +150,7 @@ class Points:
     ----------
     kind : Kind
     numbers : ndarray, shape (n, number of columns)
-        Columns as in `Kind.numbers`: N/m, m, m, Hz, then the oscillator's, m, m/s.
+        Columns as in `Kind.numbers`: N/m, m, m, 1, Hz, then the oscillator's, m, m/s.
     """
 
     kind: Kind
@@ -210,13 +207,6 @@ def of_systems(structure: Structure) -> tuple[str, ...]:
     sizes = {"q_0": structure.n, "v_0": structure.n, "z_0": structure.m}
     start = [f"{name}[{i}]" for name, size in sizes.items() for i in range(size)]
     return (*contacts, "omega", *structure.names, *start)
-
-
-def with_ratio(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Tables of points with the columns `UNEQUAL`; the ratio of equal walls is 1."""
-    if numbers.shape[1] != len(NUMBERS):
-        return numbers
-    return np.insert(numbers, UNEQUAL.index("K_ratio"), 1.0, axis=1)
 
 
 def _key(kind: Any, row: bytes, previous: bytes) -> bytes:

@@ -28,7 +28,6 @@ from gapsweep.study.history import setting, undecided
 from gapsweep.study.points import (
     NUMBERS,
     SWEEPS,
-    UNEQUAL,
     Kind,
     Points,
     law_code,
@@ -341,28 +340,13 @@ class Study:
             rows = np.flatnonzero(kind == one)
             r, start = divmod(one, len(Starts.KINDS))
             label, here = axes["representation"][r], {name: of[rows] for name, of in at.items()}
-            for some, names, table in self._tables(here, len(rows)):
-                kind_of_all = self._kind(label, Starts.KINDS[start], names)
-                yield rows[some], Points(kind_of_all, table), label
+            yield rows, Points(self._kind(label, Starts.KINDS[start]), self._numbers(here)), label
 
-    def _tables(
-        self, at: Mapping[str, NDArray[np.intp]], n: int
-    ) -> Iterator[tuple[NDArray[np.intp], tuple[str, ...], NDArray[np.float64]]]:
-        """Tables of n points from their places on the axes: rows, columns and numbers of each."""
+    def _numbers(self, at: Mapping[str, NDArray[np.intp]]) -> NDArray[np.float64]:
+        """A table of points from their places on the axes."""
+        axes, n = self.grid.axes, len(at["representation"])
         if self.systems is not None:
-            names = of_systems(self.systems.structure)
-            yield np.arange(n), names, self.systems.numbers(self.grid.axes, at, n)
-            return
-        numbers = self._numbers(at, n)
-        differ = numbers[:, UNEQUAL.index("K_ratio")] != 1.0
-        for names, is_so in ((NUMBERS, ~differ), (UNEQUAL, differ)):
-            if is_so.any():
-                rows = np.flatnonzero(is_so)
-                yield rows, names, numbers[rows][:, [UNEQUAL.index(name) for name in names]]
-
-    def _numbers(self, at: Mapping[str, NDArray[np.intp]], n: int) -> NDArray[np.float64]:
-        """The columns `UNEQUAL` of a table of points, from their places on the axes."""
-        axes = self.grid.axes
+            return self.systems.numbers(axes, at, n)
         columns: dict[str, Any] = {name: getattr(self.oscillator, name) for name in OSCILLATOR}
         columns["K_ratio"] = 1.0
         for name, axis in axes.items():
@@ -373,9 +357,9 @@ class Study:
                 columns["x_0"], columns["v_0"] = axis.states[at[name]].T
             elif name != "representation":
                 columns[name] = np.array(axis)[at[name]]
-        return np.stack([np.broadcast_to(columns[name], n) for name in UNEQUAL], axis=1)
+        return np.stack([np.broadcast_to(columns[name], n) for name in NUMBERS], axis=1)
 
-    def _kind(self, label: str, start: str, numbers: tuple[str, ...]) -> Kind:
+    def _kind(self, label: str, start: str) -> Kind:
         representation = law_of(label)
         return Kind(
             representation=representation,
@@ -385,7 +369,7 @@ class Study:
             start=start,
             start_jitter=self.start_jitter(label),
             law_code=law_code(representation),
-            numbers=numbers,
+            numbers=NUMBERS if self.structure is None else of_systems(self.structure),
             structure=self.structure,
             contacts=() if self.systems is None else self.systems.labels(representation),
         )
