@@ -46,7 +46,7 @@ def compiled(law, tolerances, **options):
     """A function that runs all motions: their ends and right-hand sides."""
     omega = np.repeat(OMEGA, N_COPIES)
     n = len(omega)
-    models = Models(systems=[OSCILLATOR] * n, laws=[law] * n, omega=omega)
+    models = Models.of([OSCILLATOR] * n, [(law,)] * n, omega)
     integrate = prepared(models, Solver.of("compiled", *tolerances, **options))
     problems = Problems(
         which=np.arange(n),

@@ -35,7 +35,7 @@ class Gapsweep:
 
         systems = [gs.systems.typical_section(speed) for speed in SPEEDS]
         n, law = len(systems), gs.systems.typical_section_law()
-        models = Models(systems=systems, laws=[(law,)] * n, omega=np.zeros(n))
+        models = Models.of(systems, [(law,)] * n, np.zeros(n))
         self.integrate = prepared(models, Solver.of(rtol=tolerance, atol=tolerance * 1e-3))
         start = np.zeros((n, 8))
         start[:, :3] = _START

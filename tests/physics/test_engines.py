@@ -198,11 +198,7 @@ def test_runs_that_follow_each_other_are_those_one_after_the_other(label, system
     n, n_runs = (23, 5) if engine == "compiled" else (8, 3)
     rng, law = np.random.default_rng(8), gs.contact_law(label, 1.4e5, SYMMETRIC)
     is_plain = isinstance(system, gs.Oscillator)
-    models = Models(
-        systems=[system] * n,
-        laws=[law if is_plain else (law,)] * n,
-        omega=rng.uniform(5.0, 30.0, n),
-    )
+    models = Models.of([system] * n, [(law,)] * n, rng.uniform(5.0, 30.0, n))
     span = [12e-3, 0.5] if is_plain else [12e-3, 12e-3, 0.5, 0.5, 1e-2]
     start = rng.uniform(-1.0, 1.0, (n, len(span))) * span
     start[0] = 0.0
@@ -223,7 +219,7 @@ def test_a_run_that_ends_on_a_wall_is_followed_from_there():
         for (x_0, v_0), k in zip(start.tolist(), nth.tolist(), strict=True)
     ]
     # Nothing forces them, so that a period may be as long as the way to the wall.
-    models = Models(systems=[free] * n, laws=[law] * n, omega=1.0 / np.array(ends))
+    models = Models.of([free] * n, [(law,)] * n, 1.0 / np.array(ends))
     integrate = prepared(models, Solver.of("compiled"))
     chain, left = one_after_the_other(models, integrate, start, 3)
     assert len(left) == n
@@ -424,7 +420,7 @@ def test_a_section_alone_is_the_section_of_a_full_record(label):
     law = gs.Piecewise(1.4e4, gap) if "piecewise" in label else gs.contact_law(label, 1.4e4, gap)
     law = replace(law, located=False) if label == "piecewise-noevents" else law
     omega = np.linspace(3.0, 29.0, 40)
-    models = Models(systems=[gs.Oscillator()] * 40, laws=[law] * 40, omega=omega)
+    models = Models.of([gs.Oscillator()] * 40, [(law,)] * 40, omega)
     integrate = prepared(models, Solver.of(rtol=1e-6, atol=1e-9))
     problems = Problems(
         which=np.arange(40),

@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 import gapsweep as gs
-from gapsweep.integrate.problem import Solver
+from gapsweep.integrate.problem import Models, Solver
 from gapsweep.response.attractors import attractors_of_scenes
+from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.rates import Rates, rates
 from gapsweep.response.respond import respond_all
 from gapsweep.response.returns import Returns
@@ -224,9 +225,9 @@ def test_where_nothing_brings_a_mass_back_no_place_is_an_attractor():
 
 def test_a_far_shot_changes_nothing_for_those_after_it():
     system = fluttering()
-    scene = Scene(oscillator=system, law=(LAW,), omega=0.0, solver=Solver.of())
     near, far = (np.array([[x], [0.0], [0.0], [0.0]]) for x in (0.01, 500.0))
-    returns, one = Returns([scene], near), np.ones(1, int)
+    models = Models.of([system], [(LAW,)], np.zeros(1))
+    returns, one = Returns(models, Solver.of(), near), np.ones(1, int)
 
     def shot(y):
         call = returns.call(np.zeros(1, int), y, one, np.full(1, np.inf), tangent=True)
@@ -321,17 +322,15 @@ def test_rates_of_many_systems_are_those_of_each_equation():
     loads = [gs.Harmonic(amplitude=[3.0, -1.0], k=0)]
     systems = [fluttering(), fluttering(circulation=9.0), fluttering(loss=2.0)]
     systems = [replace(each, forcing=loads) for each in systems]
-    scenes = [
-        Scene(oscillator=rng.choice(systems), law=(law,), omega=0.0, solver=solver)
-        for law in (LAW, gs.Piecewise(7e3, gs.Gap(0.0, 1e-3), K_ratio=0.3))
-        for _ in range(20)
-    ]
+    laws = [(LAW,)] * 20 + [(gs.Piecewise(7e3, gs.Gap(0.0, 1e-3), K_ratio=0.3),)] * 20
+    models = Models.of([rng.choice(systems) for _ in laws], laws, np.zeros(40))
+    ensemble = Ensemble(models, solver)
     y, every = rng.normal(size=(4, 40)) * 0.01, np.arange(40)
-    found = Rates(scenes)(every, y)
-    expected = np.transpose([rates(scene, y[:, i]) for i, scene in enumerate(scenes)])
+    found = Rates(models)(every, y)
+    expected = np.transpose([rates(ensemble, i, y[:, i]) for i in range(40)])
     assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
     some = rng.permutation(40)[:7]
-    np.testing.assert_array_equal(Rates(scenes)(some, y[:, some]), found[:, some])
+    np.testing.assert_array_equal(Rates(models)(some, y[:, some]), found[:, some])
 
 
 @pytest.mark.parametrize(("k", "c"), [(1e6, 100.0), (1.0, 0.3), (1e-6, 1e-4)])

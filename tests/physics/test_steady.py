@@ -13,14 +13,13 @@ from tests.section_points import parts
 from tests.stored import tile_rows
 
 import gapsweep as gs
-from gapsweep.integrate.problem import Solver
+from gapsweep.integrate.problem import Models, Solver
 from gapsweep.report import figures
 from gapsweep.response import ensemble, shooting
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Responses
 from gapsweep.response.returns import Returns
-from gapsweep.response.scene import Scene
 from gapsweep.response.section import (
     cloud_distances,
     converging_multiples,
@@ -422,10 +421,10 @@ def test_shots_are_no_part_of_what_a_motion_costs(label, omega):
     one = [[1.0]]
     free = gs.System(mass=one, damping=one, stiffness=[[1e3]], contacts={"stop": [1.0]})
     law, oscillator = gs.contact_law(label, 1.4e5, SYMMETRIC), gs.Oscillator() if omega else free
-    scene = Scene(oscillator=oscillator, law=law if omega else (law,), omega=omega,
-                  solver=Solver.of("compiled"))  # fmt: skip
+    models = Models.of([oscillator], [(law,)], np.array([omega]))
+    solver = Solver.of("compiled")
     y, periods, never = np.array([[1e-3], [0.0]]), np.full(1, 4), np.full(1, np.inf)
-    ensemble = Ensemble([scene]) if omega else Returns([scene], y)
+    ensemble = Ensemble(models, solver) if omega else Returns(models, solver, y)
     one, costs = np.zeros(1, np.intp), []
     for tangent in (False, True):
         call = ensemble.call(one, y, periods, never, tangent=tangent)
@@ -443,8 +442,7 @@ def test_tangents_of_a_chain_are_those_of_its_motions(label):
     law, solver = gs.contact_law(label, 1.4e5, SYMMETRIC), Solver.of("compiled", 1e-5, 1e-8)
     oscillator = gs.Oscillator(alpha=-1e10)
     omega = np.linspace(5.0, 30.0, 9)
-    ensemble = Ensemble([Scene(oscillator=oscillator, law=law, omega=w, solver=solver)
-                         for w in omega.tolist()])  # fmt: skip
+    ensemble = Ensemble(Models.of([oscillator] * 9, [(law,)] * 9, omega), solver)
     assert ensemble.has_own_tangent == (label == "piecewise")
 
     def call(scenes, y, follows=None):

@@ -118,7 +118,7 @@ def basins(
 
 def _dataset(found: Attractors, scene: Scene, starts_x: Array, starts_v: Array) -> xr.Dataset:
     """What `basins` returns."""
-    law, columns = scene.law, found.leaders.columns
+    (law,), columns = scene.laws, found.leaders.columns
     dataset = xr.Dataset(
         {
             "attractor": (

@@ -37,7 +37,7 @@ class Timed:
 def timed(scene: Scene, law: ContactLaw, solver: Solver, n_lanes: int) -> Timed:
     """A scene and its neighbours in frequency, prepared."""
     omega: Array = scene.omega * (1.0 + _NEIGHBOUR * np.arange(n_lanes, dtype=np.float64))
-    models = Models(systems=[scene.oscillator] * n_lanes, laws=[law] * n_lanes, omega=omega)
+    models = Models.of([scene.oscillator] * n_lanes, [(law,)] * n_lanes, omega)
     problems = Problems(
         which=np.arange(n_lanes),
         start=np.full((n_lanes, 2), (scene.x_0, scene.v_0)),

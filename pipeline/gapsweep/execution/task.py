@@ -10,18 +10,18 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, described
 from gapsweep.execution.sweeps import origins
-from gapsweep.integrate.problem import ENGINES
+from gapsweep.integrate.problem import ENGINES, Models
 from gapsweep.integrate.simulate import loaded
 from gapsweep.model import own_law
 from gapsweep.model.contact import ContactLaw
@@ -29,9 +29,8 @@ from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
 from gapsweep.model.system import System
 from gapsweep.response.ensemble import Ensemble
-from gapsweep.response.respond import respond_all
+from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, Responses
-from gapsweep.response.scene import Scene
 from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
 from gapsweep.study.fingerprint import check_unedited
@@ -48,6 +47,8 @@ WARM_UP_SECONDS = 600.0
 _NO_TIME = 1e9  # Hz: a period in which nothing moves
 
 States = NDArray[np.float64]
+Rows = NDArray[np.intp]
+Made = TypeVar("Made")
 Ask = Callable[[Points, States], Responses]
 
 
@@ -235,15 +236,13 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
 
 def _together(points: Points, states: States) -> Responses:
     """Responses of independent points, all in one call."""
-    asked, starts = list(_scenes(points)), _starts(points, states)
-    refused = {row: one for row, one in enumerate(asked) if isinstance(one, ModelError)}
-    rows = [row for row in range(len(asked)) if row not in refused]
-    found = _answered(points.kind, [one for one in asked if isinstance(one, Scene)], starts[rows])
+    (rows, models), refused = _models(points)
+    found = _answered(points.kind, models, _starts(points, states)[rows])
     if not refused:
         return found
     others = Responses.of(list(map(failed, refused.values())), points.kind.structure)
     whole = Responses.concatenated([found, others])
-    return whole.take(np.argsort([*rows, *refused]))
+    return whole.take(np.argsort([*rows.tolist(), *refused]))
 
 
 def _starts(points: Points, states: States) -> States:
@@ -255,84 +254,70 @@ def _starts(points: Points, states: States) -> States:
     return found
 
 
-def _scenes(points: Points) -> Iterator[Scene | ModelError]:
-    """What moves at each point, or why it cannot."""
+def _models(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError]]:
+    """The parameter sets of the points, with their rows; and by row why others have none."""
     kind = points.kind
-    rows, model = _oscillators(points) if kind.structure is None else _systems(points)
-    for row in rows:
-        try:
-            oscillator, law, omega = model(row)
-            yield Scene(oscillator=oscillator, law=law, omega=omega, solver=kind.solver)
-        except ModelError as error:
-            yield error
+    labels = kind.contacts if kind.structure else (kind.representation,)
+    n, n_states = len(labels) * len(OF_CONTACT), kind.n_states
 
-
-Model = Callable[[Any], tuple[Oscillator | System, Any, float]]
-
-
-def _oscillators(points: Points) -> tuple[Iterable[Any], Model]:
-    """Rows of the points, and of a row oscillator, law and frequency; neighbours share the first
-    two.
-    """
-    kind, law = points.kind, _law_of(points.kind)
-
-    @lru_cache(maxsize=256)
-    def oscillator(*values: float) -> Oscillator:
-        return Oscillator(**dict(zip(OSCILLATOR, values, strict=True)))
-
-    def model(row: list[float]) -> tuple[Oscillator, ContactLaw, float]:
-        K_c, j_1, j_2, K_ratio, omega, *others, _, _ = row
-        return oscillator(*others), law(kind.representation, K_c, j_1, j_2, K_ratio), omega
-
-    return points.numbers.tolist(), model
-
-
-def _systems(points: Points) -> tuple[Iterable[Any], Model]:
-    """Rows of the points, and of a row system, laws of its contacts and frequency; neighbours share
-    the first two.
-    """
-    structure, law = points.kind.structure, _law_of(points.kind)
-    assert structure is not None
-    labels, n = points.kind.contacts, len(points.kind.contacts) * len(OF_CONTACT)
-
-    @lru_cache(maxsize=256)
-    def system(numbers: bytes) -> System:
-        return structure.system(np.frombuffer(numbers))
-
-    @lru_cache(maxsize=256)
-    def laws(numbers: bytes) -> tuple[ContactLaw, ...]:
-        walls = np.frombuffer(numbers).reshape(-1, len(OF_CONTACT)).tolist()
-        return tuple(law(label, *each) for label, each in zip(labels, walls, strict=True))
-
-    def model(row: NDArray[np.float64]) -> tuple[System, tuple[ContactLaw, ...], float]:
-        arrays = row[n + 1 : -structure.n_states]
-        return system(arrays.tobytes()), laws(row[:n].tobytes()), float(row[n])
-
-    return points.numbers, model
-
-
-def _law_of(kind: Kind) -> Callable[..., ContactLaw]:
-    """The law of a label, stiffness, two distances and a ratio; the same one for the same again."""
-
-    @lru_cache(maxsize=256)
-    def law(label: str, K_c: float, j_1: float, j_2: float, K_ratio: float) -> ContactLaw:
+    def laws(row: States) -> tuple[ContactLaw, ...]:
         if kind.law_code != OURS:
             own_law.require(kind.representation, kind.law_code)
-        return contact_law(label, K_c, Gap(j_1, j_2), kind.fit_range, K_ratio=K_ratio)
+        return tuple(
+            contact_law(label, K_c, Gap(j_1, j_2), kind.fit_range, K_ratio=K_ratio)
+            for label, (K_c, j_1, j_2, K_ratio) in zip(
+                labels, row.reshape(-1, len(OF_CONTACT)).tolist(), strict=True
+            )
+        )
 
-    return law
+    def system(row: States) -> Oscillator | System:
+        if kind.structure is not None:
+            return kind.structure.system(row)
+        return Oscillator(**dict(zip(OSCILLATOR, row.tolist(), strict=True)))
+
+    walls, omega, others = np.split(points.numbers[:, :-n_states], [n, n + 1], axis=1)
+    systems, its_system, no_system = _made(system, others)
+    several, its_laws, no_laws = _made(laws, walls)
+    refused = no_system | no_laws
+    rows = np.array([row for row in range(len(points)) if row not in refused], np.intp)
+    columns = {"system": its_system[rows], "law": its_laws[rows], "omega": omega[rows, 0]}
+    return (rows, Models(systems=systems, laws=several, **columns)), refused
 
 
-def _warm_up(kind: Kind, scene: Scene, start: States) -> None:
+def _made(
+    make: Callable[[States], Made], rows: States
+) -> tuple[list[Made], Rows, dict[int, ModelError]]:
+    """What is made of each different row, which of it every row has, and why some have none."""
+    order = [rows[:, i] for i in range(rows.shape[1])] or [np.zeros(len(rows))]
+    _, first, which = np.unique(
+        np.stack(order, axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    made: list[Made] = []
+    number, errors = np.full(len(first), -1), dict[int, ModelError]()
+    for i, row in enumerate(rows[first]):
+        try:
+            made.append(make(row))
+            number[i] = len(made) - 1
+        except ModelError as error:
+            errors[i] = error
+    which = which.reshape(-1)
+    refused = {row: errors[i] for row, i in enumerate(which.tolist()) if i in errors}
+    return made, number[which], refused
+
+
+def _warm_up(kind: Kind, models: Models, start: States) -> None:
     """Load or compile what a kind of point needs: no point's time may hold that.
 
-    With a point of that kind, where it starts: what this raises, the point raises as well.
+    With the first of some points of that kind, where it starts: what this raises, the point raises
+    as well.
     """
     if kind in _warm or kind.solver.engine != "compiled":
         return
     is_watched = threading.get_ident() in _deadlines
     with _ending_after(WARM_UP_SECONDS) if is_watched else nullcontext():
-        ensemble = Ensemble([replace(scene, omega=_NO_TIME if scene.omega else 0.0)])
+        first = models.take([0])
+        fast = replace(first, omega=np.where(first.omega > 0.0, _NO_TIME, 0.0))
+        ensemble = Ensemble(fast, kind.solver)
         for tangent in (False, True):
             y, one = start.reshape(-1, 1), np.ones(1, int)
             ensemble.call(np.arange(1), y, one, np.zeros(1), tangent=tangent)
@@ -341,22 +326,23 @@ def _warm_up(kind: Kind, scene: Scene, start: States) -> None:
 
 def warm_up(tile: Tile) -> None:
     """What the first point of a tile needs before its time counts."""
-    scene = next(_scenes(tile.points))
-    if isinstance(scene, Scene):
-        _warm_up(tile.points.kind, scene, _starts(tile.points, tile.states)[0])
+    first = slice(1)
+    (rows, models), _ = _models(tile.points.take(first))
+    if rows.size:
+        _warm_up(tile.points.kind, models, _starts(tile.points.take(first), tile.states[first])[0])
 
 
-def _answered(kind: Kind, scenes: list[Scene], starts: States) -> Responses:
+def _answered(kind: Kind, models: Models, starts: States) -> Responses:
     """Responses; what a point raises is its own response, the others are asked again."""
-    if not scenes:
+    if not len(models):
         return Responses.of((), kind.structure)
     try:
-        _warm_up(kind, scenes[0], starts[0])
-        return respond_all(scenes, starts, kind.steady)
+        _warm_up(kind, models, starts[0])
+        return respond_models(models, kind.solver, starts, kind.steady)
     except BaseException as error:  # the task boundary: SystemExit, too, is a point's own result
-        if len(scenes) > 1:
-            halves = slice(len(scenes) // 2), slice(len(scenes) // 2, None)
-            parts = [_answered(kind, scenes[half], starts[half]) for half in halves]
+        if len(models) > 1:
+            halves = np.array_split(np.arange(len(models)), 2)
+            parts = [_answered(kind, models.take(half), starts[half]) for half in halves]
             return Responses.concatenated(parts)
         return Responses.of([failed(error)], kind.structure)
 

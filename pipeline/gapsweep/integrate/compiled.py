@@ -1,6 +1,7 @@
 """The compiled engine: the exact law by Taylor series, all others by Runge–Kutta, in lanes."""
 
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from gapsweep.model.contact import (
     Tanh,
 )
 from gapsweep.model.fitted import Polynomial, RationalPolynomial
-from gapsweep.model.oscillator import OSCILLATOR
+from gapsweep.model.oscillator import OSCILLATOR, Oscillator
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
 
@@ -39,10 +40,10 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
 def _by_taylor(models: Models, solver: Solver) -> bool:
     """Whether the exact kernel takes them; refuses what neither kernel does."""
-    laws = models.laws[:1] if models.is_plain else models.laws[0]
+    laws = models.laws[0]
     located = [law for law in laws if isinstance(law, Piecewise) and law.located]
     if solver.controller != "native" or solver.restart:
-        if located and not models.is_plain:
+        if located and not _is_oscillator(models):
             what = "restart = true" if solver.restart else "controller = 'ode45'"
             raise ModelError(
                 f"{what}: locates contacts of an Oscillator only; of a System use engine='scipy', "
@@ -57,18 +58,23 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     return len(located) == len(laws)
 
 
-def _column(objects: Sequence[Any], name: str) -> Array:
-    return np.array([getattr(each, name) for each in objects])
+def _is_oscillator(models: Models) -> bool:
+    """Whether the kernels take their layout for one coordinate, one harmonic and one contact."""
+    return isinstance(models.systems[0], Oscillator)
 
 
-def _oscillator_arrays(models: Models) -> dict[str, Any]:
-    columns = {name: _column(models.systems, name) for name in OSCILLATOR}
+def _oscillators(models: Models) -> dict[str, Any]:
+    columns = {name: models.of_systems(attrgetter(name)) for name in OSCILLATOR}
     return columns | {"omega": models.omega}
 
 
-def _gap_arrays(laws: Sequence[Any]) -> dict[str, Any]:
-    low, high = np.reshape([law.walls for law in laws], (-1, 2)).T
-    stiffness = {name: _column(laws, name) for name in ("K_c", "K_ratio")}
+def _walls(models: Models) -> dict[str, Any]:
+    """Stiffnesses and walls of all contacts, shape (n, n_contacts)."""
+    shape = len(models), len(models.laws[0])
+    low, high = np.moveaxis(models.of_laws(attrgetter("walls")).reshape(*shape, 2), -1, 0)
+    stiffness = {
+        name: models.of_laws(attrgetter(name)).reshape(shape) for name in ("K_c", "K_ratio")
+    }
     return stiffness | {"j_1": -low, "j_2": high}
 
 
@@ -94,16 +100,12 @@ def _given(problems: Problems) -> dict[str, Any]:
 
 def _scenes(models: Models, solver: Solver) -> Scenes:
     tolerances: dict[str, Any] = {"rtol": solver.rtol, "atol": solver.atol}
-    if models.is_plain:
-        return scenes(**_gap_arrays(models.laws), **_oscillator_arrays(models), **tolerances)
-    walls = [_gap_arrays(laws) for laws in models.laws]
-    names = ("K_c", "K_ratio", "j_1", "j_2")
-    return system_scenes(
-        models.systems,
-        Walls(*(np.array([each[name] for each in walls], dtype=float) for name in names)),
-        models.omega,
-        **tolerances,
-    )
+    walls = _walls(models)
+    if _is_oscillator(models):
+        of_contact = {name: column[:, 0] for name, column in walls.items()}
+        return scenes(**of_contact, **_oscillators(models), **tolerances)
+    of_contacts = Walls(**walls)
+    return system_scenes(models.systems, models.system, of_contacts, models.omega, **tolerances)
 
 
 def _exact(models: Models, solver: Solver) -> Integrate:
@@ -145,11 +147,10 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
         "controller": solver.controller,
         "restart": solver.restart,
     }
-    if models.is_plain:
-        law = _kernel_law(models.laws)
-        scenes = smooth.scenes(law, **_oscillator_arrays(models), **options)
+    laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
+    if _is_oscillator(models):
+        scenes = smooth.scenes(laws[0], **_oscillators(models), **options)
     else:
-        laws = [_kernel_law(each) for each in zip(*models.laws, strict=True)]
         scenes = smooth.system_scenes(laws, _scenes(models, solver), **options)
 
     def integrate(problems: Problems) -> Motions:
@@ -157,7 +158,7 @@ def _smooth(models: Models, solver: Solver) -> Integrate:
         try:
             run = smooth.run(scenes, start=problems.start, **given)
         except NumbaError as error:
-            for law in models.laws[:1] if models.is_plain else models.laws[0]:
+            for law in models.laws[0]:
                 if reason := _why_not_compiled(law):
                     raise ModelError(
                         f"{law}: numba cannot compile it ({reason}); use arithmetic and math "
@@ -235,17 +236,21 @@ def _events(n: int, turns: Columns, sections: Columns, contacts: Columns) -> Eve
     )
 
 
-def _kernel_law(laws: Sequence[Any]) -> Any:
-    """The laws of one kind, with their parameters, as the Runge–Kutta kernel takes them."""
-    law = laws[0]
-    gaps = _gap_arrays(laws)
+def _kernel_law(models: Models, contact: int) -> Any:
+    """The laws of one contact, with their parameters, as the Runge–Kutta kernel takes them."""
+    law = models.laws[0][contact]
+
+    def column(name: str) -> Array:
+        return np.array([getattr(laws[contact], name) for laws in models.laws])[models.law]
+
+    gaps = {name: values[:, contact] for name, values in _walls(models).items()}
     match law:
         case Tanh():
-            return representations.tanh(**gaps, epsilon=_column(laws, "epsilon"))
+            return representations.tanh(**gaps, epsilon=column("epsilon"))
         case Arctan():
-            return representations.arctan(**gaps, epsilon=_column(laws, "epsilon"))
+            return representations.arctan(**gaps, epsilon=column("epsilon"))
         case LogArctan():
-            return representations.log_arctan(**gaps, gamma=_column(laws, "gamma"))
+            return representations.log_arctan(**gaps, gamma=column("gamma"))
         case Piecewise():
             return representations.piecewise(**gaps, located=law.located)
     walls = {"j_1": -law.walls[0], "j_2": law.walls[1]}

@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,10 @@ from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.system import System
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+Model = Oscillator | System
+Laws = tuple[ContactLaw, ...]
+T = TypeVar("T")
 
 # engine: default (rtol, atol)
 DEFAULT_TOLERANCES = {"compiled": (1e-9, 1e-12), "scipy": (1e-4, 1e-7)}
@@ -29,36 +33,86 @@ LARGEST_RTOL = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Models:
-    """What moves, n of one kind: an engine prepares it once and then solves it from many starts.
+    """Parameter sets of n motions of one `kind`: rows that refer to distinct systems and laws.
+
+    An engine prepares them once and then solves them from many initial states.
 
     Attributes
     ----------
-    systems : sequence of Oscillator or of System, length n
-    laws : sequence, length n
-        The contact law of every oscillator, all of one `law_kind`; of a system a tuple of them, in
-        the order of its contacts.
+    systems : sequence of Oscillator or of System
+    laws : sequence of tuple of ContactLaw
+        The laws of all contacts, in the system's order.
+    system, law : ndarray of int, shape (n,)
+        Which of `systems` and of `laws` each row has.
     omega : ndarray, shape (n,)
-        Forcing frequency [Hz].
+        Forcing frequency [Hz]; 0 of what is not forced.
     """
 
     systems: Sequence[Any]
-    laws: Sequence[Any]
+    laws: Sequence[Laws]
+    system: Numbers
+    law: Numbers
     omega: Array
 
     def __post_init__(self) -> None:
-        for system, law in zip(self.systems, self.laws, strict=True):
+        for system in self.systems:
             if not isinstance(system, Oscillator | System):
                 raise ModelError(
                     f"oscillator = {system!r}: must be a gapsweep.Oscillator(), which without "
                     "arguments is the paper's, or a gapsweep.System()"
                 )
-            for each in law if isinstance(system, System) else [law]:
+        for laws in self.laws:
+            for each in laws:
                 checked_law(each)
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether they are oscillators."""
-        return not self.systems or isinstance(self.systems[0], Oscillator)
+    @classmethod
+    def of(cls, systems: Sequence[Model], laws: Sequence[Laws], omega: Array) -> "Models":
+        """Rows with these systems, laws and frequencies, each of length n."""
+        found, system = _distinct(systems, id)
+        several, law = _distinct(laws, lambda these: tuple(map(id, these)))
+        return cls(systems=found, laws=several, system=system, law=law, omega=omega)
+
+    def __len__(self) -> int:
+        return len(self.omega)
+
+    def take(self, rows: Any) -> "Models":
+        """Some of the rows, with the systems and laws that they have."""
+        some, system = np.unique(self.system[rows], return_inverse=True)
+        others, law = np.unique(self.law[rows], return_inverse=True)
+        return Models(
+            systems=[self.systems[i] for i in some.tolist()],
+            laws=[self.laws[i] for i in others.tolist()],
+            system=system,
+            law=law,
+            omega=self.omega[rows],
+        )
+
+    def by_kind(self) -> list[Numbers]:
+        """Rows that an engine can take together, group by group."""
+        sizes = _distinct([system.sizes for system in self.systems], lambda size: size)[1]
+        kinds, which = _distinct([tuple(map(law_kind, laws)) for laws in self.laws], lambda k: k)
+        group = sizes[self.system] * len(kinds) + which[self.law]
+        return [np.flatnonzero(group == one) for one in np.unique(group).tolist()]
+
+    def of_systems(self, value: Callable[[Any], Any]) -> NDArray[Any]:
+        """A value of every row's system, shape (n, ...)."""
+        return np.array([value(system) for system in self.systems])[self.system]
+
+    def of_laws(self, value: Callable[[ContactLaw], Any]) -> NDArray[Any]:
+        """A value of every row's laws, shape (n, n_contacts, ...)."""
+        return np.array([[value(law) for law in laws] for laws in self.laws])[self.law]
+
+    def with_laws(self, value: Callable[[Laws], Laws]) -> "Models":
+        """The same rows with other laws."""
+        return replace(self, laws=[value(laws) for laws in self.laws])
+
+
+def _distinct(objects: Sequence[T], key: Callable[[T], Hashable]) -> tuple[list[T], Numbers]:
+    """Objects of different keys in order of first appearance, and which of them each is."""
+    numbers: dict[Hashable, int] = {}
+    which = [numbers.setdefault(key(each), len(numbers)) for each in objects]
+    found = dict(zip(reversed(which), reversed(objects), strict=True))
+    return [found[i] for i in range(len(found))], np.array(which, np.intp)
 
 
 def law_kind(law: ContactLaw) -> Hashable:
@@ -74,19 +128,6 @@ def law_kind(law: ContactLaw) -> Hashable:
     if checked_law(law).is_numbers:
         return type(law), isinstance(law, Piecewise) and law.located
     return law
-
-
-def kind(model: Oscillator | System, law: Any) -> Hashable:
-    """What models have in common that an engine can take together; `law` as in `Models`.
-
-    Raises
-    ------
-    ModelError
-        If a law is none.
-    """
-    if isinstance(model, System):
-        return model.sizes, tuple(map(law_kind, law))
-    return law_kind(law)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

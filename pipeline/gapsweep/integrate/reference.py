@@ -39,10 +39,9 @@ from gapsweep.integrate.reference_motion import (
 )
 from gapsweep.integrate.reference_scenes import (
     Modes,
-    OscillatorScene,
     Scene,
     State,
-    SystemScene,
+    scene_of,
 )
 from gapsweep.status import DIVERGED_AT, Status
 
@@ -171,10 +170,10 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver, before: "_R
     t_0, omega = float(problems.t_0[i]), float(models.omega[model])
     t_end = float(problems.t_end[i])
     theta_0 = 2.0 * math.pi * math.fmod(omega * t_0, 1.0)
-    is_plain, law = models.is_plain, models.laws[model]
-    scene = (OscillatorScene if is_plain else SystemScene)(
-        models.systems[model],
-        (law,) if is_plain else law,
+    system = models.systems[models.system[model]]
+    scene = scene_of(system)(
+        system,
+        models.laws[models.law[model]],
         omega,
         theta_0,
         solver.rtol,

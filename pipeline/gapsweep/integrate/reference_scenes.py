@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import first_order
 
 Array = NDArray[np.float64]
@@ -114,6 +115,11 @@ class Scene:
             if wall == self.wall(contact, mode) and mode * heading > 0.0:
                 return tuple(mode if k == contact else other for k, other in enumerate(modes))
         return free
+
+
+def scene_of(system: Any) -> type[Scene]:
+    """The class of scene of a system."""
+    return OscillatorScene if isinstance(system, Oscillator) else SystemScene
 
 
 class OscillatorScene(Scene):

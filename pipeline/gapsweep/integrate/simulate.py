@@ -15,7 +15,7 @@ from gapsweep.integrate.problem import DEFAULT_ENGINE, Integrate, Models, Proble
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
-from gapsweep.model.system import System, fastest_mode, floats
+from gapsweep.model.system import System, floats
 
 Array = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ def simulate(
         raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
     frequency, start, laws = starts(oscillator, law, omega, x_0, v_0, q_0, z_0)
     n = frequency.size
-    models = Models(systems=[oscillator] * n, laws=[laws] * n, omega=frequency.ravel())
+    models = Models.of([oscillator] * n, [laws] * n, frequency.ravel())
     _check_clock(oscillator, frequency, t_0)
     problems = Problems(
         which=np.arange(n),
@@ -124,7 +124,7 @@ def simulate(
     solve = partial(_solved, models, solver, problems)
     if isinstance(oscillator, System):
         return SystemTrajectory(oscillator, laws, solve, t_0, frequency.shape, dense_output)
-    return Trajectory((laws,), solve, t_0, frequency.shape, dense_output)
+    return Trajectory(laws, solve, t_0, frequency.shape, dense_output)
 
 
 def _solved(
@@ -151,7 +151,7 @@ def starts(
     q_0: ArrayLike,
     z_0: ArrayLike,
 ) -> tuple[Array, Array, Any]:
-    """Forcing frequencies, the states to start from, and the law, as `Models` has it.
+    """Forcing frequencies, the states to start from, and the laws of all contacts.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def starts(
         In the shape that all have together [Hz]; zero where nothing is forced.
     start : ndarray, shape (..., n_states)
         Displacements [m], velocities [m/s] and first-order states.
-    law : ContactLaw or tuple of ContactLaw
+    laws : tuple of ContactLaw
 
     Raises
     ------
@@ -174,10 +174,11 @@ def starts(
     if isinstance(oscillator, System):
         _zero("x_0", x_0, "a System starts from q_0, v_0 and z_0")
         return *_system_starts(oscillator, omega, q_0, v_0, z_0), _laws(oscillator, law)
+    contact_law: Any = law
     for name, value in (("q_0", q_0), ("z_0", z_0)):
         _zero(name, value, "an Oscillator starts from x_0 and v_0")
     frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
-    return frequency, np.stack([x_0, v_0], axis=-1), law
+    return frequency, np.stack([x_0, v_0], axis=-1), (checked_law(contact_law),)
 
 
 def _zero(name: str, value: ArrayLike, remedy: str) -> None:
@@ -236,7 +237,7 @@ def _check_clock(system: Oscillator | System, omega: NDArray[np.float64], t_0: f
         return
     turns = omega.ravel() * t_0
     resolved = np.spacing(turns - np.floor(turns)) / omega.ravel()
-    fastest = system.omega_n if isinstance(system, Oscillator) else fastest_mode(system)
+    fastest = system.fastest
     if not fastest:  # nothing but contacts holds it
         return
     largest = _CLOCK_SHARE / fastest

@@ -8,7 +8,10 @@ The equation of motion, with `F_c` the contact force of `gapsweep.model.contact`
 import math
 from dataclasses import dataclass, fields
 from operator import index
-from typing import Any
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 
@@ -84,6 +87,14 @@ class Oscillator:
     3.0
     """
 
+    # What it has as a `System` of one coordinate has it.
+    n: ClassVar[int] = 1
+    n_lags: ClassVar[int] = 0
+    n_states: ClassVar[int] = 2
+    coordinates: ClassVar[tuple[str, ...]] = ("x",)
+    is_forced: ClassVar[bool] = True
+    sizes: ClassVar[tuple[int, ...]] = ()
+
     zeta: float = 0.03
     omega_n: float = 5.0
     mass: float = 3.0
@@ -96,6 +107,36 @@ class Oscillator:
             low, strict = lows.get(field.name, (-math.inf, False))
             value = checked(field.name, getattr(self, field.name), low=low, strict=strict)
             object.__setattr__(self, field.name, value)
+
+    @property
+    def directions(self) -> NDArray[np.float64]:
+        """Direction of the contact, shape (1, 1)."""
+        return np.ones((1, 1))
+
+    @property
+    def is_modulated(self) -> NDArray[np.bool_]:
+        """Whether the stiffness of the contact changes with time, shape (1,)."""
+        return np.zeros(1, bool)
+
+    @property
+    def slowest(self) -> float:
+        """Smallest natural frequency [Hz]."""
+        return self.omega_n
+
+    @property
+    def fastest(self) -> float:
+        """Largest natural frequency [Hz]."""
+        return self.omega_n
+
+    def unit(self, omega_rad: ArrayLike) -> NDArray[np.float64]:
+        """Size of one metre of the section in displacement and velocity, shape (2, ...).
+
+        Parameters
+        ----------
+        omega_rad : float or array_like
+            Angular frequency of the motion [rad/s].
+        """
+        return np.stack([np.ones_like(omega_rad, dtype=float), np.asarray(omega_rad, float)])
 
     @property
     def omega_n_rad(self) -> float:

@@ -14,9 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
 
 Array = NDArray[np.float64]
+
+
+def structure_of(model: Oscillator | System) -> "Structure | None":
+    """The structure of a system; None of an oscillator."""
+    return Structure.of(model) if isinstance(model, System) else None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -344,29 +344,32 @@ class System:
         held = moduli[moduli > _STILL * moduli.max(initial=0.0)]
         return float(held.min(initial=math.inf)) / (2.0 * math.pi) if held.size else 0.0
 
-    def unit(self, omega_rad: float) -> Array:
-        """What is as large as one metre of the lightest coordinate, for every state.
+    @property
+    def fastest(self) -> float:
+        """Largest modulus of an eigenvalue of the linear part out of contact [Hz]."""
+        return float(np.abs(np.linalg.eigvals(first_order(self))).max()) / (2.0 * math.pi)
+
+    def unit(self, omega_rad: ArrayLike) -> Array:
+        """Size of one metre of the lightest coordinate in every state, shape (n_states, ...).
 
         Coordinates and velocities are measured by their kinetic energy, first-order states by what
         such a motion makes of them.
 
         Parameters
         ----------
-        omega_rad : float
+        omega_rad : float or array_like
             Angular frequency of the motion [rad/s].
-
-        Returns
-        -------
-        ndarray, shape (n_states,)
         """
-        masses = np.diag(self.mass)
+        rate, masses = np.asarray(omega_rad, float), np.diag(self.mass)
         place = np.sqrt(masses.min() / masses)
+        along = np.multiply.outer(place, np.ones_like(rate)), np.multiply.outer(place, rate)
         if self.lags is None:
-            return np.concatenate([place, omega_rad * place])
-        driven = np.abs(self.lags.of_place) + omega_rad * np.abs(self.lags.of_speed)
-        rate = max(omega_rad, float(np.abs(np.linalg.eigvals(self.lags.of_lags)).max()))
-        lags = (driven * place).max(axis=1) / rate
-        return np.concatenate([place, omega_rad * place, np.where(lags > 0.0, lags, 1.0)])
+            return np.concatenate(along)
+        of_place, of_speed = np.abs(self.lags.of_place), np.abs(self.lags.of_speed)
+        fastest = np.abs(np.linalg.eigvals(self.lags.of_lags)).max()
+        driven = np.moveaxis(of_place + np.multiply.outer(rate, of_speed), (-2, -1), (0, 1))
+        lags = (np.moveaxis(driven, 1, -1) * place).max(axis=-1) / np.maximum(rate, fastest)
+        return np.concatenate([*along, np.where(lags > 0.0, lags, 1.0)])
 
 
 def _check_mass(mass: Array) -> None:
@@ -442,8 +445,3 @@ def first_order(system: System) -> Array:
         matrix[n : 2 * n, 2 * n :] = -np.linalg.solve(system.mass, lags.force)
         matrix[2 * n :] = np.hstack([lags.of_place, lags.of_speed, lags.of_lags])
     return matrix
-
-
-def fastest_mode(system: System) -> float:
-    """Largest modulus of an eigenvalue of the linear part out of contact [Hz]."""
-    return float(np.abs(np.linalg.eigvals(first_order(system))).max()) / (2.0 * math.pi)

@@ -100,12 +100,10 @@ def answers(
     end = section[(np.cumsum(counts) - len(walks.y))[:, None] + np.arange(len(walks.y))]
     n_q = ensemble.n_coordinates
     read["x_end"], read["v_end"] = end[:, :n_q], end[:, n_q : 2 * n_q]
-    if not ensemble.is_plain:
-        read["z_end"] = end[:, 2 * n_q :]
+    read["z_end"] = end[:, 2 * n_q :]
     columns = missing(n, ensemble.structure)
-    for name, values in read.items():
-        # An oscillator's only coordinate, its only contact.
-        columns[name][points] = values[:, 0] if values.ndim > 1 and ensemble.is_plain else values
+    for name in columns.keys() & read.keys():
+        columns[name][points] = read[name].reshape(len(points), *columns[name].shape[1:])
     columns["status"][failures], messages = _failures(failures, ensemble, walks)
     for is_so, message in ((found.is_astray, _ASTRAY), (found.is_hidden, _HIDDEN)):
         messages |= dict.fromkeys(np.flatnonzero(is_so).tolist(), message)
@@ -133,8 +131,7 @@ def _failures(
     for k, point in enumerate(failures.tolist()):
         reached = Status(walks.status[point])
         statuses.append(Status.OUT_OF_FIT_RANGE if has_left[k] else reached)
-        model = ensemble.scenes[point].oscillator
-        names = ("x",) if ensemble.is_plain else model.coordinates
+        names = ensemble.system(point).coordinates
         places = ", ".join(f"{name} = {q:.3g} m" for name, q in zip(names, y[:, k], strict=False))
         messages[point] = f"{reached.label} before t = {walks.t[point]:.6g} s at {places}"
     return statuses, messages
@@ -288,14 +285,14 @@ def _read_off(
     found_out = found.is_chaotic | found.is_quasiperiodic | stays
     share = walks.contact_share[:, points]
     hidden = _hidden_contacts(points, ensemble, walks, gap_max, gap_min)
-    if not ensemble.is_plain:
+    if n_q > 1:
         hidden |= _hidden_springs(points, ensemble, walks, 0.5 * (x_max - x_min))
     hidden &= ~found.is_at_rest[points]
     found.hide(points[hidden])
     is_known = (is_orbit | found_out[points]) & ~hidden
     status = np.where(is_known, Status.OK, Status.UNRESOLVED)
     status[has_left.any(axis=0)] = Status.OUT_OF_FIT_RANGE
-    laws = zip(*(ensemble.scenes[point].laws for point in points.tolist()), strict=True)
+    laws = zip(*map(ensemble.laws, points.tolist()), strict=True)
     forces = [largest_forces(*each) for each in zip(laws, gap_min, gap_max, strict=False)]
     force_max = np.array(forces).reshape(len(low), len(points)).T
     force_max[ensemble.is_modulated[:, points].T] = np.nan
@@ -339,7 +336,7 @@ def _hidden_springs(points: Numbers, ensemble: Ensemble, walks: Walks, half: Arr
     whole = _FAINT * walks.reach[points]
     hidden = np.zeros(len(points), bool)
     for k in np.flatnonzero((half < whole[:, None] * unit).any(axis=1)).tolist():
-        system = ensemble.scenes[points[k]].oscillator
+        system = ensemble.system(points[k])
         for spring in system.cubic:
             along = spring.along
             moves = np.abs(along) @ half[k]  # at most
@@ -368,7 +365,7 @@ def _whole_period(walks: Walks, orbits: Numbers, y: Array, call: Call) -> tuple[
     for row in np.flatnonzero(v_start * v_end < 0.0).tolist():
         k, which = divmod(row, walks.n_turning)
         orbit = orbits[[k]]
-        a = rates(ensemble.scenes[orbits[k]], call.y[:, k])[n_q : 2 * n_q]
+        a = rates(ensemble, int(orbits[k]), call.y[:, k])[n_q : 2 * n_q]
         a_turning = ensemble.turning(orbit, a[:, None])[which, 0]
         missed[row] = (v_start[row] - v_end[row]) * a_turning > 0.0
         doubled[row] = not missed[row] and counts[row] > 0

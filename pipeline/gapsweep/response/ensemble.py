@@ -5,8 +5,7 @@ No result depends on the others that share a call.
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -14,15 +13,19 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import COUNTS, Motions
-from gapsweep.integrate.problem import LOADING, Integrate, Models, Problems
+from gapsweep.integrate.problem import (
+    LOADING,
+    Integrate,
+    Laws,
+    Models,
+    Problems,
+    Solver,
+)
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.oscillator import Oscillator
-from gapsweep.model.structure import Structure
-from gapsweep.model.system import System
+from gapsweep.model.structure import structure_of
 from gapsweep.response.call import Call, arrived
-from gapsweep.response.scene import Scene
-from gapsweep.response.section import unit_of
+from gapsweep.response.scene import Forces, located
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -34,11 +37,12 @@ _UNKNOWN = 1e-100  # steps a second: whatever is asked, it takes one call
 
 
 class Ensemble:
-    """Scenes of one solver and one kind of model: one call of the engine can take them all.
+    """Motions of one kind, with one solver: one call of the engine can take them all.
 
     Attributes
     ----------
-    scenes : sequence of Scene, length n
+    models : Models
+        Parameter sets, n of them.
     solver : Solver
     omega : ndarray, shape (n,)
         Forcing frequencies [Hz].
@@ -51,6 +55,8 @@ class Ensemble:
     structure : Structure or None
         Of systems.
     n_coordinates : int
+    first_gap : int
+        Row of the first contact's gap in `turning`: 0 where the gap is the one coordinate.
     swing : ndarray, shape (n,)
         How far [m] each motion has come from the origin so far, where nothing forces it.
     valid_range : ndarray, shape (2, n_contacts, n)
@@ -62,45 +68,37 @@ class Ensemble:
     is_modulated : ndarray of bool, shape (n_contacts, n)
         Whether the force of a contact changes with time.
     has_own_tangent, is_rattled : bool
-        As of a `Scene`.
+        As of `Forces`.
     is_chained : bool
         Whether motions with their tangent may follow each other in a call.
     """
 
     is_chained = True
 
-    def __init__(self, scenes: Sequence[Scene]) -> None:
-        self.scenes, self.solver = scenes, scenes[0].solver
-        models: list[Any] = [scene.oscillator for scene in scenes]
-        forcing = np.array([scene.omega for scene in scenes])
-        self.is_free = not forcing.any()
-        self.omega = _of_objects(models, lambda model: model.slowest) if self.is_free else forcing
-        self.is_plain = isinstance(models[0], Oscillator)
-        self.structure = None if self.is_plain else Structure.of(models[0])
-        self.n_coordinates = 1 if self.is_plain else models[0].n
-        self.decay_rate = _of_objects(models, lambda model: model.decay_rate)
-        self.settling_rate = _of_objects(models, lambda model: model.settling_rate)
-        self.set_clock(self.omega)
-        self.swing = np.zeros(len(scenes))
-        laws = _of_objects([scene.law for scene in scenes], _of_laws)
-        shape = len(scenes), len(scenes[0].laws), 2
+    def __init__(self, models: Models, solver: Solver) -> None:
+        self.models, self.solver = models, solver
+        n, n_contacts, system = len(models), len(models.laws[0]), models.systems[0]
+        self.is_free = not models.omega.any()
+        slowest = models.of_systems(attrgetter("slowest")) if self.is_free else models.omega
+        self.structure = structure_of(system)
+        self.n_coordinates = system.n
+        self.first_gap = 0 if self.structure is None else system.n
+        self.decay_rate = models.of_systems(attrgetter("decay_rate"))
+        self.settling_rate = models.of_systems(attrgetter("settling_rate"))
+        self.set_clock(slowest)
+        self.swing = np.zeros(n)
+        places = attrgetter("valid_range"), attrgetter("walls"), _felt_walls
         self.valid_range, self.walls, self.felt_walls = (
-            laws[:, i].reshape(shape).T for i in range(3)
+            models.of_laws(each).reshape(n, n_contacts, 2).T for each in places
         )
-        self._directions: Array | None = None
-        self.is_modulated = np.zeros(self.walls.shape[1:], bool)
-        if not self.is_plain:
-            self._directions = _of_objects(models, lambda model: model.directions)
-            self.is_modulated = _of_objects(models, lambda model: model.is_modulated).T
-        self.has_own_tangent, self.is_rattled = scenes[0].has_own_tangent, scenes[0].is_rattled
-        prepared_models = Models(
-            systems=models, laws=[scene.law for scene in scenes], omega=forcing
-        )
-        self._integrate = prepared(prepared_models, self.solver)
+        self._directions: Array = models.of_systems(attrgetter("directions"))
+        self.is_modulated = models.of_systems(attrgetter("is_modulated")).T
+        forces = Forces(models.laws[0], solver)
+        self.has_own_tangent, self.is_rattled = forces.has_own_tangent, forces.is_rattled
+        self._integrate = prepared(models, solver)
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
-            located = replace(prepared_models, laws=[scene.tangent_law for scene in scenes])
-            self._integrate_tangent = prepared(located, scenes[0].tangent_solver)
+            self._integrate_tangent = prepared(models.with_laws(located), forces.tangent_solver)
         # Of every call, by motion: number of the scene, then what it has cost.
         self._costs: list[tuple[NDArray[Any], ...]] = []
 
@@ -117,10 +115,20 @@ class Ensemble:
                 "oscillator: neither springs nor damping nor lags give this System a time of its "
                 "own; `simulate` it"
             )
-        models: list[Any] = [scene.oscillator for scene in self.scenes]
-        self.omega = omega
-        self.unit = unit_of(omega) if self.is_plain else _units(models, omega)
+        self.omega, rate = omega, 2.0 * math.pi * omega
+        self.unit = np.empty((self.models.systems[0].n_states, len(omega)))
+        for i, system in enumerate(self.models.systems):
+            here = self.models.system == i
+            self.unit[:, here] = system.unit(rate[here])
         self._pace = _UNKNOWN / omega  # steps that a period took last
+
+    def system(self, scene: int) -> Any:
+        """What moves in a scene."""
+        return self.models.systems[int(self.models.system[scene])]
+
+    def laws(self, scene: int) -> Laws:
+        """The laws of its contacts."""
+        return self.models.laws[int(self.models.law[scene])]
 
     def at_a_time(
         self, scenes: NDArray[np.intp], n_periods: NDArray[np.int64]
@@ -134,7 +142,7 @@ class Ensemble:
         return np.ceil(n_periods / n_calls).astype(np.int64)
 
     def turning(self, scenes: NDArray[np.intp], parts: Array) -> Array:
-        """What extrema are recorded of: coordinates, then a system's gaps.
+        """What extrema are recorded of: coordinates, then gaps that are no coordinate.
 
         Parameters
         ----------
@@ -147,7 +155,7 @@ class Ensemble:
         ndarray, shape (n_turning, m)
         """
         q = parts[: self.n_coordinates]
-        if self._directions is None:
+        if not self.first_gap:
             return q
         gaps = np.einsum("skj,js->ks", self._directions[scenes], q)
         return np.concatenate([q, gaps])
@@ -155,13 +163,11 @@ class Ensemble:
     def gap_units(self, scenes: NDArray[np.intp]) -> Array:
         """What one metre of the section is in the contacts' gaps, shape (n_contacts, m)."""
         unit = self.unit[: self.n_coordinates, scenes]
-        if self._directions is None:
-            return unit
         return np.asarray(np.sqrt(np.einsum("skj,js->ks", self._directions[scenes] ** 2, unit**2)))
 
     def gaps(self, turning: Array) -> Array:
         """Rows of the contacts' gaps among those of `turning`."""
-        return turning[0 if self.is_plain else self.n_coordinates :]
+        return turning[self.first_gap :]
 
     def call(
         self,
@@ -308,37 +314,6 @@ def _begun(problems: Problems, found: Motions) -> NDArray[np.bool_]:
     return ~problems.follows | np.roll(is_ok, 1)
 
 
-def _of_objects(objects: Sequence[Any], value: Callable[[Any], Any]) -> NDArray[Any]:
-    """A value of each object; the same one again and again costs nothing."""
-    numbers: dict[int, int] = {}
-    values: list[Any] = []
-    for each in objects:
-        if id(each) not in numbers:
-            numbers[id(each)] = len(values)
-            values.append(value(each))
-    return np.array(values)[[numbers[id(each)] for each in objects]]
-
-
-def _of_laws(law: Any) -> list[list[tuple[float, float]]]:
-    """Of the laws of a scene's contacts: valid ranges, walls, and walls that are felt."""
-    laws = law if isinstance(law, tuple) else (law,)
-    return [
-        [each.valid_range for each in laws],
-        [each.walls for each in laws],
-        [_felt_walls(each) for each in laws],
-    ]
-
-
 def _felt_walls(law: ContactLaw) -> tuple[float, float]:
     """Places of the walls at which the stiffness changes, at once or, of a smooth law, around."""
     return (math.nan, math.nan) if law.gap.width == 0.0 and law.K_ratio == 1.0 else law.walls
-
-
-def _units(systems: Sequence[System], omega: Array) -> Array:
-    """What one metre of the section is in each component of systems' states."""
-    known: dict[tuple[int, float], Array] = {}
-    keys = [(id(system), at) for system, at in zip(systems, omega.tolist(), strict=True)]
-    for key, system in zip(keys, systems, strict=True):
-        if key not in known:
-            known[key] = system.unit(2.0 * math.pi * key[1])
-    return np.stack([known[key] for key in keys], axis=1)

@@ -110,7 +110,6 @@ def contact_shares(
         stays = [(end == walls[0]) | (end == walls[1]) for end in ends]
         return np.where(stays[0] & stays[1] & (call.n_contacts == 0), 0.0, shares)
     events = call.events
-    first_gap = 0 if ensemble.is_plain else ensemble.n_coordinates
     found = []
     for k in range(walls.shape[1]):
         passings = _of_one(events.t_contacts, events.contacts_of, events.n_contacts, k)
@@ -118,7 +117,7 @@ def contact_shares(
             np.stack([events.t_extrema, events.extrema], axis=1),
             events.extrema_of,
             events.n_extrema,
-            first_gap + k,
+            ensemble.first_gap + k,
         )
         gap_ends = [end[k] for end in ends]
         found.append(

@@ -1,17 +1,18 @@
 """What moves scenes, at a single state: derivatives by time, and eigenvalues about a rest."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.reference_scenes import OscillatorScene, SystemScene
+from gapsweep.integrate.problem import Models
+from gapsweep.integrate.reference_scenes import scene_of
 from gapsweep.model.contact import Piecewise
-from gapsweep.model.system import System, first_order
-from gapsweep.response.scene import Scene
+from gapsweep.model.system import first_order
+from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.section import norm
 
 Array = NDArray[np.float64]
@@ -24,16 +25,16 @@ _STILL = 1e-10
 REST = 1e-8
 
 
-def about_rest(scene: Scene, y: Array, unit: Array, swing: float) -> tuple[float, float]:
+def about_rest(ensemble: Ensemble, scene: int, y: Array) -> tuple[float, float]:
     """What a state of rest does to a motion beside it, and how far off it lies.
 
     Parameters
     ----------
-    scene : Scene
-    y, unit : ndarray, shape (n_states,)
-        The state, and what one metre of the section is in each component.
-    swing : float
-        How far [m] the motion swung at most.
+    ensemble : Ensemble
+    scene : int
+        Number of the scene.
+    y : ndarray, shape (n_states,)
+        The state.
 
     Returns
     -------
@@ -45,7 +46,8 @@ def about_rest(scene: Scene, y: Array, unit: Array, swing: float) -> tuple[float
     offset : float
         Distance [m] of `y` from the rest, as a section point, by Newton's step.
     """
-    found = [_linearised(scene, y, modes) for modes in _sides(scene, y, swing)]
+    found = [_linearised(ensemble, scene, y, modes) for modes in _sides(ensemble, scene, y)]
+    unit = ensemble.unit[:, scene]
     offset = min(float(norm(np.linalg.lstsq(a, v)[0] / unit)) for v, a in found)
     growth = [np.linalg.eigvals(a) for _, a in found]
     if len(growth) > 1:
@@ -58,21 +60,20 @@ def about_rest(scene: Scene, y: Array, unit: Array, swing: float) -> tuple[float
     return (0.0 if abs(largest) <= _STILL * np.abs(growth).max() else largest), offset
 
 
-def _linearised(scene: Scene, y: Array, modes: Any) -> tuple[Array, Array]:
+def _linearised(ensemble: Ensemble, scene: int, y: Array, modes: Any) -> tuple[Array, Array]:
     """Derivative of a state by time, and its own by the state."""
     n, state = len(y), np.concatenate([y, np.eye(len(y)).ravel()])
-    found = np.asarray(right_side(scene, tangent=True, modes=modes)(0.0, state))
+    found = np.asarray(_right_side(ensemble, scene, tangent=True, modes=modes)(0.0, state))
     return found[:n], found[n:].reshape(n, n).T  # images stand one after the other
 
 
-def _sides(scene: Scene, y: Array, swing: float) -> Iterator[Any]:
+def _sides(ensemble: Ensemble, scene: int, y: Array) -> Iterator[Any]:
     """Modes of the contacts at a state, in all ways in which walls that it lies on may be; None: as
     the state is.
     """
-    system = scene.oscillator
-    assert isinstance(system, System), "an oscillator is forced"
+    system, laws, swing = ensemble.system(scene), ensemble.laws(scene), ensemble.swing[scene]
     choices = []
-    for gap, law in zip(system.directions @ y[: system.n], scene.laws, strict=True):
+    for gap, law in zip(system.directions @ y[: system.n], laws, strict=True):
         near = _ON_WALL * (law.gap.width + abs(gap)) + REST * swing
         low, high = law.walls
         modes = {int(gap > high) - int(gap < low)}
@@ -83,23 +84,24 @@ def _sides(scene: Scene, y: Array, swing: float) -> Iterator[Any]:
         choices.append(sorted(modes - {0} if low == high and len(modes) > 1 else modes))
     if all(len(modes) == 1 for modes in choices):
         yield None
-    elif all(isinstance(law, Piecewise) for law in scene.laws):
+    elif all(isinstance(law, Piecewise) for law in laws):
         yield from product(*choices)
     else:
         yield from (None, None)  # beside other laws: this side, and no exponent
 
 
-def rates(scene: Scene, y: Array) -> Array:
+def rates(ensemble: Ensemble, scene: int, y: Array) -> Array:
     """Derivative of a state by time, at forcing phase zero."""
-    return np.asarray(right_side(scene, tangent=False)(0.0, y))
+    return np.asarray(_right_side(ensemble, scene, tangent=False)(0.0, y))
 
 
-def right_side(scene: Scene, *, tangent: bool, modes: Any = None) -> Callable[[float, Array], Any]:
+def _right_side(
+    ensemble: Ensemble, scene: int, *, tangent: bool, modes: Any = None
+) -> Callable[[float, Array], Any]:
     """The equation of motion, with the laws as they are or, of exact ones, in some modes."""
-    form = SystemScene if isinstance(scene.oscillator, System) else OscillatorScene
-    solver = scene.solver
-    given = scene.omega, 0.0, solver.rtol, solver.atol
-    return form(scene.oscillator, scene.laws, *given, tangent=tangent).rhs(modes)
+    system, solver = ensemble.system(scene), ensemble.solver
+    given = float(ensemble.models.omega[scene]), 0.0, solver.rtol, solver.atol
+    return scene_of(system)(system, ensemble.laws(scene), *given, tangent=tangent).rhs(modes)
 
 
 class Rates:
@@ -109,19 +111,12 @@ class Rates:
 
     Parameters
     ----------
-    scenes : sequence of Scene, length n
+    models : Models
     """
 
-    def __init__(self, scenes: Sequence[Scene]) -> None:
-        systems = {id(scene.oscillator): scene.oscillator for scene in scenes}
-        number = {which: i for i, which in enumerate(systems)}
-        self._system = np.array([number[id(scene.oscillator)] for scene in scenes])
-        laws = [tuple(map(id, scene.laws)) for scene in scenes]
-        several = {these: scene.laws for these, scene in zip(laws, scenes, strict=True)}
-        which = {these: i for i, these in enumerate(several)}
-        self._law = np.array([which[these] for these in laws])
-        self._laws = list(several.values())
-        terms = [_terms(system) for system in systems.values()]
+    def __init__(self, models: Models) -> None:
+        self._system, self._law, self._laws = models.system, models.law, models.laws
+        terms = [_terms(system) for system in models.systems]
         self._linear, self._load, self._cubics, self._contacts = map(
             np.array, zip(*terms, strict=True)
         )

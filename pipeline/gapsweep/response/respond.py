@@ -16,13 +16,13 @@ section lies on a curve. What may be one is measured again, eight times as long 
 section points at least.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver, kind
+from gapsweep.integrate.problem import DEFAULT_ENGINE, Models, Numbers, Solver
 from gapsweep.integrate.simulate import starts
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
@@ -92,11 +92,9 @@ def respond(
     solver, steady = Solver.of(engine, rtol, atol), Steady() if steady is None else steady
     check_kinds(oscillator, steady)
     frequency, start, laws = starts(oscillator, law, omega, x_0, v_0, q_0, z_0)
-    scenes = [
-        Scene(oscillator=oscillator, law=laws, omega=at, solver=solver)
-        for at in frequency.ravel().tolist()
-    ]
-    responses = respond_all(scenes, start.reshape(len(scenes), -1), steady)
+    n = frequency.size
+    models = Models.of([oscillator] * n, [laws] * n, frequency.ravel())
+    responses = respond_models(models, solver, start.reshape(n, -1), steady)
     return responses.shaped(frequency.shape) if frequency.shape else responses.row(0)
 
 
@@ -131,20 +129,41 @@ def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> R
     """
     starts = np.asarray(starts, float)
     starts = np.broadcast_to(starts, (len(scenes), starts.shape[-1]))
-    groups: dict[Hashable, list[int]] = {}
+    groups: dict[Solver, list[int]] = {}
     for i, scene in enumerate(scenes):
-        # Solvers that are equal but not one are a group of their own, which changes no response.
-        together = kind(scene.oscillator, scene.law), id(scene.solver)
-        groups.setdefault(together, []).append(i)
-    found = [
-        _responses([scenes[i] for i in group], starts[group].T, steady) for group in groups.values()
-    ]
-    responses = Responses.concatenated(found)
-    if len(found) == 1:
-        return responses
-    return responses.take(np.argsort([i for group in groups.values() for i in group]))
+        groups.setdefault(scene.solver, []).append(i)
+    found = []
+    for solver, group in groups.items():
+        some = [scenes[i] for i in group]
+        columns = zip(*((one.oscillator, one.laws, one.omega) for one in some), strict=True)
+        systems, laws, omega = map(list, columns)
+        models = Models.of(systems, laws, np.array(omega))
+        found.append(respond_models(models, solver, starts[group], steady))
+    return _in_order(found, list(groups.values()))
 
 
-def _responses(scenes: Sequence[Scene], start: Array, steady: Steady) -> Responses:
-    ensemble = Ensemble(scenes) if scenes[0].omega else Returns(scenes, start)
-    return Search(ensemble, start, steady).responses()
+def respond_models(models: Models, solver: Solver, starts: Array, steady: Steady) -> Responses:
+    """Steady responses of parameter sets of any kinds, each from one initial state.
+
+    Parameters
+    ----------
+    models : Models
+        All oscillators, or systems of one size.
+    solver : Solver
+    starts : ndarray, shape (n, n_states)
+        Initial displacements [m], velocities [m/s] and first-order states.
+    steady : Steady
+    """
+    groups, found = models.by_kind(), []
+    for group in groups:
+        some, start = models.take(group), starts[group].T
+        is_forced = some.omega[0] > 0.0
+        ensemble = Ensemble(some, solver) if is_forced else Returns(some, solver, start)
+        found.append(Search(ensemble, start, steady).responses())
+    return _in_order(found, groups)
+
+
+def _in_order(parts: Sequence[Responses], groups: Sequence[Sequence[int] | Numbers]) -> Responses:
+    """The rows of all parts, of which `groups` says which rows of the whole they are."""
+    whole = Responses.concatenated(parts)
+    return whole if len(parts) < 2 else whole.take(np.argsort(np.concatenate(groups)))

@@ -5,7 +5,6 @@ of the section has one multiplier less than the motion: that along the motion, w
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.motion import Motions
+from gapsweep.integrate.problem import Models, Solver
 from gapsweep.response.call import Call
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
 from gapsweep.response.rates import REST, Rates
-from gapsweep.response.scene import Scene
 from gapsweep.response.section import norm, reach_of
 from gapsweep.status import Status
 
@@ -86,13 +85,13 @@ class Returns(Ensemble):
 
     is_chained = False  # where a return is, its call tells
 
-    def __init__(self, scenes: Sequence[Scene], start: Array) -> None:
-        super().__init__(scenes)
-        self._rates = Rates(scenes)
+    def __init__(self, models: Models, solver: Solver, start: Array) -> None:
+        super().__init__(models, solver)
+        self._rates = Rates(models)
         self._rate = self.omega.copy()  # returns per second, as seen last
         # Time is counted in returns: as they follow each other, not as the slowest motion would.
-        n = np.full(len(scenes), _FIRST)
-        every, kept = np.arange(len(scenes)), np.zeros(len(scenes), bool)
+        n = np.full(len(models), _FIRST)
+        every, kept = np.arange(len(models)), np.zeros(len(models), bool)
         found, (_, counts) = self._returned(every, start, n, kept, is_shot=False)
         self._rate = np.where(counts == _FIRST, n / found.t, self._rate)
         self.set_clock(self._rate.copy())

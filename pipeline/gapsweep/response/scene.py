@@ -1,12 +1,9 @@
-"""What moves: a model, how it is forced, and how it is solved."""
+"""One motion as its parameter set and solver, and which solver its tangent needs."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
-from gapsweep.integrate.problem import Solver
+from gapsweep.integrate.problem import Laws, Model, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.oscillator import Oscillator
-from gapsweep.model.system import System
 
 # A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
 _TANGENT_RTOL = 1e-7
@@ -15,17 +12,32 @@ _LOOSE = 1e-5  # at looser tolerances an error estimate does not see the edge of
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What moves: the model, its forcing frequency [Hz] and the solver."""
+    """A model, its forcing frequency [Hz] and the solver."""
 
-    oscillator: Oscillator | System
-    law: Any  # of a system a tuple, in the order of its contacts
+    oscillator: Model
+    law: ContactLaw | Laws  # a tuple of several in the order of the system's contacts
     omega: float
     solver: Solver
 
     @property
-    def laws(self) -> tuple[ContactLaw, ...]:
+    def laws(self) -> Laws:
         """The law of every contact."""
-        return self.law if isinstance(self.oscillator, System) else (self.law,)
+        return self.law if isinstance(self.law, tuple) else (self.law,)
+
+
+@dataclass(frozen=True, slots=True)
+class Forces:
+    """Contact laws and the solver that passes them.
+
+    Attributes
+    ----------
+    laws : tuple of ContactLaw
+        Of every contact.
+    solver : Solver
+    """
+
+    laws: Laws
+    solver: Solver
 
     @property
     def is_located(self) -> bool:
@@ -45,12 +57,9 @@ class Scene:
         return self.has_kinks or (self.solver.rtol > _LOOSE and not self.is_located)
 
     @property
-    def tangent_law(self) -> Any:
-        """The same force, its kinks located if they can be."""
-        exact = [replace(law, located=True) for law in self.laws if isinstance(law, Piecewise)]
-        # All contacts are located or none.
-        laws = tuple(exact) if len(exact) == len(self.laws) else self.laws
-        return laws if isinstance(self.oscillator, System) else laws[0]
+    def has_own_tangent(self) -> bool:
+        """Whether motion and tangent are integrated together."""
+        return located(self.laws) == self.laws and self.tangent_solver == self.solver
 
     @property
     def tangent_solver(self) -> Solver:
@@ -65,7 +74,8 @@ class Scene:
         rtol = min(solver.rtol, _TANGENT_RTOL)
         return Solver.of(solver.engine, rtol, solver.atol / solver.rtol * rtol)
 
-    @property
-    def has_own_tangent(self) -> bool:
-        """Whether motion and tangent are integrated together."""
-        return self.tangent_law == self.law and self.tangent_solver == self.solver
+
+def located(laws: Laws) -> Laws:
+    """The same forces with their kinks located, if all contacts can be; else as they are."""
+    exact = [replace(law, located=True) for law in laws if isinstance(law, Piecewise)]
+    return tuple(exact) if len(exact) == len(laws) else laws

@@ -481,5 +481,5 @@ class Search:
         at_rest = points[walks.status[points] == AT_REST]
         found.is_at_rest[at_rest], found.lyapunov_error[at_rest] = True, 0.0
         for point in at_rest.tolist():
-            rest = ensemble.scenes[point], walks.y[:, point], ensemble.unit[:, point]
-            found.lyapunov[point], found.offset[point] = about_rest(*rest, ensemble.swing[point])
+            rest = about_rest(ensemble, point, walks.y[:, point])
+            found.lyapunov[point], found.offset[point] = rest

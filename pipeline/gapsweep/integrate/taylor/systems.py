@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.system import System, fastest_mode, fraction
+from gapsweep.model.system import System, fraction
 
 from .layout import Layout, known
 from .scenes import MIN_STEP, Scenes, check, check_tolerances, empty_table, order_for, set_clock
@@ -58,6 +58,7 @@ def layout_of(system: System) -> Layout:
 
 def system_scenes(
     systems: Sequence[System],
+    which: NDArray[np.intp],
     walls: Walls,
     omega: Array,
     *,
@@ -68,8 +69,10 @@ def system_scenes(
 
     Parameters
     ----------
-    systems : sequence of System, length n
-        All of one layout; the same object again and again costs nothing.
+    systems : sequence of System
+        All of one layout.
+    which : ndarray of int, shape (n,)
+        The system of each point.
     walls : Walls
     omega : ndarray, shape (n,)
         Forcing frequency [Hz]; 0 of what is not forced, whose clock then counts its own periods.
@@ -78,16 +81,14 @@ def system_scenes(
     """
     check_tolerances(rtol, atol)
     check(K_c=walls.K_c, K_ratio=walls.K_ratio, j_1=walls.j_1, j_2=walls.j_2)
-    of_each = np.array([id(system) for system in systems])
-    _, firsts, which = np.unique(of_each, return_index=True, return_inverse=True)
-    (layout,) = {layout_of(systems[first]) for first in firsts}
+    (layout,) = {layout_of(system) for system in systems}
     at = known(replace(layout, order=order_for(rtol)))
-    points, table = empty_table(at, len(systems))
+    points, table = empty_table(at, len(which))
     stiffnesses = walls.K_ratio * walls.K_c, walls.K_c
-    for number, first in enumerate(firsts):
+    for number, system in enumerate(systems):
         here = np.flatnonzero(which == number)
         stiffest = np.maximum(*stiffnesses)[here]
-        _fill(at, points, here, _Linear(systems[first]), stiffest, omega[here])
+        _fill(at, points, here, _Linear(system), stiffest, omega[here])
     blocks = at.lower, at.upper, at.lower_stiffness, at.upper_stiffness
     for block, values in zip(blocks, (-walls.j_1, walls.j_2, *stiffnesses), strict=True):
         table[block : block + at.contacts] = values.T
@@ -161,7 +162,7 @@ def _fill(
     put("cubic", inverse @ along.T * alpha)
     put("softness", np.einsum("ki,ij,kj->k", along, inverse, along))
     put("holding", np.array([linear.holding(a) for a in along]))
-    fastest = 2.0 * np.pi * fastest_mode(system)
+    fastest = 2.0 * np.pi * system.fastest
     clock = np.where(omega > 0.0, omega, linear.slowest / (2.0 * np.pi))
     set_clock(at, table, clock)
     _put_loads(at, table, put, linear)
