@@ -8,14 +8,16 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.response.result import Responses, Steady
 from gapsweep.store.cache import Cache
 from gapsweep.store.slab import slabs
-from gapsweep.study.points import KEY, NUMBERS, Kind, Points
+from gapsweep.study.points import KEY, Kind, Points
 
-KIND = Kind(representation="piecewise", solver=Solver.of(), steady=Steady())
+KIND = Kind(
+    representation="piecewise", contacts=("piecewise",), solver=Solver.of(), steady=Steady()
+)
 
 
 def points(*names, kind=KIND):
     """Points that differ in their stiffness: one for each name, which is any number."""
-    numbers = np.ones((len(names), len(NUMBERS)))
+    numbers = np.ones((len(names), len(kind.numbers)))
     numbers[:, 0] = names
     return Points(kind, numbers)
 

@@ -108,7 +108,8 @@ def test_no_point_alone_is_timed_out_for_what_it_loads(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     label = "slow_to_load:law"
     code, solver = law_code(label), Solver.of("scipy", 1e-3)
-    kind = Kind(representation=label, solver=solver, steady=gs.Steady(t_max=1.0), law_code=code)
+    settings = {"solver": solver, "steady": gs.Steady(t_max=1.0)}
+    kind = Kind(representation=label, contacts=(label,), **settings, law_code=code)
     with Alone(2.0) as alone:
         response = response_of(alone, points(1.0, kind=kind), np.zeros(2)).row(0)
     assert response.status < gs.Status.TIMED_OUT

@@ -25,7 +25,6 @@ from gapsweep.store.cache import SCHEMA_VERSION, Cache
 from gapsweep.store.index import DAMAGED, MISSING
 from gapsweep.store.slab import SLAB, sealed, stored
 from gapsweep.study.fingerprint import numerics_fingerprint
-from gapsweep.study.points import NUMBERS
 
 NOW = numerics_fingerprint()
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -345,7 +344,7 @@ def packed(**columns):
 def _with_status(packed, status):
     unpacking = zlib.decompressobj()
     columns = unpacking.decompress(packed)
-    at = 32 + 8 * len(NUMBERS)  # behind the key of the point before it, and its numbers
+    at = 32 + 8 * len(KIND.numbers)  # behind the key of the point before it, and its numbers
     assert columns[at : at + 1] == bytes([gs.Status.OK])
     changed = zlib.compress(columns[:at] + status + columns[at + 1 :])
     return changed + unpacking.unused_data

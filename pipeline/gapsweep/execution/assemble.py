@@ -183,7 +183,8 @@ def _point_arrays(
     values["status"][requested] = Status.INTERRUPTED
     values["response_class"][requested] = ResponseClass.FAILED
     for name in values.keys() & responses.columns.keys():
-        values[name][*at] = responses.columns[name]
+        column = responses.columns[name]
+        values[name][*at] = column.reshape(len(column), *layout.part_shape(name))
     number = {host: i for i, host in enumerate(hosts)}
     values["host"][*at] = [number.get(host, -1) for host in found.host.tolist()]
     lists = _extrema(responses, layout) | _section(responses, layout)
@@ -263,7 +264,8 @@ def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...])
     }
     for name, filled in values.items():
         columns = leaders.columns
-        filled[place] = columns[name] if name in columns else getattr(found, name)
+        column = columns[name] if name in columns else getattr(found, name)
+        filled[place] = column.reshape(len(column), *layout.part_shape(name))
     parts, counts = leaders.lists["multipliers"]
     lists: dict[str, Fill] = {
         name: partial(_ragged, parts[i::2], counts // 2) for i, name in enumerate(MULTIPLIERS)

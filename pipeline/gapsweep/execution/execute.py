@@ -141,8 +141,7 @@ class _Execution:
         self.study, self.plan, self.cache, self.claims = study, plan, cache, claims
         self.client, self.batch, self.timeout = client, batch, timeout
         # The last windows of all points of a task are in memory at once, state by state.
-        structure = study.structure
-        self.largest_batch = 2 * MAX_BATCH // (structure.n_states if structure else 2)
+        self.largest_batch = 2 * MAX_BATCH // study.structure.n_states
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
         # What must be computed although it is stored: failures, and what follows them in a sweep.
         self.is_stale = plan.is_missing & (plan.status >= 0)

@@ -26,8 +26,7 @@ from gapsweep.integrate.simulate import loaded
 from gapsweep.model import own_law
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
-from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
-from gapsweep.model.system import System
+from gapsweep.model.oscillator import Gap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, Responses
@@ -257,8 +256,7 @@ def _starts(points: Points, states: States) -> States:
 def _models(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError]]:
     """The parameter sets of the points, with their rows; and by row why others have none."""
     kind = points.kind
-    labels = kind.contacts if kind.structure else (kind.representation,)
-    n, n_states = len(labels) * len(OF_CONTACT), kind.n_states
+    n, n_states = len(kind.contacts) * len(OF_CONTACT), kind.n_states
 
     def laws(row: States) -> tuple[ContactLaw, ...]:
         if kind.law_code != OURS:
@@ -266,17 +264,12 @@ def _models(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError]]
         return tuple(
             contact_law(label, K_c, Gap(j_1, j_2), kind.fit_range, K_ratio=K_ratio)
             for label, (K_c, j_1, j_2, K_ratio) in zip(
-                labels, row.reshape(-1, len(OF_CONTACT)).tolist(), strict=True
+                kind.contacts, row.reshape(-1, len(OF_CONTACT)).tolist(), strict=True
             )
         )
 
-    def system(row: States) -> Oscillator | System:
-        if kind.structure is not None:
-            return kind.structure.system(row)
-        return Oscillator(**dict(zip(OSCILLATOR, row.tolist(), strict=True)))
-
     walls, omega, others = np.split(points.numbers[:, :-n_states], [n, n + 1], axis=1)
-    systems, its_system, no_system = _made(system, others)
+    systems, its_system, no_system = _made(kind.structure.system, others)
     several, its_laws, no_laws = _made(laws, walls)
     refused = no_system | no_laws
     rows = np.array([row for row in range(len(points)) if row not in refused], np.intp)

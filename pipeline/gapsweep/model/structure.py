@@ -9,20 +9,48 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise
-from typing import Any
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.oscillator import OSCILLATOR, Oscillator
 from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
 
 Array = NDArray[np.float64]
+AnyStructure: TypeAlias = "Structure | OscillatorStructure"
 
 
-def structure_of(model: Oscillator | System) -> "Structure | None":
-    """The structure of a system; None of an oscillator."""
-    return Structure.of(model) if isinstance(model, System) else None
+def structure_of(model: Oscillator | System) -> AnyStructure:
+    """The structure of what moves."""
+    return Structure.of(model) if isinstance(model, System) else OscillatorStructure()
+
+
+def read_structure(fields: Mapping[str, Any]) -> AnyStructure:
+    """The structure whose fields are these, as JSON gives them back; none are an oscillator's.
+
+    Raises
+    ------
+    ValueError, TypeError, KeyError
+        If it is none.
+    """
+    return Structure.read(fields) if fields else OscillatorStructure()
+
+
+@dataclass(frozen=True)
+class OscillatorStructure:
+    """The structure of every `Oscillator`: one coordinate, one harmonic load, one contact."""
+
+    n: ClassVar[int] = 1
+    m: ClassVar[int] = 0
+    n_states: ClassVar[int] = 2
+    is_forced: ClassVar[bool] = True
+    contacts: ClassVar[tuple[tuple[int, ...], ...]] = ((),)
+    names: ClassVar[tuple[str, ...]] = OSCILLATOR
+
+    def system(self, row: Array) -> Oscillator:
+        """The oscillator that has these numbers."""
+        return Oscillator(**dict(zip(OSCILLATOR, row.tolist(), strict=True)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +100,11 @@ class Structure:
     def n_states(self) -> int:
         """Length of a state (q, v, z)."""
         return 2 * self.n + self.m
+
+    @property
+    def is_forced(self) -> bool:
+        """Whether anything in it repeats with the forcing's period."""
+        return any(k for k, _ in self.loads) or any(self.contacts)
 
     @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:

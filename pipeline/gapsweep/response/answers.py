@@ -190,10 +190,8 @@ def _stability(
     kinds[found.is_at_rest[points] & ~(lyapunov > 0.0)] = ResponseClass.EQUILIBRIUM
     noise = walks.noise(np.where(found.is_periodic, shots.n, 1))[points]
     noise = np.where(found.is_at_rest[points], found.offset[points], noise)
-    of_systems = {}
-    if ensemble.is_free:
-        of_systems["period"] = np.where(is_orbit, n / omega, np.nan)
-    return of_systems | {
+    return {
+        "period": np.where(is_orbit, n / omega, np.nan),
         "response_class": kinds,
         "period_multiple": np.where(is_orbit, n, 0),
         "multiplier_abs": modulus,

@@ -23,6 +23,7 @@ from gapsweep.integrate.problem import (
 )
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
+from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import structure_of
 from gapsweep.response.call import Call, arrived
 from gapsweep.response.scene import Forces, located
@@ -52,8 +53,7 @@ class Ensemble:
         As of an `Oscillator` or a `System` [1/s].
     unit : ndarray, shape (n_states, n)
         As of a `Call`.
-    structure : Structure or None
-        Of systems.
+    structure : Structure or OscillatorStructure
     n_coordinates : int
     first_gap : int
         Row of the first contact's gap in `turning`: 0 where the gap is the one coordinate.
@@ -82,7 +82,7 @@ class Ensemble:
         slowest = models.of_systems(attrgetter("slowest")) if self.is_free else models.omega
         self.structure = structure_of(system)
         self.n_coordinates = system.n
-        self.first_gap = 0 if self.structure is None else system.n
+        self.first_gap = 0 if isinstance(system, Oscillator) else system.n
         self.decay_rate = models.of_systems(attrgetter("decay_rate"))
         self.settling_rate = models.of_systems(attrgetter("settling_rate"))
         self.set_clock(slowest)

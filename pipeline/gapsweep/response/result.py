@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import checked, whole
-from gapsweep.model.structure import Structure
+from gapsweep.model.structure import AnyStructure, OscillatorStructure
 from gapsweep.response.lists import spans
 from gapsweep.status import Status
 
@@ -42,33 +42,31 @@ COLUMNS = {
     "cpu_time": "f8",
 }
 LISTS = {"extrema": "f8", "extremum_kind": "i1", "multipliers": "f8", "section": "f8"}
-# What systems have besides.
-_OF_SYSTEMS = {"period": "f8", "z_end": "f8"}
-# Of what systems have several values: of every coordinate, of every contact, of every lag.
+# Columns that have a value of every coordinate, of every contact, of every first-order state.
 OF_COORDINATES = ("n_extrema", "x_max", "x_min", "amplitude", "x_end", "v_end")
 OF_CONTACTS = ("force_max", "contact_share")
-OF_LAGS = ("z_end",)
+_OSCILLATOR = OscillatorStructure()
 
 
-def columns_of(structure: Structure | None) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Columns of responses of oscillators (None), or of systems.
+def columns_of(structure: AnyStructure) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Columns of responses: NumPy type code, and the shape of one point's value.
 
-    Returns
-    -------
-    dict of str to (str, tuple of int)
-        NumPy type code, and the shape of one point's value.
+    Values of a single coordinate, or of a single contact, are plain numbers. Motions that nothing
+    forces have a period, systems with first-order states have their last ones.
     """
-    if structure is None:
-        return {name: (dtype, ()) for name, dtype in COLUMNS.items()}
     sizes = {
         **dict.fromkeys(OF_COORDINATES, structure.n),
         **dict.fromkeys(OF_CONTACTS, len(structure.contacts)),
-        **dict.fromkeys(OF_LAGS, structure.m),
     }
-    return {
-        name: (dtype, (sizes[name],) if name in sizes else ())
-        for name, dtype in {**COLUMNS, **_OF_SYSTEMS}.items()
+    found: dict[str, tuple[str, tuple[int, ...]]] = {
+        name: (dtype, () if sizes.get(name, 1) == 1 else (sizes[name],))
+        for name, dtype in COLUMNS.items()
     }
+    if not structure.is_forced:
+        found["period"] = "f8", ()
+    if structure.m:
+        found["z_end"] = "f8", (structure.m,)
+    return found
 
 
 class ResponseClass(IntEnum):
@@ -167,8 +165,8 @@ class Response:
     """Steady response of one sweep point, or of an array of them.
 
     It has an attribute for every dataset variable: a plain value, or an array of values. Of a
-    `System` those of displacements are arrays, their last axis that of its coordinates, or of its
-    contacts where a force or a share of time is meant.
+    `System` with several coordinates, values of displacements are arrays whose last axis is that
+    of its coordinates; with several contacts, forces and shares of time have an axis of contacts.
 
     Attributes
     ----------
@@ -281,7 +279,7 @@ class Response:
         return f"<gapsweep.Response: {', '.join(said)}>"
 
 
-def missing(n: int, structure: Structure | None = None) -> dict[str, NDArray[Any]]:
+def missing(n: int, structure: AnyStructure) -> dict[str, NDArray[Any]]:
     """Columns of n points without a response."""
     columns: dict[str, NDArray[Any]] = {
         name: np.full((n, *shape), np.nan if dtype == "f8" else 0, dtype)
@@ -314,8 +312,10 @@ class Responses:
         return len(self.columns["status"])
 
     @classmethod
-    def of(cls, responses: Sequence[Response], structure: Structure | None = None) -> "Responses":
-        """Columns of single responses, of oscillators or of systems."""
+    def of(
+        cls, responses: Sequence[Response], structure: AnyStructure = _OSCILLATOR
+    ) -> "Responses":
+        """Columns of single responses of what has this structure."""
         columns = missing(len(responses), structure)
         for name, column in columns.items():
             for row, response in enumerate(responses):

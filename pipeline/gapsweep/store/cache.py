@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import StoreError
-from gapsweep.model.structure import Structure
+from gapsweep.model.structure import AnyStructure, OscillatorStructure
 from gapsweep.response.result import Responses
 from gapsweep.store.filesystem import is_on_network
 from gapsweep.store.index import DAMAGED, Index
@@ -30,6 +30,7 @@ from gapsweep.study.points import FIXED, KEY
 
 SCHEMA_VERSION = 4
 
+_OSCILLATOR = OscillatorStructure()
 _TABLE = f"""
 CREATE TABLE slabs (  -- format {SCHEMA_VERSION}
     id       INTEGER PRIMARY KEY AUTOINCREMENT,  -- no number is used twice, whatever is deleted
@@ -270,7 +271,7 @@ class Cache:
         held.status[np.isin(held.slab, damaged)] = DAMAGED
         return held.status
 
-    def find(self, keys: NDArray[np.void], structure: Structure | None = None) -> Found:
+    def find(self, keys: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
         """Stored results, of oscillators or of systems; damaged ones are left out, as if missing.
 
         Raises

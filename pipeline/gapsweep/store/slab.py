@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.structure import Structure
+from gapsweep.model.structure import read_structure
 from gapsweep.response.result import LISTS, Responses, columns_of
 from gapsweep.status import Status
 from gapsweep.study.points import KEY, Kind
@@ -166,11 +166,12 @@ def stored(slab: Slab) -> Stored:
             return found
 
         previous = np.frombuffer(column("i1", KEY.itemsize * n), KEY)
-        names = json.loads(slab.identity)["numbers"]
+        identity = json.loads(slab.identity)
+        names, structure = identity["numbers"], read_structure(identity["kind"]["structure"])
         numbers = np.stack([column("f8", n) for _ in names], axis=1)
         columns = {
             name: column(dtype, n * math.prod(shape)).reshape(n, *shape)
-            for name, (dtype, shape) in columns_of(structure_of(slab)).items()
+            for name, (dtype, shape) in columns_of(structure).items()
         }
         counts = {name: column("i4", n).astype(np.int64) for name in LISTS}
         lists = {
@@ -183,12 +184,6 @@ def stored(slab: Slab) -> Stored:
         return Stored(keys, previous, numbers, Responses(columns, lists, messages))
     except (zlib.error, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from None
-
-
-def structure_of(slab: Slab) -> Structure | None:
-    """Of the systems of its points; None of oscillators."""
-    said = json.loads(slab.identity)["kind"].get("structure")
-    return Structure.read(said) if said else None
 
 
 def _is_plausible(

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from dataclasses import asdict, dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,8 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.model import own_law
 from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.labels import contact_law, is_fitted
-from gapsweep.model.oscillator import OSCILLATOR, Gap
-from gapsweep.model.structure import Structure
+from gapsweep.model.oscillator import Gap
+from gapsweep.model.structure import AnyStructure, OscillatorStructure, read_structure
 from gapsweep.response.result import Steady
 from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.software import deciding, versions
@@ -29,7 +29,7 @@ OURS = "null"  # in place of the code of a user's law
 
 # The columns of every table of points: what differs from point to point.
 OF_CONTACT = ("K_c", "j_1", "j_2", "K_ratio")  # of every contact, first
-NUMBERS = (*OF_CONTACT, "omega", *OSCILLATOR, "x_0", "v_0")
+_OSCILLATOR = OscillatorStructure()
 KEY = np.dtype("V32")  # a content key, as an element of an array
 
 Numbers = NDArray[np.intp]
@@ -64,12 +64,10 @@ class Kind:
         Added to a fixed initial displacement [m], for exact-against-exact floors.
     law_code : str
         Of a user's own law, as JSON; whoever computes the point must have the same.
-    numbers : tuple of str
-        Columns of the table: `NUMBERS`, or `of_systems`.
-    structure : Structure, optional
-        Of systems; their arrays are among the numbers.
+    structure : Structure or OscillatorStructure
+        The arrays of systems are among the numbers.
     contacts : tuple of str
-        Of systems the label of every contact's law.
+        Label of every contact's law.
     """
 
     representation: str
@@ -79,14 +77,18 @@ class Kind:
     start: str = FIXED
     start_jitter: float = 0.0
     law_code: str = OURS
-    numbers: tuple[str, ...] = NUMBERS
-    structure: Structure | None = None
-    contacts: tuple[str, ...] = ()
+    contacts: tuple[str, ...]
+    structure: AnyStructure = _OSCILLATOR
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Columns of the table."""
+        return columns_of(self.structure)
 
     @property
     def n_states(self) -> int:
         """Length of a start."""
-        return 2 if self.structure is None else self.structure.n_states
+        return self.structure.n_states
 
     @property
     def is_sweep(self) -> bool:
@@ -109,12 +111,11 @@ class Kind:
         """
         try:
             whole = json.loads(identity)
-            said = {"fit_range": FIT_RANGE, **whole["kind"], "numbers": tuple(whole["numbers"])}
+            said = {"fit_range": FIT_RANGE, **whole["kind"]}
             said["law_code"] = _json(said.pop("law"))
             said |= {"solver": Solver(**said["solver"]), "steady": Steady(**said["steady"])}
-            if said.get("structure"):
-                said["structure"] = Structure.read(said["structure"])
-                said["contacts"] = tuple(said["contacts"])
+            said["structure"] = read_structure(said["structure"])
+            said["contacts"] = tuple(said["contacts"])
             return cls(**said)
         except (TypeError, KeyError, AttributeError, RecursionError) as error:
             raise ValueError(f"{type(error).__name__}: {error}") from None
@@ -125,18 +126,15 @@ class Kind:
 def _identity(kind: Kind) -> str:
     said = asdict(kind)
     said["law"] = json.loads(said.pop("law_code"))
-    if not any(map(is_fitted, (kind.representation, *kind.contacts))):
+    if not any(map(is_fitted, kind.contacts)):
         del said["fit_range"]
-    if kind.structure is None:  # an oscillator's key says nothing of systems
-        del said["structure"], said["contacts"]
     whole = {
-        "numbers": said.pop("numbers"),
+        "numbers": kind.numbers,
         "kind": said,
         "numerics": numerics_fingerprint(),
         "schema": RESULT_SCHEMA,
         "versions": {
-            name: versions()[name]
-            for name in deciding((kind.representation, *kind.contacts), kind.solver.engine)
+            name: versions()[name] for name in deciding(kind.contacts, kind.solver.engine)
         },
     }
     return _json(whole)
@@ -198,11 +196,15 @@ class Points:
         return [data[at : at + size] for at in range(0, len(data), size)]
 
 
-def of_systems(structure: Structure) -> tuple[str, ...]:
-    """The columns of tables of points of systems.
+@cache
+def columns_of(structure: AnyStructure) -> tuple[str, ...]:
+    """The columns of tables of points.
 
-    Those of all contacts, then the frequency (0 where nothing is forced), the arrays, the start.
+    Those of all contacts, then the frequency (0 where nothing is forced), the model's numbers, the
+    initial state.
     """
+    if isinstance(structure, OscillatorStructure):
+        return (*OF_CONTACT, "omega", *structure.names, "x_0", "v_0")
     contacts = [f"{name}[{i}]" for i in range(len(structure.contacts)) for name in OF_CONTACT]
     sizes = {"q_0": structure.n, "v_0": structure.n, "z_0": structure.m}
     start = [f"{name}[{i}]" for name, size in sizes.items() for i in range(size)]

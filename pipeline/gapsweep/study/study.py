@@ -18,7 +18,7 @@ from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import AUTO, EXACT, law_of
 from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
-from gapsweep.model.structure import Structure
+from gapsweep.model.structure import AnyStructure, OscillatorStructure
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advised
 from gapsweep.study.axes import MAX_POINTS, forms
@@ -26,12 +26,11 @@ from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
 from gapsweep.study.history import setting, undecided
 from gapsweep.study.points import (
-    NUMBERS,
     SWEEPS,
     Kind,
     Points,
+    columns_of,
     law_code,
-    of_systems,
 )
 from gapsweep.study.selection import listed, positions
 from gapsweep.study.spec import (
@@ -192,9 +191,13 @@ class Study:
         return None if self.spec.system is None else Systems(self.spec, self.source)
 
     @property
-    def structure(self) -> Structure | None:
-        """Of the systems; None of oscillators."""
-        return None if self.systems is None else self.systems.structure
+    def structure(self) -> AnyStructure:
+        """What the models of all points have in common."""
+        return OscillatorStructure() if self.systems is None else self.systems.structure
+
+    def _contacts(self, representation: str) -> tuple[str, ...]:
+        """Of every contact the label of its law, where the sweep has this one."""
+        return (representation,) if self.systems is None else self.systems.labels(representation)
 
     @cached_property
     def steady(self) -> Steady:
@@ -242,7 +245,7 @@ class Study:
 
     def _starts(self, given: Any) -> Starts:
         systems = self.systems
-        n_states = 2 if systems is None else systems.structure.n_states
+        n_states = self.structure.n_states
 
         def starts(form: Any) -> Starts:
             if isinstance(form, str):
@@ -357,7 +360,8 @@ class Study:
                 columns["x_0"], columns["v_0"] = axis.states[at[name]].T
             elif name != "representation":
                 columns[name] = np.array(axis)[at[name]]
-        return np.stack([np.broadcast_to(columns[name], n) for name in NUMBERS], axis=1)
+        names = columns_of(self.structure)
+        return np.stack([np.broadcast_to(columns[name], n) for name in names], axis=1)
 
     def _kind(self, label: str, start: str) -> Kind:
         representation = law_of(label)
@@ -369,9 +373,8 @@ class Study:
             start=start,
             start_jitter=self.start_jitter(label),
             law_code=law_code(representation),
-            numbers=NUMBERS if self.structure is None else of_systems(self.structure),
             structure=self.structure,
-            contacts=() if self.systems is None else self.systems.labels(representation),
+            contacts=self._contacts(representation),
         )
 
     def units(
