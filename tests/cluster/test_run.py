@@ -237,9 +237,9 @@ def test_histories_are_kept_and_made_once(tables, client, tmp_path):
 
 
 _HOLDER = """
-import sqlite3, sys, time
-from contextlib import closing
+import sys, time
 from pathlib import Path
+from gapsweep.store.cache import Cache
 from gapsweep.store.claims import Claims
 cache, keys, wanted = Path(sys.argv[1]), bytes.fromhex(sys.argv[2]), int(sys.argv[3])
 with Claims(cache, keys) as claims:
@@ -248,8 +248,8 @@ with Claims(cache, keys) as claims:
     count = 0
     while count < wanted:
         time.sleep(0.05)
-        with closing(sqlite3.connect(f"file:{cache}?mode=ro", uri=True)) as db, db:
-            count = db.execute("SELECT count(*) FROM slabs").fetchone()[0]
+        with Cache(cache, read_only=True) as store:
+            count = store.n_points
 """
 
 
@@ -259,7 +259,7 @@ def test_a_run_that_waits_for_another_first_lets_go_of_what_it_has(
     # Two runs that each waited for points which the other had computed but not yet stored
     # once waited for ever.
     monkeypatch.setattr(execute, "_COMMIT_SECONDS", 1e9)
-    study, cache = gs.Study.from_dict(tables), tmp_path / "cache.sqlite"
+    study, cache = gs.Study.from_dict(tables), tmp_path / "cache"
     with Cache(cache):
         pass  # the other one looks into it
     planned = plan(study)
