@@ -63,7 +63,7 @@ def test_full_disk_while_committing(folder):
     (folder / "full.toml").write_text(STUDY.replace("num = 1201", "num = 13"))
     assert run(folder, "few").returncode == 0
     (folder / "full.toml").write_text(STUDY)
-    error = one_error(run(folder, "out", "--batch", "600", room=100_000))
+    error = one_error(run(folder, "out", "--batch", "600", room=40_000))
     assert "cache: cannot be written: " in error
     assert "make room" in error
     with Cache(folder / "cache") as cache:
