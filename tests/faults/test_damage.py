@@ -14,6 +14,7 @@ from gapsweep import make
 from gapsweep.store import maintenance
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
+from gapsweep.study.fingerprint import numerics_fingerprint
 
 FLIPS, TRUNCATIONS = 500, 100
 
@@ -166,7 +167,7 @@ def test_damage_costs_the_frames_that_it_touches(tmp_path, what, n_trials):
             cache.merge()
         with Cache(path) as cache:
             assert (cache.status(every) == gs.Status.OK).all()
-            maintenance.remove(cache, ())
+            maintenance.clean(cache, numerics_fingerprint(), apply=True)
             assert verify(cache).is_sound
         shutil.rmtree(path)
 

@@ -95,9 +95,6 @@ def gc(cache: Path | None, apply: bool) -> None:
     from gapsweep.study.fingerprint import numerics_fingerprint
 
     with _existing(cache, read_only=not apply) as store:
-        points = maintenance.removable(store, numerics_fingerprint())
-        n_damaged = len(store.damaged)
-        if apply:
-            maintenance.remove(store, points)
+        n_points, n_damaged = maintenance.clean(store, numerics_fingerprint(), apply=apply)
     verb = "removed" if apply else "could be removed; --apply does it"
-    click.echo(f"{sum(points.values())} points and the damage of {n_damaged} segments {verb}")
+    click.echo(f"{n_points} points and the damage of {n_damaged} segments {verb}")

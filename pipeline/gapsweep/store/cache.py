@@ -8,9 +8,11 @@ never returned; its points are computed again.
 """
 
 import warnings
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +22,12 @@ from gapsweep.errors import StoreError
 from gapsweep.model.structure import Structure
 from gapsweep.response.result import Responses
 from gapsweep.store.index import MISSING, Index
-from gapsweep.store.segments import SUFFIX, TEMPORARY, Frame, packed, read, scan, slab_of, write
+from gapsweep.store.segments import SUFFIX, Frame, packed, read, scan, write
 from gapsweep.store.slab import Slab, Stored, stored
 from gapsweep.study.points import KEY
 
 _LARGE = 16e6  # bytes of a segment that is left as it is
 _OFTEN = 32  # commits until small segments are merged
-_ABANDONED = 3600.0  # s after which a temporary file is that of a process that was killed
 _KEPT = 64  # decoded slabs: neighbouring points are read together
 
 
@@ -79,14 +80,9 @@ class Cache:
                 f"{self.path}: is no folder; caches of earlier versions were files: name a folder "
                 "with --cache"
             )
-        if not read_only:
-            try:
+        with _store_errors(self.path):
+            if not read_only:
                 self.path.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise StoreError(
-                    f"{self.path}: cannot be created: {error.strerror}: name a folder that can be "
-                    "written with --cache"
-                ) from None
         self.damaged: set[Path] = set()
         self._index = Index()
         self._frames: list[Frame] = []  # by number of the slab in the index
@@ -174,7 +170,8 @@ class Cache:
         """Store slabs, all or none."""
         self._refresh()
         serial = 1 + max((frame.serial for frame in self._frames), default=0)
-        write(self.path, (packed(slab, serial) for slab in slabs))
+        with _store_errors(self.path):
+            write(self.path, (packed(slab, serial) for slab in slabs))
         self._n_commits += 1
         if self._n_commits % _OFTEN == 0:
             self.merge()
@@ -182,41 +179,36 @@ class Cache:
     def merge(self) -> None:
         """Put what is sound in small and in damaged segments into one."""
         self._refresh()
+        # One in which nothing was found may be of another version.
+        paths = {path for path, is_ours in self._scanned.items() if is_ours}
         try:
-            # One in which nothing was found may be of another version.
-            ours = {path for path, is_ours in self._scanned.items() if is_ours}
-            small = {path for path in ours if path.stat().st_size < _LARGE}
-            rewritten = small | (ours & self.damaged)
-            if len(rewritten) > 1 or rewritten & self.damaged:
-                self.rewrite(rewritten)
-        except FileNotFoundError:  # another process merges them
-            return
-        except OSError as error:
-            warnings.warn(f"small files remain: {error}", stacklevel=1)
+            small = {path for path in paths if path.stat().st_size < _LARGE}
+            if len(small) > 1 or paths & self.damaged:
+                self.rewrite(small | paths & self.damaged)
+        except OSError as error:  # no room, or another process merges them
+            warnings.warn(f"{self.path}: small files remain: {error}", stacklevel=1)
 
-    def rewrite(
-        self, paths: Collection[Path], is_kept: Callable[[Frame], bool] = lambda _: True
-    ) -> None:
-        """Put the sound frames of segments into a new one, and then remove these segments."""
-        done: set[bytes] = set()
+    def rewrite(self, paths: Collection[Path], removed: Collection[bytes] = ()) -> None:
+        """Put the sound frames of segments into a new one, and then remove these segments.
 
-        def frames() -> Iterator[bytes]:
-            for path in paths:
-                for frame, _ in scan(path)[0]:
-                    if frame.digest not in done and is_kept(frame):
-                        data = read(frame)
-                        if data is not None:
-                            done.add(frame.digest)
-                            yield data
-
-        write(self.path, frames())
+        Parameters
+        ----------
+        removed : collection of bytes
+            Checksums of frames that are left out.
+        """
+        frames = self._sound(paths, removed)
+        if (first := next(frames, None)) is not None:
+            write(self.path, chain([first], frames))
         for path in paths:
             path.unlink(missing_ok=True)
         self.damaged.difference_update(paths)
-        now = max((path.stat().st_mtime for path in self._listed(SUFFIX)), default=0.0)
-        for path in self._listed(TEMPORARY):
-            if path.stat().st_mtime < now - _ABANDONED:
-                path.unlink(missing_ok=True)
+
+    def _sound(self, paths: Collection[Path], removed: Collection[bytes]) -> Iterator[bytes]:
+        done = set(removed)
+        for frame, _ in chain.from_iterable(scan(path)[0] for path in paths):
+            if frame.digest not in done and (slab := read(frame)) is not None:
+                done.add(frame.digest)
+                yield packed(slab, frame.serial)
 
     def slabs(self) -> Iterator[tuple[Frame, Slab]]:
         """All sound slabs, with where they stand."""
@@ -226,36 +218,27 @@ class Cache:
             if slab is not None:
                 yield self._frames[number], slab
 
-    def _listed(self, suffix: str) -> list[Path]:
-        try:
-            found = [path for path in self.path.iterdir() if path.suffix == suffix]
-            return [path for path in found if path.is_file()]
-        except OSError as error:
-            raise StoreError(f"{self.path}: cannot be read: {error.strerror}") from None
-
     def _refresh(self) -> None:
         """Add what has been stored meanwhile, also by others, to the index."""
-        here = set(self._listed(SUFFIX))
-        self._scanned = {path: found for path, found in self._scanned.items() if path in here}
-        entries = []
-        for path in sorted(here - self._scanned.keys()):
-            try:
+        with _store_errors(self.path):
+            here = {path for path in self.path.iterdir() if path.suffix == SUFFIX}
+            self._scanned = {path: found for path, found in self._scanned.items() if path in here}
+            entries = []
+            for path in sorted(here - self._scanned.keys()):
+                if not path.is_file():
+                    continue  # a folder, a pipe, or merged by another process
                 found, is_whole = scan(path)
-            except FileNotFoundError:  # merged by another process
-                continue
-            except OSError as error:
-                raise StoreError(f"{path}: cannot be read: {error.strerror}") from None
-            self._scanned[path] = bool(found)
-            if not is_whole:
-                self._warn(path)
-            for frame, entry in found:
-                number = self._numbers.setdefault(frame.digest, len(self._frames))
-                if number < len(self._frames):  # there already, or moved to this file
-                    self._frames[number] = frame
-                else:
-                    self._frames.append(frame)
-                    entries.append(entry)
-        self._index.add(entries)
+                self._scanned[path] = bool(found)
+                if not is_whole:
+                    self._warn(path)
+                for frame, entry in found:
+                    number = self._numbers.setdefault(frame.digest, len(self._frames))
+                    if number < len(self._frames):  # there already, or moved to this file
+                        self._frames[number] = frame
+                    else:
+                        self._frames.append(frame)
+                        entries.append(entry)
+            self._index.add(entries)
 
     def _warn(self, path: Path) -> None:
         if path not in self.damaged:
@@ -270,18 +253,13 @@ class Cache:
         """A slab; None if it is damaged or gone."""
         for _ in range(3):
             frame = self._frames[number]
-            try:
-                data = read(frame)
-            except FileNotFoundError:  # merged by another process, perhaps
-                self._scanned.clear()
-                self._refresh()
-                continue
-            except OSError as error:
-                raise StoreError(f"{frame.path}: cannot be read: {error.strerror}") from None
-            slab = None if data is None else slab_of(frame, data)
-            if slab is None:
-                self._warn(frame.path)
-            return slab
+            with _store_errors(frame.path), suppress(FileNotFoundError):
+                slab = read(frame)
+                if slab is None:
+                    self._warn(frame.path)
+                return slab
+            self._scanned.clear()  # merged by another process: it stands elsewhere
+            self._refresh()
         return None
 
     def _decoded(self, number: int) -> tuple[Slab, Stored] | None:
@@ -305,6 +283,18 @@ class Cache:
             found = self._contents(number)
             if found is not None:
                 yield *found, asked, held["row"][asked]
+
+
+@contextmanager
+def _store_errors(path: Path) -> Iterator[None]:
+    """Errors of the operating system as a `StoreError`, with the remedy."""
+    try:
+        yield
+    except OSError as error:
+        raise StoreError(
+            f"{error.filename or path}: {error.strerror or error}: make room or repair it and run "
+            "again, or name another folder with --cache; everything stored so far is kept"
+        ) from None
 
 
 def _grouped(numbers: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.intp]]]:

@@ -17,23 +17,12 @@ HELD = np.dtype([("slab", "i4"), ("row", "u1"), ("status", "i1"), ("rank", "i8")
 _COUNTS = 2**32  # added to the rank of what takes the place of any failure
 
 Held = NDArray[Any]  # of HELD
-
-
-class Entry(NamedTuple):
-    """Keys and status of a slab, whether its points are of sweeps, and its serial number."""
-
-    keys: bytes
-    status: bytes
-    is_swept: bool
-    serial: int
+# Keys and status of a slab, whether its points are of sweeps, and its serial number.
+Entry = tuple[bytes, bytes, bool, int]
 
 
 class _Level(NamedTuple):
-    """Keys in the order of their first eight bytes, each once, and where their results stand.
-
-    Of a key its first eight bytes and the next eight are kept: two keys that share these are as
-    good as never.
-    """
+    """First and second eight bytes of keys, in order, each once, and where their results stand."""
 
     head: NDArray[np.uint64]
     next: NDArray[np.uint64]
@@ -87,7 +76,7 @@ class Index:
         words = _words(b"".join(keys))
         self._n_slabs += len(entries)
         self._levels.append(_Level.of([_Level(words[:, 0], words[:, 1], held)]))
-        while len(self._levels) > 1 and _n_keys(self._levels[-2]) < 2 * _n_keys(self._levels[-1]):
+        while self._levels[1:] and len(self._levels[-2].head) < 2 * len(self._levels[-1].head):
             self._levels[-2:] = [_Level.of(self._levels[-2:])]
 
     def find(self, keys: NDArray[np.void]) -> Held:
@@ -96,10 +85,6 @@ class Index:
         for level in self._levels:
             level.add_to(held, _words(np.ascontiguousarray(keys)))
         return held
-
-
-def _n_keys(level: _Level) -> int:
-    return len(level.head)
 
 
 def _words(keys: bytes | NDArray[np.void]) -> NDArray[np.uint64]:

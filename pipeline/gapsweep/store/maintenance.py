@@ -1,8 +1,8 @@
 """Looking after a cache: what is in it, whether it is sound, and what can go."""
 
 import json
+import time
 from collections import Counter
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,18 +13,12 @@ from gapsweep.store.segments import FORMAT
 from gapsweep.store.slab import Slab, Stored, stored
 from gapsweep.study.points import Points
 
+_ABANDONED = 86_400.0  # s after which nobody writes a temporary file any more
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What `verify` found.
-
-    Attributes
-    ----------
-    n_points : int
-        Points in sound slabs.
-    damaged : tuple of Path
-        Segments in which something is not as a run has written it.
-    """
+    """Points in sound slabs, and segments in which something is not as a run has written it."""
 
     n_points: int
     damaged: tuple[Path, ...]
@@ -38,16 +32,16 @@ def info(cache: Cache, numerics: str) -> dict[str, Any]:
     """Size and contents of a cache; `numerics` is the fingerprint that counts as current."""
     by_code: Counter[str] = Counter()
     by_status: Counter[str] = Counter()
-    segments: set[Path] = set()
+    sizes: dict[Path, int] = {}
     for frame, slab in cache.slabs():
-        segments.add(frame.path)
-        by_code[numerics_of(slab)] += slab.n_points
+        sizes[frame.path] = frame.path.stat().st_size
+        by_code[_numerics_of(slab)] += slab.n_points
         by_status.update(Status(status).label for status in slab.status if status in set(Status))
     return {
         "folder": str(cache.path.absolute()),
         "format": FORMAT,
-        "bytes": sum(path.stat().st_size for path in segments),
-        "segments": len(segments),
+        "bytes": sum(sizes.values()),
+        "segments": len(sizes),
         "points": by_code.total(),
         "current": by_code[numerics],
         "of_other_code": by_code.total() - by_code[numerics],
@@ -58,25 +52,34 @@ def info(cache: Cache, numerics: str) -> dict[str, Any]:
 
 def verify(cache: Cache) -> Verdict:
     """Check the checksum of every slab and the key of every point."""
-    n_points, damaged = 0, set()
-    for frame, slab in cache.slabs():
-        if is_of_run(slab):
-            n_points += slab.n_points
-        else:
-            damaged.add(frame.path)
-    return Verdict(n_points, tuple(sorted(damaged | cache.damaged)))
+    sound = {frame: _is_of_run(slab) for frame, slab in cache.slabs()}
+    damaged = cache.damaged | {frame.path for frame, is_sound in sound.items() if not is_sound}
+    n_points = sum(frame.n_points for frame, is_sound in sound.items() if is_sound)
+    return Verdict(n_points, tuple(sorted(damaged)))
 
 
-def is_of_run(slab: Slab) -> bool:
-    """Whether a run can have written a slab: its results stand under the keys of their points."""
-    contents = contents_of(slab)
-    if contents is None:
-        return False
-    try:
-        points = Points(slab.kind, contents.numbers)
-        return bool((points.keys_after(slab.identity, contents.previous) == contents.keys).all())
-    except ValueError:
-        return False
+def clean(cache: Cache, numerics: str, *, apply: bool) -> tuple[int, int]:
+    """Remove what no study can ask for, of other code or of no run, and damage; merge segments.
+
+    Returns
+    -------
+    (int, int)
+        Points and damaged segments that go, or would go.
+    """
+    gone = {
+        frame: frame.n_points
+        for frame, slab in cache.slabs()
+        if _numerics_of(slab) != numerics or not _is_of_run(slab)
+    }
+    n_damaged = len(cache.damaged)
+    if apply:
+        paths = {frame.path for frame in gone} | cache.damaged
+        cache.rewrite(paths, {frame.digest for frame in gone})
+        cache.merge()
+        for path in cache.path.glob(".*.seg.*"):  # of writers that were killed
+            if path.stat().st_mtime < time.time() - _ABANDONED:
+                path.unlink(missing_ok=True)
+    return sum(gone.values()), n_damaged
 
 
 def contents_of(slab: Slab) -> Stored | None:
@@ -87,23 +90,17 @@ def contents_of(slab: Slab) -> Stored | None:
         return None
 
 
-def removable(cache: Cache, numerics: str) -> dict[bytes, int]:
-    """Points of each slab, by its checksum, that no study can ask for: of other code, or no run."""
-    return {
-        frame.digest: frame.n_points
-        for frame, slab in cache.slabs()
-        if numerics_of(slab) != numerics or not is_of_run(slab)
-    }
+def _is_of_run(slab: Slab) -> bool:
+    """Whether a run can have written a slab: its results stand under the keys of their points."""
+    try:
+        contents = stored(slab)
+        points = Points(slab.kind, contents.numbers)
+        return bool((points.keys_after(slab.identity, contents.previous) == contents.keys).all())
+    except ValueError:
+        return False
 
 
-def remove(cache: Cache, digests: Collection[bytes]) -> None:
-    """Remove slabs by their checksums, and what is damaged, and merge small segments."""
-    paths = {frame.path for frame, _ in cache.slabs() if frame.digest in digests}
-    cache.rewrite(paths | cache.damaged, lambda frame: frame.digest not in digests)
-    cache.merge()
-
-
-def numerics_of(slab: Slab) -> str:
+def _numerics_of(slab: Slab) -> str:
     """Fingerprint of the code that computed a slab; empty if the slab does not say."""
     try:
         whole = json.loads(slab.identity)

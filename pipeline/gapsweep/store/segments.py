@@ -13,20 +13,19 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from gapsweep.errors import StoreError
+from gapsweep.store.artefact import replacing
 from gapsweep.store.index import Entry
 from gapsweep.store.slab import MOST_COLUMNS, SLAB, Slab
 from gapsweep.study.points import FIXED, KEY
 
-FORMAT = 5
-SUFFIX, TEMPORARY = ".seg", ".tmp"
+FORMAT, SUFFIX = 5, ".seg"
 _MARK = b"gapswp\x00" + bytes([FORMAT])
 # Mark, serial number, number of points, bytes of text and columns, seconds, SHA-256 of the columns.
 _HEAD = struct.Struct("<8sIIIId32s")
-_DIGEST = hashlib.sha256().digest_size
+_BODY = _HEAD.size + 32  # where what stands behind the SHA-256 of the head begins
+_POINT = KEY.itemsize + 1  # bytes of its key and its status
 _MOST_TEXT = 2**24  # bytes of identity, host, versions and messages
 _BLOCK = 2**20  # bytes in which a mark is looked for at a time
-_LAST_SERIAL = 2**32 - 1
 
 
 class Frame(NamedTuple):
@@ -47,13 +46,13 @@ def packed(slab: Slab, serial: int) -> bytes:
     text = "\n".join((slab.identity, slab.host, slab.versions, slab.messages)).encode()
     columns = hashlib.sha256(slab.columns).digest()
     sizes = slab.n_points, len(text), len(slab.columns)
-    head = _HEAD.pack(_MARK, min(serial, _LAST_SERIAL), *sizes, slab.seconds, columns)
+    head = _HEAD.pack(_MARK, min(serial, 2**32 - 1), *sizes, slab.seconds, columns)
     body = slab.keys + slab.status + text
     return head + hashlib.sha256(head + body).digest() + body + slab.columns
 
 
 def write(folder: Path, frames: Iterable[bytes]) -> None:
-    """Write frames, if there are any, to a new segment, which appears whole or not at all.
+    """Write frames to a new segment, which appears whole or not at all.
 
     Raises
     ------
@@ -61,33 +60,8 @@ def write(folder: Path, frames: Iterable[bytes]) -> None:
         If the folder cannot be written, or has no room.
     """
     path = folder / f"{uuid.uuid4().hex}{SUFFIX}"
-    temporary = path.with_suffix(TEMPORARY)
-    try:
-        with temporary.open("xb") as file:
-            file.writelines(frames)
-            file.flush()
-            os.fsync(file.fileno())
-            size = file.tell()
-        if size:
-            temporary.replace(path)
-            _flush(folder)
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        why = error.strerror or error
-        raise StoreError(
-            f"{folder}: cannot be written: {why}: make room, or choose another folder with "
-            "--cache, and run again; everything stored so far is kept"
-        ) from None
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _flush(folder: Path) -> None:
-    if os.name == "posix":  # others cannot open folders
-        descriptor = os.open(folder, os.O_RDONLY)
-        os.fsync(descriptor)
-        os.close(descriptor)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.writelines(frames)
 
 
 def scan(path: Path) -> tuple[list[tuple[Frame, Entry]], bool]:
@@ -114,24 +88,33 @@ def scan(path: Path) -> tuple[list[tuple[Frame, Entry]], bool]:
 def _head(path: Path, file: BinaryIO, at: int, size: int) -> tuple[Frame, Entry] | None:
     """The frame that begins at a place; None if there is none, or its head is damaged."""
     file.seek(at)
-    head = file.read(_HEAD.size)
-    if len(head) < _HEAD.size or not head.startswith(_MARK):
+    head = file.read(_BODY)
+    if len(head) < _BODY or not head.startswith(_MARK):
         return None
-    _, serial, n_points, n_text, n_columns, seconds, _ = _HEAD.unpack(head)
-    n_keys = KEY.itemsize * n_points
-    columns_at = at + _HEAD.size + _DIGEST + n_keys + n_points + n_text
-    is_possible = 0 < n_points <= SLAB and n_text <= _MOST_TEXT and n_columns <= MOST_COLUMNS
+    _, serial, n, n_text, n_columns, seconds, _ = _HEAD.unpack(head[: _HEAD.size])
+    columns_at = at + _BODY + _POINT * n + n_text
+    is_possible = 0 < n <= SLAB and n_text <= _MOST_TEXT and n_columns <= MOST_COLUMNS
     if not is_possible or columns_at + n_columns > size:
         return None
-    digest, body = file.read(_DIGEST), file.read(n_keys + n_points + n_text)
-    if hashlib.sha256(head + body).digest() != digest:
+    head += file.read(columns_at - at - _BODY)
+    if not _is_sound_head(head):
         return None
-    keys, status = body[:n_keys], body[n_keys : n_keys + n_points]
-    identity = body[n_keys + n_points :].partition(b"\n")[0]
-    is_swept = f'"start":"{FIXED}"'.encode() not in identity
-    end = columns_at + n_columns
-    frame = Frame(path, at, columns_at, end, serial, n_points, seconds, digest)
-    return frame, Entry(keys, status, is_swept, serial)
+    digest, end = head[_HEAD.size : _BODY], columns_at + n_columns
+    keys, status, text = _parts(head, n)
+    is_swept = f'"start":"{FIXED}"'.encode() not in text.partition(b"\n")[0]
+    frame = Frame(path, at, columns_at, end, serial, n, seconds, digest)
+    return frame, (keys, status, is_swept, serial)
+
+
+def _is_sound_head(head: bytes) -> bool:
+    digest = hashlib.sha256(head[: _HEAD.size] + head[_BODY:]).digest()
+    return digest == head[_HEAD.size : _BODY]
+
+
+def _parts(head: bytes, n_points: int) -> tuple[bytes, bytes, bytes]:
+    """Keys, status and text."""
+    at, end = _BODY + KEY.itemsize * n_points, _BODY + _POINT * n_points
+    return head[_BODY:at], head[at:end], head[end:]
 
 
 def _next_mark(file: BinaryIO, at: int, size: int) -> int:
@@ -145,30 +128,17 @@ def _next_mark(file: BinaryIO, at: int, size: int) -> int:
     return size
 
 
-def read(frame: Frame) -> bytes | None:
-    """A frame as it was written; None if it is not."""
+def read(frame: Frame) -> Slab | None:
+    """The slab of a frame; None if it is not as it was written."""
     with frame.path.open("rb") as file:
         file.seek(frame.at)
-        data = file.read(frame.end - frame.at)
-    body = frame.columns_at - frame.at
-    head, digest, text = data[: _HEAD.size], data[_HEAD.size :][:_DIGEST], data[:body]
-    is_sound = digest == frame.digest == hashlib.sha256(
-        head + text[_HEAD.size + _DIGEST :]
-    ).digest() and head.endswith(hashlib.sha256(data[body:]).digest())
-    return data if is_sound else None
-
-
-def slab_of(frame: Frame, data: bytes) -> Slab | None:
-    """The slab of a frame that has been read; None if its text is none that `packed` makes."""
-    n, body = frame.n_points, data[_HEAD.size + _DIGEST : frame.columns_at - frame.at]
-    n_keys = KEY.itemsize * n
-    texts = body[n_keys + n :].decode(errors="replace").split("\n", 3)
-    if len(texts) < 4:
+        head = file.read(frame.columns_at - frame.at)
+        columns = file.read(frame.end - frame.columns_at)
+    keys, status, text = _parts(head, frame.n_points)
+    texts = text.decode(errors="replace").split("\n", 3)
+    is_sound = head[_HEAD.size : _BODY] == frame.digest and _is_sound_head(head)
+    is_sound &= head[: _HEAD.size].endswith(hashlib.sha256(columns).digest())
+    if not is_sound or len(texts) < 4:
         return None
     identity, host, versions, messages = texts
-    keys, status, columns = (
-        body[:n_keys],
-        body[n_keys : n_keys + n],
-        data[frame.columns_at - frame.at :],
-    )
     return Slab(identity, keys, status, columns, messages, frame.seconds, host, versions)

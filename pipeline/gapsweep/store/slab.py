@@ -65,12 +65,12 @@ class Slab:
         return Kind.of(self.identity)
 
     @property
-    def n_failed(self) -> int:
-        return sum(status > Status.OUT_OF_FIT_RANGE for status in self.status)
-
-    @property
     def n_points(self) -> int:
         return len(self.status)
+
+    @property
+    def n_failed(self) -> int:
+        return sum(status > Status.OUT_OF_FIT_RANGE for status in self.status)
 
 
 @dataclass(frozen=True, slots=True)
