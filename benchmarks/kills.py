@@ -26,7 +26,7 @@ N_KILLS = 25
 
 
 def started(folder: Path) -> subprocess.Popen:
-    command = ["run", "million.toml", "--cache", "killed.sqlite", "--out", "killed"]
+    command = ["run", "million.toml", "--cache", "killed-cache", "--out", "killed"]
     return subprocess.Popen(
         [sys.executable, "-c", RUN, *command],
         cwd=folder,
@@ -41,8 +41,7 @@ def n_stored(path: Path) -> int:
     if not path.exists():
         return 0
     with Cache(path, read_only=True) as store:
-        query = "SELECT coalesce(sum(length(status)), 0) FROM slabs"
-        return int(store.db.execute(query).fetchone()[0])
+        return store.n_points
 
 
 def differing(calm: Path, killed: Path) -> list[str]:
@@ -59,8 +58,8 @@ def differing(calm: Path, killed: Path) -> list[str]:
 
 
 def main(folder: Path) -> None:
-    generator, cache = random.Random(1), folder / "killed.sqlite"
-    n_points = n_stored(folder / "cache.sqlite")
+    generator, cache = random.Random(1), folder / "killed-cache"
+    n_points = n_stored(folder / "cache")
     begin, done, n_met = time.time(), 0, 0
     for kill in range(N_KILLS):
         process = started(folder)

@@ -45,7 +45,7 @@ def main(folder: Path, n: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with cluster(2) as client:
         begin = time.time()
-        stored = gs.run(study(n), client, out=folder / "out", cache=folder / "cache.sqlite")
+        stored = gs.run(study(n), client, out=folder / "out", cache=folder / "cache")
         print(f"study: {time.time() - begin:.0f} s, client {peak_mb():.0f} MB")
         begin = time.time()
         x, v = (np.array([canonical(value) for value in axis]) for axis in axes(n))

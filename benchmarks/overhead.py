@@ -44,9 +44,7 @@ def child(folder: str) -> None:
     study = gs.Study.load(Path(folder) / "noop.toml")
     with cluster(2) as client:
         client.run(do_nothing)
-        workflow.carry_out(
-            study, client, out=Path(folder) / "out", cache=Path(folder) / "cache.sqlite"
-        )
+        workflow.carry_out(study, client, out=Path(folder) / "out", cache=Path(folder) / "cache")
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(json.dumps({"seconds": time.time() - begin, "peak_mb": peak}))
 
@@ -92,7 +90,7 @@ def run(folder: Path, n_points: int) -> dict[str, float]:
 def rerun(folder: Path) -> float:
     """Time from the start of the command to its end, or to the last dataset of responses."""
     begin = time.time()
-    command = ["gapsweep", "run", "noop.toml", "--out", "out", "--cache", "cache.sqlite"]
+    command = ["gapsweep", "run", "noop.toml", "--out", "out", "--cache", "cache"]
     fresh = not (folder / "out" / "responses.nc").exists()
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
     end = os.stat(folder / "out" / "attractors.nc").st_ctime if fresh else time.time()

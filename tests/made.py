@@ -1,5 +1,6 @@
 """Datasets of made-up responses, through the real cache and the real export."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +92,8 @@ def datasets(folder, study_tables, answer) -> tuple[xr.Dataset, xr.Dataset]:
 def datasets_by_place(folder, study, at) -> tuple[xr.Dataset, xr.Dataset]:
     """The same, answered by a function of a point's place on every axis, by name."""
     folder = Path(folder)
-    (folder / "cache.sqlite").unlink(missing_ok=True)
-    with Cache(folder / "cache.sqlite") as cache:
+    shutil.rmtree(folder / "cache", ignore_errors=True)
+    with Cache(folder / "cache") as cache:
         commit(cache, study, at)
         planned = plan(study, cache)
         export(study, planned, cache, folder / "responses.nc", folder / "attractors.nc")

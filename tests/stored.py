@@ -113,10 +113,10 @@ def tile_rows(study, representation=0):
 
 
 def damaged_row(path):
-    """Flip a bit of the latest row of a cache, in what no other row holds; its number of points."""
+    """Flip a bit of a slab of a cache, in its columns; its number of points."""
     with Cache(path, read_only=True) as cache:
-        slab = next(slab for _, slab in cache.slabs("DESC"))
-    data = bytearray(path.read_bytes())
-    data[data.index(slab.checksum)] ^= 1
-    path.write_bytes(data)
+        frame, slab = list(cache.slabs())[-1]
+    data = bytearray(frame.path.read_bytes())
+    data[frame.end - 1] ^= 1
+    frame.path.write_bytes(data)
     return slab.n_points

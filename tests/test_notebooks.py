@@ -50,7 +50,7 @@ def test_notebook_runs_and_shows_what_it_promises(name, tmp_path, monkeypatch):
     words, n_figures = PROMISES[name]
     assert not [text for text in words if text not in shown]
     assert sum("image/png" in out.get("data", {}) for out in outputs) == n_figures
-    assert (tmp_path / "data" / "cache.sqlite").exists()
+    assert (tmp_path / "data" / "cache").exists()
 
 
 @pytest.mark.parametrize("before", ["", "import matplotlib.pyplot as plt", "%matplotlib inline"])

@@ -41,7 +41,7 @@ def test_hostile_texts_are_escaped_in_the_report(tables, client, tmp_path):
     tables["sweep"][0]["representation"] = ["piecewise", "tests.laws:raising"]
     tables["sweep"][0]["omega"] = [7.0]
     study = gapsweep.Study.from_dict(tables)
-    gapsweep.run(study, client, out=tmp_path / "out", cache=tmp_path / "c.sqlite").close()
+    gapsweep.run(study, client, out=tmp_path / "out", cache=tmp_path / "c-cache").close()
     page = (tmp_path / "out" / "report" / "index.html").read_text()
     assert "<script>alert" not in page
     assert "<img src=x" not in page

@@ -20,21 +20,12 @@ from gapsweep.store.cache import Cache
 from gapsweep.study.grid import Selection
 from gapsweep.study.study import Study
 
-DEFAULT_CACHE = Path("data/cache.sqlite")
+DEFAULT_CACHE = Path("data/cache")
 
 
 def cache_path(cache: str | Path | None) -> Path:
-    """The cache to use: the argument, else ``GAPSWEEP_CACHE``, else ``data/cache.sqlite``.
-
-    Raises
-    ------
-    StoreError
-        If it has no name.
-    """
-    path = Path(cache or os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE)
-    if not path.name:
-        raise StoreError(f"{path}: is a folder; name a file in it, as {path / DEFAULT_CACHE.name}")
-    return path.absolute()
+    """The folder of the cache: the argument, else ``GAPSWEEP_CACHE``, else ``data/cache``."""
+    return Path(cache or os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE).absolute()
 
 
 def plan(
@@ -115,6 +106,6 @@ def explain(
     selection, path = study.select(**wanted), cache_path(cache)
     planned = plan(study, path, selection=selection, on_progress=on_progress)
     if not path.exists():
-        raise StoreError(f"{path}: no such file, so every point is missing")
+        raise StoreError(f"{path}: no such folder, so every point is missing")
     with Cache(path, read_only=True) as store:
         return list(explanations(study, planned, store, limit))

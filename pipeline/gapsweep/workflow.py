@@ -33,7 +33,6 @@ from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
 from gapsweep.store.cache import Cache
-from gapsweep.store.salvage import salvaging
 from gapsweep.study.grid import Selection
 from gapsweep.study.study import Study
 
@@ -91,7 +90,7 @@ def run(
     out : path, optional
         Output folder, ``data/runs/<study name>`` if None.
     cache : path, optional
-        Cache file; see `cache_path`.
+        Folder of the cache; see `cache_path`.
     workers : int
         Processes of the local cluster.
     scheduler : str, optional
@@ -120,7 +119,7 @@ def run(
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
     >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
-    >>> with gs.run(study, out="small", cache="points.sqlite") as ds:
+    >>> with gs.run(study, out="small", cache="points") as ds:
     ...     ds["amplitude"].dims
     ('representation', 'K_c', 'gap', 'omega', 'initial_condition')
     """
@@ -150,7 +149,6 @@ def run(
     return found
 
 
-@salvaging
 def carry_out(
     study: Study,
     client: "Client | None" = None,
@@ -207,7 +205,6 @@ def carry_out(
     return Outcome(folder, progress, failures, failed, walls)
 
 
-@salvaging
 def query(
     study: Study | str | os.PathLike[str],
     client: "Client | None" = None,
@@ -249,7 +246,7 @@ def query(
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
     >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
-    >>> ds = gs.query(study, cache="points.sqlite", omega=9.0)
+    >>> ds = gs.query(study, cache="points", omega=9.0)
     >>> ds.attrs["n_points"], ds.attrs["n_computed"]
     (1, 1)
     """
@@ -291,8 +288,8 @@ def _as_stored(planned: Plan, store: Cache) -> Plan:
     status = store.status(planned.keys)
     if lost := int(np.sum(status < 0)):
         raise StoreError(
-            f"{store.path}: {lost} points of this run are no longer stored, another run has set "
-            "the file aside or a disk failed: run again to resume"
+            f"{store.path}: {lost} points of this run are no longer stored: another process has "
+            "removed them, or a disk failed: run again to resume"
         )
     return replace(planned, status=status)
 
@@ -313,18 +310,13 @@ def _computed(
 
     `begin` is called once it is there, before anything is computed.
     """
-    if planned.n_damaged:
-        warnings.warn(
-            f"{path}: {planned.n_damaged} damaged results, computed again",
-            stacklevel=3,
-        )
     if not planned.n_missing:
         if begin is not None:
             begin()
         return Progress(planned.n_points, planned.n_hits)
     before = Progress(planned.n_points, planned.n_hits)
     # Now, before anybody waits for workers.
-    check_writable(path.parent, "a cache elsewhere with --cache")
+    check_writable(path if path.exists() else path.parent, "a cache elsewhere with --cache")
     if client is None:
         tell(on_progress, before, f"joining {scheduler}" if scheduler else "starting the workers")
     from gapsweep.execution.cluster import cluster
@@ -335,12 +327,6 @@ def _computed(
         if begin is not None:
             begin()
         with Cache(path) as store:
-            if store.on_network:
-                warnings.warn(
-                    f"{store.path}: on a network file system, so without SQLite's write-ahead log: "
-                    "slower; a local disk (--cache) is better",
-                    stacklevel=3,
-                )
             try:
                 done = execute(study, planned, store, connected, on_progress=on_progress, **how)
             except KeyboardInterrupt as interrupt:

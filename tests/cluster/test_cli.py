@@ -7,14 +7,13 @@ import os
 import re
 import shutil
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import closing
 
 import psutil
 import pytest
+from tests.stored import damaged_row
 
 # A stage and its time, told of what takes longer than a moment.
 PROGRESS = re.compile(r", \d+:\d\d:\d\d$")
@@ -89,7 +88,7 @@ def plan(folder, *arguments):
     return json.loads(gapsweep(folder, "plan", *arguments, "--json").stdout)
 
 
-COUNTS = ("points", "hits", "missing", "failed", "damaged")
+COUNTS = ("points", "hits", "missing", "failed")
 
 
 def test_plan_counts_hits_and_missing_points(finished):
@@ -225,25 +224,23 @@ def test_cache_commands(finished):
     info = json.loads(gapsweep(finished, "cache", "info", "--json").stdout)
     assert (info["points"], info["current"], info["status"]) == (4, 4, {"ok": 4})
     done = gapsweep(finished, "cache", "verify")
-    assert (done.returncode, done.stdout) == (0, "4 points, 0 damaged\n")
-    assert "4 points in copy.sqlite" in gapsweep(finished, "cache", "export", "copy.sqlite").stdout
-    assert "0 points could be deleted" in gapsweep(finished, "cache", "gc").stdout
-    with closing(sqlite3.connect(finished / "copy.sqlite")) as db, db:
-        db.execute("UPDATE slabs SET host = 'nobody' WHERE rowid = 2")
-    db.close()
-    copy = ("--cache", "copy.sqlite")
+    assert (done.returncode, done.stdout) == (0, "4 sound points, 0 damaged segments\n")
+    assert "0 points" in gapsweep(finished, "cache", "gc").stdout
+    damaged_row(shutil.copytree(finished / "data" / "cache", finished / "copy"))
+    copy = ("--cache", "copy")
     done = gapsweep(finished, "cache", "verify", *copy)
-    assert (done.returncode, done.stdout) == (1, "4 points, 2 damaged\n")
+    assert (done.returncode, done.stdout) == (1, "2 sound points, 1 damaged segments\n")
     again = gapsweep(finished, "run", "tiny.toml", *copy)
     assert again.stdout.startswith("4 points: 2 from the cache, 2 computed\n")
-    assert "copy.sqlite: 2 damaged results, computed again\n" in again.stderr
+    assert again.stderr.count(".seg: damaged, ") == 1
+    assert gapsweep(finished, "cache", "verify", *copy).returncode == 0
 
 
 def test_report_is_rebuilt_from_the_datasets_alone(finished):
     run = finished / "data" / "runs" / "tiny"
     before = (run / "report" / "index.html").read_text()
     (run / "report" / "index.html").unlink()
-    (finished / "data" / "cache.sqlite").unlink()
+    shutil.rmtree(finished / "data" / "cache")
     assert gapsweep(finished, "report", "data/runs/tiny").returncode == 0
     assert (run / "report" / "index.html").read_text() == before
 
@@ -286,12 +283,12 @@ def test_bad_study_is_one_clear_line(folder, change, message):
         (("run", "tiny.toml", "--out", "/proc/out"), "/proc/out: cannot be written"),
         (("run", "tiny.toml", "--scheduler", "tcp://127.0.0.1:9"), "tcp://127.0.0.1:9: cannot be"),
         (("run", "tiny.toml", "--scheduler", "nonsense://x"), "nonsense://x: cannot be reached"),
-        (("run", "tiny.toml", "--cache", "tiny.toml"), "tiny.toml: file is not a database"),
+        (("run", "tiny.toml", "--cache", "tiny.toml"), "tiny.toml: is no folder"),
         (("plan", "none.toml"), "none.toml: cannot be read"),
         (("report", "."), "responses.nc: no such file; 'gapsweep run' makes it"),
         (("status", "."), "run.json: no such file; 'gapsweep run' makes it"),
-        (("cache", "info"), "data/cache.sqlite: no such file; 'gapsweep run' makes it"),
-        (("explain", "tiny.toml"), "data/cache.sqlite: no such file, so every point is missing"),
+        (("cache", "info"), "data/cache: no such folder; 'gapsweep run' makes it"),
+        (("explain", "tiny.toml"), "data/cache: no such folder, so every point is missing"),
         (("query", "tiny.toml", "--sel", "omega=13"), "omega = 13.0: not in the study"),
         (("query", "tiny.toml", "--sel", "omega=30:40"), "omega = 30 to 40: nothing there"),
         (("query", "tiny.toml", "--sel", "speed=1"), "speed: no dimension of the study"),

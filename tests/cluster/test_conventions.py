@@ -41,7 +41,7 @@ SYSTEM = changed(SECTION, sweep__0__speed=[6.0, 12.0], solver={"rtol": 1e-5})
 @pytest.mark.parametrize("tables", [OSCILLATOR, SYSTEM], ids=["oscillator", "system"])
 def test_no_dataset_breaks_a_convention(tables, client, tmp_path):
     out = tmp_path / "out"
-    gs.run(gs.Study.from_dict(tables), client, out=out, cache=tmp_path / "c.sqlite").close()
+    gs.run(gs.Study.from_dict(tables), client, out=out, cache=tmp_path / "c-cache").close()
     files = sorted(out.glob("*.nc"))
     assert len(files) >= 3
     for file in files:

@@ -78,15 +78,13 @@ def worker(address, *arguments, **environment):
 
 def run(tables, folder, address, **options):
     study = gs.Study.from_dict(tables)
-    return gs.run(
-        study, out=folder / "out", cache=folder / "c.sqlite", scheduler=address, **options
-    )
+    return gs.run(study, out=folder / "out", cache=folder / "c-cache", scheduler=address, **options)
 
 
 def stored(folder):
-    if not (folder / "c.sqlite").exists():
+    if not (folder / "c-cache").exists():
         return 0
-    with Cache(folder / "c.sqlite") as cache:
+    with Cache(folder / "c-cache") as cache:
         return sum(slab.n_points for _, slab in cache.slabs())
 
 
@@ -171,7 +169,7 @@ def test_a_cluster_that_starts_workers_when_there_is_work_gets_it(tables, tmp_pa
         started.adapt(minimum=0, maximum=2, interval="100ms")
         study = gs.Study.from_dict(tables)
         with gs.run(
-            study, client, out=tmp_path / "out", cache=tmp_path / "c.sqlite",
+            study, client, out=tmp_path / "out", cache=tmp_path / "c-cache",
             on_progress=lambda progress: stages.append(progress.stage),
         ) as ds:  # fmt: skip
             assert (ds["status"] == gs.Status.OK).all()
@@ -211,7 +209,7 @@ def test_lost_scheduler_is_a_clear_error_and_the_run_resumes(slow, tmp_path):
     study = gs.Study.from_dict(slow)
     counts = []
     with gs.run(
-        study, out=tmp_path / "out", cache=tmp_path / "c.sqlite",
+        study, out=tmp_path / "out", cache=tmp_path / "c-cache",
         on_progress=lambda p: counts.append((p.n_hits, p.n_computed)),
     ):  # fmt: skip
         assert counts[-1] == (kept, 36 - kept)
@@ -306,7 +304,7 @@ omega = [12.0]
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         without = subprocess.run(
-            [*command, "--scheduler", address, "--cache", "other.sqlite"], cwd=tmp_path,
+            [*command, "--scheduler", address, "--cache", "other-cache"], cwd=tmp_path,
             capture_output=True, text=True, timeout=120,
         )  # fmt: skip
     assert without.returncode == 1
@@ -329,7 +327,7 @@ def test_basins_on_a_cluster_are_those_of_one_process(client):
 
 
 def test_an_asynchronous_client_is_refused_and_disturbs_no_run_without_it(tables, tmp_path):
-    study, cache = gs.Study.from_dict(tables), tmp_path / "c.sqlite"
+    study, cache = gs.Study.from_dict(tables), tmp_path / "c-cache"
 
     async def main():
         options = {"processes": False, "asynchronous": True, "dashboard_address": ":0"}

@@ -38,7 +38,7 @@ def counts(ds):
 
 
 def test_only_what_is_missing_is_computed(study, client, tmp_path, monkeypatch):
-    path = tmp_path / "c.sqlite"
+    path = tmp_path / "c-cache"
     some = gs.query(study, client, cache=path, representation="tanh-1e4", omega=slice(8, 9))
     assert counts(some) == [3, 0, 3]
     assert some.omega.values.tolist() == [8.0, 8.5, 9.0]
@@ -52,7 +52,7 @@ def test_only_what_is_missing_is_computed(study, client, tmp_path, monkeypatch):
 
 
 def test_query_equals_the_selection_of_a_whole_run(study, client, tmp_path):
-    path = tmp_path / "c.sqlite"
+    path = tmp_path / "c-cache"
     with gs.run(study, client, out=tmp_path / "out", cache=path) as ds:
         whole = ds.load()
     wanted = {"K_c": 1.4e4, "gap": "0.4/0.4", "omega": slice(8, 10)}
@@ -67,10 +67,10 @@ def test_selected_point_of_a_sweep_brings_those_that_lead_to_it(tables, client, 
     tables["sweep"][0] |= {"representation": ["piecewise"], "omega": omega}
     tables["sweep"][0]["initial_condition"] = "sweep_up"
     study = gs.Study.from_dict(tables)
-    found = gs.query(study, client, cache=tmp_path / "part.sqlite", omega=10.5)
+    found = gs.query(study, client, cache=tmp_path / "part-cache", omega=10.5)
     assert counts(found) == [4, 0, 4]
     assert found.omega.values.tolist() == [10.5]
-    with gs.run(study, client, out=tmp_path / "out", cache=tmp_path / "whole.sqlite") as whole:
+    with gs.run(study, client, out=tmp_path / "out", cache=tmp_path / "whole-cache") as whole:
         assert found["x_max"].item() == whole["x_max"].sel(omega=10.5).item()
 
 
@@ -88,8 +88,8 @@ def test_selected_point_of_a_sweep_brings_those_that_lead_to_it(tables, client, 
 )
 def test_what_is_not_in_the_study_is_refused(study, tmp_path, wanted, message):
     with pytest.raises(gs.StudyError, match=message):
-        gs.query(study, cache=tmp_path / "c.sqlite", **wanted)
-    assert not (tmp_path / "c.sqlite").exists()
+        gs.query(study, cache=tmp_path / "c-cache", **wanted)
+    assert not (tmp_path / "c-cache").exists()
 
 
 def test_what_no_block_asks_for_is_refused(tables, tmp_path):
@@ -97,8 +97,8 @@ def test_what_no_block_asks_for_is_refused(tables, tmp_path):
     study = gs.Study.from_dict(tables)
     said = r"study: representation = 'tanh-1e4', omega = \[3.0\]: no block has a point there$"
     with pytest.raises(gs.StudyError, match=said):
-        gs.query(study, cache=tmp_path / "c.sqlite", representation="tanh-1e4", omega=[3.0])
-    assert not (tmp_path / "c.sqlite").exists()
+        gs.query(study, cache=tmp_path / "c-cache", representation="tanh-1e4", omega=[3.0])
+    assert not (tmp_path / "c-cache").exists()
 
 
 SCRIPT = """
@@ -116,7 +116,7 @@ def test_scripts_need_no_guard(tmp_path):
     (tmp_path / "script.py").write_text(SCRIPT)
     (tmp_path / "study.toml").write_text(TOML)
     done = subprocess.run(
-        [sys.executable, "script.py", "study.toml", "c.sqlite"],
+        [sys.executable, "script.py", "study.toml", "c-cache"],
         cwd=tmp_path, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -136,7 +136,7 @@ def test_an_interrupt_says_that_what_was_computed_is_kept(study, client, tmp_pat
         if progress.n_computed:
             raise KeyboardInterrupt
 
-    path = tmp_path / "c.sqlite"
+    path = tmp_path / "c-cache"
     with pytest.raises(KeyboardInterrupt) as interrupted:
         gs.query(study, client, cache=path, on_progress=press)
     assert interrupted.value.__notes__ == [f"{path} keeps what was computed: run again to resume"]
@@ -156,12 +156,12 @@ def test_refined_grids_compute_exactly_the_new_points(tables, client, tmp_path, 
         seen = []
         study = gs.Study.from_dict(tables)
         with gs.run(
-            study, client, out=tmp_path / "out", cache=tmp_path / "c.sqlite",
+            study, client, out=tmp_path / "out", cache=tmp_path / "c-cache",
             on_progress=lambda p, seen=seen: seen.append(p.n_computed),
         ) as ds:  # fmt: skip
             assert ds.sizes["omega"] == n
             assert np.all(ds["status"] == gs.Status.OK)
         computed.append(seen[-1])
     assert computed == [21, 80, 100]
-    with Cache(tmp_path / "c.sqlite") as cache:
+    with Cache(tmp_path / "c-cache") as cache:
         assert verify(cache).n_points == 201

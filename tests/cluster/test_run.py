@@ -26,7 +26,7 @@ from gapsweep.study.software import versions
 
 def run(tables, client, folder, name="out", **options):
     study = gs.Study.from_dict(tables)
-    with gs.run(study, client, out=folder / name, cache=folder / f"{name}.sqlite", **options) as ds:
+    with gs.run(study, client, out=folder / name, cache=folder / f"{name}-cache", **options) as ds:
         return ds.load()
 
 
@@ -110,7 +110,7 @@ def test_refined_grid_computes_only_the_new_points(tables, client, tmp_path):
     counts = []
     for n in (3, 5, 9):
         tables["sweep"][0]["omega"] = {"start": 10.0, "stop": 12.0, "num": n}
-        plan = lookup.plan(gs.Study.from_dict(tables), tmp_path / "out.sqlite")
+        plan = lookup.plan(gs.Study.from_dict(tables), tmp_path / "out-cache")
         counts.append((plan.n_missing, plan.n_hits))
         run(tables, client, tmp_path)
     assert counts == [(3, 0), (2, 3), (4, 5)]
@@ -130,9 +130,9 @@ def test_interrupted_sweep_goes_on_where_it_was(tables, client, tmp_path):
     tables["sweep"] = [block]
     whole = run(tables, client, tmp_path, "whole")
     study = gs.Study.from_dict(tables)
-    with Cache(tmp_path / "whole.sqlite") as full:
+    with Cache(tmp_path / "whole-cache") as full:
         answers = stored(study, full)
-    with Cache(tmp_path / "part.sqlite") as part:
+    with Cache(tmp_path / "part-cache") as part:
         commit(part, study, lambda at: answers[tuple(at.values())] if at["omega"] == 0 else None)
     resumed = run(tables, client, tmp_path, "part")
     for name in ("x_max", "x_min", "n_steps", "extrema"):
@@ -143,7 +143,7 @@ def test_a_sweep_that_goes_on_after_a_failure_says_so(tables, client, tmp_path):
     block = tables["sweep"][0] | {"representation": ["piecewise"], "initial_condition": "sweep_up"}
     tables["sweep"] = [block]
     study, failed = gs.Study.from_dict(tables), gs.Response(status=gs.Status.KILLED)
-    with Cache(tmp_path / "out.sqlite") as cache:
+    with Cache(tmp_path / "out-cache") as cache:
         commit(cache, study, lambda at: failed if at["omega"] == 0 else None)
         run(tables, client, tmp_path)
         said = list(messages(study, cache).values())
@@ -157,15 +157,15 @@ def test_what_started_elsewhere_counts_no_more_once_the_failure_is_repaired(
     tables["sweep"] = [block]
     study, failed = gs.Study.from_dict(tables), gs.Response(status=gs.Status.KILLED)
     calm = run(tables, client, tmp_path, "calm")
-    with Cache(tmp_path / "out.sqlite") as cache:
+    with Cache(tmp_path / "out-cache") as cache:
         commit(cache, study, lambda at: failed if at["omega"] == 0 else None)
     run(tables, client, tmp_path)
     first = tables | {"sweep": [block | {"omega": block["omega"][:1]}]}
-    options = {"cache": tmp_path / "out.sqlite", "retry_failed": True}
+    options = {"cache": tmp_path / "out-cache", "retry_failed": True}
     gs.run(gs.Study.from_dict(first), client, out=tmp_path / "first", **options).close()
-    assert lookup.plan(study, tmp_path / "out.sqlite").n_missing == 2
+    assert lookup.plan(study, tmp_path / "out-cache").n_missing == 2
     xr.testing.assert_equal(run(tables, client, tmp_path)["x_max"], calm["x_max"])
-    assert lookup.plan(study, tmp_path / "out.sqlite").n_missing == 0
+    assert lookup.plan(study, tmp_path / "out-cache").n_missing == 0
 
 
 def test_long_sweep_in_parts_equals_one_in_a_piece(tables, client, tmp_path):
@@ -183,7 +183,7 @@ def test_law_that_raises_is_a_result_with_its_message(tables, client, tmp_path):
     status = run(tables, client, tmp_path)["status"].sel(representation="tests.laws:raising")
     assert set(status.values.ravel().tolist()) == {gs.Status.ERROR}
     study = gs.Study.from_dict(tables)
-    with Cache(tmp_path / "out.sqlite") as cache:
+    with Cache(tmp_path / "out-cache") as cache:
         assert messages(study, cache)[1, 0, 0, 0, 0] == "ArithmeticError: no force here"
 
 
@@ -202,7 +202,7 @@ def test_failed_points_are_computed_again_only_on_request(tables, client, tmp_pa
     tables["solver"] = {"engine": "scipy"}  # nothing to compile
     run(tables, client, tmp_path)
     study = gs.Study.from_dict(tables)
-    again = [lookup.plan(study, tmp_path / "out.sqlite", retry_failed=r) for r in (False, True)]
+    again = [lookup.plan(study, tmp_path / "out-cache", retry_failed=r) for r in (False, True)]
     assert [p.n_missing for p in again] == [0, 1]
     assert again[0].n_failed == 1
 
@@ -237,9 +237,9 @@ def test_histories_are_kept_and_made_once(tables, client, tmp_path):
 
 
 _HOLDER = """
-import sqlite3, sys, time
-from contextlib import closing
+import sys, time
 from pathlib import Path
+from gapsweep.store.cache import Cache
 from gapsweep.store.claims import Claims
 cache, keys, wanted = Path(sys.argv[1]), bytes.fromhex(sys.argv[2]), int(sys.argv[3])
 with Claims(cache, keys) as claims:
@@ -248,8 +248,8 @@ with Claims(cache, keys) as claims:
     count = 0
     while count < wanted:
         time.sleep(0.05)
-        with closing(sqlite3.connect(f"file:{cache}?mode=ro", uri=True)) as db, db:
-            count = db.execute("SELECT count(*) FROM slabs").fetchone()[0]
+        with Cache(cache, read_only=True) as store:
+            count = store.n_points
 """
 
 
@@ -259,7 +259,7 @@ def test_a_run_that_waits_for_another_first_lets_go_of_what_it_has(
     # Two runs that each waited for points which the other had computed but not yet stored
     # once waited for ever.
     monkeypatch.setattr(execute, "_COMMIT_SECONDS", 1e9)
-    study, cache = gs.Study.from_dict(tables), tmp_path / "cache.sqlite"
+    study, cache = gs.Study.from_dict(tables), tmp_path / "cache"
     with Cache(cache):
         pass  # the other one looks into it
     planned = plan(study)
@@ -290,7 +290,7 @@ def test_further_axes_are_dimensions_after_the_frequency(tables, client, tmp_pat
     assert here["x_max"].item() == expected.x_max
     assert here["contact_share"].item() == expected.contact_share
     study = gs.Study.from_dict(tables)
-    part = gs.query(study, client, cache=tmp_path / "out.sqlite", forcing=slice(5.0, 7.0))
+    part = gs.query(study, client, cache=tmp_path / "out-cache", forcing=slice(5.0, 7.0))
     assert part.attrs["n_computed"] == 0
     xr.testing.assert_equal(part["x_max"], found["x_max"].sel(forcing=[6.0]))
     with gs.open(tmp_path / "out" / "attractors.nc") as sets:

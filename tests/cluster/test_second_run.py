@@ -29,7 +29,7 @@ def files(folder):
 
 def run_twice(study, client, folder):
     """The first outcome; the second run must find everything."""
-    where = {"out": folder / "out", "cache": folder / "c.sqlite"}
+    where = {"out": folder / "out", "cache": folder / "c-cache"}
     first = workflow.carry_out(study, client, **where)
     made = files(folder / "out")
     planned = lookup.plan(study, where["cache"])
@@ -89,7 +89,7 @@ def test_of_a_sweep_through_a_polynomial_that_runs_away(client, tmp_path):
     """Its motion leaves the fitted range, which is a result, and has no end state."""
     study = swept("poly-13", {"start": 1.0, "stop": 30.0, "step": 1.0})
     run_twice(study, client, tmp_path)
-    with Cache(tmp_path / "c.sqlite", read_only=True) as cache:
+    with Cache(tmp_path / "c-cache", read_only=True) as cache:
         found = list(stored(study, cache).values())
     left = [one for one in found if one.status == gs.Status.OUT_OF_FIT_RANGE]
     assert any(np.isnan(one.x_end) for one in left)
@@ -160,7 +160,7 @@ def test_of_sweeps_through_every_status(answering, tmp_path_factory, first, late
     """
     study, orders = swept("piecewise", np.arange(1.0, N + 1.0).tolist()), (range(N), range(N)[::-1])
     known = [list(first), list(first)]
-    with Cache(tmp_path_factory.mktemp("drawn") / "c.sqlite") as cache:
+    with Cache(tmp_path_factory.mktemp("drawn") / "c-cache") as cache:
         for outcomes, options in ((first, {}), (later, {"retry_failed": True})):
             answering.run(answer, outcomes)
             execute(study, plan(study, cache, **options), cache, answering, batch=batch, **options)

@@ -49,7 +49,7 @@ def made(request, client, tmp_path_factory):
     """A study, its folder and its responses."""
     folder = tmp_path_factory.mktemp(request.param)
     study = gs.Study.from_dict({"forced": FORCED, "free": FREE}[request.param])
-    with gs.run(study, client, out=folder / "out", cache=folder / "c.sqlite") as responses:
+    with gs.run(study, client, out=folder / "out", cache=folder / "c-cache") as responses:
         return study, folder, responses.load()
 
 
@@ -166,9 +166,9 @@ def test_a_sweep_goes_on_from_state_to_state(made):
 
 def test_nothing_is_computed_twice_and_all_is_sound(made):
     study, folder, _ = made
-    planned = lookup.plan(study, folder / "c.sqlite")
+    planned = lookup.plan(study, folder / "c-cache")
     assert planned.n_missing == 0
-    with Cache(folder / "c.sqlite") as store:
+    with Cache(folder / "c-cache") as store:
         assert verify(store).is_sound
 
 
@@ -214,7 +214,7 @@ def test_what_needs_one_displacement_is_left_out_with_a_word(made):
 
 def test_what_is_not_stored_yet_is_interrupted_in_the_shape_of_the_rest(made, tmp_path):
     study, _, responses = made
-    with Cache(tmp_path / "empty.sqlite") as store:
+    with Cache(tmp_path / "empty-cache") as store:
         files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
         export(study, plan(study, store), store, *files)
     with xr.open_dataset(files[0]) as empty:
@@ -227,7 +227,7 @@ def test_starts_in_parts_are_written_as_all_at_once(made, tmp_path, monkeypatch)
     study, folder, responses = made
     monkeypatch.setattr("gapsweep.execution.layout._PIECE", 3)
     files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
-    with Cache(folder / "c.sqlite") as store:
+    with Cache(folder / "c-cache") as store:
         export(study, plan(study, store), store, *files)
     with xr.open_dataset(files[0]) as again:
         xr.testing.assert_equal(again.load(), responses)
@@ -252,7 +252,7 @@ def test_points_that_come_or_go_while_they_are_read_shift_no_other(made, tmp_pat
         )
 
     files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
-    with Cache(folder / "c.sqlite") as store:
+    with Cache(folder / "c-cache") as store:
         planned = plan(study, store)
         monkeypatch.setattr(Cache, "find", losing)
         export(study, planned, store, *files)
@@ -289,7 +289,7 @@ def test_laws_that_come_to_rest_alike_agree(stiffness, n_places, client, tmp_pat
         "protocol": {"loose": {"rtol": 1e-4}},
     }
     study, out = gs.Study.from_dict(tables), tmp_path / "out"
-    with gs.run(study, client, out=out, cache=tmp_path / "c.sqlite") as responses:
+    with gs.run(study, client, out=out, cache=tmp_path / "c-cache") as responses:
         assert (responses["response_class"] == ResponseClass.EQUILIBRIUM).all()
         assert (responses["attractor"] >= 0).all()
     with xr.open_dataset(out / "agreement.nc") as agreement:
@@ -328,7 +328,7 @@ def test_a_function_is_asked_only_where_a_block_has_points(tmp_path, monkeypatch
     monkeypatch.syspath_prepend(tmp_path)
     study = gs.Study.from_dict(PAIRS)
     files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
-    with Cache(tmp_path / "c.sqlite") as store:
+    with Cache(tmp_path / "c-cache") as store:
         planned = plan(study, store)
         assert planned.n_points == 2
         export(study, planned, store, *files)

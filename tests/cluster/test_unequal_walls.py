@@ -21,7 +21,7 @@ def swept(tables):
 
 
 def test_every_ratio_is_what_it_is_by_itself(swept, tables, client, tmp_path):
-    cache = tmp_path / "cache.sqlite"
+    cache = tmp_path / "cache"
     with gs.run(swept, client, out=tmp_path / "out", cache=cache) as ds:
         found = ds.load()
     dims = "representation", "K_c", "gap", "omega", "K_ratio", "initial_condition"
@@ -70,7 +70,7 @@ def test_auto_and_sweeps_take_the_ratio_along(tables, client, tmp_path):
     block = {"representation": ["auto", "piecewise"], "K_ratio": [0.5, 2.0], "omega": [7.0, 12.0]}
     tables["sweep"][0] |= block | {"initial_condition": ["sweep_up"]}
     study = gs.Study.from_dict(tables)
-    with gs.run(study, client, out=tmp_path / "out", cache=tmp_path / "c.sqlite") as ds:
+    with gs.run(study, client, out=tmp_path / "out", cache=tmp_path / "c-cache") as ds:
         found = ds.load()
     assert (found["status"] == gs.Status.OK).all()
     auto, exact = (found["x_max"].sel(representation=r).squeeze() for r in block["representation"])

@@ -1,18 +1,20 @@
 """Damaged files: a clear error or a repair, never a wrong number."""
 
+import os
 import random
 import shutil
-from contextlib import closing
 
 import numpy as np
 import pytest
 import xarray as xr
-from tests.stored import damaged_row
+from tests.stored import damaged_row, keys, made
 
 import gapsweep as gs
-from gapsweep import lookup, make
+from gapsweep import make
+from gapsweep.store import maintenance
 from gapsweep.store.cache import Cache
-from gapsweep.store.maintenance import export, verify
+from gapsweep.store.maintenance import verify
+from gapsweep.study.fingerprint import numerics_fingerprint
 
 FLIPS, TRUNCATIONS = 500, 100
 
@@ -34,7 +36,7 @@ def sound(tmp_path_factory, client):
         "steady": {"settle_tol": 1e-2, "n_periods": 16, "max_period_multiple": 8},
     }
     study = gs.Study.from_dict(tables)
-    with gs.run(study, client, out=folder / "out", cache=folder / "cache.sqlite") as ds:
+    with gs.run(study, client, out=folder / "out", cache=folder / "cache") as ds:
         return study, folder, ds.load()
 
 
@@ -56,59 +58,163 @@ amounts = pytest.mark.parametrize(
 )
 
 
-@amounts
-def test_damaged_cache_is_refused_or_repaired(sound, tmp_path, n_flips, n_truncations):
-    study, folder, truth = sound
-    path = tmp_path / "cache.sqlite"
-    outcomes = {"refused": 0, "repaired": 0, "unharmed": 0}
-    for what, data in damages(folder / "cache.sqlite", n_flips, n_truncations, seed=1):
-        for old in tmp_path.glob("cache.sqlite*"):
-            old.unlink()
-        path.write_bytes(data)
-        try:
-            planned = lookup.plan(study, path)
-            with closing(Cache(path).db) as db, Cache(path) as cache:
-                del db
-                found = cache.find(planned.keys)
-        except gs.StoreError as error:
-            outcomes["refused"] += str(path) in str(error)
-            continue
-        peaks = truth["x_max"].values.ravel()
-        assert np.array_equal(found.responses.columns["x_max"], peaks[found.at]), what
-        missing = planned.n_missing
-        assert missing == len(planned.keys) - len(found.at), what
-        outcomes["repaired" if missing else "unharmed"] += 1
-    print(f"cache: {outcomes}")
-    assert sum(outcomes.values()) == n_flips + n_truncations, "each refusal names the file"
-    assert min(outcomes.values()) > 0
+def peak(n, generator):
+    """A response of its own length."""
+    extrema = tuple(generator.uniform(-1e-3, 1e-3) for _ in range(generator.randrange(300)))
+    return gs.Response(status=gs.Status.OK, x_max=float(n), extrema=extrema)
+
+
+def filled(path, n_points=240):
+    """A cache of three segments; the bytes of every frame of each."""
+    generator = random.Random(1)
+    with Cache(path) as cache:
+        for names in np.array_split(np.arange(n_points), 3):
+            cache.commit([made([n], [peak(n, generator)])[0] for n in names.tolist()])
+        found = {}
+        for frame, slab in cache.slabs():
+            data = frame.path.read_bytes()[frame.at : frame.end]
+            found.setdefault(frame.path, {})[data] = slab.keys
+    return found
+
+
+def at_random(data, generator, size=1):
+    return generator.randrange(len(data) - size)
+
+
+def patched(data, at, new):
+    return data[:at] + new + data[at + len(new) :]
+
+
+def flipped(data, frames, generator):
+    at = at_random(data, generator)
+    return patched(data, at, bytes([data[at] ^ 1 << generator.randrange(8)]))
+
+
+def zeroed(data, frames, generator):
+    return patched(data, at_random(data, generator, 4096), bytes(4096))
+
+
+def holed(data, frames, generator):
+    at = at_random(data, generator, 3000)
+    return data[:at] + data[at + 3000 :]
+
+
+def inserted(data, frames, generator):
+    at = at_random(data, generator)
+    return data[:at] + generator.randbytes(3000) + data[at:]
+
+
+def swapped(data, frames, generator):
+    return b"".join(generator.sample(frames, len(frames)))
+
+
+def in_head(first, size):
+    """Damage of a field in the head of one frame."""
+
+    def damaged(data, frames, generator):
+        at = data.index(generator.choice(frames)) + first
+        return patched(data, at, generator.randbytes(size))
+
+    return damaged
+
+
+DAMAGES = {
+    "cut": lambda data, frames, generator: data[: at_random(data, generator)],
+    "flipped bit": flipped,
+    "zeroed page": zeroed,
+    "hole": holed,
+    "inserted garbage": inserted,
+    "appended garbage": lambda data, frames, generator: data + generator.randbytes(5000),
+    "swapped frames": swapped,
+    "doubled": lambda data, frames, generator: data + data,
+    "empty": lambda data, frames, generator: b"",
+    "mark": in_head(0, 8),
+    "serial number": in_head(8, 4),
+    "lengths": in_head(12, 12),
+    "digests": in_head(32, 64),
+    "another version": lambda data, frames, generator: b"".join(
+        patched(frame, 7, b"\x63") for frame in frames
+    ),
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*damaged, or of another version")
+@pytest.mark.parametrize("what", DAMAGES)
+@pytest.mark.parametrize(
+    "n_trials", [10, pytest.param(60, marks=pytest.mark.slow)], ids=["few", "many"]
+)
+def test_damage_costs_the_frames_that_it_touches(tmp_path, what, n_trials):
+    held = filled(tmp_path / "whole")
+    every = keys(*range(240))
+    for trial in range(n_trials):
+        generator, path = random.Random(trial), tmp_path / str(trial)
+        shutil.copytree(tmp_path / "whole", path)
+        whole = generator.choice(list(held))
+        data = DAMAGES[what](whole.read_bytes(), list(held[whole]), generator)
+        (path / whole.name).write_bytes(data)
+        lost = {key for frame, key in held[whole].items() if frame not in data}
+        with Cache(path) as cache:
+            is_there = cache.status(every) >= 0
+            found = cache.find(every)
+            assert {every[n].tobytes() for n in np.flatnonzero(~is_there)} == lost
+            assert found.at.tolist() == np.flatnonzero(is_there).tolist()
+            assert found.responses.columns["x_max"].tolist() == found.at.tolist()
+            assert not lost or cache.damaged == {path / whole.name}
+            # What a run does: it computes what is missing, and leaves no damage behind.
+            cache.commit(
+                [made([n], [peak(n, generator)])[0] for n in np.flatnonzero(~is_there).tolist()]
+            )
+            cache.merge()
+        with Cache(path) as cache:
+            assert (cache.status(every) == gs.Status.OK).all()
+            maintenance.clean(cache, numerics_fingerprint(), apply=True)
+            assert verify(cache).is_sound
+        shutil.rmtree(path)
+
+
+@pytest.mark.parametrize("what", ["renamed", "removed", "copied", "foreign files"])
+def test_files_that_come_and_go_change_no_number(tmp_path, what):
+    held = filled(tmp_path)
+    path = next(iter(held))
+    if what == "renamed":
+        path.rename(tmp_path / "mine.seg")
+    elif what == "removed":
+        path.unlink()
+    elif what == "copied":
+        shutil.copy(path, tmp_path / "copy.seg")
+    else:
+        (tmp_path / "folder.seg").mkdir()
+        os.mkfifo(tmp_path / "pipe.seg")
+        (tmp_path / "notes.txt").write_text("mine")
+    with Cache(tmp_path) as cache:
+        found = cache.find(keys(*range(240)))
+        assert len(found.at) == (240 - len(held[path]) if what == "removed" else 240)
+        assert found.responses.columns["x_max"].tolist() == found.at.tolist()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_file_that_is_no_segment_is_told_and_left_alone_by_a_run(tmp_path):
+    filled(tmp_path)
+    (tmp_path / "theirs.seg").write_text("my own notes " * 1000)
+    said = r"theirs\.seg: .*'gapsweep cache gc --apply'"
+    with pytest.warns(UserWarning, match=said):
+        cache = Cache(tmp_path)
+    cache.merge()
+    assert len(cache.find(keys(*range(240))).at) == 240
+    assert (tmp_path / "theirs.seg").exists()
 
 
 def test_run_repairs_damaged_rows(sound, client, tmp_path):
     study, folder, truth = sound
-    shutil.copyfile(folder / "cache.sqlite", tmp_path / "cache.sqlite")
-    n_lost = damaged_row(tmp_path / "cache.sqlite")
+    cache = shutil.copytree(folder / "cache", tmp_path / "cache")
+    n_lost = damaged_row(cache)
     assert 0 < n_lost < 40
-    with pytest.warns(UserWarning, match=f"{n_lost} damaged results, computed again"):
-        repaired = gs.run(study, client, out=tmp_path / "out", cache=tmp_path / "cache.sqlite")
+    with pytest.warns(UserWarning, match=r"\.seg: damaged, .* the next run computes again"):
+        repaired = gs.run(study, client, out=tmp_path / "out", cache=cache)
     with repaired:
         xr.testing.assert_equal(repaired["x_max"].load(), truth["x_max"])
-    with Cache(tmp_path / "cache.sqlite") as cache:
-        assert verify(cache).is_sound
-
-
-def test_export_saves_what_a_torn_cache_still_holds(sound, tmp_path):
-    _, folder, _ = sound
-    path = tmp_path / "cache.sqlite"
-    data = bytearray((folder / "cache.sqlite").read_bytes())
-    data[len(data) // 2 : len(data) // 2 + 4096] = bytes(4096)
-    path.write_bytes(data)
-    with Cache(path) as cache:
-        assert not verify(cache).is_sound
-    n_saved = export(path, tmp_path / "copy.sqlite")
-    with Cache(tmp_path / "copy.sqlite") as copy:
-        verdict = verify(copy)
-    assert verdict.is_sound
-    assert verdict.n_points == n_saved
+    with Cache(cache) as store:
+        assert verify(store).is_sound
 
 
 @amounts
@@ -149,7 +255,7 @@ def test_run_writes_a_damaged_dataset_again(sound, tmp_path):
         data[len(data) // 2] ^= 1
         (run / name).write_bytes(data)
     with pytest.warns(UserWarning, match="made again") as told:
-        again = gs.run(study, out=run, cache=folder / "cache.sqlite")
+        again = gs.run(study, out=run, cache=folder / "cache")
     with again:
         xr.testing.assert_equal(again["x_max"].load(), truth["x_max"])
     assert [str(one.message).split(":")[0] for one in told] == [
@@ -165,11 +271,11 @@ def test_files_of_others_are_never_replaced(sound, tmp_path):
     theirs.to_netcdf(out / "timing.nc", engine="netcdf4")
     before = (out / "timing.nc").read_bytes()
     with pytest.raises(gs.StoreError, match="not written by gapsweep, so it is left alone"):
-        gs.run(study, out=out, cache=folder / "cache.sqlite")
+        gs.run(study, out=out, cache=folder / "cache")
     assert (out / "timing.nc").read_bytes() == before
     (out / "timing.nc").unlink()
     (out / "report").mkdir(exist_ok=True)
     (out / "report" / "index.html").write_text("<html>my own page</html>")
     with pytest.raises(gs.StoreError, match=r"index.html: not written by gapsweep"):
-        gs.run(study, out=out, cache=folder / "cache.sqlite")
+        gs.run(study, out=out, cache=folder / "cache")
     assert "my own page" in (out / "report" / "index.html").read_text()

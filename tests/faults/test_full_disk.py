@@ -24,7 +24,7 @@ name = "full"
 representation = ["piecewise"]
 K_c = [1.4e4]
 gap = [[0.4e-3, 0.4e-3]]
-omega = { start = 10.0, stop = 20.0, num = 1200 }
+omega = { start = 10.0, stop = 20.0, num = 1201 }
 [steady]
 settle_tol = 1e-2
 n_periods = 16
@@ -40,7 +40,7 @@ def run(folder, *options, room=None):
     # Workers inherit the limit: their logs and code must not meet it, only what we write.
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
     return subprocess.run(
-        [sys.executable, "-c", RUN, "run", "full.toml", "--cache", "c.sqlite", "--out", *options],
+        [sys.executable, "-c", RUN, "run", "full.toml", "--cache", "cache", "--out", *options],
         cwd=folder, env=environment, capture_output=True, text=True, timeout=300,
         preexec_fn=limited if room else None,
     )  # fmt: skip
@@ -60,16 +60,21 @@ def one_error(done):
 
 
 def test_full_disk_while_committing(folder):
-    error = one_error(run(folder, "out", "--batch", "40", room=100_000))
-    assert "c.sqlite: " in error
-    with Cache(folder / "c.sqlite") as cache:
+    (folder / "full.toml").write_text(STUDY.replace("num = 1201", "num = 13"))
+    assert run(folder, "few").returncode == 0
+    (folder / "full.toml").write_text(STUDY)
+    error = one_error(run(folder, "out", "--batch", "600", room=40_000))
+    assert "cannot be written: " in error
+    assert "make room" in error
+    with Cache(folder / "cache") as cache:
         kept = verify(cache)
     assert kept.is_sound
-    assert 0 < kept.n_points < 1200
+    assert 13 <= kept.n_points < 1201
+    assert not list((folder / "cache").glob(".*"))
     assert not (folder / "out" / "responses.nc").exists()
     done = run(folder, "out")
     assert done.stdout.startswith(
-        f"1200 points: {kept.n_points} from the cache, {1200 - kept.n_points} computed"
+        f"1201 points: {kept.n_points} from the cache, {1201 - kept.n_points} computed"
     )
 
 
@@ -84,7 +89,7 @@ def test_full_disk_while_exporting(folder):
     assert [p.name for p in (folder / "out").iterdir() if p.name != "run.json"] == []
     done = run(folder, "out")
     assert (done.returncode, done.stdout.split("\n")[0]) == (
-        0, "1200 points: 1200 from the cache, 0 computed"
+        0, "1201 points: 1201 from the cache, 0 computed"
     )  # fmt: skip
     with gs.open(folder / "out" / "responses.nc") as ds:
         assert (ds["status"] == gs.Status.OK).all()

@@ -4,11 +4,10 @@ import json
 import os
 import random
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -64,11 +63,10 @@ def finish(process):
 
 
 def stored(path):
-    try:
-        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as db, db:
-            return db.execute("SELECT sum(length(status)) FROM slabs").fetchone()[0] or 0
-    except sqlite3.OperationalError:
+    if not path.exists():
         return 0
+    with Cache(path, read_only=True) as cache:
+        return cache.n_points
 
 
 def same(a, b):
@@ -85,12 +83,12 @@ def same(a, b):
 )
 def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
     (tmp_path / "storm.toml").write_text(study_text(n_points))
-    finish(start(tmp_path, "calm.sqlite", "calm"))
+    finish(start(tmp_path, "calm-cache", "calm"))
     generator = random.Random(1)
-    cache = tmp_path / "storm.sqlite"
+    cache = tmp_path / "storm-cache"
     done = n_killed = 0
     for _ in range(n_kills):
-        process = start(tmp_path, "storm.sqlite", "storm", "--batch", str(BATCH))
+        process = start(tmp_path, "storm-cache", "storm", "--batch", str(BATCH))
         # Kill at a random moment of the work, not of the start-up.
         wanted = done + generator.randrange(1, max(2, 2 * (n_points - done) // n_kills))
         while stored(cache) < wanted and process.poll() is None:
@@ -103,7 +101,7 @@ def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
         before, done = done, stored(cache)
         assert done >= before, "stored points are kept"
     assert n_killed > n_kills // 2, "most kills met a run at work"
-    last = finish(start(tmp_path, "storm.sqlite", "storm"))
+    last = finish(start(tmp_path, "storm-cache", "storm"))
     assert f"{n_points} points: {done} from the cache, {n_points - done} computed" in last
     for name in ("responses.nc", "attractors.nc"):
         same(tmp_path / "calm" / name, tmp_path / "storm" / name)
@@ -118,7 +116,7 @@ def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
 
 def test_a_worker_killed_while_the_cluster_starts_is_one_line(tmp_path):
     (tmp_path / "storm.toml").write_text(study_text(60))
-    process = start(tmp_path, "c.sqlite", "out")
+    process = start(tmp_path, "cache", "out")
     is_killed = False
     while process.poll() is None and not is_killed:
         for child in psutil.Process(process.pid).children():
@@ -136,8 +134,8 @@ def test_a_worker_killed_while_the_cluster_starts_is_one_line(tmp_path):
 
 def test_status_of_a_killed_run_says_so(tmp_path):
     (tmp_path / "storm.toml").write_text(study_text(400, settle_tol="1e-6"))
-    process = start(tmp_path, "c.sqlite", "out", "--batch", "2")
-    while stored(tmp_path / "c.sqlite") < 4:
+    process = start(tmp_path, "cache", "out", "--batch", "2")
+    while stored(tmp_path / "cache") < 4:
         assert process.poll() is None
         time.sleep(0.05)
     assert status(tmp_path)["state"] == "running"
@@ -157,7 +155,7 @@ def status(folder):
 @pytest.mark.parametrize("n_points", [200, pytest.param(800, marks=pytest.mark.slow)])
 def test_two_runs_on_one_cache_share_the_work(tmp_path, n_points):
     (tmp_path / "storm.toml").write_text(study_text(n_points))
-    both = [start(tmp_path, "c.sqlite", out, "--workers", "1") for out in ("one", "two")]
+    both = [start(tmp_path, "cache", out, "--workers", "1") for out in ("one", "two")]
     texts = [finish(process) for process in both]
     counts = [int(text.split(" from the cache, ")[1].split(" computed")[0]) for text in texts]
     assert n_points <= sum(counts) <= 1.05 * n_points, texts
@@ -167,7 +165,7 @@ def test_two_runs_on_one_cache_share_the_work(tmp_path, n_points):
 
 def test_two_runs_of_one_study_into_one_folder(tmp_path):
     (tmp_path / "storm.toml").write_text(study_text(40))
-    both = [start(tmp_path, "c.sqlite", "out", "--workers", "1") for _ in range(2)]
+    both = [start(tmp_path, "cache", "out", "--workers", "1") for _ in range(2)]
     for process in both:
         finish(process)
     with gs.open(tmp_path / "out" / "responses.nc") as ds:

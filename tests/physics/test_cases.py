@@ -412,7 +412,7 @@ def finished(client, tmp_path_factory):
     steady = {"settle_tol": 1e-2, "n_periods": 16, "max_period_multiple": 8}
     study = gs.Study.from_dict({"study": {"name": "public"}, "sweep": [sweep], "steady": steady})
     folder = tmp_path_factory.mktemp("cases") / FOLDER
-    cache = folder / "points.sqlite"
+    cache = folder / "points-cache"
     with gs.run(study, client, out=folder / "out", cache=cache) as ds:
         yield study, ds.load(), folder, cache
 

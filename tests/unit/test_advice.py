@@ -136,7 +136,7 @@ AUTO = {
 
 def test_auto_meets_its_error_and_says_what_it_chose(client, tmp_path):
     study = gs.Study.from_dict(AUTO)
-    out, cache = tmp_path / "out", tmp_path / "cache.sqlite"
+    out, cache = tmp_path / "out", tmp_path / "cache"
     found = gs.run(study, client, out=out, cache=cache).isel(K_c=0, gap=0, initial_condition=0)
     exact, least = (found["amplitude"].sel(representation=r) for r in ("piecewise", "auto"))
     assert (abs(least - exact) <= 1e-3 * np.maximum(exact, 0.4e-3)).all()

@@ -148,9 +148,9 @@ HELD = """
 import gapsweep as gs, xarray as xr
 block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
 study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
-held = gs.run(study, out="small", cache="c.sqlite"), xr.open_dataset("small/responses.nc").load()
+held = gs.run(study, out="small", cache="c-cache"), xr.open_dataset("small/responses.nc").load()
 for _ in range(4):
-    again = gs.run(study, out="small", cache="c.sqlite")
+    again = gs.run(study, out="small", cache="c-cache")
 print(held[0]["representation"].item(), again["gap"].item())
 """
 

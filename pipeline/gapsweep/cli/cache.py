@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @click.group("cache")
 def cache_commands() -> None:
-    """Look after the cache: contents, soundness, size and copies.
+    """Look after the cache: contents, soundness and size.
 
     \b
     Examples:
@@ -25,18 +25,13 @@ def cache_commands() -> None:
 
 
 def _existing(cache: Path | None, *, read_only: bool = True) -> "Cache":
-    from gapsweep.store.cache import Cache
-
-    return Cache(_path(cache), read_only=read_only)
-
-
-def _path(cache: Path | None) -> Path:
     from gapsweep.lookup import cache_path
+    from gapsweep.store.cache import Cache
 
     path = cache_path(cache)
     if not path.exists():
-        raise StoreError(f"{path}: no such file; 'gapsweep run' makes it")
-    return path
+        raise StoreError(f"{path}: no such folder; 'gapsweep run' makes it")
+    return Cache(path, read_only=read_only)
 
 
 @cache_commands.command()
@@ -57,7 +52,8 @@ def info(cache: Path | None, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(found))
         return
-    click.echo(f"{found['file']}: format {found['format']}, {found['bytes'] / 1e6:.1f} MB")
+    size = f"{found['bytes'] / 1e6:.1f} MB in {found['segments']} segments"
+    click.echo(f"{found['folder']}: format {found['format']}, {size}")
     click.echo(
         f"{found['points']} points, {found['current']} of the present code, "
         f"{found['of_other_code']} of other code"
@@ -69,7 +65,7 @@ def info(cache: Path | None, as_json: bool) -> None:
 @cache_commands.command()
 @options.cache
 def verify(cache: Path | None) -> int:
-    """Check the file and every point against their checksums.
+    """Check every point against its checksum and its key.
 
     \b
     Examples:
@@ -80,25 +76,15 @@ def verify(cache: Path | None) -> int:
 
     with busy("reading every point"), _existing(cache) as store:
         verdict = maintenance.verify(store)
-    for fault in verdict.faults:
-        click.echo(f"file: {fault}", err=True)
-    for key in verdict.damaged[: options.FEW]:
-        click.echo(f"damaged point: {key}", err=True)
-    if (n_more := len(verdict.damaged) - options.FEW) > 0:
-        click.echo(f"and {n_more} more", err=True)
-    click.echo(f"{verdict.n_points} points, {len(verdict.damaged)} damaged")
-    if verdict.faults:
-        click.echo("the next run saves the sound ones and sets the file aside", err=True)
-    elif verdict.damaged:
-        click.echo("the next run computes damaged points again", err=True)
+    click.echo(f"{verdict.n_points} sound points, {len(verdict.damaged)} damaged segments")
     return 0 if verdict.is_sound else 1
 
 
 @cache_commands.command()
 @options.cache
-@click.option("--apply", is_flag=True, help="Really delete.  [default: only say what would go]")
+@click.option("--apply", is_flag=True, help="Really remove.  [default: only say what would go]")
 def gc(cache: Path | None, apply: bool) -> None:
-    """Delete what other code has computed, and what is damaged.
+    """Remove what other code has computed and what is damaged, and merge small segments.
 
     \b
     Examples:
@@ -108,26 +94,7 @@ def gc(cache: Path | None, apply: bool) -> None:
     from gapsweep.store import maintenance
     from gapsweep.study.fingerprint import numerics_fingerprint
 
-    with _existing(cache, read_only=False) as store:
-        rows = maintenance.removable(store, numerics_fingerprint())
-        n_points = sum(slab.n_points for number, slab in store.slabs() if number in rows)
-        if apply and rows:
-            maintenance.remove(store, rows)
-    verb = "deleted" if apply else "could be deleted; --apply does it"
-    click.echo(f"{n_points} points {verb}")
-
-
-@cache_commands.command()
-@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
-@options.cache
-def export(file: Path, cache: Path | None) -> None:
-    """Copy all sound results to a new cache FILE.
-
-    \b
-    Example:
-      gapsweep cache export copy.sqlite
-    """
-    from gapsweep.store import maintenance
-
-    n_points = maintenance.export(_path(cache), file)
-    click.echo(f"{n_points} points in {file}")
+    with _existing(cache, read_only=not apply) as store:
+        n_points, n_damaged = maintenance.clean(store, numerics_fingerprint(), apply=apply)
+    verb = "removed" if apply else "could be removed; --apply does it"
+    click.echo(f"{n_points} points and the damage of {n_damaged} segments {verb}")

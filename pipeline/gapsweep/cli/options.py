@@ -23,7 +23,7 @@ study = click.argument("study", type=click.Path(path_type=Path))
 cache = click.option(
     "--cache",
     type=click.Path(path_type=Path),
-    help="Cache file.  [default: $GAPSWEEP_CACHE, else data/cache.sqlite]",
+    help="Folder of the cache.  [default: $GAPSWEEP_CACHE, else data/cache]",
 )
 out = click.option(
     "--out",

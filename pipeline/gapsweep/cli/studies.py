@@ -105,7 +105,6 @@ def plan(
         "hits": planned.n_hits,
         "missing": planned.n_missing,
         "failed": planned.n_failed,
-        "damaged": planned.n_damaged,
     }
     if as_json:
         rounded = None if expected is None else round(expected, 3)
@@ -226,7 +225,7 @@ def explain(
         click.echo(f"{point.label}: {point.status}{f' on {point.host}' if point.host else ''}")
         if point.message:
             click.echo(f"  {point.message}")
-        if point.differences is None and point.status in ("missing", "damaged"):
+        if point.differences is None and point.status == "missing":
             click.echo("  nothing is stored")
         for name, (asked, stored) in (point.differences or {}).items():
             click.echo(f"  {name}: asked {_short(asked)}, nearest stored {_short(stored)}")

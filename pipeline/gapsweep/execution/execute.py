@@ -120,7 +120,7 @@ def execute(
         finally:
             run.cancel()
             run.commit()
-        cache.delete_damaged()
+        cache.merge()
     return run.progress
 
 

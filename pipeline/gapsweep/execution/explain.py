@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from gapsweep.execution.plan import Plan
 from gapsweep.store.cache import Cache
-from gapsweep.store.index import DAMAGED
-from gapsweep.store.maintenance import contents_of, readable
+from gapsweep.store.maintenance import contents_of
 from gapsweep.store.slab import Slab, Stored
 from gapsweep.study.grid import Starts
 from gapsweep.study.points import Points
@@ -31,7 +30,7 @@ class Explanation:
     label : str
         The point's coordinates.
     status : str
-        Stored status, ``"missing"`` or ``"damaged"``.
+        Stored status, or ``"missing"``.
     host, message : str
         Of a stored result.
     differences : dict of str to (str, str)
@@ -53,7 +52,7 @@ def explain(study: Study, plan: Plan, cache: Cache, limit: int) -> Iterator[Expl
     if missing := [point for point in points if plan.status[point] < 0]:
         asked = [study.points(plan.cells[[point]])[0][1] for point in missing]
         previous = plan.previous(np.array(missing))
-        for slab in readable(cache):
+        for _, slab in cache.slabs():
             if (contents := contents_of(slab)) is not None:
                 for point, one, before in zip(missing, asked, previous[:, None], strict=True):
                     found = _differing(one, before, slab, contents)
@@ -66,8 +65,7 @@ def explain(study: Study, plan: Plan, cache: Cache, limit: int) -> Iterator[Expl
             response = contents.responses.row(row)
             yield Explanation(label, response.status.label, slab.host, response.message)
         else:
-            status = "damaged" if plan.status[point] == DAMAGED else "missing"
-            yield Explanation(label, status, differences=nearest.get(point))
+            yield Explanation(label, "missing", differences=nearest.get(point))
 
 
 def _differing(

@@ -10,7 +10,7 @@ from gapsweep.execution.sweeps import origins
 from gapsweep.model import own_law
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
-from gapsweep.store.index import DAMAGED, MISSING
+from gapsweep.store.index import MISSING
 from gapsweep.study.grid import Selection
 from gapsweep.study.points import KEY
 from gapsweep.study.study import Study
@@ -32,7 +32,7 @@ class Plan:
     keys : ndarray of void, shape (n_points,)
         Content keys.
     status : ndarray of int8, shape (n_points,)
-        Stored status, `MISSING` or `DAMAGED`.
+        Stored status, or `MISSING`.
     is_missing : ndarray of bool, shape (n_points,)
         Which points are to be computed.
     shape : tuple of int
@@ -62,11 +62,6 @@ class Plan:
     def n_failed(self) -> int:
         """Stored points without a result."""
         return int(np.sum(self.status > Status.OUT_OF_FIT_RANGE))
-
-    @property
-    def n_damaged(self) -> int:
-        """Stored points that fail their checksum; they count as missing."""
-        return int(np.sum(self.status == DAMAGED))
 
     def representation(self, points: NDArray[np.intp]) -> NDArray[np.int64]:
         """Number of the representation of some points."""

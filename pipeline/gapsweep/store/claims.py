@@ -1,10 +1,9 @@
 """Who is computing what: so that two runs of one study on one cache do not do the same work twice.
 
-A claim is a lock on a range of a file beside the cache: from the number of a task's first point in
-its plan to that of its last, at a place that the plan's points give. The operating system drops it
-when the process ends, however it ends: a killed run leaves no claim behind. Claims only save work;
-that no result is lost or mixed up is the cache's business. Where such locks do not exist,
-everything can be claimed.
+A claim is a lock on a range of a file in the cache: from the number of a task's first point in its
+plan to that of its last, at a place that the plan's points give. The operating system drops it when
+the process ends. Claims only save work: where such locks do not exist, everything can be claimed,
+and points may be computed and stored twice.
 """
 
 import errno
@@ -29,12 +28,11 @@ class Claims:
     """
 
     def __init__(self, cache: Path, points: bytes | memoryview) -> None:
-        file = cache.with_name(f"{cache.name}-claims")
+        file = cache / "claims"
         if file.is_symlink():
             raise StoreError(f"{file}: a symbolic link, which could lead anywhere: remove it")
         self._file = file.open("ab")
-        digest = hashlib.sha256(points).digest()
-        self._place = int.from_bytes(digest[:4], "big") * _ROOM
+        self._place = int.from_bytes(hashlib.sha256(points).digest()[:4], "big") * _ROOM
 
     def __enter__(self) -> "Claims":
         return self
@@ -44,7 +42,7 @@ class Claims:
 
     def take(self, first: int, last: int) -> bool:
         """Claim all from one number to another; False if another process holds some of them."""
-        return self._lock(fcntl.LOCK_EX | fcntl.LOCK_NB, first, last) if fcntl else True
+        return fcntl is None or self._lock(fcntl.LOCK_EX | fcntl.LOCK_NB, first, last)
 
     def release(self, first: int, last: int) -> None:
         """Give up all from one number to another."""

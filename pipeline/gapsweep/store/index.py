@@ -10,133 +10,83 @@ from gapsweep.response.lists import spans
 from gapsweep.status import Status
 from gapsweep.study.points import KEY
 
-# In place of a status: nothing is stored, or what is stored fails its checksum.
-MISSING, DAMAGED = -1, -2
+MISSING = -1  # in place of a status
+# Number of the slab in the order in which they were added, of the point in it, its status, and its
+# rank: of several results of a point the one of the highest rank counts.
+HELD = np.dtype([("slab", "i4"), ("row", "u1"), ("status", "i1"), ("rank", "i8")])
+_COUNTS = 2**32  # added to the rank of what takes the place of any failure
 
-_PART = 65_536  # keys that are looked for at a time
-
-
-class Held(NamedTuple):
-    """Where the results of n keys stand.
-
-    Attributes
-    ----------
-    slab, row : ndarray of int, shape (n,)
-        Position in `Index.ids`, and number of the point there.
-    status : ndarray of int8, shape (n,)
-    """
-
-    slab: NDArray[np.int32]
-    row: NDArray[np.int32]
-    status: NDArray[np.int8]
+Held = NDArray[Any]  # of HELD
+# Keys and status of a slab, whether its points are of sweeps, and its serial number.
+Entry = tuple[bytes, bytes, bool, int]
 
 
 class _Level(NamedTuple):
-    """Keys in the order of their first eight bytes, each once, and where their results stand.
-
-    Of a key its first eight bytes and the next eight are kept: two keys that share these are as
-    good as never.
-    """
+    """First and second eight bytes of keys, in order, each once, and where their results stand."""
 
     head: NDArray[np.uint64]
     next: NDArray[np.uint64]
-    slab: NDArray[np.int32]
-    row: NDArray[np.int32]
-    status: NDArray[np.int8]
-    counts: NDArray[np.bool_]  # against older ones that are results
+    held: Held
 
     @classmethod
     def of(cls, parts: "Sequence[_Level]") -> "_Level":
         """All parts, older ones first, as one; the best result of each key."""
-        whole = (
-            parts[0]
-            if len(parts) == 1
-            else cls._make(map(np.concatenate, zip(*parts, strict=True)))
-        )
+        whole = cls._make(map(np.concatenate, zip(*parts, strict=True)))
         head = whole.head
         order = np.argsort(head)  # takes a third of what a stable sort does
         if (head[order[1:]] == head[order[:-1]]).any():
             # Of equally good ones the latest comes last.
-            order = np.lexsort((whole.counts, head))
+            order = np.lexsort((whole.held["rank"], head))
             order = order[np.append(head[order[1:]] != head[order[:-1]], True)]
         return cls._make(column[order] for column in whole)
 
     def add_to(self, held: Held, words: NDArray[np.uint64]) -> None:
-        """Note what is here of the keys of these words, where it is better than what is noted."""
-        head = words[:, 0]
-        at = np.minimum(np.searchsorted(self.head, head), len(self.head) - 1)
-        asked = np.flatnonzero((self.head[at] == head) & (self.next[at] == words[:, 1]))
-        is_better = self.counts[at[asked]] | ~_is_result(held.status[asked])
-        asked = asked[is_better]
-        held.slab[asked], held.row[asked] = self.slab[at[asked]], self.row[at[asked]]
-        held.status[asked] = self.status[at[asked]]
+        """Note what is here of the keys of these words, where it is no worse than what is noted."""
+        at = np.minimum(np.searchsorted(self.head, words[:, 0]), len(self.head) - 1)
+        is_here = (self.head[at] == words[:, 0]) & (self.next[at] == words[:, 1])
+        asked = np.flatnonzero(is_here & (self.held["rank"][at] >= held["rank"]))
+        held[asked] = self.held[at[asked]]
 
 
 class Index:
-    """Content keys of all rows of a cache, a million in 25 megabytes.
+    """Content keys of all slabs of a cache, a million in 30 megabytes.
 
-    Of several results of one point the latest counts, but no failure takes the place of a result,
-    save in a sweep, where the older one may have started elsewhere.
-
-    Attributes
-    ----------
-    last : int
-        Number of the last row of the cache that was added.
-    ids : list of int
-        Numbers of the rows, in the order in which they were added.
+    Of several results of one point that of the highest serial number counts, but no failure takes
+    the place of a result, save in a sweep, where the older one may have started elsewhere.
     """
 
     def __init__(self) -> None:
-        self.last = 0
-        self.ids: list[int] = []
+        self._n_slabs = 0
         # Each much larger than the next: a run adds few keys at a time to a million.
         self._levels: list[_Level] = []
 
-    def add(self, rows: Sequence[tuple[int, Any, Any, Any]]) -> None:
-        """Add rows: number, keys, status, whether of sweeps. Torn ones hold nothing."""
-        self.last = rows[-1][0]
-        whole = [row for row in rows if _is_whole(*row[1:3])]
-        if not whole:
+    def add(self, entries: Sequence[Entry]) -> None:
+        """Add slabs; each has a status for every key."""
+        if not entries:
             return
-        ids, keys, status, is_swept = zip(*whole, strict=True)
-        counts = np.array(list(map(len, status)), np.int32)
+        keys, status, is_swept, serial = zip(*entries, strict=True)
+        counts = np.array(list(map(len, status)))
+        held = np.empty(counts.sum(), HELD)
+        held["slab"] = np.repeat(np.arange(len(entries)) + self._n_slabs, counts)
+        held["row"] = spans(np.zeros_like(counts), counts)
+        held["status"] = every = np.frombuffer(b"".join(status), np.int8)
+        is_result = (every >= 0) & (every <= Status.OUT_OF_FIT_RANGE)
+        held["rank"] = np.repeat(serial, counts)
+        held["rank"] += _COUNTS * (is_result | np.repeat(is_swept, counts))
         words = _words(b"".join(keys))
-        slab = np.repeat(np.arange(len(ids), dtype=np.int32) + len(self.ids), counts)
-        row = spans(np.zeros_like(counts), counts).astype(np.int32)
-        every = np.frombuffer(b"".join(status), np.int8)
-        counting = _is_result(every) | np.repeat(np.array(is_swept, bool), counts)
-        self.ids += ids
-        level = _Level(words[:, 0], words[:, 1], slab, row, every, counting)
-        self._levels.append(_Level.of([level]))
-        while len(self._levels) > 1 and _n_keys(self._levels[-2]) < 2 * _n_keys(self._levels[-1]):
+        self._n_slabs += len(entries)
+        self._levels.append(_Level.of([_Level(words[:, 0], words[:, 1], held)]))
+        while self._levels[1:] and len(self._levels[-2].head) < 2 * len(self._levels[-1].head):
             self._levels[-2:] = [_Level.of(self._levels[-2:])]
 
     def find(self, keys: NDArray[np.void]) -> Held:
         """Where the results of keys stand; slab -1 and status `MISSING` of those not stored."""
-        n, words = len(keys), _words(np.ascontiguousarray(keys))
-        slab, row = np.full(n, -1, np.int32), np.zeros(n, np.int32)
-        status = np.full(n, MISSING, np.int8)
-        for first in range(0, n, _PART):
-            part = slice(first, first + _PART)
-            for level in self._levels:
-                level.add_to(Held(slab[part], row[part], status[part]), words[part])
-        return Held(slab, row, status)
+        held = np.full(len(keys), np.array((-1, 0, MISSING, -1), HELD))
+        for level in self._levels:
+            level.add_to(held, _words(np.ascontiguousarray(keys)))
+        return held
 
 
-def _n_keys(level: _Level) -> int:
-    return len(level.head)
-
-
-def _is_whole(keys: Any, status: Any) -> bool:
-    """Whether every point of a row has its key and its status."""
-    are_bytes = isinstance(keys, bytes) and isinstance(status, bytes)
-    return are_bytes and len(keys) == len(status) * KEY.itemsize > 0
-
-
-def _is_result(status: NDArray[np.int8]) -> NDArray[np.bool_]:
-    return np.asarray((status >= 0) & (status <= Status.OUT_OF_FIT_RANGE))
-
-
-def _words(keys: Any) -> NDArray[np.uint64]:
+def _words(keys: bytes | NDArray[np.void]) -> NDArray[np.uint64]:
     """Keys as whole numbers of eight bytes, shape (n, 4)."""
     return np.frombuffer(keys, np.uint64).reshape(-1, KEY.itemsize // 8)

@@ -1,17 +1,14 @@
-"""Results of some points of one kind, as they are stored: a row of the cache.
+"""Results of up to 64 points of one kind, in the form in which they are stored.
 
-Columns of numbers stand one after the other, compressed together, so that what is the same for
-all points, or missing, costs next to nothing. Behind them stand lists of numbers as they are: no
-compression makes their last digits shorter, and it takes its time. A checksum covers the whole row.
+Columns and lists of numbers stand one after the other, compressed together: values that are equal,
+missing, or in a column and in a list take almost no room.
 """
 
-import hashlib
 import json
 import math
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
-from datetime import UTC, datetime
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,15 +21,14 @@ from gapsweep.study.points import KEY, Kind
 
 # Few enough that damage costs little, and that picking out a point reads little.
 SLAB = 64
-_MOST_BYTES = 2**20  # that one point has: 65,536 extrema, their kinds, and the section
+_MOST_BYTES = 2**20  # of one point: 65,536 extrema, their kinds, and the section
+MOST_COLUMNS = SLAB * _MOST_BYTES  # bytes of the columns of a slab
 _LEVEL = 1  # of compression: more takes longer and saves little
-# Lists that are compressed, and those that are not.
-_WHOLE, _REAL = ([n for n, dtype in LISTS.items() if dtype == each] for each in ("i1", "f8"))
 
 
 @dataclass(frozen=True, slots=True)
 class Slab:
-    """One row of the cache; the order of the fields is that of its columns.
+    """Stored results of some points.
 
     Attributes
     ----------
@@ -52,10 +48,6 @@ class Slab:
         Machine that computed them.
     versions : str
         Of Python and the libraries there.
-    created : str
-        UTC.
-    checksum : bytes
-        SHA-256 of all the others.
     """
 
     identity: str
@@ -66,16 +58,6 @@ class Slab:
     seconds: float
     host: str
     versions: str
-    created: str
-    checksum: bytes = b""
-
-    @property
-    def is_sound(self) -> bool:
-        """Whether it is as it was written."""
-        try:
-            return self.checksum == _checksum(self)
-        except (TypeError, AttributeError, ValueError):  # damage leaves any type anywhere
-            return False
 
     @property
     def kind(self) -> Kind:
@@ -83,15 +65,12 @@ class Slab:
         return Kind.of(self.identity)
 
     @property
-    def n_failed(self) -> int:
-        return sum(status > Status.OUT_OF_FIT_RANGE for status in self.status)
+    def n_points(self) -> int:
+        return len(self.status)
 
     @property
-    def n_points(self) -> int:
-        return len(self.status) if isinstance(self.status, bytes) else 0
-
-
-_SEALED = tuple(field.name for field in fields(Slab))[:-1]  # all but the checksum
+    def n_failed(self) -> int:
+        return sum(status > Status.OUT_OF_FIT_RANGE for status in self.status)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,11 +102,10 @@ def slabs(
     versions: str,
 ) -> Iterator[Slab]:
     """Responses in the form in which they are stored; the rest as of `Slab` and `Stored`."""
-    created = datetime.now(UTC).isoformat(timespec="seconds")
     for first in range(0, len(numbers), SLAB):
         rows = np.arange(first, min(first + SLAB, len(numbers)))
         part = responses.take(rows)
-        slab = Slab(
+        yield Slab(
             identity,
             keys[rows].tobytes(),
             part.columns["status"].astype("i1").tobytes(),
@@ -136,14 +114,7 @@ def slabs(
             float(np.nansum(part.columns["cpu_time"])),
             host,
             versions,
-            created,
         )
-        yield sealed(slab)
-
-
-def sealed(slab: Slab) -> Slab:
-    """The slab with its checksum."""
-    return replace(slab, checksum=_checksum(slab))
 
 
 def stored(slab: Slab) -> Stored:
@@ -152,7 +123,7 @@ def stored(slab: Slab) -> Stored:
     Raises
     ------
     ValueError
-        If it is none that a run has written.
+        If no run has written it.
     """
     try:
         data = memoryview(_unpacked(slab))
@@ -174,27 +145,19 @@ def stored(slab: Slab) -> Stored:
             for name, (dtype, shape) in columns_of(structure).items()
         }
         counts = {name: column("i4", n).astype(np.int64) for name in LISTS}
+        if min(count.min() for count in counts.values()) < 0:
+            raise ValueError("a list of negative length")
         lists = {
-            name: (column(LISTS[name], int(counts[name].sum())), counts[name])
-            for name in (*_WHOLE, *_REAL)
+            name: (column(LISTS[name], int(counts[name].sum())), counts[name]) for name in LISTS
         }
-        if at != len(data) or not _is_plausible(slab, columns, counts):
+        status = columns["status"]
+        is_known = bool(np.all((status >= 0) & (status <= max(Status))))
+        if at != len(data) or status.tobytes() != slab.status or not is_known:
             raise ValueError("its columns are of other lengths")
         messages = {int(row): str(text) for row, text in json.loads(slab.messages).items()}
         return Stored(keys, previous, numbers, Responses(columns, lists, messages))
     except (zlib.error, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from None
-
-
-def _is_plausible(
-    slab: Slab, columns: dict[str, NDArray[Any]], counts: dict[str, NDArray[np.int64]]
-) -> bool:
-    status = columns["status"]
-    return (
-        status.tobytes() == slab.status
-        and bool(np.all((status >= 0) & (status <= max(Status))))
-        and all(bool(np.all(count >= 0)) for count in counts.values())
-    )
 
 
 def _packed(
@@ -203,36 +166,19 @@ def _packed(
     parts: list[NDArray[Any]] = [previous, numbers.T.astype("<f8")]
     parts += [column.astype(_little(column.dtype.str[1:])) for column in responses.columns.values()]
     parts += [responses.lists[name][1].astype("<i4") for name in LISTS]
-    whole, real = (
-        [responses.lists[name][0].astype(_little(LISTS[name])) for name in names]
-        for names in (_WHOLE, _REAL)
-    )
-    return zlib.compress(_joined(parts + whole), _LEVEL) + _joined(real)
-
-
-def _joined(parts: list[NDArray[Any]]) -> bytes:
-    return b"".join(part.tobytes() for part in parts)
+    parts += [responses.lists[name][0].astype(_little(LISTS[name])) for name in LISTS]
+    return zlib.compress(b"".join(part.tobytes() for part in parts), _LEVEL)
 
 
 def _unpacked(slab: Slab) -> bytes:
-    """The columns, if they are not more than so many points can have, and the lists behind them."""
+    """The columns, if they are not more than so many points can have."""
     unpacking = zlib.decompressobj()
     data = unpacking.decompress(slab.columns, _MOST_BYTES * max(slab.n_points, 1))
-    if not unpacking.eof:
+    if not unpacking.eof or unpacking.unused_data:
         raise ValueError("its columns are of other lengths")
-    return data + unpacking.unused_data
+    return data
 
 
 def _little(dtype: str) -> str:
     """A type code with the byte order that files have on every machine."""
     return f"<{dtype}"
-
-
-def _checksum(slab: Slab) -> bytes:
-    digest = hashlib.sha256()
-    for name in _SEALED:
-        value = getattr(slab, name)
-        data = value if isinstance(value, bytes) else str(value).encode()
-        digest.update(len(data).to_bytes(8, "little"))
-        digest.update(data)
-    return digest.digest()

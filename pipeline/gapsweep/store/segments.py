@@ -1,0 +1,144 @@
+"""Segment files of the cache: frames of slabs, written once under a new name, never changed.
+
+A frame is a slab behind its lengths and two SHA-256: one of the columns, one of all that stands
+before the columns. A scan of a file reads and checks the latter only. Damage costs the frames that
+it touches: the search for the next mark goes on behind it.
+"""
+
+import hashlib
+import os
+import struct
+import uuid
+from collections.abc import Iterable
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from gapsweep.store.artefact import replacing
+from gapsweep.store.index import Entry
+from gapsweep.store.slab import MOST_COLUMNS, SLAB, Slab
+from gapsweep.study.points import FIXED, KEY
+
+FORMAT, SUFFIX = 5, ".seg"
+_MARK = b"gapswp\x00" + bytes([FORMAT])
+# Mark, serial number, number of points, bytes of text and columns, seconds, SHA-256 of the columns.
+_HEAD = struct.Struct("<8sIIIId32s")
+_BODY = _HEAD.size + 32  # where what stands behind the SHA-256 of the head begins
+_POINT = KEY.itemsize + 1  # bytes of its key and its status
+_MOST_TEXT = 2**24  # bytes of identity, host, versions and messages
+_BLOCK = 2**20  # bytes in which a mark is looked for at a time
+
+
+class Frame(NamedTuple):
+    """Where a slab stands in which file, and what its head says of it."""
+
+    path: Path
+    at: int
+    columns_at: int
+    end: int
+    serial: int
+    n_points: int
+    seconds: float
+    digest: bytes
+
+
+def packed(slab: Slab, serial: int) -> bytes:
+    """A frame; of several results of one point the one of the highest serial number counts."""
+    text = "\n".join((slab.identity, slab.host, slab.versions, slab.messages)).encode()
+    columns = hashlib.sha256(slab.columns).digest()
+    sizes = slab.n_points, len(text), len(slab.columns)
+    head = _HEAD.pack(_MARK, min(serial, 2**32 - 1), *sizes, slab.seconds, columns)
+    body = slab.keys + slab.status + text
+    return head + hashlib.sha256(head + body).digest() + body + slab.columns
+
+
+def write(folder: Path, frames: Iterable[bytes]) -> None:
+    """Write frames to a new segment, which appears whole or not at all.
+
+    Raises
+    ------
+    StoreError
+        If the folder cannot be written, or has no room.
+    """
+    path = folder / f"{uuid.uuid4().hex}{SUFFIX}"
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.writelines(frames)
+
+
+def scan(path: Path) -> tuple[list[tuple[Frame, Entry]], bool]:
+    """Frames of a file whose heads are sound, and whether the file holds them and nothing else."""
+    found: list[tuple[Frame, Entry]] = []
+    at, is_whole, is_checked = 0, True, True
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        while at < size:
+            one = _head(path, file, at, size)
+            if one is not None:
+                found.append(one)
+                at, is_checked = one[0].end, False
+                continue
+            is_whole = False
+            # If bytes have gone from the frame in front, the next one begins before its end.
+            if not is_checked and read(found[-1][0]) is None:
+                at = found.pop()[0].at
+            is_checked = True
+            at = _next_mark(file, at + 1, size)
+    return found, is_whole and bool(found)
+
+
+def _head(path: Path, file: BinaryIO, at: int, size: int) -> tuple[Frame, Entry] | None:
+    """The frame that begins at a place; None if there is none, or its head is damaged."""
+    file.seek(at)
+    head = file.read(_BODY)
+    if len(head) < _BODY or not head.startswith(_MARK):
+        return None
+    _, serial, n, n_text, n_columns, seconds, _ = _HEAD.unpack(head[: _HEAD.size])
+    columns_at = at + _BODY + _POINT * n + n_text
+    is_possible = 0 < n <= SLAB and n_text <= _MOST_TEXT and n_columns <= MOST_COLUMNS
+    if not is_possible or columns_at + n_columns > size:
+        return None
+    head += file.read(columns_at - at - _BODY)
+    if not _is_sound_head(head):
+        return None
+    digest, end = head[_HEAD.size : _BODY], columns_at + n_columns
+    keys, status, text = _parts(head, n)
+    is_swept = f'"start":"{FIXED}"'.encode() not in text.partition(b"\n")[0]
+    frame = Frame(path, at, columns_at, end, serial, n, seconds, digest)
+    return frame, (keys, status, is_swept, serial)
+
+
+def _is_sound_head(head: bytes) -> bool:
+    digest = hashlib.sha256(head[: _HEAD.size] + head[_BODY:]).digest()
+    return digest == head[_HEAD.size : _BODY]
+
+
+def _parts(head: bytes, n_points: int) -> tuple[bytes, bytes, bytes]:
+    """Keys, status and text."""
+    at, end = _BODY + KEY.itemsize * n_points, _BODY + _POINT * n_points
+    return head[_BODY:at], head[at:end], head[end:]
+
+
+def _next_mark(file: BinaryIO, at: int, size: int) -> int:
+    """Where the next mark stands; the size of the file if there is none."""
+    while at < size:
+        file.seek(at)
+        here = file.read(_BLOCK).find(_MARK)
+        if here >= 0:
+            return at + here
+        at += _BLOCK - len(_MARK) + 1
+    return size
+
+
+def read(frame: Frame) -> Slab | None:
+    """The slab of a frame; None if it is not as it was written."""
+    with frame.path.open("rb") as file:
+        file.seek(frame.at)
+        head = file.read(frame.columns_at - frame.at)
+        columns = file.read(frame.end - frame.columns_at)
+    keys, status, text = _parts(head, frame.n_points)
+    texts = text.decode(errors="replace").split("\n", 3)
+    is_sound = head[_HEAD.size : _BODY] == frame.digest and _is_sound_head(head)
+    is_sound &= head[: _HEAD.size].endswith(hashlib.sha256(columns).digest())
+    if not is_sound or len(texts) < 4:
+        return None
+    identity, host, versions, messages = texts
+    return Slab(identity, keys, status, columns, messages, frame.seconds, host, versions)
