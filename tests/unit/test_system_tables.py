@@ -15,6 +15,7 @@ from numpy.testing import assert_array_equal
 from tests.random_systems import as_gapsweep, random_case
 
 import gapsweep as gs
+from gapsweep.execution.task import Tile, respond_to
 from gapsweep.model.structure import Structure
 from gapsweep.study.points import Kind
 
@@ -199,7 +200,8 @@ REFUSED = {
     "start": (TWO_MASSES, {"sweep__0__initial_condition": [0.1, 0.2]}, "must be 4"),
     "auto": (TWO_MASSES, {"sweep__0__representation": "auto"}, "name the representation"),
     "taken by agreement": (SECTION, {"parameters__kappa": 1.0}, "choose another name"),
-    "parameters of matrices": (TWO_MASSES, {"parameters": {"k": 1.0}}, "matrices take none"),
+    "parameter without use": (TWO_MASSES, {"parameters": {"k": 1.0}}, "'k': must be in"),
+    "scale without value": (TWO_MASSES, {"system__forcing__0__scale": "p"}, "'p': must be in"),
     "list of parameters": (SECTION, {"parameters": [1.0]}, "parameters"),
     "number of parameters": (SECTION, {"parameters": 5}, "parameters"),
     "our own key": (SECTION, {"sweep__0__parameter": {"foo": [1.0]}}, "unknown key"),
@@ -228,6 +230,41 @@ def test_what_does_not_fit_is_refused_in_words(name):
         gs.Study.from_dict(changed(tables, **changes))
     assert said in str(refused.value)
     assert "Traceback" not in str(refused.value)
+
+
+def test_loads_of_matrices_are_swept():
+    """A free gear with drag: forcing and mean load are axes, equal to systems made by hand."""
+    tables = {
+        "study": {"name": "gear"},
+        "system": {
+            "mass": [[1.0]], "stiffness": [[0.0]], "damping": [[0.1]], "contacts": {"mesh": [1.0]},
+            "forcing": [
+                {"amplitude": [1.0], "scale": "p"}, {"amplitude": [-1.0], "k": 0, "scale": "drag"}
+            ],
+        },
+        "parameters": {"p": 0.2, "drag": 0.1},
+        "sweep": [
+            {
+                "representation": "piecewise", "K_c": 1.0, "gap": [1.0, 1.0], "omega": [0.13],
+                "p": [0.2, 0.4], "drag": [0.05, 0.1], "initial_condition": [[-1.2, 0.0]],
+            }
+        ],
+    }  # fmt: skip
+    study, rows, table = points_of(tables)
+    assert {"p", "drag"} <= {*study.grid.dims}
+    by_hand = []
+    for p in (0.2, 0.4):
+        for drag in (0.05, 0.1):
+            loads = [gs.Harmonic(amplitude=[p]), gs.Harmonic(amplitude=[-drag], k=0)]
+            gear = gs.System(
+                mass=[[1.0]], stiffness=[[0.0]], damping=[[0.1]], contacts={"mesh": [1.0]},
+                forcing=loads,
+            )  # fmt: skip
+            law = gs.Piecewise(1.0, gs.Gap(1.0, 1.0))
+            by_hand.append(gs.respond(gear, law, 0.13, q_0=[-1.2]).x_max)
+    several = [Tile.of_one(table.take([i]), np.zeros(2)) for i in range(4)]
+    assert sorted(respond_to(tile).columns["x_max"].item() for tile in several) == sorted(by_hand)
+    assert len(rows) == 4
 
 
 def of_function(tmp_path, monkeypatch, name, text):

@@ -70,7 +70,8 @@ def simulate(
     v_0 : float or array_like
         Velocity [m/s], likewise; of a system, velocities along the last axis.
     q_0, z_0 : float or array_like
-        Coordinates [m] and first-order states of a system, along the last axis.
+        Coordinates [m] and first-order states of a system, along the last axis, which may be left
+        out if there is but one.
     t_end, t_0 : float
         End and start [s], ``t_end > t_0``.
     engine, rtol, atol, controller, restart
@@ -215,6 +216,8 @@ def _system_starts(
             parts.append(np.zeros(0))
             continue
         (given,) = broadcast(**{name: value})
+        if size == 1 and given.shape[-1:] != (1,):  # responses of one coordinate have no such axis
+            given = given[..., None]
         if given.ndim and given.shape[-1] != size:
             raise ModelError(f"{name}: has the shape {given.shape}, its last axis must be {size}")
         parts.append(given if given.ndim else np.full(size, given))

@@ -7,6 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from gapsweep.aside import printing_aside
@@ -27,19 +28,32 @@ READY_MADE = tuple(name for name in systems.__all__ if f"{name}_law" in systems.
 _NEEDED = "the module must stand in the folder where the command is typed, or on Python's path"
 
 
-class CubicTable(Table):
+class ScaledTable(Table):
+    """A table whose strength may be multiplied by a parameter of the study."""
+
+    scale: str | None = None
+
+    def values(self, strength: str, parameters: Mapping[str, float]) -> dict[str, Any]:
+        """Arguments of what the table describes, at some values of the parameters."""
+        found = self.model_dump(exclude={"scale"})
+        if self.scale is not None:
+            found[strength] = np.multiply(found[strength], parameters[self.scale]).tolist()
+        return found
+
+
+class CubicTable(ScaledTable):
     along: Vector
     alpha: float
 
 
-class HarmonicTable(Table):
+class HarmonicTable(ScaledTable):
     amplitude: Vector
     k: int = 1
     phase: float = 0.0
     inertial: bool = False
 
 
-class ModulationTable(Table):
+class ModulationTable(ScaledTable):
     depth: float
     k: int = 1
     phase: float = 0.0
@@ -65,6 +79,12 @@ class SystemTable(Table):
     modulation: dict[str, list[ModulationTable]] = Field({})
     lags: LagsTable | None = None
     coordinates: list[str] = Field([])
+
+    @property
+    def scales(self) -> set[str]:
+        """Names of the parameters that multiply loads, springs and modulations."""
+        terms = [term for terms in self.modulation.values() for term in terms]
+        return {each.scale for each in (*self.cubic, *self.forcing, *terms) if each.scale}
 
     @model_validator(mode="after")
     def _one_of_both(self) -> "SystemTable":
@@ -114,7 +134,7 @@ def maker(table: SystemTable, source: str) -> Callable[[Mapping[str, float]], Sy
     def made(parameters: Mapping[str, float]) -> System:
         try:
             if table.function is None:
-                return _of_matrices(table)
+                return _of_matrices(table, parameters)
             return _made(table.function, function, parameters)
         except ModelError as error:
             at = f" at {said(parameters)}" if parameters else ""
@@ -132,7 +152,7 @@ def wrong_matrices(tables: Any, source: str) -> list[str]:
     try:
         table = SystemTable.model_validate(tables["system"])
         if table.function is None:  # no code is run for that
-            maker(table, source)({})
+            maker(table, source)(dict.fromkeys(table.scales, 1.0))
     except (ValidationError, TypeError, LookupError):  # which has been said
         return []
     except StudyError as error:
@@ -180,16 +200,16 @@ def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
     return System(**parts)
 
 
-def _of_matrices(table: SystemTable) -> System:
+def _of_matrices(table: SystemTable, parameters: Mapping[str, float]) -> System:
     return System(
         mass=table.mass,
         stiffness=table.stiffness,
         damping=table.damping,
         contacts=table.contacts,
-        cubic=[Cubic(**each.model_dump()) for each in table.cubic],
-        forcing=[Harmonic(**each.model_dump()) for each in table.forcing],
+        cubic=[Cubic(**each.values("alpha", parameters)) for each in table.cubic],
+        forcing=[Harmonic(**each.values("amplitude", parameters)) for each in table.forcing],
         modulation={
-            name: [Modulation(**each.model_dump()) for each in terms]
+            name: [Modulation(**each.values("depth", parameters)) for each in terms]
             for name, terms in table.modulation.items()
         },
         lags=None if table.lags is None else Lags(**table.lags.model_dump()),

@@ -44,8 +44,18 @@ class Systems:
     @cached_property
     def _make(self) -> Callable[[Mapping[str, float]], System]:
         """What makes a system of parameters: one code for the whole study."""
-        assert self.spec.system is not None
-        return maker(self.spec.system, self.source)
+        table = self.spec.system
+        assert table is not None
+        unlike = table.scales ^ set(self.spec.parameters)
+        if table.function is None and unlike:
+            raise StudyError(
+                [
+                    f"{self.source}: parameters: {name!r}: must be in [parameters], and be the "
+                    "scale of a load, a cubic spring or a modulation in [system]"
+                    for name in sorted(unlike)
+                ]
+            )
+        return maker(table, self.source)
 
     @cached_property
     def _known(self) -> dict[tuple[float, ...], System]:
@@ -175,8 +185,6 @@ class Systems:
             for name in spec.contact
             if name not in names
         ]
-        if spec.parameters and spec.system is not None and spec.system.function is None:
-            wrong.append("parameters: matrices take none; give function in [system]")
         for i, block in enumerate(spec.sweep):
             assert isinstance(block, SystemSweepTable)
             wrong += [f"sweep[{i}].{problem}" for problem in self._problems(block)]
