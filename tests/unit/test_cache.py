@@ -24,8 +24,8 @@ from gapsweep.store import filesystem, maintenance
 from gapsweep.store.cache import SCHEMA_VERSION, Cache
 from gapsweep.store.index import DAMAGED, MISSING
 from gapsweep.store.slab import SLAB, sealed, stored
-from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import NUMBERS
+from gapsweep.user_code.package_digest import numerics_fingerprint
 
 NOW = numerics_fingerprint()
 finite = st.floats(allow_nan=False, allow_infinity=False)

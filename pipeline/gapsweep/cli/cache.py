@@ -50,7 +50,7 @@ def info(cache: Path | None, as_json: bool) -> None:
       gapsweep cache info --json
     """
     from gapsweep.store import maintenance
-    from gapsweep.study.fingerprint import numerics_fingerprint
+    from gapsweep.user_code.package_digest import numerics_fingerprint
 
     with _existing(cache) as store:
         found = maintenance.info(store, numerics_fingerprint())
@@ -106,7 +106,7 @@ def gc(cache: Path | None, apply: bool) -> None:
       gapsweep cache gc --apply
     """
     from gapsweep.store import maintenance
-    from gapsweep.study.fingerprint import numerics_fingerprint
+    from gapsweep.user_code.package_digest import numerics_fingerprint
 
     with _existing(cache, read_only=False) as store:
         rows = maintenance.removable(store, numerics_fingerprint())
