@@ -21,7 +21,7 @@ from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import contents_of
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
-ROOT = Path(__file__).parents[2]
+ROOT, SOURCES = Path(__file__).parents[2], Path(gs.__file__).parent
 SWEEP = """
 [study]
 name = "own"
@@ -47,7 +47,8 @@ def labels(*names):
 
 def gapsweep(folder, *arguments, seconds=100):
     """The installed command, as a user types it."""
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "GAPSWEEP_CACHE": "c.sqlite"}
+    path = os.pathsep.join(map(str, [SOURCES.parent, ROOT]))
+    environment = os.environ | {"PYTHONPATH": path, "GAPSWEEP_CACHE": "c.sqlite"}
     return subprocess.run(
         [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
         timeout=seconds,
