@@ -98,7 +98,8 @@ def basins(
         check_workers(client)
         if isinstance(law, UserLaw):
             raise ModelError(
-                "client: not for laws of your own; leave it out, or put the law into a file and its name into a study"
+                "client: not for laws of your own; leave it out, or put the law into a file that a "
+                "study names"
             )
     starts_x, starts_v = (_axis(name, values) for name, values in (("x", x), ("v", v)))
     if starts_x.size * starts_v.size > _MAX_STARTS:
