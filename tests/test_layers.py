@@ -10,8 +10,9 @@ import gapsweep
 
 PACKAGE = Path(gapsweep.__file__).parent
 LAYERS = (
-    {"errors", "status", "source", "aside"},
-    {"beside", "model"},
+    {"errors", "status", "aside"},
+    {"user_code"},
+    {"model"},
     {"integrate"},
     {"response"},
     {"study"},

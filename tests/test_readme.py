@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import gapsweep as gs
-from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.user_code.package_digest import numerics_fingerprint
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

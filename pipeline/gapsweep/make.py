@@ -20,7 +20,6 @@ from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.folder import alone_in_run, check_owner, check_writable, run_folder
-from gapsweep.model import own_law
 from gapsweep.stages import (
     ADVICE,
     AGREEMENT,
@@ -149,18 +148,8 @@ def _analyse(
     timeout: float,
     say: Callable[[str], None] | None,
 ) -> None:
-    """Make the file of an analysis stage, if the laws that it is made with stay what they are.
-
-    Parameters
-    ----------
-    now : MadeFrom
-        What it is made from, taken before: an edit meanwhile makes the file stale, not current.
-    """
-    before = study_source(study)
+    """Make the file of an analysis stage."""
     made = _analysed(stage, study, folder, timeout, say)
-    own_law.refresh()
-    if study_source(study) != before:
-        raise StudyError([f"{study.source}: a law of your own was edited meanwhile; run again"])
     netcdf.write(made, folder / stage.file, {"made_from": as_text(now)})
 
 
@@ -241,8 +230,8 @@ def bench(
         raise StudyError([f"{study.source}: bench: missing; it names scenes and methods"])
     folder = run_folder(study, out)
     check_writable(folder)
+    study = Study.of(study)
     try_out_own_laws(study, timeout, say)
-    own_law.refresh()
     made = []
     with alone_in(folder):
         check_owner(study, folder)
@@ -297,7 +286,7 @@ def report(folder: str | Path, study: Study | None = None) -> Path:
     folder = Path(folder).absolute()
     with alone_in_run(folder):
         if study is not None:
-            own_code.draw(*own_code.own_stage(SECTIONS, study, folder))
+            own_code.draw(*own_code.own_stage(SECTIONS, Study.of(study), folder))
         return _report(folder)
 
 

@@ -10,7 +10,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gapsweep import beside
 from gapsweep.errors import StoreError, StudyError
 from gapsweep.folder import alone_in_run, check_owner
 from gapsweep.stages import (
@@ -27,6 +26,8 @@ from gapsweep.stages import (
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import is_intact, is_recorded, recording
 from gapsweep.study.study import Study
+from gapsweep.user_code.load import load_module, user_errors
+from gapsweep.user_code.snapshot import Snapshot
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,7 +40,7 @@ def own_dataset(file: str, make: Callable[[Study], Any], study: Study) -> "xr.Da
     import xarray as xr
 
     assert study.claims_module is not None, "datasets come from there"
-    with beside.blaming(study.claims_module, file, make):
+    with user_errors(study.claims_module, file, make):
         made = make(study)
         if not isinstance(made, xr.Dataset):
             raise TypeError(
@@ -57,28 +58,28 @@ def check_modules(study: Study) -> None:
         If it cannot be imported, or does not hold what it must.
     """
     own_datasets(study)
-    if study.claims_module is not None:
-        _stated(study.claims_module)
-    if study.report_module is not None:
-        _sections(study.report_module)
+    if study.claims_code is not None:
+        _stated(study.claims_code)
+    if study.report_code is not None:
+        _sections(study.report_code)
 
 
-def _stated(path: Path) -> "list[Claim]":
+def _stated(code: Snapshot) -> "list[Claim]":
     """The claims that a module states."""
     from gapsweep.analysis.verdicts import stated
 
-    module = beside.load(path)
     try:
-        return stated(vars(module))
+        return stated(vars(load_module(code)))
     except ValueError as error:
-        raise StudyError([f"{path}: {error}"]) from None
+        raise StudyError([f"{code.path}: {error}"]) from None
 
 
-def _sections(path: Path) -> "Callable[[Run], Any]":
+def _sections(code: Snapshot) -> "Callable[[Run], Any]":
     """The function of a module that makes sections of the report."""
-    found: Callable[[Run], Any] | None = getattr(beside.load(path), "sections", None)
+    found: Callable[[Run], Any] | None = getattr(load_module(code), "sections", None)
     if not callable(found):
-        raise StudyError([f"{path}: no function sections(run), which gives parts of the report"])
+        message = f"{code.path}: no function sections(run), which returns parts of the report"
+        raise StudyError([message])
     return found
 
 
@@ -106,7 +107,7 @@ def claims(folder: str | Path, study: Study | None = None) -> dict[str, Any]:
     folder = Path(folder).absolute()
     with alone_in_run(folder):
         if study is not None:
-            return decide(*own_stage(CLAIMS, study, folder))
+            return decide(*own_stage(CLAIMS, Study.of(study), folder))
         decided = stored(folder / CLAIMS)
     if decided is None:
         raise StoreError(
@@ -146,12 +147,13 @@ def decide(stage: Stage, study: Study, folder: Path, now: MadeFrom) -> dict[str,
     """Decide the claims of a study and write ``claims.json``."""
     from gapsweep.analysis.verdicts import counted
 
-    path = study.claims_module
+    code, path = study.claims_code, study.claims_module
+    assert code is not None
     assert path is not None, "the stage is left out without claims"
-    claims, decided = _stated(path), []
+    claims, decided = _stated(code), []
     with _read(stage, folder) as run:
         for claim in claims:
-            with beside.blaming(path, f"claim {claim.id}", claim.find):
+            with user_errors(path, f"claim {claim.id}", claim.find):
                 decided.append(claim.decided(run))
     return _write(folder / CLAIMS, study, path, now, counted(decided))
 
@@ -160,10 +162,11 @@ def draw(stage: Stage, study: Study, folder: Path, now: MadeFrom) -> dict[str, A
     """Make a study's own sections of the report and write ``sections.json``."""
     from gapsweep.report.parts import rendered
 
-    path = study.report_module
+    code, path = study.report_code, study.report_module
+    assert code is not None
     assert path is not None, "the stage is left out without sections"
-    sections = _sections(path)
-    with _read(stage, folder) as run, beside.blaming(path, "sections", sections):
+    sections = _sections(code)
+    with _read(stage, folder) as run, user_errors(path, "sections", sections):
         # Apart from the report's own.
         parts = [part | {"anchor": f"own-{part['anchor']}"} for part in rendered(sections(run))]
         found = {"sections": parts}
@@ -177,7 +180,7 @@ def _write(
     named = "claims_module" if path.name == CLAIMS else "report_module"
     origin = {"study": study.name, named: module.name, "made_from": dict(now)}
     whole = {**origin, **netcdf.provenance(), **found}
-    with beside.blaming(module, path.stem):  # texts that are none, half characters
+    with user_errors(module, path.stem):  # texts that are none, half characters
         text = json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False).encode()
     with recording(path, is_recorded) as temporary:
         temporary.write_bytes(text + b"\n")

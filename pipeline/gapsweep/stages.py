@@ -8,22 +8,24 @@ import hashlib
 import html
 import json
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
-from gapsweep import beside
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.execution.plan import Plan
-from gapsweep.model.labels import AUTO, EXACT, law_of
+from gapsweep.model.labels import AUTO, EXACT
 from gapsweep.store.artefact import digests, is_intact, sha256
 from gapsweep.store.cache import Cache
 from gapsweep.store.netcdf import attributes
-from gapsweep.study.fingerprint import code_fingerprint, imports_fingerprint
-from gapsweep.study.points import OURS, law_code
 from gapsweep.study.study import Study
+from gapsweep.user_code.load import inner_name, load_module
+from gapsweep.user_code.package_digest import data_fingerprint, package_fingerprint
+from gapsweep.user_code.snapshot import Snapshot
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
@@ -46,14 +48,11 @@ class Stage:
     ----------
     file : str
         Its path in the run's folder.
-    code : str
-        The module that its content depends on; all that it imports counts too.
     inputs : tuple of str
         What it is made from: files of the run, `STUDY`, `POINTS`, or code beside the study.
     """
 
     file: str
-    code: str
     inputs: tuple[str, ...]
 
 
@@ -64,20 +63,19 @@ CLAIMS_MODULE, REPORT_MODULE = "claims module", "report module"
 _READ = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES)
 
 STAGES = (
-    Stage(RESPONSES, "execution/assemble.py", (STUDY, POINTS)),
-    Stage(ATTRACTORS, "execution/assemble.py", (STUDY, POINTS)),
-    Stage(STATIC, "analysis/static.py", (STUDY,)),
-    Stage(AGREEMENT, "analysis/agreement.py", (RESPONSES, ATTRACTORS)),
-    Stage(TIMING, "analysis/timing.py", (RESPONSES,)),
-    Stage(HISTORIES, "analysis/histories.py", (STUDY,)),
-    Stage(ADVICE, "analysis/advice.py", (STUDY,)),
-    Stage(CLAIMS, "analysis/verdicts.py", (CLAIMS_MODULE, *_READ)),
-    Stage(WORK_PRECISION, "analysis/work_precision.py", (STUDY,)),
-    Stage(STABILITY, "analysis/stability.py", (STUDY,)),
-    Stage(SECTIONS, "report/parts.py", (REPORT_MODULE, *_READ)),
+    Stage(RESPONSES, (STUDY, POINTS)),
+    Stage(ATTRACTORS, (STUDY, POINTS)),
+    Stage(STATIC, (STUDY,)),
+    Stage(AGREEMENT, (RESPONSES, ATTRACTORS)),
+    Stage(TIMING, (RESPONSES,)),
+    Stage(HISTORIES, (STUDY,)),
+    Stage(ADVICE, (STUDY,)),
+    Stage(CLAIMS, (CLAIMS_MODULE, *_READ)),
+    Stage(WORK_PRECISION, (STUDY,)),
+    Stage(STABILITY, (STUDY,)),
+    Stage(SECTIONS, (REPORT_MODULE, *_READ)),
     Stage(
         REPORT,
-        "report/html.py",
         (
             RESPONSES,
             ATTRACTORS,
@@ -96,7 +94,7 @@ STAGES = (
 
 def _own_dataset(file: str) -> Stage:
     """The stage of a dataset that a claims module makes."""
-    return Stage(file, "beside.py", (STUDY, _code_of(file)))
+    return Stage(file, (STUDY, _code_of(file)))
 
 
 def _code_of(file: str) -> str:
@@ -114,7 +112,8 @@ def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
     path = study.claims_module
     if path is None:
         return {}
-    given = getattr(beside.load(path), "DATASETS", {})
+    assert study.claims_code is not None
+    given = getattr(load_module(study.claims_code), "DATASETS", {})
     if not isinstance(given, Mapping):
         raise StudyError([f"{path}: DATASETS: must be a dict from names to functions of the study"])
     taken = {stage.file for stage in STAGES}
@@ -187,19 +186,27 @@ def module_sources(study: Study) -> MadeFrom:
     StudyError
         If it cannot be read or imported.
     """
-    modules = {CLAIMS_MODULE: study.claims_module, REPORT_MODULE: study.report_module}
-    found = {name: _code(path) for name, path in modules.items() if path is not None}
+    modules = {CLAIMS_MODULE: study.claims_code, REPORT_MODULE: study.report_code}
+    found = {name: code.key for name, code in modules.items() if code is not None}
     for file, function in own_datasets(study).items():
-        assert study.claims_module is not None, "datasets come from there"
-        digest, imports = beside.digest_of(function, study.claims_module)
-        found[_code_of(file)] = f"{digest} {imports_fingerprint(imports)}"
+        assert study.claims_code is not None, "datasets come from there"
+        found[_code_of(file)] = _key_of(function, study.claims_code)
     return found
 
 
-def _code(path: Path) -> str:
-    """Digest of code beside a study, and of all of ours that it imports."""
-    found = beside.sources(path)
-    return f"{found.digest} {imports_fingerprint(found.imports)}"
+def _key_of(function: Any, code: Snapshot) -> str:
+    """Key of the code of a callable that a module names.
+
+    A function of another module depends on that module alone: the rest of the code may be edited.
+    Everything else, such as a closure, depends on all of the code.
+    """
+    name = getattr(function, "__qualname__", "")
+    module = sys.modules.get(getattr(function, "__module__", None) or "")
+    if isinstance(function, FunctionType) and vars(module).get(name) is function:
+        assert module is not None
+        if (inner := inner_name(module.__name__, code)) is not None:
+            return f"{name} {code.part(inner).key}"
+    return code.key
 
 
 def _own_laws(study: Study) -> str:
@@ -210,8 +217,9 @@ def _own_laws(study: Study) -> str:
     for label in labels:
         # A law that cannot be imported is a matter of its motion's status.
         with suppress(ModelError):
-            codes.append(law_code(law_of(label)))
-    return "".join(code for code in codes if code != OURS)
+            if (own := study.own_law(label)) is not None:
+                codes.append(own.key)
+    return "".join(codes)
 
 
 def made_from(stage: Stage, folder: Path, sources: MadeFrom) -> MadeFrom:
@@ -229,7 +237,8 @@ def made_from(stage: Stage, folder: Path, sources: MadeFrom) -> MadeFrom:
         name: sources.get(name) or " ".join(digests(folder / name)) or "absent"
         for name in stage.inputs
     }
-    return {"code": code_fingerprint(stage.code), **inputs}
+    is_drawn = stage.file in (SECTIONS, REPORT)
+    return {"code": package_fingerprint() if is_drawn else data_fingerprint(), **inputs}
 
 
 def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:

@@ -107,7 +107,8 @@ def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
         return json.loads((out / CLAIMS).read_text())
 
     def reasons():
-        found = lookup.stage_reasons(study, lookup.plan(study, cache), out, cache)
+        fresh = gs.Study.of(study)
+        found = lookup.stage_reasons(fresh, lookup.plan(fresh, cache), out, cache)
         return {file: reason for file, reason in found.items() if reason}
 
     decided = again()

@@ -91,8 +91,8 @@ def test_a_process_that_does_not_start_is_an_error_of_the_call(monkeypatch, code
 
 
 def test_a_process_of_other_code_answers_nothing(monkeypatch):
-    monkeypatch.setattr("gapsweep.study.software.numerics_bytes", lambda: "before the edit")
-    with Alone(10.0) as alone, pytest.raises(gs.ClusterError, match="edited during the run"):
+    monkeypatch.setattr("gapsweep.study.software.numerics_fingerprint", lambda: "other")
+    with Alone(10.0) as alone, pytest.raises(gs.ClusterError, match="installed anew"):
         alone(calls.same, 1)
 
 

@@ -15,8 +15,9 @@ from gapsweep.execution.alone import Alone, response_of
 from gapsweep.execution.cluster import cluster
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.runge_kutta import smooth
+from gapsweep.model.own_law import OwnLaw
 from gapsweep.store.cache import Cache
-from gapsweep.study.points import Kind, law_code
+from gapsweep.study.points import Kind
 
 LAWS = "tests.laws"
 COMMAND = "from gapsweep.cli import main; main()"
@@ -103,13 +104,12 @@ def test_no_point_is_timed_out_for_its_machine_code(one_point, tmp_path):
         assert own.run(os.getpid) == before, "the worker was given up"
 
 
-def test_no_point_alone_is_timed_out_for_what_it_loads(tmp_path, monkeypatch):
+def test_no_point_alone_is_timed_out_for_what_it_loads(tmp_path):
     (tmp_path / "slow_to_load.py").write_text("import time\ntime.sleep(3)\ndef law(x): return x\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    label = "slow_to_load:law"
-    code, solver = law_code(label), Solver.of("scipy", 1e-3)
-    settings = {"solver": solver, "steady": gs.Steady(t_max=1.0)}
-    kind = Kind(representation=label, contacts=(label,), **settings, law_code=code)
+    own, solver = OwnLaw.of("slow_to_load:law", [tmp_path]), Solver.of("scipy", 1e-3)
+    given = {"representation": own.label, "law_code": own.key, "own": own}
+    settings = {"contacts": (own.label,), "solver": solver, "steady": gs.Steady(t_max=1.0)}
+    kind = Kind(**given, **settings)
     with Alone(2.0) as alone:
         response = response_of(alone, points(1.0, kind=kind), np.zeros(2)).row(0)
     assert response.status < gs.Status.TIMED_OUT

@@ -34,7 +34,7 @@ max_period_multiple = 8
 
 def gapsweep(folder, *arguments):
     environment = os.environ | {"GAPSWEEP_CACHE": "c.sqlite"}
-    environment.pop("PYTHONPATH", None)
+    environment["PYTHONPATH"] = str(Path(gs.__file__).parents[1])
     return subprocess.run(
         [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
         timeout=100,

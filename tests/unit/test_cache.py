@@ -25,7 +25,7 @@ from gapsweep.store.cache import Cache
 from gapsweep.store.index import MISSING
 from gapsweep.store.segments import packed, scan, write
 from gapsweep.store.slab import SLAB, stored
-from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.user_code.package_digest import numerics_fingerprint
 
 NOW = numerics_fingerprint()
 OK, KILLED, LATE = gs.Status.OK, gs.Status.KILLED, gs.Status.TIMED_OUT

@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 from numba import njit
 from numba.core.compiler import Compiler, Flags
-from tests.stored import points
 
-from gapsweep.errors import ClusterError
-from gapsweep.execution.task import Task, Tile, compute, load, process, software_with_engines
 from gapsweep.integrate import jit
-from gapsweep.study import fingerprint
-from gapsweep.study.software import software
 
 
 def chaos(x, out):
@@ -58,36 +53,3 @@ def test_equal_options_are_one_object_that_nobody_changes():
         ours.nrt = False
     options.nrt = False
     assert jit._known_flags(options) is not ours
-
-
-@pytest.fixture
-def edited(monkeypatch):
-    """The first file of the numerics is another one than this process has read."""
-    file = fingerprint._numerics(fingerprint._PACKAGE)[0]
-    known = fingerprint._bytes
-
-    def edit():
-        monkeypatch.setattr(fingerprint, "_bytes", lambda p: b"" if p == file else known(p))
-
-    return edit
-
-
-def test_no_engine_is_loaded_after_an_edit(edited):
-    """What a process says of its code was read before; what it loads now may be another."""
-    load("scipy")
-    edited()
-    load("scipy")  # as it is loaded
-    load.cache_clear()
-    with pytest.raises(ClusterError, match="edited after this process loaded gapsweep"):
-        load("scipy")
-
-
-def test_a_worker_computes_nothing_with_what_it_loads_after_an_edit(edited):
-    software()  # what a run asks every worker as it begins
-    edited()
-    load.cache_clear()
-    tile = Tile.of_one(points(1.4e4), np.zeros(2))
-    with pytest.raises(ClusterError, match="edited"):
-        compute(Task([tile], 60.0, process()))
-    with pytest.raises(ClusterError, match="edited"):
-        software_with_engines()  # a process for laws of the user's own

@@ -97,7 +97,10 @@ def basins(
     if client is not None:
         check_workers(client)
         if isinstance(law, UserLaw):
-            raise ModelError("client: not for laws of your own; leave it out, or write a study")
+            raise ModelError(
+                "client: not for laws of your own; leave it out, or put the law into a file that a "
+                "study names"
+            )
     starts_x, starts_v = (_axis(name, values) for name, values in (("x", x), ("v", v)))
     if starts_x.size * starts_v.size > _MAX_STARTS:
         raise ModelError(f"{starts_x.size} x {starts_v.size} starts: must be <= {_MAX_STARTS}")

@@ -19,16 +19,18 @@ from gapsweep.execution.alone import Alone, CallError
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.simulate import simulate
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.own_law import OwnLaw
 from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
 from gapsweep.study.axes import SWEEPABLE
-from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.points import canonical
 from gapsweep.study.schema import COORDINATES, STATUS_FLAGS, Variable, empty, with_attributes
 from gapsweep.study.spec import HistoryTable
 from gapsweep.study.study import Study
+from gapsweep.user_code.package_digest import numerics_fingerprint
 
 N_PERIODS = 60  # kept at either end: 2² · 3 · 5
 SAMPLES_PER_PERIOD = 256
@@ -102,7 +104,7 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
             arrays["t"][h, :, : t.shape[1]] = t
             arrays["frequency"][h, : frequency.size] = frequency
             for label in table.representation:
-                for name, value in _history(_asked(study, table, label), alone).items():
+                for name, value in _history(study, table, label, alone).items():
                     here = arrays[name][h, labels.index(label), ...]
                     here[_leading(value)] = value
     coords = {
@@ -193,6 +195,7 @@ class _Asked:
 
     oscillator: Oscillator
     representation: str
+    own: OwnLaw | None
     K_c: float
     K_ratio: float
     gap: Gap
@@ -210,6 +213,7 @@ def _asked(study: Study, table: HistoryTable, label: str) -> _Asked:
     return _Asked(
         oscillator=Oscillator(**numbers),
         representation=law_of(label),
+        own=study.own_law(label),
         K_c=table.K_c,
         K_ratio=K_ratio,
         gap=_gap(table),
@@ -221,24 +225,30 @@ def _asked(study: Study, table: HistoryTable, label: str) -> _Asked:
     )
 
 
-def _history(asked: _Asked, alone: Alone) -> Mapping[str, Any]:
+def _history(study: Study, table: HistoryTable, label: str, alone: Alone) -> Mapping[str, Any]:
     """The variables of one motion; its status alone if it has failed."""
-    if ":" not in asked.representation:
-        return _motion(asked)
     try:
-        return alone.with_law(asked.representation, _motion, asked)
+        asked = _asked(study, table, label)
+        return _motion(asked) if asked.own is None else alone(_motion, asked)
+    except ModelError:
+        return {"status": Status.MODEL_INVALID}
     except CallError as lost:
         return {"status": lost.status}
+
+
+def _law(asked: _Asked) -> ContactLaw:
+    if asked.own is not None:
+        return asked.own.law(asked.K_c, asked.gap, asked.K_ratio)
+    walls = asked.K_c, asked.gap, asked.fit_range
+    return contact_law(asked.representation, *walls, K_ratio=asked.K_ratio)
 
 
 def _motion(asked: _Asked) -> Mapping[str, Any]:
     t, _ = sampled(asked.omega, asked.t_end)
     try:
-        walls = asked.K_c, asked.gap, asked.fit_range
-        law = contact_law(asked.representation, *walls, K_ratio=asked.K_ratio)
         motion = simulate(
             asked.oscillator,
-            law,
+            _law(asked),
             asked.omega,
             *asked.start,
             t_end=_whole_periods(asked.omega, asked.t_end) / asked.omega,

@@ -1,7 +1,8 @@
 """The scenes and methods of a study's ``[bench]``, as values to compute with."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import EXACT, contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.own_law import OwnLaw
 from gapsweep.study.bench import SceneTable
 from gapsweep.study.points import canonical
 from gapsweep.study.schema import COORDINATES, Variable
@@ -43,6 +45,8 @@ class Scene:
         Half-width of the range of fits [m].
     without : tuple of str
         Labels of methods that are not asked for.
+    own : mapping of str to OwnLaw
+        The user's own laws by label.
     """
 
     name: str
@@ -56,6 +60,7 @@ class Scene:
     expected: str | None
     fit_range: float
     without: tuple[str, ...]
+    own: Mapping[str, OwnLaw] = field(default_factory=dict, compare=False)
 
     def law(self, representation: str) -> ContactLaw:
         """The contact law of a label without protocol.
@@ -65,6 +70,8 @@ class Scene:
         ModelError
             If it cannot be built for this scene.
         """
+        if representation in self.own:
+            return self.own[representation].law(self.K_c, self.gap)
         return contact_law(representation, self.K_c, self.gap, self.fit_range)
 
 
@@ -109,7 +116,16 @@ def _scene(study: Study, table: SceneTable) -> Scene:
         expected=table.expected,
         fit_range=study.spec.fit.range,
         without=tuple(table.without),
+        own=dict(_own_laws(study)),
     )
+
+
+def _own_laws(study: Study) -> Iterator[tuple[str, OwnLaw]]:
+    """The user's own laws that can be read, by label."""
+    for label in study.own_laws:
+        with suppress(ModelError):
+            if (own := study.own_law(label)) is not None:
+                yield label, own
 
 
 def methods(study: Study) -> list[Method]:

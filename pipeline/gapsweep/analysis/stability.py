@@ -187,7 +187,7 @@ def _scene_values(
             of_rungs = _method_values(scene, method, judges)
         else:
             try:
-                of_rungs = alone.with_law(method.representation, _method_values, scene, method, {})
+                of_rungs = alone(_method_values, scene, method, {})
             except CallError as lost:
                 failed = {"status": lost.status, "outcome": Outcome.FAILED}
                 of_rungs = [failed] * len(method.rungs)

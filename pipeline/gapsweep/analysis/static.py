@@ -22,11 +22,11 @@ from gapsweep.analysis.thresholds import tanh_threshold
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
-from gapsweep.model.labels import AUTO, contact_law, law_of
+from gapsweep.model.labels import AUTO, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
-from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.schema import COORDINATES, Variable
 from gapsweep.study.study import Study
+from gapsweep.user_code.package_digest import numerics_fingerprint
 
 Values = dict[str, Any]
 
@@ -107,7 +107,7 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     def of_walls(label: str, *walls: Any) -> Values:
         if ":" in label and not with_own_laws:
             return {"refusal": "a law of the user's own: not evaluated here"}
-        return _unless_refused(label, _of_walls, x, x_max, label, *walls)
+        return _unless_refused(label, _of_walls, x, study, label, *walls)
 
     of_all = [
         _unless_refused(label, _of_spring, oscillator, of_walls(label, *walls), x_max)
@@ -204,9 +204,9 @@ def _unless_refused(label: str, measured: Callable[..., Values], *given: Any) ->
         return {"refusal": f"{type(error).__name__}: {error}"}
 
 
-def _of_walls(x: Array, x_max: float, label: str, K_c: float, gap: Gap, K_ratio: float) -> Values:
+def _of_walls(x: Array, study: Study, label: str, K_c: float, gap: Gap, K_ratio: float) -> Values:
     """A law and what depends on nothing else."""
-    law = contact_law(label, K_c, gap, x_max, K_ratio=K_ratio)
+    law, x_max = study.law(label, K_c, gap, K_ratio), study.spec.fit.range
     force = law.force(x)
     return {
         "law": law,

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gapsweep.errors import ModelError
-from gapsweep.model import own_law
 from gapsweep.model.labels import EXACT
 from gapsweep.study.grid import START
 
@@ -70,7 +69,8 @@ def wrong_tables(study: "Study") -> Iterator[str]:
     walls = [wall for gap in study.grid.gaps for wall in (gap.j_1, gap.j_2) if wall]
     for label in study.own_laws if walls else ():
         with suppress(ModelError):  # of a law that cannot be used: reported where it is used
-            ends = [abs(end) for end in getattr(own_law.named(label), "valid_range", ()) if end]
+            own = study.own_law(label)
+            ends = [abs(end) for end in getattr(own and own.load(), "valid_range", ()) if end]
             if ends and (max(ends) < min(walls) or min(ends) > 1e3 * max(walls)):
                 yield (
                     f"{label}: the force table reaches x = {max(ends):g}, the walls of the study "

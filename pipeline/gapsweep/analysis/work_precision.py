@@ -331,7 +331,7 @@ class Bench:
         if (s, representation) in self.lost:
             return None
         try:
-            return self.alone.with_law(representation, function, *arguments)
+            return self.alone(function, *arguments)
         except CallError as lost:
             self.lost[s, representation] = lost.status
             return None

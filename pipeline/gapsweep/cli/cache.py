@@ -45,7 +45,7 @@ def info(cache: Path | None, as_json: bool) -> None:
       gapsweep cache info --json
     """
     from gapsweep.store import maintenance
-    from gapsweep.study.fingerprint import numerics_fingerprint
+    from gapsweep.user_code.package_digest import numerics_fingerprint
 
     with _existing(cache) as store:
         found = maintenance.info(store, numerics_fingerprint())
@@ -92,7 +92,7 @@ def gc(cache: Path | None, apply: bool) -> None:
       gapsweep cache gc --apply
     """
     from gapsweep.store import maintenance
-    from gapsweep.study.fingerprint import numerics_fingerprint
+    from gapsweep.user_code.package_digest import numerics_fingerprint
 
     with _existing(cache, read_only=not apply) as store:
         n_points, n_damaged = maintenance.clean(store, numerics_fingerprint(), apply=apply)

@@ -3,7 +3,6 @@
 Nothing is imported here that takes time: whoever asks for help shall not wait.
 """
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,10 +71,7 @@ def first(names: Sequence[str]) -> str:
 
 
 def loaded(path: Path, engine: str | None) -> "Study":
-    """The study in a file, on the engine asked for.
-
-    If it names code, that is looked up in the current folder too, after all libraries.
-    """
+    """The study in a file, on the engine asked for."""
     from gapsweep.study.spec import read
     from gapsweep.study.study import Study
 
@@ -83,8 +79,8 @@ def loaded(path: Path, engine: str | None) -> "Study":
     if system is not None and ":" in (system.function or ""):
         from gapsweep.execution.try_out import try_out_system
 
-        try_out_system(str(system.function), path, os.getcwd())
-    found = Study.load(path, os.getcwd())
+        try_out_system(str(system.function), path)
+    found = Study.load(path)
     if found.grid.starts.kind.any() and len(found.grid.omega) == 1:
         said = "sweeps follow the frequency, and there is one: they start from rest"
         click.echo(f"warning: {path}: initial_condition: {said}", err=True)

@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 
 import psutil
 
-from gapsweep.errors import ClusterError, ModelError
+from gapsweep.errors import ClusterError
 from gapsweep.execution.task import (
     WARM_UP_SECONDS,
     States,
@@ -35,10 +35,9 @@ from gapsweep.execution.task import (
     software_with_engines,
     warm_up,
 )
-from gapsweep.model import own_law
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
-from gapsweep.study.points import Points, law_code
+from gapsweep.study.points import Points
 from gapsweep.study.software import software
 
 Result = TypeVar("Result")
@@ -138,40 +137,16 @@ class Alone:
         return result
 
     def _check(self) -> None:
-        """Refuse a process that has loaded other code: it was edited since this one did."""
+        """Refuse a process with other software: it was installed since this one started."""
         theirs = self.within(_START_SECONDS, software_with_engines)
         if theirs != software():
             self._end()
-            raise ClusterError("gapsweep's source was edited during the run: start it again")
-
-    def with_law(
-        self, representation: str, function: Callable[..., Result], *arguments: Any
-    ) -> Result:
-        """A call that runs a law of the user's own, of the very code that the caller has.
-
-        Raises
-        ------
-        ClusterError
-            If its files hold another one, as they do while they are edited.
-        """
-        try:
-            code = law_code(representation)
-        except ModelError:  # the call finds that out for itself
-            return self(function, *arguments)
-        result: Result = self(_with_code, representation, code, function, arguments)
-        return result
+            raise ClusterError("gapsweep was installed anew during the run: start it again")
 
     def _end(self) -> None:
         if self._child is not None:
             self._child.end()
             self._child = None
-
-
-def _with_code(
-    representation: str, code: str, function: Callable[..., Result], arguments: tuple[Any, ...]
-) -> Result:
-    own_law.require(representation, code)
-    return function(*arguments)
 
 
 def compute_alone(task: Task) -> TaskResult:

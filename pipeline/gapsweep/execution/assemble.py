@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attractors, set_flags
 from gapsweep.execution.plan import Plan
-from gapsweep.model import own_law
 from gapsweep.model.labels import law_of
 from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
@@ -28,10 +27,10 @@ from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
-from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.grid import COORDINATE, Grid, Selection
 from gapsweep.study.schema import EXTREMUM, MULTIPLIERS
 from gapsweep.study.study import Study
+from gapsweep.user_code.package_digest import numerics_fingerprint
 
 
 def export(
@@ -78,7 +77,9 @@ def fill(
         Part of the study to write; attractors are then those of the selected starts.
     """
     grid = study.grid if selection is None else study.grid.cut(selection)
-    numbers, layout = _numbers(plan, grid, selection), Layout.of(grid, study.steady)
+    laws = {label: study.own_law(label) for label in grid.representations}
+    uneven = [label for label, own in laws.items() if own is not None and not own.is_odd]
+    numbers, layout = _numbers(plan, grid, selection), Layout.of(grid, study.steady, uneven)
     hosts: list[str] = []
     versions: set[str] = set()
     define(dataset, layout)
@@ -112,8 +113,8 @@ def attributes_of(study: Study) -> dict[str, str]:
 
 def _tables(study: Study) -> dict[str, str]:
     """What the measured laws of the sweeps are: to those who read files, these are but names."""
-    labels = {law_of(label) for label in study.grid.representations if ":" in label}
-    laws = {label: own_law.named(label) for label in sorted(labels)}
+    labels = {law_of(label) for label in study.grid.representations}
+    laws = {n: own.load() for n in sorted(labels) if (own := study.own_law(n)) is not None}
     found = {
         label: {"points": len(law.x), "low": law.x[0], "high": law.x[-1]}
         for label, law in laws.items()

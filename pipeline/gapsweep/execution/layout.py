@@ -1,6 +1,6 @@
 """Where in the files of a run the points of a grid belong, and what these files hold."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -10,7 +10,6 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.labels import is_even_handed
 from gapsweep.response.result import Steady
 from gapsweep.store.netcdf import create_texts
 from gapsweep.study.grid import COORDINATE, LAG, START, Grid
@@ -53,15 +52,19 @@ class Layout:
     grid : Grid
     sizes : dict of str to int
         Lengths of the padded lists, and of the parts of systems.
+    uneven : collection of str
+        Labels of tables of the user's whose forces differ from side to side.
     """
 
     grid: Grid
     sizes: dict[str, int]
+    uneven: Collection[str] = ()
 
     @classmethod
-    def of(cls, grid: Grid, steady: Steady) -> "Layout":
+    def of(cls, grid: Grid, steady: Steady, uneven: Collection[str] = ()) -> "Layout":
         sizes = {EXTREMUM: steady.max_extrema, SECTION_POINT: steady.max_period_multiple}
-        return cls(grid, sizes | {name: len(names) for name, names in grid.parts.items()})
+        sizes |= {name: len(names) for name, names in grid.parts.items()}
+        return cls(grid, sizes, uneven)
 
     @property
     def is_of_systems(self) -> bool:
@@ -139,7 +142,7 @@ class Layout:
             if name in along
         )
         labels = self.grid.representations
-        lopsided = [i for i, label in enumerate(labels) if not is_even_handed(label)]
+        lopsided = [i for i, label in enumerate(labels) if label in self.uneven]
         own = np.isin(self._over(piece, "representation", np.arange(len(labels))), lopsided)
         return np.asarray((j_1 == j_2) & (ratio[0] == 1.0 if ratio else True) & ~own)
 

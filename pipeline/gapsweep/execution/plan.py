@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.execution.sweeps import origins
-from gapsweep.model import own_law
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 from gapsweep.store.index import MISSING
@@ -94,7 +93,6 @@ def plan(
     retry_failed : bool
         Whether stored failures count as missing.
     """
-    own_law.refresh()
     grid = study.grid
     wanted = grid.requested
     if selection is not None:

@@ -23,7 +23,6 @@ from gapsweep.errors import ModelError, described
 from gapsweep.execution.sweeps import origins
 from gapsweep.integrate.problem import ENGINES, Models
 from gapsweep.integrate.simulate import loaded
-from gapsweep.model import own_law
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap
@@ -32,8 +31,7 @@ from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
-from gapsweep.study.fingerprint import check_unedited
-from gapsweep.study.points import KEY, OF_CONTACT, OURS, Kind, Points
+from gapsweep.study.points import KEY, OF_CONTACT, Kind, Points
 from gapsweep.study.software import software, versions
 
 _RESTARTED = "the point before it has no end state: starts from the last one that has"
@@ -138,7 +136,7 @@ def compute(task: Task) -> TaskResult:
     """Body of a Dask task."""
     for tile in task.tiles:
         load(tile.points.kind.solver.engine)
-    ours, begin = software(), time.thread_time()  # of what runs now: it may be edited meanwhile
+    begin = time.thread_time()
     found, n_warm = [], len(_warm)
     with _ending_after(task.timeout) if task.client != process() else nullcontext():
         for tile in task.tiles:
@@ -146,19 +144,18 @@ def compute(task: Task) -> TaskResult:
     seconds = time.thread_time() - begin
     if len(_warm) > n_warm:  # that held compiling, which comes but once
         seconds = sum(slab.seconds for slab in found)
-    return TaskResult(found, seconds, ours)
+    return TaskResult(found, seconds, software())
 
 
 @cache
 def load(engine: str) -> None:
-    """Load an engine into this process, if the numerics are still those that `software` names."""
+    """Load an engine into this process."""
     loaded(engine)
-    check_unedited()
     gc.freeze()  # the garbage collector would look through all that was loaded in every tile
 
 
 def software_with_engines() -> Mapping[str, str]:
-    """`software` of this process, which loads no more of the numerics after that."""
+    """`software` of this process, after it has loaded all engines."""
     for engine in ENGINES:
         load(engine)
     return software()
@@ -258,15 +255,17 @@ def _models(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError]]
     kind = points.kind
     n, n_states = len(kind.contacts) * len(OF_CONTACT), kind.n_states
 
+    def law(label: str, K_c: float, j_1: float, j_2: float, K_ratio: float) -> ContactLaw:
+        gap = Gap(j_1, j_2)
+        if ":" not in label:
+            return contact_law(label, K_c, gap, kind.fit_range, K_ratio=K_ratio)
+        if kind.own is None:
+            raise ModelError(f"{label}: the code of this law is not stored")
+        return kind.own.law(K_c, gap, K_ratio)
+
     def laws(row: States) -> tuple[ContactLaw, ...]:
-        if kind.law_code != OURS:
-            own_law.require(kind.representation, kind.law_code)
-        return tuple(
-            contact_law(label, K_c, Gap(j_1, j_2), kind.fit_range, K_ratio=K_ratio)
-            for label, (K_c, j_1, j_2, K_ratio) in zip(
-                kind.contacts, row.reshape(-1, len(OF_CONTACT)).tolist(), strict=True
-            )
-        )
+        walls = row.reshape(-1, len(OF_CONTACT)).tolist()
+        return tuple(law(label, *each) for label, each in zip(kind.contacts, walls, strict=True))
 
     walls, omega, others = np.split(points.numbers[:, :-n_states], [n, n + 1], axis=1)
     systems, its_system, no_system = _made(kind.structure.system, others)

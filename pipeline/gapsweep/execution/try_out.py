@@ -1,27 +1,25 @@
 """Code of the user's own, tried out where it can harm nobody.
 
-Keys hold the code of a law, which is known once it has been imported, and then it is asked for its
-force at x = 0. The client does both in its own process, after a child process has survived them.
+A law is loaded and called at x = 0 before anything is computed. The client does both in its own
+process, after a child process has survived them with the same snapshot.
 """
 
 from collections.abc import Callable
 from pathlib import Path
 
-from gapsweep.errors import StudyError
+from gapsweep.errors import ModelError, StudyError
 from gapsweep.execution.alone import Alone, CallError
-from gapsweep.model import own_law
+from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.status import Status
-from gapsweep.study.points import law_code
 from gapsweep.study.study import Study
 from gapsweep.study.system_tables import said
 
 _LONGEST = 60.0  # s
 # What a module imports and compiles counts here, and in no time limit of points.
 _SHORTEST = 10.0  # s
-_STEPS = (("imported", own_law.code), ("called at x = 0", law_code))
 
 
-def try_out_system(function: str, path: Path, code_in: str) -> None:
+def try_out_system(function: str, path: Path) -> None:
     """Load a study whose system a function of the user's makes, in a child process, and make all of
     its systems there.
 
@@ -29,8 +27,8 @@ def try_out_system(function: str, path: Path, code_in: str) -> None:
     ----------
     function : str
         Its name.
-    path, code_in
-        As of `Study.load`.
+    path : Path
+        Of the study file.
 
     Raises
     ------
@@ -41,7 +39,7 @@ def try_out_system(function: str, path: Path, code_in: str) -> None:
     with Alone(_LONGEST) as alone:
         at = ""
         try:
-            for some in alone(_loads, path, code_in):
+            for some in alone(_loads, path):
                 at = f" at {said(some)}"
                 alone(_makes, some)
         except CallError as lost:
@@ -53,9 +51,9 @@ def try_out_system(function: str, path: Path, code_in: str) -> None:
 _studies: list[Study] = []
 
 
-def _loads(path: Path, code_in: str) -> list[dict[str, float]]:
+def _loads(path: Path) -> list[dict[str, float]]:
     """Load a study, and say at what values it has systems."""
-    study = Study.load(path, code_in)
+    study = Study.load(path)
     _studies[:] = [study]
     return study.systems.swept(study.grid.axes, study.grid.requested) if study.systems else []
 
@@ -85,10 +83,14 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
     limit = min(max(timeout, _SHORTEST), _LONGEST)
     with Alone(limit) as alone:
         for label in study.own_laws:
-            for step, function in _STEPS:
+            try:
+                own = study.own_law(label)
+            except ModelError:
+                continue
+            for step, function in (("imported", _imports), ("called at x = 0", _calls)):
                 say(f"the law {label!r} is {step}, for {limit:g} s at most")
                 try:
-                    alone(function, label)
+                    alone(function, own)
                 except CallError as lost:
                     if lost.status is Status.MODEL_INVALID:
                         break
@@ -98,3 +100,11 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                     raise StudyError(
                         [f"{study.source}: the law {label!r}, when {step}: {why}"]
                     ) from None
+
+
+def _imports(own: OwnLaw) -> None:
+    own.load()
+
+
+def _calls(own: OwnLaw) -> None:
+    checked(own)

@@ -7,8 +7,8 @@
 ``ratpoly-5/3``           rational polynomial, numerator and denominator degree
 ``tanh-1e4``              tanh, epsilon = 1e4 /m; ``arctan-…`` likewise
 ``logarctan-1e4``         log-arctan, gamma = 1e4 /m
-``my_module:spring``      the function ``spring(x)`` of the importable ``my_module``, or
-                          a `gapsweep.ForceTable` of that name
+``my_module:spring``      the function ``spring(x)`` in ``my_module.py``, or a
+                          `gapsweep.ForceTable` of that name
 ``auto``                  in a study: the least model that each sweep point needs
 ========================= ==========================================================
 """
@@ -16,9 +16,9 @@
 import difflib
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 from gapsweep.errors import ModelError
-from gapsweep.model import own_law
 from gapsweep.model.contact import (
     FIT_RANGE,
     Arctan,
@@ -29,7 +29,7 @@ from gapsweep.model.contact import (
 )
 from gapsweep.model.fitted import Fitted, Polynomial, RationalPolynomial
 from gapsweep.model.oscillator import Gap
-from gapsweep.model.table import ForceTable
+from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.user_law import UserLaw
 
 AUTO = "auto"
@@ -111,17 +111,6 @@ def is_fitted(label: str) -> bool:
     return law is not None and issubclass(law, Fitted)
 
 
-def is_even_handed(label: str) -> bool:
-    """Whether the law of a label pushes back alike on both sides, between walls that are alike.
-
-    Of a user's function nobody can tell; it is taken to.
-    """
-    if ":" not in label:
-        return True
-    own = own_law.named(law_of(label))
-    return not isinstance(own, ForceTable) or own.is_odd
-
-
 def contact_law(
     label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE, *, K_ratio: float = 1.0
 ) -> ContactLaw:
@@ -151,9 +140,7 @@ def contact_law(
         raise ModelError("'auto' is no law: a study chooses one for every sweep point")
     chosen = family(label)
     if chosen is None:
-        own = own_law.named(label)
-        is_table = isinstance(own, ForceTable)
-        return own.between(gap) if is_table else law(own, K_c, gap, K_ratio=K_ratio)
+        return OwnLaw.of(label, [Path.cwd()]).law(K_c, gap, K_ratio)
     numbers = chosen.of_label(label.partition("-")[2], fit_range)
     return chosen(K_c, gap, K_ratio=K_ratio, **numbers)
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, described
 from gapsweep.model.contact import ContactLaw
+from gapsweep.user_code.load import plain
 
 Array = NDArray[np.float64]
 
@@ -25,9 +26,9 @@ class UserLaw(ContactLaw):
     Parameters
     ----------
     function : callable
-        Scalar force [N] as a function of the displacement [m]. It must live in a module
-        that the workers can import. `K_c`, `K_ratio` and `gap` only label it and place the
-        walls at which contacts are counted: none where the stiffness is zero.
+        Scalar force [N] as a function of the displacement [m]. `K_c`, `K_ratio` and `gap` only
+        label it and place the walls at which contacts are counted: none where the stiffness is
+        zero.
 
     Examples
     --------
@@ -59,7 +60,8 @@ class UserLaw(ContactLaw):
     @property
     def name(self) -> str:
         """Where the function lives, as ``"module:function"``."""
-        return f"{self.function.__module__}:{getattr(self.function, '__qualname__', '?')}"
+        module = plain(str(self.function.__module__))
+        return f"{module}:{getattr(self.function, '__qualname__', '?')}"
 
     def __str__(self) -> str:
         return self.name

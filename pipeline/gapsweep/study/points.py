@@ -2,30 +2,28 @@
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.aside import printing_aside
 from gapsweep.integrate.problem import Solver
-from gapsweep.model import own_law
 from gapsweep.model.contact import FIT_RANGE
-from gapsweep.model.labels import contact_law, is_fitted
+from gapsweep.model.labels import is_fitted
 from gapsweep.model.oscillator import Gap
+from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.structure import AnyStructure, OscillatorStructure, read_structure
 from gapsweep.response.result import Steady
-from gapsweep.study.fingerprint import numerics_fingerprint
 from gapsweep.study.software import deciding, versions
+from gapsweep.user_code.package_digest import numerics_fingerprint
 
 # Raised whenever the stored result of a point changes its form or meaning.
 RESULT_SCHEMA = 6
 
 FIXED = "fixed"
 SWEEPS = ("sweep_up", "sweep_down")
-OURS = "null"  # in place of the code of a user's law
 
 # The columns of every table of points: what differs from point to point.
 OF_CONTACT = ("K_c", "j_1", "j_2", "K_ratio")  # of every contact, first
@@ -62,12 +60,14 @@ class Kind:
         the first one from the state in the table.
     start_jitter : float
         Added to a fixed initial displacement [m], for exact-against-exact floors.
-    law_code : str
-        Of a user's own law, as JSON; whoever computes the point must have the same.
+    law_code : str, optional
+        Key of a user's own law.
     structure : Structure or OscillatorStructure
         The arrays of systems are among the numbers.
     contacts : tuple of str
         Label of every contact's law.
+    own : OwnLaw, optional
+        The law of that key; None in a kind that was read from a cache.
     """
 
     representation: str
@@ -76,9 +76,10 @@ class Kind:
     fit_range: float = FIT_RANGE
     start: str = FIXED
     start_jitter: float = 0.0
-    law_code: str = OURS
+    law_code: str | None = None
     contacts: tuple[str, ...]
     structure: AnyStructure = _OSCILLATOR
+    own: OwnLaw | None = field(default=None, compare=False, repr=False)
 
     @property
     def numbers(self) -> tuple[str, ...]:
@@ -112,7 +113,7 @@ class Kind:
         try:
             whole = json.loads(identity)
             said = {"fit_range": FIT_RANGE, **whole["kind"]}
-            said["law_code"] = _json(said.pop("law"))
+            said["law_code"] = said.pop("law")
             said |= {"solver": Solver(**said["solver"]), "steady": Steady(**said["steady"])}
             said["structure"] = read_structure(said["structure"])
             said["contacts"] = tuple(said["contacts"])
@@ -124,8 +125,9 @@ class Kind:
 # The same few kinds stand in all tables of a study.
 @lru_cache(maxsize=256)
 def _identity(kind: Kind) -> str:
-    said = asdict(kind)
-    said["law"] = json.loads(said.pop("law_code"))
+    said = asdict(replace(kind, own=None))
+    said["law"] = said.pop("law_code")
+    del said["own"]
     if not any(map(is_fitted, kind.contacts)):
         del said["fit_range"]
     whole = {
@@ -215,28 +217,6 @@ def _key(kind: Any, row: bytes, previous: bytes) -> bytes:
     digest = kind.copy()
     digest.update(row + previous)
     return bytes(digest.digest())
-
-
-def law_code(representation: str) -> str:
-    """All that a user's own law computes with, as JSON; null for ours (numerics fingerprint).
-
-    Raises
-    ------
-    ModelError
-        If it cannot be imported or keyed, or is no function of x.
-    """
-    if ":" not in representation:
-        return OURS
-    code = own_law.code(representation)
-    _try_out(representation, code)
-    return code
-
-
-@lru_cache(maxsize=64)
-def _try_out(representation: str, code: str) -> None:
-    """Refuse what is no function of x; once, for every table of a study asks."""
-    with printing_aside():
-        contact_law(representation, 0.0, Gap(0.0, 0.0))
 
 
 def _json(value: Any) -> str:

@@ -6,14 +6,14 @@ from functools import cache
 from importlib.metadata import version
 
 from gapsweep.model.labels import is_fitted
-from gapsweep.study.fingerprint import numerics_bytes
+from gapsweep.user_code.package_digest import numerics_fingerprint
 
 LIBRARIES = ("numba", "llvmlite", "numpy", "scipy")
 
 
 def software() -> Mapping[str, str]:
     """Digest of the numerics' sources, and `versions`, of this process."""
-    return {"numerics": numerics_bytes(), **versions()}
+    return {"numerics": numerics_fingerprint(), **versions()}
 
 
 @cache

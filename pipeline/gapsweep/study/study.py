@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -16,8 +15,10 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.labels import AUTO, EXACT, law_of
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.labels import AUTO, EXACT, contact_law, law_of
 from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
+from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.model.structure import AnyStructure, OscillatorStructure
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advised
@@ -30,7 +31,6 @@ from gapsweep.study.points import (
     Kind,
     Points,
     columns_of,
-    law_code,
 )
 from gapsweep.study.selection import listed, positions
 from gapsweep.study.spec import (
@@ -43,6 +43,7 @@ from gapsweep.study.spec import (
     read,
 )
 from gapsweep.study.systems import Systems
+from gapsweep.user_code.snapshot import Snapshot
 
 
 @dataclass(frozen=True)
@@ -70,24 +71,15 @@ class Study:
     source: str = "study"
 
     @classmethod
-    def load(cls, path: str | PathLike[str], code_in: str | None = None) -> "Study":
+    def load(cls, path: str | PathLike[str]) -> "Study":
         """Read and check a study file.
-
-        Parameters
-        ----------
-        path : path-like
-        code_in : str, optional
-            Folder in which code that the study names is looked up too, after all libraries.
 
         Raises
         ------
         StudyError
             If the file is missing or anything in it is wrong, one line per problem.
         """
-        study = cls(read(path), str(path))
-        if code_in is not None and study.names_code:
-            sys.path.append(code_in)
-        return study._checked()
+        return cls(read(path), str(path))._checked()
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], source: str = "study") -> "Study":
@@ -96,14 +88,14 @@ class Study:
 
     @classmethod
     def of(cls, study: "Study | str | PathLike[str]") -> "Study":
-        """The study itself, or that of a file, as `load` reads it."""
+        """The study of a run, or of a file as `load` reads it; the user's code is read again."""
         if isinstance(study, str | PathLike):
             return cls.load(study)
         if not isinstance(study, Study):
             raise StudyError(
                 [f"study = {study!r:.80}: must be a gapsweep.Study, or the path of a study file"]
             )
-        return study
+        return replace(study) if study.names_code else study
 
     def _checked(self) -> "Study":
         for table, read_off in (("solver", lambda: self._protocols), ("sweep", lambda: self._axes)):
@@ -188,7 +180,7 @@ class Study:
     @cached_property
     def systems(self) -> Systems | None:
         """What moves instead, in a study with ``[system]``."""
-        return None if self.spec.system is None else Systems(self.spec, self.source)
+        return None if self.spec.system is None else Systems(self.spec, self.source, self.folders)
 
     @property
     def structure(self) -> AnyStructure:
@@ -203,6 +195,54 @@ class Study:
     def steady(self) -> Steady:
         return Steady(**self.spec.steady.model_dump())
 
+    @cached_property
+    def claims_code(self) -> Snapshot | None:
+        """The code of that file and of what it imports, read once."""
+        return _snapshot(self.claims_module)
+
+    @cached_property
+    def report_code(self) -> Snapshot | None:
+        """The code of that file and of what it imports, read once."""
+        return _snapshot(self.report_module)
+
+    @cached_property
+    def folders(self) -> tuple[Path, ...]:
+        """Folders searched for the user's code after Python's path: the study's, the current."""
+        return tuple(dict.fromkeys((Path(self.source).absolute().parent, Path.cwd())))
+
+    @cached_property
+    def _known_laws(self) -> dict[str, OwnLaw]:
+        """The user's own laws that have been read, by label."""
+        return {}
+
+    def own_law(self, label: str) -> OwnLaw | None:
+        """The user's own law of a label, read once; None for laws of gapsweep.
+
+        Raises
+        ------
+        ModelError
+            If its code cannot be read.
+        """
+        name = law_of(label)
+        if ":" not in name:
+            return None
+        if name not in self._known_laws:
+            self._known_laws[name] = OwnLaw.of(name, self.folders)
+        return self._known_laws[name]
+
+    def law(self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
+        """The contact law of a label, the user's own too.
+
+        Raises
+        ------
+        ModelError
+            If it cannot be built.
+        """
+        own = self.own_law(label)
+        if own is not None:
+            return own.law(K_c, gap, K_ratio)
+        return contact_law(law_of(label), K_c, gap, self.spec.fit.range, K_ratio=K_ratio)
+
     @property
     def own_laws(self) -> tuple[str, ...]:
         """The code that the study names: laws of the user's own, as ``module:name``."""
@@ -213,9 +253,10 @@ class Study:
 
     @property
     def names_code(self) -> bool:
-        """Whether it names any: laws, or the function that makes a system."""
+        """Whether it names code: laws, the function of a system, modules next to the study."""
         made = self.spec.system.function if self.spec.system else None
-        return bool(self.own_laws) or ":" in (made or "")
+        modules = self.spec.claims, self.spec.report
+        return bool(self.own_laws) or ":" in (made or "") or any(modules)
 
     def with_engine(self, engine: str) -> "Study":
         """The same study on another engine."""
@@ -364,7 +405,8 @@ class Study:
         return np.stack([np.broadcast_to(columns[name], n) for name in names], axis=1)
 
     def _kind(self, label: str, start: str) -> Kind:
-        representation = law_of(label)
+        representation, own = law_of(label), self.own_law(label)
+        own = None if own is None else checked(own)
         return Kind(
             representation=representation,
             solver=self.solver(label),
@@ -372,9 +414,10 @@ class Study:
             fit_range=self.spec.fit.range,
             start=start,
             start_jitter=self.start_jitter(label),
-            law_code=law_code(representation),
+            law_code=None if own is None else own.key,
             structure=self.structure,
             contacts=self._contacts(representation),
+            own=own,
         )
 
     def units(
@@ -426,6 +469,13 @@ class Study:
     def start_jitter(self, label: str) -> float:
         """What a representation's protocol adds to fixed initial displacements [m]."""
         return self._protocols[label.partition("@")[2]][1]
+
+
+def _snapshot(path: Path | None) -> Snapshot | None:
+    try:
+        return None if path is None else Snapshot.of_file(path)
+    except ModelError as error:
+        raise StudyError([str(error)]) from None
 
 
 def _given(table: SolverTable) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """The tables of a study file that describe a system: matrices, or a function of named numbers."""
 
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import chdir
 from dataclasses import fields
 from pathlib import Path
@@ -11,21 +10,19 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from gapsweep.aside import printing_aside
-from gapsweep.beside import blame
 from gapsweep.errors import ModelError, StudyError, described
-from gapsweep.model import own_law, systems
+from gapsweep.model import systems
 from gapsweep.model.labels import FUNCTION
 from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
 from gapsweep.study.axes import Label, NonNegative, Pair, Table
+from gapsweep.user_code.load import blame, load_for_law
+from gapsweep.user_code.snapshot import Snapshot
 
 Vector = Annotated[list[float], Field(min_length=1)]
 Matrix = Annotated[list[Vector], Field(min_length=1)]
 
 # The functions of `gapsweep.systems`: each has one beside it that returns its law.
 READY_MADE = tuple(name for name in systems.__all__ if f"{name}_law" in systems.__all__)
-
-# Of a module that cannot be imported: workers are sent what its functions return.
-_NEEDED = "the module must stand in the folder where the command is typed, or on Python's path"
 
 
 class ScaledTable(Table):
@@ -122,8 +119,18 @@ class ContactTable(Table):
         return self
 
 
-def maker(table: SystemTable, source: str) -> Callable[[Mapping[str, float]], System]:
+def maker(
+    table: SystemTable, source: str, folders: Iterable[Path] = ()
+) -> Callable[[Mapping[str, float]], System]:
     """What makes the system of a study at some values of its parameters, of the code as it is now.
+
+    Parameters
+    ----------
+    table : SystemTable
+    source : str
+        For messages.
+    folders : iterable of Path
+        Where the module of its function is searched after Python's path.
 
     Raises
     ------
@@ -141,7 +148,7 @@ def maker(table: SystemTable, source: str) -> Callable[[Mapping[str, float]], Sy
             raise StudyError([f"{source}: system{at}: {error}"]) from None
 
     try:
-        function = None if table.function is None else _function(table.function)
+        function = None if table.function is None else _function(table.function, folders)
     except ModelError as error:
         raise StudyError([f"{source}: system: {error}"]) from None
     return made
@@ -165,16 +172,19 @@ def said(parameters: Mapping[str, float]) -> str:
     return ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
 
 
-def _function(name: str) -> Any:
-    """A ready-made system's function, or the user's, imported anew."""
+def _function(name: str, folders: Iterable[Path]) -> Any:
+    """A ready-made system's function, or the user's."""
     if name in READY_MADE:
         return getattr(systems, name)
-    own_law.refresh()
+    module, _, function = name.partition(":")
     try:
-        with chdir("."):
-            return own_law.named(name)
+        code = Snapshot.of_module(module, folders)
     except ModelError as error:
-        raise ModelError(str(error).replace(own_law.OF_LAWS, _NEEDED)) from None
+        raise ModelError(f"{name!r}: {error}") from None
+    try:
+        return getattr(load_for_law(code, name), function)
+    except AttributeError:
+        raise ModelError(f"{name!r}: {code.path}: defines no {function!r}") from None
 
 
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
@@ -190,8 +200,7 @@ def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
     except BaseException as error:  # the user's code may raise anything, SystemExit too
         message = f"{name}: {described(error)}; its arguments are those in [parameters]"
         if error.__traceback__ is not None and error.__traceback__.tb_next:  # it has been called
-            module = sys.modules.get(name.partition(":")[0], systems)
-            message = blame(Path(str(module.__file__)), error, name)
+            message = blame(Path(name), error, f"{name}: {described(error)}")
         raise ModelError(message) from None
     if not isinstance(found, System):
         raise ModelError(f"{name}: must return a gapsweep.System, not {type(found).__name__}")

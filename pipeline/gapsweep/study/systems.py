@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,10 +37,13 @@ class Systems:
     spec : StudySpec
     source : str
         For messages.
+    folders : tuple of Path
+        Where the module of its function is searched after Python's path.
     """
 
     spec: StudySpec
     source: str
+    folders: tuple[Path, ...]
 
     @cached_property
     def _make(self) -> Callable[[Mapping[str, float]], System]:
@@ -55,7 +59,7 @@ class Systems:
                     for name in sorted(unlike)
                 ]
             )
-        return maker(table, self.source)
+        return maker(table, self.source, self.folders)
 
     @cached_property
     def _known(self) -> dict[tuple[float, ...], System]:

@@ -1,0 +1,46 @@
+"""Digests of gapsweep's own source: one of the numerics, one of the datasets, one of the package.
+
+The digest of the numerics is part of every cache key: results of other source are never taken for
+these. The digests are SHA-256 of the source files' bytes, read at first use; comments count.
+"""
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1]
+# Files and folders that decide the response of a sweep point.
+NUMERICS = (
+    *("status.py", "model", "integrate", "response"),
+    *("study/points.py", "execution/task.py", "execution/sweeps.py"),
+)
+# Folders that no dataset depends on.
+DRAWING = ("report", "explorer", "cli")
+
+
+@cache
+def numerics_fingerprint() -> str:
+    """SHA-256 (16 hex digits) of the source in `NUMERICS`."""
+    return _digest(*(PACKAGE / name for name in NUMERICS))
+
+
+@cache
+def data_fingerprint() -> str:
+    """SHA-256 (16 hex digits) of the package without the folders in `DRAWING`."""
+    return _digest(*(path for path in PACKAGE.iterdir() if path.name not in DRAWING))
+
+
+@cache
+def package_fingerprint() -> str:
+    """SHA-256 (16 hex digits) of the whole package, templates of the report included."""
+    return _digest(PACKAGE)
+
+
+def _digest(*places: Path) -> str:
+    files = [f for p in places for f in (p.rglob("*") if p.is_dir() else [p])]
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        if path.suffix == ".py" or path.parent.name == "templates":
+            digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0")
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:16]

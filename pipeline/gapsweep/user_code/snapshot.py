@@ -1,0 +1,285 @@
+"""A study's own Python code as a value: the bytes of the files, read once.
+
+A snapshot holds the named module and every module of the user's that it imports, at any depth.
+Imports are found in the syntax tree, inside functions too; no code runs. Installed packages are
+not read: their versions stand for them. A module names the data files that it reads in
+``__data__ = ["k.csv"]``, relative to its folder; their bytes are part of the snapshot.
+"""
+
+import ast
+import hashlib
+import importlib
+import json
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from pathlib import Path, PurePosixPath
+
+from gapsweep.errors import ModelError
+
+ABSENT = ""  # the version of a module that was not found
+BESIDE = "_"  # package of a file that stands in none: its neighbours are imported relatively
+_INSTALLED = {"site-packages", "dist-packages"}
+_OURS = "gapsweep"  # keys hold the digest of its source
+
+
+@dataclass(frozen=True)
+class Module:
+    """One source file.
+
+    Attributes
+    ----------
+    source : bytes
+    path : str
+        The file, for messages; no part of the key.
+    is_package : bool
+    data : mapping of str to bytes
+        Data files by their name in ``__data__``.
+    """
+
+    source: bytes
+    path: str
+    is_package: bool
+    data: Mapping[str, bytes]
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The code behind one module; equal if the keys are.
+
+    Attributes
+    ----------
+    main : str
+        Dotted name of the module.
+    modules : mapping of str to Module
+        All modules of the user's, by dotted name.
+    versions : mapping of str to str
+        Version of every distribution that they import, by module; `ABSENT` if there is none.
+    """
+
+    main: str
+    modules: Mapping[str, Module]
+    versions: Mapping[str, str]
+
+    @property
+    def path(self) -> Path:
+        """The file of the module."""
+        return Path(self.modules[self.main].path)
+
+    @cached_property
+    def key(self) -> str:
+        """SHA-256 of all bytes and versions, as 32 hex digits."""
+        files = {
+            name: [
+                module.is_package,
+                _sha256(module.source),
+                {file: _sha256(data) for file, data in module.data.items()},
+            ]
+            for name, module in self.modules.items()
+        }
+        whole = json.dumps([self.main, files, dict(self.versions)], sort_keys=True)
+        return _sha256(whole.encode())[:32]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Snapshot) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def part(self, main: str) -> "Snapshot":
+        """The code behind one of the modules."""
+        needed: dict[str, Module] = {}
+        others: dict[str, str] = {}
+        waiting = [main]
+        while waiting:
+            for name in _with_parents(waiting.pop()):
+                if name in self.modules and name not in needed:
+                    needed[name] = self.modules[name]
+                    waiting += _imports(name, needed[name])
+                elif name in self.versions:
+                    others[name] = self.versions[name]
+        return Snapshot(main, needed, others)
+
+    @classmethod
+    def of_module(cls, name: str, folders: Iterable[Path] = ()) -> "Snapshot":
+        """Read a module that is found by its name, in these folders after Python's path.
+
+        Raises
+        ------
+        ModelError
+            If it is not found, or a file of it cannot be read or is not Python.
+        """
+        search = _Search(name.partition(".")[0], [*folders])
+        search.follow(name)
+        if name not in search.modules:
+            where = ", ".join(dict.fromkeys(map(str, search.folders)))
+            raise ModelError(
+                f"No module named {name!r}; the file must lie in a folder of Python's path"
+                + (f" or in {where}" if where else "")
+            )
+        if "." not in name and not search.modules[name].is_package:
+            return cls.of_file(Path(search.modules[name].path), search.folders)
+        return cls(name, search.modules, search.versions)
+
+    @classmethod
+    def of_file(cls, path: Path, folders: Iterable[Path] = ()) -> "Snapshot":
+        """Read a file that stands in no package; it may import its neighbours relatively too.
+
+        Raises
+        ------
+        ModelError
+            If a file cannot be read or is not Python.
+        """
+        path = path.absolute()
+        name, search = f"{BESIDE}.{path.stem}", _Search(path.stem, [path.parent, *folders])
+        search.add_folder(BESIDE, [path.parent])
+        search.add(name, path, is_package=False)
+        return cls(name, search.modules, search.versions)
+
+
+class _Search:
+    """Follows import statements.
+
+    Parameters
+    ----------
+    own : str
+        Top-level module that is the user's even where it is installed.
+    folders : list of Path
+        Searched after Python's path.
+    """
+
+    def __init__(self, own: str, folders: Sequence[Path]) -> None:
+        importlib.invalidate_caches()
+        self.own, self.folders = own, folders
+        self.modules: dict[str, Module] = {}
+        self.versions: dict[str, str] = {}
+        self._inside: dict[str, Sequence[Path]] = {}  # folders of packages
+
+    def follow(self, name: str) -> None:
+        """Add a module and the packages that it stands in, if they are the user's."""
+        for each in _with_parents(name):
+            parent = each.rpartition(".")[0]
+            if each in self.modules or each in self.versions:
+                continue
+            if parent:
+                self._take(each, self._inside.get(parent, ()))
+            elif each not in sys.stdlib_module_names and each != _OURS:
+                self._top(each)
+
+    def _top(self, name: str) -> None:
+        # Asked one by one: `importlib.util.find_spec` answers from what is already imported.
+        finders = (getattr(finder, "find_spec", None) for finder in sys.meta_path)
+        found = (find(name, None) for find in finders if find is not None)
+        spec = next((spec for spec in found if spec is not None), None)
+        if spec is None or (spec.origin is None and not spec.submodule_search_locations):
+            if not self._take(name, self.folders):
+                self.versions[name] = ABSENT
+        elif spec.origin is None:
+            self.add_folder(name, [*map(Path, spec.submodule_search_locations or ())])
+        elif spec.has_location:
+            path = Path(spec.origin)
+            installed = version_of(name) if not _INSTALLED.isdisjoint(path.parts) else ABSENT
+            if installed and name != self.own:
+                self.versions[name] = installed
+            else:
+                self.add(name, path, is_package=spec.submodule_search_locations is not None)
+
+    def _take(self, name: str, folders: Sequence[Path]) -> bool:
+        """Add a module from the first folder that has it."""
+        last = name.rpartition(".")[2]
+        for folder in folders:
+            for path in (folder / last / "__init__.py", folder / f"{last}.py"):
+                if path.is_file():
+                    self.add(name, path, is_package=path.name == "__init__.py")
+                    return True
+        return self.add_folder(name, [f / last for f in folders if (f / last).is_dir()])
+
+    def add_folder(self, name: str, folders: Sequence[Path]) -> bool:
+        """Add a package without a file of its own."""
+        if folders:
+            self._inside[name] = folders
+            self.modules[name] = Module(b"", str(folders[0]), is_package=True, data={})
+        return bool(folders)
+
+    def add(self, name: str, path: Path, *, is_package: bool) -> None:
+        """Add a file and all that it imports."""
+        if path.suffix != ".py":
+            raise ModelError(f"{path}: must be a .py file, or of an installed package")
+        if is_package:
+            self._inside[name] = [path.parent]
+        try:
+            source = path.read_bytes()
+            module = Module(source, str(path), is_package, _data(path, source))
+            imported = [*_imports(name, module)]
+        except OSError as error:
+            raise ModelError(f"{error.filename}: cannot be read: {error.strerror}") from None
+        except SyntaxError as error:
+            line = f":{error.lineno}" if error.lineno else ""
+            raise ModelError(f"{path}{line}: SyntaxError: {error.msg}") from None
+        except ValueError as error:
+            raise ModelError(f"{path}: {error}") from None
+        self.modules[name] = module
+        for each in imported:
+            self.follow(each)
+
+
+@cache
+def version_of(name: str) -> str:
+    """Version of the distribution that a module comes with; `ABSENT` if there is none."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        names = sorted(set(packages_distributions().get(name, ())))
+        return " ".join(map(version, names)) or ABSENT
+
+
+def _imports(name: str, module: Module) -> Iterator[str]:
+    """Dotted names of all that a module's import statements name, wherever they stand."""
+    parts = name.split(".")
+    for node in ast.walk(ast.parse(module.source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            # Level 1 is the module's own package, level 2 the package above.
+            above = parts[: len(parts) + module.is_package - node.level] if node.level else []
+            start = ".".join([*above, *filter(None, [node.module])])
+            yield from filter(None, [start])
+            # A name that is taken out of a package may be a module of its own.
+            names = (".".join(filter(None, [start, a.name])) for a in node.names if a.name != "*")
+            yield from names
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+            raise ValueError(
+                f"line {node.lineno}: import_module: write an import statement instead"
+            )
+
+
+def _data(path: Path, source: bytes) -> dict[str, bytes]:
+    """The data files that a module names in ``__data__``."""
+    found: dict[str, bytes] = {}
+    for node in ast.parse(source).body:
+        if not isinstance(node, ast.Assign) or ast.unparse(node.targets[0]) != "__data__":
+            continue
+        try:
+            names = [str(PurePosixPath(name)) for name in ast.literal_eval(node.value)]
+        except (ValueError, TypeError):
+            names = [".."]
+        for name in names:
+            if ".." in PurePosixPath(name).parts or PurePosixPath(name).is_absolute():
+                raise ValueError(
+                    f"line {node.lineno}: __data__: must be a list of names of files in the "
+                    'folder of the module, as __data__ = ["k.csv"]'
+                )
+            found[name] = (path.parent / name).read_bytes()
+    return found
+
+
+def _with_parents(name: str) -> Iterator[str]:
+    """``a``, ``a.b`` and ``a.b.c`` of ``a.b.c``: Python imports all of them."""
+    parts = name.split(".")
+    return (".".join(parts[: n + 1]) for n in range(len(parts)))
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
