@@ -10,7 +10,7 @@ import gapsweep
 
 PACKAGE = Path(gapsweep.__file__).parent
 LAYERS = (
-    {"errors", "status", "source", "aside"},
+    {"errors", "status", "source"},
     {"beside", "model"},
     {"integrate"},
     {"response"},

@@ -121,9 +121,9 @@ def test_a_worker_killed_while_the_cluster_starts_is_one_line(tmp_path):
     process = start(tmp_path, "c.sqlite", "out")
     is_killed = False
     while process.poll() is None and not is_killed:
-        for child in psutil.Process(process.pid).children():
+        for child in psutil.Process(process.pid).children(recursive=True):
             with suppress(psutil.NoSuchProcess):
-                if "spawn_main" in " ".join(child.cmdline()):
+                if "forkserver" in " ".join(child.cmdline()):
                     child.kill()
                     is_killed = True
         time.sleep(0.01)

@@ -4,7 +4,9 @@ Nothing is imported here that takes time: whoever asks for help shall not wait.
 """
 
 import os
+import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,7 +86,8 @@ def loaded(path: Path, engine: str | None) -> "Study":
         from gapsweep.execution.try_out import try_out_system
 
         try_out_system(str(system.function), path, os.getcwd())
-    found = Study.load(path, os.getcwd())
+    with redirect_stdout(sys.stderr):  # what the study's code prints is no result of the command
+        found = Study.load(path, os.getcwd())
     if found.grid.starts.kind.any() and len(found.grid.omega) == 1:
         said = "sweeps follow the frequency, and there is one: they start from rest"
         click.echo(f"warning: {path}: initial_condition: {said}", err=True)

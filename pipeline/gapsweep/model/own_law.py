@@ -28,7 +28,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from gapsweep.aside import printing_aside
 from gapsweep.errors import ClusterError, ModelError, described
 from gapsweep.model.encoding import Encoder, UnkeyableError
 from gapsweep.source import read, short_digest, with_parents
@@ -186,7 +185,7 @@ def _imported(label: str) -> _Sources:
         reason = f"No module named {module!r}" if module in sources.absent else "no file of yours"
         raise _unusable(label, reason)
     try:
-        with _compiled_apart(sources), _imported_anew(sources), printing_aside():
+        with _compiled_apart(sources), _imported_anew(sources):
             try:
                 importlib.import_module(module)
             except ModelError as error:  # of a table in it, say

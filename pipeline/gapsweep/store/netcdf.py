@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _LOCK = threading.RLock()
-# Files are read chunk after chunk: what the library would keep of each variable only fills memory.
-netCDF4.set_chunk_cache(2**20)
 _RECORDED_PACKAGES = ("gapsweep", "numpy", "scipy", "numba", "dask", "distributed", "xarray")
 _THREAD_SETTINGS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 CONVENTIONS = "CF-1.11"

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.aside import printing_aside
 from gapsweep.integrate.problem import Solver
 from gapsweep.model import own_law
 from gapsweep.model.contact import FIT_RANGE
@@ -243,8 +242,7 @@ def law_code(representation: str) -> str:
 @lru_cache(maxsize=64)
 def _try_out(representation: str, code: str) -> None:
     """Refuse what is no function of x; once, for every table of a study asks."""
-    with printing_aside():
-        contact_law(representation, 0.0, Gap(0.0, 0.0))
+    contact_law(representation, 0.0, Gap(0.0, 0.0))
 
 
 def _json(value: Any) -> str:
