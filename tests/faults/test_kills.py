@@ -116,7 +116,7 @@ def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
     assert again <= n_kills * (IN_FLIGHT + BATCH), "what was in flight, and one commit"
 
 
-def test_a_worker_killed_while_the_cluster_starts_is_one_line(tmp_path):
+def test_a_worker_killed_while_the_cluster_starts_costs_one_line_at_most(tmp_path):
     (tmp_path / "storm.toml").write_text(study_text(60))
     process = start(tmp_path, "c.sqlite", "out")
     is_killed = False
@@ -129,8 +129,9 @@ def test_a_worker_killed_while_the_cluster_starts_is_one_line(tmp_path):
         time.sleep(0.01)
     _, errors = process.communicate(timeout=60)
     assert is_killed
-    assert process.returncode == 1, errors
-    assert "error: no local cluster of 2 workers" in errors.splitlines()[-1]
+    if process.returncode:  # else it was started again
+        assert process.returncode == 1, errors
+        assert "error: no local cluster of 2 workers" in errors.splitlines()[-1]
     assert "Traceback" not in errors
 
 
