@@ -135,15 +135,18 @@ def test_a_worker_killed_while_the_cluster_starts_costs_one_line_at_most(tmp_pat
     assert "Traceback" not in errors
 
 
-def test_status_of_a_killed_run_says_so(tmp_path):
+def test_a_killed_run_leaves_no_process_and_its_status_says_so(tmp_path):
     (tmp_path / "storm.toml").write_text(study_text(400, settle_tol="1e-6"))
     process = start(tmp_path, "c.sqlite", "out", "--batch", "2")
     while stored(tmp_path / "c.sqlite") < 4:
         assert process.poll() is None
         time.sleep(0.05)
     assert status(tmp_path)["state"] == "running"
-    os.killpg(process.pid, signal.SIGKILL)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    process.kill()
     process.communicate()
+    assert len(workers) > 2
+    assert not psutil.wait_procs(workers, timeout=10.0)[1], "no process outlives the run"
     state = status(tmp_path)
     assert state["state"] == "died"
     assert state["points"] == 400
