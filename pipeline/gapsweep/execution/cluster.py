@@ -12,7 +12,7 @@ from distributed import Client, LocalCluster
 from distributed.system import MEMORY_LIMIT
 
 from gapsweep.errors import ClusterError
-from gapsweep.execution.workers import start_workers, worker_process
+from gapsweep.execution.workers import end_workers, start_workers, worker_process
 from gapsweep.study.software import software
 
 _CONNECT_SECONDS = 10
@@ -79,15 +79,18 @@ def _local(workers: int) -> Iterator[Client]:
         memory = MEMORY_LIMIT // workers
         options |= {"security": local.security, "nthreads": 1, "memory_limit": memory}
         start_workers(process, local.scheduler_address, workers, options)
-        with Client(local) as client:
-            while len(local.scheduler.workers) < workers:
-                if process.poll() is not None:
-                    raise ClusterError(
-                        f"no local cluster of {workers} workers: a worker process died as it "
-                        "started, perhaps for lack of memory; run again"
-                    )
-                time.sleep(_LOOK_SECONDS)
-            yield client
+        try:
+            with Client(local) as client:
+                while len(local.scheduler.workers) < workers:
+                    if process.poll() is not None:
+                        raise ClusterError(
+                            f"no local cluster of {workers} workers: a worker process died as it "
+                            "started, perhaps for lack of memory; run again"
+                        )
+                    time.sleep(_LOOK_SECONDS)
+                yield client
+        finally:
+            end_workers(process)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from multiprocessing import forkserver
 from typing import Any
 
 _CODE = "from gapsweep.execution.workers import serve; serve()"
+_LEAVE_SECONDS = 2.0
 _PRELOADED = ["distributed.worker", "gapsweep.execution.task"]
 
 
@@ -41,9 +42,7 @@ def worker_process() -> "Iterator[subprocess.Popen[bytes]]":
     try:
         yield process
     finally:
-        with suppress(ProcessLookupError):  # nothing is left of its group
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+        end_workers(process)
 
 
 def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, options: Any) -> None:
@@ -65,6 +64,18 @@ def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, opti
         process.stdin.flush()
 
 
+def end_workers(process: "subprocess.Popen[bytes]") -> None:
+    """End a `worker_process` and its workers, best while the scheduler still runs."""
+    assert process.stdin is not None, "it is a pipe"
+    with suppress(BrokenPipeError):
+        process.stdin.close()
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(_LEAVE_SECONDS)
+    with suppress(ProcessLookupError):  # nothing is left of its group
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
 def search_path() -> str:
     """``PYTHONPATH`` for a process that must import what this one can import."""
     return os.pathsep.join(str(folder) or os.getcwd() for folder in sys.path)
@@ -81,8 +92,10 @@ def serve() -> None:
     dask.config.set(config | {"distributed.worker.multiprocessing-method": "forkserver"})
 
     async def run() -> None:
-        await asyncio.gather(*(Nanny(address, **options) for _ in range(n)))
+        nannies = await asyncio.gather(*(Nanny(address, **options) for _ in range(n)))
         await asyncio.to_thread(sys.stdin.buffer.read)
+        closing = (nanny.close(timeout=_LEAVE_SECONDS / 2) for nanny in nannies)
+        await asyncio.gather(*closing, return_exceptions=True)  # they remove their folders
 
     asyncio.run(run())
-    os._exit(0)  # the workers end with it
+    os._exit(0)  # what is left of the workers ends with it
