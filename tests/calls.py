@@ -1,36 +1,36 @@
-"""Functions that do to their process, and to its pipe, what nobody should."""
+"""Functions that do to their process what nobody should."""
 
 import atexit
 import os
 import sys
 import tempfile
 import time
-from multiprocessing.connection import Connection
-
-
-def closing() -> None:
-    """Close every file, the pipe too, and stay."""
-    os.closerange(3, 100)
-    time.sleep(1e6)
-
-
-def speaking(number: int) -> int:
-    """Send a message of its own before the answer."""
-    Connection(os.dup(int(sys.argv[1]))).send("not asked for")
-    return number
-
-
-def writing(data: bytes) -> None:
-    """Write bytes where the answer is expected."""
-    os.write(int(sys.argv[1]), data)
 
 
 def same(number: int) -> int:
     return number
 
 
+def noisy(number: int) -> int:
+    """Write into standard output and error, and read standard input."""
+    os.write(1, b"\0" * 10**6)
+    print("noise", sys.stdin.read(), file=sys.stderr, flush=True)
+    return number
+
+
+def hungry() -> int:
+    """Ask for more memory than the process may have."""
+    return len(bytearray(10**12))
+
+
+def closing() -> None:
+    """Close every file, the connection too, and stay."""
+    os.closerange(0, 100)
+    time.sleep(1e6)
+
+
 def unpicklable() -> object:
-    return lambda: 0
+    return lambda: (yield)
 
 
 class Unreadable:
@@ -38,10 +38,6 @@ class Unreadable:
 
     def __reduce__(self) -> tuple[object, ...]:
         return int, ("no number",)
-
-
-def unreadable() -> Unreadable:
-    return Unreadable()
 
 
 class MuteError(Exception):
@@ -53,6 +49,10 @@ class MuteError(Exception):
 
 def mute(x: float = 0.0) -> float:
     raise MuteError
+
+
+def raising(error: BaseException) -> None:
+    raise error
 
 
 def keeping() -> str:

@@ -10,7 +10,7 @@ import gapsweep
 
 PACKAGE = Path(gapsweep.__file__).parent
 LAYERS = (
-    {"errors", "status", "aside"},
+    {"errors", "status"},
     {"user_code"},
     {"model"},
     {"integrate"},

@@ -7,16 +7,14 @@ import sys
 import textwrap
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from html import escape
 from threading import Event, Thread
 
 from rich.console import Console
-from rich.progress import BarColumn, ProgressColumn, SpinnerColumn, Task
+from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Column, Table
-from rich.text import Text
 
 from gapsweep.execution.progress import OnProgress, Progress
 
@@ -24,7 +22,7 @@ _LINE_SECONDS = 10.0
 _EARLY = 512  # points
 # The first line comes so soon, and those of stages as soon after they have begun.
 _TICK_SECONDS = 1.0
-_NOTEBOOK_SECONDS = 0.2
+_DRAWN_SECONDS = 0.1
 _RECENT_SECONDS = 30.0
 _NO_POINT_YET = "loading machine code, or compiling it once per machine"
 
@@ -109,114 +107,94 @@ class _Watch:
 
 @contextmanager
 def progress_bar() -> Iterator[OnProgress]:
-    """An observer of a run that draws what it sees."""
+    """An observer of a run that shows what it is called with."""
     console = Console(stderr=True)
     if console.is_jupyter:
-        draw = _in_notebook()
+        shown = _in_notebook()
     elif console.is_terminal:
-        draw = _on_terminal(console)
+        shown = _on_terminal(console)
     else:
-        draw = _in_lines()
-    with draw as observer:
-        yield observer
+        shown = _in_log()
+    with shown as observe:
+        yield observe
 
 
 @contextmanager
 def busy(stage: str) -> Iterator[None]:
-    """Say on a terminal what is done in this block, while it lasts."""
+    """Show on a terminal what is done in this block, while it lasts."""
     console = Console(stderr=True)
     if not console.is_terminal:
         yield
         return
-    with _on_terminal(console) as tell:
-        tell(Progress(0, 0, stage=stage))
+    with _on_terminal(console) as observe:
+        observe(Progress(0, 0, stage=stage))
         yield
 
 
-class _Said(ProgressColumn):
-    """The words of a watch, at every refresh."""
-
-    max_refresh = 0.1
-
-    def __init__(self, watch: _Watch) -> None:
-        super().__init__(Column(no_wrap=True))
-        self.watch = watch
-
-    def render(self, task: Task) -> Text:
-        return Text(self.watch.said)
-
-
 @contextmanager
-def _on_terminal(console: Console) -> Iterator[OnProgress]:
-    """A bar that moves by itself, and leaves nothing: what remains to be said comes after it."""
-    watch = _Watch()
-    console.width -= len("^C ")  # which the terminal puts at the end, and must not break the line
-    rest = BarColumn(bar_width=None, table_column=Column(ratio=1))
-    with Bar(
-        SpinnerColumn(), _Said(watch), rest, console=console, transient=True, expand=True
-    ) as bar:
-        # Hidden until something is told: all may be up to date.
-        task = bar.add_task("", total=None, visible=False)
-
-        def observe(progress: Progress) -> None:
-            watch(progress)
-            n_points = progress.n_points or None
-            bar.update(task, visible=True, total=n_points, completed=progress.n_done)
-
-        yield observe
-
-
-@contextmanager
-def _in_notebook() -> Iterator[OnProgress]:
-    """A bar in the output of a notebook's cell, which keeps its last counts."""
-    from IPython.display import HTML, display
-
-    watch, shown, drawn = _Watch(), display(HTML(""), display_id=True), ("", 0.0)
-
-    def draw(words: str, attributes: str) -> None:
-        shown.update(HTML(f"<progress {attributes}></progress> {escape(words)}"))
-
-    def counts() -> str:
-        return f'max="{watch.progress.n_points}" value="{watch.progress.n_done}"'
-
-    def observe(progress: Progress) -> None:
-        nonlocal drawn
-        watch(progress)
-        now = time.monotonic()
-        if watch.stage != drawn[0] or now - drawn[1] >= _NOTEBOOK_SECONDS:
-            drawn = watch.stage, now
-            # Without numbers the browser keeps it moving.
-            draw(watch.stage or watch.said, "" if watch.stage else counts())
-
-    try:
-        yield observe
-    finally:
-        if watch.progress.n_points:
-            draw(sentence(watch.progress, watch.rate), counts())
-        else:
-            shown.update(HTML(""))
-
-
-@contextmanager
-def _in_lines() -> Iterator[OnProgress]:
-    """Lines in a log: none of what is soon over, else one for every stage and now and then."""
+def _updating(update: Callable[[_Watch], None], seconds: float) -> Iterator[_Watch]:
+    """A watch that a thread shows by `update` every so many seconds."""
     watch, ended = _Watch(), Event()
 
-    def write() -> None:
-        stage, last = "", -_LINE_SECONDS
-        while not ended.wait(_TICK_SECONDS):
-            now = time.monotonic()
-            if watch.said and (watch.stage != stage or now - last >= _LINE_SECONDS):
-                stage, last = watch.stage, now
-                print(watch.said, file=sys.stderr, flush=True)
+    def show() -> None:
+        while not ended.wait(seconds):
+            update(watch)
 
-    thread = Thread(target=write, daemon=True)
+    thread = Thread(target=show, daemon=True)
     thread.start()
     try:
         yield watch
     finally:
         ended.set()
         thread.join()
+
+
+@contextmanager
+def _on_terminal(console: Console) -> Iterator[OnProgress]:
+    """A bar, which leaves nothing behind: the command prints its results afterwards."""
+    console.width -= len("^C ")  # which the terminal puts at the end, and must not break the line
+    text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
+    rest = BarColumn(bar_width=None, table_column=Column(ratio=1))
+    with Bar(SpinnerColumn(), text, rest, console=console, transient=True, expand=True) as bar:
+        task = bar.add_task("", total=None, visible=False)  # until something is done
+
+        def update(watch: _Watch) -> None:
+            total, done = watch.progress.n_points or None, watch.progress.n_done
+            if watch.said:
+                bar.update(task, visible=True, description=watch.said, total=total, completed=done)
+
+        with _updating(update, _DRAWN_SECONDS) as watch:
+            yield watch
+
+
+@contextmanager
+def _in_notebook() -> Iterator[OnProgress]:
+    """A line in the output of a notebook's cell, which keeps the last counts."""
+    from IPython.display import Pretty, display
+
+    shown = display(Pretty(""), display_id=True)
+    try:
+        with _updating(lambda watch: shown.update(Pretty(watch.said)), _DRAWN_SECONDS) as watch:
+            yield watch
+    finally:
+        known = watch.progress.n_points
+        shown.update(Pretty(sentence(watch.progress, watch.rate) if known else ""))
+
+
+@contextmanager
+def _in_log() -> Iterator[OnProgress]:
+    """Lines in a log: none of what is soon over, else one for every stage and now and then."""
+    stage, last = "", -_LINE_SECONDS
+
+    def update(watch: _Watch) -> None:
+        nonlocal stage, last
+        now = time.monotonic()
+        if watch.said and (watch.stage != stage or now - last >= _LINE_SECONDS):
+            stage, last = watch.stage, now
+            print(watch.said, file=sys.stderr, flush=True)
+
+    with _updating(update, _TICK_SECONDS) as watch:
+        yield watch
 
 
 def sentence(progress: Progress, rate: float) -> str:

@@ -185,8 +185,8 @@ def _analysed(
     if stage.file in (own := own_datasets(study)):
         return own_code.own_dataset(stage.file, own[stage.file], study)
     with (
-        netcdf.read(folder / RESPONSES) as responses,
-        netcdf.read(folder / ATTRACTORS) as attractors,
+        netcdf.read(folder / RESPONSES, lazy=True) as responses,
+        netcdf.read(folder / ATTRACTORS, lazy=True) as attractors,
     ):
         if stage.file == TIMING:
             return timing(responses)
@@ -303,15 +303,15 @@ def _report(folder: Path) -> Path:
         def stored(name: str) -> "xr.Dataset | None":
             if not (folder / name).exists():
                 return None
-            found = files.enter_context(netcdf.read(folder / name))
+            found = files.enter_context(netcdf.read(folder / name, lazy=True))
             return found if is_of_run(folder / name) else None
 
-        responses = files.enter_context(netcdf.read(folder / RESPONSES))
+        responses = files.enter_context(netcdf.read(folder / RESPONSES, lazy=True))
         return write_report(
             folder / REPORT,
             responses,
             stored(AGREEMENT),
-            files.enter_context(netcdf.read(folder / TIMING)),
+            files.enter_context(netcdf.read(folder / TIMING, lazy=True)),
             attractors=stored(ATTRACTORS),
             advice=stored(ADVICE),
             static=stored(STATIC),

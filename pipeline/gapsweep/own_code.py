@@ -136,7 +136,9 @@ def _read(stage: Stage, folder: Path) -> "Iterator[Run]":
     with ExitStack() as opened:
         yield Run(
             {
-                name.removesuffix(".nc"): opened.enter_context(netcdf.read(folder / name))
+                name.removesuffix(".nc"): opened.enter_context(
+                    netcdf.read(folder / name, lazy=True)
+                )
                 for name in stage.inputs
                 if name.endswith(".nc") and (folder / name).exists()
             }

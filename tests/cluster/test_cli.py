@@ -366,12 +366,13 @@ IN_BACKGROUND = "sh", "-c", 'trap "" INT; exec "$@"', "sh"
 )
 def test_a_signal_stops_a_run_cleanly_and_the_next_run_resumes(folder, number, send, prefix):
     process = slow_run(folder, *prefix)
+    workers = psutil.Process(process.pid).children(recursive=True)
     send(process.pid, number)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert errors.strip().splitlines()[-1] == "interrupted; run again to resume"
     assert "Traceback" not in errors
-    wait_until(lambda: not is_group(process.pid), 10)  # no process of the run is left
+    assert not psutil.wait_procs(workers, timeout=10.0)[1], "no process of the run is left"
     assert "interrupted" in gapsweep(folder, "status", "data/runs/tiny").stdout
     kept = json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)
     assert 3 <= kept["hits"] < 800
@@ -411,15 +412,6 @@ def wait_until(is_so, seconds):
     while not is_so():
         assert time.monotonic() < deadline
         time.sleep(0.1)
-
-
-def is_group(number):
-    """Whether any process is left of a process group."""
-    try:
-        os.killpg(number, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def stored_points(folder):

@@ -11,8 +11,9 @@ from tests.stored import commit, points, stored
 
 import gapsweep as gs
 from gapsweep.execution import task
-from gapsweep.execution.alone import Alone, response_of
 from gapsweep.execution.cluster import cluster
+from gapsweep.execution.isolated import Isolated
+from gapsweep.execution.task import response_of
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.runge_kutta import smooth
 from gapsweep.model.own_law import OwnLaw
@@ -110,8 +111,8 @@ def test_no_point_alone_is_timed_out_for_what_it_loads(tmp_path):
     given = {"representation": own.label, "law_code": own.key, "own": own}
     settings = {"contacts": (own.label,), "solver": solver, "steady": gs.Steady(t_max=1.0)}
     kind = Kind(**given, **settings)
-    with Alone(2.0) as alone:
-        response = response_of(alone, points(1.0, kind=kind), np.zeros(2)).row(0)
+    with Isolated(2.0) as isolated:
+        response = response_of(isolated, points(1.0, kind=kind), np.zeros(2)).row(0)
     assert response.status < gs.Status.TIMED_OUT
 
 
@@ -135,7 +136,7 @@ def test_a_late_failure_does_not_replace_what_another_run_has_found(tmp_path):
     gives_up = subprocess.Popen(
         [sys.executable, "-c", COMMAND, "run", "s.toml", *OPTIONS, "--timeout", "2"],
         cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": os.getcwd()},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
     )
     while not (tmp_path / "out" / "run.json").exists():
         assert gives_up.poll() is None

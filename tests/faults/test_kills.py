@@ -114,33 +114,37 @@ def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
     assert again <= n_kills * (IN_FLIGHT + BATCH), "what was in flight, and one commit"
 
 
-def test_a_worker_killed_while_the_cluster_starts_is_one_line(tmp_path):
+def test_a_worker_killed_while_the_cluster_starts_costs_one_line_at_most(tmp_path):
     (tmp_path / "storm.toml").write_text(study_text(60))
     process = start(tmp_path, "cache", "out")
     is_killed = False
     while process.poll() is None and not is_killed:
-        for child in psutil.Process(process.pid).children():
+        for child in psutil.Process(process.pid).children(recursive=True):
             with suppress(psutil.NoSuchProcess):
-                if "spawn_main" in " ".join(child.cmdline()):
+                if "forkserver" in " ".join(child.cmdline()):
                     child.kill()
                     is_killed = True
         time.sleep(0.01)
     _, errors = process.communicate(timeout=60)
     assert is_killed
-    assert process.returncode == 1, errors
-    assert "error: no local cluster of 2 workers" in errors.splitlines()[-1]
+    if process.returncode:  # else it was started again
+        assert process.returncode == 1, errors
+        assert "error: no local cluster of 2 workers" in errors.splitlines()[-1]
     assert "Traceback" not in errors
 
 
-def test_status_of_a_killed_run_says_so(tmp_path):
+def test_a_killed_run_leaves_no_process_and_its_status_says_so(tmp_path):
     (tmp_path / "storm.toml").write_text(study_text(400, settle_tol="1e-6"))
     process = start(tmp_path, "cache", "out", "--batch", "2")
     while stored(tmp_path / "cache") < 4:
         assert process.poll() is None
         time.sleep(0.05)
     assert status(tmp_path)["state"] == "running"
-    os.killpg(process.pid, signal.SIGKILL)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    process.kill()
     process.communicate()
+    assert len(workers) > 2
+    assert not psutil.wait_procs(workers, timeout=10.0)[1], "no process outlives the run"
     state = status(tmp_path)
     assert state["state"] == "died"
     assert state["points"] == 400

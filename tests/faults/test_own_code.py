@@ -3,11 +3,9 @@
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
-from tests import calls
 
 import gapsweep as gs
 from gapsweep import workflow
@@ -15,7 +13,6 @@ from gapsweep.analysis.histories import histories
 from gapsweep.analysis.stability import stability
 from gapsweep.analysis.work_precision import work_precision
 from gapsweep.execution import try_out
-from gapsweep.execution.alone import Alone, CallError
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import contents_of
@@ -269,21 +266,6 @@ def test_benchmarks_survive_any_law_and_say_what_failed(tmp_path):
             assert measured["method"].values.tolist() == ["piecewise", *poisons]
             status = measured["status"].values.ravel().tolist()
         assert status == [Status.OK, leaving, Status.TIMED_OUT]
-
-
-def test_processor_time_is_what_counts_and_idling_is_a_hang():
-    with Alone(2.0) as alone:
-        assert alone(calls.working, 3.0) == 3.0, "longer than the limit by the clock alone"
-        began = time.monotonic()
-        with pytest.raises(CallError, match="took longer than 2 s") as idle:
-            alone(time.sleep, 60.0)
-        assert idle.value.status is Status.TIMED_OUT
-        assert time.monotonic() - began < 30.0
-        with pytest.raises(CallError, match="took longer than 2 s"):
-            alone(calls.working, 60.0)
-        with pytest.raises(CallError, match="ValueError") as raised:
-            alone(int, "no number")
-        assert raised.value.status is Status.ERROR
 
 
 @pytest.mark.parametrize("what", ["history", "measured", "stated"])

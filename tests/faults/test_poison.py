@@ -104,8 +104,7 @@ def kill_workers(client, n_kills, ended):
     for _ in range(n_kills):
         if ended.wait(1.0):
             return
-        workers = client.cluster.workers.values()
-        pids = [w.pid for w in workers if w.pid]
+        pids = [pid for pid in client.run(os.getpid, on_error="ignore").values() if pid]
         if pids:
             os.kill(int(np.random.default_rng().choice(pids)), signal.SIGKILL)
         time.sleep(0.5)

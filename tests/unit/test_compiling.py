@@ -1,11 +1,9 @@
-"""The compiler of the kernels: numba's own, without what kernels have no use for."""
+"""How kernels are compiled, and that none is loaded after an edit."""
 
 import math
 
 import numpy as np
-import pytest
 from numba import njit
-from numba.core.compiler import Compiler, Flags
 
 from gapsweep.integrate import jit
 
@@ -18,38 +16,9 @@ def chaos(x, out):
     return x
 
 
-def test_the_same_bits_as_by_numbas_own_compiler():
-    values = []
-    for pipeline in (Compiler, jit._OurCompiler):
+def test_parts_that_are_optimised_with_their_caller_give_the_same_bits():
+    part, values = jit.internal(chaos), []
+    for function in (njit(chaos), njit(lambda x, out: part(x, out))):
         out = np.empty(1000)
-        values.append([njit(pipeline_class=pipeline)(chaos)(0.3, out), *out])
+        values.append([function(0.3, out), *out])
     assert values[0] == values[1]
-
-
-def test_every_pass_that_is_left_out_is_one_of_numbas():
-    """One with another name in another version of numba would be kept without a word."""
-    kept = []
-    for pipeline in (Compiler, jit._OurCompiler):
-
-        class Spied(pipeline):
-            def define_pipelines(self):
-                found = super().define_pipelines()
-                kept.append({each for each, _ in found[0].passes})
-                return found
-
-        njit(pipeline_class=Spied)(chaos)(0.3, np.empty(1))
-    assert kept[0] - kept[1] == jit._NEEDLESS
-
-
-def test_equal_options_are_one_object_that_nobody_changes():
-    """As one would for one function, it would for all functions compiled after it."""
-    options = Flags()
-    options.nrt = True
-    ours = jit._known_flags(Flags(options))
-    assert ours is jit._known_flags(Flags(options)) is ours.copy()
-    assert ours.nrt
-    assert ours.values() == options.values()
-    with pytest.raises(TypeError):
-        ours.nrt = False
-    options.nrt = False
-    assert jit._known_flags(options) is not ours

@@ -1,11 +1,8 @@
 """NetCDF files: complete or absent."""
 
-import gc
-import pickle
 import signal
 import subprocess
 import sys
-from contextlib import suppress
 
 import numpy as np
 import psutil
@@ -81,54 +78,17 @@ def test_missing_file_is_refused_by_name(tmp_path):
         gs.open(tmp_path / "none.nc")
 
 
-def test_a_file_that_xarray_cannot_open_is_closed_by_the_next_reader(tmp_path, monkeypatch):
-    netcdf.write(small(), tmp_path / "small.nc", {})
-    closed, close = [], xr.backends.NetCDF4DataStore.close
-    monkeypatch.setattr(
-        xr.backends.NetCDF4DataStore, "close", lambda self: closed.append(self) or close(self)
-    )
-
-    def refuse(store):
-        raise ValueError("cannot decode")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(xr, "open_dataset", refuse)
-        with suppress(gs.StoreError):  # which pytest would keep, and with it what it came from
-            pytest.fail(f"opened: {netcdf.read(tmp_path / 'small.nc')}")
-    with netcdf.read(tmp_path / "small.nc"):
-        assert len(closed) == 1
-
-
-def test_files_are_closed_by_the_next_reader_and_not_by_the_garbage_collector(tmp_path):
-    paths = [tmp_path / f"{n}.nc" for n in range(3)]
-    for path in paths:
-        netcdf.write(xr.Dataset({"x": ("n", np.arange(3.0))}), path, {})
-
-    def is_open(path):
-        return any(file.path == str(path) for file in psutil.Process().open_files())
-
-    part = netcdf.read(paths[0])["x"]
-    netcdf.read(paths[1])
-    gc.collect()
-    assert is_open(paths[0])
-    assert is_open(paths[1]), "until somebody reads again"
-    with netcdf.read(paths[2]):
-        assert not is_open(paths[1])
-        assert part.sum() == 3.0, "what was selected still can be read"
-
-
-def test_a_dataset_does_not_read_on_in_a_file_that_took_its_place(tmp_path):
+def test_a_dataset_holds_its_values_unless_it_is_lazy(tmp_path):
     path = tmp_path / "small.nc"
     netcdf.write(small(), path, {})
     opened = gs.open(path)
-    sent, held = pickle.dumps(opened), opened["x"].load()
+    with gs.open(path, lazy=True) as lazy:
+        assert not lazy["x"].variable._in_memory
+        xr.testing.assert_identical(lazy.load(), opened)
     netcdf.write(small() + 1.0, path, {})
-    with pytest.raises(gs.StoreError, match=r"small\.nc: replaced since .* open it again"):
-        pickle.loads(sent)["x"].load()
-    opened.close()
-    np.testing.assert_array_equal(held, np.arange(3.0))
-    with gs.open(path) as again:
-        np.testing.assert_array_equal(again["x"], np.arange(1.0, 4.0))
+    np.testing.assert_array_equal(opened["x"], np.arange(3.0))
+    np.testing.assert_array_equal(gs.open(path)["x"], np.arange(1.0, 4.0))
+    assert not any(file.path == str(path) for file in psutil.Process().open_files())
 
 
 def test_texts_are_characters_and_come_back_as_texts(tmp_path):

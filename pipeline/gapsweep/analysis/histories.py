@@ -15,7 +15,7 @@ import xarray as xr
 
 from gapsweep.analysis.arrays import Array
 from gapsweep.errors import ModelError
-from gapsweep.execution.alone import Alone, CallError
+from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.simulate import simulate
@@ -98,7 +98,7 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
         "frequency_bin": n_samples // 2 + 1,
     }
     arrays = empty(VARIABLES | AXES, sizes)
-    with Alone(timeout) as alone:
+    with Isolated(timeout) as alone:
         for h, table in enumerate(tables):
             t, frequency = sampled(table.omega, table.t_end)
             arrays["t"][h, :, : t.shape[1]] = t
@@ -225,7 +225,7 @@ def _asked(study: Study, table: HistoryTable, label: str) -> _Asked:
     )
 
 
-def _history(study: Study, table: HistoryTable, label: str, alone: Alone) -> Mapping[str, Any]:
+def _history(study: Study, table: HistoryTable, label: str, alone: Isolated) -> Mapping[str, Any]:
     """The variables of one motion; its status alone if it has failed."""
     try:
         asked = _asked(study, table, label)

@@ -39,7 +39,7 @@ from gapsweep.analysis.truth import (
     settled,
     truth,
 )
-from gapsweep.execution.alone import Alone, CallError
+from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw
@@ -150,7 +150,7 @@ def stability(
         "tolerance": max(len(method.rungs) for method in ladder),
     }
     arrays = empty(VARIABLES, sizes)
-    with Alone(timeout) as alone:
+    with Isolated(timeout) as alone:
         for s, scene in enumerate(found):
             if say is not None:
                 say(f"stability: scene {s + 1} of {len(found)}, {scene.name}")
@@ -176,7 +176,7 @@ def stability(
 
 
 def _scene_values(
-    scene: Scene, ladder: list[Method], alone: Alone
+    scene: Scene, ladder: list[Method], alone: Isolated
 ) -> Iterator[tuple[tuple[int, int], dict[str, Any]]]:
     """Everything about one scene, by method and rung."""
     judges: dict[str, Judge] = {}

@@ -40,7 +40,7 @@ from gapsweep.analysis.truth import (
     motion,
     truth,
 )
-from gapsweep.execution.alone import Alone, CallError
+from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import Piecewise
@@ -161,7 +161,7 @@ def work_precision(
     assert study.spec.bench is not None
     # What else the machine was busy with, before this adds to it.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
-    alone = Alone(timeout)
+    alone = Isolated(timeout)
     bench = Bench(found, ladder, study.spec.bench.lanes, study.steady, alone)
     repeats = study.spec.bench.repeats
     steps: list[tuple[str, Callable[[], None]]] = [
@@ -266,7 +266,7 @@ class Bench:
         methods: Sequence[Method],
         n_lanes: int,
         steady: Steady,
-        alone: Alone,
+        alone: Isolated,
     ) -> None:
         # Costs are those of the whole horizon, errors of what can be told right from wrong.
         self.whole, self.scenes = list(scenes), [followed(scene) for scene in scenes]

@@ -3,7 +3,9 @@
 Nothing is imported here that takes time: whoever asks for help shall not wait.
 """
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +14,7 @@ import click
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 
 if TYPE_CHECKING:
+    from gapsweep.execution.progress import OnProgress
     from gapsweep.study.study import Study
 
 FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
@@ -80,11 +83,21 @@ def loaded(path: Path, engine: str | None) -> "Study":
         from gapsweep.execution.try_out import try_out_system
 
         try_out_system(str(system.function), path)
-    found = Study.load(path)
+    with redirect_stdout(sys.stderr):
+        found = Study.load(path)
     if found.grid.starts.kind.any() and len(found.grid.omega) == 1:
         said = "sweeps follow the frequency, and there is one: they start from rest"
         click.echo(f"warning: {path}: initial_condition: {said}", err=True)
     return found.with_engine(engine) if engine else found
+
+
+@contextmanager
+def at_work() -> Iterator["OnProgress"]:
+    """Show progress; what a study's code prints meanwhile is no result of the command."""
+    from gapsweep.console import progress_bar
+
+    with redirect_stdout(sys.stderr), progress_bar() as observer:
+        yield observer
 
 
 def selected(wanted: tuple[str, ...]) -> dict[str, Any]:

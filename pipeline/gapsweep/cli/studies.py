@@ -38,11 +38,10 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
       gapsweep run quick.toml --scheduler tcp://host:8786
     """
     from gapsweep import workflow
-    from gapsweep.console import progress_bar
     from gapsweep.stages import REPORT, RESPONSES
 
     loaded = options.loaded(study, engine)
-    with progress_bar() as observer:
+    with options.at_work() as observer:
         outcome = workflow.carry_out(loaded, on_progress=observer, **how)
     done = outcome.progress
     shared = f", {done.n_shared} by another run" if done.n_shared else ""
@@ -90,12 +89,12 @@ def plan(
     """
     from gapsweep import lookup
     from gapsweep.analysis.walls import bounded
-    from gapsweep.console import duration, print_table, progress_bar
+    from gapsweep.console import duration, print_table
     from gapsweep.folder import run_folder
 
     loaded = options.loaded(study, engine)
     cache, out = lookup.cache_path(cache), run_folder(loaded, out)
-    with progress_bar() as observer:
+    with options.at_work() as observer:
         planned = lookup.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = lookup.expected_seconds(planned, cache, workers)
         stages = lookup.stage_reasons(loaded, planned, out, cache)
@@ -170,7 +169,6 @@ def query(
     """
     from gapsweep import workflow
     from gapsweep.cli.table import Form, check_output, written
-    from gapsweep.console import progress_bar
 
     shown = Form.of(form, columns, digits, output)
     if output is not None:
@@ -178,7 +176,7 @@ def query(
         output = output.absolute()
     loaded = options.loaded(study, engine)
     shown.check(loaded)
-    with progress_bar() as observer:
+    with options.at_work() as observer:
         found = workflow.query(loaded, on_progress=observer, **how, **options.selected(wanted))
     click.echo(
         f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True
@@ -213,10 +211,9 @@ def explain(
       gapsweep explain quick.toml --sel omega=10
     """
     from gapsweep import lookup
-    from gapsweep.console import progress_bar
 
     loaded = options.loaded(study, engine)
-    with progress_bar() as observer:
+    with options.at_work() as observer:
         points = lookup.explain(loaded, cache, limit + 1, observer, **options.selected(wanted))
     for n, point in enumerate(points):
         if n == limit:

@@ -1,23 +1,25 @@
 """The Dask cluster a run works on: a local one, or any that is already there."""
 
 import logging
-import signal
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from multiprocessing import resource_tracker, spawn
+from contextlib import contextmanager
 from typing import Any
 
 import dask
 from distributed import Client, LocalCluster
+from distributed.system import MEMORY_LIMIT
 
 from gapsweep.errors import ClusterError
+from gapsweep.execution.workers import end_workers, start_workers, worker_process
 from gapsweep.study.software import software
 
 _CONNECT_SECONDS = 10
 _WAIT_SECONDS = 0.1
-_WORKER = "Dask Worker process"  # what Dask calls them
+_LOOK_SECONDS = 0.01
+# What goes wrong on a worker becomes the status of its points; its log only repeats it.
+_SILENT = logging.CRITICAL
 _LOCAL_SETTINGS = {
     # Points of a lost worker are tried again by us, where they can harm nobody.
     "distributed.scheduler.allowed-failures": 0,
@@ -50,29 +52,8 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
         If the scheduler cannot be reached, or no local cluster starts.
     """
     if scheduler is None:
-        # Free ports on the loopback, so that no other cluster is disturbed. Temporary TLS keys, so
-        # that no other process of the machine can run code in the workers or in this process.
-        options: dict[str, Any] = {
-            "host": "127.0.0.1",
-            "processes": True,
-            "threads_per_worker": 1,
-            "security": True,
-            "dashboard_address": "127.0.0.1:0",
-        }
-        # What goes wrong on a worker becomes the status of its points; its log only repeats it.
-        options["silence_logs"] = logging.CRITICAL
-        # Which Dask ends too early for this one, of connections to workers that died.
-        logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
-        with dask.config.set(_LOCAL_SETTINGS), _without_main(), ExitStack() as opened:
-            with _deaf_to_interrupts():
-                try:
-                    local = opened.enter_context(LocalCluster(n_workers=workers, **options))
-                except RuntimeError as error:  # what Dask makes of a worker that died too early
-                    raise ClusterError(
-                        f"no local cluster of {workers} workers ({first_line(error)}): a worker "
-                        "process died as it started, perhaps for lack of memory; run again"
-                    ) from None
-            yield opened.enter_context(Client(local))
+        with dask.config.set(_LOCAL_SETTINGS), _local(workers) as client:
+            yield client
         return
     try:
         client = Client(scheduler, timeout=_CONNECT_SECONDS)
@@ -86,46 +67,42 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
 
 
 @contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes started in this block never hear of Ctrl-C, which a terminal sends to all of them.
-
-    The client alone decides how a run ends; workers that die on their own only print. What is
-    blocked is inherited, by threads and processes; here it arrives when the block ends.
-    """
-    if not hasattr(signal, "pthread_sigmask"):  # not a POSIX system
-        yield
-        return
-    stopping = {signal.SIGINT, signal.SIGHUP}
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, stopping)
-    resource_tracker.ensure_running()  # which lifts the block of Ctrl-C once it is started
-    signal.pthread_sigmask(signal.SIG_BLOCK, stopping)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def _local(workers: int) -> Iterator[Client]:
+    # Free ports on the loopback, so that no other cluster is disturbed. Temporary TLS keys, so that
+    # no other process of the machine can run code in the workers or in this process.
+    options: dict[str, Any] = {"host": "127.0.0.1", "security": True, "silence_logs": _SILENT}
+    with (
+        _quiet("distributed.batched"),  # of connections to workers that died
+        worker_process() as process,  # which imports while the scheduler starts
+        LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0", **options) as local,
+    ):
+        memory = MEMORY_LIMIT // workers
+        options |= {"security": local.security, "nthreads": 1, "memory_limit": memory}
+        start_workers(process, local.scheduler_address, workers, options)
+        try:
+            with Client(local) as client:
+                while len(local.scheduler.workers) < workers:
+                    if process.poll() is not None:
+                        raise ClusterError(
+                            f"no local cluster of {workers} workers: a worker process died as it "
+                            "started, perhaps for lack of memory; run again"
+                        )
+                    time.sleep(_LOOK_SECONDS)
+                yield client
+        finally:
+            end_workers(process)
 
 
 @contextmanager
-def _without_main() -> Iterator[None]:
-    """Workers started in this block do not run the script that called us once more.
-
-    Python imports it into every process that it spawns: what stands there outside of ``if __name__
-    == "__main__"``, as our caller may, would begin anew. Tasks need nothing of it.
-    """
-    usual = spawn.get_preparation_data
-
-    def prepared(name: str) -> dict[str, Any]:
-        data = usual(name)
-        if name.startswith(_WORKER):
-            for key in ("init_main_from_name", "init_main_from_path"):
-                data.pop(key, None)
-        return data
-
-    spawn.get_preparation_data = prepared
+def _quiet(name: str) -> Iterator[None]:
+    """Switch a logger off."""
+    logger = logging.getLogger(name)
+    level = logger.level
+    logger.setLevel(_SILENT)
     try:
         yield
     finally:
-        spawn.get_preparation_data = usual
+        logger.setLevel(level)
 
 
 def check_workers(client: Client, waiting: Callable[[], None] = lambda: None) -> None:

@@ -18,8 +18,8 @@ from distributed import Client, Future, as_completed
 from distributed.scheduler import KilledWorker
 
 from gapsweep.errors import ClusterError
-from gapsweep.execution.alone import compute_alone, time_limit
 from gapsweep.execution.cluster import check_workers
+from gapsweep.execution.isolated import time_limit
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.portions import (
     MAX_BATCH,
@@ -33,7 +33,7 @@ from gapsweep.execution.portions import (
 )
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.sweeps import start_of
-from gapsweep.execution.task import Task, TaskResult, Tile, compute, process
+from gapsweep.execution.task import Task, TaskResult, Tile, compute, compute_isolated, process
 from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
@@ -194,7 +194,7 @@ class _Execution:
             if job is None:
                 return
             task = Task(job.tiles, self.timeout, process())
-            body = compute_alone if job.attempts else compute
+            body = compute_isolated if job.attempts else compute
             future = self.client.submit(body, task, pure=False)
             self.in_flight[future] = job
             completed.add(future)

@@ -4,7 +4,6 @@ A sweep point is the unit of work, of failure and of caching; a task carries sev
 them only because a task has a price of its own.
 """
 
-import faulthandler
 import gc
 import os
 import platform
@@ -13,15 +12,17 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
+from distributed import get_worker
 from numpy.typing import NDArray
 
-from gapsweep.errors import ModelError, described
+from gapsweep.errors import ModelError
+from gapsweep.execution.isolated import CallError, Isolated, failure
 from gapsweep.execution.sweeps import origins
-from gapsweep.integrate.problem import ENGINES, Models
+from gapsweep.integrate.problem import Models
 from gapsweep.integrate.simulate import loaded
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
@@ -29,7 +30,6 @@ from gapsweep.model.oscillator import Gap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, Responses
-from gapsweep.status import Status
 from gapsweep.store.slab import Slab, slabs
 from gapsweep.study.points import KEY, OF_CONTACT, Kind, Points
 from gapsweep.study.software import software, versions
@@ -136,9 +136,12 @@ def compute(task: Task) -> TaskResult:
     """Body of a Dask task."""
     for tile in task.tiles:
         load(tile.points.kind.solver.engine)
+    is_ours = task.client == process()
+    if not is_ours:
+        _freeze(*{tile.points.kind.solver.engine for tile in task.tiles})
     begin = time.thread_time()
     found, n_warm = [], len(_warm)
-    with _ending_after(task.timeout) if task.client != process() else nullcontext():
+    with nullcontext() if is_ours else _ending_after(task.timeout):
         for tile in task.tiles:
             found += tile.slabs(respond_to(tile), platform.node())
     seconds = time.thread_time() - begin
@@ -147,18 +150,42 @@ def compute(task: Task) -> TaskResult:
     return TaskResult(found, seconds, software())
 
 
+def compute_isolated(task: Task) -> TaskResult:
+    """Body of a Dask task: like `compute`, but nothing that a point does can harm the worker."""
+    found = []
+    with Isolated(task.timeout, get_worker().memory_manager.memory_limit) as isolated:
+
+        def ask(points: Points, states: States) -> Responses:
+            rows = range(len(points))
+            each = [response_of(isolated, points.take([row]), states[row]) for row in rows]
+            return Responses.concatenated(each)
+
+        for tile in task.tiles:
+            found += tile.slabs(respond_to(tile, ask), platform.node())
+    return TaskResult(found, sum(slab.seconds for slab in found), software())
+
+
+def response_of(isolated: Isolated, points: Points, state: States) -> Responses:
+    """The response of one point; what became of its process is its status."""
+    tile = Tile.of_one(points, state)
+    try:
+        isolated.within(WARM_UP_SECONDS, warm_up, tile)
+        return isolated(respond_to, tile)
+    except CallError as lost:
+        one = Response(status=lost.status, message=lost.message)
+        return Responses.of([one], points.kind.structure)
+
+
 @cache
 def load(engine: str) -> None:
     """Load an engine into this process."""
     loaded(engine)
-    gc.freeze()  # the garbage collector would look through all that was loaded in every tile
 
 
-def software_with_engines() -> Mapping[str, str]:
-    """`software` of this process, after it has loaded all engines."""
-    for engine in ENGINES:
-        load(engine)
-    return software()
+@cache
+def _freeze(*_: str) -> None:
+    """Spare the garbage collector of a worker what some engines have loaded."""
+    gc.freeze()
 
 
 def process() -> tuple[str, int]:
@@ -166,41 +193,32 @@ def process() -> tuple[str, int]:
     return platform.node(), os.getpid()
 
 
-_deadlines: dict[int, float] = {}
-_watch = threading.Lock()
+_watch = threading.local()
 
 
 @contextmanager
-def _ending_after(timeout: float) -> Iterator[None]:
-    """End this process if the block takes longer [s]; a block around it is given that time.
+def _ending_after(seconds: float) -> Iterator[None]:
+    """End this process if the block takes longer; a block around it then has its time once more.
 
-    A computation that hangs in compiled code holds the interpreter: no Python code could stop
-    it. `faulthandler` watches from a thread that needs no interpreter, one deadline at a time.
+    Kernels run without the interpreter's lock. A worker whose user code holds the lock for ever is
+    restarted by Dask, after ``distributed.scheduler.worker-ttl``.
     """
-    thread, begin = threading.get_ident(), time.monotonic()
-    outer = _deadlines.get(thread)
-    _rearm(thread, begin + timeout)
+    outer: threading.Timer | None = getattr(_watch, "timer", None)
+    if outer is not None:
+        outer.cancel()
+    _watch.timer = _exiting_after(seconds)
     try:
         yield
     finally:
-        _rearm(thread, None if outer is None else outer + time.monotonic() - begin)
+        _watch.timer.cancel()
+        _watch.timer = None if outer is None else _exiting_after(outer.interval)
 
 
-def _rearm(thread: int, deadline: float | None) -> None:
-    with _watch:
-        _deadlines.pop(thread, None)
-        if deadline is not None:
-            _deadlines[thread] = deadline
-        faulthandler.cancel_dump_traceback_later()
-        if _deadlines:
-            left = max(min(_deadlines.values()) - time.monotonic(), 0.001)
-            faulthandler.dump_traceback_later(left, exit=True, file=_nowhere())
-
-
-@lru_cache(maxsize=1)
-def _nowhere() -> int:
-    # What hung is found out later, point by point; a traceback on the terminal helps nobody.
-    return os.open(os.devnull, os.O_WRONLY)
+def _exiting_after(seconds: float) -> threading.Timer:
+    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), os._exit, [1])
+    timer.daemon = True
+    timer.start()
+    return timer
 
 
 def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
@@ -305,7 +323,7 @@ def _warm_up(kind: Kind, models: Models, start: States) -> None:
     """
     if kind in _warm or kind.solver.engine != "compiled":
         return
-    is_watched = threading.get_ident() in _deadlines
+    is_watched = getattr(_watch, "timer", None) is not None
     with _ending_after(WARM_UP_SECONDS) if is_watched else nullcontext():
         first = models.take([0])
         fast = replace(first, omega=np.where(first.omega > 0.0, _NO_TIME, 0.0))
@@ -317,7 +335,7 @@ def _warm_up(kind: Kind, models: Models, start: States) -> None:
 
 
 def warm_up(tile: Tile) -> None:
-    """What the first point of a tile needs before its time counts."""
+    """Load or compile what the first point of a tile needs, before its time counts."""
     first = slice(1)
     (rows, models), _ = _models(tile.points.take(first))
     if rows.size:
@@ -343,10 +361,3 @@ def failed(error: BaseException) -> Response:
     """The response of a point that raised."""
     status, message = failure(error)
     return Response(status=status, message=message)
-
-
-def failure(error: BaseException) -> tuple[Status, str]:
-    """Status and message of a point or motion that raised."""
-    if isinstance(error, ModelError):
-        return Status.MODEL_INVALID, str(error)
-    return Status.ERROR, described(error)

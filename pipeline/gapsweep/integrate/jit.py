@@ -9,7 +9,6 @@ that many processors have in common: it is what numba makes of the same sources 
 gives the same bits. Where none fits, by processor, Python, numba or sources, it is compiled here.
 """
 
-import gc
 import hashlib
 import os
 import pickle  # numba's own form of machine code; loaded from checked folders of this user alone
@@ -22,7 +21,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 from uuid import uuid4
 
@@ -32,12 +30,9 @@ from llvmlite.binding import get_host_cpu_features
 from numba import config, njit
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, Flags
-from numba.core.compiler_machinery import PassManager
+from numba.core.compiler import Compiler
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
-from numba.core.typed_passes import InlineOverloads, NopythonRewrites
-from numba.core.untyped_passes import InlineClosureLikes, InlineInlinables, WithLifting
 from numba.extending import overload
 
 from gapsweep.integrate.problem import LOADING
@@ -68,44 +63,7 @@ class _Part(JITCodeLibrary):
         """What Python objects a function holds: none."""
 
 
-class _Flags(Flags):
-    """Options of a compilation that cannot change, of which equal ones are one object.
-
-    numba looks functions up by them at every call that it types, and would compare all forty each
-    time, a twelfth of the time in all.
-    """
-
-    __eq__, __hash__ = object.__eq__, object.__hash__
-
-    def __init__(self, options: Flags) -> None:
-        super().__init__(options)
-        self._values: Any = MappingProxyType(self._values)
-
-    def copy(self) -> "_Flags":
-        return self
-
-
-_known_flags = cache(_Flags)
-# What numba does for closures, blocks under ``with``, whole arrays and functions that it inlines.
-_NEEDLESS = {InlineClosureLikes, WithLifting, NopythonRewrites, InlineInlinables, InlineOverloads}
-
-
-class _OurCompiler(Compiler):
-    """numba's compiler for functions like ours: without what they have no use for."""
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.state.flags = _known_flags(Flags(self.state.flags))
-
-    def define_pipelines(self) -> list[PassManager]:
-        (usual,) = super().define_pipelines()
-        ours = PassManager(usual.pipeline_name)
-        ours.passes = [each for each in usual.passes if each[0] not in _NEEDLESS]
-        ours.finalize()
-        return [ours]
-
-
-class _PartCompiler(_OurCompiler):
+class _PartCompiler(Compiler):
     def compile_extra(self, function: Callable[..., Any]) -> Any:
         self.state.library = _Part(self.state.targetctx.codegen(), function.__qualname__)
         return super().compile_extra(function)
@@ -236,9 +194,9 @@ def folder_of(level: str) -> str:
 
 def entry(function: Callable[..., Any]) -> Any:
     """Compile a function that Python calls, and keep the machine code on disk."""
-    found = njit(nogil=True, pipeline_class=_OurCompiler)(function)
+    found = njit(nogil=True)(function)
     found._cache = _Cache(function)
-    found.compile = _by_one_process(function, _in_one_go(found.compile))
+    found.compile = _by_one_process(function, found.compile)
     return counted(found)
 
 
@@ -255,25 +213,6 @@ def counted(dispatcher: Any) -> Any:
 
     dispatcher._compile_for_args = compiled
     return dispatcher
-
-
-def _in_one_go(usual: Callable[..., Any]) -> Callable[..., Any]:
-    """A `compile` that no garbage collection interrupts.
-
-    What numba makes lives until it is done: to look through it again and again finds nothing, and
-    takes 7 % of the time.
-    """
-
-    def compiled(signature: Any) -> Any:
-        was_on = gc.isenabled()
-        gc.disable()
-        try:
-            return usual(signature)
-        finally:
-            if was_on:
-                gc.enable()
-
-    return compiled
 
 
 def _by_one_process(function: Callable[..., Any], usual: Callable[..., Any]) -> Callable[..., Any]:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gapsweep.aside import printing_aside
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Gap
@@ -95,7 +94,6 @@ def checked(own: OwnLaw) -> OwnLaw:
     ModelError
         If it cannot be loaded, or is no function of x.
     """
-    with printing_aside():
-        own.law(0.0, Gap(0.0, 0.0))
+    own.law(0.0, Gap(0.0, 0.0))
     found = own.load()
     return OwnLaw(own.label, found) if isinstance(found, ForceTable) else own

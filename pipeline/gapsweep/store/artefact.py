@@ -9,11 +9,11 @@ import hashlib
 import os
 import platform
 import re
-import tempfile
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from uuid import uuid4
 
 import psutil
 
@@ -47,18 +47,14 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _remove_leftovers(path)
-        owner = f"{platform.node()}.{os.getpid()}"
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.{owner}.", dir=path.parent)
-        os.close(handle)
+        name = f".{path.name}.{platform.node()}.{os.getpid()}.{uuid4().hex}"
+        temporary = path.with_name(name)
+        temporary.touch(exist_ok=False)
     except OSError as error:
         raise StoreError(f"{path}: cannot be written: {error.strerror}") from None
-    temporary = Path(name)
     try:
         yield temporary
         _flush(temporary)
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)  # mkstemp makes it private
         temporary.replace(path)
         _flush(path.parent)
     except GapsweepError:

@@ -5,12 +5,10 @@ lock. A file is opened again before it takes its place, and says in `made_from` 
 made from, so that it is made again only when that has changed.
 """
 
-import gc
 import json
 import os
 import platform
 import signal
-import sys
 import tempfile
 import threading
 import warnings
@@ -19,7 +17,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import netCDF4
 import numpy as np
@@ -32,13 +30,10 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _LOCK = threading.RLock()
-# Files are read chunk after chunk: what the library would keep of each variable only fills memory.
-netCDF4.set_chunk_cache(2**20)
 _RECORDED_PACKAGES = ("gapsweep", "numpy", "scipy", "numba", "dask", "distributed", "xarray")
 _THREAD_SETTINGS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 CONVENTIONS = "CF-1.11"
 SOURCE = "gapsweep"
-_PART = 2**16  # names that are read at a time
 _CHECKED = {"fletcher32": True, "zlib": True, "complevel": 1}
 
 
@@ -51,7 +46,6 @@ def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Datas
     StoreError
         If the file cannot be written, or one that is not ours is in its place.
     """
-    _close_forgotten()
     with _LOCK, recording(path, _is_ours) as temporary, _errors(path):
         with netCDF4.Dataset(temporary, "w", format="NETCDF4") as dataset:
             dataset.setncatts({**attributes, **provenance()})
@@ -64,7 +58,6 @@ def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Datas
 @contextmanager
 def passing(attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
     """An open netCDF4 dataset that nobody keeps."""
-    _close_forgotten()
     with (
         _LOCK,
         _errors(Path(tempfile.gettempdir())),
@@ -186,7 +179,6 @@ def _is_ours(path: Path) -> bool:
 
 def attributes(path: Path) -> dict[str, Any]:
     """Attributes of a NetCDF file; none if it cannot be read."""
-    _close_forgotten()
     try:
         with netCDF4.Dataset(path) as dataset:
             return {name: dataset.getncattr(name) for name in dataset.ncattrs()}
@@ -196,7 +188,6 @@ def attributes(path: Path) -> dict[str, Any]:
 
 def values(path: Path, name: str) -> NDArray[Any]:
     """A small variable of a NetCDF file; empty if it cannot be read."""
-    _close_forgotten()
     try:
         with netCDF4.Dataset(path) as dataset:
             return np.asarray(dataset[name][:])
@@ -204,10 +195,17 @@ def values(path: Path, name: str) -> NDArray[Any]:
         return np.empty(0)
 
 
-def read(path: str | Path) -> "xr.Dataset":
-    """Open a NetCDF file of a run; values are read when used.
+def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
+    """Load a NetCDF file of a run.
 
     The whole file is first compared with its SHA-256 in ``SHA256SUMS`` beside it.
+
+    Parameters
+    ----------
+    path : str or Path
+    lazy : bool
+        Whether values are read when they are used, as a file that is larger than the memory needs
+        it. The dataset must then be closed before a run writes into its folder.
 
     Raises
     ------
@@ -225,39 +223,31 @@ def read(path: str | Path) -> "xr.Dataset":
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
     >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
     >>> gs.run(study, out="small", cache="points.sqlite").close()
-    >>> with gs.open("small/attractors.nc") as ds:
-    ...     ds["n_attractors"].values.ravel().tolist()
+    >>> gs.open("small/attractors.nc")["n_attractors"].values.ravel().tolist()
     [1]
     """
     # half a second to import, which a run without anything to do can spare
     import xarray as xr
-    from xarray.backends.netCDF4_ import NETCDF4_PYTHON_LOCK
 
     path = Path(path)
     if path.is_dir():
         raise StoreError(f"{path}: is a folder; name a file in it, as {path / 'responses.nc'}")
     try:
-        _close_forgotten()
         intact = is_intact(path)
         if intact is False:
             raise StoreError(
                 f"{path}: damaged or changed since it was written (SHA-256 differs from "
                 "SHA256SUMS beside it); 'gapsweep run' writes it again from the cache"
             )
-        file = xr.backends.CachingFileManager(
-            _unchanged, os.fspath(path), _stamp(path), mode="r", lock=NETCDF4_PYTHON_LOCK,
-            cache=_files,
-        )  # fmt: skip
-        store = xr.backends.NetCDF4DataStore(file)  # type: ignore[no-untyped-call]  # xarray has no type for it
-        _opened.append(store)
-        opened = xr.open_dataset(store)
+        opened = (xr.open_dataset if lazy else xr.load_dataset)(path, engine="netcdf4")
+        for coordinate in opened.coords.values():
+            coordinate.load()  # else whenever datasets are put together
     except StoreError:
         raise
     except FileNotFoundError:
         raise StoreError(f"{path}: no such file; 'gapsweep run' makes it") from None
     except (OSError, ValueError) as error:
-        # As text: the error would hold this frame, and with it what was opened.
-        reason = getattr(error, "strerror", None) or str(error)
+        reason = getattr(error, "strerror", None) or error
         raise StoreError(f"{path}: cannot be read as NetCDF: {reason}") from None
     if intact is None:
         warnings.warn(
@@ -266,76 +256,7 @@ def read(path: str | Path) -> "xr.Dataset":
         )
     for variable in opened.variables.values():  # of texts that may be cut, and then saved again
         variable.encoding.pop("char_dim_name", None)
-    _keep_names_once(opened)
     return opened
-
-
-def _keep_names_once(dataset: "xr.Dataset") -> None:
-    """Load long coordinates of names, with one object for each name.
-
-    xarray loads them whenever it puts datasets together: a million starts in a hundred megabytes.
-    """
-    for name, coordinate in dataset.coords.items():
-        if coordinate.dtype == object and coordinate.size > _PART:
-            values, known = np.empty(coordinate.size, object), dict[str, str]()
-            for first in range(0, coordinate.size, _PART):
-                part = coordinate[first : first + _PART].values.tolist()
-                values[first : first + _PART] = [known.setdefault(each, each) for each in part]
-            dataset.coords[name] = (coordinate.dims, values, coordinate.attrs)
-
-
-def _stamp(path: str | Path) -> tuple[int, int]:
-    """What a file that takes another one's place has not: its time [ns] and size."""
-    found = os.stat(path)
-    return found.st_mtime_ns, found.st_size
-
-
-def _unchanged(path: str, stamp: tuple[int, int], mode: Literal["r"]) -> netCDF4.Dataset:
-    """Open the file that a dataset was opened from, in another process or once more.
-
-    Raises
-    ------
-    StoreError
-        If another one has taken its place: its values would stand at the old one's coordinates.
-    """
-    if _stamp(path) != stamp:
-        raise StoreError(f"{path}: replaced since this dataset was opened: open it again")
-    return netCDF4.Dataset(path, mode)
-
-
-# What is open, for a dataset of ours or for what was selected from it. Its files are kept apart
-# from xarray's cache, which then holds those alone that a user has opened without us.
-_opened: list[Any] = []
-_files: dict[Any, Any] = {}
-
-
-def _references(held: list[Any]) -> int:
-    """How many there are to the last object of a list."""
-    return sys.getrefcount(held[-1])
-
-
-_FORGOTTEN = _references([object()])  # where nothing else holds it
-
-
-def _close_forgotten() -> None:
-    """Close the files whose datasets are gone, before another one is opened.
-
-    The garbage collector would, in whichever thread it runs; Dask has one of its own, and two calls
-    of the HDF5 library at a time were seen to end the process.
-    """
-    with _LOCK:
-        xarray = sys.modules.get("xarray")
-        if xarray is not None and xarray.backends.file_manager.FILE_CACHE:
-            gc.collect()  # these too, here and now
-        used = []
-        while _opened:
-            is_used = _references(_opened) > _FORGOTTEN
-            store = _opened.pop()
-            if is_used:
-                used.append(store)
-            else:
-                store.close()
-        _opened.extend(used)
 
 
 def provenance() -> dict[str, str]:

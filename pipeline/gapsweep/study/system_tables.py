@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from gapsweep.aside import printing_aside
 from gapsweep.errors import ModelError, StudyError, described
 from gapsweep.model import systems
 from gapsweep.model.labels import FUNCTION
@@ -190,7 +189,7 @@ def _function(name: str, folders: Iterable[Path]) -> Any:
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
     """What a function makes of named numbers."""
     try:
-        with printing_aside(), chdir("."):  # wherever it goes, cache and results stay here
+        with chdir("."):  # wherever it goes, cache and results stay here
             found = function(**parameters)
             parts = {}
             if isinstance(found, System):

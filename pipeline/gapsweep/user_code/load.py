@@ -22,7 +22,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from gapsweep.aside import printing_aside
 from gapsweep.errors import ClusterError, ModelError, StudyError, described
 from gapsweep.user_code.snapshot import ABSENT, BESIDE, Module, Snapshot, version_of
 
@@ -52,7 +51,7 @@ def load(snapshot: Snapshot) -> ModuleType:
                         f"{snapshot.main}: imports {module} {wanted}, a process has "
                         f"{here or 'none'}: install the same version for client and workers"
                     )
-            with printing_aside(), chdir("."):  # wherever the code goes, this process stays
+            with chdir("."):  # wherever the code goes, this process stays
                 package.module(snapshot.main)
         return sys.modules[name]
 

@@ -1,0 +1,215 @@
+"""Function calls in a separate Python process, which may crash, hang or run out of memory.
+
+The process is a fresh interpreter that imports no script of the caller. Calls and answers travel
+over a socket of their own, so output of the called code disturbs nobody.
+"""
+
+import ctypes
+import os
+import pickle  # of a process that we started, over a private connection
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from math import ceil
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+
+import psutil
+from distributed.system import MEMORY_LIMIT
+
+from gapsweep.errors import ClusterError, ModelError, described
+from gapsweep.execution.workers import search_path
+from gapsweep.status import Status
+from gapsweep.study.software import software
+
+Result = TypeVar("Result")
+
+_LONGEST = 1e8  # s: the operating system takes no infinite limit
+_START_SECONDS = 120.0
+_LOOK_SECONDS = 0.1
+_LEAVE_SECONDS = 2.0
+# A call that is late by the clock, and uses a smaller share of the processor, waits in vain. A call
+# with a larger share runs on a busy machine, and has up to 50 time limits.
+_IDLE = 0.02
+_PR_SET_PDEATHSIG = 1  # of Linux's prctl
+_CHILD = "from gapsweep.execution.isolated import serve; serve()"
+
+
+class CallError(Exception):
+    """A call that returned nothing; `status` is `KILLED`, `TIMED_OUT`, `MODEL_INVALID`, `ERROR`."""
+
+    def __init__(self, status: Status, message: str) -> None:
+        super().__init__(status, message)
+        self.status, self.message = status, message
+
+
+class Isolated:
+    """Run calls in a separate process; a context manager.
+
+    The first call starts the process, and so does a call after one that has ended it.
+
+    Parameters
+    ----------
+    timeout : float
+        Processor time [s] that a call may take, rounded up to seconds; wall time if the call
+        leaves the processor idle.
+    memory : int, optional
+        Address space [bytes] that the process may add to what it has at its start; by default the
+        memory of the machine, or of the container.
+    """
+
+    def __init__(self, timeout: float, memory: int | None = None) -> None:
+        self.timeout, self.memory = time_limit(timeout), int(memory or MEMORY_LIMIT)
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> "Isolated":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end(_LEAVE_SECONDS)
+
+    def __call__(self, function: Callable[..., Result], *arguments: Any) -> Result:
+        """Return what a function returns for arguments that can be pickled.
+
+        Raises
+        ------
+        CallError
+            If it raises, ends its process or takes too long.
+        ClusterError
+            If the process runs other code than the caller.
+        """
+        return self.within(self.timeout, function, *arguments)
+
+    def within(self, timeout: float, function: Callable[..., Result], *arguments: Any) -> Result:
+        """A call with a time limit [s] of its own."""
+        if self._process is not None and self._process.poll() is not None:
+            self._end()  # not by this call
+        try:
+            process = self._process or self._started()
+            call = pickle.dumps((function, arguments))
+            with suppress(ConnectionError):  # how the process ended is reported below
+                self._pipe.send((timeout, self.memory, call))
+            found: Result | CallError | ClusterError = self._answer(process, timeout)
+        except BaseException:
+            self._end()
+            raise
+        if isinstance(found, CallError | ClusterError):
+            raise found
+        return found
+
+    def _started(self) -> "subprocess.Popen[bytes]":
+        self._pipe, theirs = Pipe()
+        with theirs:
+            process = self._process = subprocess.Popen(
+                [sys.executable, "-P", "-c", _CHILD, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                env=os.environ | {"PYTHONPATH": search_path()},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,  # deaf to Ctrl-C; its group holds all that it starts
+            )
+        if self._answer(process, _START_SECONDS) != software():
+            raise ClusterError("gapsweep was edited during the run; run again to resume")
+        return process
+
+    def _answer(self, process: "subprocess.Popen[bytes]", timeout: float) -> Any:
+        """What the process sends next."""
+        began, spent = time.monotonic(), _processor_seconds(process.pid)
+        try:
+            while not self._pipe.poll(_LOOK_SECONDS) and process.poll() is None:
+                took, used = time.monotonic() - began, _processor_seconds(process.pid) - spent
+                if took > timeout and not _IDLE * took < used < timeout + 2.0:
+                    raise _too_long(timeout)
+            return self._pipe.recv()
+        except (EOFError, ConnectionError):
+            raise _lost(process, timeout) from None
+        except (CallError, OSError):
+            raise
+        except Exception as error:  # an object of the user's may raise anything when it is read
+            raise CallError(*failure(error)) from None
+
+    def _end(self, patience: float = 0.0) -> None:
+        """Let the process clean up for some seconds, then end all that it has started."""
+        if self._process is not None:
+            self._pipe.close()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(patience)
+            with suppress(ProcessLookupError):  # nothing is left of its group
+                os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+            self._process = None
+
+
+def time_limit(timeout: float) -> float:
+    """A time limit [s], checked to be > 0."""
+    if not timeout > 0.0:
+        raise ClusterError(f"timeout = {timeout:g} s: must be > 0")
+    return min(timeout, _LONGEST)
+
+
+def failure(error: BaseException) -> tuple[Status, str]:
+    """Status and message of a call that raised."""
+    if isinstance(error, ModelError):
+        return Status.MODEL_INVALID, str(error)
+    return Status.ERROR, described(error)
+
+
+def _too_long(timeout: float) -> CallError:
+    return CallError(Status.TIMED_OUT, f"took longer than {timeout:g} s")
+
+
+def _lost(process: "subprocess.Popen[bytes]", timeout: float) -> CallError:
+    """How a process ended that has closed its connection."""
+    try:
+        code = process.wait(_LEAVE_SECONDS)
+    except subprocess.TimeoutExpired:
+        return CallError(Status.KILLED, "its process closed the connection")
+    if code == -signal.SIGXCPU:
+        return _too_long(timeout)
+    if code < 0:
+        return CallError(Status.KILLED, f"its process was ended by {signal.Signals(-code).name}")
+    return CallError(Status.KILLED, f"its process ended with exit code {code}")
+
+
+def _processor_seconds(pid: int) -> float:
+    try:
+        times = psutil.Process(pid).cpu_times()
+    except psutil.Error:  # it has just ended
+        return 0.0
+    return float(times.user + times.system)
+
+
+def serve() -> None:
+    """Answer calls until the caller closes the connection."""
+    if sys.platform == "linux":  # the caller may be killed while a call hangs
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    pipe, at_start = Connection(int(sys.argv[1])), psutil.Process().memory_info().vms
+    _limit(resource.RLIMIT_CORE, 0)
+    with suppress(EOFError, ConnectionError):  # the caller has gone
+        pipe.send(software())
+        while True:
+            timeout, memory, call = pipe.recv()
+            _limit(resource.RLIMIT_AS, at_start + memory)
+            _limit(resource.RLIMIT_CPU, ceil(time.process_time() + timeout))
+            pipe.send_bytes(_result(call))
+
+
+def _limit(kind: int, value: int) -> None:
+    _, hard = resource.getrlimit(kind)
+    resource.setrlimit(kind, (value if hard < 0 else min(value, hard), hard))
+
+
+def _result(call: bytes) -> bytes:
+    try:
+        function, arguments = pickle.loads(call)
+        return pickle.dumps(function(*arguments))
+    except ClusterError as error:  # of the process itself, so of none of its points
+        return pickle.dumps(error)
+    except BaseException as error:  # a law may raise SystemExit, or what is no Exception at all
+        return pickle.dumps(CallError(*failure(error)))

@@ -1,0 +1,101 @@
+"""The workers of a local cluster, in processes that share nothing with the caller's.
+
+A fresh interpreter, which imports no script of the caller (no ``if __name__ == "__main__"`` is
+needed there), runs Dask's nannies. Its session is its own: a terminal sends Ctrl-C to the client
+alone. The workers are forks of one process, which imports what they need while the scheduler is
+still starting.
+"""
+
+import asyncio
+import multiprocessing
+import os
+import pickle  # of the process that started this one, over its standard input
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing import forkserver
+from typing import Any
+
+_CODE = "from gapsweep.execution.workers import serve; serve()"
+_LEAVE_SECONDS = 2.0
+_PRELOADED = ["distributed.worker", "gapsweep.execution.task"]
+
+
+@contextmanager
+def worker_process() -> "Iterator[subprocess.Popen[bytes]]":
+    """A process that waits for `start_workers`, and ends with this one or the block."""
+    import dask  # the process itself does without as it starts
+
+    settings = dask.config.get("distributed.nanny.pre-spawn-environ")
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", _CODE],
+        env={name: str(value) for name, value in settings.items()}
+        | os.environ
+        | {"PYTHONPATH": search_path()},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        end_workers(process)
+
+
+def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, options: Any) -> None:
+    """Have a `worker_process` start workers, and start them again when they die.
+
+    Parameters
+    ----------
+    address : str
+        Address of the scheduler.
+    n : int
+    options : dict
+        Of Dask's ``Nanny``.
+    """
+    import dask
+
+    assert process.stdin is not None, "it is a pipe"
+    with suppress(BrokenPipeError):  # it has ended
+        process.stdin.write(pickle.dumps((dask.config.config, address, n, options)))
+        process.stdin.flush()
+
+
+def end_workers(process: "subprocess.Popen[bytes]") -> None:
+    """End a `worker_process` and its workers, best while the scheduler still runs."""
+    assert process.stdin is not None, "it is a pipe"
+    with suppress(BrokenPipeError):
+        process.stdin.close()
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(_LEAVE_SECONDS)
+    with suppress(ProcessLookupError):  # nothing is left of its group
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def search_path() -> str:
+    """``PYTHONPATH`` for a process that must import what this one can import."""
+    return os.pathsep.join(str(folder) or os.getcwd() for folder in sys.path)
+
+
+def serve() -> None:
+    """Keep workers running while standard input is open."""
+    multiprocessing.set_forkserver_preload(_PRELOADED)
+    forkserver.ensure_running()
+    import dask  # while the other process imports as well
+    from distributed import Nanny
+
+    config, address, n, options = pickle.load(sys.stdin.buffer)
+    dask.config.set(config | {"distributed.worker.multiprocessing-method": "forkserver"})
+
+    async def run() -> None:
+        nannies = await asyncio.gather(*(Nanny(address, **options) for _ in range(n)))
+        await asyncio.to_thread(sys.stdin.buffer.read)
+        closing = (nanny.close(timeout=_LEAVE_SECONDS / 2) for nanny in nannies)
+        await asyncio.gather(*closing, return_exceptions=True)  # they remove their folders
+
+    asyncio.run(run())
+    os._exit(0)  # what is left of the workers ends with it
