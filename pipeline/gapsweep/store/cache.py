@@ -246,7 +246,7 @@ class Cache:
             warnings.warn(
                 f"{path}: damaged, or of another version: the next run computes again what is lost "
                 "in it; 'gapsweep cache gc --apply' removes the rest",
-                stacklevel=2,
+                stacklevel=1,  # once for all who read
             )
 
     def _read(self, number: int) -> Slab | None:
