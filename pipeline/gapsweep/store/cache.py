@@ -26,7 +26,7 @@ from gapsweep.store.segments import SUFFIX, Frame, packed, read, scan, write
 from gapsweep.store.slab import Slab, Stored, stored
 from gapsweep.study.points import KEY
 
-_LARGE = 16e6  # bytes of a segment that is left as it is
+_LARGE = 4e6  # bytes of a segment that is left as it is
 _OFTEN = 32  # commits until small segments are merged
 _KEPT = 64  # decoded slabs: neighbouring points are read together
 

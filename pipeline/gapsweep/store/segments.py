@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from gapsweep.store.artefact import replacing
-from gapsweep.store.index import Entry
+from gapsweep.store.index import Entry, words
 from gapsweep.store.slab import MOST_COLUMNS, SLAB, Slab
 from gapsweep.study.points import FIXED, KEY
 
@@ -103,7 +103,7 @@ def _head(path: Path, file: BinaryIO, at: int, size: int) -> tuple[Frame, Entry]
     keys, status, text = _parts(head, n)
     is_swept = f'"start":"{FIXED}"'.encode() not in text.partition(b"\n")[0]
     frame = Frame(path, at, columns_at, end, serial, n, seconds, digest)
-    return frame, (keys, status, is_swept, serial)
+    return frame, (words(keys).copy(), status, is_swept, serial)
 
 
 def _is_sound_head(head: bytes) -> bool:
