@@ -43,15 +43,15 @@ class _Level(NamedTuple):
             # Of equally good ones the latest comes last.
             order = np.lexsort((whole.held["rank"], head))
             order = order[np.append(head[order[1:]] != head[order[:-1]], True)]
-        return cls._make(column[order] for column in whole)
+        return cls._make(column.take(order) for column in whole)  # a tenth of the time of [order]
 
     def add_to(self, held: Held, asked: NDArray[np.uint64]) -> None:
         """Note what is here of keys, by their words, where it is no worse than what is noted."""
         head, following = asked.T
         at = np.minimum(np.searchsorted(self.head, head), len(self.head) - 1)
         is_here = (self.head[at] == head) & (self.next[at] == following)
-        better = np.flatnonzero(is_here & (self.held["rank"][at] >= held["rank"]))
-        held[better] = self.held[at[better]]
+        better = np.flatnonzero(is_here & (self.held["rank"].take(at) >= held["rank"]))
+        held[better] = self.held.take(at[better])
 
 
 class Index:
