@@ -65,8 +65,9 @@ def main(folder: Path) -> None:
         process = started(folder)
         left = (n_points - done) // (N_KILLS - kill)
         wanted = done + generator.randrange(1, max(2, 2 * left))
-        while n_stored(cache) < wanted and process.poll() is None:
-            time.sleep(0.1)
+        with Cache(cache) as store:
+            while store.n_points < wanted and process.poll() is None:
+                time.sleep(0.1)
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         n_met += process.wait() == -signal.SIGKILL

@@ -129,9 +129,9 @@ DAMAGES = {
     "doubled": lambda data, frames, generator: data + data,
     "empty": lambda data, frames, generator: b"",
     "mark": in_head(0, 8),
-    "serial number": in_head(8, 4),
-    "lengths": in_head(12, 12),
-    "digests": in_head(32, 64),
+    "serial number": in_head(40, 4),
+    "lengths": in_head(44, 12),
+    "digests": in_head(8, 32),
     "another version": lambda data, frames, generator: b"".join(
         patched(frame, 7, b"\x63") for frame in frames
     ),

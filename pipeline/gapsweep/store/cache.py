@@ -27,7 +27,7 @@ from gapsweep.store.slab import Slab, Stored, stored
 from gapsweep.study.points import KEY
 
 _OSCILLATOR = OscillatorStructure()
-_LARGE = 16e6  # bytes of a segment that is left as it is
+_LARGE = 4e6  # bytes of a segment that is left as it is
 _OFTEN = 32  # commits until small segments are merged
 _KEPT = 64  # decoded slabs: neighbouring points are read together
 
@@ -186,8 +186,9 @@ class Cache:
             small = {path for path in paths if path.stat().st_size < _LARGE}
             if len(small) > 1 or paths & self.damaged:
                 self.rewrite(small | paths & self.damaged)
-        except OSError as error:  # no room, or another process merges them
-            warnings.warn(f"{self.path}: small files remain: {error}", stacklevel=1)
+        except OSError as error:
+            if all(path.exists() for path in paths):  # or else another process merges them
+                warnings.warn(f"{self.path}: small files remain: {error}", stacklevel=1)
 
     def rewrite(self, paths: Collection[Path], removed: Collection[bytes] = ()) -> None:
         """Put the sound frames of segments into a new one, and then remove these segments.
@@ -226,9 +227,10 @@ class Cache:
             self._scanned = {path: found for path, found in self._scanned.items() if path in here}
             entries = []
             for path in sorted(here - self._scanned.keys()):
-                if not path.is_file():
-                    continue  # a folder, a pipe, or merged by another process
-                found, is_whole = scan(path)
+                try:
+                    found, is_whole = scan(path) if path.is_file() else ([], True)
+                except FileNotFoundError:  # merged by another process
+                    continue
                 self._scanned[path] = bool(found)
                 if not is_whole:
                     self._warn(path)
@@ -247,12 +249,12 @@ class Cache:
             warnings.warn(
                 f"{path}: damaged, or of another version: the next run computes again what is lost "
                 "in it; 'gapsweep cache gc --apply' removes the rest",
-                stacklevel=2,
+                stacklevel=1,  # once for all who read
             )
 
     def _read(self, number: int) -> Slab | None:
         """A slab; None if it is damaged or gone."""
-        for _ in range(3):
+        for _ in range(10):
             frame = self._frames[number]
             with _store_errors(frame.path), suppress(FileNotFoundError):
                 slab = read(frame)

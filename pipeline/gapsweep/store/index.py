@@ -17,8 +17,13 @@ HELD = np.dtype([("slab", "i4"), ("row", "u1"), ("status", "i1"), ("rank", "i8")
 _COUNTS = 2**32  # added to the rank of what takes the place of any failure
 
 Held = NDArray[Any]  # of HELD
-# Keys and status of a slab, whether its points are of sweeps, and its serial number.
-Entry = tuple[bytes, bytes, bool, int]
+# Of a slab its keys' words, their status, whether its points are of sweeps, and its serial number.
+Entry = tuple[NDArray[np.uint64], bytes, bool, int]
+
+
+def words(keys: bytes | NDArray[np.void]) -> NDArray[np.uint64]:
+    """First and second eight bytes of keys: two keys that share these are as good as never."""
+    return np.frombuffer(keys, np.uint64).reshape(-1, KEY.itemsize // 8)[:, :2]
 
 
 class _Level(NamedTuple):
@@ -38,14 +43,15 @@ class _Level(NamedTuple):
             # Of equally good ones the latest comes last.
             order = np.lexsort((whole.held["rank"], head))
             order = order[np.append(head[order[1:]] != head[order[:-1]], True)]
-        return cls._make(column[order] for column in whole)
+        return cls._make(column.take(order) for column in whole)  # a tenth of the time of [order]
 
-    def add_to(self, held: Held, words: NDArray[np.uint64]) -> None:
-        """Note what is here of the keys of these words, where it is no worse than what is noted."""
-        at = np.minimum(np.searchsorted(self.head, words[:, 0]), len(self.head) - 1)
-        is_here = (self.head[at] == words[:, 0]) & (self.next[at] == words[:, 1])
-        asked = np.flatnonzero(is_here & (self.held["rank"][at] >= held["rank"]))
-        held[asked] = self.held[at[asked]]
+    def add_to(self, held: Held, asked: NDArray[np.uint64]) -> None:
+        """Note what is here of keys, by their words, where it is no worse than what is noted."""
+        head, following = asked.T
+        at = np.minimum(np.searchsorted(self.head, head), len(self.head) - 1)
+        is_here = (self.head[at] == head) & (self.next[at] == following)
+        better = np.flatnonzero(is_here & (self.held["rank"].take(at) >= held["rank"]))
+        held[better] = self.held.take(at[better])
 
 
 class Index:
@@ -73,9 +79,9 @@ class Index:
         is_result = (every >= 0) & (every <= Status.OUT_OF_FIT_RANGE)
         held["rank"] = np.repeat(serial, counts)
         held["rank"] += _COUNTS * (is_result | np.repeat(is_swept, counts))
-        words = _words(b"".join(keys))
+        head, following = np.concatenate(keys).T
         self._n_slabs += len(entries)
-        self._levels.append(_Level.of([_Level(words[:, 0], words[:, 1], held)]))
+        self._levels.append(_Level.of([_Level(head, following, held)]))
         while self._levels[1:] and len(self._levels[-2].head) < 2 * len(self._levels[-1].head):
             self._levels[-2:] = [_Level.of(self._levels[-2:])]
 
@@ -83,10 +89,5 @@ class Index:
         """Where the results of keys stand; slab -1 and status `MISSING` of those not stored."""
         held = np.full(len(keys), np.array((-1, 0, MISSING, -1), HELD))
         for level in self._levels:
-            level.add_to(held, _words(np.ascontiguousarray(keys)))
+            level.add_to(held, words(np.ascontiguousarray(keys)))
         return held
-
-
-def _words(keys: bytes | NDArray[np.void]) -> NDArray[np.uint64]:
-    """Keys as whole numbers of eight bytes, shape (n, 4)."""
-    return np.frombuffer(keys, np.uint64).reshape(-1, KEY.itemsize // 8)

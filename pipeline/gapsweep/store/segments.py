@@ -14,15 +14,16 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from gapsweep.store.artefact import replacing
-from gapsweep.store.index import Entry
+from gapsweep.store.index import Entry, words
 from gapsweep.store.slab import MOST_COLUMNS, SLAB, Slab
 from gapsweep.study.points import FIXED, KEY
 
 FORMAT, SUFFIX = 5, ".seg"
 _MARK = b"gapswp\x00" + bytes([FORMAT])
-# Mark, serial number, number of points, bytes of text and columns, seconds, SHA-256 of the columns.
-_HEAD = struct.Struct("<8sIIIId32s")
-_BODY = _HEAD.size + 32  # where what stands behind the SHA-256 of the head begins
+# Mark, SHA-256 of all between it and the columns, serial number, number of points, bytes of text
+# and of columns, seconds, SHA-256 of the columns. Keys, status, text and columns follow.
+_HEAD = struct.Struct("<8s32sIIIId32s")
+_SEALED = 40  # where what the first checksum covers begins
 _POINT = KEY.itemsize + 1  # bytes of its key and its status
 _MOST_TEXT = 2**24  # bytes of identity, host, versions and messages
 _BLOCK = 2**20  # bytes in which a mark is looked for at a time
@@ -46,9 +47,9 @@ def packed(slab: Slab, serial: int) -> bytes:
     text = "\n".join((slab.identity, slab.host, slab.versions, slab.messages)).encode()
     columns = hashlib.sha256(slab.columns).digest()
     sizes = slab.n_points, len(text), len(slab.columns)
-    head = _HEAD.pack(_MARK, min(serial, 2**32 - 1), *sizes, slab.seconds, columns)
-    body = slab.keys + slab.status + text
-    return head + hashlib.sha256(head + body).digest() + body + slab.columns
+    head = _HEAD.pack(_MARK, b"", min(serial, 2**32 - 1), *sizes, slab.seconds, columns)
+    sealed = head[_SEALED:] + slab.keys + slab.status + text
+    return _MARK + hashlib.sha256(sealed).digest() + sealed + slab.columns
 
 
 def write(folder: Path, frames: Iterable[bytes]) -> None:
@@ -88,33 +89,29 @@ def scan(path: Path) -> tuple[list[tuple[Frame, Entry]], bool]:
 def _head(path: Path, file: BinaryIO, at: int, size: int) -> tuple[Frame, Entry] | None:
     """The frame that begins at a place; None if there is none, or its head is damaged."""
     file.seek(at)
-    head = file.read(_BODY)
-    if len(head) < _BODY or not head.startswith(_MARK):
+    head = file.read(_HEAD.size)
+    if len(head) < _HEAD.size or not head.startswith(_MARK):
         return None
-    _, serial, n, n_text, n_columns, seconds, _ = _HEAD.unpack(head[: _HEAD.size])
-    columns_at = at + _BODY + _POINT * n + n_text
+    _, digest, serial, n, n_text, n_columns, seconds, _ = _HEAD.unpack(head)
+    columns_at = at + _HEAD.size + _POINT * n + n_text
     is_possible = 0 < n <= SLAB and n_text <= _MOST_TEXT and n_columns <= MOST_COLUMNS
     if not is_possible or columns_at + n_columns > size:
         return None
-    head += file.read(columns_at - at - _BODY)
-    if not _is_sound_head(head):
+    head += file.read(columns_at - at - _HEAD.size)
+    if hashlib.sha256(head[_SEALED:]).digest() != digest:
         return None
-    digest, end = head[_HEAD.size : _BODY], columns_at + n_columns
     keys, status, text = _parts(head, n)
+    if text.count(b"\n") < 3:
+        return None
     is_swept = f'"start":"{FIXED}"'.encode() not in text.partition(b"\n")[0]
-    frame = Frame(path, at, columns_at, end, serial, n, seconds, digest)
-    return frame, (keys, status, is_swept, serial)
-
-
-def _is_sound_head(head: bytes) -> bool:
-    digest = hashlib.sha256(head[: _HEAD.size] + head[_BODY:]).digest()
-    return digest == head[_HEAD.size : _BODY]
+    frame = Frame(path, at, columns_at, columns_at + n_columns, serial, n, seconds, digest)
+    return frame, (words(keys).copy(), status, is_swept, serial)
 
 
 def _parts(head: bytes, n_points: int) -> tuple[bytes, bytes, bytes]:
     """Keys, status and text."""
-    at, end = _BODY + KEY.itemsize * n_points, _BODY + _POINT * n_points
-    return head[_BODY:at], head[at:end], head[end:]
+    first, last = (_HEAD.size + size * n_points for size in (KEY.itemsize, _POINT))
+    return head[_HEAD.size : first], head[first:last], head[last:]
 
 
 def _next_mark(file: BinaryIO, at: int, size: int) -> int:
@@ -134,11 +131,9 @@ def read(frame: Frame) -> Slab | None:
         file.seek(frame.at)
         head = file.read(frame.columns_at - frame.at)
         columns = file.read(frame.end - frame.columns_at)
-    keys, status, text = _parts(head, frame.n_points)
-    texts = text.decode(errors="replace").split("\n", 3)
-    is_sound = head[_HEAD.size : _BODY] == frame.digest and _is_sound_head(head)
-    is_sound &= head[: _HEAD.size].endswith(hashlib.sha256(columns).digest())
-    if not is_sound or len(texts) < 4:
+    is_sound = hashlib.sha256(head[_SEALED:]).digest() == frame.digest
+    if not is_sound or not head[: _HEAD.size].endswith(hashlib.sha256(columns).digest()):
         return None
-    identity, host, versions, messages = texts
+    keys, status, text = _parts(head, frame.n_points)
+    identity, host, versions, messages = text.decode(errors="replace").split("\n", 3)
     return Slab(identity, keys, status, columns, messages, frame.seconds, host, versions)
