@@ -33,6 +33,7 @@ FENCES = {
     "scipy": {"model", "integrate", "response", "study", "analysis"},
     "numba": {"model", "integrate", "response"},
     "xarray": {"store", "analysis", "report", "own_code", "make", "workflow", "cli", "explorer"},
+    "pandas": {"response"},
     "netCDF4": {"store", "execution"},
     "psutil": {"store", "execution"},
     "filelock": {"integrate"},

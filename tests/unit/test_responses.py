@@ -15,6 +15,8 @@ from gapsweep.response.scene import Scene
 
 ASYMMETRIC = gs.Gap(0.0, 0.8e-3)
 
+INPUTS = next(each for each in fields(Response) if each.name == "inputs")
+
 
 @pytest.fixture(scope="module")
 def responses():
@@ -42,6 +44,7 @@ def test_every_field_of_an_oscillators_response_is_a_column_a_list_or_the_messag
         *COLUMNS,
         *LISTS,
         "message",
+        "inputs",
         "period",
         "z_end",
     }
@@ -65,7 +68,7 @@ def test_rows_are_plain_values_and_make_the_same_columns_again(responses):
     assert rows[2].message.startswith("diverged before t = ")
     for k, row in enumerate(rows):
         assert repr(responses.row(k)) == repr(row)
-        for field in fields(row):
+        for field in set(fields(row)) - {INPUTS}:
             value = getattr(row, field.name)
             kind = (gs.Status, gs.ResponseClass, int, float, str, tuple)
             assert type(value) in kind, field.name
@@ -87,7 +90,7 @@ def test_some_rows_and_several_parts(responses):
 def test_one_response_whose_attributes_are_arrays(responses):
     one = responses.shaped((2, 5))
     for k, at in enumerate(np.ndindex(2, 5)):
-        for field in fields(one):
+        for field in set(fields(one)) - {INPUTS}:
             value = getattr(responses.row(k), field.name)
             assert_array_equal(getattr(one, field.name)[at], value, field.name)
     assert one.status.dtype == one.extremum_kind[0, 0].dtype == np.int64

@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.frame import to_dataframe
 from gapsweep.console import print_table, print_text
 from gapsweep.errors import StoreError
 from gapsweep.execution.layout import Layout
-from gapsweep.status import Status
 from gapsweep.store.artefact import replacing
-from gapsweep.study.grid import CONTACT, COORDINATE
 from gapsweep.study.study import Study
 
 # What fits a terminal beside the dimensions: how the motion is, and whether it is one.
@@ -151,29 +149,13 @@ def _head(responses: xr.Dataset, name: str) -> str:
 def _frame(responses: xr.Dataset, form: Form) -> Any:
     """A row per sweep point, with the variables asked for; flags in words."""
     points = responses["status"].dims
-    frame = _in_words(xr.Dataset(_plain(responses))).to_dataframe().reset_index()
-    frame = frame[frame["status"] != Status.NOT_REQUESTED.label]
+    frame = to_dataframe(responses)
     if form.columns:
         frame = frame[list(dict.fromkeys([*points, *_chosen(form.columns, frame.columns)]))]
     if form.digits is not None:
         floats = frame.select_dtypes("floating").columns.difference(points)
         frame[floats] = frame[floats].map(lambda value: float(f"{value:.{form.digits}g}"))
     return frame
-
-
-def _plain(responses: xr.Dataset) -> dict[str, xr.DataArray]:
-    """The variables that have one value per point, and those per coordinate or contact apart."""
-    points = responses["status"].dims
-    starts = [name for name, held in responses.coords.items() if held.ndim > 1]
-    columns: dict[str, xr.DataArray] = {}
-    for name, variable in responses.drop_vars(starts).data_vars.items():
-        if variable.dims == points:
-            columns[str(name)] = variable
-        elif variable.dims[:-1] == points and variable.dims[-1] in (COORDINATE, CONTACT):
-            for part in variable.transpose(variable.dims[-1], ...):
-                of = part[variable.dims[-1]].item()
-                columns[f"{name}[{of}]"] = part.drop_vars(variable.dims[-1])
-    return columns
 
 
 def _chosen(wanted: Sequence[str], known: Sequence[str]) -> list[str]:
@@ -192,15 +174,3 @@ def _chosen(wanted: Sequence[str], known: Sequence[str]) -> list[str]:
 
 def _base(name: str) -> str:
     return name.partition("[")[0]
-
-
-def _in_words(dataset: xr.Dataset) -> xr.Dataset:
-    words = {}
-    for name, variable in dataset.data_vars.items():
-        if "flag_meanings" in variable.attrs:
-            meanings = variable.attrs["flag_meanings"].split()
-            values = np.atleast_1d(variable.attrs["flag_values"]).tolist()
-            known = dict(zip(values, meanings, strict=True))
-            text = [known.get(value, "") for value in variable.values.ravel().tolist()]
-            words[name] = (variable.dims, np.array(text, dtype=object).reshape(variable.shape))
-    return dataset.assign(words)

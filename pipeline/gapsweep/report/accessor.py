@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.frame import to_dataframe
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, drawing, maps
@@ -49,6 +50,14 @@ class GapsweepAccessor:
 
     def _repr_html_(self) -> str:
         return as_html(self._dataset)
+
+    def to_dataframe(self) -> Any:
+        """The sweep points as a `pandas.DataFrame`, a row each, without extrema and sections.
+
+        Columns are dimensions, then variables; those of systems have one for every coordinate or
+        contact, as ``x_max[h]``.
+        """
+        return to_dataframe(self._dataset)
 
     def frequency_response(
         self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any

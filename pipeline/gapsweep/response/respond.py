@@ -17,6 +17,7 @@ section points at least.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -95,7 +96,9 @@ def respond(
     n = frequency.size
     models = Models.of([oscillator] * n, [laws] * n, frequency.ravel())
     responses = respond_models(models, solver, start.reshape(n, -1), steady)
-    return responses.shaped(frequency.shape) if frequency.shape else responses.row(0)
+    found = responses.shaped(frequency.shape) if frequency.shape else responses.row(0)
+    asked = {"oscillator": oscillator, "law": law, "omega": frequency, "start": start}
+    return replace(found, inputs=asked)
 
 
 def check_kinds(oscillator: Oscillator | System, steady: Steady) -> None:

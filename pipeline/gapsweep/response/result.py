@@ -1,8 +1,8 @@
 """What is asked of a sweep point, and what is answered: plain values, no computation."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
 from typing import Any
 
@@ -224,6 +224,9 @@ class Response:
         Processor time of the integration [s], shots and tangents included.
     message : str
         Why the point failed, or is unresolved and what may help; empty otherwise.
+    inputs : mapping of str to object
+        What was asked: ``oscillator``, ``law``, ``omega`` [Hz] and the initial state ``start``, the
+        last two in the shape of the response.
 
     Examples
     --------
@@ -263,6 +266,32 @@ class Response:
     z_end: tuple[float, ...] = ()
     cpu_time: float = math.nan
     message: str = ""
+    inputs: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    def to_dataframe(self) -> Any:
+        """The responses as a `pandas.DataFrame`, a row each, without extrema and sections.
+
+        Columns are the frequency, the initial state, and the attributes. Values of several
+        coordinates or contacts have columns of their own, as ``x_max[0]``. Status and class are
+        words.
+        """
+        import pandas as pd  # half a second, which no computation needs
+
+        n, columns = math.prod(np.shape(self.status)), dict[str, Any]()
+        found = {each.name: getattr(self, each.name) for each in fields(self)}
+        asked = {name: self.inputs[name] for name in ("omega", "start") if name in self.inputs}
+        for name, values in {**asked, **found}.items():
+            if name not in (*LISTS, "inputs"):
+                table = np.reshape(np.asarray(values), (n, -1))
+                names = [name] if table.shape[1] == 1 else _numbered(name, table.shape[1])
+                columns |= dict(zip(names, table.T, strict=True))
+        columns["status"] = [Status(value).label for value in columns["status"]]
+        classes = [ResponseClass(value).name.lower() for value in columns["response_class"]]
+        return pd.DataFrame(columns | {"response_class": classes}).dropna(axis=1, how="all")
+
+    def _repr_html_(self) -> str:
+        shown = self.to_dataframe()
+        return str((shown if np.shape(self.status) else shown.T)._repr_html_())
 
     def __repr__(self) -> str:
         kinds, counts = np.unique(self.response_class, return_counts=True)
@@ -277,6 +306,10 @@ class Response:
             values = np.atleast_1d(getattr(self, name)).tolist()
             said.append(f"{name} {' '.join(f'{value:.6g}' for value in values)}")
         return f"<gapsweep.Response: {', '.join(said)}>"
+
+
+def _numbered(name: str, n: int) -> list[str]:
+    return [f"{name}[{i}]" for i in range(n)]
 
 
 def missing(n: int, structure: AnyStructure) -> dict[str, NDArray[Any]]:
