@@ -1,8 +1,8 @@
 """Digests of gapsweep's own source: one of the numerics, one of the datasets, one of the package.
 
 The digest of the numerics is part of every cache key: results of other source are never taken for
-these. The digests are SHA-256 of the source files' bytes; comments count. The first
-one is taken when this module is imported, the others at first use.
+these. The digests are SHA-256 of the source files' bytes; comments count. The digest of the numerics
+is computed when this module is imported, the others at first use.
 """
 
 import hashlib
@@ -47,4 +47,4 @@ def _digest(*places: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-numerics_fingerprint()  # at import, before the engines: an upgrade later belongs to other processes
+numerics_fingerprint()  # now: the engines are imported later
