@@ -250,7 +250,9 @@ def test_unknown_labels_are_refused(label):
 
 
 def test_label_of_a_missing_module_says_what_to_do():
-    with pytest.raises(gs.ModelError, match=r"no_such_module.*importable here and on every worker"):
+    with pytest.raises(
+        gs.ModelError, match=r"no_such_module.*must lie in a folder of Python's path"
+    ):
         gs.contact_law("no_such_module:spring", SOFT, SYMMETRIC)
 
 

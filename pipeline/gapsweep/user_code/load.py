@@ -98,23 +98,20 @@ class _Package:
 
     def module(self, name: str) -> ModuleType:
         """A module of the snapshot, executed if it has not been."""
-        full = f"{self.name}.{name}"
-        if full in sys.modules:
-            return sys.modules[full]
-        if name not in self.snapshot.modules:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-        above = name.rpartition(".")[0]
-        parent = self.module(above) if above else sys.modules[self.name]
+        full, above = f"{self.name}.{name}", name.rpartition(".")[0]
         with _lock:
             if full in sys.modules:
                 return sys.modules[full]
+            if name not in self.snapshot.modules:
+                raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+            parent = self.module(above) if above else sys.modules[self.name]
             made = sys.modules[full] = self._new(full, self.snapshot.modules[name])
             try:
                 self._execute(made, self.snapshot.modules[name])
             except BaseException:
                 del sys.modules[full]
                 raise
-        setattr(parent, name.rpartition(".")[2], made)
+            setattr(parent, name.rpartition(".")[2], made)
         return made
 
     def _new(self, full: str, source: Module) -> ModuleType:

@@ -1,7 +1,8 @@
 """Digests of gapsweep's own source: one of the numerics, one of the datasets, one of the package.
 
 The digest of the numerics is part of every cache key: results of other source are never taken for
-these. The digests are SHA-256 of the source files' bytes, read at first use; comments count.
+these. The digests are SHA-256 of the source files' bytes; comments count. The digest of the numerics
+is computed when this module is imported, the others at first use.
 """
 
 import hashlib
@@ -44,3 +45,6 @@ def _digest(*places: Path) -> str:
             digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0")
             digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:16]
+
+
+numerics_fingerprint()  # now: the engines are imported later
