@@ -1,8 +1,8 @@
 """Digests of gapsweep's own source: one of the numerics, one of the datasets, one of the package.
 
 The digest of the numerics is part of every cache key: results of other source are never taken for
-these. The digests are SHA-256 of the source files' bytes; comments count. The digest of the numerics
-is computed when this module is imported, the others at first use.
+these. The digests are SHA-256 of the source files' bytes; comments count. This
+process computes the digest of the numerics when it imports this module, the others at first use.
 """
 
 import hashlib
