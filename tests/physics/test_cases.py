@@ -88,11 +88,11 @@ def test_a_forced_duffing_oscillator_doubles_its_period(amplitude, multiple, x_m
     def rhs(t, y):
         return y[1], amplitude * math.cos(3.5 * t) - y[1] + 10.0 * y[0] - 100.0 * y[0] ** 3
 
-    start, end = [found.x_end[0], found.v_end[0]], multiple / omega
+    start, end = [found.x_end, found.v_end], multiple / omega
     run = solve_ivp(rhs, (0.0, end), start, "DOP853", rtol=1e-12, atol=1e-14, dense_output=True)
     assert_allclose(run.y[:, -1], start, atol=1e-8)
     x = run.sol(np.linspace(0.0, end, 40_001))[0]
-    assert_allclose([found.x_min[0], found.x_max[0]], [x.min(), x.max()], atol=1e-7)
+    assert_allclose([found.x_min, found.x_max], [x.min(), x.max()], atol=1e-7)
     assert_allclose([x.min(), x.max()], [x_min, x_max], atol=1e-6)
 
 
@@ -122,7 +122,7 @@ def test_basins_of_two_wells():
     x, v = (each.ravel() for each in np.meshgrid(at, at))
     found = gs.respond(single(-1.0, 0.1), {}, q_0=x[:, None], v_0=v[:, None])
     assert (found.response_class == ResponseClass.EQUILIBRIUM).all()
-    ends = found.x_end[:, 0]
+    ends = found.x_end
     assert_allclose(np.abs(ends), 1.0, atol=1e-8)
     assert (ends > 0.0).sum() == 200
     assert (np.sign(ends) == -np.sign(ends[::-1])).all()
@@ -203,7 +203,7 @@ def test_free_vibration_that_starts_on_its_orbit_is_periodic(a, cubic):
     c = cubic * a * a
     period = 4.0 * ellipk(c / (2.0 + 2.0 * c)) / math.sqrt(1.0 + c)
     assert_allclose(found.period, period, rtol=1e-8)
-    assert_allclose([found.x_min[0], found.x_max[0]], [-a, a], rtol=1e-7)
+    assert_allclose([found.x_min, found.x_max], [-a, a], rtol=1e-7)
     assert_allclose(found.multiplier_abs, 1.0, atol=1e-3)  # twice 1: rounding moves it by its root
 
 
@@ -214,7 +214,7 @@ def test_free_vibration_of_a_breathing_crack_is_periodic(a):
     found = gs.respond(crack, bilinear(0.0, 0.0)[1], q_0=[a])
     assert found.response_class is ResponseClass.PERIODIC
     assert_allclose(found.period, math.pi + math.pi / 3.0, rtol=1e-8)
-    assert_allclose([found.x_min[0], found.x_max[0]], [-3.0 * a, a], rtol=1e-8)
+    assert_allclose([found.x_min, found.x_max], [-3.0 * a, a], rtol=1e-8)
 
 
 # --- Impacts on stiff springs ---------------------------------------------------------------------
@@ -351,9 +351,9 @@ def test_a_prestressed_stop_by_a_shifted_coordinate():
     contact = exact.Contact(np.ones(1), 4.0, 0.0, 0.0, 0.0)
     harmonics = exact.Harmonic([0.2], 0), exact.Harmonic([1.0])
     truth = exact.System([[1.0]], [[0.1]], [[1.0]], (contact,), harmonics)
-    u, _ = orbit(truth, omega, (found.x_end, found.v_end))
-    assert_allclose(found.x_max[0], highest(truth, omega, u), rtol=1e-9)
-    assert_allclose(found.x_max[0] - 0.2, 1.885363233145, atol=1e-9)
+    u, _ = orbit(truth, omega, ([found.x_end], [found.v_end]))
+    assert_allclose(found.x_max, highest(truth, omega, u), rtol=1e-9)
+    assert_allclose(found.x_max - 0.2, 1.885363233145, atol=1e-9)
 
 
 def test_limit_stops_under_a_force_that_switches():

@@ -73,16 +73,16 @@ def test_a_system_of_one_coordinate_responds_as_its_oscillator():
     same = gs.respond(joined(oscillator), law, omega, q_0=[1e-4])
     # From where it ends: which attractor a start is led to, rounding may decide, and when transient
     # chaos is over.
-    one = gs.respond(oscillator, law, omega, same.x_end[:, 0], same.v_end[:, 0])
+    one = gs.respond(oscillator, law, omega, same.x_end, same.v_end)
     periodic = same.response_class == gs.ResponseClass.PERIODIC
     assert periodic.sum() > 40
     assert (one.response_class[periodic] == gs.ResponseClass.PERIODIC).all()
     assert (one.response_class != same.response_class).sum() <= 2
     assert np.array_equal(one.period_multiple[periodic], same.period_multiple[periodic])
     for name in ("x_max", "x_min", "force_max"):
-        found = getattr(same, name)[..., 0]
+        found = getattr(same, name)
         assert_allclose(found[periodic], getattr(one, name)[periodic], rtol=1e-6)
-    found = same.contact_share[..., 0]
+    found = same.contact_share
     assert_allclose(found[periodic], one.contact_share[periodic], atol=1e-6)
     assert_allclose(same.multiplier_abs[periodic], one.multiplier_abs[periodic], atol=1e-6)
 
@@ -287,7 +287,7 @@ def test_contact_that_chatter_ends_is_counted_once(monkeypatch):
         monkeypatch.setattr(exact, "_MOST_SHORT", most)
         law = gs.Piecewise(0.5, gs.Gap(0.0, 0.1))
         found = gs.respond(system, law, 1.1, q_0=[0.013, 0.0, 0.013, 0.0])
-        shares.append(float(found.contact_share[0]))
+        shares.append(found.contact_share)
     assert_allclose(shares, shares[0], rtol=1e-6)
 
 
