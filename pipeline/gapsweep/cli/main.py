@@ -5,8 +5,9 @@ import os
 import signal
 import sys
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TextIO
+from typing import Any
 
 import click
 
@@ -82,8 +83,8 @@ def main() -> None:
 def exit_code(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     with warnings.catch_warnings():
-        warnings.simplefilter("default", UserWarning)  # once, however often it is met
-        warnings.showwarning = _one_line
+        warnings.simplefilter("default", UserWarning)
+        warnings.showwarning = _one_line_once()
         try:
             result = commands.main(arguments, prog_name="gapsweep", standalone_mode=False)
             sys.stdout.flush()  # a device may be full
@@ -104,14 +105,14 @@ def exit_code(arguments: list[str] | None = None) -> int:
     return int(result or FINISHED)
 
 
-def _one_line(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    # Those of the libraries are not for the user.
-    if category is UserWarning:
-        click.echo(f"warning: {message}", err=True)
+def _one_line_once() -> Callable[..., None]:
+    """A `warnings.showwarning`; whoever changes filters has Python forget what it has shown."""
+    shown = set()
+
+    def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+        # Those of the libraries are not for the user.
+        if category is UserWarning and str(message) not in shown:
+            shown.add(str(message))
+            click.echo(f"warning: {message}", err=True)
+
+    return show

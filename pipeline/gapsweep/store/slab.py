@@ -9,7 +9,7 @@ import math
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,20 +73,9 @@ class Slab:
         return sum(status > Status.OUT_OF_FIT_RANGE for status in self.status)
 
 
-@dataclass(frozen=True, slots=True)
-class Stored:
-    """The contents of a slab.
+class Stored(NamedTuple):
+    """Keys of the points that those of a slab start from, or zero; numbers as of `Points`."""
 
-    Attributes
-    ----------
-    keys, previous : ndarray of void, shape (n,)
-        Content keys of the points, and of those that they start from; zero where there is none.
-    numbers : ndarray, shape (n, number of columns)
-        As of `Points`.
-    responses : Responses
-    """
-
-    keys: NDArray[np.void]
     previous: NDArray[np.void]
     numbers: NDArray[np.float64]
     responses: Responses
@@ -126,13 +115,15 @@ def stored(slab: Slab) -> Stored:
         If no run has written it.
     """
     try:
-        data = memoryview(_unpacked(slab))
-        keys = np.frombuffer(slab.keys, KEY)
-        n, at = len(keys), 0
+        n, at, unpacking = slab.n_points, 0, zlib.decompressobj()
+        # No more than so many points can have.
+        data = unpacking.decompress(slab.columns, _MOST_BYTES * n)
+        if not unpacking.eof or unpacking.unused_data:
+            raise ValueError("its columns are of other lengths")
 
         def column(dtype: str, size: int) -> NDArray[Any]:
             nonlocal at
-            found = np.frombuffer(data, _little(dtype), size, at)
+            found = np.frombuffer(data, f"<{dtype}", size, at)
             at += found.nbytes
             return found
 
@@ -155,7 +146,7 @@ def stored(slab: Slab) -> Stored:
         if at != len(data) or status.tobytes() != slab.status or not is_known:
             raise ValueError("its columns are of other lengths")
         messages = {int(row): str(text) for row, text in json.loads(slab.messages).items()}
-        return Stored(keys, previous, numbers, Responses(columns, lists, messages))
+        return Stored(previous, numbers, Responses(columns, lists, messages))
     except (zlib.error, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from None
 
@@ -164,21 +155,7 @@ def _packed(
     previous: NDArray[np.void], numbers: NDArray[np.float64], responses: Responses
 ) -> bytes:
     parts: list[NDArray[Any]] = [previous, numbers.T.astype("<f8")]
-    parts += [column.astype(_little(column.dtype.str[1:])) for column in responses.columns.values()]
+    parts += [column.astype(f"<{column.dtype.str[1:]}") for column in responses.columns.values()]
     parts += [responses.lists[name][1].astype("<i4") for name in LISTS]
-    parts += [responses.lists[name][0].astype(_little(LISTS[name])) for name in LISTS]
+    parts += [responses.lists[name][0].astype(f"<{LISTS[name]}") for name in LISTS]
     return zlib.compress(b"".join(part.tobytes() for part in parts), _LEVEL)
-
-
-def _unpacked(slab: Slab) -> bytes:
-    """The columns, if they are not more than so many points can have."""
-    unpacking = zlib.decompressobj()
-    data = unpacking.decompress(slab.columns, _MOST_BYTES * max(slab.n_points, 1))
-    if not unpacking.eof or unpacking.unused_data:
-        raise ValueError("its columns are of other lengths")
-    return data
-
-
-def _little(dtype: str) -> str:
-    """A type code with the byte order that files have on every machine."""
-    return f"<{dtype}"
