@@ -10,7 +10,12 @@ import gapsweep
 SOURCES = Path(gapsweep.__file__).parent
 FORBIDDEN_MODULES = {"pickle", "cloudpickle", "dill", "marshal", "shelve", "joblib", "yaml"}
 # Machine code is code: read with its checksum, from a folder that is ours (test_compiled_code).
-MAY_READ_CODE = {SOURCES / "integrate" / "jit.py": {"pickle"}}
+# Processes that we start talk with us over private pipes, as Dask's do.
+MAY_READ_CODE = {
+    SOURCES / "integrate" / "jit.py": {"pickle"},
+    SOURCES / "execution" / "isolated.py": {"pickle"},
+    SOURCES / "execution" / "workers.py": {"pickle"},
+}
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
 
 
