@@ -82,7 +82,7 @@ def run_once(client, tmp_path_factory):
     """A finished run in `out`, beside its study."""
     folder = written(tmp_path_factory.mktemp("run"))
     study = gs.Study.load(folder / "study.toml")
-    gs.run(study, client, out=folder / "out", cache=folder / "cache.sqlite").close()
+    gs.run(study, client, out=folder / "out", cache=folder / "cache").close()
     return folder
 
 
@@ -99,7 +99,7 @@ def changed(folder, name, old, new):
 
 
 def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
-    out, cache = folder / "out", folder / "cache.sqlite"
+    out, cache = folder / "out", folder / "cache"
     study = gs.Study.load(folder / "study.toml")
 
     def again():
@@ -175,7 +175,7 @@ def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
 
 def test_the_report_shows_nothing_that_rests_on_other_responses(tables, client, tmp_path):
     """Another study of the same name leaves files in the folder that this one does not make."""
-    out, where = tmp_path / "out", {"out": tmp_path / "out", "cache": tmp_path / "cache.sqlite"}
+    out, where = tmp_path / "out", {"out": tmp_path / "out", "cache": tmp_path / "cache"}
     for laws, is_compared in ((["piecewise", "tanh-1e4"], True), (["tanh-1e4"], False)):
         tables["sweep"][0]["representation"] = laws
         gs.run(gs.Study.from_dict(tables), client, **where).close()
@@ -187,7 +187,7 @@ def test_the_report_shows_nothing_that_rests_on_other_responses(tables, client, 
 
 def test_what_a_dataset_raises_is_one_line(folder, client):
     study = gs.Study.load(folder / "study.toml")
-    where = {"out": folder / "out", "cache": folder / "cache.sqlite"}
+    where = {"out": folder / "out", "cache": folder / "cache"}
     for new, said in (
         ("len(1)", "widths.py:5: widths.nc: TypeError: object of"),
         ("1", "not a int"),
@@ -265,19 +265,19 @@ def test_a_half_character_in_a_section_is_one_line(finished, capsys):
 def test_faulty_code_is_refused_before_anything_is_computed(folder, name, old, new, said, capsys):
     changed(folder, name, old, new)
     command = ["run", str(folder / "study.toml"), "--out", str(folder / "out")]
-    assert exit_code([*command, "--cache", str(folder / "cache.sqlite")]) == FAULT
+    assert exit_code([*command, "--cache", str(folder / "cache")]) == FAULT
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
     assert line.count(str(folder)) == 1
     assert not (folder / "out").exists()
-    assert not (folder / "cache.sqlite").exists()
+    assert not (folder / "cache").exists()
 
 
 def test_commands_name_what_is_missing(folder, tables, client, capsys):
     assert exit_code(["claims", str(folder)]) == FAULT
     assert "gapsweep run" in capsys.readouterr().err
     out = folder / "plain"
-    gs.run(gs.Study.from_dict(tables), client, out=out, cache=folder / "cache.sqlite").close()
+    gs.run(gs.Study.from_dict(tables), client, out=out, cache=folder / "cache").close()
     capsys.readouterr()
     assert exit_code(["claims", str(out)]) == FAULT
     (line,) = capsys.readouterr().err.splitlines()

@@ -111,7 +111,7 @@ def of_mine(tables):
 
 def asked(study, folder, **options):
     """The peak of the study's one point, and whether it was stored already."""
-    ds = gs.query(study, cache=folder / "c.sqlite", **options)
+    ds = gs.query(study, cache=folder / "c-cache", **options)
     assert ds["status"].item() == gs.Status.OK
     return ds["x_max"].item(), ds.attrs["n_hits"]
 
@@ -248,7 +248,7 @@ def test_an_edited_helper_and_an_edited_kernel_remake_the_files_of_a_run(tmp_pat
     def run():
         done = subprocess.run(
             [sys.executable, "-c", "from gapsweep.cli import main; main()", "run",
-             str(mine.parent / "s.toml"), "--out", "out", "--cache", "c.sqlite"],
+             str(mine.parent / "s.toml"), "--out", "out", "--cache", "c-cache"],
             cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(copy.parent)},
             capture_output=True, text=True,
         )  # fmt: skip

@@ -22,7 +22,7 @@ from gapsweep.study.points import Kind
 
 LAWS = "tests.laws"
 COMMAND = "from gapsweep.cli import main; main()"
-OPTIONS = ("--out", "out", "--cache", "c.sqlite", "--workers", "1")
+OPTIONS = ("--out", "out", "--cache", "c-cache", "--workers", "1")
 
 
 def break_numba(n_times: float = float("inf")) -> None:
@@ -48,12 +48,12 @@ def one_point(tables):
 
 def run(tables, folder, client, **options):
     study = gs.Study.from_dict(tables)
-    return gs.run(study, client, out=folder / "out", cache=folder / "c.sqlite", **options).load()
+    return gs.run(study, client, out=folder / "out", cache=folder / "c-cache", **options).load()
 
 
 def responses(tables, folder):
     study = gs.Study.from_dict(tables)
-    with Cache(folder / "c.sqlite") as cache:
+    with Cache(folder / "c-cache") as cache:
         return list(stored(study, cache).values())
 
 
@@ -141,7 +141,7 @@ def test_a_late_failure_does_not_replace_what_another_run_has_found(tmp_path):
     while not (tmp_path / "out" / "run.json").exists():
         assert gives_up.poll() is None
         time.sleep(0.05)
-    with Cache(tmp_path / "c.sqlite") as cache:  # as on another machine, where no lock is seen
+    with Cache(tmp_path / "c-cache") as cache:  # as on another machine, where no lock is seen
         commit(cache, study, lambda at: answer, "another")
         assert gives_up.wait() == 0, "its own failure was its result"
         (found,) = stored(study, cache).values()

@@ -33,7 +33,7 @@ max_period_multiple = 8
 
 
 def gapsweep(folder, *arguments):
-    environment = os.environ | {"GAPSWEEP_CACHE": "c.sqlite"}
+    environment = os.environ | {"GAPSWEEP_CACHE": "c-cache"}
     environment["PYTHONPATH"] = str(Path(gs.__file__).parents[1])
     return subprocess.run(
         [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
@@ -77,7 +77,7 @@ def test_code_that_only_a_row_names_is_not_run(shadowed):
     (shadowed / "evil.py").write_text(MARK + "def law(x):\n    return 0.0\n")
     study = gs.Study.load(shadowed / "tiny.toml")
     evil = replace(point(study, 0, 0, 0, 0, 0).kind, representation="evil:law")
-    with Cache(shadowed / "c.sqlite") as cache:
+    with Cache(shadowed / "c-cache") as cache:
         cache.commit(made([1], [gs.Response(status=gs.Status.OK)], kind=evil))
     done = gapsweep(shadowed, "cache", "verify")
     assert done.returncode == 0, done.stderr

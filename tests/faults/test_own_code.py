@@ -45,7 +45,7 @@ def labels(*names):
 def gapsweep(folder, *arguments, seconds=100):
     """The installed command, as a user types it."""
     path = os.pathsep.join(map(str, [SOURCES.parent, ROOT]))
-    environment = os.environ | {"PYTHONPATH": path, "GAPSWEEP_CACHE": "c.sqlite"}
+    environment = os.environ | {"PYTHONPATH": path, "GAPSWEEP_CACHE": "c-cache"}
     return subprocess.run(
         [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
         timeout=seconds,
@@ -68,7 +68,7 @@ def test_a_law_that_exits_fails_its_own_points_only(tmp_path):
     assert done.returncode == 3, done.stderr
     assert "failed points: 2 error" in done.stderr
     assert "Traceback" not in done.stderr
-    with Cache(tmp_path / "c.sqlite") as cache:
+    with Cache(tmp_path / "c-cache") as cache:
         slabs = [contents_of(slab) for _, slab in cache.slabs()]
     messages = {one.message for slab in slabs for one in slab.responses.rows()}
     assert messages == {"", "SystemExit: bye", "Stopped: enough"}
@@ -118,7 +118,7 @@ def test_code_that_changes_the_current_folder_takes_no_file_with_it(tmp_path):
     done = gapsweep(tmp_path, "query", "own.toml", "--to", "nc", "--output", "q.nc")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "q.nc").is_file()
-    assert (tmp_path / "c.sqlite").is_file()
+    assert (tmp_path / "c-cache").is_dir()
     assert not list((tmp_path / "sub").iterdir())
 
 
@@ -178,7 +178,7 @@ def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
     def tell(progress):
         told.append(progress.stage)
 
-    asked = {"cache": tmp_path / "c.sqlite", "on_progress": tell}
+    asked = {"cache": tmp_path / "c-cache", "on_progress": tell}
     advice = "when called at x = 0: took longer than 2 s; --timeout gives it up to 60 s"
     with pytest.raises(gs.StudyError, match=advice):
         workflow.carry_out(loaded, out=tmp_path / "out", timeout=2.0, **asked)

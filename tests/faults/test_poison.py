@@ -19,12 +19,12 @@ LAWS = "tests.laws"
 
 def run(tables, folder, client, **options):
     study = gs.Study.from_dict(tables)
-    return gs.run(study, client, out=folder / "out", cache=folder / "c.sqlite", **options).load()
+    return gs.run(study, client, out=folder / "out", cache=folder / "c-cache", **options).load()
 
 
 def message(tables, folder, index):
     study = gs.Study.from_dict(tables)
-    with Cache(folder / "c.sqlite") as cache:
+    with Cache(folder / "c-cache") as cache:
         return messages(study, cache)[index]
 
 

@@ -290,7 +290,7 @@ def test_a_study_of_a_table_has_the_numbers_of_respond(tables, bench, tmp_path, 
     study, steady = gs.Study.from_dict(tables), gs.Steady(**tables["steady"])
 
     def asked():
-        found = gs.query(study, cache=tmp_path / "c.sqlite")
+        found = gs.query(study, cache=tmp_path / "c-cache")
         return found.attrs["n_hits"], found["x_max"].values.ravel()
 
     def expected(forces):

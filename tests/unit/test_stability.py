@@ -66,9 +66,11 @@ def test_engine_with_a_wrong_smooth_force_is_silent_and_wrong(monkeypatch):
     # At every tolerance, so that its tight solution is as wrong: scipy's is the witness.
     kernel_law = compiled._kernel_law
 
-    def broken(laws, **options):
-        stiffer = [replace(law, K_c=1.01 * law.K_c) for law in laws]
-        return kernel_law(stiffer, **options)
+    def broken(models, contact):
+        def stiffer(laws):
+            return tuple(replace(law, K_c=1.01 * law.K_c) for law in laws)
+
+        return kernel_law(models.with_laws(stiffer), contact)
 
     monkeypatch.setattr(compiled, "_kernel_law", broken)
     found = outcomes(HARD, labels=["tanh-1e6"])[0, 0]

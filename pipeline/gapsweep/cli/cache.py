@@ -84,7 +84,7 @@ def verify(cache: Path | None) -> int:
 @options.cache
 @click.option("--apply", is_flag=True, help="Really remove.  [default: only say what would go]")
 def gc(cache: Path | None, apply: bool) -> None:
-    """Remove what other code has computed and what is damaged, and merge small segments.
+    """Remove points of other code and damage, and merge small segments.
 
     \b
     Examples:

@@ -10,9 +10,6 @@ from dataclasses import dataclass, fields
 from operator import index
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from gapsweep.errors import ModelError
 
 # Within these bounds no product or quotient that a model is prepared with overflows, not even the
@@ -87,13 +84,15 @@ class Oscillator:
     3.0
     """
 
-    # What it has as a `System` of one coordinate has it.
+    # What it has as a `System` of one coordinate has it. Without numpy, which takes time to import.
     n: ClassVar[int] = 1
     n_lags: ClassVar[int] = 0
     n_states: ClassVar[int] = 2
     coordinates: ClassVar[tuple[str, ...]] = ("x",)
     is_forced: ClassVar[bool] = True
     sizes: ClassVar[tuple[int, ...]] = ()
+    directions: ClassVar[tuple[tuple[float, ...], ...]] = ((1.0,),)
+    is_modulated: ClassVar[tuple[bool, ...]] = (False,)
 
     zeta: float = 0.03
     omega_n: float = 5.0
@@ -109,16 +108,6 @@ class Oscillator:
             object.__setattr__(self, field.name, value)
 
     @property
-    def directions(self) -> NDArray[np.float64]:
-        """Direction of the contact, shape (1, 1)."""
-        return np.ones((1, 1))
-
-    @property
-    def is_modulated(self) -> NDArray[np.bool_]:
-        """Whether the stiffness of the contact changes with time, shape (1,)."""
-        return np.zeros(1, bool)
-
-    @property
     def slowest(self) -> float:
         """Smallest natural frequency [Hz]."""
         return self.omega_n
@@ -128,15 +117,15 @@ class Oscillator:
         """Largest natural frequency [Hz]."""
         return self.omega_n
 
-    def unit(self, omega_rad: ArrayLike) -> NDArray[np.float64]:
-        """Size of one metre of the section in displacement and velocity, shape (2, ...).
+    def unit(self, omega_rad: Any) -> tuple[Any, Any]:
+        """Size of one metre of the section in displacement and velocity.
 
         Parameters
         ----------
-        omega_rad : float or array_like
+        omega_rad : float or ndarray
             Angular frequency of the motion [rad/s].
         """
-        return np.stack([np.ones_like(omega_rad, dtype=float), np.asarray(omega_rad, float)])
+        return 0.0 * omega_rad + 1.0, omega_rad
 
     @property
     def omega_n_rad(self) -> float:

@@ -222,7 +222,7 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
     >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
-    >>> gs.run(study, out="small", cache="points.sqlite").close()
+    >>> gs.run(study, out="small", cache="points-cache").close()
     >>> gs.open("small/attractors.nc")["n_attractors"].values.ravel().tolist()
     [1]
     """

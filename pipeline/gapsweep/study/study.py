@@ -438,7 +438,7 @@ class Study:
         for one in np.unique(rtol).tolist():
             rows = np.flatnonzero(rtol == one)
             solver = table.kind.solver.with_rtol(one)
-            kind = replace(table.kind, representation=EXACT, solver=solver)
+            kind = replace(table.kind, representation=EXACT, contacts=(EXACT,), solver=solver)
             found.append((rows, Points(kind, numbers[rows])))
         return found
 
