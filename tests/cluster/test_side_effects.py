@@ -21,7 +21,7 @@ def state():
     os.umask(umask)
     return {
         "paths": [*sys.path],
-        "finders": [repr(each) for each in sys.meta_path if "beside" not in repr(each)],
+        "finders": [repr(each) for each in sys.meta_path],
         "byte code": [sys.pycache_prefix, sys.dont_write_bytecode],
         "hooks": [repr(each) for each in (sys.excepthook, sys.unraisablehook)],
         "streams": [repr(each) for each in (sys.stdin, sys.stdout, sys.stderr)],
