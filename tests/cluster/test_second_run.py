@@ -123,7 +123,7 @@ def answer(outcomes):
 
     def ask(points, states):
         found = []
-        for state, omega in zip(states.tolist(), points.numbers[:, 3].tolist(), strict=True):
+        for state, omega in zip(states.tolist(), points.column("omega").tolist(), strict=True):
             outcome = outcomes[int(omega) - 1]
             x, v = end_of(outcome, state, omega)
             found.append(gs.Response(status=outcome[0], x_end=x, v_end=v))

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 import xarray as xr
-from gapsweep.study.fingerprint import numerics_fingerprint
+from gapsweep.user_code.package_digest import numerics_fingerprint
 from tests.stored import damaged_row, keys, made
 
 import gapsweep as gs

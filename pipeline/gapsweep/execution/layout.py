@@ -21,7 +21,7 @@ from gapsweep.study.schema import (
     MULTIPLIER,
     MULTIPLIERS,
     N_ATTRACTORS,
-    OF_SYSTEMS,
+    OF_FREE_MOTIONS,
     SECTION_POINT,
     SECTION_Z,
     VARIABLES,
@@ -78,13 +78,17 @@ class Layout:
     @property
     def variables(self) -> dict[str, Variable]:
         """Of `responses.nc`, but for its lists."""
-        return self._described(VARIABLES) | (OF_SYSTEMS if self.is_of_systems else {})
+        return self._described(VARIABLES) | self._of_free_motions
 
     @property
     def attractor_variables(self) -> dict[str, Variable]:
         """Of `attractors.nc`, over its attractors."""
-        found = self._described(ATTRACTOR_VARIABLES)
-        return found | (OF_SYSTEMS if self.is_of_systems else {})
+        return self._described(ATTRACTOR_VARIABLES) | self._of_free_motions
+
+    @property
+    def _of_free_motions(self) -> dict[str, Variable]:
+        """What motions have besides that nothing forces."""
+        return {} if "omega" in self.grid.dims else OF_FREE_MOTIONS
 
     @property
     def lists(self) -> dict[str, tuple[str, Variable]]:

@@ -231,8 +231,8 @@ LISTS: dict[str, tuple[str, Variable]] = {
 }
 
 SECTION = ("section_x", "section_v")
-# What systems have besides: variables, and the last part of their section points.
-OF_SYSTEMS = {
+# What motions have besides that nothing forces.
+OF_FREE_MOTIONS = {
     "period": Variable("f8", "s", "period of a response that nothing forces"),
 }
 SECTION_Z = Variable("f8", "", "first-order states of the section")
@@ -281,7 +281,7 @@ TAKEN = {
     *MULTIPLIERS,
     *_STARTS_OF_SYSTEMS,
     *_PARTS,
-    *OF_SYSTEMS,
+    *OF_FREE_MOTIONS,
     *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "section_z", "n_attractors"),
     # of agreement.nc and timing.nc
     *("regime", "bound", "class", "class_exact", "confusion", "kappa", "f1", "precision", "recall"),
