@@ -17,6 +17,8 @@ MAY_READ_CODE = {
     SOURCES / "execution" / "workers.py": {"pickle"},
 }
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
+# The code that a study names is run there, and nowhere else.
+RUNS_USER_CODE = SOURCES / "user_code" / "load.py"
 
 
 @pytest.mark.parametrize("path", sorted(SOURCES.rglob("*.py")), ids=lambda p: p.name)
@@ -28,7 +30,7 @@ def test_nothing_read_can_be_executed(path):
         elif isinstance(node, ast.ImportFrom):
             assert (node.module or "").split(".")[0] not in forbidden
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            assert node.func.id not in FORBIDDEN_CALLS
+            assert path == RUNS_USER_CODE or node.func.id not in FORBIDDEN_CALLS
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import shutil
 import numpy as np
 import pytest
 import xarray as xr
-from gapsweep.user_code.package_digest import numerics_fingerprint
 from tests.stored import damaged_row, keys, made
 
 import gapsweep as gs
@@ -15,6 +14,7 @@ from gapsweep import make
 from gapsweep.store import maintenance
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
+from gapsweep.user_code.package_digest import numerics_fingerprint
 
 FLIPS, TRUNCATIONS = 500, 100
 
