@@ -2,6 +2,7 @@
 
 import atexit
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -88,3 +89,11 @@ def forking() -> int:
         time.sleep(600.0)
         os._exit(0)
     return pid
+
+
+def dying_with_a_child() -> None:
+    """End by a signal while a forked child lives on."""
+    if not os.fork():
+        time.sleep(60.0)
+        os._exit(0)
+    os.kill(os.getpid(), signal.SIGKILL)

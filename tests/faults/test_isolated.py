@@ -135,3 +135,13 @@ def test_nothing_outlives_a_killed_caller_and_its_script_is_not_imported(call, t
     assert caller.communicate()[0] == "began\n"
     _, alive = psutil.wait_procs(found, timeout=10.0)
     assert not alive
+
+
+def test_a_lost_process_is_no_longer_waited_for_than_its_children_live():
+    """A child that it has forked holds its connection open."""
+    with Isolated(60.0) as isolated:
+        began = time.monotonic()
+        with pytest.raises(CallError) as lost:
+            isolated(calls.dying_with_a_child)
+        assert lost.value.status is gs.Status.KILLED
+        assert time.monotonic() - began < 20.0

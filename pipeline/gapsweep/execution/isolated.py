@@ -126,6 +126,8 @@ class Isolated:
                 took, used = time.monotonic() - began, _processor_seconds(process.pid) - spent
                 if took > timeout and not _IDLE * took < used < timeout + 2.0:
                     raise _too_long(timeout)
+            if not self._pipe.poll():  # a child of the process may hold the connection open
+                raise _lost(process, timeout)
             return self._pipe.recv()
         except (EOFError, ConnectionError):
             raise _lost(process, timeout) from None

@@ -298,10 +298,8 @@ def _made(
     make: Callable[[States], Made], rows: States
 ) -> tuple[list[Made], Rows, dict[int, ModelError]]:
     """What is made of each different row, which of it every row has, and why some have none."""
-    order = [rows[:, i] for i in range(rows.shape[1])] or [np.zeros(len(rows))]
-    _, first, which = np.unique(
-        np.stack(order, axis=1), axis=0, return_index=True, return_inverse=True
-    )
+    some = rows if rows.shape[1] else np.zeros((len(rows), 1))
+    _, first, which = np.unique(some, axis=0, return_index=True, return_inverse=True)
     made: list[Made] = []
     number, errors = np.full(len(first), -1), dict[int, ModelError]()
     for i, row in enumerate(rows[first]):

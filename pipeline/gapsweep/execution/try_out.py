@@ -79,7 +79,7 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                     isolated(function, own)
                 except CallError as lost:
                     if lost.status is Status.MODEL_INVALID:
-                        break  # each use reports it as its status
+                        break  # the plan refuses it, a history has it as its status
                     why = lost.message
                     if lost.status is Status.TIMED_OUT and timeout < _LONGEST:
                         why += f"; --timeout gives it up to {_LONGEST:g} s"

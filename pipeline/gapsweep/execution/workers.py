@@ -67,6 +67,8 @@ def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, opti
 def end_workers(process: "subprocess.Popen[bytes]") -> None:
     """End a `worker_process` and its workers, best while the scheduler still runs."""
     assert process.stdin is not None, "it is a pipe"
+    if process.returncode is not None:  # it has been ended
+        return
     with suppress(BrokenPipeError):
         process.stdin.close()
     with suppress(subprocess.TimeoutExpired):
@@ -98,4 +100,4 @@ def serve() -> None:
         await asyncio.gather(*closing, return_exceptions=True)  # they remove their folders
 
     asyncio.run(run())
-    os._exit(0)  # what is left of the workers ends with it
+    os.killpg(0, signal.SIGKILL)  # itself, and what is left of the workers

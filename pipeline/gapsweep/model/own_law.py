@@ -96,4 +96,8 @@ def checked(own: OwnLaw) -> OwnLaw:
     """
     own.law(0.0, Gap(0.0, 0.0))
     found = own.load()
-    return OwnLaw(own.label, found) if isinstance(found, ForceTable) else own
+    if not isinstance(found, ForceTable):
+        return own
+    if type(found) is not ForceTable:
+        raise ModelError(f"{own.label!r}: a subclass of ForceTable; write a function of x instead")
+    return OwnLaw(own.label, found)

@@ -207,7 +207,11 @@ class Cache:
 
     def _sound(self, paths: Collection[Path], removed: Collection[bytes]) -> Iterator[bytes]:
         done = set(removed)
-        for frame, _ in chain.from_iterable(scan(path)[0] for path in paths):
+        frames: list[Frame] = []
+        for path in paths:
+            with suppress(FileNotFoundError):  # another process has merged it
+                frames += [frame for frame, _ in scan(path)[0]]
+        for frame in frames:
             if frame.digest not in done and (slab := read(frame)) is not None:
                 done.add(frame.digest)
                 yield packed(slab, frame.serial)
@@ -263,6 +267,8 @@ class Cache:
                 return slab
             self._scanned.clear()  # merged by another process: it stands elsewhere
             self._refresh()
+            if self._frames[number] is frame:  # removed
+                break
         return None
 
     def _decoded(self, number: int) -> tuple[Slab, Stored] | None:

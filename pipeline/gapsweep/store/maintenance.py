@@ -3,6 +3,7 @@
 import json
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,12 +32,13 @@ class Verdict:
 def info(cache: Cache, numerics: str) -> dict[str, Any]:
     """Size and contents of a cache; `numerics` is the fingerprint that counts as current."""
     by_code: Counter[str] = Counter()
-    by_status: Counter[str] = Counter()
+    by_status: Counter[int] = Counter()
     sizes: dict[Path, int] = {}
     for frame, slab in cache.slabs():
-        sizes[frame.path] = frame.path.stat().st_size
+        with suppress(FileNotFoundError):  # another process has merged it
+            sizes[frame.path] = frame.path.stat().st_size
         by_code[_numerics_of(slab)] += slab.n_points
-        by_status.update(Status(status).label for status in slab.status if status in set(Status))
+        by_status.update(slab.status)
     return {
         "folder": str(cache.path.absolute()),
         "format": FORMAT,
@@ -45,7 +47,7 @@ def info(cache: Cache, numerics: str) -> dict[str, Any]:
         "points": by_code.total(),
         "current": by_code[numerics],
         "of_other_code": by_code.total() - by_code[numerics],
-        "status": dict(sorted(by_status.items())),
+        "status": {s.label: by_status[s] for s in Status if by_status[s]},
         "numerics": dict(by_code.most_common()),
     }
 

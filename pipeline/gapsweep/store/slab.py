@@ -21,7 +21,7 @@ from gapsweep.study.points import KEY, Kind
 
 # Few enough that damage costs little, and that picking out a point reads little.
 SLAB = 64
-_MOST_BYTES = 2**20  # of one point: 65,536 extrema, their kinds, and the section
+_MOST_BYTES = 2**24  # of one point: 65,536 extrema of 16 coordinates, their kinds, the section
 MOST_COLUMNS = SLAB * _MOST_BYTES  # bytes of the columns of a slab
 _LEVEL = 1  # of compression: more takes longer and saves little
 

@@ -6,14 +6,14 @@ from functools import cache
 from importlib.metadata import version
 
 from gapsweep.model.labels import is_fitted
-from gapsweep.user_code.package_digest import numerics_fingerprint
+from gapsweep.user_code.package_digest import data_fingerprint
 
 LIBRARIES = ("numba", "llvmlite", "numpy", "scipy")
 
 
 def software() -> Mapping[str, str]:
-    """Digest of the numerics' sources, and `versions`, of this process."""
-    return {"numerics": numerics_fingerprint(), **versions()}
+    """Digest of the sources that compute and store results, and `versions`, of this process."""
+    return {"gapsweep": data_fingerprint(), **versions()}
 
 
 @cache

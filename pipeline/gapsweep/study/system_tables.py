@@ -12,10 +12,10 @@ from pydantic import Field, ValidationError, model_validator
 from gapsweep.errors import ModelError, StudyError, described
 from gapsweep.model import systems
 from gapsweep.model.labels import FUNCTION
+from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
 from gapsweep.study.axes import Label, NonNegative, Pair, Table
-from gapsweep.user_code.load import blame, load_for_law
-from gapsweep.user_code.snapshot import Snapshot
+from gapsweep.user_code.load import blame
 
 Vector = Annotated[list[float], Field(min_length=1)]
 Matrix = Annotated[list[Vector], Field(min_length=1)]
@@ -175,15 +175,7 @@ def _function(name: str, folders: Iterable[Path]) -> Any:
     """A ready-made system's function, or the user's."""
     if name in READY_MADE:
         return getattr(systems, name)
-    module, _, function = name.partition(":")
-    try:
-        code = Snapshot.of_module(module, folders)
-    except ModelError as error:
-        raise ModelError(f"{name!r}: {error}") from None
-    try:
-        return getattr(load_for_law(code, name), function)
-    except AttributeError:
-        raise ModelError(f"{name!r}: {code.path}: defines no {function!r}") from None
+    return OwnLaw.of(name, folders).load()
 
 
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:

@@ -3,12 +3,14 @@
 The package's name holds the key, as ``gapsweep_user_<key>``. Its modules have an ``__import__`` of
 their own, which takes the user's modules from the snapshot and all others from Python. So
 ``sys.path``, ``sys.meta_path``, byte code and modules of the same name play no part, and two
-snapshots of one file live side by side. Module-level code runs once per process and snapshot.
+snapshots of one file live side by side. Module-level code that does not raise runs once per process
+and snapshot.
 """
 
 import builtins
 import inspect
 import re
+import shutil
 import sys
 import tempfile
 import threading
@@ -18,6 +20,7 @@ from contextlib import chdir, contextmanager
 from functools import cache
 from importlib.machinery import ModuleSpec
 from importlib.util import resolve_name
+from multiprocessing.util import Finalize
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -68,7 +71,7 @@ def load_for_law(snapshot: Snapshot, label: str) -> ModuleType:
         return load(snapshot)
     except ModelError as error:  # of a table in it, say
         raise ModelError(f"{label!r}: {error}") from None
-    except (KeyboardInterrupt, ClusterError):
+    except (KeyboardInterrupt, MemoryError, ClusterError):
         raise
     except BaseException as error:  # the user's code may raise anything, SystemExit too
         message = blame(snapshot.path, error, f"importing it raised {described(error)}")
@@ -125,7 +128,10 @@ class _Package:
         return made
 
     def _execute(self, made: ModuleType, source: Module) -> None:
-        place = _placed(self.snapshot.key, source)
+        try:
+            place = _placed(self.snapshot.key, source)
+        except OSError as error:  # the machine's trouble, and not the code's
+            raise ClusterError(f"user code: {error.filename}: {error.strerror}") from None
         made.__file__ = str(place)
         # numba keeps machine code of @njit(cache=True) by file name and time: not for others.
         file = str(place) if "numba" in self.snapshot.versions else source.path
@@ -168,15 +174,18 @@ class _Loader:
 
 
 @cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="gapsweep-user-code-")
+def _folder() -> Path:
+    """The private folder of this process, removed at its end; workers are multiprocessing's."""
+    path = Path(tempfile.mkdtemp(prefix="gapsweep-user-code-"))
+    Finalize(None, shutil.rmtree, (path, True), exitpriority=0)
+    return path
 
 
 def _placed(key: str, source: Module) -> Path:
     """Where a module stands in this process: in a private folder, with its data files alone."""
     path = Path(source.path)
     number = _numbers.setdefault((key, str(path.parent)), len(_numbers))
-    folder = Path(_folder().name) / str(number)
+    folder = _folder() / str(number)
     for name, data in {path.name: source.source, **source.data}.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         if source.source or name in source.data:

@@ -12,6 +12,7 @@ import importlib
 import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
@@ -115,6 +116,10 @@ class Snapshot:
         search.follow(name)
         if name not in search.modules:
             where = ", ".join(dict.fromkeys(map(str, search.folders)))
+            if search.own in sys.stdlib_module_names:
+                raise ModelError(
+                    f"No module named {name!r} of yours: Python's library has one: rename the file"
+                )
             raise ModelError(
                 f"No module named {name!r}; the file must lie in a folder of Python's path"
                 + (f" or in {where}" if where else "")
@@ -176,15 +181,16 @@ class _Search:
         if spec is None or (spec.origin is None and not spec.submodule_search_locations):
             if not self._take(name, self.folders):
                 self.versions[name] = ABSENT
-        elif spec.origin is None:
-            self.add_folder(name, [*map(Path, spec.submodule_search_locations or ())])
-        elif spec.has_location:
-            path = Path(spec.origin)
-            installed = version_of(name) if not _INSTALLED.isdisjoint(path.parts) else ABSENT
-            if installed and name != self.own:
-                self.versions[name] = installed
+        elif spec.origin is None or spec.has_location:
+            folders = [*map(Path, spec.submodule_search_locations or ())]
+            paths = folders if spec.origin is None else [Path(spec.origin)]
+            is_installed = any(not _INSTALLED.isdisjoint(path.parts) for path in paths)
+            if is_installed and name != self.own and version_of(name):
+                self.versions[name] = version_of(name)
+            elif spec.origin is None:
+                self.add_folder(name, folders)
             else:
-                self.add(name, path, is_package=spec.submodule_search_locations is not None)
+                self.add(name, paths[0], is_package=bool(folders))
 
     def _take(self, name: str, folders: Sequence[Path]) -> bool:
         """Add a module from the first folder that has it."""
@@ -215,6 +221,8 @@ class _Search:
             imported = [*_imports(name, module)]
         except OSError as error:
             raise ModelError(f"{error.filename}: cannot be read: {error.strerror}") from None
+        except (RecursionError, MemoryError):
+            raise ModelError(f"{path}: too deeply nested to be read as Python") from None
         except SyntaxError as error:
             line = f":{error.lineno}" if error.lineno else ""
             raise ModelError(f"{path}{line}: SyntaxError: {error.msg}") from None
@@ -259,12 +267,17 @@ def _data(path: Path, source: bytes) -> dict[str, bytes]:
     """The data files that a module names in ``__data__``."""
     found: dict[str, bytes] = {}
     for node in ast.parse(source).body:
-        if not isinstance(node, ast.Assign) or ast.unparse(node.targets[0]) != "__data__":
-            continue
-        try:
-            names = [str(PurePosixPath(name)) for name in ast.literal_eval(node.value)]
-        except (ValueError, TypeError):
-            names = [".."]
+        match node:
+            case ast.Assign(targets=[ast.Name("__data__")], value=value):
+                pass
+            case ast.AnnAssign(target=ast.Name("__data__"), value=ast.expr() as value):
+                pass
+            case _:
+                continue
+        names = [".."]
+        if isinstance(value, ast.List | ast.Tuple):
+            with suppress(ValueError, TypeError):
+                names = [str(PurePosixPath(name)) for name in ast.literal_eval(value)]
         for name in names:
             if ".." in PurePosixPath(name).parts or PurePosixPath(name).is_absolute():
                 raise ValueError(
