@@ -142,8 +142,8 @@ def test_unwritable_folders_fall_back_to_the_next(copy, tmp_path):
 
 IMPORTED = """
 import gapsweep
-from gapsweep.study.software import software
-print(software()["numerics"])
+from gapsweep.user_code.package_digest import numerics_fingerprint
+print(numerics_fingerprint())
 """
 
 
