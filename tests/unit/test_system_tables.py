@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
+from scipy.integrate import solve_ivp
 from tests.random_systems import as_gapsweep, random_case
 
 import gapsweep as gs
@@ -237,7 +238,7 @@ def test_loads_of_matrices_are_swept():
     tables = {
         "study": {"name": "gear"},
         "system": {
-            "mass": [[1.0]], "stiffness": [[0.0]], "damping": [[0.1]], "contacts": {"mesh": [1.0]},
+            "mass": [[1.0]], "stiffness": [[0.0]], "damping": [[0.4]], "contacts": {"mesh": [1.0]},
             "forcing": [
                 {"amplitude": [1.0], "scale": "p"}, {"amplitude": [-1.0], "k": 0, "scale": "drag"}
             ],
@@ -257,11 +258,22 @@ def test_loads_of_matrices_are_swept():
         for drag in (0.05, 0.1):
             loads = [gs.Harmonic(amplitude=[p]), gs.Harmonic(amplitude=[-drag], k=0)]
             gear = gs.System(
-                mass=[[1.0]], stiffness=[[0.0]], damping=[[0.1]], contacts={"mesh": [1.0]},
+                mass=[[1.0]], stiffness=[[0.0]], damping=[[0.4]], contacts={"mesh": [1.0]},
                 forcing=loads,
             )  # fmt: skip
             law = gs.Piecewise(1.0, gs.Gap(1.0, 1.0))
-            by_hand.append(gs.respond(gear, law, 0.13, q_0=[-1.2]).x_max)
+            found = gs.respond(gear, law, 0.13, q_0=[-1.2])
+            by_hand.append(found.x_max)
+
+            def rates(t, y, p=p, drag=drag):
+                mesh = y[0] - np.clip(y[0], -1.0, 1.0)
+                return y[1], p * np.cos(0.26 * np.pi * t) - drag - 0.4 * y[1] - mesh
+
+            state, period = [found.x_end, found.v_end], found.period_multiple / 0.13
+            run = solve_ivp(rates, (0.0, period), state, rtol=1e-10, atol=1e-12, max_step=0.01)
+            assert found.response_class is gs.ResponseClass.PERIODIC
+            assert run.y[0].max() == pytest.approx(found.x_max, abs=1e-4)
+            assert run.y[:, -1] == pytest.approx(np.array(state), abs=1e-6)
     several = [Tile.of_one(table.take([i]), np.zeros(2)) for i in range(4)]
     assert sorted(respond_to(tile).columns["x_max"].item() for tile in several) == sorted(by_hand)
     assert len(rows) == 4
