@@ -209,7 +209,7 @@ def _limit(kind: int, value: int) -> None:
 
 def _result(call: bytes) -> bytes:
     try:
-        function, arguments = pickle.loads(call)
+        function, arguments = pickle.loads(call)  # of the process that started this one
         return pickle.dumps(function(*arguments))
     except ClusterError as error:  # of the process itself, so of none of its points
         return pickle.dumps(error)

@@ -90,7 +90,7 @@ def serve() -> None:
     import dask  # while the other process imports as well
     from distributed import Nanny
 
-    config, address, n, options = pickle.load(sys.stdin.buffer)
+    config, address, n, options = pickle.load(sys.stdin.buffer)  # of the process that started it
     dask.config.set(config | {"distributed.worker.multiprocessing-method": "forkserver"})
 
     async def run() -> None:
