@@ -376,3 +376,14 @@ def test_a_study_refuses_modules_in_one_line(tables, tmp_path, own, message):
     with pytest.raises(gs.StudyError, match=message) as refused:
         gs.Study.from_dict(tables | own, str(tmp_path / "study.toml"))
     assert len(refused.value.problems) == 1
+
+
+def test_a_data_file_that_is_not_named_is_told_by_its_name(tmp_path):
+    (tmp_path / "k.csv").write_text("1.0")
+    (tmp_path / "reading.py").write_text(
+        "from pathlib import Path\n"
+        "K = float((Path(__file__).parent / 'k.csv').read_text())\n"
+        "def law(x): return K * x\n"
+    )
+    with pytest.raises(gs.ModelError, match=r'__data__ = \["k.csv"\]'):
+        OwnLaw.of("reading:law", [tmp_path]).load()

@@ -224,6 +224,9 @@ def user_errors(
 def blame(path: Path, error: BaseException, message: str, function: Any = None) -> str:
     """A message after the file and the last line of the user's code that ran."""
     where = str(path)
+    if isinstance(error, FileNotFoundError) and str(_folder()) in str(error.filename):
+        name = Path(error.filename).name
+        message = f'{name}: no data file of the module: write __data__ = ["{name}"] into it'
     code = getattr(inspect.unwrap(function), "__code__", None) if callable(function) else None
     ran = [(frame.f_code, line) for frame, line in traceback.walk_tb(error.__traceback__)]
     for each, line in ([(code, code.co_firstlineno)] if code else []) + ran:
