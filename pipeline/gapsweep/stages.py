@@ -139,7 +139,7 @@ def stages_of(study: Study) -> list[Stage]:
     labels, bench = study.grid.representations, study.spec.bench
     stated = [scene.expected is not None for scene in bench.scene] if bench else []
     left_out = {
-        STATIC: labels == (AUTO,) or study.systems is not None,  # it is of one displacement
+        STATIC: labels == (AUTO,) or not study.model.is_oscillator,  # it is of one displacement
         AGREEMENT: EXACT not in labels or len(labels) == 1,
         ADVICE: AUTO not in labels,
         HISTORIES: not study.spec.history,
@@ -173,7 +173,7 @@ def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
 
 def study_source(study: Study) -> MadeFrom:
     """Digest of the settings of a study, and of the user's own laws in it."""
-    names = "" if study.systems is None else json.dumps(study.systems.parts)
+    names = json.dumps(study.model.parts)
     said = study.json + _own_laws(study) + names
     return {STUDY: hashlib.sha256(said.encode()).hexdigest()}
 

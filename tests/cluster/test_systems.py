@@ -22,7 +22,7 @@ FORCED = changed(
     sweep__0__omega=[0.3, 0.45, 0.8],
     sweep__0__initial_condition=[
         "sweep_up",
-        {"sobol": 3, "q": [[-0.3, 0.3], [-0.3, 0.3]], "v": [[-1.0, 1.0], [-1.0, 1.0]]},
+        {"sobol": 3, "x": [[-0.3, 0.3], [-0.3, 0.3]], "v": [[-1.0, 1.0], [-1.0, 1.0]]},
     ],
     sweep__0__representation=["piecewise", "piecewise@loose"],
     protocol={"loose": {"rtol": 1e-5}},
@@ -34,7 +34,7 @@ FREE = changed(
     sweep__0__speed=[2.0, 6.0, 12.0, 18.0, 60.0],
     sweep__0__initial_condition={
         "sobol": 4,
-        "q": [[-0.01, 0.01], [-0.05, 0.05], [-0.1, 0.1]],
+        "x": [[-0.01, 0.01], [-0.05, 0.05], [-0.1, 0.1]],
         "v": [[0.0, 0.0]] * 3,
     },
     solver={"rtol": 1e-7},
@@ -157,7 +157,7 @@ def test_a_sweep_goes_on_from_state_to_state(made):
         "stop": gs.Piecewise(100.0, gs.Gap(0.1, 0.2)),
         "between": gs.Piecewise(50.0, gs.Gap(0.5, 0.4), K_ratio=2.0),
     }
-    system = study.systems.system
+    system = study.model.default
     q, v = np.zeros(2), np.zeros(2)
     for i, omega in enumerate(responses["omega"].values.tolist()):
         found = gs.respond(system, laws, omega, q_0=q, v_0=v, rtol=1e-8, steady=gs.Steady(**STEADY))
@@ -285,7 +285,7 @@ def test_laws_that_come_to_rest_alike_agree(stiffness, n_places, client, tmp_pat
                 "representation": ["piecewise", "piecewise@loose", "tanh-1e3"],
                 "K_c": 500.0,
                 "gap": [[0.1, 0.1]],
-                "initial_condition": {"sobol": 8, "q": [[-0.3, 0.3]], "v": [[-1.0, 1.0]]},
+                "initial_condition": {"sobol": 8, "x": [[-0.3, 0.3]], "v": [[-1.0, 1.0]]},
             }
         ],
         "protocol": {"loose": {"rtol": 1e-4}},

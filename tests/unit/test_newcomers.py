@@ -33,7 +33,8 @@ IN_A_STUDY = {
     "name of another tool": (
         "zeta",
         "damping",
-        "oscillator.damping = 0.03: unknown key; there are zeta, omega_n, mass, alpha, forcing",
+        "oscillator.damping = 0.03: unknown key; there are zeta, omega_n, mass, alpha, forcing, "
+        "mean_load, c",
     ),
     "misspelt table": (
         "[oscillator]",

@@ -360,12 +360,12 @@ def test_blocks_that_do_not_sweep_a_number_keep_that_of_the_oscillator(tables):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"gap": None}, "sweep[0]: give gap, or both j_1 and j_2"),
+        ({"gap": None}, "sweep[0].gap: missing; write gap = [4e-4, 4e-4], in m, or j_1 and j_2"),
         ({"j_1": 1e-3}, "sweep[0]: give gap, or both j_1 and j_2"),
         ({"gap": None, "j_1": 1e-3}, "sweep[0]: give gap, or both j_1 and j_2"),
         ({"forcing": []}, "sweep[0].forcing"),
-        ({"mass": [0.0]}, "sweep[0].mass[0] = 0.0: must be > 0"),
-        ({"zeta": {"start": -0.1, "stop": 1.0, "num": 3}}, "sweep[0].zeta.start = -0.1: must be"),
+        ({"mass": [0.0]}, "sweep[0].mass = 0: must be > 0"),
+        ({"zeta": {"start": -0.1, "stop": 1.0, "num": 3}}, "sweep[0].zeta = -0.1: must be"),
         ({"alpha": "stiff"}, "sweep[0].alpha[0] = 'stiff': must be a number, in N/m³"),
         (
             {"forcing": {"start": -1e308, "stop": 1e308, "num": 3}},
@@ -414,7 +414,7 @@ def with_(**changes):
         (with_(gap=[[4e-4]]), ".gap[0] = [0.0004]: must be the distances of both walls [m]"),
         (
             with_(initial_condition=[0.0]),
-            "_condition[0] = 0.0: must be x [m] and v [m/s], as [0.0,",
+            "_condition[0] = [0.0]: must be x [m] and v [m/s], as [0.0,",
         ),
         (
             with_(initial_condition=0.0),

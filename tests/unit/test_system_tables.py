@@ -174,9 +174,9 @@ def test_the_study_in_a_dataset_is_the_study():
 
 
 def test_sobol_starts_of_systems_fill_their_box():
-    box = {"sobol": 33, "q": [[-1.0, 1.0], [0.5, 0.5]], "v": [[0.0, 2.0], [-3.0, 0.0]]}
+    box = {"sobol": 33, "x": [[-1.0, 1.0], [0.5, 0.5]], "v": [[0.0, 2.0], [-3.0, 0.0]]}
     starts = gs.Study.from_dict(changed(TWO_MASSES, sweep__0__initial_condition=box)).grid.starts
-    low, high = np.array([*box["q"], *box["v"]]).T
+    low, high = np.array([*box["x"], *box["v"]]).T
     assert starts.states.shape == (33, 4)
     assert np.all((starts.states >= low) & (starts.states <= high))
     assert len({*map(tuple, starts.states.tolist())}) == 33
@@ -189,7 +189,7 @@ REFUSED = {
     "absent module": (SECTION, {"system__function": "nowhere:wing"}, "nowhere"),
     "argument": (SECTION, {"parameters__chord": 1.0}, "chord"),
     "taken name": (SECTION, {"parameters__omega": 1.0}, "choose another name"),
-    "oscillator": (SECTION, {"oscillator": {"zeta": 0.1}}, "oscillator: not beside [system]"),
+    "oscillator": (SECTION, {"oscillator": {"zeta": 0.1}}, "oscillator: not with [system]"),
     "bad matrix": (TWO_MASSES, {"system__mass": [[1.0, 2.0]]}, "mass"),
     "contact": (TWO_MASSES, {"contact__stopp": {"K_c": 1.0}}, "'stopp' is none of the system"),
     "own law": (TWO_MASSES, {"contact__stop": {"representation": "a:b"}}, "stands in the sweep"),
@@ -218,7 +218,7 @@ REFUSED = {
     "zeta": (TWO_MASSES, {"sweep__0__zeta": [0.1]}, "unknown key"),
     "box": (
         TWO_MASSES,
-        {"sweep__0__initial_condition": {"sobol": 4, "q": [[0.0, 1.0]], "v": [[0.0, 1.0]]}},
+        {"sweep__0__initial_condition": {"sobol": 4, "x": [[0.0, 1.0]], "v": [[0.0, 1.0]]}},
         "must be 4",
     ),
 }
@@ -451,7 +451,7 @@ def test_systems_are_made_of_the_values_that_points_have():
     block = deepcopy(tables["sweep"][0])
     tables["sweep"].append({**block, "speed": 12.0, "density": 1.1})
     study = gs.Study.from_dict(tables)
-    assert study.systems.swept(study.grid.axes, study.grid.requested) == [
+    assert study.model.swept(study.grid.axes, study.grid.requested) == [
         {"speed": 8.0, "density": 1.2},
         {"speed": 10.0, "density": 1.2},
         {"speed": 12.0, "density": 1.1},
@@ -469,7 +469,7 @@ def test_a_function_may_ask_for_laws_in_threads(tmp_path, monkeypatch):
     )  # fmt: skip
     del tables["sweep"][0]["K_c"], tables["sweep"][0]["gap"]
     study = gs.Study.from_dict(tables)
-    assert study.systems.system.stiffness.tolist() == [[2.0]]
+    assert study.model.default.stiffness.tolist() == [[2.0]]
 
 
 def test_what_is_no_system_is_told_by_its_type(tmp_path, monkeypatch):
@@ -495,7 +495,7 @@ def test_a_function_of_more_than_its_arguments_is_refused(tmp_path, monkeypatch,
         "    return gs.System(mass=mass, stiffness=[[k]], contacts={'stop': [1.0]})\n",
     )  # fmt: skip
     with pytest.raises(gs.StudyError, match=f"system{at}: two calls make different systems"):
-        gs.Study.from_dict(tables).systems.at({"k": 2.0})
+        gs.Study.from_dict(tables).model.at({"k": 2.0})
 
 
 def test_half_a_system_is_refused(tmp_path, monkeypatch):
@@ -524,7 +524,7 @@ def test_names_of_arguments_are_no_parameters(name):
     """`gs.query(study, workers=1)` would take the value for a number of processes."""
     tables = changed(SECTION, sweep__0__speed=[8.0])
     tables["parameters"] = {**tables["parameters"], name: 1.0}
-    with pytest.raises(gs.StudyError, match=f"'{name}' has a meaning of its own"):
+    with pytest.raises(gs.StudyError, match=f"'{name}' is reserved in studies"):
         gs.Study.from_dict(tables)
 
 

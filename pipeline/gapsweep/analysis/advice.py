@@ -53,7 +53,7 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
         `SCREENED` over the dimensions of scenes and `stand_in`: the study's own smooth laws and,
         per family, the one with the smallest adequate power of ten. Attribute `error`.
     """
-    if study.systems is not None:
+    if not study.model.is_oscillator:
         raise StudyError(
             [
                 f"{study.source}: system: advice rests on bounds for an oscillator; run the study "

@@ -25,7 +25,6 @@ from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
-from gapsweep.study.axes import SWEEPABLE
 from gapsweep.study.points import canonical
 from gapsweep.study.schema import COORDINATES, STATUS_FLAGS, Variable, empty, with_attributes
 from gapsweep.study.spec import HistoryTable
@@ -162,8 +161,8 @@ def _whole_periods(omega: float, t_end: float) -> int:
 
 def _described(study: Study) -> dict[str, dict[str, Any]]:
     """Attributes of the coordinates of histories, of numbers of the oscillator if they differ."""
-    given = {name for table in study.spec.history for name in table.model_fields_set}
-    others = [name for name in SWEEPABLE if name in given.union(study.grid.axes)]
+    given = {x for table in study.spec.history for x in (*table.parameter, *table.model_fields_set)}
+    others = [x for x in (*study.spec.model, "K_ratio") if x in given.union(study.grid.axes)]
     described = SCENE | {name: COORDINATES[name][1] for name in others}
     return {name: variable.attributes for name, variable in described.items()}
 

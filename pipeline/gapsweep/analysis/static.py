@@ -246,7 +246,8 @@ def _in_gap(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
     for name, x in (("in_gap_frequency", middle), ("frequency_at_zero", 0.0)):
         stiffness = linear_stiffness(oscillator) + float(law.derivative(x))
         values[name] = float(_frequency(oscillator, np.array(stiffness)))
-        values[f"{name}_error"] = values[name] / oscillator.omega_n - 1.0
+        exact = oscillator.omega_n or np.nan
+        values[f"{name}_error"] = values[name] / exact - 1.0
     return values
 
 

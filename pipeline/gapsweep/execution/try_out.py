@@ -42,13 +42,11 @@ def _loads(path: Path) -> list[dict[str, float]]:
     """Load a study, and return the values at which it has systems."""
     study = Study.load(path)
     _studies[:] = [study]
-    return study.systems.swept(study.grid.axes, study.grid.requested) if study.systems else []
+    return study.model.swept(study.grid.axes, study.grid.requested)
 
 
 def _makes(some: dict[str, float]) -> None:
-    systems = _studies[0].systems
-    assert systems is not None, "it has been loaded for them"
-    systems.at(some)
+    _studies[0].model.at(some)
 
 
 def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:

@@ -59,6 +59,8 @@ class Question:
 
     def __post_init__(self) -> None:
         checked("omega", self.omega, low=0.0, strict=True)
+        if not self.oscillator.omega_n:
+            raise ModelError("omega_n = 0: must be > 0 here; of a free mass see gapsweep.respond")
         for name, value in zip(("x_0", "v_0"), self.start, strict=True):
             checked(name, value)
         low, high = self.band
@@ -181,6 +183,8 @@ _DIALS: dict[str, tuple[str, str, float, float, float, float]] = {
     "omega_n": ("Natural frequency ω_n", "Hz", 1.0, 0.2, 4.0, 0.0),
     "mass": ("Mass m", "kg", 1.0, 0.1, 10.0, 0.0),
     "alpha": ("Cubic stiffness α", "10⁹ N/m³", 1e9, 0.0, 5.0, 1e9),
+    "mean_load": ("Mean load p₀", "N", 1.0, 0.0, 5.0, 1.0),
+    "c": ("Added damping c", "N s/m", 1.0, 0.0, 5.0, 10.0),
 }
 
 

@@ -25,7 +25,7 @@ from gapsweep.model.contact import (
     Tanh,
 )
 from gapsweep.model.fitted import Polynomial, RationalPolynomial
-from gapsweep.model.oscillator import OSCILLATOR, Oscillator
+from gapsweep.model.oscillator import CLASSIC, Oscillator
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
 
@@ -64,7 +64,7 @@ def _is_oscillator(models: Models) -> bool:
 
 
 def _oscillators(models: Models) -> dict[str, Any]:
-    columns = {name: models.of_systems(attrgetter(name)) for name in OSCILLATOR}
+    columns = {name: models.of_systems(attrgetter(name)) for name in CLASSIC}
     return columns | {"omega": models.omega}
 
 

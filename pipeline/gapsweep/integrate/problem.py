@@ -12,6 +12,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Motions
 from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 
 Array = NDArray[np.float64]
@@ -40,6 +41,7 @@ class Models:
     Attributes
     ----------
     systems : sequence of Oscillator or of System
+        Oscillators that are not classic become systems.
     laws : sequence of tuple of ContactLaw
         The laws of all contacts, in the system's order.
     system, law : ndarray of int, shape (n,)
@@ -64,6 +66,7 @@ class Models:
         for laws in self.laws:
             for each in laws:
                 checked_law(each)
+        object.__setattr__(self, "systems", [_integrated(system) for system in self.systems])
 
     @classmethod
     def of(cls, systems: Sequence[Model], laws: Sequence[Laws], omega: Array) -> "Models":
@@ -105,6 +108,13 @@ class Models:
     def with_laws(self, value: Callable[[Laws], Laws]) -> "Models":
         """The same rows with other laws."""
         return replace(self, laws=[value(laws) for laws in self.laws])
+
+
+def _integrated(system: Model) -> Model:
+    """The form of a model that the kernels take."""
+    if isinstance(system, Oscillator) and not system.is_classic:
+        return general_form(system)
+    return system
 
 
 def _distinct(objects: Sequence[T], key: Callable[[T], Hashable]) -> tuple[list[T], Numbers]:

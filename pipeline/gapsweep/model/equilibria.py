@@ -41,7 +41,7 @@ class Equilibria:
     stable : ndarray of bool, shape (n,)
         Whether the restoring force rises through zero there: a well of the potential.
     energy : ndarray, shape (n,)
-        Potential energy of springs and contact [J], zero at ``x = 0``.
+        Potential energy of springs, contact and mean load [J], zero at ``x = 0``.
     """
 
     x: Array
@@ -59,9 +59,10 @@ class Equilibria:
 
 
 def restoring_force(oscillator: Oscillator, law: ContactLaw, x: ArrayLike) -> Array:
-    """Force of both springs and the contact [N]: ``k x + α x³ + F_c(x)``."""
+    """Force of springs and contact less the mean load [N]: ``k x + α x³ + F_c(x) - p_0``."""
     x = np.asarray(x, dtype=float)
-    return np.asarray(x * (linear_stiffness(oscillator) + oscillator.alpha * x**2) + law.force(x))
+    springs = x * (linear_stiffness(oscillator) + oscillator.alpha * x**2)
+    return np.asarray(springs + law.force(x) - oscillator.mean_load)
 
 
 def restoring_slope(oscillator: Oscillator, law: ContactLaw, x: ArrayLike) -> Array:
@@ -161,4 +162,4 @@ def _potential(oscillator: Oscillator, law: ContactLaw, x: Array, points: Array)
     left, right = -np.cumsum(work[:origin][::-1])[::-1], np.cumsum(work[origin:])
     contact = np.concatenate([left, [0.0], right])[np.searchsorted(points, x)]
     springs = 0.5 * linear_stiffness(oscillator) * x**2 + 0.25 * oscillator.alpha * x**4
-    return np.asarray(springs + contact)
+    return np.asarray(springs + contact - oscillator.mean_load * x)

@@ -2,7 +2,7 @@
 
 The equation of motion, with `F_c` the contact force of `gapsweep.model.contact`::
 
-    x'' + 2 ζ ω_n x' + ω_n² x + (α/m) x³ + F_c(x)/m = (p/m) cos(ω t)
+    x'' + (2 ζ ω_n + c/m) x' + ω_n² x + (α/m) x³ + F_c(x)/m = p_0/m + (p/m) cos(ω t)
 """
 
 import math
@@ -16,8 +16,10 @@ from gapsweep.errors import ModelError
 # frequencies' squares times its ratios; no machine comes near them.
 SMALLEST, LARGEST = 1e-50, 1e50
 
-# The numbers of an oscillator, in the order that they have in every table.
-OSCILLATOR = ("zeta", "omega_n", "mass", "alpha", "forcing")
+# The numbers of an oscillator, in the order that they have in every table, those first that a
+# classic one has.
+CLASSIC = ("zeta", "omega_n", "mass", "alpha", "forcing")
+OSCILLATOR = (*CLASSIC, "mean_load", "c")
 
 
 def is_number(value: Any) -> bool:
@@ -62,26 +64,34 @@ def whole(name: str, value: int, low: int, high: int) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Oscillator:
-    """Mass on a linear and a cubic spring, damped and forced harmonically.
+    """Mass on a linear and a cubic spring, damped and loaded harmonically.
 
     Parameters
     ----------
     zeta : float
         Damping ratio [-], ``>= 0``.
     omega_n : float
-        Natural frequency of the linear spring alone [Hz], ``> 0``.
+        Natural frequency of the linear spring alone [Hz], ``>= 0``; 0 of a free mass, as of a gear
+        on its shaft, which only contacts hold.
     mass : float
         Mass m [kg], ``> 0``.
     alpha : float
         Cubic stiffness α [N/m³]; negative values soften.
     forcing : float
         Forcing amplitude p [N].
+    mean_load : float
+        Constant load p_0 [N], as a drag torque or a weight.
+    c : float
+        Viscous damping c [N s/m] in addition to that of `zeta`, ``>= 0``; a free mass has no other.
 
     Examples
     --------
     >>> import gapsweep as gs
     >>> gs.Oscillator(omega_n=12.0).mass
     3.0
+    >>> gear = gs.Oscillator(omega_n=0.0, alpha=0.0, c=20.0, mean_load=2.0)
+    >>> gs.respond(gear, gs.Piecewise(1e5, gs.Gap(1e-4, 1e-4)), omega=20.0).status.label
+    'ok'
     """
 
     # What it has as a `System` of one coordinate has it. Without numpy, which takes time to import.
@@ -99,13 +109,26 @@ class Oscillator:
     mass: float = 3.0
     alpha: float = 7e8
     forcing: float = 4.0
+    mean_load: float = 0.0
+    c: float = 0.0
 
     def __post_init__(self) -> None:
-        lows = {"zeta": (0.0, False), "omega_n": (0.0, True), "mass": (0.0, True)}
+        positive = ("zeta", "omega_n", "mass", "c")
         for field in fields(self):
-            low, strict = lows.get(field.name, (-math.inf, False))
-            value = checked(field.name, getattr(self, field.name), low=low, strict=strict)
+            low = 0.0 if field.name in positive else -math.inf
+            value = getattr(self, field.name)
+            value = checked(field.name, value, low=low, strict=field.name == "mass")
             object.__setattr__(self, field.name, value)
+        if 0.0 < self.omega_n < SMALLEST:
+            raise ModelError(f"omega_n = {self.omega_n:g}: must be 0 or >= {SMALLEST:g}")
+
+    @property
+    def is_classic(self) -> bool:
+        """Whether it has a spring, no mean load, and no damping but that of `zeta`.
+
+        The kernels for one coordinate and closed forms are of such oscillators.
+        """
+        return self.omega_n > 0.0 and self.mean_load == 0.0 and self.c == 0.0
 
     @property
     def slowest(self) -> float:
@@ -134,8 +157,8 @@ class Oscillator:
 
     @property
     def decay_rate(self) -> float:
-        """Rate ζω_n at which free oscillations of the linear system decay [1/s]."""
-        return self.zeta * self.omega_n_rad
+        """Rate ζω_n + c/(2m) at which free oscillations of the linear system decay [1/s]."""
+        return self.zeta * self.omega_n_rad + 0.5 * self.c / self.mass
 
     @property
     def settling_rate(self) -> float:
@@ -143,11 +166,12 @@ class Oscillator:
 
         It is `decay_rate` up to critical damping; beyond, the motion creeps ever more slowly.
         """
-        if self.zeta <= 1.0:
+        if not self.omega_n:
             return self.decay_rate
-        return self.omega_n_rad / (
-            self.zeta + math.sqrt(self.zeta - 1.0) * math.sqrt(self.zeta + 1.0)
-        )
+        zeta = self.zeta + 0.5 * self.c / (self.mass * self.omega_n_rad)
+        if zeta <= 1.0:
+            return self.decay_rate
+        return self.omega_n_rad / (zeta + math.sqrt(zeta - 1.0) * math.sqrt(zeta + 1.0))
 
 
 @dataclass(frozen=True, slots=True)

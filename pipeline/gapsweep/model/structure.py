@@ -26,6 +26,23 @@ def structure_of(model: Oscillator | System) -> AnyStructure:
     return Structure.of(model) if isinstance(model, System) else OscillatorStructure()
 
 
+def general_form(oscillator: Oscillator) -> System:
+    """An oscillator as a `System` of one coordinate and one contact, both named ``x``."""
+    o = oscillator
+    return System(
+        mass=[[o.mass]],
+        stiffness=[[o.mass * o.omega_n_rad**2]],
+        damping=[[2.0 * o.mass * o.zeta * o.omega_n_rad + o.c]],
+        contacts={"x": [1.0]},
+        cubic=[Cubic(along=[1.0], alpha=o.alpha)],
+        forcing=[
+            Harmonic(amplitude=[o.forcing], k=1),
+            Harmonic(amplitude=[o.mean_load], k=0),
+        ],
+        coordinates=o.coordinates,
+    )
+
+
 def read_structure(fields: Mapping[str, Any]) -> AnyStructure:
     """The structure whose fields are these, as JSON gives them back; none are an oscillator's.
 
@@ -47,6 +64,10 @@ class OscillatorStructure:
     is_forced: ClassVar[bool] = True
     contacts: ClassVar[tuple[tuple[int, ...], ...]] = ((),)
     names: ClassVar[tuple[str, ...]] = OSCILLATOR
+
+    def row(self, oscillator: Any) -> Array:
+        """The numbers of an oscillator."""
+        return np.array([getattr(oscillator, name) for name in OSCILLATOR])
 
     def system(self, row: Array) -> Oscillator:
         """The oscillator that has these numbers."""
@@ -129,7 +150,7 @@ class Structure:
             for at in np.ndindex(shape)
         )
 
-    def row(self, system: System) -> Array:
+    def row(self, system: Any) -> Array:
         """The numbers of a system of this structure."""
         terms = [term for name in system.contacts for term in system.modulation.get(name, ())]
         lags = system.lags

@@ -118,7 +118,7 @@ def advise(
     """
     check_error(error)
     bound, steady, moved = math.inf, 0.0, math.inf
-    if start is not None:
+    if start is not None and oscillator.is_classic:  # the bounds below are of such
         steady, transient = _linear_motion(oscillator, omega, start)
         cubic = _cubic_share(oscillator)
         bound = _smallest_root(steady + transient, cubic)

@@ -57,14 +57,12 @@ class OscillatorTable(Table):
     """The oscillator's numbers, each of which may be swept."""
 
     zeta: NonNegative = 0.03
-    omega_n: Positive = 5.0
+    omega_n: NonNegative = 5.0
     mass: Positive = 3.0
     alpha: Number = 7e8
     forcing: Number = 4.0
-
-
-# What is a dimension only where it is swept; K_ratio is 1 elsewhere.
-SWEEPABLE = (*OscillatorTable.model_fields, "K_ratio")
+    mean_load: Number = 0.0
+    c: NonNegative = 0.0
 
 
 def _canonical(label: str) -> str:
@@ -166,22 +164,30 @@ def _one_pair(value: Any) -> Any:
 Pairs = Annotated[list[Pair], Field(min_length=1), BeforeValidator(_one_pair)]
 
 
+Ranges = Annotated[list[Range], Field(min_length=1), BeforeValidator(_one_pair)]
+
+
 class _Box(Table):
-    x: Range
-    v: Range
+    """A box of coordinates x and velocities v, a range for each; first-order states are zero."""
+
+    x: Ranges
+    v: Ranges
 
     @model_validator(mode="after")
     def _ascending(self) -> "_Box":
-        for name, (low, high) in (("x", self.x), ("v", self.v)):
-            if not low < high:
-                raise ValueError(f"{name} = [{low:g}, {high:g}] must ascend")
-            if not max(-low, high) <= _LARGEST:
-                raise ValueError(f"{name} = [{low:g}, {high:g}] must be within {_LARGEST:g}")
+        if len(self.x) != len(self.v):
+            raise ValueError(f"x has {len(self.x)} ranges and v {len(self.v)}: must be as many")
+        for name, ranges in (("x", self.x), ("v", self.v)):
+            for low, high in ranges:
+                if not low <= high:
+                    raise ValueError(f"{name} = [{low:g}, {high:g}] must ascend")
+                if not max(-low, high) <= _LARGEST:
+                    raise ValueError(f"{name} = [{low:g}, {high:g}] must be within {_LARGEST:g}")
         return self
 
 
 class SobolStarts(_Box):
-    """Starts spread evenly over a box of displacements [m] and velocities [m/s]."""
+    """Initial conditions spread evenly over a box of displacements [m] and velocities [m/s]."""
 
     sobol: Annotated[int, Field(ge=1, le=65536)]
     seed: Annotated[int, Field(ge=0)] = 1
@@ -191,7 +197,7 @@ class SobolStarts(_Box):
         return self.sobol
 
     def states(self) -> NDArray[np.float64]:
-        return spread([self.x, self.v], self.sobol, self.seed)
+        return spread([*self.x, *self.v], self.sobol, self.seed)
 
 
 def spread(box: Sequence[Sequence[float]], n: int, seed: int) -> NDArray[np.float64]:
@@ -204,48 +210,23 @@ def spread(box: Sequence[Sequence[float]], n: int, seed: int) -> NDArray[np.floa
     return np.asarray(low + sobol.random_base2((n - 1).bit_length())[:n] * (high - low))
 
 
-class SystemStarts(Table):
-    """Starts of a system spread evenly over a box of coordinates q and velocities v.
-
-    First-order states start at zero.
-    """
-
-    sobol: Annotated[int, Field(ge=1, le=65536)]
-    q: Annotated[list[Range], Field(min_length=1)]
-    v: Annotated[list[Range], Field(min_length=1)]
-    seed: Annotated[int, Field(ge=0)] = 1
-
-    @model_validator(mode="after")
-    def _ranges(self) -> "SystemStarts":
-        for name, ranges in (("q", self.q), ("v", self.v)):
-            for i, (low, high) in enumerate(ranges):
-                if not low <= high:
-                    raise ValueError(f"{name}[{i}] = [{low:g}, {high:g}] must ascend")
-                if not max(-low, high) <= _LARGEST:
-                    raise ValueError(f"{name}[{i}] = [{low:g}, {high:g}]: within {_LARGEST:g}")
-        if len(self.q) != len(self.v):
-            raise ValueError(f"q has {len(self.q)} ranges and v {len(self.v)}: must be as many")
-        return self
-
-    @property
-    def count(self) -> int:
-        return self.sobol
-
-    def states(self) -> NDArray[np.float64]:
-        return spread([*self.q, *self.v], self.sobol, self.seed)
-
-
 class GridStarts(_Box):
-    """Starts on a grid over a box, its edges included; the velocity changes last."""
+    """Initial conditions on a grid over a box of one coordinate; the velocity changes last."""
 
     grid: Annotated[list[Annotated[Count, Field(ge=2)]], Field(min_length=2, max_length=2)]
+
+    @model_validator(mode="after")
+    def _plane(self) -> "GridStarts":
+        if len(self.x) != 1:
+            raise ValueError("a grid is of one coordinate; give sobol in its place")
+        return self
 
     @property
     def count(self) -> int:
         return self.grid[0] * self.grid[1]
 
     def states(self) -> NDArray[np.float64]:
-        (left, right), (slowest, fastest), (n_x, n_v) = self.x, self.v, self.grid
+        ((left, right),), ((slowest, fastest),), (n_x, n_v) = self.x, self.v, self.grid
         x, v = np.meshgrid(np.linspace(left, right, n_x), np.linspace(slowest, fastest, n_v))
         return np.stack((x.ravel(), v.ravel()), axis=1)
 
@@ -271,25 +252,16 @@ def _one_state(value: Any) -> Any:
 
 
 _Box_ = Annotated[SobolStarts, Tag("sobol")] | Annotated[GridStarts, Tag("grid")]
-_SystemBox = Annotated[SystemStarts, Tag("sobol")]
 _Sweep = Annotated[Literal["sweep_up", "sweep_down"], Tag("sweep")]
-State = Annotated[list[float], Field(min_length=2)]
-
-
-def _starts(state: Any, box: Any, one: Any) -> Any:
-    """The type of starts of states and boxes of some types, where one state may stand alone."""
-    return Annotated[
-        Annotated[list[state], Field(min_length=1), Tag("list")]
-        | Annotated[list[Annotated[box | _Sweep, Discriminator(_start_form)]], Tag("several")]
-        | box
-        | _Sweep,
-        Discriminator(_start_form),
-        BeforeValidator(one),
-    ]
-
-
-Starts = _starts(Range, _Box_, _one_pair)
-StartsOfSystems = _starts(State, _SystemBox, _one_state)
+State = Annotated[list[Number], Field(min_length=2)]
+Starts = Annotated[
+    Annotated[list[State], Field(min_length=1), Tag("list")]
+    | Annotated[list[Annotated[_Box_ | _Sweep, Discriminator(_start_form)]], Tag("several")]
+    | _Box_
+    | _Sweep,
+    Discriminator(_start_form),
+    BeforeValidator(_one_state),
+]
 
 
 def forms(starts: Any) -> list[Any]:

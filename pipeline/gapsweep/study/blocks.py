@@ -10,10 +10,10 @@ from gapsweep.model.oscillator import Gap
 from gapsweep.study.axes import values
 from gapsweep.study.grid import Axes, Starts, starts_of
 from gapsweep.study.points import canonical
-from gapsweep.study.spec import Sweep
+from gapsweep.study.spec import SweepTable
 
 
-def expanded(block: Sweep, swept: Mapping[str, float]) -> dict[str, Any]:
+def expanded(block: SweepTable, swept: Mapping[str, float]) -> dict[str, Any]:
     """A block's values along the dimensions but the starts, canonical and without repeats.
 
     `swept` are the further numbers that some block sweeps, as they are where none does.

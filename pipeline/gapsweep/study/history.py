@@ -1,28 +1,32 @@
 """Of which oscillator and walls the time histories of a study are."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
-from gapsweep.study.axes import SWEEPABLE, OscillatorTable
 from gapsweep.study.grid import Axes
 from gapsweep.study.spec import HistoryTable
 
 
-def setting(history: HistoryTable, oscillator: OscillatorTable, axes: Axes) -> dict[str, float]:
-    """Numbers of the oscillator, and the ratio of the walls' stiffnesses, of a time history.
+def setting(history: HistoryTable, model: Mapping[str, float], axes: Axes) -> dict[str, float]:
+    """Parameters of the model, and the ratio of the walls' stiffnesses, of a time history.
 
-    Its own; else the only one that the study sweeps; else that of ``[oscillator]``.
+    Its own; else the only one that the study sweeps; else the model's.
     """
-    model = {**oscillator.model_dump(), "K_ratio": 1.0}
-    swept = {name: axes[name][0] for name in SWEEPABLE if name in axes}
-    own = {name: getattr(history, name) for name in SWEEPABLE}
-    return model | swept | {name: value for name, value in own.items() if value is not None}
+    found = {**model, "K_ratio": 1.0}
+    return found | {name: axes[name][0] for name in found if name in axes} | _own(history)
 
 
-def undecided(histories: Sequence[HistoryTable], axes: Axes) -> Iterator[str]:
+def undecided(
+    histories: Sequence[HistoryTable], model: Mapping[str, float], axes: Axes
+) -> Iterator[str]:
     """What is wrong with those that could be of several values that the study sweeps."""
     for number, table in enumerate(histories):
-        for name in SWEEPABLE:
+        for name in (*model, "K_ratio"):
             axis = axes.get(name, ())
-            if len(axis) > 1 and getattr(table, name) is None:
+            if len(axis) > 1 and name not in _own(table):
                 remedy = f"say which, as {name} = {axis[0]:g}"
                 yield f"history[{number}].{name}: the study sweeps it; {remedy}"
+
+
+def _own(history: HistoryTable) -> dict[str, float]:
+    ratio = {} if history.K_ratio is None else {"K_ratio": history.K_ratio}
+    return history.parameter | ratio

@@ -1,6 +1,7 @@
 """What is wrong in a study file, in words: a line per problem, with what is allowed."""
 
 import difflib
+from collections.abc import Collection
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -29,13 +30,13 @@ _WORDS = {
 # Of numbers, in what they are.
 _UNITS = {**UNITS, "t_end": "s", "t_max": "s", "range": "m"}
 # What to write where it is missing.
-_EXAMPLES = {
+EXAMPLES = {
     "study": '[study] with name = "my-study"',
     "sweep": "[[sweep]] with representation, K_c, gap and omega",
     "name": 'name = "my-study"',
     "representation": 'representation = ["piecewise", "tanh-1e4"]',
     "K_c": "K_c = 1.4e4, in N/m",
-    "gap": "gap = [4e-4, 4e-4], in m",
+    "gap": "gap = [4e-4, 4e-4], in m, or j_1 and j_2",
     "omega": "omega = { start = 1.0, stop = 30.0, step = 0.5 }, in Hz",
     "t_end": "t_end = 20.0, in s",
     "start": "start = 1.0",
@@ -43,66 +44,73 @@ _EXAMPLES = {
     "x": "x = [-2e-3, 2e-3], in m",
     "v": "v = [-0.05, 0.05], in m/s",
 }
+_RANGES = "must be a range for each coordinate, as [-0.1, 0.1] or [[-0.1, 0.1], [-0.1, 0.1]]"
 # What stands for these as a whole; what is wrong inside of it has words of its own.
 _FORMS = {
     "gap": "must be the distances of both walls [m], as [4e-4, 4e-4], or a list of such pairs",
     "initial_condition": "must be x [m] and v [m/s], as [0.0, 0.0], 'sweep_up', 'sweep_down', "
     "{ sobol = ..., x = ..., v = ... }, { grid = ..., x = ..., v = ... }, or a list",
+    "x": _RANGES,
+    "v": _RANGES,
 }
 # The same of a system, also for what is wrong inside.
 _MATRIX = "must be a matrix, a list for each row, as [[2.0, 0.0], [0.0, 1.0]]"
-_RANGES = "must be a range for each coordinate, as [[-0.1, 0.1], [-0.1, 0.1]]"
 _OF_SYSTEMS = {
     "mass": _MATRIX,
     "stiffness": _MATRIX,
     "damping": _MATRIX,
     "contacts": "must be names and directions, as { stop = [1.0, 0.0] }",
     "forcing": "must be a list of tables, as [{ amplitude = [1.0, 0.0] }]",
-    "q": _RANGES,
-    "v": _RANGES,
 }
 _SHAPES = ("list_type", "dict_type", "model_type", "too_short", "too_long")
 # Of two forms of one thing, those that the discriminator takes where neither is told.
 _EITHER = {"step": "give step or num", "sobol": "give sobol or grid"}
 # The tags of unions: ours, not the user's.
 _TAGS = {"list", "step", "num", "sobol", "grid", "sweep", "several"}
-_OF_WHAT = {"oscillator", "system"}  # of which a block of points is: the tag behind its number
-
-_PARAMETERS = "parameter"  # the field that holds what is swept by names of the user's own
+# The field that holds the model's parameters in a block, and what stands for it in a place.
+_PARAMETERS, _APART = "parameter", "[parameters]"
 
 Loc = tuple[str | int, ...]
 
 
-def problems(source: str, error: ValidationError, spec: type[BaseModel]) -> list[str]:
-    """One line for each: where, the offending value, what is allowed."""
+def problems(
+    source: str, error: ValidationError, spec: type[BaseModel], parameters: Collection[str]
+) -> list[str]:
+    """One line for each: where, the offending value, what is allowed.
+
+    Parameters
+    ----------
+    parameters : collection of str
+        Names of the model's parameters.
+    """
     errors = error.errors(include_url=False)
-    lines = list(dict.fromkeys(_problem(source, each, spec) for each in errors[:_MOST]))
+    lines = [_problem(source, each, spec, parameters) for each in errors[:_MOST]]
+    lines = list(dict.fromkeys(lines))
     if len(errors) > _MOST:
         lines.append(f"{source}: and {len(errors) - _MOST} more problems")
     return lines
 
 
-def _problem(source: str, error: Any, spec: type[BaseModel]) -> str:
+def _problem(source: str, error: Any, spec: type[BaseModel], names: Collection[str]) -> str:
     kind, loc, value = error["type"], error["loc"], error["input"]
     if kind == "missing" and loc[-1] in _EITHER and loc[-1] in loc[:-1]:
         message, loc = _EITHER[loc[-1]], loc[:-1]
     else:
-        message = _message(error, spec)
+        message = _message(error, spec, names)
     where = _path(loc)
     shown = "" if kind == "missing" or isinstance(value, dict) else f" = {value!r:.80}"
     at = f"{source}: {where:.200}{shown}" if where else source
     return f"{at}: {message:.1000}"
 
 
-def _message(error: Any, spec: type[BaseModel]) -> str:
+def _message(error: Any, spec: type[BaseModel], names: Collection[str]) -> str:
     """What is wrong with a value, and what would do."""
     kind, loc, value = error["type"], error["loc"], error["input"]
     if kind in _SHAPES and (field := _form_at(loc)):
         return _FORMS[field]
     if kind == "list_type" and isinstance(value, dict) and _tables(loc, spec):
         return f"write [[{_path(loc)}]], in double brackets"
-    of_system = "system" in loc[:3] and _PARAMETERS not in loc
-    if kind in _SHAPES and of_system and (parts := {*loc} & {*_OF_SYSTEMS}):
+    if kind in _SHAPES and loc[:1] == ("system",) and (parts := {*loc} & {*_OF_SYSTEMS}):
         return _OF_SYSTEMS[str(parts.pop())]
     if kind in ("too_short", "too_long"):
         n = error["ctx"]["min_length" if kind == "too_short" else "max_length"]
@@ -113,9 +121,9 @@ def _message(error: Any, spec: type[BaseModel]) -> str:
     if kind == "extra_forbidden" and loc[-2:] == ("num", "step"):
         return "give step or num, not both"
     if kind == "extra_forbidden":
-        return f"unknown key{_likely(loc, spec)}"
+        return f"unknown key{_likely(loc, spec, names)}"
     if kind == "missing":
-        return f"missing; write {_EXAMPLES[loc[-1]]}" if loc[-1] in _EXAMPLES else "missing"
+        return f"missing; write {EXAMPLES[loc[-1]]}" if loc[-1] in EXAMPLES else "missing"
     if kind == "float_type":
         return f"must be a number{_in_units(loc)}{_instead(loc, value)}"
     said = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
@@ -123,7 +131,7 @@ def _message(error: Any, spec: type[BaseModel]) -> str:
 
 
 def _in_units(loc: Loc) -> str:
-    if "system" in loc[:3]:  # whose coordinates may be angles
+    if loc[:1] == ("system",):  # whose coordinates may be angles
         return ""
     return next((f", in {_UNITS[part]}" for part in reversed(loc) if part in _UNITS), "")
 
@@ -143,18 +151,17 @@ def _form_at(loc: Loc) -> str:
     return names[-1] if names and names[-1] in _FORMS else ""
 
 
-def _likely(loc: Loc, spec: type[BaseModel]) -> str:
+def _likely(loc: Loc, spec: type[BaseModel], parameters: Collection[str]) -> str:
     """Which key of the same table is meant, if one is alike, else all of them."""
-    tables = _tables(loc[:-1], spec)
-    of_system = [table for table in tables if _PARAMETERS in table.model_fields]
-    is_of_system = loc[2:3] == ("system",) and bool(of_system)
-    keys = (key for table in (of_system if is_of_system else tables) for key in table.model_fields)
+    keys = [key for table in _tables(loc[:-1], spec) for key in table.model_fields]
+    is_swept = _PARAMETERS in keys
+    keys += [*parameters] * is_swept
     # Another form may have it.
     known = [key for key in dict.fromkeys(keys) if key not in (loc[-1], _PARAMETERS)]
     alike = difflib.get_close_matches(str(loc[-1]), known, n=1)
     if alike:
         return f"; did you mean {alike[0]}?"
-    more = "; an argument of the system's function is named in [parameters] first" * is_of_system
+    more = "; a parameter of a [system] is named in [parameters] first" * is_swept
     return f"; there are {', '.join(known)}{more}"
 
 
@@ -178,9 +185,7 @@ def _of(annotation: Any) -> list[type[BaseModel]]:
 def _path(loc: Loc) -> str:
     """``("sweep", 0, "omega", "step", "step")`` as ``sweep[0].omega.step``."""
     text, was_tag = "", False
-    if loc[:1] == ("sweep",) and loc[2:3] and loc[2] in _OF_WHAT:
-        loc = (*loc[:2], *loc[3:])
-    for i, part in enumerate(loc):
+    for i, part in enumerate(part for part in loc if part != _APART):
         was_tag = part in _TAGS and not was_tag and i > 2
         if not was_tag:
             text += f"[{part}]" if isinstance(part, int) else f".{part}"

@@ -106,6 +106,8 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "mass": ("mass", Variable("f8", "kg", "mass")),
     "alpha": ("alpha", Variable("f8", "N m-3", "cubic stiffness")),
     "forcing": ("forcing", Variable("f8", "N", "forcing amplitude")),
+    "mean_load": ("mean_load", Variable("f8", "N", "constant load")),
+    "c": ("c", Variable("f8", "N s m-1", "viscous damping added to that of zeta")),
     "K_ratio": ("K_ratio", Variable("f8", "1", "stiffness of the lower wall over the upper")),
     "initial_condition": ("initial_condition", Variable("i4", "1", "number of the start")),
     "x_0": ("initial_condition", Variable("f8", "m", "initial displacement")),
@@ -115,7 +117,14 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
 
 
 # Units as engineers write them, by their UDUNITS text.
-_WRITTEN = {"1": "", "N m-1": "N/m", "N m-3": "N/m³", "m s-1": "m/s", "s-1": "1/s"}
+_WRITTEN = {
+    "1": "",
+    "N m-1": "N/m",
+    "N m-3": "N/m³",
+    "m s-1": "m/s",
+    "N s m-1": "N s/m",
+    "s-1": "1/s",
+}
 
 
 def written(units: str) -> str:
@@ -274,7 +283,7 @@ OF_CALLS = {
 # Names that a parameter of a system cannot have: they mean something else in files and selections.
 TAKEN = {
     *OF_CALLS,
-    *COORDINATES,
+    *(name for name in COORDINATES if name not in ("mean_load", "c")),
     *VARIABLES,
     *LISTS,
     *ATTRACTOR_VARIABLES,

@@ -10,14 +10,12 @@ import tomllib
 from collections.abc import Collection
 from os import PathLike
 from pathlib import Path, PurePath
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
     BeforeValidator,
-    Discriminator,
     Field,
-    Tag,
     ValidationError,
     model_validator,
 )
@@ -30,7 +28,6 @@ from gapsweep.response.result import Steady
 from gapsweep.study.advice import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ERROR
 from gapsweep.study.axes import (
     MAX_POINTS,
-    SWEEPABLE,
     AnyAxis,
     Label,
     NonNegative,
@@ -43,7 +40,6 @@ from gapsweep.study.axes import (
     PositiveAxis,
     Range,
     Starts,
-    StartsOfSystems,
     Table,
     count,
     n_starts,
@@ -54,6 +50,8 @@ from gapsweep.study.problems import problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
 
+# Where the parameters of the model stand apart in a block or a history: no key of a file.
+PARAMETERS = "[parameters]"
 # Of a time history; its dense output is kept in memory.
 MAX_HISTORY_PERIODS = 10_000
 
@@ -68,8 +66,8 @@ class StudyTable(Table):
     license: Text = ""
 
 
-class _Block(Table):
-    """A block of points: every combination of its axes."""
+class SweepTable(Table):
+    """A block of points: every combination of its axes, parameters of the model among them."""
 
     representation: Annotated[list[Label], Field(min_length=1), BeforeValidator(several)]
     K_c: NonNegativeAxis | None = None
@@ -78,21 +76,21 @@ class _Block(Table):
     j_2: NonNegativeAxis | None = None
     omega: PositiveAxis | None = None
     K_ratio: NonNegativeAxis | None = None
-    initial_condition: Any = None  # None: at rest
+    parameter: dict[str, AnyAxis] = Field({}, alias="[parameters]")
+    initial_condition: Starts | None = None  # None: at rest
 
     @model_validator(mode="after")
-    def _walls(self) -> "_Block":
+    def _walls(self) -> "SweepTable":
         given = [name for name in ("gap", "j_1", "j_2") if getattr(self, name) is not None]
-        if given not in self._forms:
+        if given not in ([], ["gap"], ["j_1", "j_2"]):
             raise ValueError("give gap, or both j_1 and j_2 in its place")
         return self
 
-    _forms: ClassVar[tuple[list[str], ...]] = (["gap"], ["j_1", "j_2"])
-
     @property
     def parameters(self) -> dict[str, Any]:
-        """Axes of what moves, and of the ratio of the walls, that are swept here."""
-        raise NotImplementedError
+        """Axes of the model's parameters, and of the ratio of the walls, that are swept here."""
+        ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
+        return {**self.parameter, **ratio}
 
     @property
     def count(self) -> int:
@@ -103,38 +101,6 @@ class _Block(Table):
         starts = self.initial_condition
         n_all_starts = 1 if starts is None else n_starts(starts)
         return math.prod((*sizes, len(self.representation), n_gaps, n_all_starts))
-
-
-class SweepTable(_Block):
-    """A block of an oscillator's points."""
-
-    K_c: NonNegativeAxis
-    omega: PositiveAxis
-    zeta: NonNegativeAxis | None = None
-    omega_n: PositiveAxis | None = None
-    mass: PositiveAxis | None = None
-    alpha: AnyAxis | None = None
-    forcing: AnyAxis | None = None
-    initial_condition: Starts = Field([[0.0, 0.0]])
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        found = {name: getattr(self, name) for name in SWEEPABLE}
-        return {name: axis for name, axis in found.items() if axis is not None}
-
-
-class SystemSweepTable(_Block):
-    """A block of a system's points: any of its parameters is an axis if it is given."""
-
-    parameter: dict[str, AnyAxis] = Field({}, alias="[parameters]")
-    initial_condition: StartsOfSystems | None = None
-
-    _forms: ClassVar[tuple[list[str], ...]] = (*_Block._forms, [])
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
-        return {**self.parameter, **ratio}
 
 
 class SolverTable(Table):
@@ -185,11 +151,7 @@ class HistoryTable(Table):
     K_c: NonNegative
     gap: Pair
     K_ratio: NonNegative | None = None
-    zeta: NonNegative | None = None
-    omega_n: Positive | None = None
-    mass: Positive | None = None
-    alpha: Number | None = None
-    forcing: Number | None = None
+    parameter: dict[str, Number] = Field({}, alias="[parameters]")
     omega: Positive
     t_end: Positive
     start: Range = Field([0.0, 0.0])
@@ -231,19 +193,6 @@ class ReportTable(ModuleTable):
     """Presence asks for sections of the study's own in the report."""
 
 
-# Where the parameters of a system stand apart in a block: no key of a file.
-PARTED = "[parameters]"
-
-
-def _of_what(block: Any) -> str:
-    is_of_system = isinstance(block, dict) and PARTED in block
-    return "system" if is_of_system or isinstance(block, SystemSweepTable) else "oscillator"
-
-
-Sweep = Annotated[
-    Annotated[SweepTable, Tag("oscillator")] | Annotated[SystemSweepTable, Tag("system")],
-    Discriminator(_of_what),
-]
 # What studies of oscillators have and those of systems do not.
 _OF_OSCILLATORS = ("oscillator", "auto", "history", "bench")
 
@@ -254,7 +203,7 @@ class StudySpec(Table):
     system: SystemTable | None = None
     parameters: dict[str, Number] = Field({})
     contact: dict[str, ContactTable] = Field({})
-    sweep: Annotated[list[Sweep], Field(min_length=1)]
+    sweep: Annotated[list[SweepTable], Field(min_length=1)]
     solver: SolverTable = SolverTable()
     protocol: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")], SolverTable] = Field({})
     steady: SteadyTable = SteadyTable()
@@ -267,38 +216,45 @@ class StudySpec(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _sweeps_of_system(cls, given: Any) -> Any:
-        """Have what a sweep of a system says of its parameters in a table of its own."""
-        if not isinstance(given, dict) or given.get("system") is None:
+    def _with_parameters_apart(cls, given: Any) -> Any:
+        """Put the parameters in blocks and histories, named by the model, in a table each."""
+        if not isinstance(given, dict):
             return given
-        wrong = [f"{name}: not beside [system]" for name in _OF_OSCILLATORS if given.get(name)]
-        names = given.get("parameters") or {}
-        if not isinstance(names, dict) or not all(isinstance(name, str) for name in names):
-            return given | {"sweep": []}  # what is wrong with them is said instead
-        wrong += [
-            f"parameters: {name!r} has a meaning of its own in studies: choose another name"
-            for name in names
-            if name in TAKEN
-        ]
-        wrong += [
-            f"parameters: {name!r}: must be a name of letters, digits and '_'"
-            for name in names
-            if not name.isidentifier()
-        ]
-        if wrong:
-            raise ValueError("; ".join(wrong))
-        blocks = given.get("sweep")
-        if not isinstance(blocks, list):
-            return given
-        return given | {"sweep": [_parted(block, names) for block in blocks]}
+        names = _parameters(given)
+        if given.get("system") is not None:
+            if not isinstance(names, dict) or not all(isinstance(name, str) for name in names):
+                return given | {"sweep": []}  # what is wrong with them is said instead
+            wrong = [f"{name}: not with [system]" for name in _OF_OSCILLATORS if given.get(name)]
+            wrong += [
+                f"parameters: {name!r} is reserved in studies: choose another name"
+                for name in names
+                if name in TAKEN
+            ]
+            wrong += [
+                f"parameters: {name!r}: must be a name of letters, digits and '_'"
+                for name in names
+                if not name.isidentifier()
+            ]
+            if wrong:
+                raise ValueError("; ".join(wrong))
+        return given | {
+            key: [_parted(table, names) for table in given[key]]
+            for key in ("sweep", "history")
+            if isinstance(given.get(key), list)
+        }
+
+    @property
+    def model(self) -> dict[str, float]:
+        """Values of all parameters of the model where no block sweeps them."""
+        return self.oscillator.model_dump() if self.system is None else self.parameters
 
     @property
     def tables(self) -> dict[str, Any]:
         """The checked study, defaults filled in, as the tables of its file."""
         left_out = _OF_OSCILLATORS if self.system else ("parameters", "contact")
         tables = self.model_dump(exclude_none=True)
-        for block in tables["sweep"]:
-            block |= block.pop("parameter", {})
+        for table in (*tables["sweep"], *tables["history"]):
+            table |= table.pop("parameter")
         return {name: table for name, table in tables.items() if name not in left_out}
 
     @model_validator(mode="after")
@@ -310,7 +266,7 @@ class StudySpec(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> "StudySpec":
-        tables: list[Sweep | HistoryTable] = [*self.sweep, *self.history]
+        tables: list[SweepTable | HistoryTable] = [*self.sweep, *self.history]
         labels = [label for table in tables for label in table.representation]
         scenes = self.bench.scene if self.bench else []
         labels += [method.label for method in self.bench.method] if self.bench else []
@@ -334,6 +290,9 @@ class StudySpec(Table):
         if n_points > MAX_POINTS:
             said = n_points if n_points < 10**15 else "more than 10^15"
             wrong.append(f"{said} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
+        own = self.oscillator
+        if scenes and not (own.omega_n > 0.0 and own.mean_load == own.c == 0.0):
+            wrong.append("bench: takes oscillators with omega_n > 0, mean_load = 0 and c = 0 only")
         wrong += [
             f"bench.scene {scene.name!r}: {problem}"
             for scene in scenes
@@ -344,13 +303,20 @@ class StudySpec(Table):
         return self
 
 
+def _parameters(tables: Any) -> Any:
+    """Names of the model's parameters, as far as unchecked tables have them."""
+    if isinstance(tables, dict) and tables.get("system") is not None:
+        return tables.get("parameters") or {}
+    return OscillatorTable.model_fields
+
+
 def _parted(block: Any, parameters: Collection[str]) -> Any:
-    """A block of a system's points with its parameters in a table of their own."""
+    """A block of points, or a history, with its parameters in a table within it."""
     if not isinstance(block, dict):
         return block
     apart = {name: axis for name, axis in block.items() if name in parameters}
     rest = {name: axis for name, axis in block.items() if name not in parameters}
-    return rest | {PARTED: apart}
+    return rest | {PARAMETERS: apart}
 
 
 def read(path: str | PathLike[str]) -> StudySpec:
@@ -395,4 +361,5 @@ def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
         return StudySpec.model_validate(tables)
     except ValidationError as error:
         also = wrong_matrices(tables, source)
-        raise StudyError([*problems(source, error, StudySpec), *also]) from None
+        found = problems(source, error, StudySpec, _parameters(tables))
+        raise StudyError([*found, *also]) from None

@@ -17,32 +17,27 @@ from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import AUTO, EXACT, contact_law, law_of
-from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
+from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
-from gapsweep.model.structure import AnyStructure, OscillatorStructure
+from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
 from gapsweep.study.advice import Advice, advised
 from gapsweep.study.axes import MAX_POINTS, forms
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
 from gapsweep.study.history import setting, undecided
-from gapsweep.study.points import (
-    SWEEPS,
-    Kind,
-    Points,
-    columns_of,
-)
+from gapsweep.study.parametric_model import ParametricModel
+from gapsweep.study.points import SWEEPS, Kind, Points
 from gapsweep.study.selection import listed, positions
 from gapsweep.study.spec import (
     HistoryTable,
     ModuleTable,
     SolverTable,
     StudySpec,
-    Sweep,
+    SweepTable,
     check,
     read,
 )
-from gapsweep.study.systems import Systems
 from gapsweep.user_code.snapshot import Snapshot
 
 
@@ -104,9 +99,9 @@ class Study:
             except ModelError as error:
                 raise StudyError([f"{self.source}: {table}: {error}"]) from None
         self._check_modules()
-        if self.systems is not None:
-            self.systems.check()
-        problems = [f"{self.source}: {line}" for line in undecided(self.spec.history, self._axes)]
+        self.model.check()
+        lines = undecided(self.spec.history, self.spec.model, self._axes)
+        problems = [f"{self.source}: {line}" for line in lines]
         if problems:
             raise StudyError(problems)
         cells = math.prod(map(len, self._axes.values()))
@@ -147,8 +142,8 @@ class Study:
         table = self.spec.study
         said = {"creator_name": table.creator, "license": table.license}
         given = {name: text for name, text in said.items() if text}
-        if self.systems:
-            given["system_json"] = self.systems.json
+        if not self.model.is_oscillator:
+            given["system_json"] = self.model.json
         return {"title": self.title, "study": self.name, "study_json": self.json, **given}
 
     @property
@@ -157,8 +152,8 @@ class Study:
         return json.dumps(self.spec.tables, sort_keys=True)
 
     def setting(self, history: HistoryTable) -> dict[str, float]:
-        """Numbers of the oscillator, and the ratio of the walls' stiffnesses, of a time history."""
-        return setting(history, self.spec.oscillator, self._axes)
+        """Parameters of the model, and the ratio of the walls' stiffnesses, of a time history."""
+        return setting(history, self.spec.model, self._axes)
 
     @cached_property
     def claims_module(self) -> Path | None:
@@ -174,22 +169,20 @@ class Study:
         return None if table is None else Path(self.source).absolute().parent / table.module
 
     @cached_property
-    def oscillator(self) -> Oscillator:
-        return Oscillator(**self.spec.oscillator.model_dump())
+    def model(self) -> ParametricModel:
+        """What moves, as a function of its parameters."""
+        return ParametricModel(self.spec, self.source, self.folders)
 
-    @cached_property
-    def systems(self) -> Systems | None:
-        """What moves instead, in a study with ``[system]``."""
-        return None if self.spec.system is None else Systems(self.spec, self.source, self.folders)
+    @property
+    def oscillator(self) -> Oscillator:
+        """The oscillator at the default values of its parameters; only studies of one have it."""
+        assert isinstance(self.model.default, Oscillator)
+        return self.model.default
 
     @property
     def structure(self) -> AnyStructure:
         """What the models of all points have in common."""
-        return OscillatorStructure() if self.systems is None else self.systems.structure
-
-    def _contacts(self, representation: str) -> tuple[str, ...]:
-        """Of every contact the label of its law, where the sweep has this one."""
-        return (representation,) if self.systems is None else self.systems.labels(representation)
+        return self.model.structure
 
     @cached_property
     def steady(self) -> Steady:
@@ -246,7 +239,7 @@ class Study:
     @property
     def own_laws(self) -> tuple[str, ...]:
         """The code that the study names: laws of the user's own, as ``module:name``."""
-        tables: list[Sweep | HistoryTable] = [*self.spec.sweep, *self.spec.history]
+        tables: list[SweepTable | HistoryTable] = [*self.spec.sweep, *self.spec.history]
         labels = [label for table in tables for label in table.representation]
         labels += [method.label for method in self.spec.bench.method] if self.spec.bench else []
         return tuple(dict.fromkeys(law_of(x) for x in labels if ":" in x))
@@ -277,25 +270,21 @@ class Study:
     @cached_property
     def _blocks(self) -> list[Axes]:
         swept = {name for block in self.spec.sweep for name in block.parameters}
-        model = self.spec.parameters if self.systems else self.spec.oscillator.model_dump()
-        default = {n: value for n, value in {**model, "K_ratio": 1.0}.items() if n in swept}
+        default = {n: x for n, x in {**self.spec.model, "K_ratio": 1.0}.items() if n in swept}
         return [
             expanded(block, default) | {START: self._starts(block.initial_condition)}
             for block in self.spec.sweep
         ]
 
     def _starts(self, given: Any) -> Starts:
-        systems = self.systems
-        n_states = self.structure.n_states
-
         def starts(form: Any) -> Starts:
             if isinstance(form, str):
-                return Starts.sweep(form, n_states)
+                return Starts.sweep(form, self.structure.n_states)
             states = form if isinstance(form, list) else form.states()
-            return Starts.fixed(states if systems is None else systems.starts(states))
+            return Starts.fixed(self.model.starts(states))
 
-        if systems is not None and given is None:
-            return Starts.fixed(systems.starts(None))
+        if given is None:
+            return Starts.fixed(self.model.starts(None))
         return Starts.union(map(starts, forms(given)))
 
     @cached_property
@@ -306,7 +295,7 @@ class Study:
     def grid(self) -> Grid:
         """The labelled grid: the union of all blocks."""
         requested = requested_of(self._blocks, self._axes)
-        return Grid(self._axes, requested, self.systems.parts if self.systems else {})
+        return Grid(self._axes, requested, self.model.parts)
 
     def select(self, /, **wanted: Any) -> Selection:
         """Select among the study's own coordinates.
@@ -384,25 +373,8 @@ class Study:
             rows = np.flatnonzero(kind == one)
             r, start = divmod(one, len(Starts.KINDS))
             label, here = axes["representation"][r], {name: of[rows] for name, of in at.items()}
-            yield rows, Points(self._kind(label, Starts.KINDS[start]), self._numbers(here)), label
-
-    def _numbers(self, at: Mapping[str, NDArray[np.intp]]) -> NDArray[np.float64]:
-        """A table of points from their places on the axes."""
-        axes, n = self.grid.axes, len(at["representation"])
-        if self.systems is not None:
-            return self.systems.numbers(axes, at, n)
-        columns: dict[str, Any] = {name: getattr(self.oscillator, name) for name in OSCILLATOR}
-        columns["K_ratio"] = 1.0
-        for name, axis in axes.items():
-            if name == "gap":
-                walls = np.array([(gap.j_1, gap.j_2) for gap in axis])[at[name]]
-                columns["j_1"], columns["j_2"] = walls.T
-            elif isinstance(axis, Starts):
-                columns["x_0"], columns["v_0"] = axis.states[at[name]].T
-            elif name != "representation":
-                columns[name] = np.array(axis)[at[name]]
-        names = columns_of(self.structure)
-        return np.stack([np.broadcast_to(columns[name], n) for name in names], axis=1)
+            numbers = self.model.numbers(axes, here, len(rows))
+            yield rows, Points(self._kind(label, Starts.KINDS[start]), numbers), label
 
     def _kind(self, label: str, start: str) -> Kind:
         representation, own = law_of(label), self.own_law(label)
@@ -416,16 +388,15 @@ class Study:
             start_jitter=self.start_jitter(label),
             law_code=None if own is None else own.key,
             structure=self.structure,
-            contacts=self._contacts(representation),
+            contacts=self.model.labels(representation),
             own=own,
         )
 
     def units(
         self, places: Mapping[str, NDArray[np.intp]], rate: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Of systems at some places on the axes; as `Systems.units`."""
-        assert self.systems is not None
-        return self.systems.units(self.grid.axes, places, rate)
+        """At some places on the axes; as `ParametricModel.units`."""
+        return self.model.units(self.grid.axes, places, rate)
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
         """What ``auto`` chooses for each point, in tables of one tolerance each."""

@@ -1,8 +1,8 @@
-"""The systems of a study: one structure, and numbers that differ from point to point."""
+"""The models of a study: one structure, and numbers that differ from point to point."""
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,14 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.errors import StudyError
+from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.labels import AUTO, law_of
-from gapsweep.model.structure import Structure
+from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.structure import AnyStructure, structure_of
 from gapsweep.model.system import System
-from gapsweep.study.axes import count, forms
+from gapsweep.study.axes import count, forms, values
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Axes, starts_of
 from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical
-from gapsweep.study.spec import StudySpec, SystemSweepTable
+from gapsweep.study.problems import EXAMPLES
+from gapsweep.study.spec import StudySpec, SweepTable
 from gapsweep.study.system_tables import maker, said
 
 Array = NDArray[np.float64]
@@ -28,9 +30,12 @@ Places = Mapping[str, NDArray[np.intp]]
 _MADE_AGAIN = 4
 
 
+Model = Oscillator | System
+
+
 @dataclass(frozen=True)
-class Systems:
-    """What a study with ``[system]`` makes of its tables.
+class ParametricModel:
+    """The model that a study sweeps: `Oscillator` or, with ``[system]``, `System` of parameters.
 
     Attributes
     ----------
@@ -45,11 +50,17 @@ class Systems:
     source: str
     folders: tuple[Path, ...]
 
+    @property
+    def is_oscillator(self) -> bool:
+        """Whether it is the ready-made one, of which more is known than of a system."""
+        return self.spec.system is None
+
     @cached_property
-    def _make(self) -> Callable[[Mapping[str, float]], System]:
-        """What makes a system of parameters: one code for the whole study."""
+    def _make(self) -> Callable[[Mapping[str, float]], Model]:
+        """What makes a model of parameters: one code for the whole study."""
         table = self.spec.system
-        assert table is not None
+        if table is None:
+            return self._oscillator
         unlike = table.scales ^ set(self.spec.parameters)
         if table.function is None and unlike:
             raise StudyError(
@@ -61,37 +72,48 @@ class Systems:
             )
         return maker(table, self.source, self.folders)
 
+    def _oscillator(self, values: Mapping[str, float]) -> Oscillator:
+        try:
+            return Oscillator(**values)
+        except ModelError as error:
+            raise StudyError([f"{self.source}: oscillator: {error}"]) from None
+
     @cached_property
-    def _known(self) -> dict[tuple[float, ...], System]:
-        """The systems made so far, by their parameters."""
+    def _known(self) -> dict[tuple[float, ...], Model]:
+        """The models made so far, by their parameters."""
         return {}
 
     @cached_property
-    def system(self) -> System:
-        """The system at the default values of its parameters."""
+    def default(self) -> Model:
+        """The model at the default values of its parameters."""
         return self.at({})
 
     @property
     def json(self) -> str:
         """That as JSON: what a function made cannot be read off its name."""
-        return json.dumps(asdict(self.system), default=lambda array: array.tolist())
+        return json.dumps(asdict(self.default), default=lambda array: array.tolist())
 
     @cached_property
-    def structure(self) -> Structure:
-        return Structure.of(self.system)
+    def structure(self) -> AnyStructure:
+        return structure_of(self.default)
+
+    @cached_property
+    def contacts(self) -> tuple[str, ...]:
+        """Names of the contacts."""
+        return ("x",) if isinstance(self.default, Oscillator) else tuple(self.default.contacts)
 
     @property
     def parts(self) -> dict[str, tuple[str, ...]]:
         """Dimensions within a point, and the names along them."""
-        system, m = self.system, self.structure.m
-        lags = tuple(f"z_{i + 1}" for i in range(m))
-        found = {COORDINATE: system.coordinates, CONTACT: tuple(system.contacts), LAG: lags}
+        if self.is_oscillator:
+            return {}
+        lags = tuple(f"z_{i + 1}" for i in range(self.structure.m))
+        found = {COORDINATE: self.default.coordinates, CONTACT: self.contacts, LAG: lags}
         return {name: tuple(names) for name, names in found.items() if names}
 
     def labels(self, representation: str) -> tuple[str, ...]:
         """Of every contact the label of its law, where all others have this one."""
-        contacts = self.system.contacts
-        return tuple(self._own(name, "representation") or representation for name in contacts)
+        return tuple(self._own(name, "representation") or representation for name in self.contacts)
 
     def numbers(self, axes: Axes, places: Places, n: int) -> Array:
         """The columns of a table of n points, from their places on the axes."""
@@ -107,18 +129,18 @@ class Systems:
         rate : ndarray, shape (n,)
             Section points per second; where NaN, that of the forcing, or else of the slowest mode.
         """
-        number, systems = self._systems(axes, places, len(rate))
-        slowest = np.array([system.slowest for system in systems])[number]
+        number, models = self._models(axes, places, len(rate))
+        slowest = np.array([model.slowest for model in models])[number]
         other = np.asarray(axes["omega"])[places["omega"]] if "omega" in axes else slowest
         omega = np.where(rate > 0.0, rate, other)
         found = [
-            systems[i].unit(2.0 * math.pi * (at or 1.0))
+            models[i].unit(2.0 * math.pi * (at or 1.0))
             for i, at in zip(number.tolist(), omega.tolist(), strict=True)
         ]
         return np.stack(found, axis=1)
 
     def starts(self, states: ArrayLike | None) -> Array:
-        """States with as many components as the system's; what is not given is zero."""
+        """States with as many components as the model's; what is not given is zero."""
         n, n_states = self.structure.n, self.structure.n_states
         if states is None:
             return np.zeros((1, n_states))
@@ -129,7 +151,7 @@ class Systems:
                 raise StudyError(
                     [
                         f"{self.source}: initial_condition: {len(state)} numbers: must be "
-                        f"{allowed}: coordinates {', '.join(self.system.coordinates)}, their "
+                        f"{allowed}: coordinates {', '.join(self.default.coordinates)}, their "
                         "velocities, and first-order states if they are not zero"
                     ]
                 )
@@ -137,21 +159,21 @@ class Systems:
         return np.array(found)
 
     def swept(self, axes: Axes, requested: NDArray[np.bool_]) -> list[dict[str, float]]:
-        """The values of swept parameters with which a system is made, those of requested points."""
-        names = [name for name in axes if name in self.spec.parameters]
+        """The values of swept parameters with which a model is made, those of requested points."""
+        names = [name for name in axes if name in self.spec.model]
         others = tuple(i for i, name in enumerate(axes) if name not in names)
         places = np.argwhere(requested.any(axis=others)) if names else np.empty((0, 0), np.intp)
         return _named(names, axes, places)
 
-    def at(self, some: Mapping[str, float]) -> System:
-        """The system where some parameters have these values, others their own.
+    def at(self, some: Mapping[str, float]) -> Model:
+        """The model where some parameters have these values, others their own.
 
         Raises
         ------
         StudyError
             If there is none, or it differs from the others in more than numbers.
         """
-        given = {**self.spec.parameters, **some}
+        given = {**self.spec.model, **some}
         values = {name: canonical(value) for name, value in given.items()}
         key = tuple(values.values())
         if key not in self._known:
@@ -166,7 +188,7 @@ class Systems:
                 )
             self._known[key] = made
         made = self._known[key]
-        if some and _form(made) != _form(self.system):
+        if some and _form(made) != _form(self.default):
             raise StudyError(
                 [
                     f"{self.source}: system at {said(some)}: has other coordinates, contacts "
@@ -176,48 +198,48 @@ class Systems:
         return made
 
     def check(self) -> None:
-        """Refuse tables that do not fit the system.
+        """Refuse tables that do not fit the model.
 
         Raises
         ------
         StudyError
             One line per problem.
         """
-        spec, names = self.spec, list(self.system.contacts)
+        spec, names = self.spec, self.contacts
         wrong = [
             f"contact: {name!r} is none of the system: {', '.join(names) or 'it has none'}"
             for name in spec.contact
             if name not in names
         ]
         for i, block in enumerate(spec.sweep):
-            assert isinstance(block, SystemSweepTable)
             wrong += [f"sweep[{i}].{problem}" for problem in self._problems(block)]
         if wrong:
             raise StudyError([f"{self.source}: {problem}" for problem in wrong])
 
-    def _problems(self, block: SystemSweepTable) -> list[str]:
+    def _problems(self, block: SweepTable) -> list[str]:
         found = []
         for name in ("K_c", "gap"):
             is_given = getattr(block, name) is not None or (name == "gap" and block.j_1 is not None)
-            takes = [c for c in self.system.contacts if self._own(c, name) is None]
+            takes = [c for c in self.contacts if self._own(c, name) is None]
             if takes and not is_given:
-                found.append(f"{name}: missing; contact {takes[0]!r} has none of its own")
+                of_contact = "" if self.is_oscillator else f", which contact {takes[0]!r} needs"
+                found.append(f"{name}: missing; write {EXAMPLES[name]}{of_contact}")
             if is_given and not takes:
                 found.append(f"{name}: no contact takes it")
-        if (block.omega is not None) != self.system.is_forced:
-            words = "missing: the system is forced; write omega = [1.0], in Hz"
+        if (block.omega is not None) != self.default.is_forced:
+            words = f"missing; write {EXAMPLES['omega']}"
             surplus = "nothing forces the system: leave it out, or give forcing in [system]"
             found.append(f"omega: {surplus if block.omega else words}")
         starts = [] if block.initial_condition is None else forms(block.initial_condition)
-        if not self.system.is_forced and any(form in SWEEPS for form in starts):
+        if not self.default.is_forced and any(form in SWEEPS for form in starts):
             found.append("initial_condition: sweeps follow the frequency; the system has none")
         axes = {"representation": block.representation, "K_ratio": block.K_ratio}
         for name, axis in axes.items():
-            takes = [c for c in self.system.contacts if self._own(c, name) is None]
+            takes = [c for c in self.contacts if self._own(c, name) is None]
             if axis is not None and count(axis) > 1 and not takes:
                 found.append(f"{name}: no contact takes it: give one value")
-        unknown = [name for name in block.parameter if name not in self.spec.parameters]
-        found += [f"{name}: is none of [parameters]" for name in unknown]
+        if self.is_oscillator:
+            return found + [x for each in block.parameter.items() for x in _out_of_range(*each)]
         if any(law_of(label) == AUTO for label in block.representation):
             found.append("representation: 'auto' chooses for oscillators; name the representation")
         return found
@@ -236,7 +258,7 @@ class Systems:
             gaps = np.array([(gap.j_1, gap.j_2) for gap in axes["gap"]])[places["gap"]]
             swept["j_1"], swept["j_2"] = gaps.T
         columns = []
-        for contact in self.system.contacts:
+        for contact in self.contacts:
             own = {name: self._own(contact, name) for name in ("K_c", "K_ratio")}
             own["j_1"], own["j_2"] = self._own(contact, "gap") or (None, None)
             columns += [swept[n] if own[n] is None else canonical(own[n]) for n in OF_CONTACT]
@@ -244,26 +266,37 @@ class Systems:
         return np.stack(table, axis=1) if table else np.empty((n, 0))
 
     def _arrays(self, axes: Axes, places: Places, n: int) -> Array:
-        number, systems = self._systems(axes, places, n)
-        return np.array([self.structure.row(system) for system in systems])[number]
+        number, models = self._models(axes, places, n)
+        return np.array([self.structure.row(model) for model in models])[number]
 
-    def _systems(self, axes: Axes, places: Places, n: int) -> tuple[NDArray[np.intp], list[System]]:
-        """Which system each point has, and the systems."""
-        names = [name for name in self.spec.parameters if name in axes]
+    def _models(self, axes: Axes, places: Places, n: int) -> tuple[NDArray[np.intp], list[Model]]:
+        """Which model each point has, and the models."""
+        names = [name for name in self.spec.model if name in axes]
         if not names:
-            return np.zeros(n, np.intp), [self.system]
+            return np.zeros(n, np.intp), [self.default]
         at = np.stack([places[name] for name in names])
         several, number = np.unique(at, axis=1, return_inverse=True)
         return number.reshape(-1), [self.at(some) for some in _named(names, axes, several.T)]
 
 
-def _form(system: System) -> tuple[Any, ...]:
-    """What all systems of a study share: all but numbers."""
-    return system.coordinates, tuple(system.contacts), Structure.of(system)
+def _out_of_range(name: str, axis: Any) -> Iterator[str]:
+    """What is wrong with an axis of a parameter of the oscillator: its ends, as ranges go."""
+    several = values(axis)
+    for value in {min(several), max(several)}:
+        try:
+            Oscillator(**{name: value})
+        except ModelError as error:
+            yield str(error)
 
 
-def _are_alike(a: System, b: System) -> bool:
-    return _form(a) == _form(b) and np.array_equal(Structure.of(a).row(a), Structure.of(b).row(b))
+def _form(model: Model) -> tuple[Any, ...]:
+    """What all models of a study share: all but numbers."""
+    contacts = () if isinstance(model, Oscillator) else tuple(model.contacts)
+    return model.coordinates, contacts, structure_of(model)
+
+
+def _are_alike(a: Model, b: Model) -> bool:
+    return _form(a) == _form(b) and np.array_equal(structure_of(a).row(a), structure_of(b).row(b))
 
 
 def _named(names: list[str], axes: Axes, places: NDArray[np.intp]) -> list[dict[str, float]]:

@@ -1,0 +1,128 @@
+"""Oscillators with a mean load, added damping or no spring, from study files and from calls."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import gapsweep as gs
+from gapsweep.execution.task import Tile, respond_to
+from gapsweep.model.equilibria import equilibria
+from gapsweep.model.structure import general_form
+
+# A gear on its shaft: no spring, a drag torque, backlash of 0.1 mm to both sides.
+GEAR = {
+    "study": {"name": "gear"},
+    "oscillator": {"omega_n": 0.0, "alpha": 0.0},
+    "sweep": [
+        {
+            "representation": "piecewise",
+            "K_c": 1e5,
+            "gap": [1e-4, 1e-4],
+            "omega": 20.0,
+            "mean_load": [-2.0, 0.5],
+            "c": [20.0, 40.0],
+            "forcing": [4.0, 6.0],
+        }
+    ],
+}
+
+
+def ends_of_a_period(model, law, omega, found):
+    """State and largest displacement after the period of a response, by another method."""
+
+    def rates(t, y):
+        o, w = model, 2.0 * np.pi * omega
+        force = o.mean_load + o.forcing * np.cos(w * t) - o.alpha * y[0] ** 3 - law.force(y[0])
+        damping = 2.0 * o.zeta * o.omega_n_rad + o.c / o.mass
+        return y[1], force / o.mass - damping * y[1] - o.omega_n_rad**2 * y[0]
+
+    end, start = found.period_multiple / omega, [found.x_end, found.v_end]
+    step = 0.002 / omega
+    run = solve_ivp(rates, (0.0, end), start, "DOP853", rtol=1e-11, atol=1e-14, max_step=step)
+    return run.y[:, -1], run.y[0].max()
+
+
+def assert_repeats(model, law, omega, found):
+    state, peak = ends_of_a_period(model, law, omega, found)
+    width = found.x_max - found.x_min
+    assert state[0] == pytest.approx(found.x_end, abs=1e-5 * width)
+    assert peak == pytest.approx(found.x_max, abs=1e-4 * width)
+
+
+def test_a_free_gear_with_drag_is_swept_from_its_tables():
+    study = gs.Study.from_dict(GEAR)
+    ((_, table),) = study.points(np.arange(8))
+    tiles = [Tile.of_one(table.take([row]), np.zeros(2)) for row in range(8)]
+    law = gs.Piecewise(1e5, gs.Gap(1e-4, 1e-4))
+    gear = gs.Oscillator(omega_n=0.0, alpha=0.0)
+    seen = set()
+    for row in range(8):
+        given = {name: table.column(name)[row] for name in ("mean_load", "c", "forcing")}
+        model = replace(gear, **given)
+        found = gs.respond(model, law, omega=20.0)
+        assert respond_to(tiles[row]).columns["x_max"].item() == found.x_max
+        if found.response_class is gs.ResponseClass.PERIODIC:
+            assert_repeats(model, law, 20.0, found)
+            seen.add(tuple(given.values()))
+    assert len(seen) >= 6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_mean_loads_and_added_damping_against_another_integration(seed):
+    rng = np.random.default_rng(seed)
+    model = gs.Oscillator(
+        zeta=rng.uniform(0.0, 0.1), mean_load=rng.uniform(-6.0, 6.0), c=rng.uniform(5.0, 30.0)
+    )
+    gap = gs.Gap(*rng.uniform(2e-4, 8e-4, 2))
+    for law in (gs.Piecewise(2e4, gap), gs.Tanh(2e4, gap, 2e4)):
+        found = gs.respond(model, law, omega=rng.uniform(6.0, 10.0))
+        assert found.response_class is gs.ResponseClass.PERIODIC
+        assert_repeats(model, law, found.inputs["omega"], found)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_oscillator_responds_as_its_system_of_one_coordinate(seed):
+    rng = np.random.default_rng(seed)
+    model = gs.Oscillator(zeta=rng.uniform(0.02, 0.1), alpha=rng.uniform(0.0, 1e9))
+    law = gs.Piecewise(10.0 ** rng.uniform(3.5, 5.0), gs.Gap(*rng.uniform(2e-4, 8e-4, 2)))
+    omega = np.linspace(4.0, 14.0, 8)
+    ours, general = (gs.respond(each, law, omega) for each in (model, general_form(model)))
+    assert np.array_equal(ours.response_class, general.response_class)
+    assert np.array_equal(ours.period_multiple, general.period_multiple)
+    for name in ("x_max", "x_min", "force_max", "contact_share", "multiplier_abs"):
+        mine, other = getattr(ours, name), getattr(general, name)
+        assert mine.shape == other.shape
+        is_periodic = ours.period_multiple > 0
+        assert mine[is_periodic] == pytest.approx(other[is_periodic], rel=1e-6), name
+
+
+def test_added_damping_is_that_of_a_ratio():
+    plain = gs.Oscillator(zeta=0.05)
+    added = gs.Oscillator(zeta=0.02, c=2.0 * plain.mass * 0.03 * plain.omega_n_rad)
+    law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    ours, other = (gs.respond(each, law, omega=9.0).x_max for each in (plain, added))
+    assert ours == pytest.approx(other, rel=1e-9)
+    for zeta in (0.03, 1.0, 3.0):
+        plain = gs.Oscillator(zeta=zeta)
+        added = gs.Oscillator(zeta=0.0, c=2.0 * plain.mass * zeta * plain.omega_n_rad)
+        assert added.settling_rate == pytest.approx(plain.settling_rate, rel=1e-9)
+        assert general_form(added).settling_rate == pytest.approx(added.settling_rate, rel=1e-9)
+
+
+def test_a_mean_load_moves_the_equilibrium():
+    model, law = gs.Oscillator(mean_load=3.0), gs.Piecewise(1e4, gs.Gap(4e-4, 4e-4))
+    found = equilibria(model, law, 1e-2)
+    stiffness = model.mass * model.omega_n_rad**2
+    x = brentq(lambda x: stiffness * x + 7e8 * x**3 + law.force(x) - 3.0, 0.0, 1e-2)
+    assert found.x == pytest.approx([x])
+    work = 0.5 * stiffness * x**2 + 0.25 * 7e8 * x**4 + 0.5e4 * max(x - 4e-4, 0.0) ** 2 - 3.0 * x
+    assert found.energy == pytest.approx([work])
+
+
+@pytest.mark.parametrize("given", [{"omega_n": -1.0}, {"omega_n": 1e-60}, {"c": -1.0}])
+def test_what_no_machine_has_is_refused(given):
+    with pytest.raises(gs.ModelError, match=next(iter(given))):
+        gs.Oscillator(**given)
