@@ -43,13 +43,13 @@ class Outcome(NamedTuple):
 @inlined
 def _error(at, tableau, lane, k, settings, h):
     """Error estimate over tolerance; up to 1: accepted. Largest for ode45, else mean square."""
-    rtol, atol = settings[ln.S_RTOL], settings[ln.S_ATOL]
+    rtol, atol = settings.rtol, settings.atol
     worst, lost = simd.splat(0.0), simd.splat(0.0)
     e5, e3, other = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
     for i in range(at.n_rates):
         size_v = _size(lane, at.old_v + i, at.v_1 + i)  # first-order states stand after the speeds
         size_x = _size(lane, at.old_q + i, at.q_1 + i) if i < at.n else size_v
-        if settings[ln.S_ODE45] > 0.0:
+        if settings.is_ode45:
             ex, ev = _missed(at, tableau, k, E5, 0, i)
             rv = simd.absolute(ev) / maximum(size_v, atol / rtol)
             rx = simd.absolute(ex) * h / maximum(size_x, atol / rtol)
@@ -59,7 +59,7 @@ def _error(at, tableau, lane, k, settings, h):
             e5 = e5 + _squared(at, tableau, k, E5, 0, i, wx, wv)
             e3 = e3 + _squared(at, tableau, k, E3, 0, i, wx, wv)
             other = other + _squared(at, tableau, k, OTHER_E5, 0, i, wx, wv)
-    if settings[ln.S_ODE45] > 0.0:
+    if settings.is_ode45:
         # `maximum` hides a NaN in its first argument; the sum does not.
         return worst / rtol + lost
     return _joint(at, e5, e3, other) + 0.0 * e5
@@ -106,7 +106,7 @@ def _tangent_error(at, tableau, lane, k, settings, h):
     A tangent swings on where its motion has come to rest against a wall, and is damped by steps
     that are too long for it. Zero where it has overflowed: that is no fault of the motion.
     """
-    tol, worst = max(settings[ln.S_RTOL], TANGENT_RTOL), simd.splat(0.0)
+    tol, worst = max(settings.rtol, TANGENT_RTOL), simd.splat(0.0)
     for column in range(at.n_states):
         before = at.tangent_state + column * at.n_states
         after = at.old_tangent + column * at.n_states
@@ -123,7 +123,7 @@ def _tangent_error(at, tableau, lane, k, settings, h):
             e5 = e5 + _squared(at, tableau, k, E5, first, i, w, w)
             e3 = e3 + _squared(at, tableau, k, E3, first, i, w, w)
             other = other + _squared(at, tableau, k, OTHER_E5, first, i, w, w)
-        error = simd.sqrt(e5) if settings[ln.S_ODE45] > 0.0 else _joint(at, e5, e3, other)
+        error = simd.sqrt(e5) if settings.is_ode45 else _joint(at, e5, e3, other)
         worst = maximum(worst, select(error < 1e300, error, 0.0))
     return worst
 
@@ -144,8 +144,8 @@ def _size(lane, before, after):
 @inlined
 def _next_step(settings, error, h, after_failure, accepted):
     """The controller's next step length."""
-    scaled = vecmath.power(maximum(error, 1e-16), -settings[ln.S_EXPONENT])
-    if settings[ln.S_ODE45] > 0.0:
+    scaled = vecmath.power(maximum(error, 1e-16), -settings.exponent)
+    if settings.is_ode45:
         grown = select(after_failure, h, h * minimum(0.8 * scaled, 5.0))
         shrunk = select(after_failure, 0.5 * h, h * maximum(0.8 * scaled, 0.1))
         # A NaN error: ode45 would end in NaN; here the step is halved until it underflows.
@@ -324,15 +324,15 @@ def _walls(at, q, lane, settings, commit, ordinary, h, h_next):
         turns_back = turns_back | hull.turns_back
         # Where the motion turns back, its ends do not tell how often it has passed a wall.
         dips = ((hull.low <= high) & (hull.high > high)) | ((hull.low < low) & (hull.high >= low))
-        if settings[ln.S_HAS_RANGE] > 0.0:
+        if settings.has_range:
             centre, reach = load(q_i, parameters.CENTRE), load(q_i, parameters.RANGE)
             has_one = reach > 0.0
             out = commit & (simd.absolute(hull.x_1 - centre) > reach) & has_one
             store(lane, at.out_of_range, select(out, 1.0, load(lane, at.out_of_range)))
             dips = dips | (((hull.high - centre > reach) | (hull.low - centre < -reach)) & has_one)
-        if settings[ln.S_STOP_AT_LAYER] > 0.0:
+        if settings.cuts_at_layers:
             layers = _layers(q_i, hull, commit, ordinary, layers)
-        if settings[ln.S_LOCATED] > 0.0:
+        if settings.is_located:
             # Passings are counted where the step is cut: x is exactly on the wall there.
             stopped = stopped | (commit & ordinary & _leaves_mode(q_i, hull))
         else:
@@ -341,7 +341,7 @@ def _walls(at, q, lane, settings, commit, ordinary, h, h_next):
             passes = passes | (passings > 0.0)
             count = load(lane, at.n_contacts + i)
             store(lane, at.n_contacts + i, count + select(commit, passings, 0.0))
-    if settings[ln.S_STOP_AT_LAYER] > 0.0:
+    if settings.cuts_at_layers:
         back = select(layers.leaves, maximum(h_next, load(lane, at.h_saved)), h_next)
         h_next, stopped = minimum(back, layers.limit), layers.cut
     return _Walls(turns_back, dipped, stopped, passes, h_next)
@@ -359,10 +359,10 @@ def _may_turn(at, lane, h, found):
 @inlined
 def _is_invalid(at, kinds, q, lane, settings):
     """Lanes whose attempt ends where no motion is."""
-    invalid = simd.absolute(load(lane, at.q_1)) > settings[ln.S_BOUND]
+    invalid = simd.absolute(load(lane, at.q_1)) > settings.bound
     for i in range(1, at.n):
-        invalid = invalid | (simd.absolute(load(lane, at.q_1 + i)) > settings[ln.S_BOUND])
-    if settings[ln.S_HAS_RANGE] > 0.0:
+        invalid = invalid | (simd.absolute(load(lane, at.q_1 + i)) > settings.bound)
+    if settings.has_range:
         for i in range(at.contacts):
             store(lane, at.gap + i, load(lane, ln.ends(at, at.gaps_from + i)[3]))
         laws.denominators(kinds, q, lane, at.gap, at.force)
@@ -388,7 +388,7 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     tableau : Tableau
     k, k_tangent : ndarray, shapes (n_stages * n_rates, WIDTH) and (n_states times that, WIDTH)
         Work space.
-    settings : ndarray, shape (N_SETTINGS,)
+    settings : Settings
 
     Returns
     -------
@@ -408,7 +408,7 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     _keep_start(at, lane, h)
     stages(at, kinds, q, lane, tableau, k, h)
     error = _error(at, tableau, lane, k, settings, h)
-    if settings[ln.S_TANGENT] > 0.0:
+    if settings.tangent:
         tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h)
         error = maximum(_tangent_error(at, tableau, lane, k_tangent, settings, h), error)
     # A landing repeats an accepted step in part; its error is smaller and must not be judged anew.
@@ -418,7 +418,7 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     h_next = _next_step(settings, error, h, after_failure, accepted)
     walls = _walls(at, q, lane, settings, commit, ordinary, h, h_next)
     stopped, moved = walls.stopped, commit
-    if settings[ln.S_LOCATED] > 0.0:
+    if settings.is_located:
         stopped = stopped | (commit & (exact == 2.0))
         moved = commit & ~stopped  # the contact mode ends before the step does
 
@@ -426,12 +426,12 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
     since_start = turns * load(lane, at.period)
     h_min = maximum(3.6e-15 * since_start, load(lane, at.h_min))
     underflow = ~accepted & ~probing & (h <= h_min)
-    exhausted = load(lane, at.n_attempts) >= settings[ln.S_MAX_ATTEMPTS]
+    exhausted = load(lane, at.n_attempts) >= settings.max_attempts
     failed = underflow | exhausted | (commit & _is_invalid(at, kinds, q, lane, settings))
 
     ended = commit & to_end
     passed_turn = _commit(at, lane, commit, moved, ended, h)
-    if settings[ln.S_TANGENT] > 0.0:
+    if settings.tangent:
         _commit_tangent(at, lane, commit)
     h_next = minimum(maximum(walls.h_next, h_min), load(lane, at.h_max))
     store(lane, at.h, select(probing, h_asked, h_next))
@@ -442,13 +442,13 @@ def attempt(at, kinds, q, lane, tableau, k, k_tangent, settings):
 
     recording = commit & (load(lane, at.turns) + load(lane, at.tau) >= load(lane, at.record_turns))
     eventful = commit
-    if settings[ln.S_DENSE] == 0.0:
+    if not settings.dense:
         eventful = passed_turn
-        if settings[ln.S_SECTION_ONLY] == 0.0:
+        if not settings.section_only:
             eventful = passed_turn | _may_turn(at, lane, h, walls.turns_back)
         elif at.is_free:
             eventful = _hull(at, lane, 0, h).turns_back
-        if settings[ln.S_CONTACTS] > 0.0:
+        if settings.contacts:
             eventful = eventful | walls.passes
     return Outcome(
         simd.bits(commit),

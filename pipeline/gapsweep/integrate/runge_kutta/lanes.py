@@ -6,7 +6,9 @@ entered again, and its memory does not depend on the number of points or the len
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.taylor.layout import Layout, known
@@ -128,33 +130,103 @@ PLAIN = Rows.of(Layout())
 # KIND, WHICH: of the event that is being probed.
 MODE, POINT, N_PROBES, PROBE, TRIES, LANDING, LANDED, KIND, WHICH = range(9)
 N_INT_ROWS = 9
-# The probe block has shape (3 * max_probes, WIDTH): theta, kind, and of which coordinate or gap.
-
 # Modes of a lane.
 IDLE, START, STEPPING, PROBING = range(4)
 
 # --- columns of the result table; the state is followed by the tangent and the reach ---
 (R_STATUS, R_LEFT, R_CONTACTS, R_STEPS, R_REJECTED, R_NFEV, R_STATE) = range(7)
 
-# --- settings vector ---
-(
-    S_RTOL,
-    S_ATOL,
-    S_BOUND,
-    S_MAX_ATTEMPTS,
-    S_ODE45,
-    S_STOP_AT_LAYER,
-    S_TANGENT,
-    S_DENSE,
-    S_EXPONENT,
-    S_FIRST_STEP,
-    S_CONTACTS,
-    S_SECTION_ONLY,
-    S_LOCATED,
-    S_RESTART,
-    S_HAS_RANGE,
-) = range(15)
-N_SETTINGS = 15
+
+class Settings(NamedTuple):
+    """What all points of a run have in common.
+
+    Attributes
+    ----------
+    rtol, atol : float
+        Tolerances.
+    bound : float
+        Largest displacement of a motion that has not diverged [m].
+    max_attempts : float
+        Attempts after which a point is timed out.
+    exponent : float
+        Of the error in the choice of the next step.
+    first_step : float
+        Length of the first step [s]; 0: chosen from the derivative there.
+    is_ode45 : bool
+        Whether errors are measured and steps chosen as MATLAB's ode45 does.
+    is_located, restarts : bool
+        Whether steps end on walls; whether the step is then chosen as at a start.
+    cuts_at_layers : bool
+        Whether steps are cut at the edges of smoothing layers.
+    has_range : bool
+        Whether a law is a fit, which holds within a range.
+    tangent : bool
+        Whether the variational equation is integrated along.
+    dense, contacts, section_only : bool
+        Which events are recorded: every step; walls passed; section points alone.
+    """
+
+    rtol: float
+    atol: float
+    bound: float
+    max_attempts: float
+    exponent: float
+    is_ode45: bool
+    is_located: bool
+    restarts: bool
+    cuts_at_layers: bool
+    has_range: bool
+    first_step: float = 0.0
+    tangent: bool = False
+    dense: bool = False
+    contacts: bool = False
+    section_only: bool = False
+
+
+class Run(NamedTuple):
+    """All that the loop works on; it can stop at any attempt and go on when called again.
+
+    Attributes
+    ----------
+    at : record
+        `Rows.numbers`.
+    lane, lane_int : array, shapes (n_rows, WIDTH) and (N_INT_ROWS, WIDTH)
+        State of the points under way.
+    q : array, shape (n_contacts, N_PARAMETERS, WIDTH)
+        Parameters of their laws.
+    k, k_tangent : array
+        Derivatives of all stages, and of the tangents', as of `attempt`.
+    probes : array, shape (3 * max_probes, WIDTH)
+        Of every event of a step: theta, kind, and of which coordinate or gap.
+    scratch : probing.Scratch
+    events : array, shape (n_rows, n_event_columns)
+        Buffer of records, which the caller drains.
+    counters : int array
+        `NEXT_POINT`, `N_EVENTS`.
+    table, results : array, one row per point
+    queue : int array
+        The points that follow none in the order in which they are loaded.
+    follows : bool array, shape (n_points + 1,)
+        Which points begin where those before them end.
+    settings : Settings
+    """
+
+    at: np.record
+    lane: np.ndarray
+    lane_int: np.ndarray
+    q: np.ndarray
+    k: np.ndarray
+    k_tangent: np.ndarray
+    probes: np.ndarray
+    scratch: Any
+    events: np.ndarray
+    counters: np.ndarray
+    table: np.ndarray
+    queue: np.ndarray
+    follows: np.ndarray
+    results: np.ndarray
+    settings: Settings
+
 
 # --- columns of the event buffer, and kinds of records ---
 # WHICH: of an extremum the coordinate or, after all coordinates, the gap, whose value stands where
@@ -216,9 +288,9 @@ def begin_start(at, lane, lane_int, i):
 
 
 @internal
-def load_point(at, lane, lane_int, q, table, point, i):
+def load_point(run, point, i):
     """Put a point into a lane."""
-    row = table[point]
+    at, lane, lane_int, q, row = run.at, run.lane, run.lane_int, run.q, run.table[point]
     for j in range(at.n_rows):
         lane[j, i] = row[j] if j < at.n_columns else 0.0
     for j in range(at.n):
@@ -235,28 +307,28 @@ def load_point(at, lane, lane_int, q, table, point, i):
 
 
 @entry
-def load_first_points(at, lane, lane_int, q, table, queue):
-    """Put the first of a queue of points into the lanes, as many as there are of both."""
-    n = min(lane.shape[1], len(queue))
+def load_first_points(run):
+    """Put the first points of the queue into the lanes, as many as there are of both."""
+    n = min(run.lane.shape[1], len(run.queue))
     for i in range(n):
-        load_point(at, lane, lane_int, q, table, queue[i], i)
-    return n
+        load_point(run, run.queue[i], i)
+    run.counters[NEXT_POINT] = n
 
 
 @internal
-def load_following(at, lane, lane_int, q, table, follows, results, status, i):
+def load_following(run, status, i):
     """Put the point that follows the one that has left a lane there; whether there is one.
 
     What follows a failure has failed.
     """
-    point = lane_int[POINT, i] + 1
-    if follows[point] and status == OK:
+    at, results, point = run.at, run.results, run.lane_int[POINT, i] + 1
+    if run.follows[point] and status == OK:
         for j in range(at.n_states):
-            table[point, at.q + j] = lane[at.q + j, i]
-        load_point(at, lane, lane_int, q, table, point, i)
+            run.table[point, at.q + j] = run.lane[at.q + j, i]
+        load_point(run, point, i)
         return True
-    while follows[point]:
-        row = table[point]
+    while run.follows[point]:
+        row = run.table[point]
         turns = row[at.end_turns] + row[at.end_tau] - row[at.tau]
         results[point, R_STATUS] = results[point - 1, R_STATUS]
         results[point, R_LEFT] = turns * row[at.period]
@@ -265,9 +337,10 @@ def load_following(at, lane, lane_int, q, table, follows, results, status, i):
 
 
 @internal
-def unload_point(at, lane, lane_int, results, status, n_new_stages, i):
+def unload_point(run, status, n_new_stages, i):
     """Write the point's end state and counters; the lane is then free."""
-    row = results[lane_int[POINT, i]]
+    at, lane, lane_int = run.at, run.lane, run.lane_int
+    row = run.results[lane_int[POINT, i]]
     left_range = lane[at.out_of_range, i] > 0.0 and (status in (OK, DIVERGED, STEP_UNDERFLOW))
     row[R_STATUS] = OUT_OF_FIT_RANGE if left_range else status
     row[R_LEFT] = remaining(at, lane, i)

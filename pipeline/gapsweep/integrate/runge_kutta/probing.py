@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.jit import internal
+from gapsweep.integrate.jit import inlined, internal
 
 from . import lanes as ln
 from . import parameters
@@ -44,8 +44,11 @@ MAX_TRIES = 8
 
 
 @internal
-def coefficients(at, lane, b, which, i):
-    """Interpolant of a coordinate or a gap over the last attempt in b[:6], its slope in b[6:]."""
+def coefficients(run, which, i):
+    """Interpolant of a coordinate or a gap over the last attempt in `scratch.b`: six coefficients,
+    and those of its slope.
+    """
+    at, lane, b = run.at, run.lane, run.scratch.b
     r = ln.ends(at, which)
     position_coefficients(
         lane[at.old_h, i], lane[r[0], i], lane[r[1], i], lane[r[2], i],
@@ -68,10 +71,11 @@ def step_passings(at, lane, q, contact, i):
 
 
 @internal
-def _passings_between_turns(at, lane, q, scratch, n_turns, contact, i):
+def _passings_between_turns(run, n_turns, contact, i):
     """Walls passed in the last attempt by the pieces into which turns in `scratch` divide it; and
     whether one leaves the range of a fit.
     """
+    at, lane, q, scratch = run.at, run.lane, run.q, run.scratch
     rows, range_ = ln.ends(at, at.gaps_from + contact), q[contact, parameters.RANGE, i]
     before, total, leaves = lane[rows[0], i], 0, False
     for m in range(n_turns + 1):
@@ -82,12 +86,13 @@ def _passings_between_turns(at, lane, q, scratch, n_turns, contact, i):
     return total, leaves
 
 
-@internal
-def count_dips(at, lane, q, scratch, contact, i):
+@inlined
+def count_dips(run, contact, i):
     """Wall passings inside a step (and leaving of a fit's range) that its ends do not tell of."""
-    coefficients(at, lane, scratch.b, at.gaps_from + contact, i)
+    at, lane, q, scratch = run.at, run.lane, run.q, run.scratch
+    coefficients(run, at.gaps_from + contact, i)
     n = roots(scratch.b[6:], scratch.found, scratch.stack)
-    total, leaves = _passings_between_turns(at, lane, q, scratch, n, contact, i)
+    total, leaves = _passings_between_turns(run, n, contact, i)
     if leaves:
         lane[at.out_of_range, i] = 1.0
     lane[at.n_contacts + contact, i] += total - step_passings(at, lane, q, contact, i)
@@ -97,16 +102,18 @@ def count_dips(at, lane, q, scratch, contact, i):
 
 
 @internal
-def record(at, lane, lane_int, events, counters, kind, t, state, i):
+def record(run, kind, t, state, i):
     """A record with the state in rows from `state` on."""
-    row = _begin_record(at, lane, lane_int, events, counters, kind, t, 0, i)
+    at, lane, events = run.at, run.lane, run.events
+    row = _begin_record(run, kind, t, 0, i)
     for j in range(at.n_states):
         events[row, ln.E_STATE + j] = lane[state + j, i]
 
 
 @internal
-def _begin_record(at, lane, lane_int, events, counters, kind, t, which, i):
+def _begin_record(run, kind, t, which, i):
     """Number of a new row, whose state is left to the caller."""
+    at, lane, lane_int, events, counters = run.at, run.lane, run.lane_int, run.events, run.counters
     row = counters[ln.N_EVENTS]
     events[row, ln.E_KIND], events[row, ln.E_POINT] = kind, lane_int[ln.POINT, i]
     events[row, ln.E_T], events[row, ln.E_WHICH] = t, which
@@ -123,8 +130,9 @@ def is_recording(at, lane, t, i):
 
 
 @internal
-def _add_probe(at, lane_int, probes, theta, kind, which, i):
+def _add_probe(run, theta, kind, which, i):
     """Insert a probe in order of time."""
+    at, lane_int, probes = run.at, run.lane_int, run.probes
     n = lane_int[ln.N_PROBES, i]
     j, size = n, at.max_probes
     while j > 0 and probes[j - 1, i] > theta:
@@ -155,11 +163,12 @@ def _passing(b, q, kind, contact, left, right, i):
     return 0.5 * (left + right)
 
 
-@internal
-def _plan_contacts(at, lane, lane_int, q, probes, scratch, n_turns, contact, i):
+@inlined
+def _plan_contacts(run, n_turns, contact, i):
     """List a contact's wall passings of the accepted step, exactly those that were counted."""
-    b, found, rows = scratch.b, scratch.found, ln.ends(at, at.gaps_from + contact)
-    n_passed, _ = _passings_between_turns(at, lane, q, scratch, n_turns, contact, i)
+    at, lane, q, b, found = run.at, run.lane, run.q, run.scratch.b, run.scratch.found
+    rows = ln.ends(at, at.gaps_from + contact)
+    n_passed, _ = _passings_between_turns(run, n_turns, contact, i)
     # The count is below zero until a start has left its wall.
     n_skipped = n_passed - lane[at.n_contacts + contact, i]
     left, before = 0.0, lane[rows[0], i]
@@ -175,19 +184,19 @@ def _plan_contacts(at, lane, lane_int, q, probes, scratch, n_turns, contact, i):
                 n_skipped -= 1
                 continue
             theta = _passing(b, q, kind, contact, left, right, i)
-            _add_probe(at, lane_int, probes, theta, kind, contact, i)
+            _add_probe(run, theta, kind, contact, i)
         left, before = right, after
 
 
 @internal
-def _turns(at, lane, scratch, which, i):
+def _turns(run, which, i):
     """List where in the accepted step a quantity turns; their number.
 
     Of a step that hardly moves it speeds alone are left: differences of rounded places are noise.
     """
-    rows = ln.ends(at, which)
+    lane, scratch, rows = run.lane, run.scratch, ln.ends(run.at, which)
     x, v_0, v_1 = lane[rows[3], i], lane[rows[1], i], lane[rows[4], i]
-    if max(abs(v_0), abs(v_1)) * lane[at.step_h, i] > 1e-14 * abs(x):
+    if max(abs(v_0), abs(v_1)) * lane[run.at.step_h, i] > 1e-14 * abs(x):
         return roots(scratch.b[6:], scratch.found, scratch.stack)
     if v_0 * v_1 < 0.0:
         scratch.found[0] = v_0 / (v_0 - v_1)
@@ -195,31 +204,31 @@ def _turns(at, lane, scratch, which, i):
     return 0
 
 
-@internal
-def plan_probes(
-    at, lane, lane_int, q, probes, scratch, section_only, lists_passings, has_dipped, i
-):
+@inlined
+def plan_probes(run, has_dipped, i):
     """List the extrema inside the accepted step, and its wall passings if they are asked for.
 
     Where nothing forces the motion, its section points are maxima of the first coordinate.
     """
+    at, lane, lane_int, settings = run.at, run.lane, run.lane_int, run.settings
     lane_int[ln.N_PROBES, i] = lane_int[ln.PROBE, i] = lane_int[ln.TRIES, i] = 0
     for contact in range(at.contacts):
         lane[at.passed_at + contact, i] = 0.0
     whole = max(lane[at.old_turns, i] + 1.0, np.ceil(lane[at.record_turns, i] - 1e-9))
     lane[at.next_whole, i] = np.inf if at.is_free else whole
     n_turning = at.n_turning
-    if section_only:
+    lists_passings = settings.contacts and not (settings.is_located or settings.section_only)
+    if settings.section_only:
         n_turning = 1 if at.is_free else 0
     for which in range(n_turning):
-        coefficients(at, lane, scratch.b, which, i)
-        n_turns = _turns(at, lane, scratch, which, i)
+        coefficients(run, which, i)
+        n_turns = _turns(run, which, i)
         for m in range(n_turns):
-            _add_probe(at, lane_int, probes, scratch.found[m], ln.EXTREMUM, which, i)
-        if which >= at.gaps_from and lists_passings and not section_only:
+            _add_probe(run, run.scratch.found[m], ln.EXTREMUM, which, i)
+        if which >= at.gaps_from and lists_passings:
             n_pieces = n_turns if has_dipped else 0
             contact = which - at.gaps_from
-            _plan_contacts(at, lane, lane_int, q, probes, scratch, n_pieces, contact, i)
+            _plan_contacts(run, n_pieces, contact, i)
 
 
 @internal
@@ -234,11 +243,12 @@ def _section_theta(at, lane, i):
 
 
 @internal
-def _send_probe(at, lane, lane_int, probes, i):
+def _send_probe(run, i):
     """Send the probe of the next event, in order of time; false if the step holds no more.
 
     A step may pass any number of whole turns, so their section points are not listed.
     """
+    at, lane, lane_int, probes = run.at, run.lane, run.lane_int, run.probes
     j, theta, size = lane_int[ln.PROBE, i], _section_theta(at, lane, i), at.max_probes
     is_listed = j < lane_int[ln.N_PROBES, i]
     kind = ln.SECTION
@@ -252,12 +262,13 @@ def _send_probe(at, lane, lane_int, probes, i):
 
 
 @internal
-def begin_probing(at, lane, lane_int, probes, i):
+def begin_probing(run, i):
     """Set the lane back to the step's start and send the first probe; false if there is none."""
+    at, lane, lane_int = run.at, run.lane, run.lane_int
     for j in range(at.n_start):
         lane[at.kept + j, i] = lane[at.q + j, i]
     lane[at.step_h, i] = lane[at.old_h, i]
-    if not _send_probe(at, lane, lane_int, probes, i):
+    if not _send_probe(run, i):
         lane[at.h, i] = lane[at.kept + at.h, i]
         return False
     return_to_start(at, lane, i)
@@ -272,11 +283,12 @@ def return_to_start(at, lane, i):
         lane[at.q + j, i] = lane[at.old_q + j, i]
 
 
-@internal
-def _neighbours(at, lane, lane_int, probes, i):
+@inlined
+def _neighbours(run, i):
     """Times within the step between which the probed wall passing lies: the extremum or passing
     before it, and the extremum after it.
     """
+    at, lane, lane_int, probes = run.at, run.lane, run.lane_int, run.probes
     which, step, size = lane_int[ln.WHICH, i], lane[at.step_h, i], at.max_probes
     low = lane[at.passed_at + which, i]
     for j in range(lane_int[ln.N_PROBES, i]):
@@ -289,9 +301,10 @@ def _neighbours(at, lane, lane_int, probes, i):
     return low, step
 
 
-@internal
-def _improved(at, lane, lane_int, q, probes, i):
+@inlined
+def _improved(run, i):
     """Newton's step from the probed time within the step to that of the event."""
+    at, lane, lane_int, q = run.at, run.lane, run.lane_int, run.q
     h, step, which = lane[at.h, i], lane[at.step_h, i], lane_int[ln.WHICH, i]
     if lane_int[ln.KIND, i] == ln.EXTREMUM:
         rows = ln.ends(at, which)
@@ -302,7 +315,7 @@ def _improved(at, lane, lane_int, q, probes, i):
     x, v = lane[rows[3], i], lane[rows[4], i]
     is_high = lane_int[ln.KIND, i] == ln.CONTACT
     wall = q[which, parameters.WALL_HIGH if is_high else parameters.WALL_LOW, i]
-    low, high = _neighbours(at, lane, lane_int, probes, i)
+    low, high = _neighbours(run, i)
     dt = (wall - x) / v if v != 0.0 else 0.0
     return min(max(h + dt, low), high)
 
@@ -315,10 +328,11 @@ def _is_return(at, lane, lane_int, i):
 
 
 @internal
-def _record_moved(at, lane, lane_int, events, counters, kind, t, dt, i):
+def _record_moved(run, kind, t, dt, i):
     """A record with the state a short time after the probe."""
+    at, lane, lane_int, events = run.at, run.lane, run.lane_int, run.events
     which = lane_int[ln.WHICH, i] if kind == ln.CONTACT else 0
-    row = _begin_record(at, lane, lane_int, events, counters, kind, t, which, i)
+    row = _begin_record(run, kind, t, which, i)
     for j in range(at.n):
         v, a = lane[at.v_1 + j, i], lane[at.a_1 + j, i]
         events[row, ln.E_STATE + j] = lane[at.q_1 + j, i] + v * dt
@@ -330,34 +344,36 @@ def _record_moved(at, lane, lane_int, events, counters, kind, t, dt, i):
         events[row, ln.E_STATE + at.n] = 0.0  # to the last bit: the next motion begins here
 
 
-@internal
-def _record_probed(at, lane, lane_int, events, counters, kind, t, dt, i):
+@inlined
+def _record_probed(run, kind, t, dt, i):
     """Record the probed event, which lies dt after the probe."""
+    at, lane, lane_int, events = run.at, run.lane, run.lane_int, run.events
     if kind == ln.SECTION:
-        record(at, lane, lane_int, events, counters, kind, t, at.q_1, i)
+        record(run, kind, t, at.q_1, i)
     elif kind == ln.EXTREMUM:
         if _is_return(at, lane, lane_int, i):
-            _record_moved(at, lane, lane_int, events, counters, ln.SECTION, t, dt, i)
+            _record_moved(run, ln.SECTION, t, dt, i)
         which = lane_int[ln.WHICH, i]
         rows = ln.ends(at, which)
-        row = _begin_record(at, lane, lane_int, events, counters, kind, t, which, i)
+        row = _begin_record(run, kind, t, which, i)
         for j in range(1, at.n_states):
             events[row, ln.E_STATE + j] = 0.0
         events[row, ln.E_STATE] = lane[rows[3], i] + 0.5 * lane[rows[4], i] * dt
     else:
-        _record_moved(at, lane, lane_int, events, counters, ln.CONTACT, t, dt, i)
+        _record_moved(run, ln.CONTACT, t, dt, i)
 
 
-@internal
-def probed(at, lane, lane_int, q, probes, events, counters, i):
+@inlined
+def probed(run, i):
     """Judge one probe; true when the last event of the step is recorded."""
+    at, lane, lane_int = run.at, run.lane, run.lane_int
     kind, dt = lane_int[ln.KIND, i], 0.0
     h, step = lane[at.h, i], lane[at.step_h, i]
     if kind == ln.SECTION:
         t = (lane[at.next_whole, i] - lane[at.phase_0, i]) * lane[at.period, i]
         lane[at.next_whole, i] += 1.0
     else:
-        improved = _improved(at, lane, lane_int, q, probes, i)
+        improved = _improved(run, i)
         dt = improved - h
         # A section point has to be as good as the motion: all of its state, not its height alone.
         close = CLOSE_TO_RETURN if _is_return(at, lane, lane_int, i) else CLOSE_ENOUGH
@@ -370,8 +386,8 @@ def probed(at, lane, lane_int, q, probes, events, counters, i):
             lane[at.passed_at + lane_int[ln.WHICH, i], i] = improved
         lane_int[ln.PROBE, i] += 1
     if is_recording(at, lane, t, i):
-        _record_probed(at, lane, lane_int, events, counters, kind, t, dt, i)
-    if _send_probe(at, lane, lane_int, probes, i):
+        _record_probed(run, kind, t, dt, i)
+    if _send_probe(run, i):
         return False
     for j in range(at.n_start):
         lane[at.q + j, i] = lane[at.kept + j, i]

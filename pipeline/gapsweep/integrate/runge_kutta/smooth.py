@@ -96,12 +96,10 @@ def _replay_steps(at: ln.Rows, replay: dict[str, Any], point: int, steps: Array,
     table[:, at.end_turns] = np.floor(end)
     table[:, at.end_tau] = end - np.floor(end)
     table[:, at.record_turns] = np.inf
-    settings = replay["settings"].copy()
     # Any error is accepted and the first step is the whole way: exactly one step.
-    settings[ln.S_RTOL] = settings[ln.S_ATOL] = 1e200
-    off = [ln.S_ODE45, ln.S_STOP_AT_LAYER, ln.S_TANGENT, ln.S_DENSE, ln.S_CONTACTS]
-    settings[off] = 0.0
-    settings[ln.S_FIRST_STEP] = 1e100
+    wide = {"rtol": 1e200, "atol": 1e200, "first_step": 1e100}
+    off = ("is_ode45", "cuts_at_layers", "tangent", "dense", "contacts")
+    settings = replay["settings"]._replace(**wide, **dict.fromkeys(off, False))
     order = np.arange(n), np.zeros(n + 1, bool)
     results, _ = drained(at, replay["kinds"], replay["tableau"], table, order, settings)
     return np.asarray(results[:, ln.R_STATE : ln.R_STATE + at.n_states].T)
@@ -147,14 +145,14 @@ class Scenes:
     table : ndarray, shape (n, n_columns + n_contacts * N_PARAMETERS)
         Rows as the loop reads them.
     method : Tableau
-    settings : ndarray, shape (N_SETTINGS,)
+    settings : Settings
     """
 
     at: ln.Rows
     kinds: tuple[Any, ...]
     table: Array
     method: tableaux.Tableau
-    settings: Array
+    settings: ln.Settings
 
 
 def scenes(
@@ -251,20 +249,22 @@ def prepared(
         reach = (3.0 - 0.5 * np.log(rtol)) / parameters.TANH_SATURATION
         rows[rows[:, parameters.SATURATION] > 0.0, parameters.LAYER] *= min(1.0, max(0.1, reach))
         parts.append(rows)
-    settings = np.zeros(ln.N_SETTINGS)
-    settings[ln.S_RTOL], settings[ln.S_ATOL] = rtol, atol
-    settings[ln.S_BOUND], settings[ln.S_MAX_ATTEMPTS] = DIVERGED_AT, _MOST_ATTEMPTS
-    settings[ln.S_ODE45], settings[ln.S_RESTART] = controller == "ode45", restart
     has_layer, has_range = (
         any((rows[:, row] > 0.0).any() for rows in parts[1:])
         for row in (parameters.LAYER, parameters.RANGE)
     )
-    settings[ln.S_STOP_AT_LAYER] = has_layer and controller != "ode45"
-    settings[ln.S_HAS_RANGE] = has_range
-    settings[ln.S_LOCATED] = any(
-        getattr(law.kind, "number", None) == laws.LOCATED for law in kernel_laws
+    settings = ln.Settings(
+        rtol=rtol,
+        atol=atol,
+        bound=DIVERGED_AT,
+        max_attempts=_MOST_ATTEMPTS,
+        exponent=float(method.exponent),
+        is_ode45=controller == "ode45",
+        is_located=any(getattr(x.kind, "number", None) == laws.LOCATED for x in kernel_laws),
+        restarts=restart,
+        cuts_at_layers=has_layer and controller != "ode45",
+        has_range=has_range,
     )
-    settings[ln.S_EXPONENT] = method.exponent
     return Scenes(at, tuple(law.kind for law in kernel_laws), np.hstack(parts), method, settings)
 
 
@@ -315,9 +315,9 @@ def run(
     table = prepared.table.take(which, axis=0)
     at = prepared.at
     _set_starts(at, table, start, t_0, t_end, record_from)
-    settings = prepared.settings.copy()
-    settings[ln.S_TANGENT], settings[ln.S_DENSE] = tangent, dense_output
-    settings[ln.S_CONTACTS], settings[ln.S_SECTION_ONLY] = contacts, section_only
+    settings = prepared.settings._replace(
+        tangent=tangent, dense=dense_output, contacts=contacts, section_only=section_only
+    )
     follows = np.append(np.zeros(len(which), bool) if follows is None else follows, False)
     queue = np.flatnonzero(~follows[:-1]) if queue is None else queue
     order = queue, follows
