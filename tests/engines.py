@@ -151,15 +151,13 @@ def smooth(
     *arrays, _ = _flat(*given, x_0, v_0, t_0, t_end, record_from, law.q[..., 0])
     settings = {"rtol": rtol, "atol": atol, "controller": controller, "restart": restart}
     prepared = rk.scenes(law, *arrays[:6], **settings)
+    caps = {"bound": x_bound, "max_attempts": max_attempts}
+    changes = {name: float(cap) for name, cap in caps.items() if cap is not None}
+    changes |= {} if stop_at_layer else {"cuts_at_layers": False}
     if method is not None:
         prepared = replace(prepared, method=method)
-        prepared.settings[ln.S_EXPONENT] = method.exponent
-    if x_bound is not None:
-        prepared.settings[ln.S_BOUND] = x_bound
-    if max_attempts is not None:
-        prepared.settings[ln.S_MAX_ATTEMPTS] = max_attempts
-    if not stop_at_layer:
-        prepared.settings[ln.S_STOP_AT_LAYER] = 0.0
+        changes["exponent"] = float(method.exponent)
+    prepared = replace(prepared, settings=prepared.settings._replace(**changes))
     start = np.stack(arrays[6:8], axis=1)
     return Smooth(rk.run(prepared, np.arange(len(start)), start, *arrays[8:], **options))
 
