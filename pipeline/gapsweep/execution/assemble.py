@@ -23,11 +23,10 @@ from gapsweep.model.labels import law_of
 from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
 from gapsweep.response.result import ResponseClass, Responses
-from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
-from gapsweep.study.grid import COORDINATE, Grid, Selection
+from gapsweep.study.grid import Grid, Selection
 from gapsweep.study.schema import EXTREMUM, MULTIPLIERS
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
@@ -208,16 +207,13 @@ def _ragged(items: NDArray[Any], counts: NDArray[np.int64], padding: NDArray[Any
 
 
 def _extrema(responses: Responses, layout: Layout) -> dict[str, Fill]:
-    """Extrema and their kinds, of a system those of all coordinates."""
+    """Extrema and their kinds, which responses hold coordinate by coordinate."""
     n_shown = np.minimum(responses.columns["n_extrema"], layout.sizes[EXTREMUM])
 
     def filled(items: NDArray[Any], padding: NDArray[Any]) -> NDArray[Any]:
-        if not layout.is_of_systems:
-            return _ragged(items, n_shown, padding)
-        # They stand coordinate by coordinate.
-        turned = np.ascontiguousarray(np.swapaxes(padding, 1, 2))
-        rows = turned.reshape(-1, turned.shape[2])
-        return np.swapaxes(_ragged(items, n_shown.ravel(), rows).reshape(turned.shape), 1, 2)
+        turned = np.ascontiguousarray(np.moveaxis(padding, 1, -1))
+        rows = turned.reshape(-1, turned.shape[-1])
+        return np.moveaxis(_ragged(items, n_shown.ravel(), rows).reshape(turned.shape), -1, 1)
 
     names = ("extrema", "extremum_kind")
     return {name: partial(filled, responses.lists[name][0]) for name in names}
@@ -226,12 +222,13 @@ def _extrema(responses: Responses, layout: Layout) -> dict[str, Fill]:
 def _section(responses: Responses, layout: Layout) -> dict[str, Fill]:
     """Section points: displacements, velocities and first-order states."""
     items, counts = responses.lists["section"]
-    points, n = items.reshape(-1, layout.n_states), layout.sizes.get(COORDINATE, 1)
-    parts = dict(zip(layout.section, np.split(points, [n, 2 * n], axis=1), strict=False))
-    if not layout.is_of_systems:
-        parts = {name: part[:, 0] for name, part in parts.items()}
+    points, n = items.reshape(-1, layout.n_states), layout.grid.structure.n
+    parts = zip(layout.section, np.split(points, [n, 2 * n], axis=1), strict=False)
     n_points = counts // layout.n_states
-    return {name: partial(_ragged, part, n_points) for name, part in parts.items()}
+    return {
+        name: partial(_ragged, part.reshape(len(part), *layout.part_shape(name)), n_points)
+        for name, part in parts
+    }
 
 
 def _grouped(
@@ -249,7 +246,7 @@ def _grouped(
         scene, start = np.ravel_multi_index(tuple(at[:-1]), shape[:-1]), at[-1] + starts.start
         cells.append(scene * shape[-1] + start)
         grouping.add(found.responses, scene, layout.grid.starts.is_fixed[start])
-    attractors = grouping.attractors(False if layout.is_of_systems else layout.is_symmetric(piece))
+    attractors = grouping.attractors(layout.is_symmetric(piece))
     ids = np.full(shape, NONE, np.int32)
     ids.flat[np.concatenate(cells)] = attractors.numbers
     return attractors, ids
@@ -287,8 +284,6 @@ def _units(
     study: Study, layout: Layout, piece: Piece, stored: _Stored, requested: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """What one metre of the section is in each component of a state, for the scenes of a piece."""
-    if not layout.is_of_systems:
-        return unit_of(layout.omega(piece))
     rates = np.full(requested.shape[:-1], np.nan)
     if "omega" not in layout.grid.axes:
         for starts in layout.starts():

@@ -306,7 +306,8 @@ class Study:
     def grid(self) -> Grid:
         """The labelled grid: the union of all blocks."""
         requested = requested_of(self._blocks, self._axes)
-        return Grid(self._axes, requested, self.systems.parts if self.systems else {})
+        parts = self.systems.parts if self.systems else {}
+        return Grid(self._axes, requested, self.structure, parts)
 
     def select(self, /, **wanted: Any) -> Selection:
         """Select among the study's own coordinates.
@@ -423,8 +424,10 @@ class Study:
     def units(
         self, places: Mapping[str, NDArray[np.intp]], rate: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Of systems at some places on the axes; as `Systems.units`."""
-        assert self.systems is not None
+        """What one metre of the section is in the states of some scenes; as `Systems.units`."""
+        if self.systems is None:
+            omega = np.array(self.grid.axes["omega"])[places["omega"]]
+            return np.stack(self.oscillator.unit(2.0 * np.pi * omega))
         return self.systems.units(self.grid.axes, places, rate)
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:

@@ -82,11 +82,11 @@ class Systems:
 
     @property
     def parts(self) -> dict[str, tuple[str, ...]]:
-        """Dimensions within a point, and the names along them."""
+        """Dimensions within a point, those with several entries, and the names along them."""
         system, m = self.system, self.structure.m
         lags = tuple(f"z_{i + 1}" for i in range(m))
         found = {COORDINATE: system.coordinates, CONTACT: tuple(system.contacts), LAG: lags}
-        return {name: tuple(names) for name, names in found.items() if names}
+        return {name: tuple(names) for name, names in found.items() if len(names) > 1}
 
     def labels(self, representation: str) -> tuple[str, ...]:
         """Of every contact the label of its law, where all others have this one."""
