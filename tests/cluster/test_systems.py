@@ -373,6 +373,16 @@ PAIRS = {
 }
 
 
+def test_a_query_has_the_systems_of_its_own_points(client, tmp_path, monkeypatch):
+    """Its grid is a part of the study's: the systems are those of the part's values."""
+    (tmp_path / "pairs_of_mine.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(tmp_path)
+    study = gs.Study.from_dict(PAIRS)
+    found = gs.query(study, client, cache=tmp_path / "c-cache", a=2.0)
+    assert found["a"].values.tolist() == [2.0]
+    assert (found["status"] == gs.Status.OK).sum() == 1
+
+
 def test_a_function_is_asked_only_where_a_block_has_points(tmp_path, monkeypatch):
     (tmp_path / "pairs_of_mine.py").write_text(MODULE)
     monkeypatch.syspath_prepend(tmp_path)

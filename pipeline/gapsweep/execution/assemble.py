@@ -293,7 +293,7 @@ def _units(
     asked = np.flatnonzero(requested.any(axis=-1))
     places = {name: place[asked] for name, place in layout.places(piece).items()}
     units = np.ones((layout.n_states, rates.size))
-    units[:, asked] = study.units(places, rates.ravel()[asked])
+    units[:, asked] = study.units(layout.grid.axes, places, rates.ravel()[asked])
     return units
 
 

@@ -422,13 +422,13 @@ class Study:
         )
 
     def units(
-        self, places: Mapping[str, NDArray[np.intp]], rate: NDArray[np.float64]
+        self, axes: Axes, places: Mapping[str, NDArray[np.intp]], rate: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """What one metre of the section is in the states of some scenes; as `Systems.units`."""
         if self.systems is None:
-            omega = np.array(self.grid.axes["omega"])[places["omega"]]
+            omega = np.array(axes["omega"])[places["omega"]]
             return np.stack(self.oscillator.unit(2.0 * np.pi * omega))
-        return self.systems.units(self.grid.axes, places, rate)
+        return self.systems.units(axes, places, rate)
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
         """What ``auto`` chooses for each point, in tables of one tolerance each."""
