@@ -114,7 +114,8 @@ def test_every_number_is_that_of_respond(made):
     study, _, responses = made
     for here, found in direct(study, responses):
         free = () if "omega" in responses.dims else ("period",)
-        for name in (*PLAIN, *OF_COORDINATES, *OF_CONTACTS, *free):
+        more = () if study.structure.n == 1 else ("contact_x_max", "contact_x_min")
+        for name in (*PLAIN, *OF_COORDINATES, *OF_CONTACTS, *free, *more):
             expected = getattr(found, name)
             assert_array_equal(here[name].values.reshape(expected.shape), expected, name)
         n = here["n_extrema"].values.reshape(-1, study.structure.n)
@@ -127,6 +128,29 @@ def test_every_number_is_that_of_respond(made):
             section = np.concatenate(parts).T
             section = section[np.isfinite(section).all(axis=1)]
             assert_array_equal(section.ravel(), found.section[point])
+
+
+def test_motions_at_contacts_are_those_of_the_coordinates_along_their_directions(made):
+    study, folder, responses = made
+    names = [f"contact_section_{part}" for part in "xv"]
+    if study.structure.n == 1:
+        assert not {*names, "contact_x_max"} & {*responses}
+        return
+    along = np.array([*study.systems.system.contacts.values()])
+    with xr.open_dataset(folder / "out" / "attractors.nc") as attractors:
+        for dataset in (responses, attractors.load()):
+            for name in names:
+                expected = dataset[name.removeprefix("contact_")].values @ along.T
+                found = dataset[name].values
+                np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-15)
+                assert "units" not in dataset[name].attrs
+            ends = abs(dataset[["x_max", "x_min"]]).to_dataarray().max("variable").values
+            largest = abs(dataset[["contact_x_max", "contact_x_min"]]).to_dataarray()
+            bound = ends @ np.abs(along).T
+            largest = largest.max("variable").values.reshape(bound.shape)
+            known = np.isfinite(bound)
+            assert known.any()
+            assert (largest[known] <= bound[known] * (1.0 + 1e-12)).all()
 
 
 def test_a_failure_is_data_of_the_same_shape(made):

@@ -22,12 +22,12 @@ from gapsweep.execution.plan import Plan
 from gapsweep.model.labels import law_of
 from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
-from gapsweep.response.result import ResponseClass, Responses
+from gapsweep.response.result import ResponseClass, Responses, has_contact_motion
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
 from gapsweep.study.grid import Grid, Selection
-from gapsweep.study.schema import EXTREMUM, MULTIPLIERS
+from gapsweep.study.schema import EXTREMUM, MULTIPLIERS, OF_CONTACT_MOTION
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 
@@ -88,13 +88,15 @@ def fill(
         if not requested.any():
             continue
         stored = _Stored(plan, cache, study, numbers[piece])
+        directions = _directions(study, layout, piece, requested)
         attractors, ids = _grouped(study, layout, piece, stored, requested)
-        _write(others, piece[:-1], _attractor_arrays(layout, attractors, requested.shape[:-1]))
+        of_scenes = _attractor_arrays(layout, attractors, requested.shape[:-1], directions)
+        _write(others, piece[:-1], of_scenes)
         for starts in layout.starts():
             found, at = stored.of(starts)
             versions |= found.versions
             hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
-            values = _point_arrays(layout, requested[..., starts], found, at, hosts)
+            values = _point_arrays(layout, requested[..., starts], found, at, hosts, directions)
             values["attractor"] = ids[..., starts]
             _write(dataset, (*piece[:-1], starts), values)
     set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
@@ -171,6 +173,7 @@ def _point_arrays(
     found: Found,
     at: NDArray[np.intp],
     hosts: list[str],
+    directions: NDArray[np.float64],
 ) -> Arrays:
     """Values of all variables over some starts of a piece, but for the number of the attractor."""
     responses, shape = found.responses, requested.shape
@@ -187,7 +190,8 @@ def _point_arrays(
         values[name][*at] = column.reshape(len(column), *layout.part_shape(name))
     number = {host: i for i, host in enumerate(hosts)}
     values["host"][*at] = [number.get(host, -1) for host in found.host.tolist()]
-    lists = _extrema(responses, layout) | _section(responses, layout)
+    scene = np.ravel_multi_index(tuple(at[:-1]), shape[:-1])
+    lists = _extrema(responses, layout) | _section(responses, layout, directions[scene])
     for name, (dimension, variable) in layout.lists.items():
         sizes = layout.sizes[dimension], *layout.part_shape(name)
         full = np.full((*shape, *sizes), variable.missing, variable.dtype)
@@ -219,16 +223,28 @@ def _extrema(responses: Responses, layout: Layout) -> dict[str, Fill]:
     return {name: partial(filled, responses.lists[name][0]) for name in names}
 
 
-def _section(responses: Responses, layout: Layout) -> dict[str, Fill]:
-    """Section points: displacements, velocities and first-order states."""
+def _section(
+    responses: Responses, layout: Layout, directions: NDArray[np.float64]
+) -> dict[str, Fill]:
+    """Section points: displacements, velocities, first-order states, and motions at contacts.
+
+    Parameters
+    ----------
+    directions : ndarray, shape (n, n_contacts, n_coordinates)
+        Of each response, for relative displacements ``b · q`` and velocities.
+    """
     items, counts = responses.lists["section"]
     points, n = items.reshape(-1, layout.n_states), layout.grid.structure.n
-    parts = zip(layout.section, np.split(points, [n, 2 * n], axis=1), strict=False)
+    parts = dict(zip(("x", "v", "z"), np.split(points, [n, 2 * n], axis=1), strict=True))
     n_points = counts // layout.n_states
-    return {
-        name: partial(_ragged, part.reshape(len(part), *layout.part_shape(name)), n_points)
-        for name, part in parts
-    }
+    found: dict[str, Fill] = {}
+    for name in layout.section:
+        part = parts[name[-1]]
+        if name in OF_CONTACT_MOTION:
+            part = np.einsum("skj,sj->sk", np.repeat(directions, n_points, axis=0), part)
+        shape = len(part), *layout.part_shape(name)
+        found[name] = partial(_ragged, part.reshape(shape), n_points)
+    return found
 
 
 def _grouped(
@@ -252,7 +268,9 @@ def _grouped(
     return attractors, ids
 
 
-def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...]) -> Arrays:
+def _attractor_arrays(
+    layout: Layout, found: Attractors, shape: tuple[int, ...], directions: NDArray[np.float64]
+) -> Arrays:
     """Values of all variables of `attractors.nc` over the scenes of a piece."""
     leaders, most = found.leaders, int(found.number.max(initial=0)) + 1
     place = (*np.unravel_index(found.scene, shape), found.number)
@@ -271,7 +289,7 @@ def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...])
     longest = {name: int(counts.max(initial=0)) // 2 for name in MULTIPLIERS}
     n_section = int(leaders.lists["section"][1].max(initial=0)) // layout.n_states
     longest |= dict.fromkeys(layout.section, n_section)
-    for name, fill in {**lists, **_section(leaders, layout)}.items():
+    for name, fill in {**lists, **_section(leaders, layout, directions[found.scene])}.items():
         full = np.full((*shape, most, longest[name], *layout.part_shape(name)), np.nan)
         full[place] = fill(full[place])
         values[name] = full
@@ -289,12 +307,33 @@ def _units(
         for starts in layout.starts():
             found, at = stored.of(starts)
             _set_rates(rates, found.responses, tuple(at[:-1]))
-    # Nobody asks for the others, and a user's function may have no system there.
-    asked = np.flatnonzero(requested.any(axis=-1))
-    places = {name: place[asked] for name, place in layout.places(piece).items()}
+    asked, places = _asked(layout, piece, requested)
     units = np.ones((layout.n_states, rates.size))
     units[:, asked] = study.units(layout.grid.axes, places, rates.ravel()[asked])
     return units
+
+
+def _directions(
+    study: Study, layout: Layout, piece: Piece, requested: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Directions of contacts in the scenes of a piece, where motions at contacts are stored."""
+    structure = layout.grid.structure
+    found = np.ones((requested[..., 0].size, len(structure.contacts), structure.n))
+    if study.systems is not None and has_contact_motion(structure):
+        asked, places = _asked(layout, piece, requested)
+        found[asked] = study.systems.directions(layout.grid.axes, places, len(asked))
+    return found
+
+
+def _asked(
+    layout: Layout, piece: Piece, requested: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], dict[str, NDArray[np.intp]]]:
+    """Numbers of the scenes of a piece that have points, and their places on the axes.
+
+    A user's function may have no system in the others.
+    """
+    asked = np.flatnonzero(requested.any(axis=-1))
+    return asked, {name: place[asked] for name, place in layout.places(piece).items()}
 
 
 def _set_rates(

@@ -15,6 +15,7 @@ from gapsweep.response.result import (
     OF_COORDINATES,
     ExtremumKind,
     ResponseClass,
+    has_contact_motion,
 )
 from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START
@@ -165,6 +166,8 @@ def exists(name: str, structure: AnyStructure) -> bool:
     """Whether datasets of models of a structure have a variable or coordinate."""
     if name in ("z_0", "section_z"):
         return structure.m > 0
+    if name in OF_CONTACT_MOTION:
+        return has_contact_motion(structure)
     if name in OF_CONTACTS:
         return len(structure.contacts) > 0
     return name != "period" or not structure.is_forced
@@ -193,6 +196,8 @@ VARIABLES: dict[str, Variable] = {
     "amplitude": Variable("f8", "m", "half the range of the steady response"),
     "force_max": Variable("f8", "N", "largest magnitude of the contact force"),
     "contact_share": Variable("f8", "1", "share of the time spent beyond the walls"),
+    "contact_x_max": Variable("f8", "m", "peak relative displacement at the contact"),
+    "contact_x_min": Variable("f8", "m", "trough relative displacement at the contact"),
     "period_multiple": Variable("i4", "1", "forcing periods in one response period, 0: none", 0),
     "response_class": Variable("i1", "1", "class of the steady response", -1, CLASS_FLAGS),
     "multiplier_abs": Variable("f8", "1", "largest modulus of the Floquet multipliers"),
@@ -224,12 +229,21 @@ LISTS: dict[str, tuple[str, Variable]] = {
     "section_x": (SECTION_POINT, Variable("f8", "m", "displacement at whole forcing periods")),
     "section_v": (SECTION_POINT, Variable("f8", "m s-1", "velocity at whole forcing periods")),
     "section_z": (SECTION_POINT, Variable("f8", "", "first-order state at whole forcing periods")),
+    "contact_section_x": (
+        SECTION_POINT,
+        Variable("f8", "m", "relative displacement at the contact at whole forcing periods"),
+    ),
+    "contact_section_v": (
+        SECTION_POINT,
+        Variable("f8", "m s-1", "relative velocity at the contact at whole forcing periods"),
+    ),
 }
 
+OF_CONTACT_MOTION = ("contact_x_max", "contact_x_min", "contact_section_x", "contact_section_v")
 _PART_OF = {
     **dict.fromkeys((*OF_COORDINATES, "extrema", "extremum_kind"), COORDINATE),
     **dict.fromkeys(("x_0", "v_0", "section_x", "section_v"), COORDINATE),
-    **dict.fromkeys(OF_CONTACTS, CONTACT),
+    **dict.fromkeys((*OF_CONTACTS, *OF_CONTACT_MOTION), CONTACT),
     **dict.fromkeys(("z_0", "section_z"), LAG),
 }
 
@@ -242,6 +256,8 @@ ATTRACTOR_VARIABLES: dict[str, Variable] = {
             "response_class",
             "x_max",
             "x_min",
+            "contact_x_max",
+            "contact_x_min",
             "multiplier_abs",
             "lyapunov",
             "lyapunov_error",

@@ -117,6 +117,11 @@ class Systems:
         ]
         return np.stack(found, axis=1)
 
+    def directions(self, axes: Axes, places: Places, n: int) -> Array:
+        """Directions of the contacts of n scenes, shape (n, n_contacts, n_coordinates)."""
+        number, systems = self._systems(axes, places, n)
+        return np.stack([system.directions for system in systems])[number]
+
     def starts(self, states: ArrayLike | None) -> Array:
         """States with as many components as the system's; what is not given is zero."""
         n, n_states = self.structure.n, self.structure.n_states
