@@ -22,7 +22,7 @@ from gapsweep.execution.plan import Plan
 from gapsweep.model.labels import law_of
 from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
-from gapsweep.response.result import ResponseClass, Responses, has_contact_motion
+from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
@@ -88,8 +88,8 @@ def fill(
         if not requested.any():
             continue
         stored = _Stored(plan, cache, study, numbers[piece])
-        directions = _directions(study, layout, piece, requested)
-        attractors, ids = _grouped(study, layout, piece, stored, requested)
+        units, directions = _sections(study, layout, piece, stored, requested)
+        attractors, ids = _grouped(layout, piece, stored, units)
         of_scenes = _attractor_arrays(layout, attractors, requested.shape[:-1], directions)
         _write(others, piece[:-1], of_scenes)
         for starts in layout.starts():
@@ -234,9 +234,9 @@ def _section(
         Of each response, for relative displacements ``b · q`` and velocities.
     """
     items, counts = responses.lists["section"]
-    points, n = items.reshape(-1, layout.n_states), layout.grid.structure.n
+    points, n = items.reshape(-1, layout.grid.structure.n_states), layout.grid.structure.n
     parts = dict(zip(("x", "v", "z"), np.split(points, [n, 2 * n], axis=1), strict=True))
-    n_points = counts // layout.n_states
+    n_points = counts // layout.grid.structure.n_states
     found: dict[str, Fill] = {}
     for name in layout.section:
         part = parts[name[-1]]
@@ -248,15 +248,11 @@ def _section(
 
 
 def _grouped(
-    study: Study,
-    layout: Layout,
-    piece: Piece,
-    stored: _Stored,
-    requested: NDArray[np.bool_],
+    layout: Layout, piece: Piece, stored: _Stored, units: NDArray[np.float64]
 ) -> tuple[Attractors, NDArray[np.int32]]:
     """The attractors of the scenes of a piece, and the number of that of every point."""
     shape = tuple(part.stop - part.start for part in piece)
-    grouping, cells = Grouping(_units(study, layout, piece, stored, requested)), []
+    grouping, cells = Grouping(units), []
     for starts in layout.starts():
         found, at = stored.of(starts)
         scene, start = np.ravel_multi_index(tuple(at[:-1]), shape[:-1]), at[-1] + starts.start
@@ -287,7 +283,7 @@ def _attractor_arrays(
         name: partial(_ragged, parts[i::2], counts // 2) for i, name in enumerate(MULTIPLIERS)
     }
     longest = {name: int(counts.max(initial=0)) // 2 for name in MULTIPLIERS}
-    n_section = int(leaders.lists["section"][1].max(initial=0)) // layout.n_states
+    n_section = int(leaders.lists["section"][1].max(initial=0)) // layout.grid.structure.n_states
     longest |= dict.fromkeys(layout.section, n_section)
     for name, fill in {**lists, **_section(leaders, layout, directions[found.scene])}.items():
         full = np.full((*shape, most, longest[name], *layout.part_shape(name)), np.nan)
@@ -298,42 +294,25 @@ def _attractor_arrays(
     return values
 
 
-def _units(
+def _sections(
     study: Study, layout: Layout, piece: Piece, stored: _Stored, requested: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """What one metre of the section is in each component of a state, for the scenes of a piece."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What the sections of the scenes of a piece are measured by, as `Study.sections`."""
     rates = np.full(requested.shape[:-1], np.nan)
     if "omega" not in layout.grid.axes:
         for starts in layout.starts():
             found, at = stored.of(starts)
             _set_rates(rates, found.responses, tuple(at[:-1]))
-    asked, places = _asked(layout, piece, requested)
-    units = np.ones((layout.n_states, rates.size))
-    units[:, asked] = study.units(layout.grid.axes, places, rates.ravel()[asked])
-    return units
-
-
-def _directions(
-    study: Study, layout: Layout, piece: Piece, requested: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Directions of contacts in the scenes of a piece, where motions at contacts are stored."""
-    structure = layout.grid.structure
-    found = np.ones((requested[..., 0].size, len(structure.contacts), structure.n))
-    if study.systems is not None and has_contact_motion(structure):
-        asked, places = _asked(layout, piece, requested)
-        found[asked] = study.systems.directions(layout.grid.axes, places, len(asked))
-    return found
-
-
-def _asked(
-    layout: Layout, piece: Piece, requested: NDArray[np.bool_]
-) -> tuple[NDArray[np.intp], dict[str, NDArray[np.intp]]]:
-    """Numbers of the scenes of a piece that have points, and their places on the axes.
-
-    A user's function may have no system in the others.
-    """
+    # Nobody asks for the others, and a user's function may have no system there.
     asked = np.flatnonzero(requested.any(axis=-1))
-    return asked, {name: place[asked] for name, place in layout.places(piece).items()}
+    places = {name: place[asked] for name, place in layout.places(piece).items()}
+    of = layout.grid.structure
+    units = np.ones((of.n_states, rates.size))
+    directions = np.ones((rates.size, len(of.contacts), of.n))
+    units[:, asked], directions[asked] = study.sections(
+        layout.grid.axes, places, rates.ravel()[asked]
+    )
+    return units, directions
 
 
 def _set_rates(

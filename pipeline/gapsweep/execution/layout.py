@@ -68,11 +68,6 @@ class Layout:
         return cls(grid, sizes | part_sizes(grid.structure), uneven)
 
     @property
-    def n_states(self) -> int:
-        """Length of a state (q, v, z)."""
-        return self.grid.structure.n_states
-
-    @property
     def variables(self) -> dict[str, Variable]:
         """Of `responses.nc`, but for its lists."""
         return self._described(VARIABLES)
@@ -188,7 +183,7 @@ def define_attractors(dataset: netCDF4.Dataset, layout: Layout) -> None:
     """Dimensions, coordinates and variables of `attractors.nc`; it grows with their number."""
     scenes, chunk = layout.grid.dims[:-1], layout.chunk[:-1]
     _define_coordinates(dataset, layout, scenes)
-    sizes = {MULTIPLIER: layout.n_states, SECTION_POINT: layout.sizes[SECTION_POINT]}
+    sizes = {MULTIPLIER: layout.grid.structure.n_states, SECTION_POINT: layout.sizes[SECTION_POINT]}
     for name, size in {ATTRACTOR: None, **sizes}.items():
         dataset.createDimension(name, size)
     _create(dataset, layout, "n_attractors", N_ATTRACTORS, scenes, chunk)

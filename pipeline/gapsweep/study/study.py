@@ -421,14 +421,14 @@ class Study:
             own=own,
         )
 
-    def units(
+    def sections(
         self, axes: Axes, places: Mapping[str, NDArray[np.intp]], rate: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """What one metre of the section is in the states of some scenes; as `Systems.units`."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What the sections of some scenes are measured by; as `Systems.sections`."""
         if self.systems is None:
             omega = np.array(axes["omega"])[places["omega"]]
-            return np.stack(self.oscillator.unit(2.0 * np.pi * omega))
-        return self.systems.units(axes, places, rate)
+            return np.stack(self.oscillator.unit(2.0 * np.pi * omega)), np.ones((len(omega), 1, 1))
+        return self.systems.sections(axes, places, rate)
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
         """What ``auto`` chooses for each point, in tables of one tolerance each."""

@@ -99,13 +99,20 @@ class Systems:
         parts = [self._walls(axes, places, n), omega[:, None], self._arrays(axes, places, n)]
         return np.concatenate([*parts, starts_of(axes).states[places[START]]], axis=1)
 
-    def units(self, axes: Axes, places: Places, rate: Array) -> Array:
-        """What one metre of the section is in each component of a state, shape (n_states, n).
+    def sections(self, axes: Axes, places: Places, rate: Array) -> tuple[Array, Array]:
+        """What the sections of n scenes are measured by.
 
         Parameters
         ----------
         rate : ndarray, shape (n,)
             Section points per second; where NaN, that of the forcing, or else of the slowest mode.
+
+        Returns
+        -------
+        unit : ndarray, shape (n_states, n)
+            What one metre of the section is in each component of a state.
+        directions : ndarray, shape (n, n_contacts, n_coordinates)
+            Of the contacts.
         """
         number, systems = self._systems(axes, places, len(rate))
         slowest = np.array([system.slowest for system in systems])[number]
@@ -115,12 +122,7 @@ class Systems:
             systems[i].unit(2.0 * math.pi * (at or 1.0))
             for i, at in zip(number.tolist(), omega.tolist(), strict=True)
         ]
-        return np.stack(found, axis=1)
-
-    def directions(self, axes: Axes, places: Places, n: int) -> Array:
-        """Directions of the contacts of n scenes, shape (n, n_contacts, n_coordinates)."""
-        number, systems = self._systems(axes, places, n)
-        return np.stack([system.directions for system in systems])[number]
+        return np.stack(found, axis=1), np.stack([each.directions for each in systems])[number]
 
     def starts(self, states: ArrayLike | None) -> Array:
         """States with as many components as the system's; what is not given is zero."""
