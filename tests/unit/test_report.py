@@ -446,6 +446,7 @@ def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
     told = dict(model(responses))
     # Each law once, whatever its settings or parameter.
     assert list(told) == ["Equation", "Numbers", "F of piecewise", "F of tanh"]
+    assert told["F of piecewise"].startswith("K_c (x − j₂)")
     for told_of in ("ζ 0.07,", "p 1.5, 2.5 N", "K_c 20000 N/m", "r 0.5 (lower", "ω 1, 2, 3, 4 Hz"):
         assert told_of in told["Numbers"]
     assert "0.4/0.4 mm" in told["Numbers"]

@@ -173,7 +173,7 @@ def _laws(responses: xr.Dataset, labels: Iterable[str]) -> list[tuple[str, str]]
     is_length = in_metres(responses)
     found = {}
     for label in labels:
-        law = family(label)
+        law = family(law_of(label))
         if law is None:
             table = tables.get(law_of(label))
             said = _table(table, is_length) if table else "the user's own"
