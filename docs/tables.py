@@ -18,6 +18,7 @@ from gapsweep.study.schema import (
     MULTIPLIERS,
     N_ATTRACTORS,
     POINT_DIMS,
+    SECTION_POINT,
     STATUS_FLAGS,
     VARIABLES,
     Variable,
@@ -71,9 +72,9 @@ def _attractors() -> Iterator[tuple[str, ...]]:
         yield _row(name, ["scene", "attractor"], variable)
     for name, variable in MULTIPLIERS.items():
         yield _row(name, ["scene", "attractor", "multiplier"], variable)
-    for name in ("section_x", "section_v"):
-        dim, variable = LISTS[name]
-        yield _row(name, ["scene", "attractor", dim], variable)
+    for name, (dim, variable) in LISTS.items():
+        if dim == SECTION_POINT:
+            yield _row(name, ["scene", "attractor", dim], variable)
 
 
 def _agreement() -> Iterator[tuple[str, ...]]:

@@ -173,8 +173,7 @@ def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
 
 def study_source(study: Study) -> MadeFrom:
     """Digest of the settings of a study, and of the user's own laws in it."""
-    names = json.dumps(study.model.parts)
-    said = study.json + _own_laws(study) + names
+    said = study.json + _own_laws(study) + study.model.json
     return {STUDY: hashlib.sha256(said.encode()).hexdigest()}
 
 

@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import gapsweep as gs
+from gapsweep.execution.layout import Layout
 from gapsweep.execution.task import Tile, respond_to
 from gapsweep.model.equilibria import equilibria
 from gapsweep.model.structure import general_form
@@ -126,3 +127,18 @@ def test_a_mean_load_moves_the_equilibrium():
 def test_what_no_machine_has_is_refused(given):
     with pytest.raises(gs.ModelError, match=next(iter(given))):
         gs.Oscillator(**given)
+
+
+def test_a_mean_load_breaks_the_mirror_symmetry():
+    block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": [8.0, 9.0]}
+    for oscillator, swept, expected in (
+        ({"mean_load": 1.0}, {}, [False, False]),
+        ({}, {"mean_load": [0.0, 1.0]}, [True, False, True, False]),
+        ({}, {}, [True, True]),
+    ):
+        tables = {"study": {"name": "x"}, "oscillator": oscillator, "sweep": [block | swept]}
+        study = gs.Study.from_dict(tables)
+        layout = Layout.of(study.grid, study.steady, mean_load=study.oscillator.mean_load)
+        (piece,) = layout.pieces()
+        found = layout.is_symmetric(piece)
+        assert found.tolist() == expected

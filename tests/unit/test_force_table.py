@@ -318,7 +318,7 @@ def test_only_a_table_that_is_odd_has_mirror_images(tables, bench, forces, is_od
     tables["sweep"][0]["representation"] = ["bench_spring:spring", "piecewise"]
     study = gs.Study.from_dict(tables)
     uneven = [] if study.own_law("bench_spring:spring").is_odd else ["bench_spring:spring"]
-    layout = Layout.of(study.grid, study.steady, uneven)
+    layout = Layout.of(study.grid, study.steady, uneven=uneven)
     (piece,) = layout.pieces()
     found = layout.is_symmetric(piece).reshape(2, -1)
     assert (found[0] == is_odd).all()

@@ -47,6 +47,8 @@ def test_every_field_of_an_oscillators_response_is_a_column_a_list_or_the_messag
         "inputs",
         "period",
         "z_end",
+        "contact_x_max",
+        "contact_x_min",
     }
 
 

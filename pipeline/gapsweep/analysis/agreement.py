@@ -5,6 +5,7 @@ labelled ``piecewise``: start by start, attractor by attractor, and summed up pe
 each variable means stands in `gapsweep.analysis.metrics`.
 """
 
+import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -32,7 +33,7 @@ from gapsweep.analysis.sets import basin_metrics, matching, set_metrics
 from gapsweep.analysis.slab import Slab, slab
 from gapsweep.analysis.starts import start_metrics
 from gapsweep.analysis.summary import summaries
-from gapsweep.analysis.systems import is_of_systems, of_coordinate, section_rate
+from gapsweep.analysis.systems import by_coordinate, in_metres, section_rate, with_rate
 from gapsweep.model.labels import EXACT
 from gapsweep.response.section import DEVIATIONS
 from gapsweep.status import Status
@@ -40,7 +41,7 @@ from gapsweep.study.grid import COORDINATE
 
 _VARIABLES = dict(variables())
 _TINY = 1e-300
-_WALLS = ("j_1", "j_2", "K_ratio")
+_WALLS = ("j_1", "j_2", "K_ratio", "mean_load")
 
 Tables = dict[str, NDArray[Any]]
 
@@ -58,11 +59,23 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
     Dataset
         The variables of `gapsweep.analysis.metrics.variables`.
     """
-    labels = [str(label) for label in responses["representation"].values]
-    if EXACT not in labels:
-        return None
+    swept = responses["representation"].values.tolist()
+    return _agreement(responses, attractors) if EXACT in swept else None
+
+
+def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
     if COORDINATE in responses.dims:
-        return _of_systems(responses, attractors)
+        parts = zip(by_coordinate(responses), by_coordinate(attractors), strict=True)
+        found = [_agreement(one, other) for (one, _), (other, _) in parts]
+        how: Any = {"coords": "different", "compat": "equals", "combine_attrs": "override"}
+        return xr.concat(found, COORDINATE, **how).transpose(..., COORDINATE)
+    if "omega" not in responses.dims:
+        rate = section_rate(responses)
+        forced = _agreement(with_rate(responses, rate), with_rate(attractors, rate))
+        return forced.isel(omega=0, drop=True)
+    labels = [str(label) for label in responses["representation"].values]
+    study = json.loads(responses.attrs.get("study_json", "{}"))
+    mean_load = study.get("oscillator", {}).get("mean_load", 0.0)
     floors = floor_labels(responses.attrs.get("study_json", ""), labels)
     dims = point_dims(responses)
     own = {REGIME: len(REGIMES), BOUND: len(BOUNDS), **dict.fromkeys(CLASS_DIMS, len(CLASSES))}
@@ -84,11 +97,11 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
         exact = slab(responses, attractors, {**at, REPRESENTATION: labels.index(EXACT)})
         walls = responses[[name for name in _WALLS if name in responses.coords]]
         walls = walls.isel(at, missing_dims="ignore")
-        if is_of_systems(responses):  # its walls bound no coordinate
-            width, is_symmetric = _width(0.0, exact), False
-        else:
+        width, is_symmetric = _width(0.0, exact), False
+        if in_metres(responses):  # then the walls bound the displacement
             j_1, j_2 = float(walls["j_1"]), float(walls["j_2"])
             is_symmetric = j_1 == j_2 and float(walls.get("K_ratio", 1.0)) == 1.0
+            is_symmetric &= float(walls.get("mean_load", mean_load)) == 0.0
             width = _width(j_1 + j_2, exact)
         for r in swept:
             here = {**at, REPRESENTATION: r}
@@ -99,18 +112,6 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
                     place(name, here, values)
     _set_floors(tables, [labels.index(label) for label in floors])
     return _dataset(tables, responses, floors)
-
-
-def _of_systems(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
-    """The comparison of every coordinate of systems, lengths as shares of the response's."""
-    rate = section_rate(responses) if "omega" not in responses.dims else np.nan
-    found = []
-    for i in range(responses.sizes[COORDINATE]):
-        one = agreement(*(of_coordinate(each, i, rate) for each in (responses, attractors)))
-        assert one is not None, "the exact law was swept"
-        found.append(one if "omega" in responses.dims else one.isel(omega=0, drop=True))
-    whole = xr.concat(found, responses[COORDINATE], combine_attrs="override")
-    return whole.transpose(..., COORDINATE)
 
 
 def _width(gap: float, exact: Slab) -> float:

@@ -116,7 +116,8 @@ def basins(
     grouping = Grouping(unit_of(scene.omega))
     for answer in _answers(parts, *settings, client):
         grouping.add(answer, np.zeros(len(answer), int))
-    return _dataset(grouping.attractors(law.is_symmetric), scene, starts_x, starts_v)
+    is_symmetric = law.is_symmetric and oscillator.mean_load == 0.0
+    return _dataset(grouping.attractors(is_symmetric), scene, starts_x, starts_v)
 
 
 def _dataset(found: Attractors, scene: Scene, starts_x: Array, starts_v: Array) -> xr.Dataset:

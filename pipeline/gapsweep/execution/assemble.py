@@ -23,12 +23,11 @@ from gapsweep.model.labels import law_of
 from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
 from gapsweep.response.result import ResponseClass, Responses
-from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
-from gapsweep.study.grid import COORDINATE, Grid, Selection
-from gapsweep.study.schema import EXTREMUM, MULTIPLIERS
+from gapsweep.study.grid import Grid, Selection
+from gapsweep.study.schema import EXTREMUM, MULTIPLIERS, OF_CONTACT_MOTION
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 
@@ -79,7 +78,9 @@ def fill(
     grid = study.grid if selection is None else study.grid.cut(selection)
     laws = {label: study.own_law(label) for label in grid.representations}
     uneven = [label for label, own in laws.items() if own is not None and not own.is_odd]
-    numbers, layout = _numbers(plan, grid, selection), Layout.of(grid, study.steady, uneven)
+    mean_load = study.spec.model.get("mean_load", 0.0)
+    layout = Layout.of(grid, study.steady, uneven=uneven, mean_load=mean_load)
+    numbers = _numbers(plan, grid, selection)
     hosts: list[str] = []
     versions: set[str] = set()
     define(dataset, layout)
@@ -89,13 +90,15 @@ def fill(
         if not requested.any():
             continue
         stored = _Stored(plan, cache, study, numbers[piece])
-        attractors, ids = _grouped(study, layout, piece, stored, requested)
-        _write(others, piece[:-1], _attractor_arrays(layout, attractors, requested.shape[:-1]))
+        units, directions = _sections(study, layout, piece, stored, requested)
+        attractors, ids = _grouped(layout, piece, stored, units)
+        of_scenes = _attractor_arrays(layout, attractors, requested.shape[:-1], directions)
+        _write(others, piece[:-1], of_scenes)
         for starts in layout.starts():
             found, at = stored.of(starts)
             versions |= found.versions
             hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
-            values = _point_arrays(layout, requested[..., starts], found, at, hosts)
+            values = _point_arrays(layout, requested[..., starts], found, at, hosts, directions)
             values["attractor"] = ids[..., starts]
             _write(dataset, (*piece[:-1], starts), values)
     set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
@@ -172,6 +175,7 @@ def _point_arrays(
     found: Found,
     at: NDArray[np.intp],
     hosts: list[str],
+    directions: NDArray[np.float64],
 ) -> Arrays:
     """Values of all variables over some starts of a piece, but for the number of the attractor."""
     responses, shape = found.responses, requested.shape
@@ -188,7 +192,8 @@ def _point_arrays(
         values[name][*at] = column.reshape(len(column), *layout.part_shape(name))
     number = {host: i for i, host in enumerate(hosts)}
     values["host"][*at] = [number.get(host, -1) for host in found.host.tolist()]
-    lists = _extrema(responses, layout) | _section(responses, layout)
+    scene = np.ravel_multi_index(tuple(at[:-1]), shape[:-1])
+    lists = _extrema(responses, layout) | _section(responses, layout, directions[scene])
     for name, (dimension, variable) in layout.lists.items():
         sizes = layout.sizes[dimension], *layout.part_shape(name)
         full = np.full((*shape, *sizes), variable.missing, variable.dtype)
@@ -208,54 +213,62 @@ def _ragged(items: NDArray[Any], counts: NDArray[np.int64], padding: NDArray[Any
 
 
 def _extrema(responses: Responses, layout: Layout) -> dict[str, Fill]:
-    """Extrema and their kinds, of a system those of all coordinates."""
+    """Extrema and their kinds, which responses hold coordinate by coordinate."""
     n_shown = np.minimum(responses.columns["n_extrema"], layout.sizes[EXTREMUM])
 
     def filled(items: NDArray[Any], padding: NDArray[Any]) -> NDArray[Any]:
-        if not layout.is_of_systems:
-            return _ragged(items, n_shown, padding)
-        # They stand coordinate by coordinate.
-        turned = np.ascontiguousarray(np.swapaxes(padding, 1, 2))
-        rows = turned.reshape(-1, turned.shape[2])
-        return np.swapaxes(_ragged(items, n_shown.ravel(), rows).reshape(turned.shape), 1, 2)
+        turned = np.ascontiguousarray(np.moveaxis(padding, 1, -1))
+        rows = turned.reshape(-1, turned.shape[-1])
+        return np.moveaxis(_ragged(items, n_shown.ravel(), rows).reshape(turned.shape), -1, 1)
 
     names = ("extrema", "extremum_kind")
     return {name: partial(filled, responses.lists[name][0]) for name in names}
 
 
-def _section(responses: Responses, layout: Layout) -> dict[str, Fill]:
-    """Section points: displacements, velocities and first-order states."""
+def _section(
+    responses: Responses, layout: Layout, directions: NDArray[np.float64]
+) -> dict[str, Fill]:
+    """Section points: displacements, velocities, first-order states, and motions at contacts.
+
+    Parameters
+    ----------
+    directions : ndarray, shape (n, n_contacts, n_coordinates)
+        Of each response, for relative displacements ``b · q`` and velocities.
+    """
     items, counts = responses.lists["section"]
-    points, n = items.reshape(-1, layout.n_states), layout.sizes.get(COORDINATE, 1)
-    parts = dict(zip(layout.section, np.split(points, [n, 2 * n], axis=1), strict=False))
-    if not layout.is_of_systems:
-        parts = {name: part[:, 0] for name, part in parts.items()}
-    n_points = counts // layout.n_states
-    return {name: partial(_ragged, part, n_points) for name, part in parts.items()}
+    points, n = items.reshape(-1, layout.grid.structure.n_states), layout.grid.structure.n
+    parts = dict(zip(("x", "v", "z"), np.split(points, [n, 2 * n], axis=1), strict=True))
+    n_points = counts // layout.grid.structure.n_states
+    found: dict[str, Fill] = {}
+    for name in layout.section:
+        part = parts[name[-1]]
+        if name in OF_CONTACT_MOTION:
+            part = np.einsum("skj,sj->sk", np.repeat(directions, n_points, axis=0), part)
+        shape = len(part), *layout.part_shape(name)
+        found[name] = partial(_ragged, part.reshape(shape), n_points)
+    return found
 
 
 def _grouped(
-    study: Study,
-    layout: Layout,
-    piece: Piece,
-    stored: _Stored,
-    requested: NDArray[np.bool_],
+    layout: Layout, piece: Piece, stored: _Stored, units: NDArray[np.float64]
 ) -> tuple[Attractors, NDArray[np.int32]]:
     """The attractors of the scenes of a piece, and the number of that of every point."""
     shape = tuple(part.stop - part.start for part in piece)
-    grouping, cells = Grouping(_units(study, layout, piece, stored, requested)), []
+    grouping, cells = Grouping(units), []
     for starts in layout.starts():
         found, at = stored.of(starts)
         scene, start = np.ravel_multi_index(tuple(at[:-1]), shape[:-1]), at[-1] + starts.start
         cells.append(scene * shape[-1] + start)
         grouping.add(found.responses, scene, layout.grid.starts.is_fixed[start])
-    attractors = grouping.attractors(False if layout.is_of_systems else layout.is_symmetric(piece))
+    attractors = grouping.attractors(layout.is_symmetric(piece))
     ids = np.full(shape, NONE, np.int32)
     ids.flat[np.concatenate(cells)] = attractors.numbers
     return attractors, ids
 
 
-def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...]) -> Arrays:
+def _attractor_arrays(
+    layout: Layout, found: Attractors, shape: tuple[int, ...], directions: NDArray[np.float64]
+) -> Arrays:
     """Values of all variables of `attractors.nc` over the scenes of a piece."""
     leaders, most = found.leaders, int(found.number.max(initial=0)) + 1
     place = (*np.unravel_index(found.scene, shape), found.number)
@@ -272,9 +285,9 @@ def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...])
         name: partial(_ragged, parts[i::2], counts // 2) for i, name in enumerate(MULTIPLIERS)
     }
     longest = {name: int(counts.max(initial=0)) // 2 for name in MULTIPLIERS}
-    n_section = int(leaders.lists["section"][1].max(initial=0)) // layout.n_states
+    n_section = int(leaders.lists["section"][1].max(initial=0)) // layout.grid.structure.n_states
     longest |= dict.fromkeys(layout.section, n_section)
-    for name, fill in {**lists, **_section(leaders, layout)}.items():
+    for name, fill in {**lists, **_section(leaders, layout, directions[found.scene])}.items():
         full = np.full((*shape, most, longest[name], *layout.part_shape(name)), np.nan)
         full[place] = fill(full[place])
         values[name] = full
@@ -283,12 +296,10 @@ def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...])
     return values
 
 
-def _units(
+def _sections(
     study: Study, layout: Layout, piece: Piece, stored: _Stored, requested: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """What one metre of the section is in each component of a state, for the scenes of a piece."""
-    if not layout.is_of_systems:
-        return unit_of(layout.omega(piece))
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What the sections of the scenes of a piece are measured by, as `Study.sections`."""
     rates = np.full(requested.shape[:-1], np.nan)
     if "omega" not in layout.grid.axes:
         for starts in layout.starts():
@@ -297,9 +308,13 @@ def _units(
     # Nobody asks for the others, and a user's function may have no system there.
     asked = np.flatnonzero(requested.any(axis=-1))
     places = {name: place[asked] for name, place in layout.places(piece).items()}
-    units = np.ones((layout.n_states, rates.size))
-    units[:, asked] = study.units(places, rates.ravel()[asked])
-    return units
+    of = layout.grid.structure
+    units = np.ones((of.n_states, rates.size))
+    directions = np.ones((rates.size, len(of.contacts), of.n))
+    units[:, asked], directions[asked] = study.model.sections(
+        layout.grid.axes, places, rates.ravel()[asked]
+    )
+    return units, directions
 
 
 def _set_rates(

@@ -1,6 +1,7 @@
 """Where in the files of a run the points of a grid belong, and what these files hold."""
 
-from collections.abc import Collection, Iterator
+import math
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from gapsweep.response.result import Steady
 from gapsweep.store.netcdf import create_texts
-from gapsweep.study.grid import COORDINATE, LAG, START, Grid
+from gapsweep.study.grid import START, Grid
 from gapsweep.study.schema import (
     ATTRACTOR,
     ATTRACTOR_VARIABLES,
@@ -21,13 +22,14 @@ from gapsweep.study.schema import (
     MULTIPLIER,
     MULTIPLIERS,
     N_ATTRACTORS,
-    OF_FREE_MOTIONS,
     SECTION_POINT,
-    SECTION_Z,
     VARIABLES,
+    Found,
     Variable,
     coordinates,
-    of_systems,
+    described,
+    exists,
+    part_sizes,
     parts_of,
 )
 
@@ -51,65 +53,61 @@ class Layout:
     ----------
     grid : Grid
     sizes : dict of str to int
-        Lengths of the padded lists, and of the parts of systems.
+        Lengths of the padded lists, and of the dimensions within a point.
     uneven : collection of str
         Labels of tables of the user's whose forces differ from side to side.
+    mean_load : float
+        Of the model, where it is not swept [N].
     """
 
     grid: Grid
     sizes: dict[str, int]
     uneven: Collection[str] = ()
+    mean_load: float = 0.0
 
     @classmethod
-    def of(cls, grid: Grid, steady: Steady, uneven: Collection[str] = ()) -> "Layout":
+    def of(cls, grid: Grid, steady: Steady, **symmetry: Any) -> "Layout":
+        """Of a grid; `symmetry` are `uneven` and `mean_load`."""
         sizes = {EXTREMUM: steady.max_extrema, SECTION_POINT: steady.max_period_multiple}
-        sizes |= {name: len(names) for name, names in grid.parts.items()}
-        return cls(grid, sizes, uneven)
-
-    @property
-    def is_of_systems(self) -> bool:
-        return bool(self.grid.parts)
-
-    @property
-    def n_states(self) -> int:
-        """Length of a state (q, v, z)."""
-        return 2 * self.sizes.get(COORDINATE, 1) + self.sizes.get(LAG, 0)
+        return cls(grid, sizes | part_sizes(grid.structure), **symmetry)
 
     @property
     def variables(self) -> dict[str, Variable]:
         """Of `responses.nc`, but for its lists."""
-        return self._described(VARIABLES) | self._of_free_motions
+        return self._described(VARIABLES)
 
     @property
     def attractor_variables(self) -> dict[str, Variable]:
         """Of `attractors.nc`, over its attractors."""
-        return self._described(ATTRACTOR_VARIABLES) | self._of_free_motions
-
-    @property
-    def _of_free_motions(self) -> dict[str, Variable]:
-        """What motions have besides that nothing forces."""
-        return {} if "omega" in self.grid.dims else OF_FREE_MOTIONS
+        return self._described(ATTRACTOR_VARIABLES)
 
     @property
     def lists(self) -> dict[str, tuple[str, Variable]]:
         """Lists of a point: their dimension, and what they hold."""
-        described = self._described({name: variable for name, (_, variable) in LISTS.items()})
-        found = {name: (LISTS[name][0], variable) for name, variable in described.items()}
-        return found | ({"section_z": (SECTION_POINT, SECTION_Z)} if LAG in self.sizes else {})
+        found = self._described({name: variable for name, (_, variable) in LISTS.items()})
+        return {name: (LISTS[name][0], variable) for name, variable in found.items()}
 
     @property
     def section(self) -> tuple[str, ...]:
         """The lists that section points are stored in."""
         return tuple(name for name, (dim, _) in self.lists.items() if dim == SECTION_POINT)
 
-    def _described(self, variables: dict[str, Variable]) -> dict[str, Variable]:
-        if not self.is_of_systems:
-            return variables
-        return {name: of_systems(variable) for name, variable in variables.items()}
+    def coordinates(self, dims: Collection[str]) -> Found:
+        """The coordinates that dimensions bring along."""
+        return coordinates(dims, self.grid.structure)
+
+    def _described(self, variables: Mapping[str, Variable]) -> dict[str, Variable]:
+        """The variables that the models have, with their units where these are known."""
+        structure = self.grid.structure
+        return {
+            name: described(variable, structure)
+            for name, variable in variables.items()
+            if exists(name, structure)
+        }
 
     def parts(self, name: str) -> tuple[str, ...]:
         """The dimensions within a point that a variable has."""
-        return parts_of(name, self.grid.parts)
+        return parts_of(name, self.sizes)
 
     def part_shape(self, name: str) -> tuple[int, ...]:
         """Their sizes."""
@@ -130,25 +128,25 @@ class Layout:
         parts = ([slice(i, min(i + k, n)) for i in range(0, n, k)] for n, k in sizes)
         yield from product(*parts, [slice(0, len(self.grid.starts))])
 
-    def omega(self, piece: Piece) -> NDArray[np.float64]:
-        """Forcing frequency of every scene of a piece [Hz], flat."""
-        return self._over(piece, "omega", self._coordinates["omega"])
-
     def is_symmetric(self, piece: Piece) -> NDArray[np.bool_]:
-        """Whether the contact is its own mirror image in every scene of a piece, flat.
+        """Whether every scene of a piece is known to be its own mirror image, flat.
 
         Of a user's function the walls have to say it: equally far from the origin, equally stiff.
         """
-        along = coordinates(self.grid.dims)
-        j_1, j_2, *ratio = (
-            self._over(piece, along[name][0][0], self._coordinates[name])
-            for name in ("j_1", "j_2", "K_ratio")
-            if name in along
-        )
+        if not self.grid.structure.is_odd:
+            return np.zeros(math.prod(part.stop - part.start for part in piece[:-1]), bool)
+        along = self.coordinates(self.grid.dims)
+
+        def over(name: str, default: float) -> NDArray[np.float64] | float:
+            if name not in along:
+                return default
+            return self._over(piece, along[name][0][0], self._coordinates[name])
+
         labels = self.grid.representations
         lopsided = [i for i, label in enumerate(labels) if label in self.uneven]
         own = np.isin(self._over(piece, "representation", np.arange(len(labels))), lopsided)
-        return np.asarray((j_1 == j_2) & (ratio[0] == 1.0 if ratio else True) & ~own)
+        are_equal = (over("j_1", 0.0) == over("j_2", 0.0)) & (over("K_ratio", 1.0) == 1.0)
+        return np.asarray(are_equal & (over("mean_load", self.mean_load) == 0.0) & ~own)
 
     @cached_property
     def _coordinates(self) -> Arrays:
@@ -191,7 +189,7 @@ def define_attractors(dataset: netCDF4.Dataset, layout: Layout) -> None:
     """Dimensions, coordinates and variables of `attractors.nc`; it grows with their number."""
     scenes, chunk = layout.grid.dims[:-1], layout.chunk[:-1]
     _define_coordinates(dataset, layout, scenes)
-    sizes = {MULTIPLIER: layout.n_states, SECTION_POINT: layout.sizes[SECTION_POINT]}
+    sizes = {MULTIPLIER: layout.grid.structure.n_states, SECTION_POINT: layout.sizes[SECTION_POINT]}
     for name, size in {ATTRACTOR: None, **sizes}.items():
         dataset.createDimension(name, size)
     _create(dataset, layout, "n_attractors", N_ATTRACTORS, scenes, chunk)
@@ -210,10 +208,10 @@ def _define_coordinates(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[st
     for name, size in zip(grid.dims, grid.shape, strict=True):
         if name in dims:
             dataset.createDimension(name, size)
-    for name in grid.parts:
-        dataset.createDimension(name, layout.sizes[name])
+    for name, names in grid.parts.items():
+        dataset.createDimension(name, len(names))
     values = grid.coordinates()
-    for name, (along, variable) in coordinates(dims, grid.parts).items():
+    for name, (along, variable) in layout.coordinates(dims).items():
         if variable.dtype == "str":
             _describe(create_texts(dataset, name, along, values[name]), variable)
         else:
@@ -223,7 +221,7 @@ def _define_coordinates(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[st
 
 def _name_auxiliary(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[str, ...]) -> None:
     """CF: data variables name the coordinates that are no dimension, but lie along theirs."""
-    found = coordinates(dims, layout.grid.parts)
+    found = layout.coordinates(dims)
     for name, variable in dataset.variables.items():
         if name not in found:
             variable.coordinates = " ".join(

@@ -52,7 +52,8 @@ def columns_of(structure: AnyStructure) -> dict[str, tuple[str, tuple[int, ...]]
     """Columns of responses: NumPy type code, and the shape of one point's value.
 
     Values of a single coordinate, or of a single contact, are plain numbers. Motions that nothing
-    forces have a period, systems with first-order states have their last ones.
+    forces have a period, systems with first-order states have their last ones. Contacts have a
+    relative displacement unless the only one follows the only coordinate.
     """
     sizes = {
         **dict.fromkeys(OF_COORDINATES, structure.n),
@@ -62,11 +63,19 @@ def columns_of(structure: AnyStructure) -> dict[str, tuple[str, tuple[int, ...]]
         name: (dtype, () if sizes.get(name, 1) == 1 else (sizes[name],))
         for name, dtype in COLUMNS.items()
     }
+    if has_contact_motion(structure):
+        found |= dict.fromkeys(("contact_x_max", "contact_x_min"), found["force_max"])
     if not structure.is_forced:
         found["period"] = "f8", ()
     if structure.m:
         found["z_end"] = "f8", (structure.m,)
     return found
+
+
+def has_contact_motion(structure: AnyStructure) -> bool:
+    """Whether contacts have columns of their displacement: several, or of several coordinates."""
+    n_contacts = len(structure.contacts)
+    return n_contacts > 0 and structure.n * n_contacts > 1
 
 
 class ResponseClass(IntEnum):
@@ -191,6 +200,9 @@ class Response:
     contact_share : float
         Share of the time [-] spent beyond the walls, ``x < -j_1`` or ``x > j_2``: of a whole
         period if periodic, else of the last window.
+    contact_x_max, contact_x_min : float
+        Peak and trough of the relative displacement ``b · q`` [m] at each contact of a system; NaN
+        where one contact follows one coordinate.
     multipliers : tuple of float
         Real and imaginary parts of the Floquet multipliers over n periods, largest modulus first;
         empty if not periodic. Where nothing forces the response, without that along the motion,
@@ -248,6 +260,8 @@ class Response:
     amplitude: float = math.nan
     force_max: float = math.nan
     contact_share: float = math.nan
+    contact_x_max: float = math.nan
+    contact_x_min: float = math.nan
     multipliers: tuple[float, ...] = ()
     multiplier_abs: float = math.nan
     lyapunov: float = math.nan
@@ -443,7 +457,8 @@ class Responses:
             values[name] = np.empty(len(self), dtype=object)
             values[name][:] = [np.array(items, plain) for items in self._split(name)]
         values["message"] = np.array([self.messages.get(k, "") for k in range(len(self))], object)
-        values.setdefault("period", np.full(len(self), math.nan))
+        for name in ("period", "contact_x_max", "contact_x_min"):
+            values.setdefault(name, np.full(len(self), math.nan))
         values.setdefault("z_end", np.empty((len(self), 0)))
         return Response(
             **{name: value.reshape(*shape, *value.shape[1:]) for name, value in values.items()}

@@ -104,12 +104,10 @@ class ParametricModel:
 
     @property
     def parts(self) -> dict[str, tuple[str, ...]]:
-        """Dimensions within a point, and the names along them."""
-        if self.is_oscillator:
-            return {}
+        """Dimensions within a point, those with several entries, and the names along them."""
         lags = tuple(f"z_{i + 1}" for i in range(self.structure.m))
         found = {COORDINATE: self.default.coordinates, CONTACT: self.contacts, LAG: lags}
-        return {name: tuple(names) for name, names in found.items() if names}
+        return {name: tuple(names) for name, names in found.items() if len(names) > 1}
 
     def labels(self, representation: str) -> tuple[str, ...]:
         """Of every contact the label of its law, where all others have this one."""
@@ -121,23 +119,30 @@ class ParametricModel:
         parts = [self._walls(axes, places, n), omega[:, None], self._arrays(axes, places, n)]
         return np.concatenate([*parts, starts_of(axes).states[places[START]]], axis=1)
 
-    def units(self, axes: Axes, places: Places, rate: Array) -> Array:
-        """What one metre of the section is in each component of a state, shape (n_states, n).
+    def sections(self, axes: Axes, places: Places, rate: Array) -> tuple[Array, Array]:
+        """What the sections of n scenes are measured by.
 
         Parameters
         ----------
         rate : ndarray, shape (n,)
             Section points per second; where NaN, that of the forcing, or else of the slowest mode.
+
+        Returns
+        -------
+        unit : ndarray, shape (n_states, n)
+            What one metre of the section is in each component of a state.
+        directions : ndarray, shape (n, n_contacts, n_coordinates)
+            Of the contacts.
         """
         number, models = self._models(axes, places, len(rate))
         slowest = np.array([model.slowest for model in models])[number]
         other = np.asarray(axes["omega"])[places["omega"]] if "omega" in axes else slowest
         omega = np.where(rate > 0.0, rate, other)
-        found = [
-            models[i].unit(2.0 * math.pi * (at or 1.0))
-            for i, at in zip(number.tolist(), omega.tolist(), strict=True)
-        ]
-        return np.stack(found, axis=1)
+        omega_rad = 2.0 * math.pi * np.where(omega > 0.0, omega, 1.0)
+        unit = np.empty((self.structure.n_states, len(rate)))
+        for i, model in enumerate(models):
+            unit[:, number == i] = model.unit(omega_rad[number == i])
+        return unit, np.array([model.directions for model in models])[number]
 
     def starts(self, states: ArrayLike | None) -> Array:
         """States with as many components as the model's; what is not given is zero."""

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import (
     OF_CONTACTS,
     OF_COORDINATES,
     ExtremumKind,
     ResponseClass,
+    has_contact_motion,
 )
 from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START
@@ -82,13 +84,7 @@ def with_attributes(table: Described, arrays: Mapping[str, Any]) -> dict[str, An
 
 STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
 KIND_FLAGS = (("none", -9), *((k.name.lower(), int(k)) for k in ExtremumKind))
-# Of an oscillator that loses energy and is forced; others there are of systems alone.
-CLASS_FLAGS = (
-    ("none", -1),
-    *((c.name.lower(), int(c)) for c in ResponseClass if c <= ResponseClass.FAILED),
-)
-
-_ALL_CLASSES = (("none", -1), *((c.name.lower(), int(c)) for c in ResponseClass))
+CLASS_FLAGS = (("none", -1), *((c.name.lower(), int(c)) for c in ResponseClass))
 # Units that do not depend on what a coordinate is.
 _OWN_UNITS = {"1", "s", "s-1", "Hz"}
 
@@ -112,6 +108,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "initial_condition": ("initial_condition", Variable("i4", "1", "number of the start")),
     "x_0": ("initial_condition", Variable("f8", "m", "initial displacement")),
     "v_0": ("initial_condition", Variable("f8", "m s-1", "initial velocity")),
+    "z_0": ("initial_condition", Variable("f8", "", "initial first-order state")),
     "start": ("initial_condition", Variable("str", "1", "fixed, sweep_up or sweep_down")),
 }
 
@@ -140,12 +137,6 @@ UNITS = {
 }
 
 PARAMETER = "parameter"  # of a system: what its coordinate's long name begins with
-# Of systems in place of x_0 and v_0.
-_STARTS_OF_SYSTEMS = {
-    "q_0": (COORDINATE, Variable("f8", "", "initial coordinates")),
-    "v_0": (COORDINATE, Variable("f8", "", "initial velocities")),
-    "z_0": (LAG, Variable("f8", "", "initial first-order states")),
-}
 _PARTS = {
     COORDINATE: Variable("str", "1", "coordinate of the system"),
     CONTACT: Variable("str", "1", "contact of the system"),
@@ -156,45 +147,51 @@ _PARTS = {
 Found = dict[str, tuple[tuple[str, ...], Variable]]
 
 
-def coordinates(dims: Collection[str], parts: Collection[str] = ()) -> Found:
-    """The coordinates that dimensions bring along: the dimensions of each, and what it is.
+def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
+    """The coordinates that dimensions bring along: the dimensions of each, and its description.
 
     Parameters
     ----------
     dims : collection of str
-    parts : collection of str
-        Of systems the dimensions within a point.
+    structure : Structure or OscillatorStructure
+        Of the models; it adds the dimensions within a point.
     """
-    along = {name: name if name in dims else dim for name, (dim, _) in COORDINATES.items()}
-    found: Found = {
-        name: ((dim,), COORDINATES[name][1]) for name, dim in along.items() if dim in dims
-    }
-    if not parts:
-        return found
-    named: Found = {
-        name: ((name,), Variable("f8", "", f"{PARAMETER} {name}"))
+    parts = part_sizes(structure)
+    known = {name: (name if name in dims else dim, v) for name, (dim, v) in COORDINATES.items()}
+    parameters = {
+        name: (name, Variable("f8", "", f"{PARAMETER} {name}"))
         for name in dims
         if name not in COORDINATES
     }
-    starts: Found = {
-        name: ((START, part), variable)
-        for name, (part, variable) in _STARTS_OF_SYSTEMS.items()
-        if START in dims and part in parts
+    found: Found = {
+        name: ((dim, *parts_of(name, parts)), described(variable, structure))
+        for name, (dim, variable) in (known | parameters).items()
+        if dim in dims and exists(name, structure)
     }
-    others: Found = {
-        name: (along, of_systems(variable))
-        for name, (along, variable) in found.items()
-        if name not in ("x_0", "v_0")
-    }
-    names: Found = {name: ((name,), _PARTS[name]) for name in parts}
-    return others | named | starts | names
+    return found | {name: ((name,), _PARTS[name]) for name in parts}
 
 
-def of_systems(variable: Variable) -> Variable:
-    """A variable of systems: whether lengths or angles are meant, their user alone knows."""
-    if variable.flags == CLASS_FLAGS:
-        return replace(variable, flags=_ALL_CLASSES)
-    return variable if variable.units in _OWN_UNITS else replace(variable, units="")
+def exists(name: str, structure: AnyStructure) -> bool:
+    """Whether datasets of models of a structure have a variable or coordinate."""
+    if name in ("z_0", "section_z"):
+        return structure.m > 0
+    if name in OF_CONTACT_MOTION:
+        return has_contact_motion(structure)
+    if name in OF_CONTACTS:
+        return len(structure.contacts) > 0
+    return name != "period" or not structure.is_forced
+
+
+def described(variable: Variable, structure: AnyStructure) -> Variable:
+    """A variable without its unit where only the user knows that of the coordinates."""
+    is_known = structure.in_metres or variable.units in _OWN_UNITS
+    return variable if is_known else replace(variable, units="")
+
+
+def part_sizes(structure: AnyStructure) -> dict[str, int]:
+    """Dimensions within a point: those of several coordinates, contacts or first-order states."""
+    sizes = {COORDINATE: structure.n, CONTACT: len(structure.contacts), LAG: structure.m}
+    return {name: size for name, size in sizes.items() if size > 1}
 
 
 def parts_of(name: str, parts: Collection[str]) -> tuple[str, ...]:
@@ -208,6 +205,8 @@ VARIABLES: dict[str, Variable] = {
     "amplitude": Variable("f8", "m", "half the range of the steady response"),
     "force_max": Variable("f8", "N", "largest magnitude of the contact force"),
     "contact_share": Variable("f8", "1", "share of the time spent beyond the walls"),
+    "contact_x_max": Variable("f8", "m", "peak relative displacement at the contact"),
+    "contact_x_min": Variable("f8", "m", "trough relative displacement at the contact"),
     "period_multiple": Variable("i4", "1", "forcing periods in one response period, 0: none", 0),
     "response_class": Variable("i1", "1", "class of the steady response", -1, CLASS_FLAGS),
     "multiplier_abs": Variable("f8", "1", "largest modulus of the Floquet multipliers"),
@@ -229,6 +228,7 @@ VARIABLES: dict[str, Variable] = {
     "cpu_time": Variable("f8", "s", "processor time of motion, shots and tangents, in the worker"),
     "host": Variable("i2", "1", "machine on which cpu_time was measured", -1),
     "status": Variable("i1", "1", "outcome of the sweep point", Status.NOT_REQUESTED, STATUS_FLAGS),
+    "period": Variable("f8", "s", "period of an unforced response"),
 }
 
 # Ragged lists: their extra dimension and what they hold; padded where they end.
@@ -237,18 +237,23 @@ LISTS: dict[str, tuple[str, Variable]] = {
     "extremum_kind": (EXTREMUM, Variable("i1", "1", "kind of each extremum", -9, KIND_FLAGS)),
     "section_x": (SECTION_POINT, Variable("f8", "m", "displacement at whole forcing periods")),
     "section_v": (SECTION_POINT, Variable("f8", "m s-1", "velocity at whole forcing periods")),
+    "section_z": (SECTION_POINT, Variable("f8", "", "first-order state at whole forcing periods")),
+    "contact_section_x": (
+        SECTION_POINT,
+        Variable("f8", "m", "relative displacement at the contact at whole forcing periods"),
+    ),
+    "contact_section_v": (
+        SECTION_POINT,
+        Variable("f8", "m s-1", "relative velocity at the contact at whole forcing periods"),
+    ),
 }
 
-SECTION = ("section_x", "section_v")
-# What motions have besides that nothing forces.
-OF_FREE_MOTIONS = {
-    "period": Variable("f8", "s", "period of a response that nothing forces"),
-}
-SECTION_Z = Variable("f8", "", "first-order states of the section")
+OF_CONTACT_MOTION = ("contact_x_max", "contact_x_min", "contact_section_x", "contact_section_v")
 _PART_OF = {
-    **dict.fromkeys((*OF_COORDINATES, "extrema", "extremum_kind", *SECTION), COORDINATE),
-    **dict.fromkeys(OF_CONTACTS, CONTACT),
-    "section_z": LAG,
+    **dict.fromkeys((*OF_COORDINATES, "extrema", "extremum_kind"), COORDINATE),
+    **dict.fromkeys(("x_0", "v_0", "section_x", "section_v"), COORDINATE),
+    **dict.fromkeys((*OF_CONTACTS, *OF_CONTACT_MOTION), CONTACT),
+    **dict.fromkeys(("z_0", "section_z"), LAG),
 }
 
 # `attractors.nc`: over the scenes and `attractor`; names as in `responses.nc` where they are one.
@@ -260,9 +265,12 @@ ATTRACTOR_VARIABLES: dict[str, Variable] = {
             "response_class",
             "x_max",
             "x_min",
+            "contact_x_max",
+            "contact_x_min",
             "multiplier_abs",
             "lyapunov",
             "lyapunov_error",
+            "period",
         )
     },
     "basin_share": Variable("f8", "1", "share of the starts that end on the attractor"),
@@ -288,10 +296,8 @@ TAKEN = {
     *LISTS,
     *ATTRACTOR_VARIABLES,
     *MULTIPLIERS,
-    *_STARTS_OF_SYSTEMS,
     *_PARTS,
-    *OF_FREE_MOTIONS,
-    *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "section_z", "n_attractors"),
+    *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "n_attractors"),
     # of agreement.nc and timing.nc
     *("regime", "bound", "class", "class_exact", "confusion", "kappa", "f1", "precision", "recall"),
     *("n_points", "n_compared", "n_failed", "n_unresolved", "n_jumps", "n_changes"),

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -295,7 +295,7 @@ class Study:
     def grid(self) -> Grid:
         """The labelled grid: the union of all blocks."""
         requested = requested_of(self._blocks, self._axes)
-        return Grid(self._axes, requested, self.model.parts)
+        return Grid(self._axes, requested, self.structure, self.model.parts)
 
     def select(self, /, **wanted: Any) -> Selection:
         """Select among the study's own coordinates.
@@ -391,12 +391,6 @@ class Study:
             contacts=self.model.labels(representation),
             own=own,
         )
-
-    def units(
-        self, places: Mapping[str, NDArray[np.intp]], rate: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """At some places on the axes; as `ParametricModel.units`."""
-        return self.model.units(self.grid.axes, places, rate)
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
         """What ``auto`` chooses for each point, in tables of one tolerance each."""
