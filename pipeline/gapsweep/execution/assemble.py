@@ -8,8 +8,6 @@ a scene, not of a point: they are grouped here, from all starts of a scene.
 
 import json
 import math
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -193,41 +191,43 @@ def _point_arrays(
     number = {host: i for i, host in enumerate(hosts)}
     values["host"][*at] = [number.get(host, -1) for host in found.host.tolist()]
     scene = np.ravel_multi_index(tuple(at[:-1]), shape[:-1])
-    lists = _extrema(responses, layout) | _section(responses, layout, directions[scene])
+    lists = _section(responses, layout, directions[scene])
+    n_shown = np.minimum(responses.columns["n_extrema"], layout.sizes[EXTREMUM])
+    lists |= {name: (responses.lists[name][0], n_shown) for name in ("extrema", "extremum_kind")}
     for name, (dimension, variable) in layout.lists.items():
         sizes = layout.sizes[dimension], *layout.part_shape(name)
-        full = np.full((*shape, *sizes), variable.missing, variable.dtype)
-        full[*at] = lists[name](full[*at])
-        values[name] = full
+        values[name] = np.full((*shape, *sizes), variable.missing, variable.dtype)
+        _set_lists(values[name], tuple(at), *lists[name])
     return values
 
 
-# Fills an array that holds what stands where a list has ended.
-Fill = Callable[[NDArray[Any]], NDArray[Any]]
+# Items of all lists, list after list, and how many are each one's.
+_Lists = dict[str, tuple[NDArray[Any], NDArray[np.int64]]]
 
 
-def _ragged(items: NDArray[Any], counts: NDArray[np.int64], padding: NDArray[Any]) -> NDArray[Any]:
-    """Lists of different lengths as the rows of an array, the rest as in `padding`."""
-    padding[np.arange(padding.shape[1]) < counts[:, None]] = items
-    return padding
+def _set_lists(
+    full: NDArray[Any],
+    place: tuple[NDArray[np.intp], ...],
+    items: NDArray[Any],
+    counts: NDArray[np.int64],
+) -> None:
+    """Set lists of different lengths in a padded array; those of coordinates follow each other.
+
+    Parameters
+    ----------
+    full : ndarray, shape (..., longest) or (..., longest, n_coordinates)
+    place : tuple of ndarray of int, shape (n,)
+        Where in the first dimensions.
+    items : ndarray, shape (counts.sum(), ...)
+    counts : ndarray of int, shape (n,) or (n, n_coordinates)
+    """
+    rows = full[place]
+    lists = np.moveaxis(rows, 1, counts.ndim)
+    lists[np.arange(lists.shape[counts.ndim]) < counts[..., None]] = items
+    full[place] = rows
 
 
-def _extrema(responses: Responses, layout: Layout) -> dict[str, Fill]:
-    """Extrema and their kinds, which responses hold coordinate by coordinate."""
-    n_shown = np.minimum(responses.columns["n_extrema"], layout.sizes[EXTREMUM])
-
-    def filled(items: NDArray[Any], padding: NDArray[Any]) -> NDArray[Any]:
-        turned = np.ascontiguousarray(np.moveaxis(padding, 1, -1))
-        rows = turned.reshape(-1, turned.shape[-1])
-        return np.moveaxis(_ragged(items, n_shown.ravel(), rows).reshape(turned.shape), -1, 1)
-
-    names = ("extrema", "extremum_kind")
-    return {name: partial(filled, responses.lists[name][0]) for name in names}
-
-
-def _section(
-    responses: Responses, layout: Layout, directions: NDArray[np.float64]
-) -> dict[str, Fill]:
+def _section(responses: Responses, layout: Layout, directions: NDArray[np.float64]) -> _Lists:
     """Section points: displacements, velocities, first-order states, and motions at contacts.
 
     Parameters
@@ -239,13 +239,12 @@ def _section(
     points, n = items.reshape(-1, layout.grid.structure.n_states), layout.grid.structure.n
     parts = dict(zip(("x", "v", "z"), np.split(points, [n, 2 * n], axis=1), strict=True))
     n_points = counts // layout.grid.structure.n_states
-    found: dict[str, Fill] = {}
+    found: _Lists = {}
     for name in layout.section:
         part = parts[name[-1]]
         if name in OF_CONTACT_MOTION:
             part = np.einsum("skj,sj->sk", np.repeat(directions, n_points, axis=0), part)
-        shape = len(part), *layout.part_shape(name)
-        found[name] = partial(_ragged, part.reshape(shape), n_points)
+        found[name] = part.reshape(len(part), *layout.part_shape(name)), n_points
     return found
 
 
@@ -281,16 +280,12 @@ def _attractor_arrays(
         column = columns[name] if name in columns else getattr(found, name)
         filled[place] = column.reshape(len(column), *layout.part_shape(name))
     parts, counts = leaders.lists["multipliers"]
-    lists: dict[str, Fill] = {
-        name: partial(_ragged, parts[i::2], counts // 2) for i, name in enumerate(MULTIPLIERS)
-    }
-    longest = {name: int(counts.max(initial=0)) // 2 for name in MULTIPLIERS}
-    n_section = int(leaders.lists["section"][1].max(initial=0)) // layout.grid.structure.n_states
-    longest |= dict.fromkeys(layout.section, n_section)
-    for name, fill in {**lists, **_section(leaders, layout, directions[found.scene])}.items():
-        full = np.full((*shape, most, longest[name], *layout.part_shape(name)), np.nan)
-        full[place] = fill(full[place])
-        values[name] = full
+    lists = _section(leaders, layout, directions[found.scene])
+    lists |= {name: (parts[i::2], counts // 2) for i, name in enumerate(MULTIPLIERS)}
+    for name, (items, counts) in lists.items():
+        sizes = most, int(counts.max(initial=0)), *layout.part_shape(name)
+        values[name] = np.full((*shape, *sizes), np.nan)
+        _set_lists(values[name], place, items, counts)
     counts = np.bincount(found.scene, minlength=math.prod(shape))
     values["n_attractors"] = counts.reshape(shape).astype(np.int32)
     return values
