@@ -11,6 +11,7 @@ import gapsweep
 PACKAGE = Path(gapsweep.__file__).parent
 LAYERS = (
     {"errors", "status"},
+    {"variables"},
     {"user_code"},
     {"model"},
     {"integrate"},

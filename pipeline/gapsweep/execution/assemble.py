@@ -8,10 +8,7 @@ a scene, not of a point: they are grouped here, from all starts of a scene.
 
 import json
 import math
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import netCDF4
 import numpy as np
@@ -27,10 +24,10 @@ from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
-from gapsweep.study.grid import COORDINATE, Grid, Selection
-from gapsweep.study.schema import EXTREMUM, MULTIPLIERS
+from gapsweep.study.grid import Grid, Selection
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
+from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT
 
 
 def export(
@@ -176,62 +173,19 @@ def _point_arrays(
     """Values of all variables over some starts of a piece, but for the number of the attractor."""
     responses, shape = found.responses, requested.shape
     values = {
-        name: np.full((*shape, *layout.part_shape(name)), v.missing, v.dtype)
+        name: np.full((*shape, *layout.within(v).values()), v.missing, v.dtype)
         for name, v in layout.variables.items()
         if name != "attractor"
     }
     # Unless a result follows:
     values["status"][requested] = Status.INTERRUPTED
     values["response_class"][requested] = ResponseClass.FAILED
-    for name in values.keys() & responses.columns.keys():
-        column = responses.columns[name]
-        values[name][*at] = column.reshape(len(column), *layout.part_shape(name))
+    arrays = responses.arrays(layout.sizes)
+    for name in values.keys() & arrays.keys():
+        values[name][*at] = arrays[name]
     number = {host: i for i, host in enumerate(hosts)}
     values["host"][*at] = [number.get(host, -1) for host in found.host.tolist()]
-    lists = _extrema(responses, layout) | _section(responses, layout)
-    for name, (dimension, variable) in layout.lists.items():
-        sizes = layout.sizes[dimension], *layout.part_shape(name)
-        full = np.full((*shape, *sizes), variable.missing, variable.dtype)
-        full[*at] = lists[name](full[*at])
-        values[name] = full
     return values
-
-
-# Fills an array that holds what stands where a list has ended.
-Fill = Callable[[NDArray[Any]], NDArray[Any]]
-
-
-def _ragged(items: NDArray[Any], counts: NDArray[np.int64], padding: NDArray[Any]) -> NDArray[Any]:
-    """Lists of different lengths as the rows of an array, the rest as in `padding`."""
-    padding[np.arange(padding.shape[1]) < counts[:, None]] = items
-    return padding
-
-
-def _extrema(responses: Responses, layout: Layout) -> dict[str, Fill]:
-    """Extrema and their kinds, of a system those of all coordinates."""
-    n_shown = np.minimum(responses.columns["n_extrema"], layout.sizes[EXTREMUM])
-
-    def filled(items: NDArray[Any], padding: NDArray[Any]) -> NDArray[Any]:
-        if not layout.is_of_systems:
-            return _ragged(items, n_shown, padding)
-        # They stand coordinate by coordinate.
-        turned = np.ascontiguousarray(np.swapaxes(padding, 1, 2))
-        rows = turned.reshape(-1, turned.shape[2])
-        return np.swapaxes(_ragged(items, n_shown.ravel(), rows).reshape(turned.shape), 1, 2)
-
-    names = ("extrema", "extremum_kind")
-    return {name: partial(filled, responses.lists[name][0]) for name in names}
-
-
-def _section(responses: Responses, layout: Layout) -> dict[str, Fill]:
-    """Section points: displacements, velocities and first-order states."""
-    items, counts = responses.lists["section"]
-    points, n = items.reshape(-1, layout.n_states), layout.sizes.get(COORDINATE, 1)
-    parts = dict(zip(layout.section, np.split(points, [n, 2 * n], axis=1), strict=False))
-    if not layout.is_of_systems:
-        parts = {name: part[:, 0] for name, part in parts.items()}
-    n_points = counts // layout.n_states
-    return {name: partial(_ragged, part, n_points) for name, part in parts.items()}
 
 
 def _grouped(
@@ -259,25 +213,19 @@ def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...])
     """Values of all variables of `attractors.nc` over the scenes of a piece."""
     leaders, most = found.leaders, int(found.number.max(initial=0)) + 1
     place = (*np.unravel_index(found.scene, shape), found.number)
-    values: Arrays = {
-        name: np.full((*shape, most, *layout.part_shape(name)), v.missing, v.dtype)
-        for name, v in layout.attractor_variables.items()
+    longest = {
+        dim: int(leaders.lists[name][1].max(initial=0)) // width
+        for dim, name, width in (
+            (MULTIPLIER, "multipliers", 2),
+            (SECTION_POINT, "section", layout.n_states),
+        )
     }
-    for name, filled in values.items():
-        columns = leaders.columns
-        column = columns[name] if name in columns else getattr(found, name)
-        filled[place] = column.reshape(len(column), *layout.part_shape(name))
-    parts, counts = leaders.lists["multipliers"]
-    lists: dict[str, Fill] = {
-        name: partial(_ragged, parts[i::2], counts // 2) for i, name in enumerate(MULTIPLIERS)
-    }
-    longest = {name: int(counts.max(initial=0)) // 2 for name in MULTIPLIERS}
-    n_section = int(leaders.lists["section"][1].max(initial=0)) // layout.n_states
-    longest |= dict.fromkeys(layout.section, n_section)
-    for name, fill in {**lists, **_section(leaders, layout)}.items():
-        full = np.full((*shape, most, longest[name], *layout.part_shape(name)), np.nan)
-        full[place] = fill(full[place])
-        values[name] = full
+    sizes = {**layout.sizes, **longest, EXTREMUM: 0}
+    arrays, values = leaders.arrays(sizes), {}
+    for name, variable in layout.attractor_variables.items():
+        within = [sizes[dim] for dim in layout.within(variable)]
+        values[name] = np.full((*shape, most, *within), variable.missing, variable.dtype)
+        values[name][place] = arrays[name] if name in arrays else getattr(found, name)
     counts = np.bincount(found.scene, minlength=math.prod(shape))
     values["n_attractors"] = counts.reshape(shape).astype(np.int32)
     return values

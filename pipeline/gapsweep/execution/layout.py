@@ -16,20 +16,11 @@ from gapsweep.study.grid import COORDINATE, LAG, START, Grid
 from gapsweep.study.schema import (
     ATTRACTOR,
     ATTRACTOR_VARIABLES,
-    EXTREMUM,
-    LISTS,
-    MULTIPLIER,
-    MULTIPLIERS,
     N_ATTRACTORS,
-    OF_FREE_MOTIONS,
-    SECTION_POINT,
-    SECTION_Z,
     VARIABLES,
-    Variable,
     coordinates,
-    of_systems,
-    parts_of,
 )
+from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT, Variable
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -64,6 +55,7 @@ class Layout:
     def of(cls, grid: Grid, steady: Steady, uneven: Collection[str] = ()) -> "Layout":
         sizes = {EXTREMUM: steady.max_extrema, SECTION_POINT: steady.max_period_multiple}
         sizes |= {name: len(names) for name, names in grid.parts.items()}
+        sizes[MULTIPLIER] = 2 * sizes.get(COORDINATE, 1) + sizes.get(LAG, 0)
         return cls(grid, sizes, uneven)
 
     @property
@@ -73,47 +65,29 @@ class Layout:
     @property
     def n_states(self) -> int:
         """Length of a state (q, v, z)."""
-        return 2 * self.sizes.get(COORDINATE, 1) + self.sizes.get(LAG, 0)
+        return self.sizes[MULTIPLIER]
 
     @property
     def variables(self) -> dict[str, Variable]:
-        """Of `responses.nc`, but for its lists."""
-        return self._described(VARIABLES) | self._of_free_motions
+        """Of `responses.nc`."""
+        return self._described(VARIABLES)
 
     @property
     def attractor_variables(self) -> dict[str, Variable]:
         """Of `attractors.nc`, over its attractors."""
-        return self._described(ATTRACTOR_VARIABLES) | self._of_free_motions
-
-    @property
-    def _of_free_motions(self) -> dict[str, Variable]:
-        """What motions have besides that nothing forces."""
-        return {} if "omega" in self.grid.dims else OF_FREE_MOTIONS
-
-    @property
-    def lists(self) -> dict[str, tuple[str, Variable]]:
-        """Lists of a point: their dimension, and what they hold."""
-        described = self._described({name: variable for name, (_, variable) in LISTS.items()})
-        found = {name: (LISTS[name][0], variable) for name, variable in described.items()}
-        return found | ({"section_z": (SECTION_POINT, SECTION_Z)} if LAG in self.sizes else {})
-
-    @property
-    def section(self) -> tuple[str, ...]:
-        """The lists that section points are stored in."""
-        return tuple(name for name, (dim, _) in self.lists.items() if dim == SECTION_POINT)
+        return self._described(ATTRACTOR_VARIABLES)
 
     def _described(self, variables: dict[str, Variable]) -> dict[str, Variable]:
-        if not self.is_of_systems:
-            return variables
-        return {name: of_systems(variable) for name, variable in variables.items()}
+        absent = {"period": "omega" in self.grid.dims, "section_z": LAG not in self.sizes}
+        return {
+            name: variable.of_systems if self.is_of_systems else variable
+            for name, variable in variables.items()
+            if not absent.get(name)
+        }
 
-    def parts(self, name: str) -> tuple[str, ...]:
-        """The dimensions within a point that a variable has."""
-        return parts_of(name, self.grid.parts)
-
-    def part_shape(self, name: str) -> tuple[int, ...]:
-        """Their sizes."""
-        return tuple(self.sizes[part] for part in self.parts(name))
+    def within(self, variable: Variable) -> dict[str, int]:
+        """Dimensions that a variable has within a point, and their sizes."""
+        return {dim: self.sizes[dim] for dim in variable.dims if dim in self.sizes}
 
     @property
     def chunk(self) -> tuple[int, ...]:
@@ -181,9 +155,6 @@ def define(dataset: netCDF4.Dataset, layout: Layout) -> None:
         dataset.createDimension(name, layout.sizes[name])
     for name, variable in layout.variables.items():
         _create(dataset, layout, name, variable, dims, chunk)
-    for name, (dimension, variable) in layout.lists.items():
-        sizes = *chunk, layout.sizes[dimension]
-        _create(dataset, layout, name, variable, (*dims, dimension), sizes)
     _name_auxiliary(dataset, layout, dims)
 
 
@@ -191,17 +162,13 @@ def define_attractors(dataset: netCDF4.Dataset, layout: Layout) -> None:
     """Dimensions, coordinates and variables of `attractors.nc`; it grows with their number."""
     scenes, chunk = layout.grid.dims[:-1], layout.chunk[:-1]
     _define_coordinates(dataset, layout, scenes)
-    sizes = {MULTIPLIER: layout.n_states, SECTION_POINT: layout.sizes[SECTION_POINT]}
-    for name, size in {ATTRACTOR: None, **sizes}.items():
-        dataset.createDimension(name, size)
+    for name, size in {**layout.sizes, ATTRACTOR: None}.items():
+        if name in (MULTIPLIER, SECTION_POINT, ATTRACTOR):
+            dataset.createDimension(name, size)
     _create(dataset, layout, "n_attractors", N_ATTRACTORS, scenes, chunk)
     dims, chunk = (*scenes, ATTRACTOR), (*chunk, min(len(layout.grid.starts), _ATTRACTORS))
     for name, variable in layout.attractor_variables.items():
         _create(dataset, layout, name, variable, dims, chunk)
-    lists = {name: (MULTIPLIER, variable) for name, variable in MULTIPLIERS.items()}
-    lists |= {name: layout.lists[name] for name in layout.section}
-    for name, (last, variable) in lists.items():
-        _create(dataset, layout, name, variable, (*dims, last), (*chunk, sizes[last]))
     _name_auxiliary(dataset, layout, scenes)
 
 
@@ -242,7 +209,8 @@ def _create(
     chunk: tuple[int, ...] | None,
 ) -> None:
     if chunk:
-        dimensions, chunk = dimensions + layout.parts(name), chunk + layout.part_shape(name)
+        within = layout.within(variable)
+        dimensions, chunk = (*dimensions, *within), (*chunk, *within.values())
     created = dataset.createVariable(
         name,
         variable.dtype,

@@ -14,59 +14,17 @@ from gapsweep.model.oscillator import checked, whole
 from gapsweep.model.structure import AnyStructure, OscillatorStructure
 from gapsweep.response.lists import spans
 from gapsweep.status import Status
-
-# What responses hold in columns, and in lists of any length: names, NumPy type codes, and the
-# order in which they are stored.
-COLUMNS = {
-    "status": "i1",
-    "response_class": "i1",
-    "period_multiple": "i4",
-    "n_extrema": "i4",
-    "x_max": "f8",
-    "x_min": "f8",
-    "amplitude": "f8",
-    "force_max": "f8",
-    "contact_share": "f8",
-    "multiplier_abs": "f8",
-    "lyapunov": "f8",
-    "lyapunov_error": "f8",
-    "n_contacts": "i8",
-    "n_steps": "i8",
-    "n_rejected": "i8",
-    "nfev": "i8",
-    "t_settled": "f8",
-    "t_simulated": "f8",
-    "noise": "f8",
-    "x_end": "f8",
-    "v_end": "f8",
-    "cpu_time": "f8",
-}
-LISTS = {"extrema": "f8", "extremum_kind": "i1", "multipliers": "f8", "section": "f8"}
-# Columns that have a value of every coordinate, of every contact, of every first-order state.
-OF_COORDINATES = ("n_extrema", "x_max", "x_min", "amplitude", "x_end", "v_end")
-OF_CONTACTS = ("force_max", "contact_share")
-_OSCILLATOR = OscillatorStructure()
-
-
-def columns_of(structure: AnyStructure) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Columns of responses: NumPy type code, and the shape of one point's value.
-
-    Values of a single coordinate, or of a single contact, are plain numbers. Motions that nothing
-    forces have a period, systems with first-order states have their last ones.
-    """
-    sizes = {
-        **dict.fromkeys(OF_COORDINATES, structure.n),
-        **dict.fromkeys(OF_CONTACTS, len(structure.contacts)),
-    }
-    found: dict[str, tuple[str, tuple[int, ...]]] = {
-        name: (dtype, () if sizes.get(name, 1) == 1 else (sizes[name],))
-        for name, dtype in COLUMNS.items()
-    }
-    if not structure.is_forced:
-        found["period"] = "f8", ()
-    if structure.m:
-        found["z_end"] = "f8", (structure.m,)
-    return found
+from gapsweep.variables import (
+    CONTACT,
+    COORDINATE,
+    COUNTS,
+    EXTREMUM,
+    LAG,
+    MULTIPLIER,
+    SECTION_POINT,
+    STATUS_FLAGS,
+    Variable,
+)
 
 
 class ResponseClass(IntEnum):
@@ -93,6 +51,78 @@ class ExtremumKind(IntEnum):
     MINIMUM = -1
     INFLECTION = 0
     MAXIMUM = 1
+
+
+CLASS_FLAGS = (("none", -1), *((kind.name.lower(), int(kind)) for kind in ResponseClass))
+KIND_FLAGS = (("none", -9), *((kind.name.lower(), int(kind)) for kind in ExtremumKind))
+_Q, _EXTREMA, _SECTION = (COORDINATE,), (EXTREMUM, COORDINATE), (SECTION_POINT, COORDINATE)
+
+# Numbers of a response, in the order in which they are stored. A response has a `period` where
+# nothing forces it, and a `z_end` where there are first-order states.
+COLUMNS: dict[str, Variable] = {
+    "status": Variable("i1", "1", "outcome of the sweep point", Status.NOT_REQUESTED, STATUS_FLAGS),
+    "response_class": Variable("i1", "1", "class of the steady response", -1, CLASS_FLAGS),
+    "period_multiple": Variable("i4", "1", "forcing periods in one response period, 0: none", 0),
+    "n_extrema": Variable("i4", "1", "true number of steady extrema", 0, dims=_Q),
+    "x_max": Variable("f8", "m", "peak displacement of the steady response", dims=_Q),
+    "x_min": Variable("f8", "m", "trough displacement of the steady response", dims=_Q),
+    "amplitude": Variable("f8", "m", "half the range of the steady response", dims=_Q),
+    "force_max": Variable("f8", "N", "largest magnitude of the contact force", dims=(CONTACT,)),
+    "contact_share": Variable(
+        "f8", "1", "share of the time spent beyond the walls", dims=(CONTACT,)
+    ),
+    "multiplier_abs": Variable("f8", "1", "largest modulus of the Floquet multipliers"),
+    "lyapunov": Variable("f8", "s-1", "largest Lyapunov exponent"),
+    "lyapunov_error": Variable("f8", "s-1", "standard error of the largest Lyapunov exponent"),
+    **COUNTS,
+    "t_settled": Variable("f8", "s", "simulated time until the response was accepted"),
+    "t_simulated": Variable("f8", "s", "simulated time of the motion: settling and recording"),
+    "noise": Variable("f8", "m", "expected noise of the section; distance to an equilibrium"),
+    "x_end": Variable("f8", "m", "displacement at the last section point", dims=_Q),
+    "v_end": Variable("f8", "m s-1", "velocity at the last section point", dims=_Q),
+    "cpu_time": Variable("f8", "s", "processor time of motion, shots and tangents, in the worker"),
+    "period": Variable("f8", "s", "period of an unforced response"),
+    "z_end": Variable("f8", "", "first-order states at the last section point", dims=(LAG,)),
+}
+# Lists of any length: names, and NumPy type codes. Multipliers are stored as real and imaginary
+# parts in turn, section points as their components.
+LISTS = {"extrema": "f8", "extremum_kind": "i1", "multipliers": "f8", "section": "f8"}
+# All variables of responses in datasets; lists are padded where they end.
+RESPONSE: dict[str, Variable] = {
+    **COLUMNS,
+    "extrema": Variable(
+        "f8", "m", "steady zero-velocity displacements in time order", dims=_EXTREMA
+    ),
+    "extremum_kind": Variable("i1", "1", "kind of each extremum", -9, KIND_FLAGS, _EXTREMA),
+    "section_x": Variable("f8", "m", "displacement at whole forcing periods", dims=_SECTION),
+    "section_v": Variable("f8", "m s-1", "velocity at whole forcing periods", dims=_SECTION),
+    "section_z": Variable(
+        "f8", "", "first-order state at whole forcing periods", dims=(SECTION_POINT, LAG)
+    ),
+    "multiplier_real": Variable(
+        "f8", "1", "real part of the Floquet multipliers", dims=(MULTIPLIER,)
+    ),
+    "multiplier_imag": Variable(
+        "f8", "1", "imaginary part of the Floquet multipliers", dims=(MULTIPLIER,)
+    ),
+}
+_OSCILLATOR = OscillatorStructure()
+
+
+def columns_of(structure: AnyStructure) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Columns of responses: NumPy type code, and the shape of one point's value.
+
+    Values of a single coordinate, or of a single contact, are plain numbers.
+    """
+    sizes = {COORDINATE: structure.n, CONTACT: len(structure.contacts)}
+    shapes = {dim: () if size == 1 else (size,) for dim, size in sizes.items()}
+    shapes |= {LAG: (structure.m,)}
+    absent = {"period": structure.is_forced, "z_end": not structure.m}
+    return {
+        name: (variable.dtype, shapes[variable.dims[0]] if variable.dims else ())
+        for name, variable in COLUMNS.items()
+        if not absent.get(name)
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -312,6 +342,15 @@ def _numbered(name: str, n: int) -> list[str]:
     return [f"{name}[{i}]" for i in range(n)]
 
 
+def _padded(
+    items: NDArray[Any], counts: NDArray[np.integer], size: int, missing: float
+) -> NDArray[Any]:
+    """Lists of different lengths as the rows of an array, padded where they end."""
+    rows = np.full((len(counts), size, *items.shape[1:]), missing, items.dtype)
+    rows[np.arange(size) < counts[:, None]] = items
+    return rows
+
+
 def missing(n: int, structure: AnyStructure) -> dict[str, NDArray[Any]]:
     """Columns of n points without a response."""
     columns: dict[str, NDArray[Any]] = {
@@ -412,6 +451,36 @@ class Responses:
     def has_end(self) -> NDArray[np.bool_]:
         """Which of these states are numbers, shape (n,)."""
         return np.asarray(np.isfinite(self.ends).all(axis=1))
+
+    def arrays(self, sizes: Mapping[str, int]) -> dict[str, NDArray[Any]]:
+        """Values of the dataset's variables, shape (n, ...); lists are padded where they end.
+
+        Parameters
+        ----------
+        sizes : mapping of str to int
+            Lengths of the dimensions within a point. Lists along other dimensions are left out.
+        """
+        n, found = len(self), dict(self.columns)
+        n_q, n_states = math.prod(found["x_max"].shape[1:]), self.ends.shape[1]
+        if size := sizes.get(EXTREMUM):
+            shown = np.minimum(found["n_extrema"], size).ravel()  # coordinate by coordinate
+            for name in ("extrema", "extremum_kind"):
+                rows = _padded(self.lists[name][0], shown, size, RESPONSE[name].missing)
+                found[name] = rows.reshape(n, n_q, size).swapaxes(1, 2)
+        of_section = dict.fromkeys((n_q, 2 * n_q, n_states))
+        for name, dim, names, ends in (
+            ("multipliers", MULTIPLIER, ("multiplier_real", "multiplier_imag"), (1, 2)),
+            ("section", SECTION_POINT, ("section_x", "section_v", "section_z"), (*of_section,)),
+        ):
+            if dim in sizes:
+                items, counts = self.lists[name]
+                points = items.reshape(-1, ends[-1])
+                rows = _padded(points, counts // ends[-1], sizes[dim], math.nan)
+                found |= zip(names, np.split(rows, ends[:-1], axis=2), strict=False)
+        return {
+            name: values.reshape(n, *(sizes[dim] for dim in RESPONSE[name].dims if dim in sizes))
+            for name, values in found.items()
+        }
 
     def row(self, k: int) -> Response:
         """One response as plain values."""

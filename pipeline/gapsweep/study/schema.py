@@ -3,94 +3,15 @@
 Written down once, here; the writer, the analyses and the documentation read this table.
 """
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Collection
 
-import numpy as np
-
-from gapsweep.response.result import (
-    OF_CONTACTS,
-    OF_COORDINATES,
-    ExtremumKind,
-    ResponseClass,
-)
-from gapsweep.status import Status
+from gapsweep.response.result import RESPONSE
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START
+from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT, Variable
 
 # Of a study that sweeps nothing else; each further number swept has a dimension after omega.
 POINT_DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
-EXTREMUM = "extremum"
-SECTION_POINT = "section_point"
 ATTRACTOR = "attractor"
-MULTIPLIER = "multiplier"
-
-
-@dataclass(frozen=True, slots=True)
-class Variable:
-    """One dataset variable.
-
-    Attributes
-    ----------
-    dtype : str
-        NumPy type code, or ``"str"``.
-    units : str
-        UDUNITS text, ``"1"`` if nondimensional; empty if its user alone knows.
-    long_name : str
-    missing : float
-        Value in cells that are no sweep point.
-    flags : tuple of (str, int)
-        Meanings and values, for flag variables.
-    """
-
-    dtype: str
-    units: str
-    long_name: str
-    missing: float = float("nan")
-    flags: tuple[tuple[str, int], ...] = ()
-
-    @property
-    def attributes(self) -> dict[str, Any]:
-        """Attributes of the variable in a file."""
-        attributes: dict[str, Any] = {"units": self.units} if self.units else {}
-        attributes["long_name"] = self.long_name
-        if self.flags:
-            names, values = zip(*self.flags, strict=True)
-            attributes["flag_values"] = np.array(values, dtype=self.dtype)
-            attributes["flag_meanings"] = " ".join(names)
-        return attributes
-
-
-# Of every variable the dimensions, and what it is.
-Described = Mapping[str, tuple[tuple[str, ...], Variable]]
-
-
-def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
-    """Arrays of a table's variables, in which all is missing."""
-    return {
-        name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
-        for name, (dims, variable) in table.items()
-    }
-
-
-def with_attributes(table: Described, arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Arrays with their dimensions and attributes, as a dataset takes them."""
-    return {
-        name: (dims, arrays[name], variable.attributes) for name, (dims, variable) in table.items()
-    }
-
-
-STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
-KIND_FLAGS = (("none", -9), *((k.name.lower(), int(k)) for k in ExtremumKind))
-# Of an oscillator that loses energy and is forced; others there are of systems alone.
-CLASS_FLAGS = (
-    ("none", -1),
-    *((c.name.lower(), int(c)) for c in ResponseClass if c <= ResponseClass.FAILED),
-)
-
-_ALL_CLASSES = (("none", -1), *((c.name.lower(), int(c)) for c in ResponseClass))
-# Units that do not depend on what a coordinate is.
-_OWN_UNITS = {"1", "s", "s-1", "Hz"}
 
 # Of every coordinate the dimension it lies along, and what it is. Walls that are swept one by one
 # have dimensions of their own.
@@ -173,7 +94,7 @@ def coordinates(dims: Collection[str], parts: Collection[str] = ()) -> Found:
         if START in dims and part in parts
     }
     others: Found = {
-        name: (along, of_systems(variable))
+        name: (along, variable.of_systems)
         for name, (along, variable) in found.items()
         if name not in ("x_0", "v_0")
     }
@@ -181,88 +102,34 @@ def coordinates(dims: Collection[str], parts: Collection[str] = ()) -> Found:
     return others | named | starts | names
 
 
-def of_systems(variable: Variable) -> Variable:
-    """A variable of systems: whether lengths or angles are meant, their user alone knows."""
-    if variable.flags == CLASS_FLAGS:
-        return replace(variable, flags=_ALL_CLASSES)
-    return variable if variable.units in _OWN_UNITS else replace(variable, units="")
-
-
 def parts_of(name: str, parts: Collection[str]) -> tuple[str, ...]:
     """The dimensions within a point that a variable has."""
-    return (_PART_OF[name],) if _PART_OF.get(name) in parts else ()
+    return tuple(dim for dim in VARIABLES[name].dims if dim in parts) if name in VARIABLES else ()
 
 
 VARIABLES: dict[str, Variable] = {
-    "x_max": Variable("f8", "m", "peak displacement of the steady response"),
-    "x_min": Variable("f8", "m", "trough displacement of the steady response"),
-    "amplitude": Variable("f8", "m", "half the range of the steady response"),
-    "force_max": Variable("f8", "N", "largest magnitude of the contact force"),
-    "contact_share": Variable("f8", "1", "share of the time spent beyond the walls"),
-    "period_multiple": Variable("i4", "1", "forcing periods in one response period, 0: none", 0),
-    "response_class": Variable("i1", "1", "class of the steady response", -1, CLASS_FLAGS),
-    "multiplier_abs": Variable("f8", "1", "largest modulus of the Floquet multipliers"),
-    "lyapunov": Variable("f8", "s-1", "largest Lyapunov exponent"),
-    "lyapunov_error": Variable("f8", "s-1", "standard error of the largest Lyapunov exponent"),
-    "noise": Variable(
-        "f8",
-        "m",
-        "predicted scatter of section points a response period apart; of a rest, its distance",
-    ),
+    **{
+        name: variable
+        for name, variable in RESPONSE.items()
+        if not name.endswith("_end") and MULTIPLIER not in variable.dims
+    },
     "attractor": Variable("i4", "1", "number of the attractor in its scene, -1: none", -1),
-    "n_extrema": Variable("i4", "1", "true number of steady extrema", 0),
-    "n_contacts": Variable("i8", "1", "wall crossings of the motion, in and out", 0),
-    "n_steps": Variable("i8", "1", "accepted steps of the motion", 0),
-    "n_rejected": Variable("i8", "1", "rejected steps of the motion", 0),
-    "nfev": Variable("i8", "1", "right-hand sides of the motion", 0),
-    "t_settled": Variable("f8", "s", "simulated time until the response was accepted"),
-    "t_simulated": Variable("f8", "s", "simulated time of the motion: settling and recording"),
-    "cpu_time": Variable("f8", "s", "processor time of motion, shots and tangents, in the worker"),
     "host": Variable("i2", "1", "machine on which cpu_time was measured", -1),
-    "status": Variable("i1", "1", "outcome of the sweep point", Status.NOT_REQUESTED, STATUS_FLAGS),
-}
-
-# Ragged lists: their extra dimension and what they hold; padded where they end.
-LISTS: dict[str, tuple[str, Variable]] = {
-    "extrema": (EXTREMUM, Variable("f8", "m", "steady zero-velocity displacements, in time order")),
-    "extremum_kind": (EXTREMUM, Variable("i1", "1", "kind of each extremum", -9, KIND_FLAGS)),
-    "section_x": (SECTION_POINT, Variable("f8", "m", "displacement at whole forcing periods")),
-    "section_v": (SECTION_POINT, Variable("f8", "m s-1", "velocity at whole forcing periods")),
-}
-
-SECTION = ("section_x", "section_v")
-# What motions have besides that nothing forces.
-OF_FREE_MOTIONS = {
-    "period": Variable("f8", "s", "period of a response that nothing forces"),
-}
-SECTION_Z = Variable("f8", "", "first-order states of the section")
-_PART_OF = {
-    **dict.fromkeys((*OF_COORDINATES, "extrema", "extremum_kind", *SECTION), COORDINATE),
-    **dict.fromkeys(OF_CONTACTS, CONTACT),
-    "section_z": LAG,
 }
 
 # `attractors.nc`: over the scenes and `attractor`; names as in `responses.nc` where they are one.
 ATTRACTOR_VARIABLES: dict[str, Variable] = {
     **{
-        name: VARIABLES[name]
+        name: RESPONSE[name]
         for name in (
-            "period_multiple",
-            "response_class",
-            "x_max",
-            "x_min",
-            "multiplier_abs",
-            "lyapunov",
-            "lyapunov_error",
+            *("period_multiple", "response_class", "x_max", "x_min", "multiplier_abs"),
+            *("lyapunov", "lyapunov_error", "period", "multiplier_real", "multiplier_imag"),
+            *("section_x", "section_v", "section_z"),
         )
     },
     "basin_share": Variable("f8", "1", "share of the starts that end on the attractor"),
     "basin_share_error": Variable("f8", "1", "standard error of the share"),
     "mirror_of": Variable("i4", "1", "number of its mirror image, -1: none", -1),
-}
-MULTIPLIERS: dict[str, Variable] = {
-    "multiplier_real": Variable("f8", "1", "real part of the Floquet multipliers"),
-    "multiplier_imag": Variable("f8", "1", "imaginary part of the Floquet multipliers"),
 }
 N_ATTRACTORS = Variable("i4", "1", "number of attractors found", 0)
 
@@ -276,13 +143,10 @@ TAKEN = {
     *OF_CALLS,
     *COORDINATES,
     *VARIABLES,
-    *LISTS,
     *ATTRACTOR_VARIABLES,
-    *MULTIPLIERS,
     *_STARTS_OF_SYSTEMS,
     *_PARTS,
-    *OF_FREE_MOTIONS,
-    *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "section_z", "n_attractors"),
+    *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "n_attractors"),
     # of agreement.nc and timing.nc
     *("regime", "bound", "class", "class_exact", "confusion", "kappa", "f1", "precision", "recall"),
     *("n_points", "n_compared", "n_failed", "n_unresolved", "n_jumps", "n_changes"),
