@@ -87,6 +87,10 @@ def direct(study, responses):
 def test_every_number_is_that_of_respond(made):
     study, _, responses = made
     for here, found in direct(study, responses):
+        dataset = found.to_dataset()
+        for name in {*here.data_vars} & {*dataset} - {"cpu_time"}:
+            ones = [dim for dim in ("contact", "lag") if here[name].sizes.get(dim) == 1]
+            xr.testing.assert_identical(dataset[name].variable, here[name].squeeze(ones).variable)
         free = () if "omega" in responses.dims else ("period",)
         for name in (*PLAIN, *OF_COORDINATES, *OF_CONTACTS, *free):
             expected = getattr(found, name)

@@ -94,7 +94,8 @@ def test_one_response_whose_attributes_are_arrays(responses):
         for field in set(fields(one)) - {INPUTS}:
             value = getattr(responses.row(k), field.name)
             assert_array_equal(getattr(one, field.name)[at], value, field.name)
-    assert one.status.dtype == one.extremum_kind[0, 0].dtype == np.int64
+    assert one.n_steps.dtype == one.extremum_kind[0, 0].dtype == np.int64
+    assert type(one.status[0, 0]) is gs.Status
 
 
 def test_the_order_is_that_of_the_scenes():

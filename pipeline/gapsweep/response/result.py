@@ -1,8 +1,8 @@
 """What is asked of a sweep point, and what is answered: plain values, no computation."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import checked, whole
-from gapsweep.model.structure import AnyStructure, OscillatorStructure
+from gapsweep.model.structure import AnyStructure, OscillatorStructure, structure_of
 from gapsweep.response.lists import spans
 from gapsweep.status import Status
 from gapsweep.variables import (
@@ -24,6 +24,10 @@ from gapsweep.variables import (
     SECTION_POINT,
     STATUS_FLAGS,
     Variable,
+    as_html,
+    dataset,
+    members,
+    to_dataframe,
 )
 
 
@@ -106,6 +110,7 @@ RESPONSE: dict[str, Variable] = {
         "f8", "1", "imaginary part of the Floquet multipliers", dims=(MULTIPLIER,)
     ),
 }
+_MESSAGE = {"message": Variable("str", "", "reason for a failure or an unresolved response")}
 _OSCILLATOR = OscillatorStructure()
 
 
@@ -255,8 +260,8 @@ class Response:
     message : str
         Why the point failed, or is unresolved and what may help; empty otherwise.
     inputs : mapping of str to object
-        What was asked: ``oscillator``, ``law``, ``omega`` [Hz] and the initial state ``start``, the
-        last two in the shape of the response.
+        Arguments of the call by name, defaults included; frequencies and initial states have the
+        shape of the response. ``gs.respond(**found.inputs)`` computes it again.
 
     Examples
     --------
@@ -265,6 +270,11 @@ class Response:
     >>> found = gs.respond(gs.Oscillator(), law, omega=9.0)
     >>> found.response_class.name, found.multiplier_abs < 1.0
     ('PERIODIC', True)
+    >>> several = gs.respond(gs.Oscillator(), law, omega=[7.0, 9.0])
+    >>> several.response_class == gs.ResponseClass.PERIODIC
+    array([ True,  True])
+    >>> several.response_class[1].name, dict(several.to_dataset().sizes)["omega"]
+    ('PERIODIC', 2)
     """
 
     status: Status
@@ -298,48 +308,65 @@ class Response:
     message: str = ""
     inputs: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
+    def to_dataset(self) -> Any:
+        """The responses as an `xarray.Dataset`, with the variables of ``responses.nc``.
+
+        Its dimensions are `omega` and `initial_condition` where every frequency is computed from
+        every initial state, otherwise `point`.
+        """
+        model, steady = self.inputs["oscillator"], self.inputs["steady"]
+        structure, n = structure_of(model), math.prod(np.shape(self.status))
+        columns = {
+            name: np.asarray(getattr(self, name)).astype(dtype).reshape(n, *shape)
+            for name, (dtype, shape) in columns_of(structure).items()
+        }
+        lists = {
+            name: _joined(name, found.flat if isinstance(found, np.ndarray) else [found])
+            for name in LISTS
+            for found in [getattr(self, name)]
+        }
+        sizes = {
+            EXTREMUM: steady.max_extrema,
+            SECTION_POINT: steady.max_period_multiple,
+            MULTIPLIER: structure.n_states,
+            **{name: len(names) for name, names in model.parts.items()},
+        }
+        arrays = Responses(columns, lists, {}).arrays(sizes)
+        arrays["message"] = np.ravel(self.message).astype(str)
+        return dataset(self.inputs, np.shape(self.status), RESPONSE | _MESSAGE, arrays)
+
     def to_dataframe(self) -> Any:
         """The responses as a `pandas.DataFrame`, a row each, without extrema and sections.
 
-        Columns are the frequency, the initial state, and the attributes. Values of several
-        coordinates or contacts have columns of their own, as ``x_max[0]``. Status and class are
-        words.
+        Columns are the variables of `to_dataset`; values of several coordinates or contacts have
+        a column each, as ``x_max[q_1]``. Status and class are words.
         """
-        import pandas as pd  # half a second, which no computation needs
-
-        n, columns = math.prod(np.shape(self.status)), dict[str, Any]()
-        found = {each.name: getattr(self, each.name) for each in fields(self)}
-        asked = {name: self.inputs[name] for name in ("omega", "start") if name in self.inputs}
-        for name, values in {**asked, **found}.items():
-            if name not in (*LISTS, "inputs"):
-                table = np.reshape(np.asarray(values), (n, -1))
-                names = [name] if table.shape[1] == 1 else _numbered(name, table.shape[1])
-                columns |= dict(zip(names, table.T, strict=True))
-        columns["status"] = [Status(value).label for value in columns["status"]]
-        classes = [ResponseClass(value).name.lower() for value in columns["response_class"]]
-        return pd.DataFrame(columns | {"response_class": classes}).dropna(axis=1, how="all")
+        return to_dataframe(self.to_dataset())
 
     def _repr_html_(self) -> str:
-        shown = self.to_dataframe()
-        return str((shown if np.shape(self.status) else shown.T)._repr_html_())
+        return as_html(self.to_dataset())
 
     def __repr__(self) -> str:
-        kinds, counts = np.unique(self.response_class, return_counts=True)
-        said = [ResponseClass(kind).name.lower() for kind in kinds]
+        kinds, counts = np.unique(np.asarray(self.response_class, object), return_counts=True)
+        said = [kind.name.lower() for kind in kinds]
         if shape := np.shape(self.status):
             listed = [f"{n} {kind}" for n, kind in zip(counts, said, strict=True)]
             return f"<gapsweep.Response of shape {shape}: {', '.join(listed)}>"
         if self.period_multiple:
             said.append(f"period multiple {self.period_multiple}")
-        said.append(Status(self.status).label)
+        said.append(self.status.label)
         for name in ("x_min", "x_max"):
             values = np.atleast_1d(getattr(self, name)).tolist()
             said.append(f"{name} {' '.join(f'{value:.6g}' for value in values)}")
         return f"<gapsweep.Response: {', '.join(said)}>"
 
 
-def _numbered(name: str, n: int) -> list[str]:
-    return [f"{name}[{i}]" for i in range(n)]
+def _joined(name: str, rows: Iterable[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """All items of the lists of one name, row after row, and how many each row has."""
+    parts = [np.asarray(row, LISTS[name]) for row in rows]
+    return np.concatenate([np.empty(0, LISTS[name]), *parts]), np.array(
+        [*map(len, parts)], np.int64
+    )
 
 
 def _padded(
@@ -392,11 +419,10 @@ class Responses:
         for name, column in columns.items():
             for row, response in enumerate(responses):
                 column[row] = getattr(response, name)
-        lists = {}
-        for name, dtype in LISTS.items():
-            rows = [getattr(response, name) for response in responses]
-            items = np.array([item for row in rows for item in row], dtype)
-            lists[name] = items, np.array(list(map(len, rows)), np.int64)
+        lists = {
+            name: _joined(name, (getattr(response, name) for response in responses))
+            for name in LISTS
+        }
         messages = {k: response.message for k, response in enumerate(responses)}
         return cls(columns, lists, {k: text for k, text in messages.items() if text})
 
@@ -511,6 +537,8 @@ class Responses:
             plain = np.int64 if dtype.startswith("i") else np.float64
             values[name] = np.empty(len(self), dtype=object)
             values[name][:] = [np.array(items, plain) for items in self._split(name)]
+        for name, kind in (("status", Status), ("response_class", ResponseClass)):
+            values[name] = members(kind, self.columns[name])
         values["message"] = np.array([self.messages.get(k, "") for k in range(len(self))], object)
         values.setdefault("period", np.full(len(self), math.nan))
         values.setdefault("z_end", np.empty((len(self), 0)))

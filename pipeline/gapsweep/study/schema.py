@@ -6,8 +6,8 @@ Written down once, here; the writer, the analyses and the documentation read thi
 from collections.abc import Collection
 
 from gapsweep.response.result import RESPONSE
-from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START
-from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT, Variable
+from gapsweep.study.grid import COORDINATE, LAG, START
+from gapsweep.variables import EXTREMUM, INPUTS, MULTIPLIER, PARTS, SECTION_POINT, Variable
 
 # Of a study that sweeps nothing else; each further number swept has a dimension after omega.
 POINT_DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
@@ -21,16 +21,16 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "gap": ("gap", Variable("str", "mm", "distances of the lower and upper wall from the origin")),
     "j_1": ("gap", Variable("f8", "m", "distance of the lower wall from the origin")),
     "j_2": ("gap", Variable("f8", "m", "distance of the upper wall from the origin")),
-    "omega": ("omega", Variable("f8", "Hz", "forcing frequency")),
+    "omega": ("omega", INPUTS["omega"]),
     "zeta": ("zeta", Variable("f8", "1", "damping ratio")),
     "omega_n": ("omega_n", Variable("f8", "Hz", "natural frequency of the linear spring alone")),
     "mass": ("mass", Variable("f8", "kg", "mass")),
     "alpha": ("alpha", Variable("f8", "N m-3", "cubic stiffness")),
     "forcing": ("forcing", Variable("f8", "N", "forcing amplitude")),
     "K_ratio": ("K_ratio", Variable("f8", "1", "stiffness of the lower wall over the upper")),
-    "initial_condition": ("initial_condition", Variable("i4", "1", "number of the start")),
-    "x_0": ("initial_condition", Variable("f8", "m", "initial displacement")),
-    "v_0": ("initial_condition", Variable("f8", "m s-1", "initial velocity")),
+    "initial_condition": (START, INPUTS[START]),
+    "x_0": (START, INPUTS["x_0"]),
+    "v_0": (START, INPUTS["v_0"]),
     "start": ("initial_condition", Variable("str", "1", "fixed, sweep_up or sweep_down")),
 }
 
@@ -57,11 +57,6 @@ _STARTS_OF_SYSTEMS = {
     "q_0": (COORDINATE, Variable("f8", "", "initial coordinates")),
     "v_0": (COORDINATE, Variable("f8", "", "initial velocities")),
     "z_0": (LAG, Variable("f8", "", "initial first-order states")),
-}
-_PARTS = {
-    COORDINATE: Variable("str", "1", "coordinate of the system"),
-    CONTACT: Variable("str", "1", "contact of the system"),
-    LAG: Variable("str", "1", "first-order state of the system"),
 }
 
 
@@ -98,7 +93,7 @@ def coordinates(dims: Collection[str], parts: Collection[str] = ()) -> Found:
         for name, (along, variable) in found.items()
         if name not in ("x_0", "v_0")
     }
-    names: Found = {name: ((name,), _PARTS[name]) for name in parts}
+    names: Found = {name: ((name,), PARTS[name]) for name in parts}
     return others | named | starts | names
 
 
@@ -145,7 +140,7 @@ TAKEN = {
     *VARIABLES,
     *ATTRACTOR_VARIABLES,
     *_STARTS_OF_SYSTEMS,
-    *_PARTS,
+    *PARTS,
     *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "n_attractors"),
     # of agreement.nc and timing.nc
     *("regime", "bound", "class", "class_exact", "confusion", "kappa", "f1", "precision", "recall"),
