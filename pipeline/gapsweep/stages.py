@@ -173,8 +173,8 @@ def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
 
 def study_source(study: Study) -> MadeFrom:
     """Digest of the settings of a study, and of the user's own laws in it."""
-    names = "" if study.systems is None else json.dumps(study.systems.parts)
-    said = study.json + _own_laws(study) + names
+    system = "" if study.systems is None else study.systems.json
+    said = study.json + _own_laws(study) + system
     return {STUDY: hashlib.sha256(said.encode()).hexdigest()}
 
 

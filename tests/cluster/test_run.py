@@ -18,6 +18,8 @@ from gapsweep.execution.cluster import cluster
 from gapsweep.execution.plan import plan
 from gapsweep.execution.portions import Costs
 from gapsweep.model.labels import contact_law
+from gapsweep.model.structure import OscillatorStructure
+from gapsweep.response.result import exists
 from gapsweep.store.cache import Cache
 from gapsweep.study.schema import POINT_DIMS, VARIABLES, coordinates
 from gapsweep.study.software import versions
@@ -37,14 +39,16 @@ def responses(tables, client, tmp_path):
 def test_dataset_has_every_dimension_unit_and_flag(responses):
     assert responses["x_max"].dims == POINT_DIMS
     assert responses["extrema"].dims == (*POINT_DIMS, "extremum")
-    for name in responses:
+    held = {name for name in VARIABLES if exists(name, OscillatorStructure())}
+    assert held == {*responses.data_vars}
+    for name in held:
         variable = VARIABLES[name]
         assert responses[name].attrs["units"] == variable.units
         assert responses[name].attrs["long_name"]
         if variable.dtype.startswith("i"):
             assert responses[name].dtype.kind == "i"
             assert "_FillValue" not in responses[name].encoding
-    for name, (along, variable) in coordinates(POINT_DIMS).items():
+    for name, (along, variable) in coordinates(POINT_DIMS, OscillatorStructure()).items():
         assert responses.coords[name].dims == along
         assert responses[name].attrs["units"] == variable.units
     meanings = responses["status"].attrs["flag_meanings"].split()

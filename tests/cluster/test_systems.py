@@ -39,16 +39,34 @@ FREE = changed(
     },
     solver={"rtol": 1e-7},
 )
+GEAR = {
+    "study": {"name": "gears"},
+    "system": {"function": "gear_pair"},
+    "parameters": {"mean_load": 0.1},
+    "sweep": [
+        {
+            "representation": ["piecewise", "piecewise@loose"],
+            "K_c": 1.0,
+            "gap": [[1.0, 1.0]],
+            "omega": [0.08, 0.13, 0.2],
+            "initial_condition": ["sweep_up", {"sobol": 3, "q": [[-1.2, 1.2]], "v": [[-1, 1]]}],
+        }
+    ],
+    "protocol": {"loose": {"rtol": 1e-5}},
+    "solver": {"rtol": 1e-8},
+    "steady": STEADY,
+}
+STUDIES = {"forced": FORCED, "free": FREE, "gear": GEAR}
 OF_COORDINATES = ("x_max", "x_min", "amplitude", "n_extrema")
 OF_CONTACTS = ("force_max", "contact_share")
 PLAIN = ("status", "response_class", "period_multiple", "lyapunov", "n_steps", "t_settled")
 
 
-@pytest.fixture(scope="module", params=["forced", "free"])
+@pytest.fixture(scope="module", params=STUDIES)
 def made(request, client, tmp_path_factory):
     """A study, its folder and its responses."""
     folder = tmp_path_factory.mktemp(request.param)
-    study = gs.Study.from_dict({"forced": FORCED, "free": FREE}[request.param])
+    study = gs.Study.from_dict(STUDIES[request.param])
     with gs.run(study, client, out=folder / "out", cache=folder / "c-cache") as responses:
         return study, folder, responses.load()
 
@@ -59,8 +77,9 @@ def at(responses, **where):
 
 def direct(study, responses):
     """What `respond` says of all fixed starts of the first scene, in order."""
-    here = at(responses, initial_condition=np.isfinite(responses["q_0"][:, 0].values))
-    q_0, v_0 = here["q_0"].values, here["v_0"].values
+    here = at(responses, initial_condition=responses["start"].values == "fixed")
+    n = study.structure.n
+    q_0, v_0 = (here[name].values.reshape(-1, n) for name in ("x_0", "v_0"))
     rtol = study.solver("piecewise").rtol
     if study.name == "section":
         law = gs.Piecewise(3.9, gs.Gap(0.03, 0.03))
@@ -69,40 +88,73 @@ def direct(study, responses):
             found = gs.respond(system, law, q_0=q_0, v_0=v_0, rtol=rtol)
             yield here.isel(speed=i), found
         return
-    tables = TWO_MASSES["system"]
-    system = gs.System(
-        **{name: tables[name] for name in ("mass", "stiffness", "damping", "contacts")},
-        forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
-    )
-    laws = {
-        "stop": gs.Piecewise(100.0, gs.Gap(0.1, 0.2)),
-        "between": gs.Piecewise(50.0, gs.Gap(0.5, 0.4), K_ratio=2.0),
-    }
+    system, laws = forced(study)
     steady = gs.Steady(**STEADY)
     for i, omega in enumerate(responses["omega"].values.tolist()):
         found = gs.respond(system, laws, omega, q_0=q_0, v_0=v_0, rtol=rtol, steady=steady)
         yield here.isel(omega=i), found
 
 
+def forced(study):
+    """The system of a forced study, made without it, and its laws."""
+    if study.name == "gears":
+        return gs.systems.gear_pair(mean_load=0.1), gs.systems.gear_pair_law()
+    tables = TWO_MASSES["system"]
+    system = gs.System(
+        **{name: tables[name] for name in ("mass", "stiffness", "damping", "contacts")},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
+    )
+    return system, {
+        "stop": gs.Piecewise(100.0, gs.Gap(0.1, 0.2)),
+        "between": gs.Piecewise(50.0, gs.Gap(0.5, 0.4), K_ratio=2.0),
+    }
+
+
 def test_every_number_is_that_of_respond(made):
     study, _, responses = made
     for here, found in direct(study, responses):
         dataset = found.to_dataset()
-        for name in {*here.data_vars} & {*dataset} - {"cpu_time"}:
-            ones = [dim for dim in ("contact", "lag") if here[name].sizes.get(dim) == 1]
-            xr.testing.assert_identical(dataset[name].variable, here[name].squeeze(ones).variable)
+        assert {*here.data_vars} - {*dataset} == {"attractor", "host"}
+        for name in {*here.data_vars} & {*dataset} - {"cpu_time"} | {"x_0", "v_0"}:
+            xr.testing.assert_identical(dataset[name].variable, here[name].variable)
         free = () if "omega" in responses.dims else ("period",)
-        for name in (*PLAIN, *OF_COORDINATES, *OF_CONTACTS, *free):
+        more = () if study.structure.n == 1 else ("contact_x_max", "contact_x_min")
+        for name in (*PLAIN, *OF_COORDINATES, *OF_CONTACTS, *free, *more):
             expected = getattr(found, name)
             assert_array_equal(here[name].values.reshape(expected.shape), expected, name)
-        n, extrema = here["n_extrema"].values, here["extrema"].values
+        n = here["n_extrema"].values.reshape(-1, study.structure.n)
+        extrema = here["extrema"].values.reshape(*here["extrema"].shape[:2], -1)
         for point in np.flatnonzero(found.status == 0).tolist():
             shown = [extrema[point, : n[point, i], i] for i in range(n.shape[1])]
             assert_array_equal(np.concatenate(shown), found.extrema[point])
             names = [x for x in ("section_x", "section_v", "section_z") if x in here]
-            section = np.concatenate([here[name].values[point] for name in names], axis=1)
+            parts = [np.atleast_2d(here[name].values[point].T) for name in names]
+            section = np.concatenate(parts).T
             section = section[np.isfinite(section).all(axis=1)]
             assert_array_equal(section.ravel(), found.section[point])
+
+
+def test_motions_at_contacts_are_those_of_the_coordinates_along_their_directions(made):
+    study, folder, responses = made
+    names = [f"contact_section_{part}" for part in "xv"]
+    if study.structure.n == 1:
+        assert not {*names, "contact_x_max"} & {*responses}
+        return
+    along = np.array([*study.systems.system.contacts.values()])
+    with xr.open_dataset(folder / "out" / "attractors.nc") as attractors:
+        for dataset in (responses, attractors.load()):
+            for name in names:
+                expected = dataset[name.removeprefix("contact_")].values @ along.T
+                found = dataset[name].values
+                np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-15)
+                assert "units" not in dataset[name].attrs
+            ends = abs(dataset[["x_max", "x_min"]]).to_dataarray().max("variable").values
+            largest = abs(dataset[["contact_x_max", "contact_x_min"]]).to_dataarray()
+            bound = ends @ np.abs(along).T
+            largest = largest.max("variable").values.reshape(bound.shape)
+            known = np.isfinite(bound)
+            assert known.any()
+            assert (largest[known] <= bound[known] * (1.0 + 1e-12)).all()
 
 
 def test_a_failure_is_data_of_the_same_shape(made):
@@ -117,14 +169,16 @@ def test_a_failure_is_data_of_the_same_shape(made):
 
 def test_datasets_have_the_dimensions_and_names_of_the_system(made):
     study, folder, responses = made
-    parts = study.grid.parts
-    for name, names in parts.items():
+    structure = study.structure
+    for name, names in study.grid.parts.items():
         assert responses[name].values.tolist() == list(names)
-    assert responses["x_max"].dims == (*study.grid.dims, "coordinate")
-    assert responses["force_max"].dims == (*study.grid.dims, "contact")
-    assert responses["extrema"].dims == (*study.grid.dims, "extremum", "coordinate")
-    assert {"x_0", "v_0"} & {*responses.coords} == {"v_0"}
-    assert responses["q_0"].dims == ("initial_condition", "coordinate")
+    along = ("coordinate",) * (structure.n > 1)
+    contacts = ("contact",) * (len(structure.contacts) > 1)
+    assert responses["x_max"].dims == (*study.grid.dims, *along)
+    assert responses["force_max"].dims == (*study.grid.dims, *contacts)
+    assert responses["extrema"].dims == (*study.grid.dims, "extremum", *along)
+    assert responses["x_0"].dims == responses["v_0"].dims == ("initial_condition", *along)
+    assert {*study.grid.parts} == {"coordinate", "contact", "lag"} & {*responses.dims}
     assert "units" not in responses["x_max"].attrs  # whether lengths or angles: the user knows
     meanings = responses["response_class"].attrs["flag_meanings"].split()
     assert meanings[1:] == [kind.name.lower() for kind in ResponseClass]
@@ -132,9 +186,9 @@ def test_datasets_have_the_dimensions_and_names_of_the_system(made):
         for other in variable.coords:
             assert {*responses[other].dims} <= {*variable.dims}, (name, other)
     with xr.open_dataset(folder / "out" / "attractors.nc") as attractors:
-        states = 2 * len(parts["coordinate"]) + len(parts.get("lag", ()))
-        assert attractors.sizes["multiplier"] == states
-        assert attractors["x_max"].dims[-2:] == ("attractor", "coordinate")
+        assert attractors.sizes["multiplier"] == structure.n_states
+        dims = tuple(dim for dim in study.grid.dims if dim != "initial_condition")
+        assert attractors["x_max"].dims == (*dims, "attractor", *along)
 
 
 def test_starts_that_end_alike_share_an_attractor(made):
@@ -157,17 +211,13 @@ def test_a_sweep_goes_on_from_state_to_state(made):
     if "omega" not in responses.dims:
         return
     up = responses["start"].values.tolist().index("sweep_up")
-    laws = {
-        "stop": gs.Piecewise(100.0, gs.Gap(0.1, 0.2)),
-        "between": gs.Piecewise(50.0, gs.Gap(0.5, 0.4), K_ratio=2.0),
-    }
-    system = study.systems.system
-    q, v = np.zeros(2), np.zeros(2)
+    system, laws = forced(study)
+    q, v = np.zeros((2, system.n))
     for i, omega in enumerate(responses["omega"].values.tolist()):
         found = gs.respond(system, laws, omega, q_0=q, v_0=v, rtol=1e-8, steady=gs.Steady(**STEADY))
         here = at(responses, omega=i, initial_condition=up)
         assert_array_equal(here["x_max"].values, found.x_max)
-        q, v = found.x_end, found.v_end
+        q, v = (np.reshape(end, system.n) for end in (found.x_end, found.v_end))
 
 
 def test_nothing_is_computed_twice_and_all_is_sound(made):
@@ -181,8 +231,9 @@ def test_nothing_is_computed_twice_and_all_is_sound(made):
 def test_the_report_shows_every_coordinate(made):
     study, folder, _ = made
     page = (folder / "out" / "report" / "index.html").read_text()
-    for name in study.grid.parts["coordinate"]:
+    for name in study.grid.parts.get("coordinate", ()):
         assert f", {name}" in page
+    assert "walls within the axis" in page or study.name != "gears"
     # Whether its lengths are metres, millimetres or radians, its user alone knows.
     for unit in ("[m]", "N/m", " mm", "[1/m]"):
         assert unit not in page
@@ -194,7 +245,8 @@ def test_laws_are_compared_coordinate_by_coordinate(made):
     assert path.exists() == (len(study.grid.representations) > 1)
     if path.exists():
         with xr.open_dataset(path) as agreement:
-            assert agreement["amplitude_error_median"].dims[-1] == "coordinate"
+            is_last = agreement["amplitude_error_median"].dims[-1] == "coordinate"
+            assert is_last == (study.structure.n > 1)
             loose = agreement.sel(representation="piecewise@loose", regime="all")
             assert float(loose["amplitude_error_median"].max()) < 1e-3
             assert (loose["n_points"] > 0).all()
@@ -206,7 +258,8 @@ def test_query_has_a_column_for_every_coordinate(made, capsys):
     study, _folder, responses = made
     written(at(responses).expand_dims(["representation", "K_c", "gap"]), Form("csv"), None)
     header = capsys.readouterr().out.splitlines()[0].split(",")
-    assert {f"x_max[{name}]" for name in study.grid.parts["coordinate"]} <= {*header}
+    names = study.grid.parts.get("coordinate")
+    assert {f"x_max[{name}]" for name in names} if names else {"x_max"} <= {*header}
 
 
 def test_what_needs_one_displacement_is_left_out_with_a_word(made):
@@ -306,6 +359,25 @@ def test_laws_that_come_to_rest_alike_agree(stiffness, n_places, client, tmp_pat
         assert (agreement["basin_distance"].dropna("representation", how="all") == 0.0).all()
 
 
+def test_a_system_without_contacts_has_neither_forces_nor_gaps(client, tmp_path):
+    tables = {
+        "study": {"name": "linear"},
+        "system": {
+            "mass": [[1.0]],
+            "damping": [[0.2]],
+            "stiffness": [[4.0]],
+            "forcing": [{"amplitude": [1.0]}],
+        },
+        "sweep": [{"representation": "piecewise", "omega": [0.2, 0.3]}],
+    }
+    study = gs.Study.from_dict(tables)
+    with gs.run(study, client, out=tmp_path / "out", cache=tmp_path / "c-cache") as responses:
+        rate = 2.0 * np.pi * responses["omega"].values
+        amplitude = 1.0 / np.abs(4.0 - rate**2 + 0.2j * rate)
+        np.testing.assert_allclose(responses["amplitude"].values.ravel(), amplitude, rtol=1e-6)
+        assert not {"force_max", "contact_share", "gap", "K_c"} & {*responses.variables}
+
+
 MODULE = """
 import gapsweep as gs
 
@@ -327,6 +399,16 @@ PAIRS = {
         for x in (1.0, 2.0)
     ],
 }
+
+
+def test_a_query_has_the_systems_of_its_own_points(client, tmp_path, monkeypatch):
+    """Its grid is a part of the study's: the systems are those of the part's values."""
+    (tmp_path / "pairs_of_mine.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(tmp_path)
+    study = gs.Study.from_dict(PAIRS)
+    found = gs.query(study, client, cache=tmp_path / "c-cache", a=2.0)
+    assert found["a"].values.tolist() == [2.0]
+    assert (found["status"] == gs.Status.OK).sum() == 1
 
 
 def test_a_function_is_asked_only_where_a_block_has_points(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import trapezoid
+from scipy.integrate import solve_ivp, trapezoid
 
 import gapsweep as gs
 from gapsweep.integrate.taylor import exact
@@ -153,6 +153,48 @@ def test_orbits_of_coupled_masses_are_where_brute_force_settles():
         states = np.reshape(found.section[k], (-1, 4))
         assert np.abs(states - np.concatenate([run.q_end, run.v_end])).max(axis=1).min() < 1e-5
     assert n_checked > 10
+
+
+def extremes_at_contacts(system, laws, omega, start, n):
+    """Peaks and troughs of b · q over n periods by scipy, at the roots of b · v."""
+    along, w = system.directions, 2.0 * math.pi * omega
+
+    def rates(t, y):
+        q, v = np.split(y, 2)
+        load = sum(
+            each.amplitude * math.cos(each.k * w * t + each.phase) for each in system.forcing
+        )
+        contact = [law.force(x) for law, x in zip(laws, along @ q, strict=True)]
+        forces = load - system.damping @ v - system.stiffness @ q - along.T @ contact
+        return np.concatenate([v, np.linalg.solve(system.mass, forces)])
+
+    turns = [lambda t, y, b=b: b @ y[len(b) :] for b in along]
+    run = solve_ivp(
+        rates, (0.0, n / omega), start, "DOP853", events=turns, rtol=1e-11, atol=1e-13,
+        max_step=0.005 / omega,
+    )  # fmt: skip
+    assert_allclose(run.y[:, -1], start, atol=1e-6 * np.abs(start).max())
+    places = [y[:, : len(b)] @ b for y, b in zip(run.y_events, along, strict=True)]
+    return [each.max() for each in places], [each.min() for each in places]
+
+
+def test_peaks_and_troughs_at_contacts_are_those_of_another_integration():
+    machine, laws = coupled()
+    published = gs.systems.two_masses(), (gs.systems.two_masses_law(),)
+    tight = {"rtol": 1e-11, "atol": 1e-13}
+    for system, law, omega, q_0 in (
+        (machine, (*laws.values(),), 3.5, [0.0, 0.0]),
+        (machine, (*laws.values(),), 2.2, [0.0, 0.0]),
+        (*published, 0.635 / (2.0 * math.pi), [0.95, 0.6]),
+    ):
+        by_name = dict(zip(system.contacts, law, strict=True))
+        found = gs.respond(system, by_name, omega, q_0=q_0, **tight)
+        assert found.response_class == gs.ResponseClass.PERIODIC
+        assert np.any(found.contact_share > 0.0)
+        start = np.reshape(found.section, (-1, 2 * system.n))[0]
+        peaks, troughs = extremes_at_contacts(system, law, omega, start, found.period_multiple)
+        assert_allclose(np.ravel(found.contact_x_max), peaks, rtol=1e-6)
+        assert_allclose(np.ravel(found.contact_x_min), troughs, rtol=1e-6)
 
 
 def test_the_multipliers_shrink_volumes_as_damping_does():

@@ -352,7 +352,7 @@ def test_of_several_swept_numbers_one_is_asked_for(unforced):
 
 def test_attractors_of_the_starts_of_a_system_are_looked_for_in_another_file(responses):
     of_system = responses.drop_vars(["x_0", "v_0"]).assign_coords(coordinate="arm")
-    with pytest.raises(gs.DatasetError, match=r"q_0 and v_0 .* are in attractors\.nc"):
+    with pytest.raises(gs.DatasetError, match=r"x_0 and v_0 .* are in attractors\.nc"):
         of_system.gapsweep.attractors()
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import psutil
 import pytest
 import xarray as xr
+from tests.made import datasets_by_place, periodic, tables
 
 import gapsweep as gs
 from gapsweep.errors import STOPPING
@@ -28,6 +29,25 @@ def test_written_dataset_is_read_back(tmp_path):
     with gs.open(tmp_path / "sub" / "small.nc") as read:
         xr.testing.assert_identical(read["x"].load(), small()["x"])
         assert {"created", "versions", "host", "thread_settings"} <= set(read.attrs)
+
+
+@pytest.mark.filterwarnings("ignore:.*no SHA-256")
+def test_gaps_are_selected_by_the_distances_of_their_walls(tmp_path):
+    gaps = [[0.4e-3, 0.4e-3], [0.2e-3, 0.4e-3], [0.4e-3, 0.2e-3], [0.0, 0.7e-3]]
+    study = tables(["piecewise"], [9.0])
+    study["sweep"][0]["gap"] = gaps
+
+    def answer(place):
+        return periodic([(1e-4 * (1 + place["gap"]), 0.0)], 9.0)
+
+    datasets_by_place(tmp_path, gs.Study.from_dict(study), answer)
+    with gs.open(tmp_path / "responses.nc") as ds:
+        for i, (j_1, j_2) in enumerate(gaps):
+            one = ds.sel(gap=(ds.j_1 == j_1) & (ds.j_2 == j_2))
+            assert one["gap"].values.tolist() == [f"{1e3 * j_1:g}/{1e3 * j_2:g}"]
+            assert one["x_max"].values.ravel().tolist() == [1e-4 * (1 + i)]
+        wide = ds.sel(gap=ds.j_1 + ds.j_2 > 0.65e-3)
+        assert wide["gap"].values.tolist() == ["0.4/0.4", "0/0.7"]
 
 
 def test_writer_that_fails_leaves_the_old_file_and_no_other(tmp_path):

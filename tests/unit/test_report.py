@@ -17,7 +17,6 @@ from tests.made import chaotic, datasets, datasets_by_place, failed, periodic, t
 from tests.unit.test_system_tables import TWO_MASSES
 
 from gapsweep.analysis.agreement import agreement
-from gapsweep.analysis.systems import OF_SYSTEM
 from gapsweep.analysis.timing import timing
 from gapsweep.errors import StoreError
 from gapsweep.model.labels import FAMILIES, contact_law
@@ -60,6 +59,11 @@ def made(folder, sizes, **more):
         folder, tables(LABELS, OMEGA, **HALF, **more), amplitudes(sizes)
     )
     return responses, agreement(responses, attractors)
+
+
+def in_own_units(responses):
+    """The same responses, of a coordinate whose unit only the user knows."""
+    return responses.assign(x_max=responses["x_max"].drop_attrs())
 
 
 EQUAL = {"piecewise": 1.0, "piecewise@half": 1.001, "tanh-1e4": 1.02, "poly-13": 1.3}
@@ -116,8 +120,8 @@ def test_no_law_is_judged_by_a_wall_that_the_exact_law_never_touches(
     assert ("cannot be judged" in page) == bool(said)
     assert len(re.findall('<td class="error[^>]*><a', page)) == 2 * n_judged
     assert "adequate" not in headline or n_judged
-    of_system = responses.assign_attrs({OF_SYSTEM: "x"})
-    assert "never reached" not in " ".join(findings(of_system, [], None))
+    own = in_own_units(responses)
+    assert "never reached" not in " ".join(findings(own, [], None))
 
 
 def test_several_attractors_are_told(tmp_path):
@@ -159,7 +163,7 @@ def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
     place = {"representation": "poly-13", "regime": "all"}
     compared["recall_pooled"].loc[place] = [[1.0], [0.75], [0.5], [1.0]]
     compared["n_compared"].loc[place] = [[0], [4], [4], [4]]
-    said = findings(responses.assign_attrs({OF_SYSTEM: "x"}), [], None, agreement=compared)
+    said = findings(in_own_units(responses), [], None, agreement=compared)
     assert said[-1].endswith("75 % of its attractors, medians over 3 scenes; in one 50 %.")
 
 
@@ -167,8 +171,7 @@ def test_what_stand_ins_keep_of_systems_is_told(tmp_path):
     responses, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
     # These are of an oscillator, whose stand-ins are judged instead.
     assert len(findings(responses, [], None, agreement=compared)) == 1
-    as_system = responses.assign_attrs({OF_SYSTEM: "x"})
-    *_, tanh, poly = findings(as_system, [], None, agreement=compared)
+    *_, tanh, poly = findings(in_own_units(responses), [], None, agreement=compared)
     kept = "keeps 95 % of the amplitudes within"
     assert tanh == f"tanh-1e4 {kept} 2 % of the exact law's and finds 100 % of its attractors."
     assert poly == f"poly-13 {kept} 30 % of the exact law's and finds 0 % of its attractors."
@@ -405,8 +408,8 @@ def test_the_model_of_a_system_is_what_its_function_made():
             ],
         }
     )
-    responses = xr.Dataset(coords={"representation": ["piecewise"], "K_c": [1.0], "gap": ["1/1"]})
-    responses = responses.assign_attrs(study.attributes | {OF_SYSTEM: "x"})
+    coords = {"representation": ["piecewise"], "K_c": [1.0], "gap": ["1/1"]}
+    responses = xr.Dataset({"x_max": 0.1}, coords, study.attributes)
     told = model(responses)
     assert ("M at mean_load = 0.3", "[[1]]") in told
     assert ("Load", "[0.3]") in told
@@ -429,7 +432,7 @@ def test_the_model_of_a_system_is_what_its_function_made():
 def test_a_contact_of_its_own_numbers_is_told():
     study = Study.from_dict(TWO_MASSES)
     coords = {"representation": ["piecewise"], "K_c": [10.0], "gap": ["0.1/0.2"]}
-    responses = xr.Dataset(coords=coords, attrs=study.attributes | {OF_SYSTEM: "x"})
+    responses = xr.Dataset({"x_max": 0.1}, coords, study.attributes)
     told = dict(model(responses))
     assert told["Of between alone"] == "K_c 50, j₁/j₂ 0.5/0.4, r 2"
     assert "Of stop alone" not in told
@@ -443,6 +446,7 @@ def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
     told = dict(model(responses))
     # Each law once, whatever its settings or parameter.
     assert list(told) == ["Equation", "Numbers", "F of piecewise", "F of tanh"]
+    assert told["F of piecewise"].startswith("K_c (x − j₂)")
     for told_of in ("ζ 0.07,", "p 1.5, 2.5 N", "K_c 20000 N/m", "r 0.5 (lower", "ω 1, 2, 3, 4 Hz"):
         assert told_of in told["Numbers"]
     assert "0.4/0.4 mm" in told["Numbers"]

@@ -53,7 +53,7 @@ def test_columns_have_the_types_and_the_order_of_the_table(responses):
     assert [*found.items()] == [
         (name, variable.dtype) for name, variable in COLUMNS.items() if name in found
     ]
-    assert {*COLUMNS} - {*found} == {"period", "z_end"}
+    assert {*COLUMNS} - {*found} == {"period", "z_end", "contact_x_max", "contact_x_min"}
     for name, (items, counts) in responses.lists.items():
         assert items.dtype.str[1:] == LISTS[name]
         assert counts.dtype == np.int64

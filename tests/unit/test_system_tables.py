@@ -16,9 +16,11 @@ from scipy.integrate import solve_ivp
 from tests.random_systems import as_gapsweep, random_case
 
 import gapsweep as gs
+from gapsweep.execution.layout import Layout
 from gapsweep.execution.task import Tile, respond_to
 from gapsweep.model.structure import Structure
 from gapsweep.study.points import Kind
+from gapsweep.variables import CONTACT, COORDINATE, LAG
 
 TWO_MASSES = {
     "study": {"name": "masses"},
@@ -562,6 +564,28 @@ def test_gaps_of_systems_are_labelled_in_their_own_unit():
     study = gs.Study.from_dict(changed(TWO_MASSES, sweep__0__gap=[[1e6, 1.0]]))
     assert study.grid.labels("gap") == ["1000000/1"]
     assert study.grid.shape == study.grid.cut(study.select(gap="1000000/1")).shape
+
+
+def test_a_system_of_one_coordinate_has_the_variables_and_dimensions_of_an_oscillator():
+    gear = changed(SECTION, system={"function": "gear_pair"}, parameters=None, sweep__0__speed=None)
+    gear["sweep"][0]["omega"] = 0.13
+    plain = {"study": {"name": "plain"}, "sweep": gear["sweep"]}
+    one, other = (gs.Study.from_dict(tables) for tables in (gear, plain))
+    found, expected = (Layout.of(study.grid, study.steady) for study in (one, other))
+    assert found.sizes == expected.sizes
+    for name in ("variables", "attractor_variables"):
+        here, there = getattr(found, name), getattr(expected, name)
+        assert [*here] == [*there]
+        assert [*map(found.within, here.values())] == [*map(expected.within, there.values())]
+        assert not {COORDINATE, CONTACT, LAG} & {
+            dim for v in here.values() for dim in found.within(v)
+        }
+    along = [
+        {name: dims for name, (dims, _) in layout.coordinates(layout.grid.dims).items()}
+        for layout in (found, expected)
+    ]
+    assert along[0] == along[1]
+    assert {*along[0]} == {*one.grid.coordinates()} == {*other.grid.coordinates()}
 
 
 def test_a_wrong_system_is_told_beside_a_wrong_sweep():

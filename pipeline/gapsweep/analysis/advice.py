@@ -87,7 +87,7 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
             STAND_IN: (STAND_IN, labels, {"long_name": "smooth law"}),
             **{
                 name: (along, values[name], variable.attributes)
-                for name, (along, variable) in coordinates(grid.dims[1:]).items()
+                for name, (along, variable) in coordinates(grid.dims[1:], grid.structure).items()
             },
         },
         {"study": study.name, "title": study.title, "error": error},

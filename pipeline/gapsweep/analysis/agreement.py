@@ -32,7 +32,7 @@ from gapsweep.analysis.sets import basin_metrics, matching, set_metrics
 from gapsweep.analysis.slab import Slab, slab
 from gapsweep.analysis.starts import start_metrics
 from gapsweep.analysis.summary import summaries
-from gapsweep.analysis.systems import is_of_systems, of_coordinate, section_rate
+from gapsweep.analysis.systems import in_metres, section_rate, with_rate
 from gapsweep.model.labels import EXACT
 from gapsweep.response.section import DEVIATIONS
 from gapsweep.status import Status
@@ -62,7 +62,11 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
     if EXACT not in labels:
         return None
     if COORDINATE in responses.dims:
-        return _of_systems(responses, attractors)
+        return _by_coordinate(responses, attractors)
+    if "omega" not in responses.dims:
+        rate = section_rate(responses)
+        found = agreement(with_rate(responses, rate), with_rate(attractors, rate))
+        return None if found is None else found.isel(omega=0, drop=True)
     floors = floor_labels(responses.attrs.get("study_json", ""), labels)
     dims = point_dims(responses)
     own = {REGIME: len(REGIMES), BOUND: len(BOUNDS), **dict.fromkeys(CLASS_DIMS, len(CLASSES))}
@@ -84,9 +88,8 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
         exact = slab(responses, attractors, {**at, REPRESENTATION: labels.index(EXACT)})
         walls = responses[[name for name in _WALLS if name in responses.coords]]
         walls = walls.isel(at, missing_dims="ignore")
-        if is_of_systems(responses):  # its walls bound no coordinate
-            width, is_symmetric = _width(0.0, exact), False
-        else:
+        width, is_symmetric = _width(0.0, exact), False
+        if in_metres(responses):  # then the walls bound the displacement
             j_1, j_2 = float(walls["j_1"]), float(walls["j_2"])
             is_symmetric = j_1 == j_2 and float(walls.get("K_ratio", 1.0)) == 1.0
             width = _width(j_1 + j_2, exact)
@@ -101,14 +104,14 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
     return _dataset(tables, responses, floors)
 
 
-def _of_systems(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
-    """The comparison of every coordinate of systems, lengths as shares of the response's."""
-    rate = section_rate(responses) if "omega" not in responses.dims else np.nan
+def _by_coordinate(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
+    """The comparison of every coordinate."""
     found = []
     for i in range(responses.sizes[COORDINATE]):
-        one = agreement(*(of_coordinate(each, i, rate) for each in (responses, attractors)))
+        both = (each.isel({COORDINATE: i}, drop=True) for each in (responses, attractors))
+        one = agreement(*both)
         assert one is not None, "the exact law was swept"
-        found.append(one if "omega" in responses.dims else one.isel(omega=0, drop=True))
+        found.append(one)
     whole = xr.concat(found, responses[COORDINATE], combine_attrs="override")
     return whole.transpose(..., COORDINATE)
 

@@ -1,7 +1,6 @@
-"""Datasets of systems, coordinate by coordinate, as those of an oscillator.
+"""Datasets coordinate by coordinate, with a frequency where nothing is forced.
 
-What compares representations looks at one displacement: of a system it looks at each of its
-coordinates in turn.
+A comparison of representations looks at one displacement: in turn at each coordinate.
 """
 
 from collections.abc import Iterator
@@ -9,18 +8,19 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
-from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START
-
-OF_SYSTEM = "of_system"  # attribute of what was taken from a system
+from gapsweep.study.grid import COORDINATE, START
 
 
-def is_of_systems(dataset: xr.Dataset) -> bool:
-    """Whether a dataset of a run is one of systems."""
-    return COORDINATE in dataset.dims or OF_SYSTEM in dataset.attrs
+def in_metres(responses: xr.Dataset) -> bool:
+    """Whether displacements are known to be in metres, and so to be comparable with the gap.
+
+    Coordinates of systems are in a unit of the user's, and a contact feels a combination of them.
+    """
+    return responses["x_max"].attrs.get("units") == "m"
 
 
 def by_coordinate(dataset: xr.Dataset) -> Iterator[tuple[xr.Dataset, str]]:
-    """A dataset of systems coordinate by coordinate, and what to say of which; others whole."""
+    """A dataset coordinate by coordinate, and the words that name each in a caption."""
     if COORDINATE not in dataset.dims:
         yield dataset, ""
         return
@@ -28,36 +28,29 @@ def by_coordinate(dataset: xr.Dataset) -> Iterator[tuple[xr.Dataset, str]]:
         yield dataset.isel({COORDINATE: i}), f", {name}"
 
 
-def of_coordinate(dataset: xr.Dataset, number: int, rate: float) -> xr.Dataset:
-    """The dataset of one coordinate, named as an oscillator's.
+def with_rate(dataset: xr.Dataset, rate: float) -> xr.Dataset:
+    """A dataset of unforced responses with a dimension `omega` of one frequency.
 
     Parameters
     ----------
     dataset : Dataset
-        ``responses.nc`` or ``attractors.nc`` of systems.
-    number : int
-        Of the coordinate.
+        ``responses.nc`` or ``attractors.nc``.
     rate : float
-        Section points per second: what stands for `omega` where nothing is forced [Hz].
+        Section points per second [Hz].
     """
-    names = [name for name in dataset.variables if {CONTACT, LAG} & {*dataset[name].dims}]
-    found = dataset.drop_vars(names).isel({COORDINATE: number}, drop=True)
-    if "q_0" in found.coords:
-        found = found.rename(q_0="x_0")
-    if "omega" not in dataset.dims:
-        at = list(found["response_class"].dims)
-        axis = at.index(START) if START in at else len(at) - 1
-        forced = {
-            name: found[name].expand_dims(omega=[rate], axis=axis)
-            for name in found.data_vars
-            if {*at[:axis]} <= {*found[name].dims}
+    at = list(dataset["response_class"].dims)
+    axis = at.index(START) if START in at else len(at) - 1
+    return dataset.assign(
+        {
+            name: variable.expand_dims(omega=[rate], axis=axis)
+            for name, variable in dataset.data_vars.items()
+            if {*at[:axis]} <= {*variable.dims}
         }
-        found = found.assign(forced)
-    return found.assign_attrs({**dataset.attrs, OF_SYSTEM: 1})
+    )
 
 
 def section_rate(responses: xr.Dataset) -> float:
-    """How often per second the periodic responses that nothing forces pass their section."""
+    """How often per second unforced periodic responses pass their section."""
     with np.errstate(divide="ignore", invalid="ignore"):
         rates = responses["period_multiple"].values / responses["period"].values
     known = rates[np.isfinite(rates)]

@@ -20,7 +20,6 @@ from gapsweep.model.labels import law_of
 from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
 from gapsweep.response.result import ResponseClass, Responses
-from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
@@ -86,13 +85,15 @@ def fill(
         if not requested.any():
             continue
         stored = _Stored(plan, cache, study, numbers[piece])
-        attractors, ids = _grouped(study, layout, piece, stored, requested)
-        _write(others, piece[:-1], _attractor_arrays(layout, attractors, requested.shape[:-1]))
+        units, directions = _sections(study, layout, piece, stored, requested)
+        attractors, ids = _grouped(layout, piece, stored, units)
+        of_scenes = _attractor_arrays(layout, attractors, requested.shape[:-1], directions)
+        _write(others, piece[:-1], of_scenes)
         for starts in layout.starts():
             found, at = stored.of(starts)
             versions |= found.versions
             hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
-            values = _point_arrays(layout, requested[..., starts], found, at, hosts)
+            values = _point_arrays(layout, requested[..., starts], found, at, hosts, directions)
             values["attractor"] = ids[..., starts]
             _write(dataset, (*piece[:-1], starts), values)
     set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
@@ -169,6 +170,7 @@ def _point_arrays(
     found: Found,
     at: NDArray[np.intp],
     hosts: list[str],
+    directions: NDArray[np.float64],
 ) -> Arrays:
     """Values of all variables over some starts of a piece, but for the number of the attractor."""
     responses, shape = found.responses, requested.shape
@@ -180,7 +182,8 @@ def _point_arrays(
     # Unless a result follows:
     values["status"][requested] = Status.INTERRUPTED
     values["response_class"][requested] = ResponseClass.FAILED
-    arrays = responses.arrays(layout.sizes)
+    scene = np.ravel_multi_index(tuple(at[:-1]), shape[:-1])
+    arrays = responses.arrays(layout.sizes, directions[scene])
     for name in values.keys() & arrays.keys():
         values[name][*at] = arrays[name]
     number = {host: i for i, host in enumerate(hosts)}
@@ -189,27 +192,25 @@ def _point_arrays(
 
 
 def _grouped(
-    study: Study,
-    layout: Layout,
-    piece: Piece,
-    stored: _Stored,
-    requested: NDArray[np.bool_],
+    layout: Layout, piece: Piece, stored: _Stored, units: NDArray[np.float64]
 ) -> tuple[Attractors, NDArray[np.int32]]:
     """The attractors of the scenes of a piece, and the number of that of every point."""
     shape = tuple(part.stop - part.start for part in piece)
-    grouping, cells = Grouping(_units(study, layout, piece, stored, requested)), []
+    grouping, cells = Grouping(units), []
     for starts in layout.starts():
         found, at = stored.of(starts)
         scene, start = np.ravel_multi_index(tuple(at[:-1]), shape[:-1]), at[-1] + starts.start
         cells.append(scene * shape[-1] + start)
         grouping.add(found.responses, scene, layout.grid.starts.is_fixed[start])
-    attractors = grouping.attractors(False if layout.is_of_systems else layout.is_symmetric(piece))
+    attractors = grouping.attractors(layout.is_symmetric(piece))
     ids = np.full(shape, NONE, np.int32)
     ids.flat[np.concatenate(cells)] = attractors.numbers
     return attractors, ids
 
 
-def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...]) -> Arrays:
+def _attractor_arrays(
+    layout: Layout, found: Attractors, shape: tuple[int, ...], directions: NDArray[np.float64]
+) -> Arrays:
     """Values of all variables of `attractors.nc` over the scenes of a piece."""
     leaders, most = found.leaders, int(found.number.max(initial=0)) + 1
     place = (*np.unravel_index(found.scene, shape), found.number)
@@ -217,11 +218,11 @@ def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...])
         dim: int(leaders.lists[name][1].max(initial=0)) // width
         for dim, name, width in (
             (MULTIPLIER, "multipliers", 2),
-            (SECTION_POINT, "section", layout.n_states),
+            (SECTION_POINT, "section", layout.grid.structure.n_states),
         )
     }
     sizes = {**layout.sizes, **longest, EXTREMUM: 0}
-    arrays, values = leaders.arrays(sizes), {}
+    arrays, values = leaders.arrays(sizes, directions[found.scene]), {}
     for name, variable in layout.attractor_variables.items():
         within = [sizes[dim] for dim in layout.within(variable)]
         values[name] = np.full((*shape, most, *within), variable.missing, variable.dtype)
@@ -231,12 +232,10 @@ def _attractor_arrays(layout: Layout, found: Attractors, shape: tuple[int, ...])
     return values
 
 
-def _units(
+def _sections(
     study: Study, layout: Layout, piece: Piece, stored: _Stored, requested: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """What one metre of the section is in each component of a state, for the scenes of a piece."""
-    if not layout.is_of_systems:
-        return unit_of(layout.omega(piece))
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What the sections of the scenes of a piece are measured by, as `Study.sections`."""
     rates = np.full(requested.shape[:-1], np.nan)
     if "omega" not in layout.grid.axes:
         for starts in layout.starts():
@@ -245,9 +244,13 @@ def _units(
     # Nobody asks for the others, and a user's function may have no system there.
     asked = np.flatnonzero(requested.any(axis=-1))
     places = {name: place[asked] for name, place in layout.places(piece).items()}
-    units = np.ones((layout.n_states, rates.size))
-    units[:, asked] = study.units(places, rates.ravel()[asked])
-    return units
+    of = layout.grid.structure
+    units = np.ones((of.n_states, rates.size))
+    directions = np.ones((rates.size, len(of.contacts), of.n))
+    units[:, asked], directions[asked] = study.sections(
+        layout.grid.axes, places, rates.ravel()[asked]
+    )
+    return units, directions
 
 
 def _set_rates(

@@ -91,7 +91,7 @@ def _hex(key: bytes) -> str:
 
 
 def _label(study: Study, cell: int) -> str:
-    grid, words = study.grid, []
+    grid, in_metres, words = study.grid, study.structure.in_metres, []
     for (name, axis), at in zip(grid.axes.items(), np.unravel_index(cell, grid.shape), strict=True):
         value = grid.labels(name)[int(at)]
         if name == "representation":
@@ -99,9 +99,9 @@ def _label(study: Study, cell: int) -> str:
         elif isinstance(axis, Starts):
             words.append(f"{name} {value}")
         elif name == "gap":
-            words.append(f"gap {value}" if grid.parts else f"gap {value} mm")
+            words.append(f"gap {value} mm" if in_metres else f"gap {value}")
         else:
-            unit = "" if grid.parts else UNITS.get(name, "")
+            unit = UNITS.get(name, "") if in_metres else ""
             words.append(f"{name} = {value:g} {unit}".rstrip())
     return ", ".join(words)
 

@@ -1,6 +1,7 @@
 """Where in the files of a run the points of a grid belong, and what these files hold."""
 
-from collections.abc import Collection, Iterator
+import math
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -10,15 +11,17 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.result import Steady
+from gapsweep.response.result import Steady, exists, sizes_of
 from gapsweep.store.netcdf import create_texts
-from gapsweep.study.grid import COORDINATE, LAG, START, Grid
+from gapsweep.study.grid import START, Grid
 from gapsweep.study.schema import (
     ATTRACTOR,
     ATTRACTOR_VARIABLES,
     N_ATTRACTORS,
     VARIABLES,
+    Found,
     coordinates,
+    described,
 )
 from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT, Variable
 
@@ -42,7 +45,7 @@ class Layout:
     ----------
     grid : Grid
     sizes : dict of str to int
-        Lengths of the padded lists, and of the parts of systems.
+        Lengths of the padded lists, and of the dimensions within a point.
     uneven : collection of str
         Labels of tables of the user's whose forces differ from side to side.
     """
@@ -53,19 +56,7 @@ class Layout:
 
     @classmethod
     def of(cls, grid: Grid, steady: Steady, uneven: Collection[str] = ()) -> "Layout":
-        sizes = {EXTREMUM: steady.max_extrema, SECTION_POINT: steady.max_period_multiple}
-        sizes |= {name: len(names) for name, names in grid.parts.items()}
-        sizes[MULTIPLIER] = 2 * sizes.get(COORDINATE, 1) + sizes.get(LAG, 0)
-        return cls(grid, sizes, uneven)
-
-    @property
-    def is_of_systems(self) -> bool:
-        return bool(self.grid.parts)
-
-    @property
-    def n_states(self) -> int:
-        """Length of a state (q, v, z)."""
-        return self.sizes[MULTIPLIER]
+        return cls(grid, sizes_of(grid.structure, steady), uneven)
 
     @property
     def variables(self) -> dict[str, Variable]:
@@ -77,12 +68,17 @@ class Layout:
         """Of `attractors.nc`, over its attractors."""
         return self._described(ATTRACTOR_VARIABLES)
 
-    def _described(self, variables: dict[str, Variable]) -> dict[str, Variable]:
-        absent = {"period": "omega" in self.grid.dims, "section_z": LAG not in self.sizes}
+    def coordinates(self, dims: Collection[str]) -> Found:
+        """The coordinates that dimensions bring along."""
+        return coordinates(dims, self.grid.structure)
+
+    def _described(self, variables: Mapping[str, Variable]) -> dict[str, Variable]:
+        """The variables that the models have, with their units where these are known."""
+        structure = self.grid.structure
         return {
-            name: variable.of_systems if self.is_of_systems else variable
+            name: described(variable, structure)
             for name, variable in variables.items()
-            if not absent.get(name)
+            if exists(name, structure)
         }
 
     def within(self, variable: Variable) -> dict[str, int]:
@@ -104,16 +100,14 @@ class Layout:
         parts = ([slice(i, min(i + k, n)) for i in range(0, n, k)] for n, k in sizes)
         yield from product(*parts, [slice(0, len(self.grid.starts))])
 
-    def omega(self, piece: Piece) -> NDArray[np.float64]:
-        """Forcing frequency of every scene of a piece [Hz], flat."""
-        return self._over(piece, "omega", self._coordinates["omega"])
-
     def is_symmetric(self, piece: Piece) -> NDArray[np.bool_]:
-        """Whether the contact is its own mirror image in every scene of a piece, flat.
+        """Whether every scene of a piece is known to be its own mirror image, flat.
 
         Of a user's function the walls have to say it: equally far from the origin, equally stiff.
         """
-        along = coordinates(self.grid.dims)
+        if not self.grid.structure.is_odd:
+            return np.zeros(math.prod(part.stop - part.start for part in piece[:-1]), bool)
+        along = self.coordinates(self.grid.dims)
         j_1, j_2, *ratio = (
             self._over(piece, along[name][0][0], self._coordinates[name])
             for name in ("j_1", "j_2", "K_ratio")
@@ -177,10 +171,10 @@ def _define_coordinates(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[st
     for name, size in zip(grid.dims, grid.shape, strict=True):
         if name in dims:
             dataset.createDimension(name, size)
-    for name in grid.parts:
-        dataset.createDimension(name, layout.sizes[name])
+    for name, names in grid.parts.items():
+        dataset.createDimension(name, len(names))
     values = grid.coordinates()
-    for name, (along, variable) in coordinates(dims, grid.parts).items():
+    for name, (along, variable) in layout.coordinates(dims).items():
         if variable.dtype == "str":
             _describe(create_texts(dataset, name, along, values[name]), variable)
         else:
@@ -190,7 +184,7 @@ def _define_coordinates(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[st
 
 def _name_auxiliary(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[str, ...]) -> None:
     """CF: data variables name the coordinates that are no dimension, but lie along theirs."""
-    found = coordinates(dims, layout.grid.parts)
+    found = layout.coordinates(dims)
     for name, variable in dataset.variables.items():
         if name not in found:
             variable.coordinates = " ".join(

@@ -39,8 +39,18 @@ def read_structure(fields: Mapping[str, Any]) -> AnyStructure:
 
 @dataclass(frozen=True)
 class OscillatorStructure:
-    """The structure of every `Oscillator`: one coordinate, one harmonic load, one contact."""
+    """The structure of every `Oscillator`: one coordinate, one harmonic load, one contact.
 
+    Attributes
+    ----------
+    in_metres : bool
+        Whether coordinates are known to be lengths in metres.
+    is_odd : bool
+        Whether the mirror image of a motion is known to be one where the contact is symmetric.
+    """
+
+    in_metres: ClassVar[bool] = True
+    is_odd: ClassVar[bool] = True
     n: ClassVar[int] = 1
     m: ClassVar[int] = 0
     n_states: ClassVar[int] = 2
@@ -67,8 +77,12 @@ class Structure:
         Of every load the multiple of the forcing frequency, and whether it is inertial.
     contacts : tuple of tuple of int
         Of every contact the multiples of the frequency in its periodic stiffness.
+    in_metres, is_odd : bool
+        As of an `OscillatorStructure`.
     """
 
+    in_metres: ClassVar[bool] = False
+    is_odd: ClassVar[bool] = False
     n: int
     m: int
     n_cubic: int

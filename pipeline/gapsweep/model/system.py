@@ -288,9 +288,9 @@ class System:
     @property
     def parts(self) -> dict[str, tuple[str, ...]]:
         """Dimensions within a point of a dataset, those with several entries, and their labels."""
-        lags = {LAG: tuple(f"z_{i + 1}" for i in range(self.n_lags))} if self.n_lags else {}
-        found = {COORDINATE: tuple(self.coordinates), CONTACT: tuple(self.contacts), **lags}
-        return {name: labels for name, labels in found.items() if len(labels) != 1}
+        lags = tuple(f"z_{i + 1}" for i in range(self.n_lags))
+        found = {COORDINATE: tuple(self.coordinates), CONTACT: tuple(self.contacts), LAG: lags}
+        return {name: labels for name, labels in found.items() if len(labels) > 1}
 
     @property
     def n(self) -> int:

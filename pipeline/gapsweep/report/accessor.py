@@ -374,8 +374,8 @@ def _basins(found: xr.Dataset, ax: "Axes | None") -> "Axes":
 def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
     if COORDINATE in dataset.coords:
         raise DatasetError(
-            "attractors: the starts of a system, q_0 and v_0 of every coordinate, lie in no plane; "
-            "its attractors are in attractors.nc, which gs.open opens"
+            "attractors: x_0 and v_0 of several coordinates lie in no plane; the attractors are in "
+            "attractors.nc, which gs.open opens"
         )
     # As variables, so that of a single start they get their dimension back too.
     dataset = dataset.reset_coords([name for name in ("x_0", "v_0") if name in dataset.coords])

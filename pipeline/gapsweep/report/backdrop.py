@@ -22,13 +22,14 @@ _NOT_DRAWN = {
     ResponseClass.FAILED: "what has no steady response",
 }
 _UNRESOLVED = "unresolved"
+_SYSTEM = "system_json"
 _WALLS = {"j_1": -1.0, "j_2": 1.0}
 
 
 def said_of_walls(scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> str:
     """What a caption says of walls, with a blank before: nothing where none is drawn."""
     n = len(list(_walls(scene, along, of_peaks)))
-    if n and COORDINATE in scene.coords:
+    if n and _SYSTEM in scene.attrs:
         return " Dashed: walls within the axis."
     which = "the upper wall" if of_peaks else "walls" if n > 1 else "the wall"
     return f" Dashed: {which}." if n else ""
@@ -42,9 +43,9 @@ def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega", *, of_peaks: bo
     from matplotlib.lines import Line2D
 
     for height in _walls(scene, along, of_peaks):
-        if COORDINATE not in scene.coords and height.ndim:
+        if _SYSTEM not in scene.attrs and height.ndim:
             axes.plot(drawn(scene[along]), height, label="_wall", **WALL)
-        elif COORDINATE not in scene.coords:
+        elif _SYSTEM not in scene.attrs:
             axes.axhline(float(height), **WALL)
         # A wall of a system that no motion comes near, as of gears under load, sets no axis.
         elif height.ndim:
@@ -97,14 +98,16 @@ def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
 
     Directions are those at the values in ``[parameters]``: of others files say nothing.
     """
-    if COORDINATE not in scene.coords:
+    if _SYSTEM not in scene.attrs:
         yield 1.0, {}
         return
-    if scene[COORDINATE].ndim or "system_json" not in scene.attrs:
-        return
-    system = json.loads(scene.attrs["system_json"])
+    system = json.loads(scene.attrs[_SYSTEM])
     own = json.loads(scene.attrs["study_json"]).get("contact", {})
-    number = system["coordinates"].index(str(scene[COORDINATE].item()))
+    names = system["coordinates"]
+    shown = np.ravel(scene.coords.get(COORDINATE, names)).tolist()
+    if len(shown) > 1:
+        return
+    number = names.index(*shown)
     for name, factor in in_coordinate(system["contacts"], number).items():
         table = own.get(name, {})
         gap = dict(zip(_WALLS, table.get("gap") or (), strict=False))

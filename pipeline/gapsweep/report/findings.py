@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.grid import REPRESENTATION
-from gapsweep.analysis.systems import is_of_systems
+from gapsweep.analysis.systems import in_metres
 from gapsweep.analysis.walls import never_reached
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact, Judged, how_many
@@ -53,7 +53,7 @@ def findings(
     sentences += _along(responses)
     if attractors is not None:
         sentences += _coexisting(attractors)
-    if agreement is not None and is_of_systems(responses):
+    if agreement is not None and not in_metres(responses):
         sentences += _agreeing(agreement)
     sentences += _closest(found)
     sentences += _prices(found)
@@ -70,20 +70,22 @@ _SAID = 3  # stretches of it that are said
 
 def said_of_far_walls(responses: xr.Dataset) -> str:
     """In which cases motions reach no wall, or which contacts of a system; empty if none."""
-    if not is_of_systems(responses):
+    if in_metres(responses):
         dims = [str(dim) for dim in responses["status"].dims]
         said = never_reached(lambda name: responses[name].values, dims, labels_of(responses))
         return f"{said[0].upper()}{said[1:]}." if said else ""
-    if CONTACT not in responses.dims:
+    if "contact_share" not in responses:
         return ""
     share, ends = responses["contact_share"], abs(responses[["x_min", "x_max"]]).to_dataarray()
     is_touched = (share > 0.0).any([dim for dim in share.dims if dim != CONTACT]).values
     largest = float(ends.where(np.isfinite(ends)).max())
     if is_touched.all() or not share.notnull().any() or not largest > 0.0:
         return ""
+    names = responses[CONTACT].values[~is_touched] if CONTACT in responses.dims else ()
+    of = f" of {', '.join(names)}" if len(names) else ""
     return (
-        f"No steady motion reaches a wall of {', '.join(responses[CONTACT].values[~is_touched])}: "
-        f"the largest coordinate is {largest:.3g}; gaps are in the unit of the coordinates."
+        f"No steady motion reaches a wall{of}: the largest coordinate is {largest:.3g}; gaps are "
+        "in the unit of the coordinates."
     )
 
 

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.grid import scenes as all_scenes
-from gapsweep.analysis.systems import is_of_systems
+from gapsweep.analysis.systems import in_metres
 from gapsweep.errors import StoreError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import (
@@ -107,7 +107,7 @@ def write_report(
     own_parts = [part for part in own_parts if part["anchor"] != ANSWER]
     parts = for_page([*own_parts, *rendered(ours)], taken=["figure-hero"])
     # Its rules are those of one displacement between two walls.
-    is_judged = not is_of_systems(responses)
+    is_judged = in_metres(responses)
     found = contacts(agreement, static) if agreement is not None and is_judged else []
     told = found[:MOST_CONTACTS]
     hero = _hero(responses, told)

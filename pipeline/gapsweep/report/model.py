@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.systems import is_of_systems
+from gapsweep.analysis.systems import in_metres
 from gapsweep.model.labels import AUTO, family, is_fitted, law_of
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.scales import plain, shortened
@@ -54,7 +54,7 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
     responses : Dataset
         As stored in ``responses.nc``.
     """
-    if is_of_systems(responses):
+    if "system_json" in responses.attrs:
         return _system(responses)
     study = json.loads(responses.attrs["study_json"])
     fixed = {"K_ratio": 1.0} | study["oscillator"]
@@ -170,10 +170,10 @@ def _listed(texts: Sequence[str]) -> str:
 def _laws(responses: xr.Dataset, labels: Iterable[str]) -> list[tuple[str, str]]:
     """What the force is, under the name of each law's family or of what the user wrote."""
     tables = json.loads(responses.attrs.get("tables_json", "{}"))
-    is_length = not is_of_systems(responses)
+    is_length = in_metres(responses)
     found = {}
     for label in labels:
-        law = family(label)
+        law = family(law_of(label))
         if law is None:
             table = tables.get(law_of(label))
             said = _table(table, is_length) if table else "the user's own"

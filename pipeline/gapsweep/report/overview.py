@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.grid import REPRESENTATION, SWEPT, At, scene_dims, scenes, swept
-from gapsweep.analysis.systems import by_coordinate, is_of_systems
+from gapsweep.analysis.systems import by_coordinate, in_metres
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
@@ -55,7 +55,7 @@ def is_wide(responses: xr.Dataset) -> bool:
     asked = responses["status"].load() != Status.NOT_REQUESTED
     dims = scene_dims(asked.dims)
     return (
-        is_of_systems(responses)
+        not in_metres(responses)
         or any(asked.sizes[dim] > 1 for dim in dims if dim not in _TOLD_APART)
         or int(asked.any(swept(asked)).sum(dims).max()) > MOST_SCENES
         or int(asked.sum([*dims, *swept(asked)]).max()) > MOST_POINTS
@@ -148,7 +148,7 @@ def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:
 
 def plane_of(responses: xr.Dataset) -> list[str]:
     """The two states that the starts form a grid of; none if they form none worth a map."""
-    if "x_0" not in responses.coords:
+    if COORDINATE in responses.dims:
         return []
     try:
         sizes = on_grid(responses.coords.to_dataset()).sizes
@@ -174,7 +174,7 @@ def _figures(
     where = ", ".join([label, *_where(responses, here)])
     if len(axes) > 1:
         exact = responses[REPRESENTATION].values == EXACT
-        if axes[0] in _STATE and label != EXACT and exact.any() and not is_of_systems(responses):
+        if axes[0] in _STATE and label != EXACT and exact.any():
             here = numbered_as(here, responses.isel({**at, REPRESENTATION: int(exact.argmax())}))
         yield from _maps(here, found, axes, where + start)
         return

@@ -304,6 +304,8 @@ def _read_off(
         "amplitude": 0.5 * (x_max - x_min),
         "force_max": force_max,
         "contact_share": share.T,
+        "contact_x_max": gap_max.T,
+        "contact_x_min": gap_min.T,
     }
     n_items = n_shown.sum(axis=1)
     return columns, {"extrema": (x[shown], n_items), "extremum_kind": (kinds[shown], n_items)}

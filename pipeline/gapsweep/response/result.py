@@ -60,9 +60,9 @@ class ExtremumKind(IntEnum):
 CLASS_FLAGS = (("none", -1), *((kind.name.lower(), int(kind)) for kind in ResponseClass))
 KIND_FLAGS = (("none", -9), *((kind.name.lower(), int(kind)) for kind in ExtremumKind))
 _Q, _EXTREMA, _SECTION = (COORDINATE,), (EXTREMUM, COORDINATE), (SECTION_POINT, COORDINATE)
+_B, _SECTION_B = (CONTACT,), (SECTION_POINT, CONTACT)
 
-# Numbers of a response, in the order in which they are stored. A response has a `period` where
-# nothing forces it, and a `z_end` where there are first-order states.
+# Numbers of a response, in the order in which they are stored; see `exists`.
 COLUMNS: dict[str, Variable] = {
     "status": Variable("i1", "1", "outcome of the sweep point", Status.NOT_REQUESTED, STATUS_FLAGS),
     "response_class": Variable("i1", "1", "class of the steady response", -1, CLASS_FLAGS),
@@ -71,10 +71,8 @@ COLUMNS: dict[str, Variable] = {
     "x_max": Variable("f8", "m", "peak displacement of the steady response", dims=_Q),
     "x_min": Variable("f8", "m", "trough displacement of the steady response", dims=_Q),
     "amplitude": Variable("f8", "m", "half the range of the steady response", dims=_Q),
-    "force_max": Variable("f8", "N", "largest magnitude of the contact force", dims=(CONTACT,)),
-    "contact_share": Variable(
-        "f8", "1", "share of the time spent beyond the walls", dims=(CONTACT,)
-    ),
+    "force_max": Variable("f8", "N", "largest magnitude of the contact force", dims=_B),
+    "contact_share": Variable("f8", "1", "share of the time spent beyond the walls", dims=_B),
     "multiplier_abs": Variable("f8", "1", "largest modulus of the Floquet multipliers"),
     "lyapunov": Variable("f8", "s-1", "largest Lyapunov exponent"),
     "lyapunov_error": Variable("f8", "s-1", "standard error of the largest Lyapunov exponent"),
@@ -85,6 +83,8 @@ COLUMNS: dict[str, Variable] = {
     "x_end": Variable("f8", "m", "displacement at the last section point", dims=_Q),
     "v_end": Variable("f8", "m s-1", "velocity at the last section point", dims=_Q),
     "cpu_time": Variable("f8", "s", "processor time of motion, shots and tangents, in the worker"),
+    "contact_x_max": Variable("f8", "m", "peak relative displacement at the contact", dims=_B),
+    "contact_x_min": Variable("f8", "m", "trough relative displacement at the contact", dims=_B),
     "period": Variable("f8", "s", "period of an unforced response"),
     "z_end": Variable("f8", "", "first-order states at the last section point", dims=(LAG,)),
 }
@@ -103,6 +103,12 @@ RESPONSE: dict[str, Variable] = {
     "section_z": Variable(
         "f8", "", "first-order state at whole forcing periods", dims=(SECTION_POINT, LAG)
     ),
+    "contact_section_x": Variable(
+        "f8", "m", "relative displacement at the contact at whole forcing periods", dims=_SECTION_B
+    ),
+    "contact_section_v": Variable(
+        "f8", "m s-1", "relative velocity at the contact at whole forcing periods", dims=_SECTION_B
+    ),
     "multiplier_real": Variable(
         "f8", "1", "real part of the Floquet multipliers", dims=(MULTIPLIER,)
     ),
@@ -110,6 +116,7 @@ RESPONSE: dict[str, Variable] = {
         "f8", "1", "imaginary part of the Floquet multipliers", dims=(MULTIPLIER,)
     ),
 }
+_OF_CONTACTS = ("force_max", "contact_share")
 _MESSAGE = {"message": Variable("str", "", "reason for a failure or an unresolved response")}
 _OSCILLATOR = OscillatorStructure()
 
@@ -122,11 +129,41 @@ def columns_of(structure: AnyStructure) -> dict[str, tuple[str, tuple[int, ...]]
     sizes = {COORDINATE: structure.n, CONTACT: len(structure.contacts)}
     shapes = {dim: () if size == 1 else (size,) for dim, size in sizes.items()}
     shapes |= {LAG: (structure.m,)}
-    absent = {"period": structure.is_forced, "z_end": not structure.m}
     return {
         name: (variable.dtype, shapes[variable.dims[0]] if variable.dims else ())
         for name, variable in COLUMNS.items()
-        if not absent.get(name)
+        if name in _OF_CONTACTS or exists(name, structure)
+    }
+
+
+def exists(name: str, structure: AnyStructure) -> bool:
+    """Whether datasets of models of a structure have a variable or coordinate.
+
+    Contacts have a relative displacement unless the only one follows the only coordinate.
+    """
+    n_contacts = len(structure.contacts)
+    if name in ("z_0", "z_end", "section_z"):
+        return structure.m > 0
+    if name.startswith("contact_") and name not in _OF_CONTACTS:
+        return n_contacts > 0 and structure.n * n_contacts > 1
+    if name in _OF_CONTACTS:
+        return n_contacts > 0
+    return name != "period" or not structure.is_forced
+
+
+def part_sizes(structure: AnyStructure) -> dict[str, int]:
+    """Dimensions within a point: those of several coordinates, contacts or first-order states."""
+    sizes = {COORDINATE: structure.n, CONTACT: len(structure.contacts), LAG: structure.m}
+    return {name: size for name, size in sizes.items() if size > 1}
+
+
+def sizes_of(structure: AnyStructure, steady: "Steady") -> dict[str, int]:
+    """Lengths of all dimensions within a point: of padded lists, and those of `part_sizes`."""
+    return {
+        EXTREMUM: steady.max_extrema,
+        SECTION_POINT: steady.max_period_multiple,
+        MULTIPLIER: structure.n_states,
+        **part_sizes(structure),
     }
 
 
@@ -226,6 +263,9 @@ class Response:
     contact_share : float
         Share of the time [-] spent beyond the walls, ``x < -j_1`` or ``x > j_2``: of a whole
         period if periodic, else of the last window.
+    contact_x_max, contact_x_min : float
+        Peak and trough of the relative displacement ``b · q`` [m] at each contact of a system; NaN
+        where one contact follows one coordinate.
     multipliers : tuple of float
         Real and imaginary parts of the Floquet multipliers over n periods, largest modulus first;
         empty if not periodic. Where nothing forces the response, without that along the motion,
@@ -288,6 +328,8 @@ class Response:
     amplitude: float = math.nan
     force_max: float = math.nan
     contact_share: float = math.nan
+    contact_x_max: float = math.nan
+    contact_x_min: float = math.nan
     multipliers: tuple[float, ...] = ()
     multiplier_abs: float = math.nan
     lyapunov: float = math.nan
@@ -325,13 +367,8 @@ class Response:
             for name in LISTS
             for found in [getattr(self, name)]
         }
-        sizes = {
-            EXTREMUM: steady.max_extrema,
-            SECTION_POINT: steady.max_period_multiple,
-            MULTIPLIER: structure.n_states,
-            **{name: len(names) for name, names in model.parts.items()},
-        }
-        arrays = Responses(columns, lists, {}).arrays(sizes)
+        of_contacts = np.broadcast_to(model.directions, (n, *np.shape(model.directions)))
+        arrays = Responses(columns, lists, {}).arrays(sizes_of(structure, steady), of_contacts)
         arrays["message"] = np.ravel(self.message).astype(str)
         return dataset(self.inputs, np.shape(self.status), RESPONSE | _MESSAGE, arrays)
 
@@ -478,31 +515,41 @@ class Responses:
         """Which of these states are numbers, shape (n,)."""
         return np.asarray(np.isfinite(self.ends).all(axis=1))
 
-    def arrays(self, sizes: Mapping[str, int]) -> dict[str, NDArray[Any]]:
+    def arrays(
+        self, sizes: Mapping[str, int], directions: NDArray[np.float64]
+    ) -> dict[str, NDArray[Any]]:
         """Values of the dataset's variables, shape (n, ...); lists are padded where they end.
 
         Parameters
         ----------
         sizes : mapping of str to int
-            Lengths of the dimensions within a point. Lists along other dimensions are left out.
+            Lengths of the dimensions within a point; 0 leaves out the extrema.
+        directions : ndarray, shape (n, n_contacts, n_coordinates)
+            Of each response, for relative displacements ``b · q`` and velocities.
         """
-        n, found = len(self), dict(self.columns)
-        n_q, n_states = math.prod(found["x_max"].shape[1:]), self.ends.shape[1]
-        if size := sizes.get(EXTREMUM):
+        n, (_, n_contacts, n_q), n_states = len(self), directions.shape, self.ends.shape[1]
+        found = {
+            name: column
+            for name, column in self.columns.items()
+            if n_contacts or name not in _OF_CONTACTS
+        }
+        if size := sizes[EXTREMUM]:
             shown = np.minimum(found["n_extrema"], size).ravel()  # coordinate by coordinate
             for name in ("extrema", "extremum_kind"):
                 rows = _padded(self.lists[name][0], shown, size, RESPONSE[name].missing)
                 found[name] = rows.reshape(n, n_q, size).swapaxes(1, 2)
-        of_section = dict.fromkeys((n_q, 2 * n_q, n_states))
-        for name, dim, names, ends in (
-            ("multipliers", MULTIPLIER, ("multiplier_real", "multiplier_imag"), (1, 2)),
-            ("section", SECTION_POINT, ("section_x", "section_v", "section_z"), (*of_section,)),
-        ):
-            if dim in sizes:
-                items, counts = self.lists[name]
-                points = items.reshape(-1, ends[-1])
-                rows = _padded(points, counts // ends[-1], sizes[dim], math.nan)
-                found |= zip(names, np.split(rows, ends[:-1], axis=2), strict=False)
+        items, counts = self.lists["multipliers"]
+        for i, name in enumerate(("multiplier_real", "multiplier_imag")):
+            found[name] = _padded(items[i::2], counts // 2, sizes[MULTIPLIER], math.nan)
+        items, counts = self.lists["section"]
+        x, v, z = np.split(items.reshape(-1, n_states), [n_q, 2 * n_q], axis=1)
+        points = {"section_x": x, "section_v": v} | ({"section_z": z} if z.shape[1] else {})
+        if "contact_x_max" in found:
+            along = np.repeat(directions, counts // n_states, axis=0)
+            for name, part in (("contact_section_x", x), ("contact_section_v", v)):
+                points[name] = np.einsum("skj,sj->sk", along, part)
+        for name, part in points.items():
+            found[name] = _padded(part, counts // n_states, sizes[SECTION_POINT], math.nan)
         return {
             name: values.reshape(n, *(sizes[dim] for dim in RESPONSE[name].dims if dim in sizes))
             for name, values in found.items()
@@ -540,7 +587,8 @@ class Responses:
         for name, kind in (("status", Status), ("response_class", ResponseClass)):
             values[name] = members(kind, self.columns[name])
         values["message"] = np.array([self.messages.get(k, "") for k in range(len(self))], object)
-        values.setdefault("period", np.full(len(self), math.nan))
+        for name in ("period", "contact_x_max", "contact_x_min"):
+            values.setdefault(name, np.full(len(self), math.nan))
         values.setdefault("z_end", np.empty((len(self), 0)))
         return Response(
             **{name: value.reshape(*shape, *value.shape[1:]) for name, value in values.items()}

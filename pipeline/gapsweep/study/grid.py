@@ -1,13 +1,14 @@
 """The labelled grid of a study: its axes, and which of its cells are sweep points."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.model.oscillator import Gap
+from gapsweep.model.structure import AnyStructure
 from gapsweep.study.points import FIXED, SWEEPS, canonical
 from gapsweep.variables import CONTACT as CONTACT
 from gapsweep.variables import COORDINATE as COORDINATE
@@ -100,13 +101,16 @@ class Grid:
         stiffnesses [N/m]; gaps, or distances of both walls [m]; frequencies [Hz]; what else is
         swept; `Starts`. Numbers ascend, others come in order of first appearance.
     requested : ndarray of bool, of the axes' lengths
+    structure : Structure or OscillatorStructure
+        Of the models of all points.
     parts : mapping of str to tuple of str
-        Of systems the dimensions within a point: names of coordinates, contacts and lags.
+        Dimensions within a point, those with several entries: names of coordinates, contacts, lags.
     """
 
     axes: Axes
     requested: NDArray[np.bool_]
-    parts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    structure: AnyStructure
+    parts: Mapping[str, tuple[str, ...]]
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -152,8 +156,8 @@ class Grid:
         return axis.number.tolist() if isinstance(axis, Starts) else axis
 
     def label(self, gap: Gap) -> str:
-        """Wall distances as text: in mm, of systems in the unit of their coordinates."""
-        return f"{gap.j_1:.12g}/{gap.j_2:.12g}" if self.parts else gap.label
+        """Wall distances as text: in mm, or in the user's own unit."""
+        return gap.label if self.structure.in_metres else f"{gap.j_1:.12g}/{gap.j_2:.12g}"
 
     def coordinates(self) -> dict[str, NDArray[Any]]:
         """Values of all coordinates of the dataset; states of sweeps are NaN."""
@@ -163,12 +167,11 @@ class Grid:
             found["j_1"], found["j_2"] = walls.T
         starts = self.starts
         states = np.where(starts.is_fixed[:, None], starts.states, np.nan)
-        if self.parts:
-            n = len(self.parts[COORDINATE])
-            found["q_0"], found["v_0"], found["z_0"] = np.split(states, [n, 2 * n], axis=1)
-            found |= {name: np.array(names) for name, names in self.parts.items()}
-        else:
-            found["x_0"], found["v_0"] = states.T
+        n, m = self.structure.n, self.structure.m
+        for name, size, first in (("x_0", n, 0), ("v_0", n, n), ("z_0", m, 2 * n)):
+            if size:
+                found[name] = states[:, first] if size == 1 else states[:, first : first + size]
+        found |= {name: np.array(names) for name, names in self.parts.items()}
         return found | {"start": np.array(Starts.KINDS)[starts.kind]}
 
     def cut(self, selection: Selection) -> "Grid":
@@ -177,7 +180,7 @@ class Grid:
             name: axis.take(some) if isinstance(axis, Starts) else tuple(axis[i] for i in some)
             for (name, axis), some in zip(self.axes.items(), selection, strict=True)
         }
-        return Grid(axes, self.requested[np.ix_(*selection)], self.parts)
+        return Grid(axes, self.requested[np.ix_(*selection)], self.structure, self.parts)
 
     def order(self, wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """The wanted points in the order in which they are computed.

@@ -5,8 +5,9 @@ Written down once, here; the writer, the analyses and the documentation read thi
 
 from collections.abc import Collection
 
-from gapsweep.response.result import RESPONSE
-from gapsweep.study.grid import COORDINATE, LAG, START
+from gapsweep.model.structure import AnyStructure
+from gapsweep.response.result import RESPONSE, exists, part_sizes
+from gapsweep.study.grid import START
 from gapsweep.variables import EXTREMUM, INPUTS, MULTIPLIER, PARTS, SECTION_POINT, Variable
 
 # Of a study that sweeps nothing else; each further number swept has a dimension after omega.
@@ -31,6 +32,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "initial_condition": (START, INPUTS[START]),
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),
+    "z_0": (START, INPUTS["z_0"]),
     "start": ("initial_condition", Variable("str", "1", "fixed, sweep_up or sweep_down")),
 }
 
@@ -52,54 +54,44 @@ UNITS = {
 }
 
 PARAMETER = "parameter"  # of a system: what its coordinate's long name begins with
-# Of systems in place of x_0 and v_0.
-_STARTS_OF_SYSTEMS = {
-    "q_0": (COORDINATE, Variable("f8", "", "initial coordinates")),
-    "v_0": (COORDINATE, Variable("f8", "", "initial velocities")),
-    "z_0": (LAG, Variable("f8", "", "initial first-order states")),
-}
 
 
 Found = dict[str, tuple[tuple[str, ...], Variable]]
 
 
-def coordinates(dims: Collection[str], parts: Collection[str] = ()) -> Found:
-    """The coordinates that dimensions bring along: the dimensions of each, and what it is.
+def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
+    """The coordinates that dimensions bring along: the dimensions of each, and its description.
 
     Parameters
     ----------
     dims : collection of str
-    parts : collection of str
-        Of systems the dimensions within a point.
+    structure : Structure or OscillatorStructure
+        Of the models; it adds the dimensions within a point.
     """
-    along = {name: name if name in dims else dim for name, (dim, _) in COORDINATES.items()}
-    found: Found = {
-        name: ((dim,), COORDINATES[name][1]) for name, dim in along.items() if dim in dims
-    }
-    if not parts:
-        return found
-    named: Found = {
-        name: ((name,), Variable("f8", "", f"{PARAMETER} {name}"))
+    parts = part_sizes(structure)
+    known = {name: (name if name in dims else dim, v) for name, (dim, v) in COORDINATES.items()}
+    parameters = {
+        name: (name, Variable("f8", "", f"{PARAMETER} {name}"))
         for name in dims
         if name not in COORDINATES
     }
-    starts: Found = {
-        name: ((START, part), variable)
-        for name, (part, variable) in _STARTS_OF_SYSTEMS.items()
-        if START in dims and part in parts
+    found: Found = {
+        name: ((dim, *parts_of(name, parts)), described(variable, structure))
+        for name, (dim, variable) in (known | parameters).items()
+        if dim in dims and exists(name, structure)
     }
-    others: Found = {
-        name: (along, variable.of_systems)
-        for name, (along, variable) in found.items()
-        if name not in ("x_0", "v_0")
-    }
-    names: Found = {name: ((name,), PARTS[name]) for name in parts}
-    return others | named | starts | names
+    return found | {name: ((name,), PARTS[name]) for name in parts}
+
+
+def described(variable: Variable, structure: AnyStructure) -> Variable:
+    """A variable without its unit where only the user knows that of the coordinates."""
+    return variable if structure.in_metres else variable.of_systems
 
 
 def parts_of(name: str, parts: Collection[str]) -> tuple[str, ...]:
     """The dimensions within a point that a variable has."""
-    return tuple(dim for dim in VARIABLES[name].dims if dim in parts) if name in VARIABLES else ()
+    described = {**VARIABLES, **INPUTS}
+    return tuple(dim for dim in described[name].dims if dim in parts) if name in described else ()
 
 
 VARIABLES: dict[str, Variable] = {
@@ -119,7 +111,8 @@ ATTRACTOR_VARIABLES: dict[str, Variable] = {
         for name in (
             *("period_multiple", "response_class", "x_max", "x_min", "multiplier_abs"),
             *("lyapunov", "lyapunov_error", "period", "multiplier_real", "multiplier_imag"),
-            *("section_x", "section_v", "section_z"),
+            *("section_x", "section_v", "section_z", "contact_section_x", "contact_section_v"),
+            *("contact_x_max", "contact_x_min"),
         )
     },
     "basin_share": Variable("f8", "1", "share of the starts that end on the attractor"),
@@ -139,7 +132,6 @@ TAKEN = {
     *COORDINATES,
     *VARIABLES,
     *ATTRACTOR_VARIABLES,
-    *_STARTS_OF_SYSTEMS,
     *PARTS,
     *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "n_attractors"),
     # of agreement.nc and timing.nc

@@ -306,7 +306,8 @@ class Study:
     def grid(self) -> Grid:
         """The labelled grid: the union of all blocks."""
         requested = requested_of(self._blocks, self._axes)
-        return Grid(self._axes, requested, self.systems.parts if self.systems else {})
+        parts = self.systems.parts if self.systems else {}
+        return Grid(self._axes, requested, self.structure, parts)
 
     def select(self, /, **wanted: Any) -> Selection:
         """Select among the study's own coordinates.
@@ -420,12 +421,14 @@ class Study:
             own=own,
         )
 
-    def units(
-        self, places: Mapping[str, NDArray[np.intp]], rate: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Of systems at some places on the axes; as `Systems.units`."""
-        assert self.systems is not None
-        return self.systems.units(self.grid.axes, places, rate)
+    def sections(
+        self, axes: Axes, places: Mapping[str, NDArray[np.intp]], rate: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What the sections of some scenes are measured by; as `Systems.sections`."""
+        if self.systems is None:
+            omega = np.array(axes["omega"])[places["omega"]]
+            return np.stack(self.oscillator.unit(2.0 * np.pi * omega)), np.ones((len(omega), 1, 1))
+        return self.systems.sections(axes, places, rate)
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
         """What ``auto`` chooses for each point, in tables of one tolerance each."""

@@ -16,7 +16,7 @@ from gapsweep.model.labels import AUTO, law_of
 from gapsweep.model.structure import Structure
 from gapsweep.model.system import System
 from gapsweep.study.axes import count, forms
-from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Axes, starts_of
+from gapsweep.study.grid import START, Axes, starts_of
 from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical
 from gapsweep.study.spec import StudySpec, SystemSweepTable
 from gapsweep.study.system_tables import maker, said
@@ -82,11 +82,8 @@ class Systems:
 
     @property
     def parts(self) -> dict[str, tuple[str, ...]]:
-        """Dimensions within a point, and the names along them."""
-        system, m = self.system, self.structure.m
-        lags = tuple(f"z_{i + 1}" for i in range(m))
-        found = {COORDINATE: system.coordinates, CONTACT: tuple(system.contacts), LAG: lags}
-        return {name: tuple(names) for name, names in found.items() if names}
+        """Dimensions within a point, those with several entries, and the names along them."""
+        return self.system.parts
 
     def labels(self, representation: str) -> tuple[str, ...]:
         """Of every contact the label of its law, where all others have this one."""
@@ -99,13 +96,20 @@ class Systems:
         parts = [self._walls(axes, places, n), omega[:, None], self._arrays(axes, places, n)]
         return np.concatenate([*parts, starts_of(axes).states[places[START]]], axis=1)
 
-    def units(self, axes: Axes, places: Places, rate: Array) -> Array:
-        """What one metre of the section is in each component of a state, shape (n_states, n).
+    def sections(self, axes: Axes, places: Places, rate: Array) -> tuple[Array, Array]:
+        """What the sections of n scenes are measured by.
 
         Parameters
         ----------
         rate : ndarray, shape (n,)
             Section points per second; where NaN, that of the forcing, or else of the slowest mode.
+
+        Returns
+        -------
+        unit : ndarray, shape (n_states, n)
+            What one metre of the section is in each component of a state.
+        directions : ndarray, shape (n, n_contacts, n_coordinates)
+            Of the contacts.
         """
         number, systems = self._systems(axes, places, len(rate))
         slowest = np.array([system.slowest for system in systems])[number]
@@ -115,7 +119,7 @@ class Systems:
             systems[i].unit(2.0 * math.pi * (at or 1.0))
             for i, at in zip(number.tolist(), omega.tolist(), strict=True)
         ]
-        return np.stack(found, axis=1)
+        return np.stack(found, axis=1), np.stack([each.directions for each in systems])[number]
 
     def starts(self, states: ArrayLike | None) -> Array:
         """States with as many components as the system's; what is not given is zero."""
