@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 from numpy.testing import assert_array_equal
 from tests.unit.test_system_tables import SECTION, TWO_MASSES, changed
 
@@ -237,6 +238,17 @@ def test_the_report_shows_every_coordinate(made):
     # Whether its lengths are metres, millimetres or radians, its user alone knows.
     for unit in ("[m]", "N/m", " mm", "[1/m]"):
         assert unit not in page
+
+
+def test_initial_states_of_one_coordinate_lie_in_a_plane(made):
+    study, _, responses = made
+    here = at(responses).isel({dim: 0 for dim in ("omega", "speed") if dim in responses.dims})
+    if study.structure.n > 1:
+        with pytest.raises(gs.DatasetError, match="of several coordinates lie in no plane"):
+            here.gapsweep.attractors()
+        return
+    axes = here.gapsweep.attractors(ax=Figure().subplots())
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("initial displacement", "initial velocity")
 
 
 def test_laws_are_compared_coordinate_by_coordinate(made):

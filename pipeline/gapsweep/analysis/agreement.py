@@ -32,7 +32,7 @@ from gapsweep.analysis.sets import basin_metrics, matching, set_metrics
 from gapsweep.analysis.slab import Slab, slab
 from gapsweep.analysis.starts import start_metrics
 from gapsweep.analysis.summary import summaries
-from gapsweep.analysis.systems import in_metres, section_rate, with_rate
+from gapsweep.analysis.systems import by_coordinate, in_metres, section_rate, with_rate
 from gapsweep.model.labels import EXACT
 from gapsweep.response.section import DEVIATIONS
 from gapsweep.status import Status
@@ -58,15 +58,21 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
     Dataset
         The variables of `gapsweep.analysis.metrics.variables`.
     """
-    labels = [str(label) for label in responses["representation"].values]
-    if EXACT not in labels:
-        return None
+    swept = responses["representation"].values.tolist()
+    return _agreement(responses, attractors) if EXACT in swept else None
+
+
+def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
     if COORDINATE in responses.dims:
-        return _by_coordinate(responses, attractors)
+        parts = zip(by_coordinate(responses), by_coordinate(attractors), strict=True)
+        found = [_agreement(one, other) for (one, _), (other, _) in parts]
+        how: Any = {"coords": "different", "compat": "equals", "combine_attrs": "override"}
+        return xr.concat(found, COORDINATE, **how).transpose(..., COORDINATE)
     if "omega" not in responses.dims:
         rate = section_rate(responses)
-        found = agreement(with_rate(responses, rate), with_rate(attractors, rate))
-        return None if found is None else found.isel(omega=0, drop=True)
+        forced = _agreement(with_rate(responses, rate), with_rate(attractors, rate))
+        return forced.isel(omega=0, drop=True)
+    labels = [str(label) for label in responses["representation"].values]
     floors = floor_labels(responses.attrs.get("study_json", ""), labels)
     dims = point_dims(responses)
     own = {REGIME: len(REGIMES), BOUND: len(BOUNDS), **dict.fromkeys(CLASS_DIMS, len(CLASSES))}
@@ -102,18 +108,6 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
                     place(name, here, values)
     _set_floors(tables, [labels.index(label) for label in floors])
     return _dataset(tables, responses, floors)
-
-
-def _by_coordinate(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
-    """The comparison of every coordinate."""
-    found = []
-    for i in range(responses.sizes[COORDINATE]):
-        both = (each.isel({COORDINATE: i}, drop=True) for each in (responses, attractors))
-        one = agreement(*both)
-        assert one is not None, "the exact law was swept"
-        found.append(one)
-    whole = xr.concat(found, responses[COORDINATE], combine_attrs="override")
-    return whole.transpose(..., COORDINATE)
 
 
 def _width(gap: float, exact: Slab) -> float:
