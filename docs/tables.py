@@ -8,21 +8,16 @@ from gapsweep.analysis import histories, static
 from gapsweep.analysis.metrics import variables
 from gapsweep.analysis.timing import COSTS
 from gapsweep.cli.main import commands
+from gapsweep.response.result import CLASS_FLAGS, KIND_FLAGS
 from gapsweep.status import Status
 from gapsweep.study.schema import (
     ATTRACTOR_VARIABLES,
-    CLASS_FLAGS,
     COORDINATES,
-    KIND_FLAGS,
-    LISTS,
-    MULTIPLIERS,
     N_ATTRACTORS,
     POINT_DIMS,
-    SECTION_POINT,
-    STATUS_FLAGS,
     VARIABLES,
-    Variable,
 )
+from gapsweep.variables import CONTACT, COORDINATE, LAG, STATUS_FLAGS, Variable
 
 _WIDTH = 80
 
@@ -60,21 +55,18 @@ def _coordinates() -> Iterator[tuple[str, ...]]:
 
 
 def _responses() -> Iterator[tuple[str, ...]]:
-    for name, variable in VARIABLES.items():
-        yield _row(name, ["point"], variable)
-    for name, (dim, variable) in LISTS.items():
-        yield _row(name, ["point", dim], variable)
+    return (_row(name, ["point", *_lists(v)], v) for name, v in VARIABLES.items())
 
 
 def _attractors() -> Iterator[tuple[str, ...]]:
     yield _row("n_attractors", ["scene"], N_ATTRACTORS)
     for name, variable in ATTRACTOR_VARIABLES.items():
-        yield _row(name, ["scene", "attractor"], variable)
-    for name, variable in MULTIPLIERS.items():
-        yield _row(name, ["scene", "attractor", "multiplier"], variable)
-    for name, (dim, variable) in LISTS.items():
-        if dim == SECTION_POINT:
-            yield _row(name, ["scene", "attractor", dim], variable)
+        yield _row(name, ["scene", "attractor", *_lists(variable)], variable)
+
+
+def _lists(variable: Variable) -> Iterator[str]:
+    """The dimensions within a point that an oscillator has."""
+    return (dim for dim in variable.dims if dim not in (COORDINATE, CONTACT, LAG))
 
 
 def _agreement() -> Iterator[tuple[str, ...]]:

@@ -11,6 +11,7 @@ import gapsweep
 PACKAGE = Path(gapsweep.__file__).parent
 LAYERS = (
     {"errors", "status"},
+    {"variables"},
     {"user_code"},
     {"model"},
     {"integrate"},
@@ -32,8 +33,11 @@ LAYERS = (
 FENCES = {
     "scipy": {"model", "integrate", "response", "study", "analysis"},
     "numba": {"model", "integrate", "response"},
-    "xarray": {"store", "analysis", "report", "own_code", "make", "workflow", "cli", "explorer"},
-    "pandas": {"response"},
+    "xarray": {
+        *("variables", "store", "analysis", "report"),
+        *("own_code", "make", "workflow", "cli", "explorer"),
+    },
+    "pandas": set(),
     "netCDF4": {"store", "execution"},
     "psutil": {"store", "execution"},
     "filelock": {"integrate"},

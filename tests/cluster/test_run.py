@@ -6,7 +6,6 @@ import sys
 import threading
 import time
 
-import numpy as np
 import pytest
 import xarray as xr
 from distributed import LocalCluster
@@ -20,8 +19,9 @@ from gapsweep.execution.plan import plan
 from gapsweep.execution.portions import Costs
 from gapsweep.model.labels import contact_law
 from gapsweep.model.structure import OscillatorStructure
+from gapsweep.response.result import exists
 from gapsweep.store.cache import Cache
-from gapsweep.study.schema import POINT_DIMS, VARIABLES, coordinates, exists
+from gapsweep.study.schema import POINT_DIMS, VARIABLES, coordinates
 from gapsweep.study.software import versions
 
 
@@ -40,7 +40,7 @@ def test_dataset_has_every_dimension_unit_and_flag(responses):
     assert responses["x_max"].dims == POINT_DIMS
     assert responses["extrema"].dims == (*POINT_DIMS, "extremum")
     held = {name for name in VARIABLES if exists(name, OscillatorStructure())}
-    assert held == {*responses.data_vars} & {*VARIABLES}
+    assert held == {*responses.data_vars}
     for name in held:
         variable = VARIABLES[name]
         assert responses[name].attrs["units"] == variable.units
@@ -53,26 +53,37 @@ def test_dataset_has_every_dimension_unit_and_flag(responses):
         assert responses[name].attrs["units"] == variable.units
     meanings = responses["status"].attrs["flag_meanings"].split()
     assert meanings == [status.label for status in gs.Status]
-    assert len(responses["response_class"].attrs["flag_values"]) == 7
+    assert len(responses["response_class"].attrs["flag_values"]) == 1 + len(gs.ResponseClass)
     assert {"study_json", "numerics_fingerprint", "versions", "host"} <= set(responses.attrs)
     for library in ("Python", "numba", "llvmlite", "numpy", "scipy"):
         assert f"{library} {versions()[library]}" in responses.attrs["computed_with"]
 
 
-def test_dataset_holds_what_respond_returns(responses, tables):
-    study = gs.Study.from_dict(tables)
-    table = point(study, 1, 0, 0, 1, 0)
-    solver = table.kind.solver
-    law = contact_law("tanh-1e4", 1.4e4, table.gap(0))
-    expected = gs.respond(
-        gs.Oscillator(), law, 12.0, engine=solver.engine, rtol=solver.rtol,
-        atol=solver.atol, steady=table.kind.steady,
-    )  # fmt: skip
-    cell = responses.sel(representation="tanh-1e4", omega=12.0).squeeze()
-    for name in {*VARIABLES} & {*cell} - {"cpu_time", "host", "attractor"}:
-        assert cell[name].item() == getattr(expected, name)
-    extrema = cell["extrema"].values
-    assert tuple(extrema[np.isfinite(extrema)]) == expected.extrema
+def test_dataset_holds_what_respond_returns(tables, client, tmp_path):
+    tables["sweep"][0]["initial_condition"] = [[0.0, 0.0], [5e-3, 0.0]]
+    tables["oscillator"] = {"alpha": -7e8}  # the second start is lost
+    responses, study = run(tables, client, tmp_path), gs.Study.from_dict(tables)
+    for at, label in enumerate(responses["representation"].values.tolist()):
+        table = point(study, at, 0, 0, 1, 0)
+        solver = table.kind.solver
+        found = gs.respond(
+            gs.Oscillator(alpha=-7e8),
+            contact_law(label, 1.4e4, table.gap(0)),
+            responses["omega"].values[:, None],
+            responses["x_0"].values,
+            responses["v_0"].values,
+            engine=solver.engine, rtol=solver.rtol, atol=solver.atol, steady=table.kind.steady,
+        )  # fmt: skip
+        expected = responses.sel(representation=label).squeeze(["K_c", "gap"])
+        dataset = found.to_dataset()
+        assert {"failed", "periodic"} <= {*found.to_dataframe()["response_class"]}
+        assert {*expected} - {*dataset} == {"attractor", "host"}
+        for name in {*expected} & {*dataset} - {"cpu_time"} | {"omega", "x_0", "v_0"}:
+            # Names of dimensions, types, bits, units, long names, flags.
+            xr.testing.assert_identical(dataset[name].variable, expected[name].variable)
+        assert tuple(dataset["extrema"].dropna("extremum", how="all").values[1, 0]) == (
+            *found.extrema[1, 0],
+        )
 
 
 def test_workers_and_batches_do_not_change_a_bit(tables, client, tmp_path):

@@ -114,6 +114,10 @@ def forced(study):
 def test_every_number_is_that_of_respond(made):
     study, _, responses = made
     for here, found in direct(study, responses):
+        dataset = found.to_dataset()
+        assert {*here.data_vars} - {*dataset} == {"attractor", "host"}
+        for name in {*here.data_vars} & {*dataset} - {"cpu_time"} | {"x_0", "v_0"}:
+            xr.testing.assert_identical(dataset[name].variable, here[name].variable)
         free = () if "omega" in responses.dims else ("period",)
         more = () if study.structure.n == 1 else ("contact_x_max", "contact_x_min")
         for name in (*PLAIN, *OF_COORDINATES, *OF_CONTACTS, *free, *more):

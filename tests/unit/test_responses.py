@@ -45,16 +45,15 @@ def test_every_field_of_an_oscillators_response_is_a_column_a_list_or_the_messag
         *LISTS,
         "message",
         "inputs",
-        "period",
-        "z_end",
-        "contact_x_max",
-        "contact_x_min",
     }
 
 
 def test_columns_have_the_types_and_the_order_of_the_table(responses):
-    assert {n: column.dtype.str[1:] for n, column in responses.columns.items()} == COLUMNS
-    assert list(responses.columns) == list(COLUMNS)
+    found = {name: column.dtype.str[1:] for name, column in responses.columns.items()}
+    assert [*found.items()] == [
+        (name, variable.dtype) for name, variable in COLUMNS.items() if name in found
+    ]
+    assert {*COLUMNS} - {*found} == {"period", "z_end", "contact_x_max", "contact_x_min"}
     for name, (items, counts) in responses.lists.items():
         assert items.dtype.str[1:] == LISTS[name]
         assert counts.dtype == np.int64
@@ -95,7 +94,8 @@ def test_one_response_whose_attributes_are_arrays(responses):
         for field in set(fields(one)) - {INPUTS}:
             value = getattr(responses.row(k), field.name)
             assert_array_equal(getattr(one, field.name)[at], value, field.name)
-    assert one.status.dtype == one.extremum_kind[0, 0].dtype == np.int64
+    assert one.n_steps.dtype == one.extremum_kind[0, 0].dtype == np.int64
+    assert type(one.status[0, 0]) is gs.Status
 
 
 def test_the_order_is_that_of_the_scenes():
@@ -125,7 +125,7 @@ def test_lists_keep_what_was_put_last():
 
 
 def assert_same(a, b):
-    for name in COLUMNS:
+    for name in a.columns:
         assert_array_equal(a.columns[name], b.columns[name], name)
     for name in LISTS:
         for x, y in zip(a.lists[name], b.lists[name], strict=True):

@@ -347,9 +347,10 @@ def values(run):
     """All attributes that a trajectory has, but for the model that moves."""
     found = {}
     for name in dir(run):
-        if not name.startswith("_") and name not in ("sample", "laws", "system"):
+        if not name.startswith("_") and name not in ("inputs", "laws", "system"):
             with suppress(gs.ModelError):
-                found[name] = getattr(run, name)
+                if not callable(value := getattr(run, name)):
+                    found[name] = value
     assert {"status", "n_steps", "extrema", "t_contacts", "section"} <= found.keys()
     return found
 

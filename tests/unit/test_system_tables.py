@@ -20,6 +20,7 @@ from gapsweep.execution.layout import Layout
 from gapsweep.execution.task import Tile, respond_to
 from gapsweep.model.structure import Structure
 from gapsweep.study.points import Kind
+from gapsweep.variables import CONTACT, COORDINATE, LAG
 
 TWO_MASSES = {
     "study": {"name": "masses"},
@@ -572,9 +573,13 @@ def test_a_system_of_one_coordinate_has_the_variables_and_dimensions_of_an_oscil
     one, other = (gs.Study.from_dict(tables) for tables in (gear, plain))
     found, expected = (Layout.of(study.grid, study.steady) for study in (one, other))
     assert found.sizes == expected.sizes
-    for name in ("variables", "attractor_variables", "lists"):
-        assert [*getattr(found, name)] == [*getattr(expected, name)]
-        assert not any(map(found.parts, getattr(found, name)))
+    for name in ("variables", "attractor_variables"):
+        here, there = getattr(found, name), getattr(expected, name)
+        assert [*here] == [*there]
+        assert [*map(found.within, here.values())] == [*map(expected.within, there.values())]
+        assert not {COORDINATE, CONTACT, LAG} & {
+            dim for v in here.values() for dim in found.within(v)
+        }
     along = [
         {name: dims for name, (dims, _) in layout.coordinates(layout.grid.dims).items()}
         for layout in (found, expected)

@@ -15,8 +15,9 @@ from gapsweep.model.labels import family, law_of
 from gapsweep.model.oscillator import Gap
 from gapsweep.study.advice import Model, StandIn, stand_in, stand_ins
 from gapsweep.study.grid import START
-from gapsweep.study.schema import Variable, coordinates
+from gapsweep.study.schema import coordinates
 from gapsweep.study.study import Study
+from gapsweep.variables import Variable
 
 MODEL_FLAGS = (("none", -1), *((model.name.lower(), int(model)) for model in Model))
 STAND_IN = "stand_in"

@@ -26,10 +26,11 @@ from gapsweep.model.own_law import OwnLaw
 from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
 from gapsweep.study.points import canonical
-from gapsweep.study.schema import COORDINATES, STATUS_FLAGS, Variable, empty, with_attributes
+from gapsweep.study.schema import COORDINATES
 from gapsweep.study.spec import HistoryTable
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
+from gapsweep.variables import STATUS_FLAGS, Variable, empty, with_attributes
 
 N_PERIODS = 60  # kept at either end: 2² · 3 · 5
 SAMPLES_PER_PERIOD = 256

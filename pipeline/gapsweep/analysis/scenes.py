@@ -15,8 +15,9 @@ from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.study.bench import SceneTable
 from gapsweep.study.points import canonical
-from gapsweep.study.schema import COORDINATES, Variable
+from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study
+from gapsweep.variables import Variable
 
 COORDS = {name: COORDINATES[name][1] for name in ("K_c", "j_1", "j_2", "omega", "x_0", "v_0")}
 _GAP = COORDINATES["gap"][1]

@@ -51,8 +51,8 @@ from gapsweep.model.equilibria import (
 from gapsweep.model.labels import EXACT
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.status import Status
-from gapsweep.study.schema import STATUS_FLAGS, Variable, empty, with_attributes
 from gapsweep.study.study import Study
+from gapsweep.variables import STATUS_FLAGS, Variable, empty, with_attributes
 
 
 class Outcome(IntEnum):

@@ -24,9 +24,10 @@ from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
 from gapsweep.model.labels import AUTO, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
-from gapsweep.study.schema import COORDINATES, Variable
+from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
+from gapsweep.variables import Variable
 
 Values = dict[str, Any]
 

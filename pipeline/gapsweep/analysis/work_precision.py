@@ -51,8 +51,8 @@ from gapsweep.response.result import Response, Responses, Steady
 from gapsweep.response.scene import Scene as Asked
 from gapsweep.response.section import unit_of
 from gapsweep.status import Status
-from gapsweep.study.schema import STATUS_FLAGS, Variable, empty, with_attributes
 from gapsweep.study.study import Study
+from gapsweep.variables import STATUS_FLAGS, Variable, empty, with_attributes
 
 Cell = tuple[int, int, int]
 Result = TypeVar("Result")

@@ -11,12 +11,12 @@ from typing import Any
 import click
 import xarray as xr
 
-from gapsweep.analysis.frame import to_dataframe
 from gapsweep.console import print_table, print_text
 from gapsweep.errors import StoreError
 from gapsweep.execution.layout import Layout
 from gapsweep.store.artefact import replacing
 from gapsweep.study.study import Study
+from gapsweep.variables import to_dataframe
 
 # What fits a terminal beside the dimensions: how the motion is, and whether it is one.
 _COLUMNS = ("amplitude", "period_multiple", "response_class", "status")

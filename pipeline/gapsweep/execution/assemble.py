@@ -9,7 +9,6 @@ a scene, not of a point: they are grouped here, from all starts of a scene.
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import netCDF4
 import numpy as np
@@ -25,9 +24,9 @@ from gapsweep.status import Status
 from gapsweep.store.cache import Cache, Found
 from gapsweep.store.netcdf import writing
 from gapsweep.study.grid import Grid, Selection
-from gapsweep.study.schema import EXTREMUM, MULTIPLIERS, OF_CONTACT_MOTION
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
+from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT
 
 
 def export(
@@ -178,74 +177,20 @@ def _point_arrays(
     """Values of all variables over some starts of a piece, but for the number of the attractor."""
     responses, shape = found.responses, requested.shape
     values = {
-        name: np.full((*shape, *layout.part_shape(name)), v.missing, v.dtype)
+        name: np.full((*shape, *layout.within(v).values()), v.missing, v.dtype)
         for name, v in layout.variables.items()
         if name != "attractor"
     }
     # Unless a result follows:
     values["status"][requested] = Status.INTERRUPTED
     values["response_class"][requested] = ResponseClass.FAILED
-    for name in values.keys() & responses.columns.keys():
-        column = responses.columns[name]
-        values[name][*at] = column.reshape(len(column), *layout.part_shape(name))
+    scene = np.ravel_multi_index(tuple(at[:-1]), shape[:-1])
+    arrays = responses.arrays(layout.sizes, directions[scene])
+    for name in values.keys() & arrays.keys():
+        values[name][*at] = arrays[name]
     number = {host: i for i, host in enumerate(hosts)}
     values["host"][*at] = [number.get(host, -1) for host in found.host.tolist()]
-    scene = np.ravel_multi_index(tuple(at[:-1]), shape[:-1])
-    lists = _section(responses, layout, directions[scene])
-    n_shown = np.minimum(responses.columns["n_extrema"], layout.sizes[EXTREMUM])
-    lists |= {name: (responses.lists[name][0], n_shown) for name in ("extrema", "extremum_kind")}
-    for name, (dimension, variable) in layout.lists.items():
-        sizes = layout.sizes[dimension], *layout.part_shape(name)
-        values[name] = np.full((*shape, *sizes), variable.missing, variable.dtype)
-        _set_lists(values[name], tuple(at), *lists[name])
     return values
-
-
-# Items of all lists, list after list, and how many are each one's.
-_Lists = dict[str, tuple[NDArray[Any], NDArray[np.int64]]]
-
-
-def _set_lists(
-    full: NDArray[Any],
-    place: tuple[NDArray[np.intp], ...],
-    items: NDArray[Any],
-    counts: NDArray[np.int64],
-) -> None:
-    """Set lists of different lengths in a padded array; those of coordinates follow each other.
-
-    Parameters
-    ----------
-    full : ndarray, shape (..., longest) or (..., longest, n_coordinates)
-    place : tuple of ndarray of int, shape (n,)
-        Where in the first dimensions.
-    items : ndarray, shape (counts.sum(), ...)
-    counts : ndarray of int, shape (n,) or (n, n_coordinates)
-    """
-    rows = full[place]
-    lists = np.moveaxis(rows, 1, counts.ndim)
-    lists[np.arange(lists.shape[counts.ndim]) < counts[..., None]] = items
-    full[place] = rows
-
-
-def _section(responses: Responses, layout: Layout, directions: NDArray[np.float64]) -> _Lists:
-    """Section points: displacements, velocities, first-order states, and motions at contacts.
-
-    Parameters
-    ----------
-    directions : ndarray, shape (n, n_contacts, n_coordinates)
-        Of each response, for relative displacements ``b · q`` and velocities.
-    """
-    items, counts = responses.lists["section"]
-    points, n = items.reshape(-1, layout.grid.structure.n_states), layout.grid.structure.n
-    parts = dict(zip(("x", "v", "z"), np.split(points, [n, 2 * n], axis=1), strict=True))
-    n_points = counts // layout.grid.structure.n_states
-    found: _Lists = {}
-    for name in layout.section:
-        part = parts[name[-1]]
-        if name in OF_CONTACT_MOTION:
-            part = np.einsum("skj,sj->sk", np.repeat(directions, n_points, axis=0), part)
-        found[name] = part.reshape(len(part), *layout.part_shape(name)), n_points
-    return found
 
 
 def _grouped(
@@ -271,21 +216,19 @@ def _attractor_arrays(
     """Values of all variables of `attractors.nc` over the scenes of a piece."""
     leaders, most = found.leaders, int(found.number.max(initial=0)) + 1
     place = (*np.unravel_index(found.scene, shape), found.number)
-    values: Arrays = {
-        name: np.full((*shape, most, *layout.part_shape(name)), v.missing, v.dtype)
-        for name, v in layout.attractor_variables.items()
+    longest = {
+        dim: int(leaders.lists[name][1].max(initial=0)) // width
+        for dim, name, width in (
+            (MULTIPLIER, "multipliers", 2),
+            (SECTION_POINT, "section", layout.grid.structure.n_states),
+        )
     }
-    for name, filled in values.items():
-        columns = leaders.columns
-        column = columns[name] if name in columns else getattr(found, name)
-        filled[place] = column.reshape(len(column), *layout.part_shape(name))
-    parts, counts = leaders.lists["multipliers"]
-    lists = _section(leaders, layout, directions[found.scene])
-    lists |= {name: (parts[i::2], counts // 2) for i, name in enumerate(MULTIPLIERS)}
-    for name, (items, counts) in lists.items():
-        sizes = most, int(counts.max(initial=0)), *layout.part_shape(name)
-        values[name] = np.full((*shape, *sizes), np.nan)
-        _set_lists(values[name], place, items, counts)
+    sizes = {**layout.sizes, **longest, EXTREMUM: 0}
+    arrays, values = leaders.arrays(sizes, directions[found.scene]), {}
+    for name, variable in layout.attractor_variables.items():
+        within = [sizes[dim] for dim in layout.within(variable)]
+        values[name] = np.full((*shape, most, *within), variable.missing, variable.dtype)
+        values[name][place] = arrays[name] if name in arrays else getattr(found, name)
     counts = np.bincount(found.scene, minlength=math.prod(shape))
     values["n_attractors"] = counts.reshape(shape).astype(np.int32)
     return values

@@ -11,27 +11,19 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.result import Steady
+from gapsweep.response.result import Steady, exists, sizes_of
 from gapsweep.store.netcdf import create_texts
 from gapsweep.study.grid import START, Grid
 from gapsweep.study.schema import (
     ATTRACTOR,
     ATTRACTOR_VARIABLES,
-    EXTREMUM,
-    LISTS,
-    MULTIPLIER,
-    MULTIPLIERS,
     N_ATTRACTORS,
-    SECTION_POINT,
     VARIABLES,
     Found,
-    Variable,
     coordinates,
     described,
-    exists,
-    part_sizes,
-    parts_of,
 )
+from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT, Variable
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -68,29 +60,17 @@ class Layout:
     @classmethod
     def of(cls, grid: Grid, steady: Steady, **symmetry: Any) -> "Layout":
         """Of a grid; `symmetry` are `uneven` and `mean_load`."""
-        sizes = {EXTREMUM: steady.max_extrema, SECTION_POINT: steady.max_period_multiple}
-        return cls(grid, sizes | part_sizes(grid.structure), **symmetry)
+        return cls(grid, sizes_of(grid.structure, steady), **symmetry)
 
     @property
     def variables(self) -> dict[str, Variable]:
-        """Of `responses.nc`, but for its lists."""
+        """Of `responses.nc`."""
         return self._described(VARIABLES)
 
     @property
     def attractor_variables(self) -> dict[str, Variable]:
         """Of `attractors.nc`, over its attractors."""
         return self._described(ATTRACTOR_VARIABLES)
-
-    @property
-    def lists(self) -> dict[str, tuple[str, Variable]]:
-        """Lists of a point: their dimension, and what they hold."""
-        found = self._described({name: variable for name, (_, variable) in LISTS.items()})
-        return {name: (LISTS[name][0], variable) for name, variable in found.items()}
-
-    @property
-    def section(self) -> tuple[str, ...]:
-        """The lists that section points are stored in."""
-        return tuple(name for name, (dim, _) in self.lists.items() if dim == SECTION_POINT)
 
     def coordinates(self, dims: Collection[str]) -> Found:
         """The coordinates that dimensions bring along."""
@@ -105,13 +85,9 @@ class Layout:
             if exists(name, structure)
         }
 
-    def parts(self, name: str) -> tuple[str, ...]:
-        """The dimensions within a point that a variable has."""
-        return parts_of(name, self.sizes)
-
-    def part_shape(self, name: str) -> tuple[int, ...]:
-        """Their sizes."""
-        return tuple(self.sizes[part] for part in self.parts(name))
+    def within(self, variable: Variable) -> dict[str, int]:
+        """Dimensions that a variable has within a point, and their sizes."""
+        return {dim: self.sizes[dim] for dim in variable.dims if dim in self.sizes}
 
     @property
     def chunk(self) -> tuple[int, ...]:
@@ -179,9 +155,6 @@ def define(dataset: netCDF4.Dataset, layout: Layout) -> None:
         dataset.createDimension(name, layout.sizes[name])
     for name, variable in layout.variables.items():
         _create(dataset, layout, name, variable, dims, chunk)
-    for name, (dimension, variable) in layout.lists.items():
-        sizes = *chunk, layout.sizes[dimension]
-        _create(dataset, layout, name, variable, (*dims, dimension), sizes)
     _name_auxiliary(dataset, layout, dims)
 
 
@@ -189,17 +162,13 @@ def define_attractors(dataset: netCDF4.Dataset, layout: Layout) -> None:
     """Dimensions, coordinates and variables of `attractors.nc`; it grows with their number."""
     scenes, chunk = layout.grid.dims[:-1], layout.chunk[:-1]
     _define_coordinates(dataset, layout, scenes)
-    sizes = {MULTIPLIER: layout.grid.structure.n_states, SECTION_POINT: layout.sizes[SECTION_POINT]}
-    for name, size in {ATTRACTOR: None, **sizes}.items():
-        dataset.createDimension(name, size)
+    for name, size in {**layout.sizes, ATTRACTOR: None}.items():
+        if name in (MULTIPLIER, SECTION_POINT, ATTRACTOR):
+            dataset.createDimension(name, size)
     _create(dataset, layout, "n_attractors", N_ATTRACTORS, scenes, chunk)
     dims, chunk = (*scenes, ATTRACTOR), (*chunk, min(len(layout.grid.starts), _ATTRACTORS))
     for name, variable in layout.attractor_variables.items():
         _create(dataset, layout, name, variable, dims, chunk)
-    lists = {name: (MULTIPLIER, variable) for name, variable in MULTIPLIERS.items()}
-    lists |= {name: layout.lists[name] for name in layout.section}
-    for name, (last, variable) in lists.items():
-        _create(dataset, layout, name, variable, (*dims, last), (*chunk, sizes[last]))
     _name_auxiliary(dataset, layout, scenes)
 
 
@@ -240,7 +209,8 @@ def _create(
     chunk: tuple[int, ...] | None,
 ) -> None:
     if chunk:
-        dimensions, chunk = dimensions + layout.parts(name), chunk + layout.part_shape(name)
+        within = layout.within(variable)
+        dimensions, chunk = (*dimensions, *within), (*chunk, *within.values())
     created = dataset.createVariable(
         name,
         variable.dtype,

@@ -59,7 +59,8 @@ class Curve:
         Peaks [m]; NaN where it failed.
     x_end, v_end : ndarray, shape (n,)
         State [m], [m/s] on each attractor, at forcing phase zero.
-    response_class, period_multiple : ndarray of int, shape (n,)
+    response_class : ndarray of ResponseClass, shape (n,)
+    period_multiple : ndarray of int, shape (n,)
     """
 
     label: str
@@ -68,7 +69,7 @@ class Curve:
     x_max: Array
     x_end: Array
     v_end: Array
-    response_class: NDArray[np.int8]
+    response_class: NDArray[np.object_]
     period_multiple: NDArray[np.int32]
 
     @property

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
@@ -123,9 +123,14 @@ def simulate(
     if dense_output:  # nothing runs yet, but what no engine takes is refused now
         prepared(models, solver)
     solve = partial(_solved, models, solver, problems)
-    if isinstance(oscillator, System):
-        return SystemTrajectory(oscillator, laws, solve, t_0, frequency.shape, dense_output)
-    return Trajectory(laws, solve, t_0, frequency.shape, dense_output)
+    inputs = {
+        **inputs_of(oscillator, law, frequency, start),
+        **{"t_end": t_end, "t_0": t_0},
+        **asdict(solver),
+        **{"dense_output": dense_output, "tangent": tangent},
+    }
+    kind = SystemTrajectory if isinstance(oscillator, System) else Trajectory
+    return kind(inputs, laws, solve, frequency.shape)
 
 
 def _solved(
@@ -180,6 +185,23 @@ def starts(
         _zero(name, value, "an Oscillator starts from x_0 and v_0")
     frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
     return frequency, np.stack([x_0, v_0], axis=-1), (checked_law(contact_law),)
+
+
+def inputs_of(
+    oscillator: Oscillator | System,
+    law: ContactLaw | Mapping[str, ContactLaw],
+    omega: Array,
+    start: Array,
+) -> dict[str, Any]:
+    """Arguments of a call by name, from what `starts` made of them."""
+    inputs: dict[str, Any] = {"oscillator": oscillator, "law": law}
+    if isinstance(oscillator, System):
+        n, is_forced = oscillator.n, oscillator.is_forced
+        states = {"q_0": start[..., :n], "v_0": start[..., n : 2 * n], "z_0": start[..., 2 * n :]}
+    else:
+        is_forced, states = True, {"x_0": start[..., 0], "v_0": start[..., 1]}
+    inputs["omega"] = np.array(omega)[()] if is_forced else None
+    return inputs | {name: np.array(each)[()] for name, each in states.items() if each.size}
 
 
 def _zero(name: str, value: ArrayLike, remedy: str) -> None:

@@ -1,7 +1,7 @@
 """The public result of `simulate`."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -14,8 +14,31 @@ from gapsweep.integrate.motion import Counts, Events, Motions
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.system import System, floats
 from gapsweep.status import Status
+from gapsweep.variables import (
+    COORDINATE,
+    COUNTS,
+    LAG,
+    STATUS_FLAGS,
+    Variable,
+    as_html,
+    dataset,
+    members,
+    to_dataframe,
+)
 
 Array = NDArray[np.float64]
+VARIABLES = {
+    "status": Variable("i1", "1", "outcome of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
+    "t_end": Variable("f8", "s", "time at the end"),
+    "x_end": Variable("f8", "m", "displacement at the end", dims=(COORDINATE,)),
+    "v_end": Variable("f8", "m s-1", "velocity at the end", dims=(COORDINATE,)),
+    "z_end": Variable("f8", "", "first-order state at the end", dims=(LAG,)),
+    **COUNTS,
+    "t": Variable("f8", "s", "time"),
+    "x": Variable("f8", "m", "displacement", dims=("t", COORDINATE)),
+    "v": Variable("f8", "m s-1", "velocity", dims=("t", COORDINATE)),
+    "z": Variable("f8", "", "first-order state", dims=("t", LAG)),
+}
 _CLOCK_ROUNDING = 1e-9  # of the time since the start
 _PER_STEP = 16  # samples of a history: a Taylor step may be as long as a fifth of a period
 
@@ -51,7 +74,10 @@ class Trajectory:
         Wall crossings (in and out, each counted once), accepted and rejected steps, right-hand
         sides of the motion, without the search for extrema (for a Taylor method, expansions).
     status : Status
-        How the run ended; integers in an array.
+        How the run ended.
+    inputs : mapping of str to object
+        Arguments of the call by name, defaults included; frequencies and initial states have the
+        shape of the run. ``gs.simulate(**run.inputs)`` computes it again.
     laws : tuple of ContactLaw
         Of the contacts; of an oscillator the one.
     monodromy : ndarray, shape (2, 2), or None
@@ -69,18 +95,16 @@ class Trajectory:
 
     def __init__(
         self,
+        inputs: Mapping[str, Any],
         laws: tuple[ContactLaw, ...],
         solve: Callable[[float, bool], Motions],
-        t_0: float,
         shape: tuple[int, ...],
-        dense_output: bool,
     ) -> None:
-        self.laws = laws
-        self._solve, self._has_dense_output = solve, dense_output
+        self.inputs, self.laws, self.shape = inputs, laws, shape
+        self.t_0: float = inputs["t_0"]
+        self._solve, self._has_dense_output = solve, inputs["dense_output"]
         self._dense: tuple[float, Motions] | None = None
-        self.t_0 = t_0
-        self.shape = shape
-        if not dense_output:
+        if not self._has_dense_output:
             _ = self._motions
 
     def __getstate__(self) -> dict[str, Any]:
@@ -111,12 +135,49 @@ class Trajectory:
     @cached_property
     def status(self) -> Any:
         found = self._motions.status
-        return self._shaped(found) if self.shape else Status(found[0])
+        return members(Status, found.reshape(self.shape))
 
     @cached_property
     def monodromy(self) -> Array | None:
         found = self._motions.monodromy
         return None if found is None else found.reshape(*self.shape, *found.shape[1:])
+
+    def to_dataset(self) -> Any:
+        """The run as an `xarray.Dataset`: its history over `t` if there is one, else its end.
+
+        The other dimensions are `omega` and `initial_condition` where every frequency is simulated
+        from every initial state, otherwise `point`.
+        """
+        if not self._has_dense_output:
+            return self._ends()
+        t, *states = self._history
+        of_time = {
+            name: np.reshape(each, (self._n, len(t), -1))
+            for name, each in zip("xvz", states, strict=False)
+            if each.size
+        }
+        status = {"status": self._motions.status}
+        found = dataset(self.inputs, self.shape, VARIABLES, status | of_time)
+        return found.assign_coords(t=("t", t, VARIABLES["t"].attributes))
+
+    def _ends(self) -> Any:
+        """Where and how the motions ended, as an `xarray.Dataset`."""
+        motions, n = self._motions, self.inputs["oscillator"].n
+        ends = np.split(motions.state, [n, 2 * n], axis=1)
+        arrays = {
+            "status": motions.status,
+            "t_end": motions.t,
+            **{f"{name}_end": end for name, end in zip("xvz", ends, strict=True) if end.size},
+            **{name: getattr(motions, name) for name in COUNTS},
+        }
+        return dataset(self.inputs, self.shape, VARIABLES, arrays)
+
+    def to_dataframe(self) -> Any:
+        """The values of `to_dataset` as a `pandas.DataFrame`: a row a motion, or a row a time."""
+        return to_dataframe(self.to_dataset(), *(["t"] if self._has_dense_output else []))
+
+    def _repr_html_(self) -> str:
+        return as_html(self._ends())
 
     def __repr__(self) -> str:
         what = f"{self._n} motions" if self.shape else f"ends {self.status.label}"
@@ -242,9 +303,10 @@ class SystemTrajectory(Trajectory):
     ((2,), True)
     """
 
-    def __init__(self, system: System, *given: Any) -> None:
-        self.system = system
-        super().__init__(*given)
+    @property
+    def system(self) -> System:
+        system: System = self.inputs["oscillator"]
+        return system
 
     q_end = property(lambda run: run._end[0])
     v_end = property(lambda run: run._end[1])

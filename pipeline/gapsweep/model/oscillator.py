@@ -99,6 +99,8 @@ class Oscillator:
     n_lags: ClassVar[int] = 0
     n_states: ClassVar[int] = 2
     coordinates: ClassVar[tuple[str, ...]] = ("x",)
+    parts: ClassVar[dict[str, tuple[str, ...]]] = {}
+    parts: ClassVar[dict[str, tuple[str, ...]]] = {}
     is_forced: ClassVar[bool] = True
     sizes: ClassVar[tuple[int, ...]] = ()
     directions: ClassVar[tuple[tuple[float, ...], ...]] = ((1.0,),)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import LARGEST, SMALLEST, checked, is_number, whole
+from gapsweep.variables import CONTACT, COORDINATE, LAG
 
 Array = NDArray[np.float64]
 
@@ -283,6 +284,13 @@ class System:
         contacts = f", contacts {', '.join(self.contacts)}" if self.contacts else ""
         lags = f", {self.n_lags} lags" if self.n_lags else ""
         return f"<gapsweep.System: coordinates {', '.join(self.coordinates)}{contacts}{lags}>"
+
+    @property
+    def parts(self) -> dict[str, tuple[str, ...]]:
+        """Dimensions within a point of a dataset, those with several entries, and their labels."""
+        lags = tuple(f"z_{i + 1}" for i in range(self.n_lags))
+        found = {COORDINATE: tuple(self.coordinates), CONTACT: tuple(self.contacts), LAG: lags}
+        return {name: labels for name, labels in found.items() if len(labels) > 1}
 
     @property
     def n(self) -> int:

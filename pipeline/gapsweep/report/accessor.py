@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.frame import to_dataframe
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, drawing, maps
@@ -23,6 +22,7 @@ from gapsweep.report.style import NOT_PERIODIC, colour
 from gapsweep.report.summary import as_html, as_text
 from gapsweep.response.result import ResponseClass
 from gapsweep.study.grid import COORDINATE, START
+from gapsweep.variables import to_dataframe
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Models, Numbers, Solver
-from gapsweep.integrate.simulate import starts
+from gapsweep.integrate.simulate import inputs_of, starts
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import System
@@ -97,8 +97,9 @@ def respond(
     models = Models.of([oscillator] * n, [laws] * n, frequency.ravel())
     responses = respond_models(models, solver, start.reshape(n, -1), steady)
     found = responses.shaped(frequency.shape) if frequency.shape else responses.row(0)
-    asked = {"oscillator": oscillator, "law": law, "omega": frequency, "start": start}
-    return replace(found, inputs=asked)
+    inputs = inputs_of(oscillator, law, frequency, start)
+    settings = {"engine": solver.engine, "rtol": solver.rtol, "atol": solver.atol}
+    return replace(found, inputs={**inputs, **settings, "steady": steady})
 
 
 def check_kinds(oscillator: Oscillator | System, steady: Steady) -> None:

@@ -1,8 +1,8 @@
 """What is asked of a sweep point, and what is answered: plain values, no computation."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
@@ -11,71 +11,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import checked, whole
-from gapsweep.model.structure import AnyStructure, OscillatorStructure
+from gapsweep.model.structure import AnyStructure, OscillatorStructure, structure_of
 from gapsweep.response.lists import spans
 from gapsweep.status import Status
-
-# What responses hold in columns, and in lists of any length: names, NumPy type codes, and the
-# order in which they are stored.
-COLUMNS = {
-    "status": "i1",
-    "response_class": "i1",
-    "period_multiple": "i4",
-    "n_extrema": "i4",
-    "x_max": "f8",
-    "x_min": "f8",
-    "amplitude": "f8",
-    "force_max": "f8",
-    "contact_share": "f8",
-    "multiplier_abs": "f8",
-    "lyapunov": "f8",
-    "lyapunov_error": "f8",
-    "n_contacts": "i8",
-    "n_steps": "i8",
-    "n_rejected": "i8",
-    "nfev": "i8",
-    "t_settled": "f8",
-    "t_simulated": "f8",
-    "noise": "f8",
-    "x_end": "f8",
-    "v_end": "f8",
-    "cpu_time": "f8",
-}
-LISTS = {"extrema": "f8", "extremum_kind": "i1", "multipliers": "f8", "section": "f8"}
-# Columns that have a value of every coordinate, of every contact, of every first-order state.
-OF_COORDINATES = ("n_extrema", "x_max", "x_min", "amplitude", "x_end", "v_end")
-OF_CONTACTS = ("force_max", "contact_share")
-_OSCILLATOR = OscillatorStructure()
-
-
-def columns_of(structure: AnyStructure) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Columns of responses: NumPy type code, and the shape of one point's value.
-
-    Values of a single coordinate, or of a single contact, are plain numbers. Motions that nothing
-    forces have a period, systems with first-order states have their last ones. Contacts have a
-    relative displacement unless the only one follows the only coordinate.
-    """
-    sizes = {
-        **dict.fromkeys(OF_COORDINATES, structure.n),
-        **dict.fromkeys(OF_CONTACTS, len(structure.contacts)),
-    }
-    found: dict[str, tuple[str, tuple[int, ...]]] = {
-        name: (dtype, () if sizes.get(name, 1) == 1 else (sizes[name],))
-        for name, dtype in COLUMNS.items()
-    }
-    if has_contact_motion(structure):
-        found |= dict.fromkeys(("contact_x_max", "contact_x_min"), found["force_max"])
-    if not structure.is_forced:
-        found["period"] = "f8", ()
-    if structure.m:
-        found["z_end"] = "f8", (structure.m,)
-    return found
-
-
-def has_contact_motion(structure: AnyStructure) -> bool:
-    """Whether contacts have columns of their displacement: several, or of several coordinates."""
-    n_contacts = len(structure.contacts)
-    return n_contacts > 0 and structure.n * n_contacts > 1
+from gapsweep.variables import (
+    CONTACT,
+    COORDINATE,
+    COUNTS,
+    EXTREMUM,
+    LAG,
+    MULTIPLIER,
+    SECTION_POINT,
+    STATUS_FLAGS,
+    Variable,
+    as_html,
+    dataset,
+    members,
+    to_dataframe,
+)
 
 
 class ResponseClass(IntEnum):
@@ -102,6 +55,116 @@ class ExtremumKind(IntEnum):
     MINIMUM = -1
     INFLECTION = 0
     MAXIMUM = 1
+
+
+CLASS_FLAGS = (("none", -1), *((kind.name.lower(), int(kind)) for kind in ResponseClass))
+KIND_FLAGS = (("none", -9), *((kind.name.lower(), int(kind)) for kind in ExtremumKind))
+_Q, _EXTREMA, _SECTION = (COORDINATE,), (EXTREMUM, COORDINATE), (SECTION_POINT, COORDINATE)
+_B, _SECTION_B = (CONTACT,), (SECTION_POINT, CONTACT)
+
+# Numbers of a response, in the order in which they are stored; see `exists`.
+COLUMNS: dict[str, Variable] = {
+    "status": Variable("i1", "1", "outcome of the sweep point", Status.NOT_REQUESTED, STATUS_FLAGS),
+    "response_class": Variable("i1", "1", "class of the steady response", -1, CLASS_FLAGS),
+    "period_multiple": Variable("i4", "1", "forcing periods in one response period, 0: none", 0),
+    "n_extrema": Variable("i4", "1", "true number of steady extrema", 0, dims=_Q),
+    "x_max": Variable("f8", "m", "peak displacement of the steady response", dims=_Q),
+    "x_min": Variable("f8", "m", "trough displacement of the steady response", dims=_Q),
+    "amplitude": Variable("f8", "m", "half the range of the steady response", dims=_Q),
+    "force_max": Variable("f8", "N", "largest magnitude of the contact force", dims=_B),
+    "contact_share": Variable("f8", "1", "share of the time spent beyond the walls", dims=_B),
+    "multiplier_abs": Variable("f8", "1", "largest modulus of the Floquet multipliers"),
+    "lyapunov": Variable("f8", "s-1", "largest Lyapunov exponent"),
+    "lyapunov_error": Variable("f8", "s-1", "standard error of the largest Lyapunov exponent"),
+    **COUNTS,
+    "t_settled": Variable("f8", "s", "simulated time until the response was accepted"),
+    "t_simulated": Variable("f8", "s", "simulated time of the motion: settling and recording"),
+    "noise": Variable("f8", "m", "expected noise of the section; distance to an equilibrium"),
+    "x_end": Variable("f8", "m", "displacement at the last section point", dims=_Q),
+    "v_end": Variable("f8", "m s-1", "velocity at the last section point", dims=_Q),
+    "cpu_time": Variable("f8", "s", "processor time of motion, shots and tangents, in the worker"),
+    "contact_x_max": Variable("f8", "m", "peak relative displacement at the contact", dims=_B),
+    "contact_x_min": Variable("f8", "m", "trough relative displacement at the contact", dims=_B),
+    "period": Variable("f8", "s", "period of an unforced response"),
+    "z_end": Variable("f8", "", "first-order states at the last section point", dims=(LAG,)),
+}
+# Lists of any length: names, and NumPy type codes. Multipliers are stored as real and imaginary
+# parts in turn, section points as their components.
+LISTS = {"extrema": "f8", "extremum_kind": "i1", "multipliers": "f8", "section": "f8"}
+# All variables of responses in datasets; lists are padded where they end.
+RESPONSE: dict[str, Variable] = {
+    **COLUMNS,
+    "extrema": Variable(
+        "f8", "m", "steady zero-velocity displacements in time order", dims=_EXTREMA
+    ),
+    "extremum_kind": Variable("i1", "1", "kind of each extremum", -9, KIND_FLAGS, _EXTREMA),
+    "section_x": Variable("f8", "m", "displacement at whole forcing periods", dims=_SECTION),
+    "section_v": Variable("f8", "m s-1", "velocity at whole forcing periods", dims=_SECTION),
+    "section_z": Variable(
+        "f8", "", "first-order state at whole forcing periods", dims=(SECTION_POINT, LAG)
+    ),
+    "contact_section_x": Variable(
+        "f8", "m", "relative displacement at the contact at whole forcing periods", dims=_SECTION_B
+    ),
+    "contact_section_v": Variable(
+        "f8", "m s-1", "relative velocity at the contact at whole forcing periods", dims=_SECTION_B
+    ),
+    "multiplier_real": Variable(
+        "f8", "1", "real part of the Floquet multipliers", dims=(MULTIPLIER,)
+    ),
+    "multiplier_imag": Variable(
+        "f8", "1", "imaginary part of the Floquet multipliers", dims=(MULTIPLIER,)
+    ),
+}
+_OF_CONTACTS = ("force_max", "contact_share")
+_MESSAGE = {"message": Variable("str", "", "reason for a failure or an unresolved response")}
+_OSCILLATOR = OscillatorStructure()
+
+
+def columns_of(structure: AnyStructure) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Columns of responses: NumPy type code, and the shape of one point's value.
+
+    Values of a single coordinate, or of a single contact, are plain numbers.
+    """
+    sizes = {COORDINATE: structure.n, CONTACT: len(structure.contacts)}
+    shapes = {dim: () if size == 1 else (size,) for dim, size in sizes.items()}
+    shapes |= {LAG: (structure.m,)}
+    return {
+        name: (variable.dtype, shapes[variable.dims[0]] if variable.dims else ())
+        for name, variable in COLUMNS.items()
+        if name in _OF_CONTACTS or exists(name, structure)
+    }
+
+
+def exists(name: str, structure: AnyStructure) -> bool:
+    """Whether datasets of models of a structure have a variable or coordinate.
+
+    Contacts have a relative displacement unless the only one follows the only coordinate.
+    """
+    n_contacts = len(structure.contacts)
+    if name in ("z_0", "z_end", "section_z"):
+        return structure.m > 0
+    if name.startswith("contact_") and name not in _OF_CONTACTS:
+        return n_contacts > 0 and structure.n * n_contacts > 1
+    if name in _OF_CONTACTS:
+        return n_contacts > 0
+    return name != "period" or not structure.is_forced
+
+
+def part_sizes(structure: AnyStructure) -> dict[str, int]:
+    """Dimensions within a point: those of several coordinates, contacts or first-order states."""
+    sizes = {COORDINATE: structure.n, CONTACT: len(structure.contacts), LAG: structure.m}
+    return {name: size for name, size in sizes.items() if size > 1}
+
+
+def sizes_of(structure: AnyStructure, steady: "Steady") -> dict[str, int]:
+    """Lengths of all dimensions within a point: of padded lists, and those of `part_sizes`."""
+    return {
+        EXTREMUM: steady.max_extrema,
+        SECTION_POINT: steady.max_period_multiple,
+        MULTIPLIER: structure.n_states,
+        **part_sizes(structure),
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,8 +300,8 @@ class Response:
     message : str
         Why the point failed, or is unresolved and what may help; empty otherwise.
     inputs : mapping of str to object
-        What was asked: ``oscillator``, ``law``, ``omega`` [Hz] and the initial state ``start``, the
-        last two in the shape of the response.
+        Arguments of the call by name, defaults included; frequencies and initial states have the
+        shape of the response. ``gs.respond(**found.inputs)`` computes it again.
 
     Examples
     --------
@@ -247,6 +310,11 @@ class Response:
     >>> found = gs.respond(gs.Oscillator(), law, omega=9.0)
     >>> found.response_class.name, found.multiplier_abs < 1.0
     ('PERIODIC', True)
+    >>> several = gs.respond(gs.Oscillator(), law, omega=[7.0, 9.0])
+    >>> several.response_class == gs.ResponseClass.PERIODIC
+    array([ True,  True])
+    >>> several.response_class[1].name, dict(several.to_dataset().sizes)["omega"]
+    ('PERIODIC', 2)
     """
 
     status: Status
@@ -282,48 +350,69 @@ class Response:
     message: str = ""
     inputs: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
+    def to_dataset(self) -> Any:
+        """The responses as an `xarray.Dataset`, with the variables of ``responses.nc``.
+
+        Its dimensions are `omega` and `initial_condition` where every frequency is computed from
+        every initial state, otherwise `point`.
+        """
+        model, steady = self.inputs["oscillator"], self.inputs["steady"]
+        structure, n = structure_of(model), math.prod(np.shape(self.status))
+        columns = {
+            name: np.asarray(getattr(self, name)).astype(dtype).reshape(n, *shape)
+            for name, (dtype, shape) in columns_of(structure).items()
+        }
+        lists = {
+            name: _joined(name, found.flat if isinstance(found, np.ndarray) else [found])
+            for name in LISTS
+            for found in [getattr(self, name)]
+        }
+        of_contacts = np.broadcast_to(model.directions, (n, *np.shape(model.directions)))
+        arrays = Responses(columns, lists, {}).arrays(sizes_of(structure, steady), of_contacts)
+        arrays["message"] = np.ravel(self.message).astype(str)
+        return dataset(self.inputs, np.shape(self.status), RESPONSE | _MESSAGE, arrays)
+
     def to_dataframe(self) -> Any:
         """The responses as a `pandas.DataFrame`, a row each, without extrema and sections.
 
-        Columns are the frequency, the initial state, and the attributes. Values of several
-        coordinates or contacts have columns of their own, as ``x_max[0]``. Status and class are
-        words.
+        Columns are the variables of `to_dataset`; values of several coordinates or contacts have
+        a column each, as ``x_max[q_1]``. Status and class are words.
         """
-        import pandas as pd  # half a second, which no computation needs
-
-        n, columns = math.prod(np.shape(self.status)), dict[str, Any]()
-        found = {each.name: getattr(self, each.name) for each in fields(self)}
-        asked = {name: self.inputs[name] for name in ("omega", "start") if name in self.inputs}
-        for name, values in {**asked, **found}.items():
-            if name not in (*LISTS, "inputs"):
-                table = np.reshape(np.asarray(values), (n, -1))
-                names = [name] if table.shape[1] == 1 else _numbered(name, table.shape[1])
-                columns |= dict(zip(names, table.T, strict=True))
-        columns["status"] = [Status(value).label for value in columns["status"]]
-        classes = [ResponseClass(value).name.lower() for value in columns["response_class"]]
-        return pd.DataFrame(columns | {"response_class": classes}).dropna(axis=1, how="all")
+        return to_dataframe(self.to_dataset())
 
     def _repr_html_(self) -> str:
-        shown = self.to_dataframe()
-        return str((shown if np.shape(self.status) else shown.T)._repr_html_())
+        return as_html(self.to_dataset())
 
     def __repr__(self) -> str:
-        kinds, counts = np.unique(self.response_class, return_counts=True)
-        said = [ResponseClass(kind).name.lower() for kind in kinds]
+        kinds, counts = np.unique(np.asarray(self.response_class, object), return_counts=True)
+        said = [kind.name.lower() for kind in kinds]
         if shape := np.shape(self.status):
             listed = [f"{n} {kind}" for n, kind in zip(counts, said, strict=True)]
             return f"<gapsweep.Response of shape {shape}: {', '.join(listed)}>"
         if self.period_multiple:
             said.append(f"period multiple {self.period_multiple}")
-        said.append(Status(self.status).label)
+        said.append(self.status.label)
         for name in ("x_min", "x_max"):
             values = np.atleast_1d(getattr(self, name)).tolist()
             said.append(f"{name} {' '.join(f'{value:.6g}' for value in values)}")
         return f"<gapsweep.Response: {', '.join(said)}>"
 
 
-def _numbered(name: str, n: int) -> list[str]:
-    return [f"{name}[{i}]" for i in range(n)]
+def _joined(name: str, rows: Iterable[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """All items of the lists of one name, row after row, and how many each row has."""
+    parts = [np.asarray(row, LISTS[name]) for row in rows]
+    return np.concatenate([np.empty(0, LISTS[name]), *parts]), np.array(
+        [*map(len, parts)], np.int64
+    )
+
+
+def _padded(
+    items: NDArray[Any], counts: NDArray[np.integer], size: int, missing: float
+) -> NDArray[Any]:
+    """Lists of different lengths as the rows of an array, padded where they end."""
+    rows = np.full((len(counts), size, *items.shape[1:]), missing, items.dtype)
+    rows[np.arange(size) < counts[:, None]] = items
+    return rows
 
 
 def missing(n: int, structure: AnyStructure) -> dict[str, NDArray[Any]]:
@@ -367,11 +456,10 @@ class Responses:
         for name, column in columns.items():
             for row, response in enumerate(responses):
                 column[row] = getattr(response, name)
-        lists = {}
-        for name, dtype in LISTS.items():
-            rows = [getattr(response, name) for response in responses]
-            items = np.array([item for row in rows for item in row], dtype)
-            lists[name] = items, np.array(list(map(len, rows)), np.int64)
+        lists = {
+            name: _joined(name, (getattr(response, name) for response in responses))
+            for name in LISTS
+        }
         messages = {k: response.message for k, response in enumerate(responses)}
         return cls(columns, lists, {k: text for k, text in messages.items() if text})
 
@@ -427,6 +515,46 @@ class Responses:
         """Which of these states are numbers, shape (n,)."""
         return np.asarray(np.isfinite(self.ends).all(axis=1))
 
+    def arrays(
+        self, sizes: Mapping[str, int], directions: NDArray[np.float64]
+    ) -> dict[str, NDArray[Any]]:
+        """Values of the dataset's variables, shape (n, ...); lists are padded where they end.
+
+        Parameters
+        ----------
+        sizes : mapping of str to int
+            Lengths of the dimensions within a point; 0 leaves out the extrema.
+        directions : ndarray, shape (n, n_contacts, n_coordinates)
+            Of each response, for relative displacements ``b · q`` and velocities.
+        """
+        n, (_, n_contacts, n_q), n_states = len(self), directions.shape, self.ends.shape[1]
+        found = {
+            name: column
+            for name, column in self.columns.items()
+            if n_contacts or name not in _OF_CONTACTS
+        }
+        if size := sizes[EXTREMUM]:
+            shown = np.minimum(found["n_extrema"], size).ravel()  # coordinate by coordinate
+            for name in ("extrema", "extremum_kind"):
+                rows = _padded(self.lists[name][0], shown, size, RESPONSE[name].missing)
+                found[name] = rows.reshape(n, n_q, size).swapaxes(1, 2)
+        items, counts = self.lists["multipliers"]
+        for i, name in enumerate(("multiplier_real", "multiplier_imag")):
+            found[name] = _padded(items[i::2], counts // 2, sizes[MULTIPLIER], math.nan)
+        items, counts = self.lists["section"]
+        x, v, z = np.split(items.reshape(-1, n_states), [n_q, 2 * n_q], axis=1)
+        points = {"section_x": x, "section_v": v} | ({"section_z": z} if z.shape[1] else {})
+        if "contact_x_max" in found:
+            along = np.repeat(directions, counts // n_states, axis=0)
+            for name, part in (("contact_section_x", x), ("contact_section_v", v)):
+                points[name] = np.einsum("skj,sj->sk", along, part)
+        for name, part in points.items():
+            found[name] = _padded(part, counts // n_states, sizes[SECTION_POINT], math.nan)
+        return {
+            name: values.reshape(n, *(sizes[dim] for dim in RESPONSE[name].dims if dim in sizes))
+            for name, values in found.items()
+        }
+
     def row(self, k: int) -> Response:
         """One response as plain values."""
         return self.take([k]).rows()[0]
@@ -456,6 +584,8 @@ class Responses:
             plain = np.int64 if dtype.startswith("i") else np.float64
             values[name] = np.empty(len(self), dtype=object)
             values[name][:] = [np.array(items, plain) for items in self._split(name)]
+        for name, kind in (("status", Status), ("response_class", ResponseClass)):
+            values[name] = members(kind, self.columns[name])
         values["message"] = np.array([self.messages.get(k, "") for k in range(len(self))], object)
         for name in ("period", "contact_x_max", "contact_x_min"):
             values.setdefault(name, np.full(len(self), math.nan))

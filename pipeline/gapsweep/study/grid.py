@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.structure import AnyStructure
 from gapsweep.study.points import FIXED, SWEEPS, canonical
-
-START = "initial_condition"
-COORDINATE, CONTACT, LAG = "coordinate", "contact", "lag"
+from gapsweep.variables import CONTACT as CONTACT
+from gapsweep.variables import COORDINATE as COORDINATE
+from gapsweep.variables import LAG as LAG
+from gapsweep.variables import START as START
 
 Axes = Mapping[str, Sequence[Any]]
 # Part of a study's grid: the positions wanted along each dimension, ascending.

@@ -17,7 +17,7 @@ from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import AnyStructure, structure_of
 from gapsweep.model.system import System
 from gapsweep.study.axes import count, forms, values
-from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Axes, starts_of
+from gapsweep.study.grid import START, Axes, starts_of
 from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical
 from gapsweep.study.problems import EXAMPLES
 from gapsweep.study.spec import StudySpec, SweepTable
@@ -105,9 +105,7 @@ class ParametricModel:
     @property
     def parts(self) -> dict[str, tuple[str, ...]]:
         """Dimensions within a point, those with several entries, and the names along them."""
-        lags = tuple(f"z_{i + 1}" for i in range(self.structure.m))
-        found = {COORDINATE: self.default.coordinates, CONTACT: self.contacts, LAG: lags}
-        return {name: tuple(names) for name, names in found.items() if len(names) > 1}
+        return self.default.parts
 
     def labels(self, representation: str) -> tuple[str, ...]:
         """Of every contact the label of its law, where all others have this one."""

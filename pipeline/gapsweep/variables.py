@@ -1,0 +1,230 @@
+"""Variables of datasets, and the datasets and tables of the results of one call."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from itertools import permutations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.status import Status
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+START, POINT = "initial_condition", "point"
+# Dimensions within a point: the parts of a system, and lists that are padded where they end.
+COORDINATE, CONTACT, LAG = "coordinate", "contact", "lag"
+EXTREMUM, SECTION_POINT, MULTIPLIER = "extremum", "section_point", "multiplier"
+# Units that do not depend on the meaning of a coordinate.
+_OWN_UNITS = {"1", "s", "s-1", "Hz"}
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One dataset variable.
+
+    Attributes
+    ----------
+    dtype : str
+        NumPy type code, or ``"str"``.
+    units : str
+        UDUNITS text, ``"1"`` if nondimensional; empty if its user alone knows.
+    long_name : str
+    missing : float
+        Value in cells that are no sweep point.
+    flags : tuple of (str, int)
+        Meanings and values, for flag variables.
+    dims : tuple of str
+        Dimensions within a point. An oscillator has no `COORDINATE`, `CONTACT` and `LAG`.
+    """
+
+    dtype: str
+    units: str
+    long_name: str
+    missing: float = float("nan")
+    flags: tuple[tuple[str, int], ...] = ()
+    dims: tuple[str, ...] = ()
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Attributes of the variable in a file."""
+        attributes: dict[str, Any] = {"units": self.units} if self.units else {}
+        attributes["long_name"] = self.long_name
+        if self.flags:
+            names, values = zip(*self.flags, strict=True)
+            attributes["flag_values"] = np.array(values, dtype=self.dtype)
+            attributes["flag_meanings"] = " ".join(names)
+        return attributes
+
+    @property
+    def of_systems(self) -> "Variable":
+        """The variable of a system, whose user alone knows whether coordinates are lengths."""
+        return self if self.units in _OWN_UNITS else replace(self, units="")
+
+
+# Of every variable the dimensions, and what it is.
+Described = Mapping[str, tuple[tuple[str, ...], Variable]]
+
+
+def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
+    """Arrays of a table's variables, in which all is missing."""
+    return {
+        name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
+        for name, (dims, variable) in table.items()
+    }
+
+
+def with_attributes(table: Described, arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays with their dimensions and attributes, as a dataset takes them."""
+    return {
+        name: (dims, arrays[name], variable.attributes) for name, (dims, variable) in table.items()
+    }
+
+
+STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
+# Of every motion.
+COUNTS = {
+    "n_contacts": Variable("i8", "1", "wall crossings of the motion, in and out", 0),
+    "n_steps": Variable("i8", "1", "accepted steps of the motion", 0),
+    "n_rejected": Variable("i8", "1", "rejected steps of the motion", 0),
+    "nfev": Variable("i8", "1", "right-hand sides of the motion", 0),
+}
+# What a point of a call starts from.
+INPUTS = {
+    "omega": Variable("f8", "Hz", "forcing frequency"),
+    START: Variable("i4", "1", "number of the start"),
+    "x_0": Variable("f8", "m", "initial displacement", dims=(COORDINATE,)),
+    "v_0": Variable("f8", "m s-1", "initial velocity", dims=(COORDINATE,)),
+    "z_0": Variable("f8", "", "initial first-order state", dims=(LAG,)),
+}
+# The dimensions that systems have within a point.
+PARTS = {
+    COORDINATE: Variable("str", "1", "coordinate of the system"),
+    CONTACT: Variable("str", "1", "contact of the system"),
+    LAG: Variable("str", "1", "first-order state of the system"),
+}
+
+
+def members(kind: type[IntEnum], numbers: NDArray[np.integer]) -> Any:
+    """The members of an enumeration that counts from 0 with these numbers; one of a 0-d array."""
+    return np.array([*kind], dtype=object)[numbers]
+
+
+def dataset(
+    inputs: Mapping[str, Any],
+    shape: tuple[int, ...],
+    table: Mapping[str, Variable],
+    arrays: Mapping[str, NDArray[Any]],
+) -> "xr.Dataset":
+    """Dataset of the points of a call.
+
+    Its dimensions are `omega` and `initial_condition` where every frequency is computed from every
+    initial state, otherwise `point`. The other inputs are its attributes.
+
+    Parameters
+    ----------
+    inputs : mapping of str to object
+        Arguments of the call by name; frequencies and initial states in the shape of the points.
+    shape : tuple of int
+    table : mapping of str to Variable
+        The variables.
+    arrays : mapping of str to ndarray, shape (n, ...)
+        Their values: of all points, flat, along their dimensions.
+    """
+    import xarray as xr  # takes half a second, which no computation needs
+
+    parts, is_system = inputs["oscillator"].parts, "q_0" in inputs
+    states = {
+        name.replace("q", "x"): np.reshape(inputs[name], (*shape, -1))
+        for name in ("x_0", "q_0", "v_0", "z_0")
+        if name in inputs
+    }
+    axes = {START: np.concatenate([*states.values()], axis=-1)}
+    if inputs["omega"] is not None:
+        axes = {"omega": np.reshape(inputs["omega"], (*shape, 1))} | axes
+
+    def spans(dims: tuple[str, ...]) -> bool:
+        """Whether every input is constant along the dimensions of the others."""
+        others = ((i, axes[x]) for i, dim in enumerate(dims) for x in axes if x != dim)
+        return all(bool((values == values.take([0], i)).all()) for i, values in others)
+
+    dims = next(filter(spans, permutations(axes, len(shape))), (POINT,))
+    sizes = dict(zip(dims, shape if len(dims) == len(shape) else (-1,), strict=True))
+    sizes |= {name: len(labels) for name, labels in parts.items()}
+    described = {**INPUTS, **table}
+
+    def variable(name: str, along: tuple[str, ...], values: NDArray[Any]) -> tuple[Any, ...]:
+        """A variable as xarray takes it, without dimensions that such a model does not have."""
+        form = described[name].of_systems if is_system else described[name]
+        along += tuple(dim for dim in form.dims if dim in parts or dim not in PARTS)
+        return along, values.reshape([sizes.get(dim, -1) for dim in along]), form.attributes
+
+    found = {name: (name, list(labels), PARTS[name].attributes) for name, labels in parts.items()}
+    if START in dims:
+        found[START] = variable(START, (START,), np.arange(sizes[START], dtype="i4"))
+    for name, values in (axes | states).items():
+        own = tuple(dim for dim in dims if dim in (POINT, "omega" if name == "omega" else START))
+        if name != START:
+            at = tuple(slice(None) if dim in own else 0 for dim in dims)
+            found[name] = variable(name, own, values[at])
+    found |= {name: variable(name, dims, values) for name, values in arrays.items()}
+    attributes = {
+        name: value if isinstance(value, str | float) else repr(value)
+        for name, value in inputs.items()
+        if name not in ("omega", *states, "q_0")
+    }
+    coordinates = [name for name in found if name not in arrays]
+    made = xr.Dataset(found, attrs=attributes).set_coords(coordinates)
+    return made.transpose("omega", START, ..., missing_dims="ignore")
+
+
+def to_dataframe(dataset: "xr.Dataset", *more: str) -> Any:
+    """Table of a dataset's points, as a `pandas.DataFrame`.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        As ``responses.nc``, or a part of it.
+    *more : str
+        Dimensions that have a row for each entry, too.
+
+    Returns
+    -------
+    DataFrame
+        Columns are dimensions, then variables with one value in a row; values of every coordinate
+        or contact of a system have their own, as ``x_max[h]``. Flags are words. Cells that are no
+        sweep point are left out.
+    """
+    rows, columns = (*dataset["status"].dims, *more), dict[str, Any]()
+    if not rows:
+        return to_dataframe(dataset.expand_dims(POINT)).drop(columns=POINT)
+    for name, variable in _in_words(dataset.reset_coords()).data_vars.items():
+        within = [dim for dim in variable.dims if dim not in rows]
+        if not within:
+            columns[str(name)] = variable
+        elif len(within) == 1 and within[0] in PARTS:
+            for part in variable.transpose(within[0], ...):
+                columns[f"{name}[{part[within[0]].item()}]"] = part.drop_vars(within)
+    frame = type(dataset)(columns).to_dataframe(dim_order=rows).reset_index()
+    return frame[frame["status"] != Status.NOT_REQUESTED.label]
+
+
+def as_html(dataset: "xr.Dataset") -> str:
+    """Table of a dataset's points; of a single one with a row for each of its values."""
+    shown = to_dataframe(dataset)
+    return str((shown if dataset["status"].dims else shown.T)._repr_html_())
+
+
+def _in_words(dataset: "xr.Dataset") -> "xr.Dataset":
+    words = {}
+    for name, variable in dataset.data_vars.items():
+        if "flag_meanings" in variable.attrs:
+            meanings = variable.attrs["flag_meanings"].split()
+            values = np.atleast_1d(variable.attrs["flag_values"]).tolist()
+            known = dict(zip(values, meanings, strict=True))
+            text = [known.get(value, "") for value in variable.values.ravel().tolist()]
+            words[name] = (variable.dims, np.array(text, dtype=object).reshape(variable.shape))
+    return dataset.assign(words)

@@ -1,0 +1,133 @@
+"""Results of `gs.respond` and `gs.simulate`: their inputs, datasets, tables and pickles."""
+
+import pickle
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_array_equal
+
+import gapsweep as gs
+
+OSCILLATOR = gs.Oscillator()
+LAW = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+OMEGA, STARTS = np.array([7.0, 9.0, 11.0]), np.array([0.0, 2e-4])
+QUICK = gs.Steady(settle_tol=1e-2, max_decay_times=6.0, n_periods=16, max_period_multiple=8)
+TWO = (gs.systems.two_masses(), gs.systems.two_masses_law())
+# What grows without bound from the second start.
+SOFT = gs.Oscillator(alpha=-7e8)
+
+
+def responded(model=OSCILLATOR, law=LAW, omega=OMEGA, **given):
+    return gs.respond(model, law, omega, steady=QUICK, **given)
+
+
+RESULTS = {
+    "one": lambda: responded(omega=9.0),
+    "many": responded,
+    "failing": lambda: responded(SOFT, omega=5.0, x_0=[0.0, 5e-3]),
+    "system": lambda: responded(*TWO, omega=0.6),
+    "systems": lambda: responded(*TWO, omega=[0.6, 0.8], q_0=[0.01, 0.0]),
+    "run": lambda: gs.simulate(OSCILLATOR, LAW, 9.0, t_end=1.0),
+    "runs": lambda: gs.simulate(OSCILLATOR, LAW, OMEGA, t_end=1.0, rtol=1e-7),
+    "history": lambda: gs.simulate(OSCILLATOR, LAW, OMEGA, t_end=1.0, dense_output=True),
+    "system run": lambda: gs.simulate(*TWO, 0.6, t_end=20.0),
+    "system history": lambda: gs.simulate(*TWO, 0.6, t_end=20.0, dense_output=True),
+}
+
+
+@pytest.fixture(scope="module", params=RESULTS)
+def result(request):
+    return RESULTS[request.param]()
+
+
+def test_inputs_compute_the_result_again(result):
+    call = gs.respond if isinstance(result, gs.Response) else gs.simulate
+    again = call(**result.inputs).to_dataset().drop_vars("cpu_time", errors="ignore")
+    xr.testing.assert_identical(again, result.to_dataset().drop_vars("cpu_time", errors="ignore"))
+
+
+def test_results_can_be_pickled(result):
+    again = pickle.loads(pickle.dumps(result))
+    xr.testing.assert_identical(again.to_dataset(), result.to_dataset())
+    assert repr(again) == repr(result)
+
+
+def test_results_are_files_and_tables(result, tmp_path):
+    found = result.to_dataset()
+    found.to_netcdf(tmp_path / "found.nc")
+    with xr.open_dataset(tmp_path / "found.nc") as read:
+        xr.testing.assert_equal(read, found)
+    table, n_times = result.to_dataframe(), found.sizes.get("t", 1)
+    assert len(table) == found["status"].size * n_times
+    assert set(table["status"]) <= {status.label for status in gs.Status}
+    assert "x_0" in table or "x_0[x_1]" in table
+    html = result._repr_html_()
+    assert "<table" in html
+    assert "x_max" in html or "x_end" in html
+
+
+def test_statuses_and_classes_are_members_in_every_form():
+    one, many = RESULTS["one"](), RESULTS["failing"]()
+    assert one.response_class is gs.ResponseClass.PERIODIC
+    assert one.status is many.status[0] is gs.Status.OK
+    assert many.response_class[1].name == "FAILED"
+    assert_array_equal(many.response_class == gs.ResponseClass.FAILED, [False, True])
+    assert_array_equal(many.status == gs.Status.DIVERGED, [False, True])
+    assert "diverged" in many.to_dataset()["message"].values[1]
+    runs = gs.simulate(SOFT, LAW, 5.0, x_0=[0.0, 5e-3], t_end=5.0)
+    assert [status.label for status in runs.status] == ["ok", "diverged"]
+
+
+@pytest.mark.parametrize(
+    ("omega", "x_0", "dims"),
+    [
+        (9.0, 0.0, {}),
+        (OMEGA, 0.0, {"omega": 3}),
+        (9.0, STARTS, {"initial_condition": 2}),
+        (OMEGA[:, None], STARTS, {"omega": 3, "initial_condition": 2}),
+        (OMEGA, STARTS[:, None], {"omega": 3, "initial_condition": 2}),
+        (OMEGA[:2], STARTS, {"point": 2}),
+        (OMEGA[:2, None] + [[0.0, 0.1]], STARTS, {"point": 4}),
+        (np.reshape([7.0, 8.0, 9.0, 10.0], (1, 2, 2)), 0.0, {"point": 4}),
+    ],
+)
+def test_dimensions_follow_from_the_inputs(omega, x_0, dims):
+    run = gs.simulate(OSCILLATOR, LAW, omega, x_0, t_end=0.5)
+    found = run.to_dataset()
+    assert dict(found.sizes) == dims
+    assert found["x_end"].dims == tuple(dims)
+    # Every value is at its own frequency and initial state.
+    asked = np.broadcast_arrays(omega, x_0)
+    for value, *inputs in zip(np.ravel(run.x_end), *map(np.ravel, asked), strict=True):
+        alike = (found["omega"] == inputs[0]) & (found["x_0"] == inputs[1])
+        assert value in found["x_end"].where(alike).values
+
+
+def test_systems_have_their_names_and_no_units_of_length():
+    found = RESULTS["systems"]().to_dataset()
+    assert found["x_max"].dims == ("omega", "coordinate")
+    assert found["coordinate"].values.tolist() == list(TWO[0].coordinates)
+    assert found["x_0"].values.tolist() == [0.01, 0.0]
+    assert "units" not in found["x_max"].attrs
+    assert found["omega"].attrs["units"] == "Hz"
+    assert found["section_x"].dims == ("omega", "section_point", "coordinate")
+
+
+def test_a_system_that_is_not_forced_has_no_frequency():
+    section, law = gs.systems.typical_section(12.0), gs.systems.typical_section_law()
+    found = gs.respond(section, law, q_0=[[0.01, 0.0, 0.0], [0.02, 0.0, 0.0]], rtol=1e-6)
+    dataset = found.to_dataset()
+    assert dataset["x_max"].dims == ("initial_condition", "coordinate")
+    assert "omega" not in dataset.variables
+    assert_array_equal(dataset["period"], found.period)
+    assert_array_equal(dataset["z_end"], found.z_end)
+
+
+def test_histories_are_those_of_the_run():
+    run = RESULTS["system history"]()
+    found = run.to_dataset()
+    assert found["x"].dims == ("t", "coordinate")
+    assert_array_equal(found["t"], run.t)
+    assert_array_equal(found["x"], run.q)
+    assert_array_equal(found["v"], run.v)
