@@ -100,7 +100,6 @@ class Oscillator:
     n_states: ClassVar[int] = 2
     coordinates: ClassVar[tuple[str, ...]] = ("x",)
     parts: ClassVar[dict[str, tuple[str, ...]]] = {}
-    parts: ClassVar[dict[str, tuple[str, ...]]] = {}
     is_forced: ClassVar[bool] = True
     sizes: ClassVar[tuple[int, ...]] = ()
     directions: ClassVar[tuple[tuple[float, ...], ...]] = ((1.0,),)
