@@ -409,9 +409,9 @@ def _joined(name: str, rows: Iterable[Any]) -> tuple[NDArray[Any], NDArray[np.in
 def _padded(
     items: NDArray[Any], counts: NDArray[np.integer], size: int, missing: float
 ) -> NDArray[Any]:
-    """Lists of different lengths as the rows of an array, padded where they end."""
-    rows = np.full((len(counts), size, *items.shape[1:]), missing, items.dtype)
-    rows[np.arange(size) < counts[:, None]] = items
+    """Lists of different lengths as rows of an array, after the axes of `counts`, padded."""
+    rows = np.full((*counts.shape, size, *items.shape[1:]), missing, items.dtype)
+    rows[np.arange(size) < counts[..., None]] = items
     return rows
 
 
@@ -534,10 +534,10 @@ class Responses:
             if n_contacts or name not in _OF_CONTACTS
         }
         if size := sizes[EXTREMUM]:
-            shown = np.minimum(found["n_extrema"], size).ravel()  # coordinate by coordinate
+            shown = np.minimum(found["n_extrema"], size)  # coordinate by coordinate
             for name in ("extrema", "extremum_kind"):
                 rows = _padded(self.lists[name][0], shown, size, RESPONSE[name].missing)
-                found[name] = rows.reshape(n, n_q, size).swapaxes(1, 2)
+                found[name] = np.moveaxis(rows, -1, 1)
         items, counts = self.lists["multipliers"]
         for i, name in enumerate(("multiplier_real", "multiplier_imag")):
             found[name] = _padded(items[i::2], counts // 2, sizes[MULTIPLIER], math.nan)
