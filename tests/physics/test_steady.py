@@ -585,3 +585,11 @@ def test_free_vibration_between_walls_is_periodic(rtol):
     inside = math.asin(0.5 / math.hypot(0.5, speed / inner)) / inner
     assert_allclose(found.period, 4.0 * (inside + outside), rtol=max(10.0 * rtol, 1e-8))
     assert_allclose(found.multiplier_abs, 1.0, atol=max(rtol, 1e-6))
+
+
+def test_undamped_motion_ends_whatever_error_of_the_exponent_is_wanted():
+    law, steady = gs.Piecewise(1.4e6, SYMMETRIC), gs.Steady(lyapunov_error=0.2)
+    found = gs.respond(gs.Oscillator(zeta=0.0), law, 9.0, steady=steady)
+    assert found.response_class is gs.ResponseClass.UNRESOLVED
+    assert np.isnan(found.lyapunov)
+    assert "without damping" in found.message

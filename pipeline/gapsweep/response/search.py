@@ -387,6 +387,7 @@ class Search:
         # Another solver's tangent says less of the motion the longer it is.
         goes_on = is_undecided | (is_rough & (n_doubled <= self._steady.max_periods))
         goes_on &= self._ensemble.has_own_tangent & (n_doubled <= self._limits.longest[points])
+        goes_on &= growths.n_periods[points] > 0  # without damping no measurement was started
         growths.double(points[goes_on], self._walks.y[:, points[goes_on]])
         self._phase[points[goes_on]] = Phase.GROW
         # What turns about a torus shrinks and grows again, never by as much as it parts.
