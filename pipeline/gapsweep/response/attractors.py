@@ -12,16 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.response.lists import spans
+from gapsweep.response.ragged import spans
 from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.response.section import (
     CLOUD_CLOSE,
-    DEVIATIONS,
     cloud_distances,
     own_neighbours,
     reach_of,
     scaled,
 )
+from gapsweep.response.thresholds import DEVIATIONS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

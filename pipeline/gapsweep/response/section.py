@@ -11,21 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.response.thresholds import ALIKE, AS_GOOD, CONTRACTION_POINTS
+
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-DEVIATIONS = 4.0  # of the predicted scatter, within which two points are the same
 # Two samples of one attractor: this share of either has a neighbour in the other, closer than
 # that share of their extent.
 CLOUD_SHARE = 0.8
 CLOUD_CLOSE = 0.25
-# What repeats itself to this share cannot be told from a periodic motion: two orbits so close are
-# taken for one, too.
-ALIKE = 1e-3
-_WATCHED = 16  # section points in which a motion that is near a repeat must not have moved away
-_AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
 
 def unit_of(omega: ArrayLike) -> Array:
@@ -133,12 +129,12 @@ def likely_multiple(
     spreads = [float(np.sqrt(np.mean(each**2))) for each in distances]
     for n, (distance, spread) in enumerate(zip(distances, spreads, strict=True), start=1):
         # A disturbance that turns as it decays repeats better after some periods than others, ...
-        if distance.max() < closeness and spread <= min(_AS_WELL * min(spreads), scatter):
+        if distance.max() < closeness and spread <= min(AS_GOOD * min(spreads), scatter):
             # ... though the points scatter about fewer places.
             phases = section[:, n_points % n :].reshape(len(section), -1, n)
             places = phases.mean(axis=1)
             scatter = float(np.sqrt(np.mean(norm(phases - places[:, None]) ** 2)))
-            return prime_multiple(places, _AS_WELL * scatter / math.sqrt(phases.shape[1]))
+            return prime_multiple(places, AS_GOOD * scatter / math.sqrt(phases.shape[1]))
     return 0
 
 
@@ -178,8 +174,8 @@ def converging_multiples(
 
     Each of the last four points must be within `closeness` of the one n periods before, and either
     all within `same`, or the later two of them nearer than the farthest of those within `closeness`
-    among up to `_WATCHED` points. After a doubled period, half of it may stay within `closeness`
-    for ever: the whole one repeats much better.
+    among up to `CONTRACTION_POINTS` points. After a doubled period, half of it may stay within
+    `closeness` for ever: the whole one repeats much better.
 
     Parameters
     ----------
@@ -201,7 +197,7 @@ def converging_multiples(
     ndarray of int, shape (m,)
     """
     n_tried = max(0, min(largest, int(lengths[points].max(initial=0)) - 4))
-    latest = _latest(sections, lengths, points, n_tried + _WATCHED - 1)
+    latest = _latest(sections, lengths, points, n_tried + CONTRACTION_POINTS - 1)
     may = np.ones((len(points), n_tried), bool)
     with np.errstate(invalid="ignore"):
         for i in range(4):
@@ -209,8 +205,8 @@ def converging_multiples(
             may &= _are_near(latest[..., i : i + 1], earlier, closeness[:, None])
     # In the order of the sections, then of n.
     section, before = np.nonzero(may)
-    place = np.arange(_WATCHED) + before[:, None] + 1
-    steps = norm(latest[:, section, :_WATCHED] - latest[:, section[:, None], place])
+    place = np.arange(CONTRACTION_POINTS) + before[:, None] + 1
+    steps = norm(latest[:, section, :CONTRACTION_POINTS] - latest[:, section[:, None], place])
     # What was farther away was on its way here, and may be on its way out again.
     steps = np.where(steps < closeness[section, None], steps, np.nan)
     farthest = steps[:, :4].max(axis=1)  # NaN beyond `closeness`
@@ -218,7 +214,7 @@ def converging_multiples(
     farthest[~(contracts | (farthest <= same[section]))] = np.nan
     best = np.full(len(points), np.inf)
     np.fmin.at(best, section, farthest)
-    converging = farthest <= _AS_WELL * best[section]
+    converging = farthest <= AS_GOOD * best[section]
     found = np.zeros(len(points), np.int64)
     hits, first = np.unique(section[converging], return_index=True)
     found[hits] = before[converging][first] + 1

@@ -1,4 +1,4 @@
-"""Motions without a period that run round a torus: told from chaos and from slow settling."""
+"""Quasiperiodic motions: weighted Birkhoff averages tell a torus from chaos and slow settling."""
 
 from typing import NamedTuple
 
@@ -6,32 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response.section import norm, period_multiple
-from gapsweep.response.walks import Walks
+from gapsweep.response.thresholds import PERSISTENCE
+from gapsweep.response.windows import RecordedWindows
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
 _STILL = 1e-8  # of the largest scatter: a component with less does not move
 _REPEATS, _ROUNDING = 4, 1e-3
-_STAYS = 1 << 10  # forcing periods; more than there are points of a window
-_FARTHER = 1.1  # than the farthest ever
 _MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
 
 
-def _strict(shortest: int, longest: int) -> dict[int, float]:
-    """Over chaos means fall as the root of a window only, over a torus faster than any power."""
-    return {n: n**-1.25 for n in (shortest << k for k in range((longest // shortest).bit_length()))}
-
-
-# Windows in forcing periods, each twice the one before, and how much the means of their halves may
-# differ as a share of the scatter: where growth is measured as zero, so that a drift is all that is
-# left to exclude; where it has not told, near a locked motion; and where it was not measured long.
-ZERO, LONG = {1 << k: 1e-3 for k in range(12, 17)}, _strict(1 << 13, 1 << 16)
-SHORT = _strict(1 << 10, 1 << 13)
-
-
-class Watched(NamedTuple):
-    """What m motions that were watched turned out to be.
+class TorusTest(NamedTuple):
+    """What a test found of m motions.
 
     Attributes
     ----------
@@ -40,9 +27,9 @@ class Watched(NamedTuple):
     is_locked : ndarray of bool, shape (m,)
         Whether they repeat themselves after however many periods.
     y : ndarray, shape (n_states, m)
-        Where they are then.
+        States at its end.
     n_periods : ndarray of int, shape (m,)
-        Forcing periods for which they were watched.
+        Periods that the test took.
     """
 
     is_torus: NDArray[np.bool_]
@@ -51,15 +38,17 @@ class Watched(NamedTuple):
     n_periods: NDArray[np.int64]
 
 
-def watch(walks: Walks, points: Numbers, windows: dict[int, float], longest: Array) -> Watched:
+def torus_test(
+    motions: RecordedWindows, points: Numbers, windows: dict[int, float], longest: Array
+) -> TorusTest:
     """Follow motions until they are seen to run round a torus.
 
     A torus shows in two windows in turn: chaos may look like one by chance, hardly twice.
 
     Parameters
     ----------
-    walks : Walks
-        Where they are; that is not changed.
+    motions : RecordedWindows
+        Not changed.
     points : ndarray of int, shape (m,)
         Which of them.
     windows : dict of int to float
@@ -67,29 +56,33 @@ def watch(walks: Walks, points: Numbers, windows: dict[int, float], longest: Arr
     longest : ndarray, shape (m,)
         Forcing periods for which each may be watched.
     """
-    found = Watched(
+    found = TorusTest(
         np.zeros(len(points), bool),
         np.zeros(len(points), bool),
-        walks.y[:, points],
+        motions.y[:, points],
         np.zeros(len(points), np.int64),
     )
     at_a_time = max(1, _MOST_POINTS // max(windows))
     for first in range(0, len(points), at_a_time):
         some = np.arange(first, min(first + at_a_time, len(points)))
-        _watch(found, some, walks, points, windows, longest)
+        _test(found, some, motions, points, windows, longest)
     return found
 
 
-def _watch(
-    found: Watched,
+def _test(
+    found: TorusTest,
     left: Numbers,
-    walks: Walks,
+    motions: RecordedWindows,
     points: Numbers,
     windows: dict[int, float],
     longest: Array,
 ) -> None:
-    """Watch some of the points together."""
-    seemed, same, noise = np.zeros(len(points), bool), walks.same[points], walks.noise()[points]
+    """Test some of the points together."""
+    seemed, same, noise = (
+        np.zeros(len(points), bool),
+        motions.resolution[points],
+        motions.noise()[points],
+    )
     sections = dict.fromkeys(left.tolist(), np.empty((len(found.y), 0)))
     for length, allowed in windows.items():
         left = left[~(found.is_torus[left] | found.is_locked[left])]
@@ -97,7 +90,7 @@ def _watch(
         if not left.size:
             break
         n = length - found.n_periods[left]
-        call = walks.ensemble.call(points[left], found.y[:, left], n, np.zeros(len(left)))
+        call = motions.ensemble.call(points[left], found.y[:, left], n, np.zeros(len(left)))
         found.y[:, left], found.n_periods[left], left = call.y, length, left[call.is_ok]
         for k, i in zip(left.tolist(), np.flatnonzero(call.is_ok).tolist(), strict=True):
             new = call.section[:, call.period_ends[i] : call.period_ends[i + 1]]
@@ -108,53 +101,40 @@ def _watch(
             seemed[k] = seems
 
 
-def stay(
-    walks: Walks, points: Numbers, repeat: NDArray[np.bool_], longest: Array, largest: int
+def persists(
+    motions: RecordedWindows,
+    points: Numbers,
+    repeat: NDArray[np.bool_],
+    longest: Array,
+    largest: int,
 ) -> NDArray[np.bool_]:
-    """Which motions that repeat themselves, as `repeat` says, still do `_STAYS` periods on.
+    """Which motions that repeat themselves, as `repeat` says, still do `PERSISTENCE` periods on.
 
     A torus that comes near itself within the solver's noise creeps on, and is far away by then. Two
     states leave room for none. What may not be watched for so long is not known to stay.
 
     Parameters
     ----------
-    walks, points, longest
-        As of `watch`.
+    motions, points, longest
+        As of `torus_test`.
     repeat : ndarray of bool, shape (m,)
     largest : int
         Largest multiple of a forcing period that counts as one.
     """
-    if len(walks.y) == 2:
+    if len(motions.y) == 2:
         return repeat
     found = np.zeros(len(points), bool)
-    some = np.flatnonzero(repeat & (longest >= _STAYS))
+    some = np.flatnonzero(repeat & (longest >= PERSISTENCE))
     if some.size:
-        at, n = points[some], np.full(len(some), _STAYS)
-        call, same = walks.ensemble.call(at, walks.y[:, at], n, np.zeros(len(at))), walks.same[at]
+        at, n = points[some], np.full(len(some), PERSISTENCE)
+        call, same = (
+            motions.ensemble.call(at, motions.y[:, at], n, np.zeros(len(at))),
+            motions.resolution[at],
+        )
         for k in np.flatnonzero(call.is_ok).tolist():
             section = call.section[:, call.period_ends[k] : call.period_ends[k + 1]]
             found[some[k]] = period_multiple(section, float(same[k]), largest) > 0
     return found
-
-
-def stay_within(walks: Walks, points: Numbers) -> NDArray[np.bool_]:
-    """Which motions do not go farther and farther; forced ones do not.
-
-    What grows without bound stretches disturbances too, and is no chaos. That goes farther than it
-    ever was within `_STAYS` returns by chance, and hardly once more.
-    """
-    stays, swing, y = np.ones(len(points), bool), walks.ensemble.swing, walks.y[:, points]
-    left = np.flatnonzero(stays & walks.ensemble.is_free)
-    for n_returns in (_STAYS, 4 * _STAYS):
-        if not left.size:
-            break
-        at, n = points[left], np.full(len(left), n_returns)
-        before = swing[at]
-        call = walks.ensemble.call(at, y[:, left], n, np.full(len(left), np.inf))
-        farther, y[:, left] = swing[at] > _FARTHER * before, call.y
-        stays[left] = call.is_ok & ~farther
-        left = left[call.is_ok & farther]
-    return stays
 
 
 def _has_repeated(section: Array, same: float) -> bool:
