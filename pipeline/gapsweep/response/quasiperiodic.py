@@ -10,11 +10,12 @@ from gapsweep.response.thresholds import PERSISTENCE
 from gapsweep.response.windows import RecordedWindows
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 _STILL = 1e-8  # of the largest scatter: a component with less does not move
 _REPEATS, _ROUNDING = 4, 1e-3
-_MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
+MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
 
 
 class TorusTest(NamedTuple):
@@ -32,8 +33,8 @@ class TorusTest(NamedTuple):
         Periods that the test took.
     """
 
-    is_torus: NDArray[np.bool_]
-    is_locked: NDArray[np.bool_]
+    is_torus: Mask
+    is_locked: Mask
     y: Array
     n_periods: NDArray[np.int64]
 
@@ -41,7 +42,7 @@ class TorusTest(NamedTuple):
 def torus_test(
     motions: RecordedWindows, points: Numbers, windows: dict[int, float], longest: Array
 ) -> TorusTest:
-    """Follow motions until they are seen to run round a torus.
+    """Integrate motions until they are seen to run round a torus.
 
     A torus shows in two windows in turn: chaos may look like one by chance, hardly twice.
 
@@ -52,66 +53,37 @@ def torus_test(
     points : ndarray of int, shape (m,)
         Which of them.
     windows : dict of int to float
-        Forcing periods of windows, which begin where the motions are, and how much means differ.
+        Periods of windows, which begin where the motions are, and how much means differ.
     longest : ndarray, shape (m,)
-        Forcing periods for which each may be watched.
+        Periods for which each may be integrated.
     """
-    found = TorusTest(
-        np.zeros(len(points), bool),
-        np.zeros(len(points), bool),
-        motions.y[:, points],
-        np.zeros(len(points), np.int64),
-    )
-    at_a_time = max(1, _MOST_POINTS // max(windows))
-    for first in range(0, len(points), at_a_time):
-        some = np.arange(first, min(first + at_a_time, len(points)))
-        _test(found, some, motions, points, windows, longest)
-    return found
-
-
-def _test(
-    found: TorusTest,
-    left: Numbers,
-    motions: RecordedWindows,
-    points: Numbers,
-    windows: dict[int, float],
-    longest: Array,
-) -> None:
-    """Test some of the points together."""
-    seemed, same, noise = (
-        np.zeros(len(points), bool),
-        motions.resolution[points],
-        motions.noise()[points],
-    )
-    sections = dict.fromkeys(left.tolist(), np.empty((len(found.y), 0)))
+    is_torus, is_locked, seemed = np.zeros((3, len(points)), bool)
+    y, n_periods = motions.y[:, points], np.zeros(len(points), np.int64)
+    resolution, noise = motions.resolution[points], motions.noise()[points]
+    left, sections = np.arange(len(points)), [np.empty((len(y), 0))] * len(points)
     for length, allowed in windows.items():
-        left = left[~(found.is_torus[left] | found.is_locked[left])]
-        left = left[length <= longest[left]]
+        left = left[~(is_torus[left] | is_locked[left]) & (length <= longest[left])]
         if not left.size:
             break
-        n = length - found.n_periods[left]
-        call = motions.ensemble.call(points[left], found.y[:, left], n, np.zeros(len(left)))
-        found.y[:, left], found.n_periods[left], left = call.y, length, left[call.is_ok]
+        n = length - n_periods[left]
+        call = motions.ensemble.call(points[left], y[:, left], n, np.zeros(len(left)))
+        y[:, left], n_periods[left], left = call.y, length, left[call.is_ok]
         for k, i in zip(left.tolist(), np.flatnonzero(call.is_ok).tolist(), strict=True):
             new = call.section[:, call.period_ends[i] : call.period_ends[i + 1]]
             sections[k] = section = np.concatenate([sections[k], new], axis=1)
-            found.is_locked[k] = _has_repeated(section, float(same[k]))
-            seems = is_quasiperiodic(section, allowed, float(noise[k])) and not found.is_locked[k]
-            found.is_torus[k] = seems and seemed[k]
-            seemed[k] = seems
+            is_locked[k] = _has_repeated(section, float(resolution[k]))
+            seems = not is_locked[k] and is_quasiperiodic(section, allowed, float(noise[k]))
+            is_torus[k], seemed[k] = seems and seemed[k], seems
+    return TorusTest(is_torus, is_locked, y, n_periods)
 
 
 def persists(
-    motions: RecordedWindows,
-    points: Numbers,
-    repeat: NDArray[np.bool_],
-    longest: Array,
-    largest: int,
-) -> NDArray[np.bool_]:
+    motions: RecordedWindows, points: Numbers, repeat: Mask, longest: Array, largest: int
+) -> Mask:
     """Which motions that repeat themselves, as `repeat` says, still do `PERSISTENCE` periods on.
 
     A torus that comes near itself within the solver's noise creeps on, and is far away by then. Two
-    states leave room for none. What may not be watched for so long is not known to stay.
+    states leave room for none. A motion that may not be integrated for so long does not persist.
 
     Parameters
     ----------
@@ -119,21 +91,20 @@ def persists(
         As of `torus_test`.
     repeat : ndarray of bool, shape (m,)
     largest : int
-        Largest multiple of a forcing period that counts as one.
+        Largest multiple of a period that counts as one.
     """
     if len(motions.y) == 2:
         return repeat
-    found = np.zeros(len(points), bool)
-    some = np.flatnonzero(repeat & (longest >= PERSISTENCE))
-    if some.size:
-        at, n = points[some], np.full(len(some), PERSISTENCE)
-        call, same = (
-            motions.ensemble.call(at, motions.y[:, at], n, np.zeros(len(at))),
-            motions.resolution[at],
-        )
-        for k in np.flatnonzero(call.is_ok).tolist():
-            section = call.section[:, call.period_ends[k] : call.period_ends[k + 1]]
-            found[some[k]] = period_multiple(section, float(same[k]), largest) > 0
+    found = repeat & (longest >= PERSISTENCE)
+    at = points[found]
+    if at.size:
+        y, n = motions.y[:, at], np.full(len(at), PERSISTENCE)
+        call = motions.ensemble.call(at, y, n, np.zeros(len(at)))
+        ends = zip(call.period_ends, call.period_ends[1:], motions.resolution[at], strict=False)
+        found[found] = call.is_ok & [
+            period_multiple(call.section[:, first:last], float(resolution), largest) > 0
+            for first, last, resolution in ends
+        ]
     return found
 
 
@@ -170,7 +141,8 @@ def is_quasiperiodic(section: Array, allowed: float, noise: float) -> bool:
         Scatter [m] that the solver's tolerances admit: of a component with less nothing is known.
     """
     half = section.shape[1] // 2
-    weights = _faded(half)
+    t = (np.arange(half) + 0.5) / half
+    weights = np.exp(-1.0 / (t * (1.0 - t)))
     centred = section - section.mean(axis=1, keepdims=True)
     # Means tell what drifts, those of squares what shrinks.
     seen = np.concatenate([centred, np.square(centred)])
@@ -183,9 +155,3 @@ def is_quasiperiodic(section: Array, allowed: float, noise: float) -> bool:
     told = np.concatenate([moves, moves & (of_squares > _STILL * scatter.max() ** 2)])
     is_same = np.abs(means[0] - means[1]) <= allowed * spread
     return bool(told.any() and is_same[told].all())
-
-
-def _faded(n: int) -> Array:
-    """Weights of points whose ends are faded out, as smoothly as can be."""
-    t = (np.arange(n) + 0.5) / n
-    return np.asarray(np.exp(-1.0 / (t * (1.0 - t))))

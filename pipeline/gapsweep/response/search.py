@@ -28,7 +28,7 @@ from gapsweep.response.classification import Classification, State
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
 from gapsweep.response.equilibrium import linear_stability
 from gapsweep.response.lyapunov import LyapunovExponents
-from gapsweep.response.quasiperiodic import persists, torus_test
+from gapsweep.response.quasiperiodic import MOST_POINTS, persists, torus_test
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
     converging_multiples,
@@ -427,22 +427,22 @@ class Search:
         return np.where(goes_on, State.LYAPUNOV, after)
 
     def _test_torus(self, points: Numbers) -> States:
-        """Integrate for so long that motions run round a torus, if they are on one."""
+        """Integrate for so long that motions run round a torus, if they are on one.
+
+        Those with windows of one kind, and as many as memory takes; the others wait.
+        """
         is_zero, _ = self._is_zero(points)
-        is_long, after = self._exponents.is_long(points), np.full(len(points), State.SIGN_TEST)
-        for windows, of in (
-            (limit.SHORT_WINDOWS, ~is_long),
-            (limit.ZERO_WINDOWS, is_zero),
-            (limit.LONG_WINDOWS, is_long & ~is_zero),
-        ):
-            some = points[of]
-            seen = torus_test(self._windows, some, windows, self._longest[some])
-            at = seen.is_torus | seen.is_locked  # it takes longer to get there than damping says
-            verdict = np.where(seen.is_torus, State.QUASIPERIODIC, State.LOCKED)
-            self._verdict[some[at]] = verdict[at]
-            status = self._windows.status[some[at]]
-            self._windows.move_to(some[at], seen.y[:, at], status, seen.n_periods[at])
-            after[of] = np.where(at, State.LAST_WINDOW, State.SIGN_TEST)
+        kind = np.where(is_zero, 0, np.where(self._exponents.is_long(points), 1, 2))
+        windows = (limit.ZERO_WINDOWS, limit.LONG_WINDOWS, limit.SHORT_WINDOWS)[kind[0]]
+        tested = np.flatnonzero(kind == kind[0])[: MOST_POINTS // max(windows)]
+        some, after = points[tested], self.state[points]
+        seen = torus_test(self._windows, some, windows, self._longest[some])
+        at = seen.is_torus | seen.is_locked  # it takes longer to get there than damping says
+        verdict = np.where(seen.is_torus, State.QUASIPERIODIC, State.LOCKED)
+        self._verdict[some[at]] = verdict[at]
+        status = self._windows.status[some[at]]
+        self._windows.move_to(some[at], seen.y[:, at], status, seen.n_periods[at])
+        after[tested] = np.where(at, State.LAST_WINDOW, State.SIGN_TEST)
         return after
 
     def _test_sign(self, points: Numbers) -> States:

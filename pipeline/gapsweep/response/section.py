@@ -78,32 +78,55 @@ def reach_of(q: Array, unit: Array) -> Array:
 
 
 def period_multiple(section: Array, tolerance: float, largest: int) -> int:
-    """Smallest n for which the section repeats every n forcing periods; 0 if none does.
+    """`period_multiples` of one section, shape (n_states, n_periods)."""
+    length, first = np.array([section.shape[1]]), np.zeros(1, np.intp)
+    found = period_multiples(section[:, None], length, first, np.array([tolerance]), largest)
+    return int(found[0])
+
+
+def period_multiples(
+    sections: Array, lengths: Counts, points: Numbers, tolerance: Array, largest: int
+) -> Counts:
+    """Smallest n for which sections repeat every n forcing periods; 0 if none does.
 
     All points n, 2n, ... periods apart must be the same: a motion that still creeps along repeats
     well from one period to the next.
 
     Parameters
     ----------
-    section : ndarray, shape (n_states, n_periods)
+    sections : ndarray, shape (n_states, n, longest)
         Section points [m], one per forcing period.
-    tolerance : float
-        Largest distance [m] of two points one forcing period apart, in any component, taken for
+    lengths : ndarray of int, shape (n,)
+        How many there are in each row.
+    points : ndarray of int, shape (m,)
+        Numbers of the rows.
+    tolerance : ndarray, shape (m,)
+        Largest distance [m] of two points one forcing period apart, in any component, that count as
         the same. It grows with the root of n, as random errors do.
     largest : int
         Largest n tried; at least 2 n points are needed to find n.
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
     """
-    n_points = section.shape[1]
-    n = np.arange(1, min(largest, n_points // 2) + 1)
-    allowed = tolerance * np.sqrt(n)
-    # Mostly the last point alone decides.
-    may = _are_near(section[:, -1:], section[:, n_points - 1 - n], allowed)
-    before_last = n_points - 1 - np.arange(n_points)
-    for k in np.flatnonzero(may).tolist():
-        latest = section[:, n_points - 1 - before_last % n[k]]
-        if _are_near(section, latest, allowed[k]).all():
-            return int(n[k])
-    return 0
+    found = np.zeros(len(points), np.int64)
+    if sections.shape[2] < 2:
+        return found
+    latest = _latest(sections, lengths, points, largest)
+    allowed = tolerance[:, None] * np.sqrt(np.arange(1, largest + 1))
+    with np.errstate(invalid="ignore"):
+        may = _are_near(latest[..., 1:], latest[..., :1], allowed)  # mostly this alone decides
+    may &= 2 * np.arange(1, largest + 1) <= lengths[points, None]
+    for k in np.flatnonzero(may.any(axis=1)).tolist():
+        section = sections[:, points[k], : lengths[points[k]]]
+        last = section.shape[1] - 1
+        for n in (np.flatnonzero(may[k]) + 1).tolist():
+            same_phase = section[:, last - np.arange(last, -1, -1) % n]
+            if _are_near(section, same_phase, allowed[k, n - 1]).all():
+                found[k] = n
+                break
+    return found
 
 
 def likely_multiple(
@@ -136,35 +159,6 @@ def likely_multiple(
             scatter = float(np.sqrt(np.mean(norm(phases - places[:, None]) ** 2)))
             return prime_multiple(places, AS_GOOD * scatter / math.sqrt(phases.shape[1]))
     return 0
-
-
-def period_multiples(
-    sections: Array, lengths: Counts, points: Numbers, tolerance: Array, largest: int
-) -> Counts:
-    """`period_multiple` of some rows of `sections`, with only so many points in each.
-
-    Parameters
-    ----------
-    sections : ndarray, shape (n_states, n, longest)
-    lengths : ndarray of int, shape (n,)
-    points : ndarray of int, shape (m,)
-        Numbers of the rows.
-    tolerance : ndarray, shape (m,)
-    largest : int
-
-    Returns
-    -------
-    ndarray of int, shape (m,)
-    """
-    latest = _latest(sections, lengths, points, largest)
-    allowed = tolerance[:, None] * np.sqrt(np.arange(1, largest + 1))
-    with np.errstate(invalid="ignore"):
-        may = _are_near(latest[..., 1:], latest[..., :1], allowed)  # mostly this alone decides
-    found = np.zeros(len(points), np.int64)
-    for k in np.flatnonzero(may.any(axis=1)).tolist():
-        section = sections[:, points[k], : lengths[points[k]]]
-        found[k] = period_multiple(section, float(tolerance[k]), largest)
-    return found
 
 
 def converging_multiples(
