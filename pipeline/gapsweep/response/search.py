@@ -111,7 +111,7 @@ class Search:
         self._size = np.full(n, min(limit.FIRST_WINDOW, steady.n_periods))  # of the next window
         # A motion that its solver scatters is near an orbit by chance: it is tested more often.
         self._part = -(-steady.n_periods // (limit.WINDOW_PARTS if ensemble.is_rattled else 1))
-        self._has_extension, self._has_waited = np.zeros((2, n), bool)  # beyond the time limit
+        self._has_extension = np.zeros(n, bool)  # beyond the time limit
         self._verdict = np.full(n, int(State.EXPONENT_TEST))  # if the last window shows no orbit
         self.state = self._found.state
         self.state[:] = self._schedule(np.arange(n))
@@ -294,25 +294,17 @@ class Search:
         then. What would take longer than the time limit is not waited for: near the orbit it must
         have shrunk at least half as much over its window as the multiplier says.
         """
-        windows, found, full = self._windows, self._found, self._steady.n_periods
+        windows, full = self._windows, self._steady.n_periods
         slow = is_slow(self._shooting, points, full)
         seen = basin_check(windows, self._shooting, points, slow)
-        # Transient chaos that has ended late leaves as much time as it took, once.
-        late = (self._exponents.n_periods[points] > 0) & ~self._has_waited[points]
-        more = np.where(late, self._last[points], 0)
-        n_left = np.maximum(self._last[points] - windows.n_periods[points], more)
+        n_left = self._last[points] - windows.n_periods[points]
         waits = ~seen.is_own & (seen.stretch <= n_left)
         away, n, self._goal[points] = points[waits], self._shooting.n[points[waits]], seen.goal
-        self._has_waited[points[waits & late]] = True
         windows.clear(points[waits & slow])
         # Whole periods of the orbit: its start is what the motion must be near to in the end.
         self._transient[away] = seen.stretch[waits]
         self._recording[away] = np.where(slow[waits], np.maximum(full // n, 1) * n, 0)
         stays = ~seen.is_own & ~waits
-        # It is on its way, and what grew before says nothing of it.
-        grows = found.lyapunov[points] > limit.SURE * found.lyapunov_error[points]
-        grew = points[stays & seen.has_shrunk & grows]
-        found.lyapunov[grew] = found.lyapunov_error[grew] = np.nan
         is_own = seen.is_own | (stays & seen.has_shrunk & seen.is_near)
         self._accept(points[is_own])
         return np.where(is_own, State.PERIODIC, np.where(waits, State.APPROACH, State.NO_REPEAT))
