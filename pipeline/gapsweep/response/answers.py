@@ -91,8 +91,6 @@ _CLASSES = {
     State.QUASIPERIODIC: ResponseClass.QUASIPERIODIC,
     State.EQUILIBRIUM: ResponseClass.EQUILIBRIUM,
 }
-_AT_REST = State.EQUILIBRIUM, State.UNSTABLE_REST
-_STOPPED = *_AT_REST, State.NO_RETURN
 
 
 def answers(
@@ -105,7 +103,7 @@ def answers(
     """Responses of all scenes of an ensemble."""
     n, t_settled = len(ensemble.omega), windows.t
     states = _record(np.flatnonzero(found.state == State.PERIODIC), ensemble, windows, shooting)
-    _rest(np.flatnonzero(found.is_any(*_STOPPED)), windows, states)
+    _rest(np.flatnonzero(found.has_stopped), windows, states)
     is_ok = windows.status == Status.OK
     points, failures = np.flatnonzero(is_ok), np.flatnonzero(~is_ok)
     read, lists = _read_off(points, ensemble, windows, found, steady)
@@ -184,7 +182,8 @@ def _stability(
 ) -> dict[str, Array | Counts]:
     """Columns that say what the responses of some points are, and how sure that is."""
     state = found.state[points]
-    is_orbit, at_rest = state == State.PERIODIC, np.isin(state, _AT_REST)
+    is_orbit = state == State.PERIODIC
+    at_rest = (state == State.EQUILIBRIUM) | (state == State.UNSTABLE_REST)
     n, omega = shooting.n[points], shooting.omega[points]
     lyapunov, error = found.lyapunov[points], found.lyapunov_error[points]
     modulus = np.full(len(points), np.nan)
@@ -265,7 +264,7 @@ def _section(
     steady: Steady,
 ) -> tuple[Array, Counts]:
     """States of some points: of orbits as recorded, of other motions the last of their windows."""
-    others = points[~found.is_any(State.PERIODIC, *_STOPPED)[points]]
+    others = points[~((found.state == State.PERIODIC) | found.has_stopped)[points]]
     n_states, _, width = windows.section.shape
     length = windows.length[others]
     counts = np.minimum(length, steady.max_period_multiple)
@@ -313,8 +312,8 @@ def _read_off(
     hidden = _hidden_contacts(points, ensemble, windows, gap_max, gap_min)
     if n_q > 1:
         hidden |= _hidden_springs(points, ensemble, windows, 0.5 * (x_max - x_min))
-    found.state[points[hidden & ~found.is_any(*_STOPPED)[points]]] = State.HIDDEN
-    status = np.where(found.is_any(*_CLASSES)[points], Status.OK, Status.UNRESOLVED)
+    found.state[points[hidden & ~found.has_stopped[points]]] = State.HIDDEN
+    status = np.where(found.is_classified[points], Status.OK, Status.UNRESOLVED)
     status[has_left.any(axis=0)] = Status.OUT_OF_FIT_RANGE
     laws = zip(*map(ensemble.laws, points.tolist()), strict=True)
     forces = [largest_forces(*each) for each in zip(laws, gap_min, gap_max, strict=False)]

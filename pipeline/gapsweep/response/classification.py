@@ -10,7 +10,7 @@ class State(IntEnum):
     """What a point waits for, or its class.
 
     First motions to integrate, then decisions in the order in which they follow each other, then
-    classes; those after `EQUILIBRIUM` are unresolved or failed, each for a reason.
+    classes: those after `EQUILIBRIUM` are unresolved or failed, each for a reason.
     """
 
     RECORD = 0
@@ -39,12 +39,12 @@ class State(IntEnum):
     CHAOTIC = auto()
     QUASIPERIODIC = auto()
     EQUILIBRIUM = auto()
+    UNSTABLE_REST = auto()
+    NO_RETURN = auto()  # never came back to its Poincare section
     UNRESOLVED = auto()
     LOCKED = auto()  # repeats itself, after more periods than are looked for
     GROWING = auto()  # goes farther than it ever was, with no forcing
-    UNSTABLE_REST = auto()
     HIDDEN = auto()  # a contact moves too little to be told from errors of the rest
-    NO_RETURN = auto()  # never came back to its Poincare section
     FAILED = auto()
 
 
@@ -65,6 +65,12 @@ class Classification:
         self.state = np.full(n, int(State.RECORD))
         self.lyapunov, self.lyapunov_error, self.offset = np.full((3, n), np.nan)
 
-    def is_any(self, *states: State) -> NDArray[np.bool_]:
-        """Which points are in one of some states."""
-        return np.isin(self.state, states)
+    @property
+    def is_classified(self) -> NDArray[np.bool_]:
+        """Which points have a class of steady response."""
+        return (self.state >= int(State.PERIODIC)) & (self.state <= int(State.EQUILIBRIUM))
+
+    @property
+    def has_stopped(self) -> NDArray[np.bool_]:
+        """Which points have come to rest, or never come back to their section."""
+        return (self.state >= int(State.EQUILIBRIUM)) & (self.state <= int(State.NO_RETURN))

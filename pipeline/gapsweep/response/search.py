@@ -79,10 +79,21 @@ TRANSITIONS: dict[State, tuple[str, tuple[State, ...]]] = {
         "classify_stop",
         (State.EQUILIBRIUM, State.UNSTABLE_REST, State.NO_RETURN, State.FAILED)),
 }  # fmt: skip
-_SHARED = {
-    function: [state for state, (name, _) in TRANSITIONS.items() if name == function]
-    for function, _ in TRANSITIONS.values()
-}
+
+
+def _call(function: str) -> tuple[str, int, int]:
+    """A function's method, and the first and last of the states, in a row, that share it."""
+    shared = [int(state) for state, (name, _) in TRANSITIONS.items() if name == function]
+    return f"_{function}", shared[0], shared[-1]
+
+
+_CALLS = [_call(function) for function, _ in TRANSITIONS.values()]
+_N_WAITING = len(TRANSITIONS)
+# Decisions come first. Most points wait for windows or shots: those that more points wait for come
+# next. The rest is left to the end, for all to share.
+_DECISIONS = range(State.APPROACHED, _N_WAITING)
+_MOVES, _SHOTS = range(State.SHOOT), range(State.SHOOT, State.LYAPUNOV)
+_LAST = range(State.LYAPUNOV, State.APPROACHED)
 
 
 class Search:
@@ -118,27 +129,17 @@ class Search:
 
     def responses(self) -> Responses:
         """Advance all points until each has its class."""
-        while (self.state < State.PERIODIC).any():
-            function, points = self._next()
-            self.state[points] = getattr(self, f"_{function}")(points)
+        while True:
+            waiting = np.bincount(self.state, minlength=_N_WAITING).tolist()
+            n_moves, n_shots = (sum(waiting[k] for k in states) for states in (_MOVES, _SHOTS))
+            order = *_DECISIONS, *(_SHOTS if n_shots > n_moves else _MOVES), *_LAST
+            state = next((k for k in order if waiting[k]), None)
+            if state is None:
+                break
+            method, first, last = _CALLS[state]
+            points = np.flatnonzero((self.state >= first) & (self.state <= last))
+            self.state[points] = getattr(self, method)(points)
         return answers(self._ensemble, self._windows, self._shooting, self._found, self._steady)
-
-    def _next(self) -> tuple[str, Numbers]:
-        """The function to call next, and its points: decisions before calls of the engine.
-
-        Most points wait for windows or shots; the rest is left to the end, for all to share.
-        """
-        waiting = np.bincount(self.state, minlength=State.PERIODIC)[: State.PERIODIC]
-        decisions = np.flatnonzero(waiting[State.APPROACHED :])
-        if decisions.size:
-            state = State(State.APPROACHED + int(decisions[0]))
-        else:
-            shots = waiting[State.SHOOT : State.LYAPUNOV]
-            is_shot = shots.sum() > waiting[: State.SHOOT].sum()
-            first = State.SHOOT + shots.argmax() if is_shot else np.flatnonzero(waiting)[0]
-            state = State(int(first))
-        function = TRANSITIONS[state][0]
-        return function, np.flatnonzero(np.isin(self.state, _SHARED[function]))
 
     # --- windows ----------------------------------------------------------------------------------
 
