@@ -69,7 +69,7 @@ class Ensemble:
         The same, NaN where no gap lies between equal walls.
     is_modulated : ndarray of bool, shape (n_contacts, n)
         Whether the force of a contact changes with time.
-    has_own_tangent, is_rattled : bool
+    has_own_tangent, is_noisy : bool
         As of `Forces`.
     is_chained : bool
         Whether motions with their tangent may follow each other in a call.
@@ -96,7 +96,7 @@ class Ensemble:
         self._directions: Array = models.of_systems(attrgetter("directions"))
         self.is_modulated = models.of_systems(attrgetter("is_modulated")).T
         forces = Forces(models.laws[0], solver)
-        self.has_own_tangent, self.is_rattled = forces.has_own_tangent, forces.is_rattled
+        self.has_own_tangent, self.is_noisy = forces.has_own_tangent, forces.is_noisy
         self._integrate = prepared(models, solver)
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:

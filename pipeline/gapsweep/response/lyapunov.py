@@ -198,7 +198,7 @@ class LyapunovExponents:
         return np.fromiter(map(math.log, n_periods.tolist()), float) * omega / n_periods
 
     def scatter(self, point: int, omega: float, exponent: float) -> float:
-        """Distance [m] of two points of a motion that its solver rattles: root of the mean square.
+        """Distance [m] of two points of one phase, by solver errors: root of the mean square.
 
         What it strays in each block adds up in random directions, and shrinks with the exponent
         [1/s], < 0.

@@ -148,7 +148,7 @@ def is_quasiperiodic(section: Array, allowed: float, noise: float) -> bool:
     seen = np.concatenate([centred, np.square(centred)])
     means = [each @ weights / weights.sum() for each in (seen[:, :half], seen[:, -half:])]
     spread = seen.std(axis=1)
-    # What hardly moves beside the others is rounding, or rattle of a smooth solver: a coordinate of
+    # What hardly moves beside the others is rounding, or noise of a smooth solver: a coordinate of
     # its own that repeats, or the squares of one that has two values in turn.
     scatter, of_squares = spread.reshape(2, -1)
     moves = scatter > max(_STILL * scatter.max(), noise)

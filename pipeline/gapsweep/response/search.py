@@ -121,7 +121,7 @@ class Search:
         self._is_settled, self._goal = np.zeros(n, bool), np.zeros(n)  # goal [m]: of an approach
         self._size = np.full(n, min(limit.FIRST_WINDOW, steady.n_periods))  # of the next window
         # A motion that its solver scatters is near an orbit by chance: it is tested more often.
-        self._part = -(-steady.n_periods // (limit.WINDOW_PARTS if ensemble.is_rattled else 1))
+        self._part = -(-steady.n_periods // (limit.WINDOW_PARTS if ensemble.is_noisy else 1))
         self._has_extension = np.zeros(n, bool)  # beyond the time limit
         self._verdict = np.full(n, int(State.EXPONENT_TEST))  # if the last window shows no orbit
         self.state = self._found.state
@@ -271,15 +271,15 @@ class Search:
         is_stable = modulus < limit.STABLE
         inside, reach = points[is_stable], self._windows.reach[points[is_stable]]
         # Kinks that are not located scatter a section more than its predicted noise.
-        is_rattled = self._ensemble.is_rattled
-        scatter = (limit.KINK_SCATTER if is_rattled else 1.0) * self._windows.resolution[inside]
+        is_noisy = self._ensemble.is_noisy
+        scatter = (limit.KINK_SCATTER if is_noisy else 1.0) * self._windows.resolution[inside]
         # A slow orbit of several periods is not known any better than noise is amplified.
         amplified = np.minimum(scatter / (1.0 - modulus[is_stable]), limit.NEAR * reach)
         part = self._shooting.parts(
             inside, np.maximum(np.maximum(scatter, 1e-6 * reach), amplified)
         )
         is_whole = part == self._shooting.n[inside]
-        self._shooting.shorten(inside[~is_whole], part[~is_whole], is_scattered=is_rattled)
+        self._shooting.shorten(inside[~is_whole], part[~is_whole], is_scattered=is_noisy)
         after = np.full(len(points), State.NO_ORBIT)
         after[is_stable] = np.where(is_whole, State.BASIN_CHECK, State.SHOOT)
         return after

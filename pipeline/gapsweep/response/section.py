@@ -132,7 +132,7 @@ def period_multiples(
 def likely_multiple(
     section: Array, closeness: float, largest: int, scatter: float = math.inf
 ) -> int:
-    """Smallest n after which a rattled section repeats as well as after any; 0 if none is close.
+    """Smallest n after which a noisy section repeats as well as after any; 0 if none is close.
 
     Parameters
     ----------
