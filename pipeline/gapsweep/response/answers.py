@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from gapsweep.integrate.motion import VANISHED
 from gapsweep.response.call import Call
 from gapsweep.response.classification import Classification, State
-from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.equilibrium import rates
 from gapsweep.response.loads import contact_shares, largest_forces
 from gapsweep.response.ragged import RaggedArrays, spans
@@ -94,20 +93,17 @@ _CLASSES = {
 
 
 def answers(
-    ensemble: Ensemble,
-    windows: RecordedWindows,
-    shooting: NewtonShooting,
-    found: Classification,
-    steady: Steady,
+    windows: RecordedWindows, shooting: NewtonShooting, found: Classification, steady: Steady
 ) -> Responses:
-    """Responses of all scenes of an ensemble."""
-    n, t_settled = len(ensemble.omega), windows.t
-    states = _record(np.flatnonzero(found.state == State.PERIODIC), ensemble, windows, shooting)
+    """Responses of all points of a search."""
+    ensemble, t_settled = windows.ensemble, windows.t
+    n = len(t_settled)
+    states = _record(np.flatnonzero(found.state == State.PERIODIC), windows, shooting)
     _rest(np.flatnonzero(found.has_stopped), windows, states)
     is_ok = windows.status == Status.OK
     points, failures = np.flatnonzero(is_ok), np.flatnonzero(~is_ok)
-    read, lists = _read_off(points, ensemble, windows, found, steady)
-    read |= _stability(points, ensemble, windows, shooting, found)
+    read, lists = _read_off(points, windows, found, steady)
+    read |= _stability(points, windows, shooting, found)
     read["t_settled"] = t_settled[points]
     lists["multipliers"] = _multipliers(points, shooting, found)
     lists["section"] = section, counts = _section(points, windows, found, states, steady)
@@ -118,11 +114,11 @@ def answers(
     columns = missing(n, ensemble.structure)
     for name in columns.keys() & read.keys():
         columns[name][points] = read[name].reshape(len(points), *columns[name].shape[1:])
-    columns["status"][failures], messages = _failures(failures, ensemble, windows)
+    columns["status"][failures], messages = _failures(failures, windows)
     for state in (State.NO_RETURN, State.HIDDEN):
         messages |= dict.fromkeys(np.flatnonzero(found.state == state).tolist(), _REASONS[state])
     for point in np.flatnonzero(columns["status"] == Status.UNRESOLVED).tolist():
-        messages.setdefault(point, _why_unresolved(point, ensemble, windows, found, steady))
+        messages.setdefault(point, _why_unresolved(point, windows, found, steady))
     columns |= ensemble.costs()
     of_all = {}
     for name, dtype in LISTS.items():
@@ -133,10 +129,9 @@ def answers(
     return Responses(columns, of_all, messages)
 
 
-def _failures(
-    failures: Numbers, ensemble: Ensemble, windows: RecordedWindows
-) -> tuple[list[Status], dict[int, str]]:
+def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status], dict[int, str]]:
     """Status of the points that failed, and what to say of it by point."""
+    ensemble = windows.ensemble
     y = windows.y[:, failures]
     gaps = ensemble.gaps(ensemble.turning(failures, y))
     low, high = ensemble.valid_range[:, :, failures]
@@ -152,7 +147,7 @@ def _failures(
 
 
 def _why_unresolved(
-    point: int, ensemble: Ensemble, windows: RecordedWindows, found: Classification, steady: Steady
+    point: int, windows: RecordedWindows, found: Classification, steady: Steady
 ) -> str:
     exponent, error = found.lyapunov[point], found.lyapunov_error[point]
     largest = steady.max_period_multiple
@@ -161,7 +156,7 @@ def _why_unresolved(
         reason = _REASONS[State(found.state[point])]
     elif n:
         reason = _BLURRED
-    elif ensemble.settling_rate[point] <= 0.0:
+    elif windows.ensemble.settling_rate[point] <= 0.0:
         reason = _UNDAMPED
     elif math.isnan(exponent):
         reason = _UNMEASURED
@@ -174,11 +169,7 @@ def _why_unresolved(
 
 
 def _stability(
-    points: Numbers,
-    ensemble: Ensemble,
-    windows: RecordedWindows,
-    shooting: NewtonShooting,
-    found: Classification,
+    points: Numbers, windows: RecordedWindows, shooting: NewtonShooting, found: Classification
 ) -> dict[str, Array | Counts]:
     """Columns that say what the responses of some points are, and how sure that is."""
     state = found.state[points]
@@ -192,8 +183,8 @@ def _stability(
     follows = is_orbit & np.isnan(lyapunov)
     shrinks = follows & (modulus > VANISHED)
     # What swings until it has shrunk to nothing shrank on average as areas do; what creeps did not.
-    rate = ensemble.decay_rate[points]
-    swings = follows & ~shrinks & (ensemble.settling_rate[points] == rate)
+    rate = windows.ensemble.decay_rate[points]
+    swings = follows & ~shrinks & (windows.ensemble.settling_rate[points] == rate)
     lyapunov[swings] = -rate[swings]
     error[swings | shrinks] = 0.0
     # numpy's own logarithm is another one on another processor.
@@ -224,14 +215,12 @@ def _multipliers(
     return multipliers.view(float).ravel(), np.where(is_orbit, 2 * n, 0)
 
 
-def _record(
-    orbits: Numbers, ensemble: Ensemble, windows: RecordedWindows, shooting: NewtonShooting
-) -> RaggedArrays:
+def _record(orbits: Numbers, windows: RecordedWindows, shooting: NewtonShooting) -> RaggedArrays:
     """States (q, v, z) of orbits after each forcing period of a whole period, one after the other.
 
     Their extrema and contacts join those of the last windows of other motions.
     """
-    states = RaggedArrays(len(ensemble.omega))
+    ensemble, states = windows.ensemble, RaggedArrays(len(shooting.n))
     if orbits.size:
         y, n = shooting.y[:, orbits], shooting.n[orbits]
         call = ensemble.call(orbits, y, n, np.zeros(len(orbits)), section_only=False)
@@ -276,18 +265,11 @@ def _section(
 
 
 def _read_off(
-    points: Numbers,
-    ensemble: Ensemble,
-    windows: RecordedWindows,
-    found: Classification,
-    steady: Steady,
+    points: Numbers, windows: RecordedWindows, found: Classification, steady: Steady
 ) -> tuple[dict[str, Array | Counts], dict[str, tuple[Array | Counts, Counts]]]:
     """Columns and lists that are read off the recorded extrema of some points."""
-    is_orbit, place = (
-        found.state[points] == State.PERIODIC,
-        ensemble.turning(points, windows.y[:, points]),
-    )
-    n_q = ensemble.n_coordinates
+    ensemble, is_orbit = windows.ensemble, found.state[points] == State.PERIODIC
+    n_q, place = ensemble.n_coordinates, ensemble.turning(points, windows.y[:, points])
     x, counts = windows.extrema.of(windows.rows(points))
     first = np.cumsum(counts) - counts
     kinds = _kinds(x, counts, np.repeat(is_orbit, windows.n_turning))
@@ -309,9 +291,9 @@ def _read_off(
     low, high = ensemble.valid_range[:, :, points]
     has_left = (gap_max > high) | (gap_min < low)
     share = windows.contact_share[:, points]
-    hidden = _hidden_contacts(points, ensemble, windows, gap_max, gap_min)
+    hidden = _hidden_contacts(points, windows, gap_max, gap_min)
     if n_q > 1:
-        hidden |= _hidden_springs(points, ensemble, windows, 0.5 * (x_max - x_min))
+        hidden |= _hidden_springs(points, windows, 0.5 * (x_max - x_min))
     found.state[points[hidden & ~found.has_stopped[points]]] = State.HIDDEN
     status = np.where(found.is_classified[points], Status.OK, Status.UNRESOLVED)
     status[has_left.any(axis=0)] = Status.OUT_OF_FIT_RANGE
@@ -335,9 +317,10 @@ def _read_off(
 
 
 def _hidden_contacts(
-    points: Numbers, ensemble: Ensemble, windows: RecordedWindows, gap_max: Array, gap_min: Array
+    points: Numbers, windows: RecordedWindows, gap_max: Array, gap_min: Array
 ) -> Mask:
     """Where a contact that is felt moves too little to be told from errors of the rest."""
+    ensemble = windows.ensemble
     whole = ensemble.gap_units(points) * windows.reach[points]
     faint = 0.5 * (gap_max - gap_min) < _FAINT * whole
     margin = ensemble.solver.rtol * whole
@@ -347,9 +330,7 @@ def _hidden_contacts(
     return np.asarray((faint & near).any(axis=0))
 
 
-def _hidden_springs(
-    points: Numbers, ensemble: Ensemble, windows: RecordedWindows, half: Array
-) -> Mask:
+def _hidden_springs(points: Numbers, windows: RecordedWindows, half: Array) -> Mask:
     """Where a cubic spring of a system does, and yet adds to what is linear.
 
     Parameters
@@ -357,6 +338,7 @@ def _hidden_springs(
     half : ndarray, shape (m, n_coordinates)
         Half the ranges of coordinates [m].
     """
+    ensemble = windows.ensemble
     unit = ensemble.unit[: ensemble.n_coordinates, points].T
     whole = _FAINT * windows.reach[points]
     hidden = np.zeros(len(points), bool)

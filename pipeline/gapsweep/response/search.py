@@ -139,7 +139,7 @@ class Search:
             method, first, last = _CALLS[state]
             points = np.flatnonzero((self.state >= first) & (self.state <= last))
             self.state[points] = getattr(self, method)(points)
-        return answers(self._ensemble, self._windows, self._shooting, self._found, self._steady)
+        return answers(self._windows, self._shooting, self._found, self._steady)
 
     # --- windows ----------------------------------------------------------------------------------
 
