@@ -141,43 +141,7 @@ class Search:
             self.state[points] = getattr(self, method)(points)
         return answers(self._windows, self._shooting, self._found, self._steady)
 
-    # --- windows ----------------------------------------------------------------------------------
-
-    def _integrate(self, points: Numbers) -> States:
-        """Transients and the windows after them in one call: no lane waits in between."""
-        state, windows = self.state[points], self._windows
-        transient, recording = self._transient[points], self._recording[points]
-        # A long stretch goes on in the next call: the others need not wait for it.
-        n = self._ensemble.at_a_time(points, transient + recording)
-        passed = np.minimum(transient, n)
-        recorded = n - passed
-        if not self._ensemble.is_chained:
-            recorded[passed > 0] = 0
-        windows.integrate(points, passed, recorded)
-        self._transient[points], self._recording[points] = transient - passed, recording - recorded
-        is_over = passed + recorded == transient + recording
-        after = np.choose(state, (State.PERIOD_TEST, State.APPROACHED, State.TIME_OVER))
-        is_ok = windows.status[points] == Status.OK
-        return np.where(is_ok, np.where(is_over, after, state), State.STOPPED)
-
-    def _record_last(self, points: Numbers) -> States:
-        """A whole window: the response itself, if it shows no orbit."""
-        windows, full = self._windows, np.full(len(points), self._steady.n_periods)
-        windows.clear(points)
-        windows.integrate(points, np.zeros_like(full), full, section_only=False)
-        is_torus = self._verdict[points] == State.QUASIPERIODIC
-        is_ok = windows.status[points] == Status.OK
-        return np.where(
-            is_ok, np.where(is_torus, State.QUASIPERIODIC, State.PERIOD_TEST), State.STOPPED
-        )
-
-    def _schedule_window(self, points: Numbers) -> States:
-        """Another window, twice as long as the one before, if there is time."""
-        has_time = self._windows.n_periods[points] < self._last[points]
-        again, after = points[has_time], np.full(len(points), State.TIME_OVER)
-        self._size[again] = np.minimum(2 * self._size[again], self._steady.n_periods)
-        after[has_time] = self._schedule(again)
-        return after
+    # --- transient and recording window -----------------------------------------------------------
 
     def _schedule(self, points: Numbers) -> States:
         """A transient, then a window: a full one from the second of a settled motion on."""
@@ -197,6 +161,23 @@ class Search:
         windows.clear(points[~is_last])
         return np.where(is_last, State.LAST_TRANSIENT, State.RECORD)
 
+    def _integrate(self, points: Numbers) -> States:
+        """Transients and the windows after them in one call: no lane waits in between."""
+        state, windows = self.state[points], self._windows
+        transient, recording = self._transient[points], self._recording[points]
+        # A long stretch goes on in the next call: the others need not wait for it.
+        n = self._ensemble.at_a_time(points, transient + recording)
+        passed = np.minimum(transient, n)
+        recorded = n - passed
+        if not self._ensemble.is_chained:
+            recorded[passed > 0] = 0
+        windows.integrate(points, passed, recorded)
+        self._transient[points], self._recording[points] = transient - passed, recording - recorded
+        is_over = passed + recorded == transient + recording
+        after = np.choose(state, (State.PERIOD_TEST, State.APPROACHED, State.TIME_OVER))
+        is_ok = windows.status[points] == Status.OK
+        return np.where(is_ok, np.where(is_over, after, state), State.STOPPED)
+
     def _test_period(self, points: Numbers) -> States:
         """Shoot where the window contracts to a repeat."""
         windows = self._windows
@@ -212,7 +193,7 @@ class Search:
         repeats = n > 0
         shot, n = points[repeats], n[repeats]
         # Below the solver's own noise Newton makes no orbit close better.
-        goal = np.maximum(1e-10 * reach, 0.1 * resolution)[repeats]
+        goal = np.maximum(limit.NEWTON_GOAL * reach, 0.1 * resolution)[repeats]
         noise = windows.noise()[shot] * np.sqrt(n)
         furthest = limit.NEWTON_RANGE * reach[repeats]
         self._shooting.start(shot, windows.y[:, shot], n, goal, noise, furthest)
@@ -230,6 +211,89 @@ class Search:
         may_repeat = self._is_settled[points] & (length >= full)
         after = np.where(may_repeat, State.REPEAT_TEST, State.NEXT_WINDOW)
         return np.where(goes_on, State.RECORD, after)
+
+    def _schedule_window(self, points: Numbers) -> States:
+        """Another window, twice as long as the one before, if there is time."""
+        has_time = self._windows.n_periods[points] < self._last[points]
+        again, after = points[has_time], np.full(len(points), State.TIME_OVER)
+        self._size[again] = np.minimum(2 * self._size[again], self._steady.n_periods)
+        after[has_time] = self._schedule(again)
+        return after
+
+    # --- periodic orbits --------------------------------------------------------------------------
+
+    def _shoot(self, points: Numbers) -> States:
+        """One Newton step on the map over the orbit's periods."""
+        is_found, is_lost = self._step(points)
+        return np.where(is_found, State.ORBIT_FOUND, np.where(is_lost, State.NO_ORBIT, State.SHOOT))
+
+    def _step(self, points: Numbers) -> tuple[Mask, Mask]:
+        """Whose orbit is found, and who went too far or failed; as of `NewtonShooting.step`."""
+        y, n = self._shooting.y[:, points], self._shooting.n[points]
+        call = self._ensemble.call(points, y, n, np.zeros(len(n)), tangent=True)
+        return self._shooting.step(points, call)
+
+    def _reduce_period(self, points: Numbers) -> States:
+        """Shoot over a part of the period where the orbit's points repeat after it."""
+        modulus = np.abs(self._shooting.multipliers[points, 0])
+        is_stable = modulus < limit.STABLE
+        inside, reach = points[is_stable], self._windows.reach[points[is_stable]]
+        # Kinks that are not located scatter a section more than its predicted noise.
+        is_noisy = self._ensemble.is_noisy
+        scatter = (limit.KINK_SCATTER if is_noisy else 1.0) * self._windows.resolution[inside]
+        # A slow orbit of several periods is not known any better than noise is amplified.
+        amplified = np.minimum(scatter / (1.0 - modulus[is_stable]), limit.NEAR * reach)
+        part = self._shooting.parts(
+            inside, np.maximum(np.maximum(scatter, limit.SAME_POINT * reach), amplified)
+        )
+        is_whole = part == self._shooting.n[inside]
+        self._shooting.shorten(inside[~is_whole], part[~is_whole], is_scattered=is_noisy)
+        after = np.full(len(points), State.NO_ORBIT)
+        after[is_stable] = np.where(is_whole, State.BASIN_CHECK, State.SHOOT)
+        return after
+
+    def _restore_orbit(self, points: Numbers) -> States:
+        """Back to the longer orbit where no shorter one is stable."""
+        return np.where(self._shooting.restore(points), State.BASIN_CHECK, State.NO_REPEAT)
+
+    def _check_basin(self, points: Numbers) -> States:
+        """Whether the motion itself approaches the orbit, which may be another attractor's.
+
+        If not, it is integrated for as long as the slowest multiplier needs to bring it near, and
+        must be near then. Where that would exceed the time limit, a motion near its orbit must have
+        come nearer over its window, by at least half as much as the multiplier says.
+        """
+        windows, full = self._windows, self._steady.n_periods
+        slow = is_slow(self._shooting, points, full)
+        seen = basin_check(windows, self._shooting, points, slow)
+        n_left = self._last[points] - windows.n_periods[points]
+        waits = ~seen.is_own & (seen.stretch <= n_left)
+        away, n, self._goal[points] = points[waits], self._shooting.n[points[waits]], seen.goal
+        windows.clear(points[waits & slow])
+        # Whole periods of the orbit: its start is what the motion must be near to in the end.
+        self._transient[away] = seen.stretch[waits]
+        self._recording[away] = np.where(slow[waits], np.maximum(full // n, 1) * n, 0)
+        stays = ~seen.is_own & ~waits
+        is_own = seen.is_own | (stays & seen.has_shrunk & seen.is_near)
+        self._accept(points[is_own])
+        return np.where(is_own, State.PERIODIC, np.where(waits, State.APPROACH, State.NO_REPEAT))
+
+    def _check_approach(self, points: Numbers) -> States:
+        """Whether the motion has come near its orbit; else it goes on with its window."""
+        windows = self._windows
+        slow = is_slow(self._shooting, points, self._steady.n_periods)
+        is_near = distances(windows, self._shooting, points, slow) <= self._goal[points]
+        self._accept(points[is_near])
+        away = points[~is_near]
+        # A window that is to go on begins again: what was not recorded would be a gap in it.
+        windows.clear(away[windows.length[away] < self._size[away]])
+        begin = windows.n_periods[away] - windows.length[away]
+        self._is_settled[away] |= begin >= self._settling[away]
+        return np.where(is_near, State.PERIODIC, State.NO_REPEAT)
+
+    def _accept(self, points: Numbers) -> None:
+        """Forget exponents of the way to an orbit."""
+        self._found.lyapunov[points] = self._found.lyapunov_error[points] = np.nan
 
     def _test_repeat(self, points: Numbers) -> States:
         """Whether a settled motion repeats itself, though shooting could not improve on it.
@@ -254,74 +318,6 @@ class Search:
             self._start_measurement(point, n)
         return np.where(found > 0, State.SHOOT_REPEAT, State.NEXT_WINDOW)
 
-    # --- orbits -----------------------------------------------------------------------------------
-
-    def _shoot(self, points: Numbers) -> States:
-        is_found, is_lost = self._step(points)
-        return np.where(is_found, State.ORBIT_FOUND, np.where(is_lost, State.NO_ORBIT, State.SHOOT))
-
-    def _step(self, points: Numbers) -> tuple[Mask, Mask]:
-        y, n = self._shooting.y[:, points], self._shooting.n[points]
-        call = self._ensemble.call(points, y, n, np.zeros(len(n)), tangent=True)
-        return self._shooting.step(points, call)
-
-    def _reduce_period(self, points: Numbers) -> States:
-        """Shoot over a part of the period where the orbit's points repeat after it."""
-        modulus = np.abs(self._shooting.multipliers[points, 0])
-        is_stable = modulus < limit.STABLE
-        inside, reach = points[is_stable], self._windows.reach[points[is_stable]]
-        # Kinks that are not located scatter a section more than its predicted noise.
-        is_noisy = self._ensemble.is_noisy
-        scatter = (limit.KINK_SCATTER if is_noisy else 1.0) * self._windows.resolution[inside]
-        # A slow orbit of several periods is not known any better than noise is amplified.
-        amplified = np.minimum(scatter / (1.0 - modulus[is_stable]), limit.NEAR * reach)
-        part = self._shooting.parts(
-            inside, np.maximum(np.maximum(scatter, 1e-6 * reach), amplified)
-        )
-        is_whole = part == self._shooting.n[inside]
-        self._shooting.shorten(inside[~is_whole], part[~is_whole], is_scattered=is_noisy)
-        after = np.full(len(points), State.NO_ORBIT)
-        after[is_stable] = np.where(is_whole, State.BASIN_CHECK, State.SHOOT)
-        return after
-
-    def _restore_orbit(self, points: Numbers) -> States:
-        """Back to the longer orbit where no shorter one is stable."""
-        return np.where(self._shooting.restore(points), State.BASIN_CHECK, State.NO_REPEAT)
-
-    def _check_basin(self, points: Numbers) -> States:
-        """Whether the motion itself approaches an orbit: it may be another attractor's.
-
-        Else it goes on for as long as its slowest multiplier needs to come near, and must be near
-        then. What would take longer than the time limit is not waited for: near the orbit it must
-        have shrunk at least half as much over its window as the multiplier says.
-        """
-        windows, full = self._windows, self._steady.n_periods
-        slow = is_slow(self._shooting, points, full)
-        seen = basin_check(windows, self._shooting, points, slow)
-        n_left = self._last[points] - windows.n_periods[points]
-        waits = ~seen.is_own & (seen.stretch <= n_left)
-        away, n, self._goal[points] = points[waits], self._shooting.n[points[waits]], seen.goal
-        windows.clear(points[waits & slow])
-        # Whole periods of the orbit: its start is what the motion must be near to in the end.
-        self._transient[away] = seen.stretch[waits]
-        self._recording[away] = np.where(slow[waits], np.maximum(full // n, 1) * n, 0)
-        stays = ~seen.is_own & ~waits
-        is_own = seen.is_own | (stays & seen.has_shrunk & seen.is_near)
-        self._accept(points[is_own])
-        return np.where(is_own, State.PERIODIC, np.where(waits, State.APPROACH, State.NO_REPEAT))
-
-    def _check_approach(self, points: Numbers) -> States:
-        windows = self._windows
-        slow = is_slow(self._shooting, points, self._steady.n_periods)
-        is_near = distances(windows, self._shooting, points, slow) <= self._goal[points]
-        self._accept(points[is_near])
-        away = points[~is_near]
-        # A window that is to go on begins again: what was not recorded would be a gap in it.
-        windows.clear(away[windows.length[away] < self._size[away]])
-        begin = windows.n_periods[away] - windows.length[away]
-        self._is_settled[away] |= begin >= self._settling[away]
-        return np.where(is_near, State.PERIODIC, State.NO_REPEAT)
-
     def _start_measurement(self, point: int, n: int) -> None:
         """Take the next n periods of a motion as an orbit, closed or not."""
         one, anywhere, nowhere = np.array([point]), np.array([math.inf]), np.zeros(1)
@@ -330,7 +326,7 @@ class Search:
         self._shooting.start(one, y, np.array([n]), anywhere, noise, nowhere)
 
     def _measure_orbit(self, points: Numbers) -> States:
-        """Whether an orbit that the motion gave attracts it."""
+        """Whether the multipliers of an orbit taken from the motion say that it is stable."""
         shooting, ensemble, windows = self._shooting, self._ensemble, self._windows
         is_found, _ = self._step(points)
         modulus = np.abs(shooting.multipliers[points, 0])
@@ -352,17 +348,13 @@ class Search:
         after = np.where(is_repeat, State.NEXT_WINDOW, State.CHAOS_TEST)
         return np.where(stays, State.PERIODIC, after)
 
-    def _accept(self, points: Numbers) -> None:
-        """Forget exponents of the way to an orbit."""
-        self._found.lyapunov[points] = self._found.lyapunov_error[points] = np.nan
-
     # --- aperiodic motions ------------------------------------------------------------------------
 
     def _end_search(self, points: Numbers) -> States:
-        """No time left: the exponent, then the last window, then the class.
+        """After the time limit: the exponent, then the last window, then the class.
 
-        In this order, because transient chaos may end while the exponent is measured: the window
-        that a class rests on is the last of the motion.
+        In this order, because transient chaos may end while the exponent is measured. The window
+        that a class is based on is the last of the motion.
         """
         exponents, rate = self._exponents, self._ensemble.settling_rate[points]
         # A motion that was given no time to settle has no class; without damping no time is enough.
@@ -376,6 +368,7 @@ class Search:
         return np.where(grows, State.LYAPUNOV, after)
 
     def _measure_exponent(self, points: Numbers) -> States:
+        """The next blocks of motion with its tangent; at the end of a measurement its exponent."""
         exponents, found, after = self._exponents, self._found, self.state[points]
         over, status = exponents.advance(self._ensemble, points)
         is_ok = status == Status.OK
@@ -387,11 +380,22 @@ class Search:
         after[np.searchsorted(points, over)] = np.where(is_ok, State.LAST_WINDOW, State.STOPPED)
         return after
 
+    def _record_last(self, points: Numbers) -> States:
+        """A whole window: the response itself, if it shows no orbit."""
+        windows, full = self._windows, np.full(len(points), self._steady.n_periods)
+        windows.clear(points)
+        windows.integrate(points, np.zeros_like(full), full, section_only=False)
+        is_torus = self._verdict[points] == State.QUASIPERIODIC
+        is_ok = windows.status[points] == Status.OK
+        return np.where(
+            is_ok, np.where(is_torus, State.QUASIPERIODIC, State.PERIOD_TEST), State.STOPPED
+        )
+
     def _is_zero(self, points: Numbers) -> tuple[Mask, Mask]:
-        """Whose exponent is zero after a long measurement, and whose may be, of a torus."""
+        """Whose exponent is zero after a long measurement; whose may be zero, as on a torus."""
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
         shear = self._exponents.linear_growth(points, self._ensemble.omega[points])
-        # What turns about a torus shrinks and grows again, never by as much as it parts.
+        # Disturbances on a torus shrink and grow in turn, by less than they grow in the long run.
         high = np.maximum(limit.SURE * error, shear)
         low = -np.maximum(limit.SURE * error, 0.5 * shear)
         is_zero = self._exponents.is_long(points) & (low <= exponent) & (exponent <= high)
@@ -439,7 +443,7 @@ class Search:
         return after
 
     def _test_sign(self, points: Numbers) -> States:
-        """More time for what contracts; orbits that a solver without located kinks scatters."""
+        """More time for motions that contract; orbits blurred by errors at unlocated kinks."""
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
         is_zero, _ = self._is_zero(points)
         after = np.where(is_zero, State.UNRESOLVED, State.CHAOS_TEST)
@@ -454,8 +458,9 @@ class Search:
         return after
 
     def _extend(self, points: Numbers, exponent: Array) -> Mask:
-        """Which motions get time to settle at the rate that is known now, once: damping may have
-        promised another.
+        """Give motions time to settle at the rate that the exponent shows, once; which get it.
+
+        Damping may have suggested a faster one.
         """
         n_periods = np.ceil(math.log(limit.REST) / exponent * self._exponents.omega(points))
         may = n_periods <= np.minimum(self._longest[points], limit.MOST_EXTENSION)
@@ -487,9 +492,10 @@ class Search:
         return bool(n)
 
     def _test_chaos(self, points: Numbers) -> States:
+        """Whether the exponent is positive, the section irregular, and the motion bounded."""
         windows, largest = self._windows, self._steady.max_period_multiple
-        # On an unstable orbit a disturbance grows too, and near a bifurcation so slowly that the
-        # motion stays near: but there it repeats itself.
+        # Disturbances of an unstable orbit grow, too; near a bifurcation so slowly that the motion
+        # stays near it: but there it repeats itself.
         section, length = windows.section[:, points], windows.length[points]
         is_alike = repeat_nearly(section, length, windows.step_error[points], largest)
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
@@ -501,7 +507,7 @@ class Search:
         return np.where(grows, State.GROWING, after)
 
     def _classify_stop(self, points: Numbers) -> States:
-        """A motion at rest, by the eigenvalues there; without return to its section; or failed."""
+        """Motions that did not reach their end: at rest, without return to the section, failed."""
         found, status = self._found, self._windows.status[points]
         after = np.where(status == ASTRAY, State.NO_RETURN, State.FAILED)
         for k in np.flatnonzero(status == AT_REST).tolist():

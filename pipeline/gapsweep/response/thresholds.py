@@ -38,11 +38,15 @@ KINK_SCATTER = 10.0
 # Newton may move this share; farther away it converges to any orbit.
 NEWTON_RANGE = 0.2
 NEWTON_STEPS = 6
+# Share of the reach to which an orbit is computed, unless the solver's noise is larger.
+NEWTON_GOAL = 1e-10
 # A map that stretches by more is near no orbit that attracts: most shots of chaotic motions.
 STRETCHED = 2.0
 # Steps that shorten by no more than this are the solver's noise, if they are as short as this share
 # of the range.
 SHORTENED, SHORT_STEP = 0.5, 0.05
+# Points of an orbit that are nearer than this share are one point, twice.
+SAME_POINT = 1e-6
 # A part of an orbit closes so much better than the parts are alike; no better than rounding, as a
 # share of the largest component, lets it.
 PART_CLOSES, ROUNDING = 0.1, 1e-10
