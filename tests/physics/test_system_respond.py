@@ -321,7 +321,7 @@ def test_a_torus_beside_a_part_that_repeats_is_found():
     omega, q_0 = w / (2 * math.pi), [0.3, 0]
     found = gs.respond(system, law, omega, q_0=q_0)
     assert found.response_class == gs.ResponseClass.QUASIPERIODIC
-    # Its exponent is measured to the error that is asked for, before that is said.
+    # Its exponent is measured to the error that is asked for.
     steady = gs.Steady(lyapunov_error=found.lyapunov_error / 2.0, max_periods=100_000)
     precise = gs.respond(system, law, omega, q_0=q_0, steady=steady)
     assert precise.response_class == gs.ResponseClass.QUASIPERIODIC
