@@ -145,14 +145,16 @@ class Search:
 
     def _schedule(self, points: Numbers) -> States:
         """A transient, then a window: a full one from the second of a settled motion on."""
-        windows = self._windows
+        windows, was_settled = self._windows, self._is_settled[points]
         n_left = self._last[points] - windows.n_periods[points]
         transient = np.minimum(self._pause[points], n_left)
         transient = self._ensemble.bounded_transient(transient, windows.n_periods[points])
         begin = windows.n_periods[points] + transient
-        self._size[points[self._is_settled[points]]] = self._steady.n_periods
         self._is_settled[points] = begin >= self._settling[points]
-        is_last = begin + self._size[points] >= self._last[points]
+        self._size[points[was_settled]] = self._steady.n_periods
+        # An exponent costs more than the first window of a settled motion.
+        is_new = self._is_settled[points] & ~was_settled
+        is_last = (begin + self._size[points] >= self._last[points]) & ~is_new
         part = np.where(self._is_settled[points], self._part, self._steady.n_periods)
         self._transient[points] = transient
         self._recording[points] = np.where(is_last, 0, np.minimum(self._size[points], part))
