@@ -9,6 +9,7 @@ from gapsweep.analysis.metrics import variables
 from gapsweep.analysis.timing import COSTS
 from gapsweep.cli.main import commands
 from gapsweep.response.result import CLASS_FLAGS, KIND_FLAGS
+from gapsweep.response.search import TRANSITIONS
 from gapsweep.status import Status
 from gapsweep.study.schema import (
     ATTRACTOR_VARIABLES,
@@ -38,6 +39,15 @@ def pages() -> dict[str, str]:
 
 
 _FACTS = ("type", "units", "what it is")
+
+
+def states() -> str:
+    """States of the search for steady responses, in `steady.md`: function, and what may follow."""
+    rows = (
+        f"{state.name:15}{function:17}{' '.join(each.name for each in after)}\n"
+        for state, (function, after) in TRANSITIONS.items()
+    )
+    return "".join(rows)
 
 
 def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

@@ -138,6 +138,13 @@ def test_every_variable_of_a_run_is_in_the_reference(name, folder, monkeypatch):
     assert f"generated/{name}.md" in (DOCS / "reference" / "datasets.md").read_text()
 
 
+def test_the_states_of_the_search_are_in_the_docs(monkeypatch):
+    monkeypatch.syspath_prepend(DOCS)
+    import tables
+
+    assert f"```text\n{tables.states()}```" in (DOCS / "steady.md").read_text()
+
+
 def test_every_command_is_in_the_generated_reference(monkeypatch):
     monkeypatch.syspath_prepend(DOCS)
     import tables

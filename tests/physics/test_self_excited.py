@@ -11,10 +11,10 @@ from scipy.integrate import solve_ivp
 import gapsweep as gs
 from gapsweep.integrate.problem import Models, Solver
 from gapsweep.response.attractors import attractors_of_scenes
+from gapsweep.response.autonomous import PoincareMap
 from gapsweep.response.ensemble import Ensemble
-from gapsweep.response.rates import Rates, rates
+from gapsweep.response.equilibrium import Rates, rates
 from gapsweep.response.respond import respond_all
-from gapsweep.response.returns import Returns
 from gapsweep.response.scene import Scene
 
 PERIODIC, EQUILIBRIUM = gs.ResponseClass.PERIODIC, gs.ResponseClass.EQUILIBRIUM
@@ -227,7 +227,7 @@ def test_a_far_shot_changes_nothing_for_those_after_it():
     system = fluttering()
     near, far = (np.array([[x], [0.0], [0.0], [0.0]]) for x in (0.01, 500.0))
     models = Models.of([system], [(LAW,)], np.zeros(1))
-    returns, one = Returns(models, Solver.of(), near), np.ones(1, int)
+    returns, one = PoincareMap(models, Solver.of(), near), np.ones(1, int)
 
     def shot(y):
         call = returns.call(np.zeros(1, int), y, one, np.full(1, np.inf), tangent=True)

@@ -15,11 +15,11 @@ from tests.stored import tile_rows
 import gapsweep as gs
 from gapsweep.integrate.problem import Models, Solver
 from gapsweep.report import figures
-from gapsweep.response import ensemble, shooting
+from gapsweep.response import ensemble, thresholds
 from gapsweep.response.attractors import attractors_of_scenes
+from gapsweep.response.autonomous import PoincareMap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Responses
-from gapsweep.response.returns import Returns
 from gapsweep.response.section import (
     cloud_distances,
     converging_multiples,
@@ -272,7 +272,7 @@ def test_what_fails_in_a_pause_is_left_where_it_failed():
 def test_shots_that_are_given_up_miss_no_attractor(monkeypatch):
     law, omega = gs.Piecewise(HARD, SYMMETRIC), np.linspace(12.0, 30.0, 60)
     found = gs.respond(gs.Oscillator(), law, omega)
-    monkeypatch.setattr(shooting, "_STRETCHES", np.inf)
+    monkeypatch.setattr(thresholds, "STRETCHED", np.inf)
     patient = gs.respond(gs.Oscillator(), law, omega)
     assert np.array_equal(found.response_class, patient.response_class)
     assert np.array_equal(found.period_multiple, patient.period_multiple)
@@ -424,7 +424,7 @@ def test_shots_are_no_part_of_what_a_motion_costs(label, omega):
     models = Models.of([oscillator], [(law,)], np.array([omega]))
     solver = Solver.of("compiled")
     y, periods, never = np.array([[1e-3], [0.0]]), np.full(1, 4), np.full(1, np.inf)
-    ensemble = Ensemble(models, solver) if omega else Returns(models, solver, y)
+    ensemble = Ensemble(models, solver) if omega else PoincareMap(models, solver, y)
     one, costs = np.zeros(1, np.intp), []
     for tangent in (False, True):
         call = ensemble.call(one, y, periods, never, tangent=tangent)
@@ -585,3 +585,11 @@ def test_free_vibration_between_walls_is_periodic(rtol):
     inside = math.asin(0.5 / math.hypot(0.5, speed / inner)) / inner
     assert_allclose(found.period, 4.0 * (inside + outside), rtol=max(10.0 * rtol, 1e-8))
     assert_allclose(found.multiplier_abs, 1.0, atol=max(rtol, 1e-6))
+
+
+def test_undamped_motion_ends_whatever_error_of_the_exponent_is_wanted():
+    law, steady = gs.Piecewise(1.4e6, SYMMETRIC), gs.Steady(lyapunov_error=0.2)
+    found = gs.respond(gs.Oscillator(zeta=0.0), law, 9.0, steady=steady)
+    assert found.response_class is gs.ResponseClass.UNRESOLVED
+    assert np.isnan(found.lyapunov)
+    assert "without damping" in found.message

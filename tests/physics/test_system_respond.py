@@ -360,8 +360,14 @@ def test_a_torus_beside_a_part_that_repeats_is_found():
     )  # fmt: skip
     w = math.sqrt(0.6)  # of a fraction both would repeat together
     law = gs.Piecewise(3.0, gs.Gap(1.0, 1.0))
-    found = gs.respond(system, law, w / (2 * math.pi), q_0=[0.3, 0])
+    omega, q_0 = w / (2 * math.pi), [0.3, 0]
+    found = gs.respond(system, law, omega, q_0=q_0)
     assert found.response_class == gs.ResponseClass.QUASIPERIODIC
+    # Its exponent is measured to the error that is asked for.
+    steady = gs.Steady(lyapunov_error=found.lyapunov_error / 2.0, max_periods=100_000)
+    precise = gs.respond(system, law, omega, q_0=q_0, steady=steady)
+    assert precise.response_class == gs.ResponseClass.QUASIPERIODIC
+    assert precise.lyapunov_error <= steady.lyapunov_error
 
 
 def test_a_torus_is_not_given_the_slow_orbit_that_it_passes():

@@ -13,11 +13,11 @@ from tests.section_points import parts
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
-from gapsweep.response.maps import floquet_multipliers, newton_steps
+from gapsweep.response.lyapunov import LyapunovExponents
 from gapsweep.response.respond import respond_all
 from gapsweep.response.scene import Scene
 from gapsweep.response.section import likely_multiple, period_multiple
-from gapsweep.response.shooting import Growths, Shots
+from gapsweep.response.shooting import NewtonShooting, floquet_multipliers, newton_steps
 from gapsweep.status import Status
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
@@ -75,13 +75,13 @@ def test_known_period_two_of_hard_asymmetric_contact():
 
 
 def test_an_exponent_is_growth_per_time_however_long_returns_take():
-    rng, growths = np.random.default_rng(4), Growths(2, 1)
+    rng, growths = np.random.default_rng(4), LyapunovExponents(2, 1)
     n, time = growths.n_least, rng.uniform(0.5, 3.0, growths.n_least)
     logs = rng.normal(
         0.3, 0.1, n
     )  # whatever time they take: the mean of rates is 1.4 times as much
     point, one = np.array([0]), np.ones(1)
-    growths.begin(point, np.zeros((2, 1)), one, one, np.array([1.0 * n]))
+    growths.start(point, np.zeros((2, 1)), one, one, np.array([1.0 * n]))
     blocks = SimpleNamespace(
         is_ok=np.ones(n, bool), status=np.zeros(n, int), y=np.zeros((2, n)), omega=1.0 / time,
         monodromy=np.exp(logs)[:, None, None] * np.eye(2), is_sound=np.ones(n, bool),
@@ -91,7 +91,7 @@ def test_an_exponent_is_growth_per_time_however_long_returns_take():
     (found,), (error,) = growths.exponents(point)
     assert found == pytest.approx(logs[1:].sum() / time[1:].sum())  # the first one aligns
     # What overflows and then shrinks to nothing grew by no number, without a word.
-    growths.begin(point, np.zeros((2, 1)), one, one, np.array([1.0 * n]))
+    growths.start(point, np.zeros((2, 1)), one, one, np.array([1.0 * n]))
     with np.errstate(all="ignore"):
         blocks.monodromy = np.exp(np.where(np.arange(n) % 2, 1e3, -1e3))[:, None, None] * np.eye(2)
     growths.step(point, n, blocks)
@@ -106,9 +106,9 @@ def test_an_exponent_is_growth_per_time_however_long_returns_take():
 
 def test_newton_goes_on_while_ends_still_come_nearer():
     """Where multipliers nearly turn once in a shot, ends meet far away from the orbit."""
-    shots, point, noise = Shots(2, 1, 2), np.array([0]), 5e-5
+    shots, point, noise = NewtonShooting(2, 1, 2), np.array([0]), 5e-5
     nowhere = np.zeros((2, 1))
-    shots.aim(point, nowhere, np.ones(1, int), *np.array([[1e-9], [noise], [1.0]]))
+    shots.start(point, nowhere, np.ones(1, int), *np.array([[1e-9], [noise], [1.0]]))
 
     def shot(missed, length):
         """Whether an orbit is found where ends are so far apart and Newton's step is so long."""
@@ -488,7 +488,7 @@ def made_call(tangent, ok, sound, strayed, omega):
 def test_blocks_of_growth_in_one_call_are_those_of_one_call_each():
     """Also where a block fails, first, in the middle or last, and where one is unsound."""
     rng, omega = np.random.default_rng(1), 9.0
-    points, n = np.array([4, 1, 3, 0]), Growths(3, 1).n_least
+    points, n = np.array([4, 1, 3, 0]), LyapunovExponents(3, 1).n_least
     tangent = rng.normal(size=(4, n, 3, 3))
     ok, sound = np.ones((4, n), bool), np.ones((4, n), bool)
     strayed = rng.uniform(size=(4, n))
@@ -496,10 +496,10 @@ def test_blocks_of_growth_in_one_call_are_those_of_one_call_each():
         ok[row, block:] = False
         tangent[row, block:] = np.nan
     sound[0, 5] = False
-    together, apart = Growths(3, 5), Growths(3, 5)
+    together, apart = LyapunovExponents(3, 5), LyapunovExponents(3, 5)
     for growths in (together, apart):
         given = np.full(4, 0.9), np.full(4, omega), np.full(4, 1000)
-        growths.begin(points, np.zeros((3, 4)), *given)
+        growths.start(points, np.zeros((3, 4)), *given)
     given = (each.reshape(-1, *each.shape[2:]) for each in (tangent, ok, sound, strayed))
     call = made_call(*given, omega)
     is_over, status = together.step(points, n, call)
@@ -514,7 +514,7 @@ def test_blocks_of_growth_in_one_call_are_those_of_one_call_each():
     assert_array_equal(together.y[:, points], apart.y[:, points])
     assert_array_equal(together.n_blocks[points], apart.n_blocks[points])
     assert together.n_blocks[points].tolist() == [n, 0, 20, n - 1]
-    assert_allclose(together.strayed[points], apart.strayed[points], rtol=1e-12)
+    assert_allclose(together.solver_noise[points], apart.solver_noise[points], rtol=1e-12)
     whole = points[:1]
     assert_array_equal(together.exponents(whole), apart.exponents(whole))
     assert np.isnan(together.exponents(whole)[0]).all()  # a block was unsound

@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal, assert_equal
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
-from gapsweep.response.lists import Lists, spans
+from gapsweep.response.ragged import RaggedArrays, spans
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import COLUMNS, LISTS, Response, Responses
 from gapsweep.response.scene import Scene
@@ -114,7 +114,7 @@ def test_the_order_is_that_of_the_scenes():
 
 
 def test_lists_keep_what_was_put_last():
-    lists = Lists(4)
+    lists = RaggedArrays(4)
     lists.put(np.array([2, 0]), np.array([1.0, 2.0, 3.0]), np.array([2, 1]))
     lists.put(np.array([2, 3]), np.array([4.0]), np.array([1, 0]))
     items, counts = lists.of(np.array([3, 2, 0]))

@@ -35,7 +35,7 @@ from gapsweep.analysis.starts import start_metrics
 from gapsweep.analysis.summary import summaries
 from gapsweep.analysis.systems import by_coordinate, in_metres, section_rate, with_rate
 from gapsweep.model.labels import EXACT
-from gapsweep.response.section import DEVIATIONS
+from gapsweep.response.thresholds import DEVIATIONS
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 

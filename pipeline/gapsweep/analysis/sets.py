@@ -23,7 +23,8 @@ from gapsweep.analysis.matching import assignment
 from gapsweep.analysis.slab import Found, Slab
 from gapsweep.response.attractors import NONE
 from gapsweep.response.result import ResponseClass
-from gapsweep.response.section import CLOUD_CLOSE, CLOUD_SHARE, DEVIATIONS
+from gapsweep.response.section import CLOUD_CLOSE, CLOUD_SHARE
+from gapsweep.response.thresholds import DEVIATIONS
 
 # Of the gap width.
 CLOSE = 0.05

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.motion import VANISHED
 from gapsweep.response.call import Call
-from gapsweep.response.ensemble import Ensemble
-from gapsweep.response.found import SURE, Found
-from gapsweep.response.lists import Lists, spans
+from gapsweep.response.classification import Classification, State
+from gapsweep.response.equilibrium import rates
 from gapsweep.response.loads import contact_shares, largest_forces
-from gapsweep.response.rates import rates
+from gapsweep.response.ragged import RaggedArrays, spans
 from gapsweep.response.result import (
     LISTS,
     ExtremumKind,
@@ -25,8 +24,9 @@ from gapsweep.response.result import (
     missing,
 )
 from gapsweep.response.section import period_multiple, reach_of
-from gapsweep.response.shooting import Shots
-from gapsweep.response.walks import Walks
+from gapsweep.response.shooting import NewtonShooting
+from gapsweep.response.thresholds import SURE
+from gapsweep.response.windows import RecordedWindows
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -34,23 +34,30 @@ Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-
-_ASTRAY = (
-    "never comes back to its section, the maxima of the first coordinate: it creeps, or another "
-    "coordinate should come first"
-)
-
-
-_HIDDEN = (
-    "a contact or a cubic spring moves by less than 1e-5 of what all moves, by kinetic energy: too "
-    "little to be told from errors of the rest; simulate its part alone"
-)
 # So little of the whole motion a contact may move. From 1e-6 on, chaos of a part was seen to be
 # taken for a period; down to 1e-5 all was right.
 _FAINT = 1e-5
 _LINEAR = 1e-3  # of a spring's stiffness, below which what a cubic one adds is nothing to be missed
 
-
+# Why points of some states are unresolved, then why others are.
+_REASONS = {
+    State.NO_RETURN: (
+        "never comes back to its section, the maxima of the first coordinate: it creeps, or "
+        "another coordinate should come first"
+    ),
+    State.HIDDEN: (
+        "a contact or a cubic spring moves by less than 1e-5 of what all moves, by kinetic energy: "
+        "too little to be told from errors of the rest; simulate its part alone"
+    ),
+    State.UNSTABLE_REST: (
+        "it rests on an unstable equilibrium (exponent {exponent}): start it elsewhere"
+    ),
+    State.LOCKED: (
+        "it repeats, but after more than max_period_multiple = {largest} periods (raise it, to 256 "
+        "at most), or not on a stable orbit"
+    ),
+    State.GROWING: "the motion was still going farther than ever at the end: give it more {time}",
+}
 _UNDAMPED = (
     "without damping a motion does not settle, and this one does not repeat within "
     "max_period_multiple = {largest} periods"
@@ -58,10 +65,6 @@ _UNDAMPED = (
 _UNMEASURED = (
     "no stable orbit of up to max_period_multiple = {largest} periods was found, and no Lyapunov "
     "exponent was measured: give it more {time}"
-)
-_LOCKED = (
-    "it repeats, but after more than max_period_multiple = {largest} periods (raise it, to 256 at "
-    "most), or not on a stable orbit"
 )
 _BLURRED = (
     "it repeats every {n} periods within the solver's noise, but shooting finds no stable orbit "
@@ -72,8 +75,6 @@ _SHRINKS = (
     "max_period_multiple = {largest} periods was found: raise it (256 at most), or give it more "
     "{time}"
 )
-_UNSTABLE = "it rests on an unstable equilibrium (exponent {exponent}): start it elsewhere"
-_GROWS = "the motion was still going farther than ever at the end: give it more {time}"
 _STAYS = (
     "the Lyapunov exponent, {exponent}, is positive, but the motion repeats to a thousandth: it "
     "leaves an unstable orbit slowly, or its chaos is weak; give it more {time}, or record more of "
@@ -83,32 +84,41 @@ _UNCERTAIN = "the sign of the Lyapunov exponent, {exponent}, is not certain: giv
 _TIME = "time (max_decay_times, max_periods, t_max)"
 
 
+_CLASSES = {
+    State.PERIODIC: ResponseClass.PERIODIC,
+    State.CHAOTIC: ResponseClass.CHAOTIC,
+    State.QUASIPERIODIC: ResponseClass.QUASIPERIODIC,
+    State.EQUILIBRIUM: ResponseClass.EQUILIBRIUM,
+}
+
+
 def answers(
-    ensemble: Ensemble, walks: Walks, shots: Shots, found: Found, steady: Steady
+    windows: RecordedWindows, shooting: NewtonShooting, found: Classification, steady: Steady
 ) -> Responses:
-    """Responses of all scenes of an ensemble."""
-    n, t_settled = len(ensemble.omega), walks.t
-    states = _record(np.flatnonzero(found.is_periodic), ensemble, walks, shots)
-    _rest(np.flatnonzero(found.is_at_rest | found.is_astray), walks, states)
-    is_ok = walks.status == Status.OK
+    """Responses of all points of a search."""
+    ensemble, t_settled = windows.ensemble, windows.t
+    n = len(t_settled)
+    states = _record(np.flatnonzero(found.state == State.PERIODIC), windows, shooting)
+    _rest(np.flatnonzero(found.has_stopped), windows, states)
+    is_ok = windows.status == Status.OK
     points, failures = np.flatnonzero(is_ok), np.flatnonzero(~is_ok)
-    read, lists = _read_off(points, ensemble, walks, found, steady)
-    read |= _stability(points, ensemble, walks, shots, found)
+    read, lists = _read_off(points, windows, found, steady)
+    read |= _stability(points, windows, shooting, found)
     read["t_settled"] = t_settled[points]
-    lists["multipliers"] = _multipliers(points, shots, found)
-    lists["section"] = section, counts = _section(points, walks, found, states, steady)
-    end = section[(np.cumsum(counts) - len(walks.y))[:, None] + np.arange(len(walks.y))]
+    lists["multipliers"] = _multipliers(points, shooting, found)
+    lists["section"] = section, counts = _section(points, windows, found, states, steady)
+    end = section[(np.cumsum(counts) - len(windows.y))[:, None] + np.arange(len(windows.y))]
     n_q = ensemble.n_coordinates
     read["x_end"], read["v_end"] = end[:, :n_q], end[:, n_q : 2 * n_q]
     read["z_end"] = end[:, 2 * n_q :]
     columns = missing(n, ensemble.structure)
     for name in columns.keys() & read.keys():
         columns[name][points] = read[name].reshape(len(points), *columns[name].shape[1:])
-    columns["status"][failures], messages = _failures(failures, ensemble, walks)
-    for is_so, message in ((found.is_astray, _ASTRAY), (found.is_hidden, _HIDDEN)):
-        messages |= dict.fromkeys(np.flatnonzero(is_so).tolist(), message)
+    columns["status"][failures], messages = _failures(failures, windows)
+    for state in (State.NO_RETURN, State.HIDDEN):
+        messages |= dict.fromkeys(np.flatnonzero(found.state == state).tolist(), _REASONS[state])
     for point in np.flatnonzero(columns["status"] == Status.UNRESOLVED).tolist():
-        messages.setdefault(point, _why_unresolved(point, ensemble, walks, found, steady))
+        messages.setdefault(point, _why_unresolved(point, windows, found, steady))
     columns |= ensemble.costs()
     of_all = {}
     for name, dtype in LISTS.items():
@@ -119,39 +129,34 @@ def answers(
     return Responses(columns, of_all, messages)
 
 
-def _failures(
-    failures: Numbers, ensemble: Ensemble, walks: Walks
-) -> tuple[list[Status], dict[int, str]]:
+def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status], dict[int, str]]:
     """Status of the points that failed, and what to say of it by point."""
-    y = walks.y[:, failures]
+    ensemble = windows.ensemble
+    y = windows.y[:, failures]
     gaps = ensemble.gaps(ensemble.turning(failures, y))
     low, high = ensemble.valid_range[:, :, failures]
     has_left = np.asarray(((gaps < low) | (gaps > high)).any(axis=0))  # not so what is no number
     statuses, messages = [], {}
     for k, point in enumerate(failures.tolist()):
-        reached = Status(walks.status[point])
+        reached = Status(windows.status[point])
         statuses.append(Status.OUT_OF_FIT_RANGE if has_left[k] else reached)
         names = ensemble.system(point).coordinates
         places = ", ".join(f"{name} = {q:.3g} m" for name, q in zip(names, y[:, k], strict=False))
-        messages[point] = f"{reached.label} before t = {walks.t[point]:.6g} s at {places}"
+        messages[point] = f"{reached.label} before t = {windows.t[point]:.6g} s at {places}"
     return statuses, messages
 
 
 def _why_unresolved(
-    point: int, ensemble: Ensemble, walks: Walks, found: Found, steady: Steady
+    point: int, windows: RecordedWindows, found: Classification, steady: Steady
 ) -> str:
     exponent, error = found.lyapunov[point], found.lyapunov_error[point]
     largest = steady.max_period_multiple
-    n = period_multiple(walks.window(point), float(walks.same[point]), largest)
-    if found.is_at_rest[point]:
-        reason = _UNSTABLE
-    elif found.is_locked[point]:
-        reason = _LOCKED
-    elif found.is_growing[point]:
-        reason = _GROWS
+    n = period_multiple(windows.window(point), float(windows.resolution[point]), largest)
+    if found.state[point] in _REASONS:
+        reason = _REASONS[State(found.state[point])]
     elif n:
         reason = _BLURRED
-    elif ensemble.settling_rate[point] <= 0.0:
+    elif windows.ensemble.settling_rate[point] <= 0.0:
         reason = _UNDAMPED
     elif math.isnan(exponent):
         reason = _UNMEASURED
@@ -164,32 +169,32 @@ def _why_unresolved(
 
 
 def _stability(
-    points: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots, found: Found
+    points: Numbers, windows: RecordedWindows, shooting: NewtonShooting, found: Classification
 ) -> dict[str, Array | Counts]:
     """Columns that say what the responses of some points are, and how sure that is."""
-    is_orbit = found.is_periodic[points]
-    n, omega = shots.n[points], shots.omega[points]
+    state = found.state[points]
+    is_orbit = state == State.PERIODIC
+    at_rest = (state == State.EQUILIBRIUM) | (state == State.UNSTABLE_REST)
+    n, omega = shooting.n[points], shooting.omega[points]
     lyapunov, error = found.lyapunov[points], found.lyapunov_error[points]
     modulus = np.full(len(points), np.nan)
-    largest = shots.multipliers[points[is_orbit], 0]
+    largest = shooting.multipliers[points[is_orbit], 0]
     modulus[is_orbit] = np.hypot(largest.real, largest.imag)
     follows = is_orbit & np.isnan(lyapunov)
     shrinks = follows & (modulus > VANISHED)
     # What swings until it has shrunk to nothing shrank on average as areas do; what creeps did not.
-    rate = ensemble.decay_rate[points]
-    swings = follows & ~shrinks & (ensemble.settling_rate[points] == rate)
+    rate = windows.ensemble.decay_rate[points]
+    swings = follows & ~shrinks & (windows.ensemble.settling_rate[points] == rate)
     lyapunov[swings] = -rate[swings]
     error[swings | shrinks] = 0.0
     # numpy's own logarithm is another one on another processor.
     logarithms = np.fromiter(map(math.log, modulus[shrinks].tolist()), float)
     lyapunov[shrinks] = logarithms * omega[shrinks] / n[shrinks]
     kinds = np.full(len(points), ResponseClass.UNRESOLVED)
-    kinds[is_orbit] = ResponseClass.PERIODIC
-    kinds[found.is_chaotic[points]] = ResponseClass.CHAOTIC
-    kinds[found.is_quasiperiodic[points]] = ResponseClass.QUASIPERIODIC
-    kinds[found.is_at_rest[points] & ~(lyapunov > 0.0)] = ResponseClass.EQUILIBRIUM
-    noise = walks.noise(np.where(found.is_periodic, shots.n, 1))[points]
-    noise = np.where(found.is_at_rest[points], found.offset[points], noise)
+    for of_state, kind in _CLASSES.items():
+        kinds[state == of_state] = kind
+    noise = windows.noise(np.where(found.state == State.PERIODIC, shooting.n, 1))[points]
+    noise = np.where(at_rest, found.offset[points], noise)
     return {
         "period": np.where(is_orbit, n / omega, np.nan),
         "response_class": kinds,
@@ -201,67 +206,73 @@ def _stability(
     }
 
 
-def _multipliers(points: Numbers, shots: Shots, found: Found) -> tuple[Array, Counts]:
+def _multipliers(
+    points: Numbers, shooting: NewtonShooting, found: Classification
+) -> tuple[Array, Counts]:
     """Floquet multipliers of the orbits among some points, real part and imaginary part in turn."""
-    is_orbit, n = found.is_periodic[points], shots.n_multipliers
-    multipliers = np.ascontiguousarray(shots.multipliers[points[is_orbit], :n])
+    is_orbit, n = found.state[points] == State.PERIODIC, shooting.n_multipliers
+    multipliers = np.ascontiguousarray(shooting.multipliers[points[is_orbit], :n])
     return multipliers.view(float).ravel(), np.where(is_orbit, 2 * n, 0)
 
 
-def _record(orbits: Numbers, ensemble: Ensemble, walks: Walks, shots: Shots) -> Lists:
+def _record(orbits: Numbers, windows: RecordedWindows, shooting: NewtonShooting) -> RaggedArrays:
     """States (q, v, z) of orbits after each forcing period of a whole period, one after the other.
 
     Their extrema and contacts join those of the last windows of other motions.
     """
-    states = Lists(len(ensemble.omega))
+    ensemble, states = windows.ensemble, RaggedArrays(len(shooting.n))
     if orbits.size:
-        y, n = shots.y[:, orbits], shots.n[orbits]
+        y, n = shooting.y[:, orbits], shooting.n[orbits]
         call = ensemble.call(orbits, y, n, np.zeros(len(orbits)), section_only=False)
-        walks.y[:, orbits], walks.status[orbits] = y, call.status
-        walks.extrema.put(walks.rows(orbits), *_whole_period(walks, orbits, y, call))
-        walks.contact_share[:, orbits] = contact_shares(ensemble, orbits, y, call, closed=True)
+        windows.y[:, orbits], windows.status[orbits] = y, call.status
+        windows.extrema.put(windows.rows(orbits), *_whole_period(windows, orbits, y, call))
+        windows.contact_share[:, orbits] = contact_shares(ensemble, orbits, y, call, closed=True)
         section, counts = call.passings
         states.put(orbits, section.ravel(), len(y) * counts)
     return states
 
 
-def _rest(points: Numbers, walks: Walks, states: Lists) -> None:
+def _rest(points: Numbers, windows: RecordedWindows, states: RaggedArrays) -> None:
     """What has come to rest stays there: no extrema, one state. So it is with what was given up."""
     if not points.size:
         return
-    rows, y = walks.rows(points), walks.y[:, points]
-    walks.extrema.put(rows, np.empty(0), np.zeros(len(rows), np.int64))
-    gaps = walks.ensemble.gaps(walks.ensemble.turning(points, y))
-    low, high = walks.ensemble.walls[:, :, points]
-    walks.contact_share[:, points] = (gaps < low) | (gaps > high)
-    walks.status[points] = Status.OK
+    rows, y = windows.rows(points), windows.y[:, points]
+    windows.extrema.put(rows, np.empty(0), np.zeros(len(rows), np.int64))
+    gaps = windows.ensemble.gaps(windows.ensemble.turning(points, y))
+    low, high = windows.ensemble.walls[:, :, points]
+    windows.contact_share[:, points] = (gaps < low) | (gaps > high)
+    windows.status[points] = Status.OK
     states.put(points, y.T.ravel(), np.full(len(points), len(y)))
 
 
 def _section(
-    points: Numbers, walks: Walks, found: Found, states: Lists, steady: Steady
+    points: Numbers,
+    windows: RecordedWindows,
+    found: Classification,
+    states: RaggedArrays,
+    steady: Steady,
 ) -> tuple[Array, Counts]:
     """States of some points: of orbits as recorded, of other motions the last of their windows."""
-    others = points[~(found.is_periodic | found.is_at_rest | found.is_astray)[points]]
-    n_states, _, width = walks.section.shape
-    length = walks.length[others]
+    others = points[~((found.state == State.PERIODIC) | found.has_stopped)[points]]
+    n_states, _, width = windows.section.shape
+    length = windows.length[others]
     counts = np.minimum(length, steady.max_period_multiple)
     last = spans(others * width + length - counts, counts)
-    window = walks.section.reshape(n_states, -1)[:, last]
-    window = window * np.repeat(walks.ensemble.unit[:, others], counts, axis=1)
+    window = windows.section.reshape(n_states, -1)[:, last]
+    window = window * np.repeat(windows.ensemble.unit[:, others], counts, axis=1)
     states.put(others, window.T.ravel(), n_states * counts)
     return states.of(points)
 
 
 def _read_off(
-    points: Numbers, ensemble: Ensemble, walks: Walks, found: Found, steady: Steady
+    points: Numbers, windows: RecordedWindows, found: Classification, steady: Steady
 ) -> tuple[dict[str, Array | Counts], dict[str, tuple[Array | Counts, Counts]]]:
     """Columns and lists that are read off the recorded extrema of some points."""
-    is_orbit, place = found.is_periodic[points], ensemble.turning(points, walks.y[:, points])
-    n_q = ensemble.n_coordinates
-    x, counts = walks.extrema.of(walks.rows(points))
+    ensemble, is_orbit = windows.ensemble, found.state[points] == State.PERIODIC
+    n_q, place = ensemble.n_coordinates, ensemble.turning(points, windows.y[:, points])
+    x, counts = windows.extrema.of(windows.rows(points))
     first = np.cumsum(counts) - counts
-    kinds = _kinds(x, counts, np.repeat(is_orbit, walks.n_turning))
+    kinds = _kinds(x, counts, np.repeat(is_orbit, windows.n_turning))
     # What has no turning point in its window still has a place.
     largest: Array = place.T.flatten()
     smallest = largest.copy()
@@ -270,25 +281,21 @@ def _read_off(
         largest[seen] = np.maximum.reduceat(x, first[seen])
         smallest[seen] = np.minimum.reduceat(x, first[seen])
     # One row a point, one column for every coordinate, then for every gap.
-    shape = -1, walks.n_turning
+    shape = -1, windows.n_turning
     largest, smallest = largest.reshape(shape), smallest.reshape(shape)
     counts, first = counts.reshape(shape), first.reshape(shape)
     x_max, x_min = largest[:, :n_q], smallest[:, :n_q]
     reach = np.maximum(np.abs(x_max), np.abs(x_min))
-    walks.reach[points] = reach_of(reach.T, ensemble.unit[:, points])
+    windows.reach[points] = reach_of(reach.T, ensemble.unit[:, points])
     gap_max, gap_min = (ensemble.gaps(each.T) for each in (largest, smallest))
     low, high = ensemble.valid_range[:, :, points]
     has_left = (gap_max > high) | (gap_min < low)
-    stays = found.is_at_rest & ~(found.lyapunov > 0.0)  # not so on top of a hill
-    found_out = found.is_chaotic | found.is_quasiperiodic | stays
-    share = walks.contact_share[:, points]
-    hidden = _hidden_contacts(points, ensemble, walks, gap_max, gap_min)
+    share = windows.contact_share[:, points]
+    hidden = _hidden_contacts(points, windows, gap_max, gap_min)
     if n_q > 1:
-        hidden |= _hidden_springs(points, ensemble, walks, 0.5 * (x_max - x_min))
-    hidden &= ~found.is_at_rest[points]
-    found.hide(points[hidden])
-    is_known = (is_orbit | found_out[points]) & ~hidden
-    status = np.where(is_known, Status.OK, Status.UNRESOLVED)
+        hidden |= _hidden_springs(points, windows, 0.5 * (x_max - x_min))
+    found.state[points[hidden & ~found.has_stopped[points]]] = State.HIDDEN
+    status = np.where(found.is_classified[points], Status.OK, Status.UNRESOLVED)
     status[has_left.any(axis=0)] = Status.OUT_OF_FIT_RANGE
     laws = zip(*map(ensemble.laws, points.tolist()), strict=True)
     forces = [largest_forces(*each) for each in zip(laws, gap_min, gap_max, strict=False)]
@@ -312,10 +319,11 @@ def _read_off(
 
 
 def _hidden_contacts(
-    points: Numbers, ensemble: Ensemble, walks: Walks, gap_max: Array, gap_min: Array
+    points: Numbers, windows: RecordedWindows, gap_max: Array, gap_min: Array
 ) -> Mask:
     """Where a contact that is felt moves too little to be told from errors of the rest."""
-    whole = ensemble.gap_units(points) * walks.reach[points]
+    ensemble = windows.ensemble
+    whole = ensemble.gap_units(points) * windows.reach[points]
     faint = 0.5 * (gap_max - gap_min) < _FAINT * whole
     margin = ensemble.solver.rtol * whole
     # A smooth law changes its stiffness about the same places: faint there is hidden, too.
@@ -324,7 +332,7 @@ def _hidden_contacts(
     return np.asarray((faint & near).any(axis=0))
 
 
-def _hidden_springs(points: Numbers, ensemble: Ensemble, walks: Walks, half: Array) -> Mask:
+def _hidden_springs(points: Numbers, windows: RecordedWindows, half: Array) -> Mask:
     """Where a cubic spring of a system does, and yet adds to what is linear.
 
     Parameters
@@ -332,8 +340,9 @@ def _hidden_springs(points: Numbers, ensemble: Ensemble, walks: Walks, half: Arr
     half : ndarray, shape (m, n_coordinates)
         Half the ranges of coordinates [m].
     """
+    ensemble = windows.ensemble
     unit = ensemble.unit[: ensemble.n_coordinates, points].T
-    whole = _FAINT * walks.reach[points]
+    whole = _FAINT * windows.reach[points]
     hidden = np.zeros(len(points), bool)
     for k in np.flatnonzero((half < whole[:, None] * unit).any(axis=1)).tolist():
         system = ensemble.system(points[k])
@@ -348,22 +357,24 @@ def _hidden_springs(points: Numbers, ensemble: Ensemble, walks: Walks, half: Arr
     return hidden
 
 
-def _whole_period(walks: Walks, orbits: Numbers, y: Array, call: Call) -> tuple[Array, Counts]:
+def _whole_period(
+    windows: RecordedWindows, orbits: Numbers, y: Array, call: Call
+) -> tuple[Array, Counts]:
     """Extrema [m] of orbits, and how many are each row's.
 
     The end of an orbit does not meet its start to the last bit. A turn just there would be missed,
     or counted at both: then the velocities have opposite signs, and the acceleration says which it
     is.
     """
-    ensemble, n_q = walks.ensemble, walks.ensemble.n_coordinates
-    x, counts = walks.extrema_of(call)
+    ensemble, n_q = windows.ensemble, windows.ensemble.n_coordinates
+    x, counts = windows.extrema_of(call)
     counts = counts.ravel()
     ends = np.cumsum(counts)
     missed, doubled = np.zeros(len(counts), bool), np.zeros(len(counts), bool)
     at = ensemble.turning(orbits, call.y).T.ravel()
     v_start, v_end = (ensemble.turning(orbits, each[n_q:]).T.ravel() for each in (y, call.y))
     for row in np.flatnonzero(v_start * v_end < 0.0).tolist():
-        k, which = divmod(row, walks.n_turning)
+        k, which = divmod(row, windows.n_turning)
         orbit = orbits[[k]]
         a = rates(ensemble, int(orbits[k]), call.y[:, k])[n_q : 2 * n_q]
         a_turning = ensemble.turning(orbit, a[:, None])[which, 0]

@@ -12,16 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.response.lists import spans
+from gapsweep.response.ragged import spans
 from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.response.section import (
     CLOUD_CLOSE,
-    DEVIATIONS,
     cloud_distances,
     own_neighbours,
     reach_of,
     scaled,
 )
+from gapsweep.response.thresholds import DEVIATIONS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,8 +34,8 @@ NONE = -1
 _SAME_ORBIT = 1e-3
 # Places of rest are known better.
 _SAME_REST = 1e-6
-# Two orbits about which their solver rattles are known to this share only.
-_SAME_RATTLE = 0.1
+# Two orbits blurred by solver errors are known to this share only.
+_SAME_NOISY = 0.1
 # Two chaotic samples are of one attractor if they overlap as well as `CLOUD_CLOSE` says, or if no
 # more of their points than this have their nearest neighbour in their own sample. Of 32 points of
 # one distribution half have; three quarters or more have in one case of a thousand.
@@ -257,8 +257,8 @@ def _same_orbits(responses: Responses, reach: Array, points: Array, begin: Numbe
     noise = np.where(np.isfinite(columns["noise"]), columns["noise"], 0.0)
 
     def same(a: Numbers, b: Numbers) -> Mask:
-        rattles = np.where(error[b] > error[a], error[b], error[a]) > 0.0
-        share = np.where(rattles, _SAME_RATTLE, np.where(is_rest[a], _SAME_REST, _SAME_ORBIT))
+        noisy = np.where(error[b] > error[a], error[b], error[a]) > 0.0
+        share = np.where(noisy, _SAME_NOISY, np.where(is_rest[a], _SAME_REST, _SAME_ORBIT))
         allowed = np.maximum(share * reach[:, a], DEVIATIONS * np.maximum(noise[a], noise[b]))
         found = np.zeros(len(a), bool)
         for shift in range(n):

@@ -47,8 +47,10 @@ class Ensemble:
     solver : Solver
     omega : ndarray, shape (n,)
         Forcing frequencies [Hz].
-    is_free : bool
-        Whether nothing forces them.
+    n_multipliers : int
+        Floquet multipliers of an orbit of the section's map.
+    has_families : ndarray of bool, shape (n,)
+        Whether periodic orbits come in families, one for each energy.
     decay_rate, settling_rate : ndarray, shape (n,)
         As of an `Oscillator` or a `System` [1/s].
     unit : ndarray, shape (n_states, n)
@@ -67,7 +69,7 @@ class Ensemble:
         The same, NaN where no gap lies between equal walls.
     is_modulated : ndarray of bool, shape (n_contacts, n)
         Whether the force of a contact changes with time.
-    has_own_tangent, is_rattled : bool
+    has_own_tangent, is_noisy : bool
         As of `Forces`.
     is_chained : bool
         Whether motions with their tangent may follow each other in a call.
@@ -78,14 +80,14 @@ class Ensemble:
     def __init__(self, models: Models, solver: Solver) -> None:
         self.models, self.solver = models, solver
         n, n_contacts, system = len(models), len(models.laws[0]), models.systems[0]
-        self.is_free = not models.omega.any()
-        slowest = models.of_systems(attrgetter("slowest")) if self.is_free else models.omega
         self.structure = structure_of(system)
         self.n_coordinates = system.n
         self.first_gap = 0 if isinstance(system, Oscillator) else system.n
         self.decay_rate = models.of_systems(attrgetter("decay_rate"))
         self.settling_rate = models.of_systems(attrgetter("settling_rate"))
-        self.set_clock(slowest)
+        self.n_multipliers, self.has_families = system.n_states, np.zeros(n, bool)
+        is_forced = models.omega.any()
+        self.set_clock(models.omega if is_forced else models.of_systems(attrgetter("slowest")))
         self.swing = np.zeros(n)
         places = attrgetter("valid_range"), attrgetter("walls"), _felt_walls
         self.valid_range, self.walls, self.felt_walls = (
@@ -94,7 +96,7 @@ class Ensemble:
         self._directions: Array = models.of_systems(attrgetter("directions"))
         self.is_modulated = models.of_systems(attrgetter("is_modulated")).T
         forces = Forces(models.laws[0], solver)
-        self.has_own_tangent, self.is_rattled = forces.has_own_tangent, forces.is_rattled
+        self.has_own_tangent, self.is_noisy = forces.has_own_tangent, forces.is_noisy
         self._integrate = prepared(models, solver)
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
@@ -121,6 +123,20 @@ class Ensemble:
             here = self.models.system == i
             self.unit[:, here] = system.unit(rate[here])
         self._pace = _UNKNOWN / omega  # steps that a period took last
+
+    def duration(self, n_periods: NDArray[np.int64], elapsed: Array) -> Array:
+        """Times [s] of so many periods; `elapsed`: as the calls took them, added up."""
+        return np.asarray(n_periods / self.omega)
+
+    def bounded_transient(
+        self, transient: NDArray[np.int64], n_periods: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Periods of the next transient, after so many periods."""
+        return transient
+
+    def stays_bounded(self, scenes: NDArray[np.intp], y: Array) -> NDArray[np.bool_]:
+        """Which aperiodic motions do not grow for ever: all that are forced."""
+        return np.ones(len(scenes), bool)
 
     def system(self, scene: int) -> Any:
         """What moves in a scene."""

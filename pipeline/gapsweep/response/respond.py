@@ -28,9 +28,9 @@ from gapsweep.integrate.simulate import inputs_of, starts
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import System
+from gapsweep.response.autonomous import PoincareMap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Response, Responses, Steady
-from gapsweep.response.returns import Returns
 from gapsweep.response.scene import Scene
 from gapsweep.response.search import Search
 
@@ -162,7 +162,7 @@ def respond_models(models: Models, solver: Solver, starts: Array, steady: Steady
     for group in groups:
         some, start = models.take(group), starts[group].T
         is_forced = some.omega[0] > 0.0
-        ensemble = Ensemble(some, solver) if is_forced else Returns(some, solver, start)
+        ensemble = Ensemble(some, solver) if is_forced else PoincareMap(some, solver, start)
         found.append(Search(ensemble, start, steady).responses())
     return _in_order(found, groups)
 

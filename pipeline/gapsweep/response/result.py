@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import checked, whole
 from gapsweep.model.structure import AnyStructure, OscillatorStructure, structure_of
-from gapsweep.response.lists import spans
+from gapsweep.response.ragged import spans
 from gapsweep.status import Status
 from gapsweep.variables import (
     CONTACT,

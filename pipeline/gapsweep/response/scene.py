@@ -50,7 +50,7 @@ class Forces:
         return any(isinstance(law, Piecewise) for law in self.laws) and not self.is_located
 
     @property
-    def is_rattled(self) -> bool:
+    def is_noisy(self) -> bool:
         """Whether steps may be thrown off by more than their error estimates, as by a kink or, at
         loose tolerances, by the sharp edge of a layer.
         """

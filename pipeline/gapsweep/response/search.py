@@ -1,71 +1,99 @@
-"""The search for steady responses of many points at once; see `gapsweep.response.respond`.
+"""The search for the steady responses of many points at once: a table of states.
 
-Every point is in a `Phase`, which says what it waits for. All that wait for a stretch of motion
-share a call of the engine, so do all that shoot at an orbit, and all whose disturbance grows.
-Arithmetic and decisions are on columns: none of them sees another point's row.
+A point is one parameter set with one initial condition. Its search runs
+
+    transient -> recording window -> period test -> Newton shooting -> basin check -> PERIODIC
+
+and, where no orbit is found in time, on to
+
+    Lyapunov exponent -> last window -> torus test -> QUASIPERIODIC, CHAOTIC or unresolved.
+
+Every point is in one `State`. A state has a function: it takes all points in that state (or in one
+of the few states that share it), moves or measures their motions, and returns the next state of
+each. No point sees another one's row. Forced and autonomous motions differ by their section alone:
+an `Ensemble` maps over forcing periods, a `PoincareMap` over returns, here called periods, too.
+Thresholds and their reasons: `gapsweep.response.thresholds`.
 """
 
 import math
-from collections.abc import Callable
-from functools import wraps
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.response import thresholds as limit
 from gapsweep.response.answers import answers
-from gapsweep.response.approach import NEAR, approach, farthest, is_slow
+from gapsweep.response.basin_check import basin_check, distances, is_slow
+from gapsweep.response.classification import Classification, State
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
-from gapsweep.response.found import SURE, Found, Phase
-from gapsweep.response.limits import Limits
-from gapsweep.response.rates import REST, about_rest
+from gapsweep.response.equilibrium import linear_stability
+from gapsweep.response.lyapunov import LyapunovExponents
+from gapsweep.response.quasiperiodic import MOST_POINTS, persists, torus_test
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
-    ALIKE,
-    DEVIATIONS,
     converging_multiples,
     likely_multiple,
     period_multiples,
     prime_multiple,
     repeat_nearly,
 )
-from gapsweep.response.shooting import Growths, Shots
-from gapsweep.response.tori import LONG, SHORT, ZERO, stay, stay_within, watch
-from gapsweep.response.walks import Walks
+from gapsweep.response.shooting import NewtonShooting
+from gapsweep.response.windows import RecordedWindows
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
-Answer = Callable[..., None]
+States = NDArray[np.int64]
+
+# What a state's function may return, besides the state itself. States of the first part call the
+# engine, for all points that wait for one function together; the others decide.
+TRANSITIONS: dict[State, tuple[str, tuple[State, ...]]] = {
+    State.RECORD: ("integrate", (State.PERIOD_TEST, State.STOPPED)),
+    State.APPROACH: ("integrate", (State.APPROACHED, State.STOPPED)),
+    State.LAST_TRANSIENT: ("integrate", (State.TIME_OVER, State.STOPPED)),
+    State.SHOOT: ("shoot", (State.ORBIT_FOUND, State.NO_ORBIT)),
+    State.SHOOT_REPEAT: ("measure_orbit", (State.PERIODIC, State.NEXT_WINDOW)),
+    State.SHOOT_NOISY: ("measure_orbit", (State.PERIODIC, State.CHAOS_TEST)),
+    State.LYAPUNOV: ("measure_exponent", (State.LAST_WINDOW, State.STOPPED)),
+    State.LAST_WINDOW: ("record_last", (State.PERIOD_TEST, State.QUASIPERIODIC, State.STOPPED)),
+    State.TORUS_TEST: ("test_torus", (State.LAST_WINDOW, State.SIGN_TEST)),
+    State.APPROACHED: ("check_approach", (State.PERIODIC, State.NO_REPEAT)),
+    State.PERIOD_TEST: ("test_period", (State.SHOOT, State.NO_REPEAT)),
+    State.ORBIT_FOUND: ("reduce_period", (State.BASIN_CHECK, State.SHOOT, State.NO_ORBIT)),
+    State.NO_ORBIT: ("restore_orbit", (State.BASIN_CHECK, State.NO_REPEAT)),
+    State.BASIN_CHECK: ("check_basin", (State.PERIODIC, State.APPROACH, State.NO_REPEAT)),
+    State.NO_REPEAT: ("continue_window", (State.RECORD, State.REPEAT_TEST, State.NEXT_WINDOW)),
+    State.REPEAT_TEST: ("test_repeat", (State.SHOOT_REPEAT, State.NEXT_WINDOW)),
+    State.NEXT_WINDOW: (
+        "schedule_window", (State.RECORD, State.LAST_TRANSIENT, State.TIME_OVER)),
+    State.TIME_OVER: (
+        "end_search", (State.LYAPUNOV, State.LAST_WINDOW, State.EXPONENT_TEST, State.LOCKED)),
+    State.EXPONENT_TEST: ("test_exponent", (State.LYAPUNOV, State.TORUS_TEST, State.SIGN_TEST)),
+    State.SIGN_TEST: (
+        "test_sign",
+        (State.RECORD, State.LAST_TRANSIENT, State.SHOOT_NOISY, State.CHAOS_TEST,
+         State.UNRESOLVED)),
+    State.CHAOS_TEST: ("test_chaos", (State.CHAOTIC, State.GROWING, State.UNRESOLVED)),
+    State.STOPPED: (
+        "classify_stop",
+        (State.EQUILIBRIUM, State.UNSTABLE_REST, State.NO_RETURN, State.FAILED)),
+}  # fmt: skip
 
 
-def _for_some(method: Answer) -> Answer:
-    """A branch that no point takes costs nothing: at most turns a few of them have any."""
-
-    @wraps(method)
-    def guarded(self: "Search", points: Numbers, *columns: Any) -> None:
-        if points.size:
-            method(self, points, *columns)
-
-    return guarded
+def _call(function: str) -> tuple[str, int, int]:
+    """A function's method, and the first and last of the states, in a row, that share it."""
+    shared = [int(state) for state, (name, _) in TRANSITIONS.items() if name == function]
+    return f"_{function}", shared[0], shared[-1]
 
 
-_FIRST_WINDOW = 5
-_LOOKS = 4
-# Forcing periods at most for what shrinks slower than damping says, and looks at it.
-_PATIENCE, _LOOKS_LATER = 1e5, 8
-# Shooting is worth a try when section points repeat within this share of the reach.
-_CLOSE = 0.1
-# Newton may move this share of the response's reach; from farther away it leads anywhere.
-_SMALL_STEP = 0.2
-# A multiplier this close to the circle belongs to a bifurcation: shooting decides nothing there.
-_INSIDE = 1.0 - 1e-6
-_SCATTERED = 10.0  # times the predicted noise, of a section that its solver scatters
-_ON_CIRCLE = 1e-6  # how near to 1 an undamped orbit's multipliers are found
-# Of ten batches, chance alone exceeds that once in 130 times; this, once in ten thousand.
-_BEYOND_DOUBT = 6.0
+_CALLS = [_call(function) for function, _ in TRANSITIONS.values()]
+_N_WAITING = len(TRANSITIONS)
+# Decisions come first. Most points wait for windows or shots: those that more points wait for come
+# next. The rest is left to the end, for all to share.
+_DECISIONS = range(State.APPROACHED, _N_WAITING)
+_MOVES, _SHOTS = range(State.SHOOT), range(State.SHOOT, State.LYAPUNOV)
+_LAST = range(State.LYAPUNOV, State.APPROACHED)
 
 
 class Search:
@@ -75,411 +103,446 @@ class Search:
     ----------
     ensemble : Ensemble
     start : ndarray, shape (n_states, n)
-        States to start from.
+        Initial states.
     steady : Steady
     """
 
     def __init__(self, ensemble: Ensemble, start: Array, steady: Steady) -> None:
-        n = len(ensemble.omega)
+        n, n_states = len(ensemble.omega), len(start)
         self._ensemble, self._steady = ensemble, steady
-        self._omega, self._walks = ensemble.omega, Walks(ensemble, start)
-        n_states = len(start)
-        self._shots = Shots(n_states, n, n_states - int(ensemble.is_free))
-        self._growths = Growths(n_states, n)
-        self._limits = Limits.of(ensemble, steady)
-        # Forcing periods of the stretch waited for: unrecorded, then added to the window.
-        self._pause, self._window = np.zeros((2, n), np.int64)
-        self._settled, self._goal = np.zeros(n, bool), np.zeros(n)  # goal: distance from an orbit
-        self._look = np.full(n, min(_FIRST_WINDOW, steady.n_periods))  # size of the next window
-        # Forcing periods after which a full window is looked at: rattled motions come near their
-        # orbits by chance, and are looked at before it is full, too.
-        self._portion = -(-steady.n_periods // (_LOOKS if ensemble.is_rattled else 1))
-        self._found = Found(n)
-        self._has_time, self._has_waited = np.zeros((2, n), bool)  # beyond the limits
-        self._phase = np.full(n, int(Phase.LOOK))
-        self._wait(np.arange(n))
+        self._windows = RecordedWindows(ensemble, start)
+        self._shooting = NewtonShooting(n_states, n, ensemble.n_multipliers)
+        self._exponents = LyapunovExponents(n_states, n)
+        self._found = Classification(n)
+        # Periods between windows, to settle, until the last window, and for an exponent or a torus.
+        self._pause, self._settling, self._last, self._longest = time_budget(ensemble, steady)
+        # Periods that the points integrate next: unrecorded, then added to the window.
+        self._transient, self._recording = np.zeros((2, n), np.int64)
+        self._is_settled, self._goal = np.zeros(n, bool), np.zeros(n)  # goal [m]: of an approach
+        self._size = np.full(n, min(limit.FIRST_WINDOW, steady.n_periods))  # of the next window
+        # A motion that its solver scatters is near an orbit by chance: it is tested more often.
+        self._part = -(-steady.n_periods // (limit.WINDOW_PARTS if ensemble.is_noisy else 1))
+        self._has_extension = np.zeros(n, bool)  # beyond the time limit
+        self._verdict = np.full(n, int(State.EXPONENT_TEST))  # if the last window shows no orbit
+        self.state = self._found.state
+        self.state[:] = self._schedule(np.arange(n))
 
     def responses(self) -> Responses:
-        """Advance all points until each has its answer."""
-        while (self._phase < Phase.ENDED).any():
-            phase = self._phase
-            moves, shoots = phase < Phase.LAST, (phase > Phase.LAST) & (phase < Phase.GROW)
-            last, grows = phase == Phase.LAST, phase == Phase.GROW
-            # What most points wait for; last what is best shared by all.
-            if shoots.sum() > moves.sum():
-                self._shoot(np.flatnonzero(shoots))
-            elif moves.any():
-                self._advance(np.flatnonzero(moves))
-            elif grows.any():
-                self._grown(*self._growths.advance(self._ensemble, np.flatnonzero(grows)))
-            elif last.any():
-                self._advance_last(np.flatnonzero(last))
-            else:
-                self._tell(np.flatnonzero(phase == Phase.TELL))
-        return answers(self._ensemble, self._walks, self._shots, self._found, self._steady)
+        """Advance all points until each has its class."""
+        while True:
+            waiting = np.bincount(self.state, minlength=_N_WAITING).tolist()
+            n_moves, n_shots = (sum(waiting[k] for k in states) for states in (_MOVES, _SHOTS))
+            order = *_DECISIONS, *(_SHOTS if n_shots > n_moves else _MOVES), *_LAST
+            state = next((k for k in order if waiting[k]), None)
+            if state is None:
+                break
+            method, first, last = _CALLS[state]
+            points = np.flatnonzero((self.state >= first) & (self.state <= last))
+            self.state[points] = getattr(self, method)(points)
+        return answers(self._windows, self._shooting, self._found, self._steady)
 
-    def _advance(self, points: Numbers) -> None:
-        """Pauses and the windows after them in one call: no lane waits in between."""
-        phase, pause, window = self._phase[points], self._pause[points], self._window[points]
+    # --- transient and recording window -----------------------------------------------------------
+
+    def _schedule(self, points: Numbers) -> States:
+        """A transient, then a window: a full one from the second of a settled motion on."""
+        windows, was_settled = self._windows, self._is_settled[points]
+        n_left = self._last[points] - windows.n_periods[points]
+        transient = np.minimum(self._pause[points], n_left)
+        transient = self._ensemble.bounded_transient(transient, windows.n_periods[points])
+        begin = windows.n_periods[points] + transient
+        self._is_settled[points] = begin >= self._settling[points]
+        self._size[points[was_settled]] = self._steady.n_periods
+        # An exponent costs more than the first window of a settled motion.
+        is_new = self._is_settled[points] & ~was_settled
+        is_last = (begin + self._size[points] >= self._last[points]) & ~is_new
+        part = np.where(self._is_settled[points], self._part, self._steady.n_periods)
+        self._transient[points] = transient
+        self._recording[points] = np.where(is_last, 0, np.minimum(self._size[points], part))
+        windows.clear(points[~is_last])
+        return np.where(is_last, State.LAST_TRANSIENT, State.RECORD)
+
+    def _integrate(self, points: Numbers) -> States:
+        """Transients and the windows after them in one call: no lane waits in between."""
+        state, windows = self.state[points], self._windows
+        transient, recording = self._transient[points], self._recording[points]
         # A long stretch goes on in the next call: the others need not wait for it.
-        n = self._ensemble.at_a_time(points, pause + window)
-        paused = np.minimum(pause, n)
-        recorded = n - paused
+        n = self._ensemble.at_a_time(points, transient + recording)
+        passed = np.minimum(transient, n)
+        recorded = n - passed
         if not self._ensemble.is_chained:
-            recorded[paused > 0] = 0
-        self._walks.advance(points, paused, recorded)
-        self._pause[points], self._window[points] = pause - paused, window - recorded
-        is_ok = self._walks.status[points] == Status.OK
-        self._fail(points[~is_ok])
-        is_over = is_ok & (paused + recorded == pause + window)
-        self._look_at(points[is_over & (phase == Phase.LOOK)])
-        self._arrive(points[is_over & (phase == Phase.APPROACH)])
-        self._finish(points[is_over & (phase == Phase.PAUSE)])
+            recorded[passed > 0] = 0
+        windows.integrate(points, passed, recorded)
+        self._transient[points], self._recording[points] = transient - passed, recording - recorded
+        is_over = passed + recorded == transient + recording
+        after = np.choose(state, (State.PERIOD_TEST, State.APPROACHED, State.TIME_OVER))
+        is_ok = windows.status[points] == Status.OK
+        return np.where(is_ok, np.where(is_over, after, state), State.STOPPED)
 
-    def _ask(self, points: Numbers, phase: int, pause: Any, window: Any) -> None:
-        """Wait for a stretch of motion."""
-        self._phase[points], self._pause[points], self._window[points] = phase, pause, window
-
-    def _advance_last(self, points: Numbers) -> None:
-        self._walks.advance(points, self._pause[points], self._window[points], section_only=False)
-        is_ok = self._walks.status[points] == Status.OK
-        self._fail(points[~is_ok])
-        self._phase[points] = Phase.ENDED  # of a torus, and of what failed
-        self._look_at(points[is_ok & ~self._found.is_quasiperiodic[points]])
-
-    @_for_some
-    def _wait(self, points: Numbers) -> None:
-        """A pause, then a window: a full one from the second of a settled motion on."""
-        limits, was_settled = self._limits, self._settled[points]
-        n_left = limits.last[points] - self._walks.n_periods[points]
-        pause = np.minimum(limits.pause[points], n_left)
-        if self._ensemble.is_free:  # where growth sets in, damping about rest says nothing
-            pause = np.minimum(pause, np.maximum(self._walks.n_periods[points], _FIRST_WINDOW))
-        begin = self._walks.n_periods[points] + pause
-        self._settled[points] = begin >= limits.settled[points]
-        self._look[points[was_settled]] = self._steady.n_periods
-        # A growth costs more than the first look at a settled motion.
-        is_new = self._settled[points] & ~was_settled
-        is_last = (begin + self._look[points] >= limits.last[points]) & ~is_new
-        self._ask(points[is_last], Phase.PAUSE, pause[is_last], 0)
-        others = points[~is_last]
-        self._walks.forget(others)
-        portion = np.where(self._settled[others], self._portion, self._steady.n_periods)
-        self._ask(others, Phase.LOOK, pause[~is_last], np.minimum(self._look[others], portion))
-
-    @_for_some
-    def _record_last(self, points: Numbers) -> None:
-        """A whole window, for the motion may be what is left when no orbit is found."""
-        self._walks.forget(points)
-        self._ask(points, Phase.LAST, 0, self._steady.n_periods)
-
-    @_for_some
-    def _look_at(self, points: Numbers) -> None:
+    def _test_period(self, points: Numbers) -> States:
         """Shoot where the window contracts to a repeat."""
-        reach, same = self._walks.reach[points], self._walks.same[points]
+        windows = self._windows
+        reach, resolution = windows.reach[points], windows.resolution[points]
         n = converging_multiples(
-            self._walks.section,
-            self._walks.length,
+            windows.section,
+            windows.length,
             points,
-            np.maximum(_CLOSE * reach, same),
-            np.minimum(ALIKE * reach, same),
+            np.maximum(limit.CLOSE * reach, resolution),
+            np.minimum(limit.ALIKE * reach, resolution),
             self._steady.max_period_multiple,
         )
-        shot = points[n > 0]
+        repeats = n > 0
+        shot, n = points[repeats], n[repeats]
         # Below the solver's own noise Newton makes no orbit close better.
-        goal = np.maximum(1e-10 * reach, 0.1 * same)[n > 0]
-        noise = self._walks.noise()[shot] * np.sqrt(n[n > 0])
-        furthest = _SMALL_STEP * reach[n > 0]
-        self._shots.aim(shot, self._walks.y[:, shot], n[n > 0], goal, noise, furthest)
-        self._phase[shot] = Phase.SHOOT
-        self._go_on(points[n == 0])
+        goal = np.maximum(limit.NEWTON_GOAL * reach, 0.1 * resolution)[repeats]
+        noise = windows.noise()[shot] * np.sqrt(n)
+        furthest = limit.NEWTON_RANGE * reach[repeats]
+        self._shooting.start(shot, windows.y[:, shot], n, goal, noise, furthest)
+        return np.where(repeats, State.SHOOT, State.NO_REPEAT)
 
-    @_for_some
-    def _go_on(self, points: Numbers) -> None:
-        """No orbit so far: the rest of the window, or, once it is full and the motion has settled,
-        whether that repeats itself all the same.
+    def _continue_window(self, points: Numbers) -> States:
+        """Record the rest of the window; once it is full and the motion has settled, test whether
+        it repeats itself although shooting found no orbit.
         """
-        length, full = self._walks.length[points], self._steady.n_periods
-        left = np.maximum(np.minimum(self._look[points], full) - length, 0)
+        length, full = self._windows.length[points], self._steady.n_periods
+        left = np.maximum(np.minimum(self._size[points], full) - length, 0)
         goes_on = left > 0
-        self._ask(points[goes_on], Phase.LOOK, 0, np.minimum(left[goes_on], self._portion))
-        may_repeat = ~goes_on & self._settled[points] & (length >= full)
-        self._repeat(points[may_repeat])
-        self._end_look(points[~(goes_on | may_repeat)])
+        self._transient[points[goes_on]] = 0
+        self._recording[points[goes_on]] = np.minimum(left, self._part)[goes_on]
+        may_repeat = self._is_settled[points] & (length >= full)
+        after = np.where(may_repeat, State.REPEAT_TEST, State.NEXT_WINDOW)
+        return np.where(goes_on, State.RECORD, after)
 
-    def _shoot(self, points: Numbers) -> None:
-        phase = self._phase[points]
-        is_found, is_lost = self._shots.advance(self._ensemble, points)
-        self._hit(points[is_found], phase[is_found])
-        self._miss(points[is_lost], phase[is_lost])
+    def _schedule_window(self, points: Numbers) -> States:
+        """Another window, twice as long as the one before, if there is time."""
+        has_time = self._windows.n_periods[points] < self._last[points]
+        again, after = points[has_time], np.full(len(points), State.TIME_OVER)
+        self._size[again] = np.minimum(2 * self._size[again], self._steady.n_periods)
+        after[has_time] = self._schedule(again)
+        return after
 
-    @_for_some
-    def _hit(self, points: Numbers, phase: Counts) -> None:
-        """Shots that found an orbit."""
-        modulus = np.abs(self._shots.multipliers[points, 0])
-        shooting = phase == Phase.SHOOT
-        inside = points[shooting & (modulus < _INSIDE)]
+    # --- periodic orbits --------------------------------------------------------------------------
+
+    def _shoot(self, points: Numbers) -> States:
+        """One Newton step on the map over the orbit's periods."""
+        is_found, is_lost = self._step(points)
+        return np.where(is_found, State.ORBIT_FOUND, np.where(is_lost, State.NO_ORBIT, State.SHOOT))
+
+    def _step(self, points: Numbers) -> tuple[Mask, Mask]:
+        """Whose orbit is found, and who went too far or failed; as of `NewtonShooting.step`."""
+        y, n = self._shooting.y[:, points], self._shooting.n[points]
+        call = self._ensemble.call(points, y, n, np.zeros(len(n)), tangent=True)
+        return self._shooting.step(points, call)
+
+    def _reduce_period(self, points: Numbers) -> States:
+        """Shoot over a part of the period where the orbit's points repeat after it."""
+        modulus = np.abs(self._shooting.multipliers[points, 0])
+        is_stable = modulus < limit.STABLE
+        inside, reach = points[is_stable], self._windows.reach[points[is_stable]]
         # Kinks that are not located scatter a section more than its predicted noise.
-        is_rattled = self._ensemble.is_rattled
-        same = (_SCATTERED if is_rattled else 1.0) * self._walks.same
-        tolerance = np.maximum(same, 1e-6 * self._walks.reach)[inside]
+        is_noisy = self._ensemble.is_noisy
+        scatter = (limit.KINK_SCATTER if is_noisy else 1.0) * self._windows.resolution[inside]
         # A slow orbit of several periods is not known any better than noise is amplified.
-        amplified = same[inside] / (1.0 - np.abs(self._shots.multipliers[inside, 0]))
-        near = NEAR * self._walks.reach[inside]
-        part = self._shots.parts(inside, np.maximum(tolerance, np.minimum(amplified, near)))
-        is_whole = part == self._shots.n[inside]
-        self._compare(inside[is_whole])
-        self._shots.shorten(inside[~is_whole], part[~is_whole], is_scattered=is_rattled)
-        is_undamped = self._ensemble.settling_rate[points] == 0.0
-        on_circle = 1.0 + max(_ON_CIRCLE, self._ensemble.solver.rtol)
-        stays = modulus < np.where(is_undamped, on_circle, 1.0)
-        if self._ensemble.has_own_tangent:
-            # Newton multiplies what the solver strays in a period by 1 / (1 - modulus): about a
-            # slow orbit that is far, and the motion is there if it had the time to settle.
-            is_near = self._shots.last_step[points] <= NEAR * self._walks.reach[points]
-            if self._ensemble.is_free:  # undamped orbits form families: Newton has no step
-                is_near |= is_undamped
-            has_settled = is_slow(self._shots, points, self._steady.n_periods) & stays
-            has_settled &= self._walks.n_periods[points] >= self._limits.last[points]
-            n_repeats = (self._walks.n_periods[points] / self._shots.n[points])[has_settled]
-            has_settled[has_settled] = modulus[has_settled] ** n_repeats <= NEAR
-            stays &= is_near | has_settled
-        self._close(points[~shooting & stays])
-        refused = ~np.where(shooting, modulus < _INSIDE, stays)
-        self._miss(points[refused], phase[refused])
+        amplified = np.minimum(scatter / (1.0 - modulus[is_stable]), limit.NEAR * reach)
+        part = self._shooting.parts(
+            inside, np.maximum(np.maximum(scatter, limit.SAME_POINT * reach), amplified)
+        )
+        is_whole = part == self._shooting.n[inside]
+        self._shooting.shorten(inside[~is_whole], part[~is_whole], is_scattered=is_noisy)
+        after = np.full(len(points), State.NO_ORBIT)
+        after[is_stable] = np.where(is_whole, State.BASIN_CHECK, State.SHOOT)
+        return after
 
-    @_for_some
-    def _miss(self, points: Numbers, phase: Counts) -> None:
-        """Shots without an orbit that may be the motion's own."""
-        shot = points[phase == Phase.SHOOT]
-        is_part = self._shots.restore(shot)
-        self._compare(shot[is_part])
-        self._go_on(shot[~is_part])
-        self._end_look(points[phase == Phase.REPEAT])
-        self._aperiodic(points[phase == Phase.RATTLE])
+    def _restore_orbit(self, points: Numbers) -> States:
+        """Back to the longer orbit where no shorter one is stable."""
+        return np.where(self._shooting.restore(points), State.BASIN_CHECK, State.NO_REPEAT)
 
-    @_for_some
-    def _compare(self, points: Numbers) -> None:
-        """Whether the motion itself approaches an orbit: the guard against a swapped attractor.
+    def _check_basin(self, points: Numbers) -> States:
+        """Whether the motion itself approaches the orbit, which may be another attractor's.
 
-        Else it goes on for as long as its slowest multiplier needs to come near, and must be near
-        then. What would take longer than the motion is watched is not waited for: near the orbit
-        it must have shrunk at least half as much over its window as the multiplier says.
+        If not, it is integrated for as long as the slowest multiplier needs to bring it near, and
+        must be near then. Where that would exceed the time limit, a motion near its orbit must have
+        come nearer over its window, by at least half as much as the multiplier says.
         """
-        walks, full = self._walks, self._steady.n_periods
-        slow = is_slow(self._shots, points, full)
-        found = approach(walks, self._shots, points, slow)
-        # Transient chaos that has ended late leaves as much time as it took, once.
-        late = (self._growths.n_periods[points] > 0) & ~self._has_waited[points]
-        more = np.where(late, self._limits.last[points], 0)
-        n_left = np.maximum(self._limits.last[points] - walks.n_periods[points], more)
-        waits = ~found.is_own & (found.stretch <= n_left)
-        away, n, self._goal[points] = points[waits], self._shots.n[points[waits]], found.goal
-        self._has_waited[points[waits & late]] = True
-        walks.forget(points[waits & slow])
+        windows, full = self._windows, self._steady.n_periods
+        slow = is_slow(self._shooting, points, full)
+        seen = basin_check(windows, self._shooting, points, slow)
+        n_left = self._last[points] - windows.n_periods[points]
+        waits = ~seen.is_own & (seen.stretch <= n_left)
+        away, n, self._goal[points] = points[waits], self._shooting.n[points[waits]], seen.goal
+        windows.clear(points[waits & slow])
         # Whole periods of the orbit: its start is what the motion must be near to in the end.
-        window = np.where(slow[waits], np.maximum(full // n, 1) * n, 0)
-        self._ask(away, Phase.APPROACH, found.stretch[waits], window)
-        stays = ~found.is_own & ~waits
-        # It is on its way, and what grew before says nothing of it.
-        grows = self._found.lyapunov[points] > SURE * self._found.lyapunov_error[points]
-        grew = points[stays & found.has_shrunk & grows]
-        self._found.lyapunov[grew] = self._found.lyapunov_error[grew] = np.nan
-        is_own = found.is_own | (stays & found.has_shrunk & found.is_near)
-        self._close(points[is_own])
-        self._go_on(points[~is_own & ~waits])
+        self._transient[away] = seen.stretch[waits]
+        self._recording[away] = np.where(slow[waits], np.maximum(full // n, 1) * n, 0)
+        stays = ~seen.is_own & ~waits
+        is_own = seen.is_own | (stays & seen.has_shrunk & seen.is_near)
+        self._accept(points[is_own])
+        return np.where(is_own, State.PERIODIC, np.where(waits, State.APPROACH, State.NO_REPEAT))
 
-    @_for_some
-    def _arrive(self, points: Numbers) -> None:
-        slow = is_slow(self._shots, points, self._steady.n_periods)
-        is_near = farthest(self._walks, self._shots, points, slow) <= self._goal[points]
-        self._close(points[is_near])
+    def _check_approach(self, points: Numbers) -> States:
+        """Whether the motion has come near its orbit; else it goes on with its window."""
+        windows = self._windows
+        slow = is_slow(self._shooting, points, self._steady.n_periods)
+        is_near = distances(windows, self._shooting, points, slow) <= self._goal[points]
+        self._accept(points[is_near])
         away = points[~is_near]
-        # A window that is to go on begins anew: what was not recorded would be a gap in it.
-        self._walks.forget(away[self._walks.length[away] < self._look[away]])
-        begin = self._walks.n_periods[away] - self._walks.length[away]
-        self._settled[away] |= begin >= self._limits.settled[away]
-        self._go_on(away)
+        # A window that is to go on begins again: what was not recorded would be a gap in it.
+        windows.clear(away[windows.length[away] < self._size[away]])
+        begin = windows.n_periods[away] - windows.length[away]
+        self._is_settled[away] |= begin >= self._settling[away]
+        return np.where(is_near, State.PERIODIC, State.NO_REPEAT)
 
-    @_for_some
-    def _repeat(self, points: Numbers) -> None:
-        """A settled motion that repeats itself, though shooting could not improve on it.
+    def _accept(self, points: Numbers) -> None:
+        """Forget exponents of the way to an orbit."""
+        self._found.lyapunov[points] = self._found.lyapunov_error[points] = np.nan
 
-        At loose tolerances the solver's noise is larger than any Newton residual allowed. What
-        repeats less well, or not for long, creeps past where there is no orbit, or round a torus.
+    def _test_repeat(self, points: Numbers) -> States:
+        """Whether a settled motion repeats itself, though shooting could not improve on it.
+
+        At loose tolerances the solver's noise is larger than any Newton residual allowed. A motion
+        that repeats less well, or not for long, creeps past where there is no orbit, or on a torus.
         """
-        walks, largest = self._walks, self._steady.max_period_multiple
-        same = walks.same
-        found = period_multiples(walks.section, walks.length, points, same[points], largest)
-        found *= stay(walks, points, found > 0, self._limits.longest[points], largest)
-        self._end_look(points[found == 0])
+        windows, largest = self._windows, self._steady.max_period_multiple
+        resolution = windows.resolution
+        found = period_multiples(
+            windows.section, windows.length, points, resolution[points], largest
+        )
+        found *= persists(windows, points, found > 0, self._longest[points], largest)
         for point, n in zip(points[found > 0].tolist(), found[found > 0].tolist(), strict=True):
             # So coarse that it also repeats sooner?
-            section = walks.window(point)
-            n = prime_multiple(section[:, -n:], same[point] * math.sqrt(n))
+            section = windows.window(point)
+            n = prime_multiple(section[:, -n:], resolution[point] * math.sqrt(n))
             if not self._ensemble.has_own_tangent:
                 # A kink that is passed unlocated scatters more than that.
-                sooner = likely_multiple(section, _CLOSE * walks.reach[point], n)
+                sooner = likely_multiple(section, limit.CLOSE * windows.reach[point], n)
                 n = sooner if sooner and n % sooner == 0 else n
-            self._as_it_is(point, n, Phase.REPEAT)
+            self._start_measurement(point, n)
+        return np.where(found > 0, State.SHOOT_REPEAT, State.NEXT_WINDOW)
 
-    def _as_it_is(self, point: int, n: int, phase: int) -> None:
-        """The next n forcing periods as an orbit, closed or not, if they contract to one."""
+    def _start_measurement(self, point: int, n: int) -> None:
+        """Take the next n periods of a motion as an orbit, closed or not."""
         one, anywhere, nowhere = np.array([point]), np.array([math.inf]), np.zeros(1)
-        noise = self._walks.noise(n)[one]
-        self._shots.aim(one, self._walks.y[:, one], np.array([n]), anywhere, noise, nowhere)
-        self._phase[point] = phase
+        noise = self._windows.noise(n)[one]
+        y = self._windows.y[:, one]
+        self._shooting.start(one, y, np.array([n]), anywhere, noise, nowhere)
 
-    @_for_some
-    def _end_look(self, points: Numbers) -> None:
-        """Nothing found: another look later, if there is time."""
-        is_last = self._walks.n_periods[points] >= self._limits.last[points]
-        again = points[~is_last]
-        self._look[again] = np.minimum(2 * self._look[again], self._steady.n_periods)
-        self._wait(again)
-        self._finish(points[is_last])
+    def _measure_orbit(self, points: Numbers) -> States:
+        """Whether the multipliers of an orbit taken from the motion say that it is stable."""
+        shooting, ensemble, windows = self._shooting, self._ensemble, self._windows
+        is_found, _ = self._step(points)
+        modulus = np.abs(shooting.multipliers[points, 0])
+        is_undamped = ensemble.settling_rate[points] == 0.0
+        on_circle = 1.0 + max(limit.ON_CIRCLE, ensemble.solver.rtol)
+        stays = is_found & (modulus < np.where(is_undamped, on_circle, 1.0))
+        if ensemble.has_own_tangent:
+            # Newton multiplies what the solver strays in a period by 1 / (1 - modulus): about a
+            # slow orbit that is far, and the motion is there if it had the time to settle.
+            is_near = shooting.last_step[points] <= limit.NEAR * windows.reach[points]
+            is_near |= ensemble.has_families[points]  # of orbits: Newton has no step
+            has_settled = is_slow(shooting, points, self._steady.n_periods) & stays
+            has_settled &= windows.n_periods[points] >= self._last[points]
+            n_repeats = (windows.n_periods[points] / shooting.n[points])[has_settled]
+            has_settled[has_settled] = modulus[has_settled] ** n_repeats <= limit.NEAR
+            stays &= is_near | has_settled
+        is_repeat = self.state[points] == State.SHOOT_REPEAT
+        self._accept(points[stays & is_repeat])  # the exponent of a noisy one is its own
+        after = np.where(is_repeat, State.NEXT_WINDOW, State.CHAOS_TEST)
+        return np.where(stays, State.PERIODIC, after)
 
-    @_for_some
-    def _finish(self, points: Numbers) -> None:
-        """No time left: the growth of a disturbance, then the last window, then what they say.
+    # --- aperiodic motions ------------------------------------------------------------------------
 
-        In this order, because transient chaos may end during the growth: the window that a verdict
-        rests on is the last of the motion.
+    def _end_search(self, points: Numbers) -> States:
+        """After the time limit: the exponent, then the last window, then the class.
+
+        In this order, because transient chaos may end while the exponent is measured. The window
+        that a class is based on is the last of the motion.
         """
-        # A motion that was given no time to settle is nobody's example; without damping nothing
-        # is long enough.
-        may_grow = self._settled[points] & (self._ensemble.settling_rate[points] > 0.0)
-        may_grow &= self._growths.n_least <= self._limits.longest[points]
-        grows = may_grow & (self._growths.n_periods[points] == 0)
-        self._begin_growth(points[grows])
-        is_recorded = self._walks.has_extrema(points)
-        self._record_last(points[~grows & ~is_recorded])
-        told = points[~grows & is_recorded]
-        self._phase[told] = np.where(self._found.is_locked[told], Phase.ENDED, Phase.TELL)
+        exponents, rate = self._exponents, self._ensemble.settling_rate[points]
+        # A motion that was given no time to settle has no class; without damping no time is enough.
+        grows = self._is_settled[points] & (rate > 0.0) & (exponents.n_periods[points] == 0)
+        grows &= exponents.n_least <= self._longest[points]
+        new = points[grows]
+        spent = self._last[new] - self._steady.n_periods
+        exponents.start(new, self._windows.y[:, new], rate[grows], self._ensemble.omega[new], spent)
+        is_recorded = self._windows.has_extrema(points)
+        after = np.where(is_recorded, self._verdict[points], State.LAST_WINDOW)
+        return np.where(grows, State.LYAPUNOV, after)
 
-    @_for_some
-    def _grown(self, points: Numbers, status: Counts) -> None:
-        growths = self._growths
+    def _measure_exponent(self, points: Numbers) -> States:
+        """The next blocks of motion with its tangent; at the end of a measurement its exponent."""
+        exponents, found, after = self._exponents, self._found, self.state[points]
+        over, status = exponents.advance(self._ensemble, points)
+        is_ok = status == Status.OK
         # What failed did so within the next block.
-        elapsed = (growths.n_blocks[points] + (status != Status.OK)) * growths.n_periods[points]
-        self._walks.arrive(points, self._growths.y[:, points], status, elapsed)
-        self._fail(points[status != Status.OK])
-        going = points[status == Status.OK]
-        self._found.lyapunov[going], self._found.lyapunov_error[going] = growths.exponents(going)
-        self._record_last(going)
+        elapsed = (exponents.n_blocks[over] + ~is_ok) * exponents.n_periods[over]
+        self._windows.move_to(over, exponents.y[:, over], status, elapsed)
+        known = over[is_ok]
+        found.lyapunov[known], found.lyapunov_error[known] = exponents.exponents(known)
+        after[np.searchsorted(points, over)] = np.where(is_ok, State.LAST_WINDOW, State.STOPPED)
+        return after
 
-    def _tell(self, points: Numbers) -> None:
-        """What motions without a period are: those with a zero exponent may be quasiperiodic.
+    def _record_last(self, points: Numbers) -> States:
+        """A whole window: the response itself, if it shows no orbit."""
+        windows, full = self._windows, np.full(len(points), self._steady.n_periods)
+        windows.clear(points)
+        windows.integrate(points, np.zeros_like(full), full, section_only=False)
+        is_torus = self._verdict[points] == State.QUASIPERIODIC
+        is_ok = windows.status[points] == Status.OK
+        return np.where(
+            is_ok, np.where(is_torus, State.QUASIPERIODIC, State.PERIOD_TEST), State.STOPPED
+        )
 
-        A growth is doubled until the exponent is not zero beyond doubt, and as well known as the
-        user wants, or until its time is over.
+    def _is_zero(self, points: Numbers) -> tuple[Mask, Mask]:
+        """Whose exponent is zero after a long measurement; whose may be zero, as on a torus."""
+        exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
+        shear = self._exponents.linear_growth(points, self._ensemble.omega[points])
+        # Disturbances on a torus shrink and grow in turn, by less than they grow in the long run.
+        high = np.maximum(limit.SURE * error, shear)
+        low = -np.maximum(limit.SURE * error, 0.5 * shear)
+        is_zero = self._exponents.is_long(points) & (low <= exponent) & (exponent <= high)
+        may_be = np.abs(exponent) <= np.maximum(limit.BEYOND_DOUBT * error, shear)
+        return is_zero, may_be & (len(self._windows.y) > 2)
+
+    def _test_exponent(self, points: Numbers) -> States:
+        """Double the measurement until the exponent is not zero beyond doubt, and as well known as
+        the user wants, or until its time is over.
         """
-        growths, found = self._growths, self._found
-        exponent, error = found.lyapunov[points], found.lyapunov_error[points]
-        shear = growths.shear(points, self._omega[points])
-        may_circle = np.abs(exponent) <= np.maximum(_BEYOND_DOUBT * error, shear)
-        may_circle &= len(self._walks.y) > 2
-        is_long = growths.is_long(points)
-        n_doubled = 2 * growths.n_all_periods(points)
-        is_undecided = (may_circle | (np.abs(exponent) <= SURE * error)) & ~is_long
-        wanted = self._steady.lyapunov_error  # a short measurement may miss intermittent chaos
+        exponents, steady = self._exponents, self._steady
+        exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
+        is_zero, may_be_zero = self._is_zero(points)
+        is_long = exponents.is_long(points)
+        n_doubled = 2 * exponents.n_all_periods(points)
+        is_undecided = (may_be_zero | (np.abs(exponent) <= limit.SURE * error)) & ~is_long
+        wanted = steady.lyapunov_error  # a short measurement may miss intermittent chaos
         is_rough = np.full(len(points), wanted is not None) & (~is_long | (error > (wanted or 0.0)))
         # Another solver's tangent says less of the motion the longer it is.
-        goes_on = is_undecided | (is_rough & (n_doubled <= self._steady.max_periods))
-        goes_on &= self._ensemble.has_own_tangent & (n_doubled <= self._limits.longest[points])
-        growths.double(points[goes_on], self._walks.y[:, points[goes_on]])
-        self._phase[points[goes_on]] = Phase.GROW
-        # What turns about a torus shrinks and grows again, never by as much as it parts.
-        high, low = np.maximum(SURE * error, shear), -np.maximum(SURE * error, 0.5 * shear)
-        is_zero = is_long & (low <= exponent) & (exponent <= high)
-        self._circle(points[may_circle & ~is_long & ~goes_on], SHORT)
-        self._circle(points[may_circle & is_zero], ZERO)
-        self._circle(points[may_circle & is_long & (exponent > high)], LONG)
-        shrinks = (self._phase[points] == Phase.TELL) & (exponent < -SURE * error)
-        self._give_time(points[shrinks], exponent[shrinks])
-        left = self._phase[points] == Phase.TELL
-        contracts = left & shrinks & (not self._ensemble.has_own_tangent)
-        self._phase[points[left & is_zero]] = Phase.ENDED
-        self._aperiodic(points[left & ~is_zero & ~contracts])
-        for point in points[contracts].tolist():
-            self._rattle(point)
+        goes_on = is_undecided | (is_rough & (n_doubled <= steady.max_periods))
+        goes_on &= self._ensemble.has_own_tangent & (n_doubled <= self._longest[points])
+        goes_on &= exponents.n_periods[points] > 0  # without damping no measurement was started
+        exponents.extend(points[goes_on], self._windows.y[:, points[goes_on]])
+        may_be_torus = may_be_zero & (~is_long | is_zero | (exponent > 0.0))
+        after = np.where(may_be_torus, State.TORUS_TEST, State.SIGN_TEST)
+        return np.where(goes_on, State.LYAPUNOV, after)
 
-    @_for_some
-    def _give_time(self, points: Numbers, exponent: Array) -> None:
-        """Once, what shrinks, by the rate that is known now: damping may have promised another."""
-        limits, omega = self._limits, self._growths.omega(points)
-        n_periods = np.ceil(math.log(REST) / exponent * omega)
-        may = ~self._has_time[points] & (n_periods <= np.minimum(limits.longest[points], _PATIENCE))
-        points, n_periods = points[may], n_periods[may].astype(np.int64)
-        limits.last[points] = self._walks.n_periods[points] + n_periods
-        limits.pause[points] = np.maximum(n_periods // _LOOKS_LATER, 1)
-        self._has_time[points] = True
-        self._walks.unrecord(points)
-        self._wait(points)
+    def _test_torus(self, points: Numbers) -> States:
+        """Integrate for so long that motions run round a torus, if they are on one.
 
-    def _begin_growth(self, points: Numbers) -> None:
-        y, rate = self._walks.y[:, points], self._ensemble.settling_rate[points]
-        longest = self._limits.last[points] - self._steady.n_periods
-        self._growths.begin(points, y, rate, self._omega[points], longest)
-        self._phase[points] = Phase.GROW
+        Those with windows of one kind, and as many as memory takes; the others wait.
+        """
+        is_zero, _ = self._is_zero(points)
+        kind = np.where(is_zero, 0, np.where(self._exponents.is_long(points), 1, 2))
+        windows = (limit.ZERO_WINDOWS, limit.LONG_WINDOWS, limit.SHORT_WINDOWS)[kind[0]]
+        tested = np.flatnonzero(kind == kind[0])[: MOST_POINTS // max(windows)]
+        some, after = points[tested], self.state[points]
+        seen = torus_test(self._windows, some, windows, self._longest[some])
+        at = seen.is_torus | seen.is_locked  # it takes longer to get there than damping says
+        verdict = np.where(seen.is_torus, State.QUASIPERIODIC, State.LOCKED)
+        self._verdict[some[at]] = verdict[at]
+        status = self._windows.status[some[at]]
+        self._windows.move_to(some[at], seen.y[:, at], status, seen.n_periods[at])
+        after[tested] = np.where(at, State.LAST_WINDOW, State.SIGN_TEST)
+        return after
 
-    @_for_some
-    def _circle(self, points: Numbers, windows: dict[int, float]) -> None:
-        """Watch motions for so long that they run round a torus, if they are on one."""
-        watched = watch(self._walks, points, windows, self._limits.longest[points])
-        self._found.is_quasiperiodic[points] = watched.is_torus
-        self._found.is_locked[points] = watched.is_locked
-        at = watched.is_torus | watched.is_locked  # it takes longer to get there than damping says
-        told, y, n_periods = points[at], watched.y[:, at], watched.n_periods[at]
-        self._walks.arrive(told, y, self._walks.status[told], n_periods)
-        self._record_last(told)
+    def _test_sign(self, points: Numbers) -> States:
+        """More time for motions that contract; orbits blurred by errors at unlocated kinks."""
+        exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
+        is_zero, _ = self._is_zero(points)
+        after = np.where(is_zero, State.UNRESOLVED, State.CHAOS_TEST)
+        contracts = exponent < -limit.SURE * error
+        is_extended = contracts.copy()
+        is_extended[contracts] = self._extend(points[contracts], exponent[contracts])
+        after[is_extended] = self._schedule(points[is_extended])
+        if not self._ensemble.has_own_tangent:
+            for k in np.flatnonzero(contracts & ~is_extended).tolist():
+                is_noisy = self._is_noisy_orbit(int(points[k]))
+                after[k] = State.SHOOT_NOISY if is_noisy else State.CHAOS_TEST
+        return after
 
-    def _rattle(self, point: int) -> None:
-        """A motion whose solver rattles it about a periodic orbit, more than its tolerances say.
+    def _extend(self, points: Numbers, exponent: Array) -> Mask:
+        """Give motions time to settle at the rate that the exponent shows, once; which get it.
+
+        Damping may have suggested a faster one.
+        """
+        n_periods = np.ceil(math.log(limit.REST) / exponent * self._exponents.omega(points))
+        may = n_periods <= np.minimum(self._longest[points], limit.MOST_EXTENSION)
+        may &= ~self._has_extension[points]
+        some, n_periods = points[may], n_periods[may].astype(np.int64)
+        self._last[some] = self._windows.n_periods[some] + n_periods
+        self._pause[some] = np.maximum(n_periods // limit.EXTENSION_WINDOWS, 1)
+        self._has_extension[some] = True
+        self._windows.discard_extrema(some)
+        return np.asarray(may)
+
+    def _is_noisy_orbit(self, point: int) -> bool:
+        """Whether a contracting motion is a periodic one, scattered by its solver's errors.
 
         A kink passed unlocated throws a step off by more than its error estimate. The tangent is
-        another solver's, so that the exponent tells this from chaos; what does not contract, or
-        scatters more than the solver strays, is on its way or has another period.
+        another solver's, so that the exponent tells this from chaos; what scatters more than the
+        solver strays is on its way or has another period.
         """
-        lyapunov, reach = self._found.lyapunov[point], self._walks.reach[point]
-        window, largest = self._walks.window(point), self._steady.max_period_multiple
-        scatter = self._growths.scatter(point, float(self._omega[point]), lyapunov)
-        n = likely_multiple(window, _CLOSE * reach, largest, DEVIATIONS * scatter)
+        windows, omega = self._windows, float(self._ensemble.omega[point])
+        scatter = self._exponents.scatter(point, omega, self._found.lyapunov[point])
+        n = likely_multiple(
+            windows.window(point),
+            limit.CLOSE * windows.reach[point],
+            self._steady.max_period_multiple,
+            limit.DEVIATIONS * scatter,
+        )
         if n:
-            self._as_it_is(point, n, Phase.RATTLE)
-        else:
-            self._aperiodic(np.array([point]))
+            self._start_measurement(point, n)
+        return bool(n)
 
-    @_for_some
-    def _close(self, points: Numbers) -> None:
-        """The response is the orbit that shooting found."""
-        # Measured before, an exponent is that of the way here, unless the motion is rattled.
-        others = points[self._phase[points] != Phase.RATTLE]
-        self._found.lyapunov[others] = self._found.lyapunov_error[others] = np.nan
-        self._phase[points] = Phase.ENDED
-        self._found.is_periodic[points] = True
-
-    @_for_some
-    def _aperiodic(self, points: Numbers) -> None:
-        self._phase[points] = Phase.ENDED
-        walks, largest = self._walks, self._steady.max_period_multiple
-        # On an unstable orbit a disturbance grows too, and beside a bifurcation so slowly that the
-        # motion stays near: but there it repeats itself.
-        section, length = walks.section[:, points], walks.length[points]
-        is_alike = repeat_nearly(section, length, walks.step_error[points], largest)
+    def _test_chaos(self, points: Numbers) -> States:
+        """Whether the exponent is positive, the section irregular, and the motion bounded."""
+        windows, largest = self._windows, self._steady.max_period_multiple
+        # Disturbances of an unstable orbit grow, too; near a bifurcation so slowly that the motion
+        # stays near it: but there it repeats itself.
+        section, length = windows.section[:, points], windows.length[points]
+        is_alike = repeat_nearly(section, length, windows.step_error[points], largest)
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
-        unlike = points[(exponent >= -SURE * error) & ~is_alike]
-        self._found.is_growing[unlike] = ~stay_within(walks, unlike)
-        self._found.is_chaotic[points] = (exponent > SURE * error) & ~is_alike
-        self._found.is_chaotic[points] &= ~self._found.is_growing[points]
+        unlike = (exponent >= -limit.SURE * error) & ~is_alike
+        grows = np.zeros(len(points), bool)
+        grows[unlike] = ~self._ensemble.stays_bounded(points[unlike], windows.y[:, points[unlike]])
+        is_chaotic = (exponent > limit.SURE * error) & ~is_alike
+        after = np.where(is_chaotic, State.CHAOTIC, State.UNRESOLVED)
+        return np.where(grows, State.GROWING, after)
 
-    @_for_some
-    def _fail(self, points: Numbers) -> None:
-        found, ensemble, walks = self._found, self._ensemble, self._walks
-        self._phase[points] = Phase.ENDED
-        found.is_astray[points] = walks.status[points] == ASTRAY
-        at_rest = points[walks.status[points] == AT_REST]
-        found.is_at_rest[at_rest], found.lyapunov_error[at_rest] = True, 0.0
-        for point in at_rest.tolist():
-            rest = about_rest(ensemble, point, walks.y[:, point])
-            found.lyapunov[point], found.offset[point] = rest
+    def _classify_stop(self, points: Numbers) -> States:
+        """Motions that did not reach their end: at rest, without return to the section, failed."""
+        found, status = self._found, self._windows.status[points]
+        after = np.where(status == ASTRAY, State.NO_RETURN, State.FAILED)
+        for k in np.flatnonzero(status == AT_REST).tolist():
+            point = int(points[k])
+            rate, offset = linear_stability(self._ensemble, point, self._windows.y[:, point])
+            found.lyapunov[point], found.lyapunov_error[point] = rate, 0.0
+            found.offset[point] = offset
+            after[k] = State.UNSTABLE_REST if rate > 0.0 else State.EQUILIBRIUM
+        return after
+
+
+def time_budget(ensemble: Ensemble, steady: Steady) -> tuple[Any, Any, Any, Array]:
+    """How many periods motions are given, each of shape (n,).
+
+    Returns
+    -------
+    pause, settling, last : ndarray of int
+        Between windows, to settle, and until the last window.
+    longest : ndarray
+        At a time after that, for an exponent or a torus; infinity where nothing bounds it.
+    """
+    rate, omega = ensemble.settling_rate, ensemble.omega
+    # Without damping nothing settles: what does not repeat at once never will.
+    with np.errstate(over="ignore"):
+        decay_periods = np.divide(omega, rate, out=np.zeros(len(rate)), where=rate > 0.0)
+    pause, settling, longest = (
+        np.ceil(np.minimum(times * decay_periods, limit.MOST_PERIODS)).astype(np.int64)
+        for times in (
+            math.log(1.0 / limit.TRANSIENT_SHARE),
+            math.log(1.0 / steady.settle_tol),
+            steady.max_decay_times,
+        )
+    )
+    # A full window more: slow forcing leaves no period between settling and the end.
+    last = np.maximum(settling, np.minimum(longest, steady.max_periods)) + steady.n_periods
+    at_a_time = omega * (math.inf if steady.t_max is None else steady.t_max)
+    last = np.floor(np.minimum(last, np.maximum(1.0, at_a_time))).astype(np.int64)
+    return np.maximum(1, np.minimum(pause, last)), settling, last, at_a_time

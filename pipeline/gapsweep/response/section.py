@@ -11,21 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.response.thresholds import ALIKE, AS_GOOD, CONTRACTION_POINTS
+
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-DEVIATIONS = 4.0  # of the predicted scatter, within which two points are the same
 # Two samples of one attractor: this share of either has a neighbour in the other, closer than
 # that share of their extent.
 CLOUD_SHARE = 0.8
 CLOUD_CLOSE = 0.25
-# What repeats itself to this share cannot be told from a periodic motion: two orbits so close are
-# taken for one, too.
-ALIKE = 1e-3
-_WATCHED = 16  # section points in which a motion that is near a repeat must not have moved away
-_AS_WELL = 5.0  # as the best, or as means do that differ by chance
 
 
 def unit_of(omega: ArrayLike) -> Array:
@@ -82,38 +78,61 @@ def reach_of(q: Array, unit: Array) -> Array:
 
 
 def period_multiple(section: Array, tolerance: float, largest: int) -> int:
-    """Smallest n for which the section repeats every n forcing periods; 0 if none does.
+    """`period_multiples` of one section, shape (n_states, n_periods)."""
+    length, first = np.array([section.shape[1]]), np.zeros(1, np.intp)
+    found = period_multiples(section[:, None], length, first, np.array([tolerance]), largest)
+    return int(found[0])
+
+
+def period_multiples(
+    sections: Array, lengths: Counts, points: Numbers, tolerance: Array, largest: int
+) -> Counts:
+    """Smallest n for which sections repeat every n forcing periods; 0 if none does.
 
     All points n, 2n, ... periods apart must be the same: a motion that still creeps along repeats
     well from one period to the next.
 
     Parameters
     ----------
-    section : ndarray, shape (n_states, n_periods)
+    sections : ndarray, shape (n_states, n, longest)
         Section points [m], one per forcing period.
-    tolerance : float
-        Largest distance [m] of two points one forcing period apart, in any component, taken for
+    lengths : ndarray of int, shape (n,)
+        How many there are in each row.
+    points : ndarray of int, shape (m,)
+        Numbers of the rows.
+    tolerance : ndarray, shape (m,)
+        Largest distance [m] of two points one forcing period apart, in any component, that count as
         the same. It grows with the root of n, as random errors do.
     largest : int
         Largest n tried; at least 2 n points are needed to find n.
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
     """
-    n_points = section.shape[1]
-    n = np.arange(1, min(largest, n_points // 2) + 1)
-    allowed = tolerance * np.sqrt(n)
-    # Mostly the last point alone decides.
-    may = _are_near(section[:, -1:], section[:, n_points - 1 - n], allowed)
-    before_last = n_points - 1 - np.arange(n_points)
-    for k in np.flatnonzero(may).tolist():
-        latest = section[:, n_points - 1 - before_last % n[k]]
-        if _are_near(section, latest, allowed[k]).all():
-            return int(n[k])
-    return 0
+    found = np.zeros(len(points), np.int64)
+    if sections.shape[2] < 2:
+        return found
+    latest = _latest(sections, lengths, points, largest)
+    allowed = tolerance[:, None] * np.sqrt(np.arange(1, largest + 1))
+    with np.errstate(invalid="ignore"):
+        may = _are_near(latest[..., 1:], latest[..., :1], allowed)  # mostly this alone decides
+    may &= 2 * np.arange(1, largest + 1) <= lengths[points, None]
+    for k in np.flatnonzero(may.any(axis=1)).tolist():
+        section = sections[:, points[k], : lengths[points[k]]]
+        last = section.shape[1] - 1
+        for n in (np.flatnonzero(may[k]) + 1).tolist():
+            same_phase = section[:, last - np.arange(last, -1, -1) % n]
+            if _are_near(section, same_phase, allowed[k, n - 1]).all():
+                found[k] = n
+                break
+    return found
 
 
 def likely_multiple(
     section: Array, closeness: float, largest: int, scatter: float = math.inf
 ) -> int:
-    """Smallest n after which a rattled section repeats as well as after any; 0 if none is close.
+    """Smallest n after which a noisy section repeats as well as after any; 0 if none is close.
 
     Parameters
     ----------
@@ -133,42 +152,13 @@ def likely_multiple(
     spreads = [float(np.sqrt(np.mean(each**2))) for each in distances]
     for n, (distance, spread) in enumerate(zip(distances, spreads, strict=True), start=1):
         # A disturbance that turns as it decays repeats better after some periods than others, ...
-        if distance.max() < closeness and spread <= min(_AS_WELL * min(spreads), scatter):
+        if distance.max() < closeness and spread <= min(AS_GOOD * min(spreads), scatter):
             # ... though the points scatter about fewer places.
             phases = section[:, n_points % n :].reshape(len(section), -1, n)
             places = phases.mean(axis=1)
             scatter = float(np.sqrt(np.mean(norm(phases - places[:, None]) ** 2)))
-            return prime_multiple(places, _AS_WELL * scatter / math.sqrt(phases.shape[1]))
+            return prime_multiple(places, AS_GOOD * scatter / math.sqrt(phases.shape[1]))
     return 0
-
-
-def period_multiples(
-    sections: Array, lengths: Counts, points: Numbers, tolerance: Array, largest: int
-) -> Counts:
-    """`period_multiple` of some rows of `sections`, with only so many points in each.
-
-    Parameters
-    ----------
-    sections : ndarray, shape (n_states, n, longest)
-    lengths : ndarray of int, shape (n,)
-    points : ndarray of int, shape (m,)
-        Numbers of the rows.
-    tolerance : ndarray, shape (m,)
-    largest : int
-
-    Returns
-    -------
-    ndarray of int, shape (m,)
-    """
-    latest = _latest(sections, lengths, points, largest)
-    allowed = tolerance[:, None] * np.sqrt(np.arange(1, largest + 1))
-    with np.errstate(invalid="ignore"):
-        may = _are_near(latest[..., 1:], latest[..., :1], allowed)  # mostly this alone decides
-    found = np.zeros(len(points), np.int64)
-    for k in np.flatnonzero(may.any(axis=1)).tolist():
-        section = sections[:, points[k], : lengths[points[k]]]
-        found[k] = period_multiple(section, float(tolerance[k]), largest)
-    return found
 
 
 def converging_multiples(
@@ -178,8 +168,8 @@ def converging_multiples(
 
     Each of the last four points must be within `closeness` of the one n periods before, and either
     all within `same`, or the later two of them nearer than the farthest of those within `closeness`
-    among up to `_WATCHED` points. After a doubled period, half of it may stay within `closeness`
-    for ever: the whole one repeats much better.
+    among up to `CONTRACTION_POINTS` points. After a doubled period, half of it may stay within
+    `closeness` for ever: the whole one repeats much better.
 
     Parameters
     ----------
@@ -201,7 +191,7 @@ def converging_multiples(
     ndarray of int, shape (m,)
     """
     n_tried = max(0, min(largest, int(lengths[points].max(initial=0)) - 4))
-    latest = _latest(sections, lengths, points, n_tried + _WATCHED - 1)
+    latest = _latest(sections, lengths, points, n_tried + CONTRACTION_POINTS - 1)
     may = np.ones((len(points), n_tried), bool)
     with np.errstate(invalid="ignore"):
         for i in range(4):
@@ -209,8 +199,8 @@ def converging_multiples(
             may &= _are_near(latest[..., i : i + 1], earlier, closeness[:, None])
     # In the order of the sections, then of n.
     section, before = np.nonzero(may)
-    place = np.arange(_WATCHED) + before[:, None] + 1
-    steps = norm(latest[:, section, :_WATCHED] - latest[:, section[:, None], place])
+    place = np.arange(CONTRACTION_POINTS) + before[:, None] + 1
+    steps = norm(latest[:, section, :CONTRACTION_POINTS] - latest[:, section[:, None], place])
     # What was farther away was on its way here, and may be on its way out again.
     steps = np.where(steps < closeness[section, None], steps, np.nan)
     farthest = steps[:, :4].max(axis=1)  # NaN beyond `closeness`
@@ -218,7 +208,7 @@ def converging_multiples(
     farthest[~(contracts | (farthest <= same[section]))] = np.nan
     best = np.full(len(points), np.inf)
     np.fmin.at(best, section, farthest)
-    converging = farthest <= _AS_WELL * best[section]
+    converging = farthest <= AS_GOOD * best[section]
     found = np.zeros(len(points), np.int64)
     hits, first = np.unique(section[converging], return_index=True)
     found[hits] = before[converging][first] + 1

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.lists import spans
+from gapsweep.response.ragged import spans
 from gapsweep.status import Status
 from gapsweep.study.points import KEY
 

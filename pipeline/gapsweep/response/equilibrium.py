@@ -1,4 +1,4 @@
-"""What moves scenes, at a single state: derivatives by time, and eigenvalues about a rest."""
+"""Right sides at single states: derivatives by time, and the linear stability of equilibria."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -14,6 +14,7 @@ from gapsweep.model.contact import Piecewise
 from gapsweep.model.system import first_order
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.section import norm
+from gapsweep.response.thresholds import REST
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -21,12 +22,10 @@ Numbers = NDArray[np.intp]
 # A rest this near to a wall, as a share of the gap and its place, is on it.
 _ON_WALL = 1e-7
 _STILL = 1e-10
-# A motion that would swing by no more than this share of what it swung at most is at rest.
-REST = 1e-8
 
 
-def about_rest(ensemble: Ensemble, scene: int, y: Array) -> tuple[float, float]:
-    """What a state of rest does to a motion beside it, and how far off it lies.
+def linear_stability(ensemble: Ensemble, scene: int, y: Array) -> tuple[float, float]:
+    """Growth of disturbances of an equilibrium, and its distance from a state.
 
     Parameters
     ----------

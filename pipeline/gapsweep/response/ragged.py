@@ -23,7 +23,7 @@ def spans(first: NDArray[np.integer], counts: NDArray[np.integer]) -> Counts:
     return np.asarray(np.repeat(first - before, counts) + np.arange(counts.sum()))
 
 
-class Lists:
+class RaggedArrays:
     """A list of numbers for each of n rows, as it was put last.
 
     Attributes

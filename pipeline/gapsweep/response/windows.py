@@ -1,4 +1,4 @@
-"""Where motions are, and the windows of them recorded last: columns, a row per point."""
+"""Motions of many points and their recording windows: columns, a row per point."""
 
 import math
 
@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from gapsweep.response.call import Call
 from gapsweep.response.ensemble import Ensemble
-from gapsweep.response.lists import Lists, spans
 from gapsweep.response.loads import contact_shares
-from gapsweep.response.section import DEVIATIONS, reach_of
+from gapsweep.response.ragged import RaggedArrays, spans
+from gapsweep.response.section import reach_of
+from gapsweep.response.thresholds import DEVIATIONS
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -17,7 +18,7 @@ Counts = NDArray[np.int64]
 Numbers = NDArray[np.intp]
 
 
-class Walks:
+class RecordedWindows:
     """Motions that advance by whole forcing periods, all scenes of an ensemble.
 
     Attributes
@@ -35,7 +36,7 @@ class Walks:
         Largest displacements of the windows, as section points [m].
     n_turning : int
         How much extrema are recorded of: coordinates, then a system's gaps.
-    extrema : Lists
+    extrema : RaggedArrays
         Zero-velocity points [m] of a window recorded with all events; `n_turning` lists a scene.
     contact_share : ndarray, shape (n_contacts, n)
         Share of that window's time spent beyond each contact's walls [-].
@@ -50,15 +51,13 @@ class Walks:
         self.section = np.empty((len(y), n, 0))
         self.reach = self._place(np.arange(n))
         self.n_turning = len(ensemble.turning(np.arange(n), y))
-        self._elapsed, self.extrema = np.zeros(n), Lists(n * self.n_turning)
+        self._elapsed, self.extrema = np.zeros(n), RaggedArrays(n * self.n_turning)
         self.contact_share = np.full(ensemble.walls.shape[1:], np.nan)
 
     @property
     def t(self) -> Array:
         """Times since the start [s]."""
-        if self.ensemble.is_free:  # its returns take what time they take
-            return self._elapsed
-        return np.asarray(self.n_periods / self.ensemble.omega)
+        return self.ensemble.duration(self.n_periods, self._elapsed)
 
     @property
     def step_error(self) -> Array:
@@ -70,12 +69,12 @@ class Walks:
         """Predicted scatter [m] of section points so many forcing periods apart.
 
         It is what the solver's tolerances admit in each step, in as many random steps as it
-        takes. What scatters more than `same` is not the solver's doing.
+        takes. What scatters more than `resolution` is not the solver's doing.
         """
         return self.step_error * np.sqrt(self._steps_per_period * n_periods)
 
     @property
-    def same(self) -> Array:
+    def resolution(self) -> Array:
         """Distances [m] below which two states are the same to this solver."""
         return DEVIATIONS * self.noise()
 
@@ -92,31 +91,31 @@ class Walks:
         """Whether a window of scenes was recorded with all events."""
         return np.asarray(self.extrema.counts[points * self.n_turning] >= 0)
 
-    def unrecord(self, points: Numbers) -> None:
-        """Have windows recorded with all events anew: they were not the last."""
+    def discard_extrema(self, points: Numbers) -> None:
+        """Forget events of windows: they were not the last."""
         self.extrema.counts[self.rows(points)] = -1
 
     def window(self, point: int) -> Array:
         """Section points [m] of one window, shape (n_states, length)."""
         return self.section[:, point, : self.length[point]]
 
-    def forget(self, points: Numbers) -> None:
+    def clear(self, points: Numbers) -> None:
         """Start empty windows here."""
         self.length[points], self._extent[points] = 0, 0.0
         self.reach[points] = self._place(points)
 
-    def advance(
-        self, points: Numbers, pause: Counts, window: Counts, *, section_only: bool = True
+    def integrate(
+        self, points: Numbers, transient: Counts, window: Counts, *, section_only: bool = True
     ) -> None:
         """Go on for whole periods, then for some that are added to the windows; one may be none."""
-        # The motions of a call: of each point a pause, a window, or one that follows the other.
-        n_motions = (pause > 0) + (window > 0).astype(np.intp)
+        # The motions of a call: of each point a transient, a window, or one that follows the other.
+        n_motions = (transient > 0) + (window > 0).astype(np.intp)
         of = np.repeat(np.arange(len(points)), n_motions)
         follows = np.append(False, of[1:] == of[:-1])
         last = np.cumsum(n_motions) - 1
         recorded = np.zeros(len(of), bool)
         recorded[last] = window > 0
-        scenes, n_periods = points[of], np.where(recorded, window[of], pause[of])
+        scenes, n_periods = points[of], np.where(recorded, window[of], transient[of])
         call = self.ensemble.call(
             scenes, self.y[:, scenes], n_periods, np.where(recorded, 0.0, math.inf),
             section_only=section_only, follows=follows if follows.any() else None,
@@ -128,7 +127,7 @@ class Walks:
             self.contact_share[:, points] = shares
         if recorded.any():
             self._add(scenes[recorded], np.flatnonzero(recorded), call)
-        # What failed in its pause is where it was left.
+        # What failed in its transient is where it was left.
         first = last - n_motions + 1
         last = np.where(call.is_ok[first], last, first)
         self._steps_per_period[points] = np.maximum(call.n_steps[last] / n_periods[last], 1.0)
@@ -136,7 +135,7 @@ class Walks:
         # What failed did so before the end of a period, and what follows it was not begun.
         lasted = np.where(call.is_ok, n_periods, np.ceil(call.t * call.omega))
         elapsed = np.bincount(of, lasted).astype(np.int64)
-        self.arrive(points, call.y[:, last], call.status[last], elapsed)
+        self.move_to(points, call.y[:, last], call.status[last], elapsed)
 
     def extrema_of(self, call: Call) -> tuple[Array, Counts]:
         """Zero-velocity points [m] of a call, and how many there are of each motion's quantities.
@@ -167,8 +166,8 @@ class Walks:
         self.section[:, rows, columns] = call.section
         self.length[points] += new
 
-    def arrive(self, points: Numbers, y: Array, status: Counts, n_periods: Counts) -> None:
-        """Be at states that whole periods of motion led to."""
+    def move_to(self, points: Numbers, y: Array, status: Counts, n_periods: Counts) -> None:
+        """Set the states that whole periods of motion led to."""
         self.y[:, points], self.status[points] = y, status
         self.n_periods[points] += n_periods
         self.reach[points] = np.maximum(self._extent[points], self._place(points))

@@ -1,7 +1,7 @@
-"""Motions that nothing forces: their section is passed where the first coordinate has a maximum.
+"""Autonomous motions on a Poincare section: the maxima of the first coordinate.
 
-What is a forcing period elsewhere is a return to the section here, however long it takes. The map
-of the section has one multiplier less than the motion: that along the motion, which is one.
+A period is a return to the section here, however long it takes. The map of the section has one
+multiplier less than the motion: the one along the motion, which is one.
 """
 
 import math
@@ -15,8 +15,9 @@ from gapsweep.integrate.motion import Motions
 from gapsweep.integrate.problem import Models, Solver
 from gapsweep.response.call import Call
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
-from gapsweep.response.rates import REST, Rates
+from gapsweep.response.equilibrium import Rates
 from gapsweep.response.section import norm, reach_of
+from gapsweep.response.thresholds import FARTHER, FIRST_WINDOW, PERSISTENCE, REST
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ _ON = 1e-10
 _BEYOND = 1e-10  # of the time, by which the last maximum is passed to be recorded
 
 
-class Return(Call):
+class Returned(Call):
     """What one call of the engine found, up to a return to the section.
 
     Parameters
@@ -80,14 +81,16 @@ class Return(Call):
         return np.zeros(len(self.t_end))
 
 
-class Returns(Ensemble):
-    """Scenes that nothing forces; a period is a return to the section in all of its methods."""
+class PoincareMap(Ensemble):
+    """Autonomous systems; a period is a return to the Poincare section in all methods."""
 
     is_chained = False  # where a return is, its call tells
 
     def __init__(self, models: Models, solver: Solver, start: Array) -> None:
         super().__init__(models, solver)
         self._rates = Rates(models)
+        self.n_multipliers -= 1
+        self.has_families = self.settling_rate == 0.0
         self._rate = self.omega.copy()  # returns per second, as seen last
         # Time is counted in returns: as they follow each other, not as the slowest motion would.
         n = np.full(len(models), _FIRST)
@@ -133,7 +136,32 @@ class Returns(Ensemble):
         found.status[is_ok & (faint | ~is_back)] = ASTRAY
         found.status[is_ok & at_rest] = AT_REST
         given = self.unit[:, scenes], n_periods / t_end, t_end, self._shrinks(scenes), *tangents
-        return Return(passings, speed, swing, normal, found, *given)
+        return Returned(passings, speed, swing, normal, found, *given)
+
+    def duration(self, n_periods: Counts, elapsed: Array) -> Array:
+        return elapsed  # its returns take what time they take
+
+    def bounded_transient(self, transient: Counts, n_periods: Counts) -> Counts:
+        # Where growth sets in, damping about the equilibrium says nothing.
+        return np.minimum(transient, np.maximum(n_periods, FIRST_WINDOW))
+
+    def stays_bounded(self, scenes: Numbers, y: Array) -> Mask:
+        """Which motions do not go farther than ever, and then once more.
+
+        Growth without bound stretches disturbances as chaos does; chaos goes farther than ever by
+        chance, and hardly twice.
+        """
+        stays, y, left = np.ones(len(scenes), bool), y.copy(), np.arange(len(scenes))
+        for n_returns in (PERSISTENCE, 4 * PERSISTENCE):
+            if not left.size:
+                break
+            at, n = scenes[left], np.full(len(left), n_returns)
+            before = self.swing[at]
+            call = self.call(at, y[:, left], n, np.full(len(left), np.inf))
+            farther, y[:, left] = self.swing[at] > FARTHER * before, call.y
+            stays[left] = call.is_ok & ~farther
+            left = left[call.is_ok & farther]
+        return stays
 
     def _returned(
         self, scenes: Numbers, y: Array, n: Counts, kept: Mask, *, is_shot: bool

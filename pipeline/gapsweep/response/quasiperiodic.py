@@ -1,0 +1,157 @@
+"""Quasiperiodic motions: weighted Birkhoff averages tell a torus from chaos and slow settling."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.response.section import norm, period_multiple
+from gapsweep.response.thresholds import PERSISTENCE
+from gapsweep.response.windows import RecordedWindows
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
+
+_STILL = 1e-8  # of the largest scatter: a component with less does not move
+_REPEATS, _ROUNDING = 4, 1e-3
+MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some tens of megabytes
+
+
+class TorusTest(NamedTuple):
+    """What a test found of m motions.
+
+    Attributes
+    ----------
+    is_torus : ndarray of bool, shape (m,)
+        Whether they run round a torus.
+    is_locked : ndarray of bool, shape (m,)
+        Whether they repeat themselves after however many periods.
+    y : ndarray, shape (n_states, m)
+        States at its end.
+    n_periods : ndarray of int, shape (m,)
+        Periods that the test took.
+    """
+
+    is_torus: Mask
+    is_locked: Mask
+    y: Array
+    n_periods: NDArray[np.int64]
+
+
+def torus_test(
+    motions: RecordedWindows, points: Numbers, windows: dict[int, float], longest: Array
+) -> TorusTest:
+    """Integrate motions until they are seen to run round a torus.
+
+    A torus shows in two windows in turn: chaos may look like one by chance, hardly twice.
+
+    Parameters
+    ----------
+    motions : RecordedWindows
+        Not changed.
+    points : ndarray of int, shape (m,)
+        Which of them.
+    windows : dict of int to float
+        Periods of windows, which begin where the motions are, and how much means differ.
+    longest : ndarray, shape (m,)
+        Periods for which each may be integrated.
+    """
+    is_torus, is_locked, seemed = np.zeros((3, len(points)), bool)
+    y, n_periods = motions.y[:, points], np.zeros(len(points), np.int64)
+    resolution, noise = motions.resolution[points], motions.noise()[points]
+    left, sections = np.arange(len(points)), [np.empty((len(y), 0))] * len(points)
+    for length, allowed in windows.items():
+        left = left[~(is_torus[left] | is_locked[left]) & (length <= longest[left])]
+        if not left.size:
+            break
+        n = length - n_periods[left]
+        call = motions.ensemble.call(points[left], y[:, left], n, np.zeros(len(left)))
+        y[:, left], n_periods[left], left = call.y, length, left[call.is_ok]
+        for k, i in zip(left.tolist(), np.flatnonzero(call.is_ok).tolist(), strict=True):
+            new = call.section[:, call.period_ends[i] : call.period_ends[i + 1]]
+            sections[k] = section = np.concatenate([sections[k], new], axis=1)
+            is_locked[k] = _has_repeated(section, float(resolution[k]))
+            seems = not is_locked[k] and is_quasiperiodic(section, allowed, float(noise[k]))
+            is_torus[k], seemed[k] = seems and seemed[k], seems
+    return TorusTest(is_torus, is_locked, y, n_periods)
+
+
+def persists(
+    motions: RecordedWindows, points: Numbers, repeat: Mask, longest: Array, largest: int
+) -> Mask:
+    """Which motions that repeat themselves, as `repeat` says, still do `PERSISTENCE` periods on.
+
+    A torus that comes near itself within the solver's noise creeps on, and is far away by then. Two
+    states leave room for none. A motion that may not be integrated for so long does not persist.
+
+    Parameters
+    ----------
+    motions, points, longest
+        As of `torus_test`.
+    repeat : ndarray of bool, shape (m,)
+    largest : int
+        Largest multiple of a period that counts as one.
+    """
+    if len(motions.y) == 2:
+        return repeat
+    found = repeat & (longest >= PERSISTENCE)
+    at = points[found]
+    if at.size:
+        y, n = motions.y[:, at], np.full(len(at), PERSISTENCE)
+        call = motions.ensemble.call(at, y, n, np.zeros(len(at)))
+        ends = zip(call.period_ends, call.period_ends[1:], motions.resolution[at], strict=False)
+        found[found] = call.is_ok & [
+            period_multiple(call.section[:, first:last], float(resolution), largest) > 0
+            for first, last, resolution in ends
+        ]
+    return found
+
+
+def _has_repeated(section: Array, same: float) -> bool:
+    """Whether the last points of a section are those before: chaos may end while it is watched.
+
+    Means are the same from then on, as they are over any orbit of more periods than are looked for.
+    A torus may come as near to itself once, and is as many times as far away so many times later.
+    """
+    longest = section.shape[1] // (2 * _REPEATS)
+    apart = norm(section[:, -longest - 1 : -1] - section[:, -1:])
+    if apart.min() > same:
+        return False
+    n = int((apart <= same)[::-1].argmax()) + 1  # points ago
+    last = section[:, -n:]
+    once, later = (norm(last - section[:, -n - ago : -ago]).max() for ago in (n, _REPEATS * n))
+    return bool(once <= same and later <= 2.0 * once + _ROUNDING * same)
+
+
+def is_quasiperiodic(section: Array, allowed: float, noise: float) -> bool:
+    """Whether a section without a period lies on a closed curve, or on a torus.
+
+    There, means over time whose ends are faded out converge faster than any power of it, so that
+    two halves have the same; over chaos they scatter as a sample does, and what creeps or shrinks
+    has different ones. Das et al., Nonlinearity 30 (2017) 4111, doi 10.1088/1361-6544/aa84c2.
+
+    Parameters
+    ----------
+    section : ndarray, shape (n_states, n_periods)
+        Section points [m], some hundreds or more.
+    allowed : float
+        How much the two means may differ, as a share of the scatter.
+    noise : float
+        Scatter [m] that the solver's tolerances admit: of a component with less nothing is known.
+    """
+    half = section.shape[1] // 2
+    t = (np.arange(half) + 0.5) / half
+    weights = np.exp(-1.0 / (t * (1.0 - t)))
+    centred = section - section.mean(axis=1, keepdims=True)
+    # Means tell what drifts, those of squares what shrinks.
+    seen = np.concatenate([centred, np.square(centred)])
+    means = [each @ weights / weights.sum() for each in (seen[:, :half], seen[:, -half:])]
+    spread = seen.std(axis=1)
+    # What hardly moves beside the others is rounding, or noise of a smooth solver: a coordinate of
+    # its own that repeats, or the squares of one that has two values in turn.
+    scatter, of_squares = spread.reshape(2, -1)
+    moves = scatter > max(_STILL * scatter.max(), noise)
+    told = np.concatenate([moves, moves & (of_squares > _STILL * scatter.max() ** 2)])
+    is_same = np.abs(means[0] - means[1]) <= allowed * spread
+    return bool(told.any() and is_same[told].all())
