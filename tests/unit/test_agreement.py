@@ -199,7 +199,7 @@ def test_without_a_gap_lengths_are_in_ranges_of_the_response(tmp_path):
     amplitudes = {"piecewise": 1e-3, "tanh-1e4": 1.09e-3}
     files = datasets(tmp_path, study, lambda x, w, i: periodic([[amplitudes[x], 0.0]], w))
     row = agreement(*files).isel(SCENE).sel(representation="tanh-1e4", regime="all")
-    assert_allclose(row["section_w1_median"], 0.09e-3)
+    assert_allclose(row["attractor_distance"], 0.09e-3)
     assert row["f1"] == 1.0  # within 5 % of the range, 2 mm
 
 

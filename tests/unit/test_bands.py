@@ -21,8 +21,7 @@ def slab(heights, omega=(7.0,)):
     return Slab(
         omega=np.array(omega), fixed=np.ones(shape[1], bool), requested=np.ones(shape, bool),
         class_number=zeros, attractor=zeros, host=zeros, amplitude=none, lyapunov=none,
-        lyapunov_error=none, extrema=extrema, noise=none, section=np.zeros((*shape, 1, 2)),
-        costs={},
+        lyapunov_error=none, extrema=extrema, noise=none, costs={},
         found=Found(n=zeros, response_class=zeros, period_multiple=zeros, mirror_of=zeros,
                     amplitude=none, noise=none, section=np.zeros((*shape, 1, 2))),
     )  # fmt: skip

@@ -135,7 +135,7 @@ def _compared(
     """All variables of one slab, floors apart."""
     found = matching(ours, exact, width, symmetric=symmetric)
     values, curves = curve_metrics(ours, exact, 0.5 * width)
-    values |= start_metrics(ours, exact, 0.5 * width, symmetric=symmetric)
+    values |= start_metrics(ours, exact, 0.5 * width)
     values |= set_metrics(found, ours, exact, 0.5 * width)
     values |= basin_metrics(found, ours, exact)
     values |= band_metrics(ours, exact, width, symmetric=symmetric)

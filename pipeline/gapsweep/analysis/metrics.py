@@ -12,7 +12,6 @@ from gapsweep.analysis.bootstrap import BLOCK, FEWEST_BLOCKS, LEVEL, N_DRAWS
 from gapsweep.analysis.classes import CLASSES
 from gapsweep.analysis.curves import JUMP, STEEPER, WINDOW
 from gapsweep.analysis.sets import CLOSE
-from gapsweep.analysis.starts import PARTIAL
 from gapsweep.response.section import CLOUD_CLOSE, CLOUD_SHARE
 from gapsweep.study.schema import POINT_DIMS
 
@@ -110,23 +109,6 @@ METRICS: dict[str, Metric] = {
         "omega of the change - omega of the exact one; a change: neighbours on a curve of another "
         "class or period multiple, both resolved; matched one to one with the same change within "
         f"{WINDOW:g} Hz, NaN if with none",
-    ),
-    "section_w1": _error(
-        "A6", POINT_DIMS, "m", "Wasserstein distance of the displacements at whole periods",
-        "integral of |CDF - CDF_exact| over x; section points of equal weight",
-    ),
-    "extrema_w1": _error(
-        "A6", POINT_DIMS, "m", "Wasserstein distance of the steady extrema",
-        "integral of |CDF - CDF_exact| over x; stored extrema of equal weight",
-    ),
-    "section_distance": _error(
-        "A7", POINT_DIMS, "m", "Hausdorff distance of the stroboscopic sections",
-        "of the points (x, v / (2 pi omega)): largest distance to the nearest point of the other "
-        f"set; unless both are periodic, the {PARTIAL:g} quantile instead of the largest",
-    ),
-    "extrema_distance": _error(
-        "A7", POINT_DIMS, "m", "Hausdorff distance of the steady extrema",
-        "largest distance of an extremum to the nearest one of the other set",
     ),
     "band_jaccard": _share(
         "A8", FREQUENCY, "Jaccard index of the pixels of the bifurcation diagram",

@@ -72,8 +72,6 @@ class Slab:
         [m], NaN-padded.
     noise : ndarray
         What scatters section points [m].
-    section : ndarray, shape (..., n_points, 2)
-        Stroboscopic section ``(x, v / (2π ω))`` [m], NaN-padded.
     costs : dict of str to ndarray
         The variables named in `COSTS`.
     found : Found
@@ -90,7 +88,6 @@ class Slab:
     lyapunov_error: Array
     extrema: Array
     noise: Array
-    section: Array
     costs: dict[str, Array]
     found: Found
 
@@ -118,17 +115,15 @@ def slab(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> Slab:
     at : mapping of str to int
         Position along the representation and every dimension of scenes.
     """
-    omega = responses["omega"].values
-    here = _read(responses, (*_INTEGERS, *_FLOATS, *_SECTION, *COSTS), at)
+    here = _read(responses, (*_INTEGERS, *_FLOATS, *COSTS), at)
     requested = here["status"] != Status.NOT_REQUESTED
     return Slab(
-        omega=omega,
+        omega=responses["omega"].values,
         fixed=responses["start"].values == FIXED,
         requested=requested,
         class_number=class_numbers(requested, here["response_class"], here["period_multiple"]),
         attractor=here["attractor"],
         host=here["host"],
-        section=_section(here, omega),
         costs={name: here[name] for name in COSTS},
         found=_found(attractors, at, here),
         **{name: here[name] for name in _FLOATS},
