@@ -13,7 +13,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.bands import band_metrics
 from gapsweep.analysis.classes import CLASSES
 from gapsweep.analysis.curves import curve_metrics
 from gapsweep.analysis.floors import floor_labels
@@ -138,7 +137,6 @@ def _compared(
     values |= start_metrics(ours, exact, 0.5 * width)
     values |= set_metrics(found, ours, exact, 0.5 * width)
     values |= basin_metrics(found, ours, exact)
-    values |= band_metrics(ours, exact, width, symmetric=symmetric)
     yield from values.items()
     yield from curves.items()
     yield from summaries(ours, exact, values)

@@ -7,7 +7,6 @@ of the metrics there; A1 to A3 compare forces and need no responses.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from gapsweep.analysis.bands import FINENESS
 from gapsweep.analysis.bootstrap import BLOCK, FEWEST_BLOCKS, LEVEL, N_DRAWS
 from gapsweep.analysis.classes import CLASSES
 from gapsweep.analysis.curves import JUMP, STEEPER, WINDOW
@@ -109,16 +108,6 @@ METRICS: dict[str, Metric] = {
         "omega of the change - omega of the exact one; a change: neighbours on a curve of another "
         "class or period multiple, both resolved; matched one to one with the same change within "
         f"{WINDOW:g} Hz, NaN if with none",
-    ),
-    "band_jaccard": _share(
-        "A8", FREQUENCY, "Jaccard index of the pixels of the bifurcation diagram",
-        f"|P and P_exact| / |P or P_exact|; P: bins of height G/{FINENESS} that hold steady "
-        "extrema of any start, for symmetric gaps with their mirror images",
-    ),
-    "band_jaccard_tolerant": _share(
-        "A8", FREQUENCY, "Jaccard index of the bifurcation diagram, neighbouring pixels being one",
-        "h / (|P| + |P_exact| - h); h: mean number of pixels of either diagram that are occupied "
-        "in the other, or have a neighbour above or below that is",
     ),
     "class_agreement": _share(
         "A9", POINT_DIMS, "same class of response",
