@@ -18,7 +18,6 @@ SCENE = POINT_DIMS[:3]
 FREQUENCY = POINT_DIMS[:4]
 CURVE = (*SCENE, POINT_DIMS[4])
 REGIME, BOUND = "regime", "bound"
-CLASS_DIMS = ("class_exact", "class")
 POOLED = (*SCENE, REGIME)
 REGIMES = ("all", "periodic", "chaotic")
 BOUNDS = ("low", "high")
@@ -112,16 +111,6 @@ METRICS: dict[str, Metric] = {
     "class_agreement": _share(
         "A9", POINT_DIMS, "same class of response",
         f"1 if both are the same of {', '.join(CLASSES)}; else 0; its mean is the raw accuracy",
-    ),
-    "kappa": _pooled(
-        "A9", "1", "Cohen's kappa of the classes",
-        "(p_o - p_e) / (1 - p_e) of the confusion table; p_o: share of agreement, p_e: that of "
-        "independent choices with the same margins; 1 if all agree, NaN if the exact law shows one "
-        "class only and not all agree", "min",
-    ),
-    "confusion": _count(
-        "A9", (*SCENE, *CLASS_DIMS), "sweep points by class",
-        "number of sweep points of class_exact with the exact law and of class here",
     ),
     "attractor_distance": _error(
         "A10", FREQUENCY, "m", "distance of paired attractors",
