@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.made import datasets, failed, motion, periodic, tables
+from tests.made import datasets, failed, periodic, tables
 
 from gapsweep.analysis.bootstrap import ratio
 from gapsweep.analysis.slab import slab
@@ -44,19 +44,6 @@ def test_points_without_a_response_are_compared_by_class_alone(compare):
     result = compare([failed(), some, failed()], [some, failed(), failed()])
     assert result["class_agreement"] == [0.0, 0.0, 1.0]
     assert np.isnan(result["amplitude_error"]).all()
-
-
-def test_exponents_are_compared_with_their_errors(compare):
-    def answer(value, error):
-        return motion(0, [[1e-3, 0.0]], W, lyapunov=value, lyapunov_error=error)
-
-    ours = [answer(1.0, 0.3), answer(0.2, 0.1), answer(-2.0, 0.0)]
-    exact = [answer(0.4, 0.4), answer(-0.2, 0.1), answer(-1.0, 0.0)]
-    result = compare(ours, exact)
-    assert_allclose(result["lyapunov_difference"], [0.6, 0.4, -1.0])
-    assert_allclose(result["lyapunov_difference_error"], [0.5, 0.02**0.5, 0.0])
-    # Positive against undecided; both undecided; both negative.
-    assert result["lyapunov_sign_agreement"] == [0.0, 1.0, 1.0]
 
 
 def test_costs_are_summed_where_both_have_a_response(slabs):

@@ -170,18 +170,6 @@ METRICS: dict[str, Metric] = {
         "1 if the two attractors match (see n_attractors_matched); 0 if not or if only one of the "
         "responses is on an attractor; NaN if none is",
     ),
-    "lyapunov_difference": _error(
-        "A13", POINT_DIMS, "s-1", "difference of the largest Lyapunov exponents",
-        "lambda_1 - lambda_1_exact",
-    ),
-    "lyapunov_difference_error": Metric(
-        "A13", POINT_DIMS, "s-1", "standard error of the difference of the Lyapunov exponents",
-        "sqrt(error^2 + error_exact^2)", dtype="f4",
-    ),
-    "lyapunov_sign_agreement": _share(
-        "A13", POINT_DIMS, "same sign of the largest Lyapunov exponent",
-        "1 if both are positive, both negative or both within three standard errors of 0; else 0",
-    ),
     "cpu_time_per_period": _pooled(
         "A14", "s", "processor time per forcing period",
         "sum of cpu_time / sum of omega t_simulated",

@@ -15,7 +15,7 @@ from gapsweep.study.points import FIXED
 
 COSTS = ("cpu_time", "nfev", "n_steps", "n_rejected", "n_contacts", "t_simulated")
 _INTEGERS = ("status", "response_class", "period_multiple", "attractor", "host")
-_FLOATS = ("amplitude", "lyapunov", "lyapunov_error", "extrema", "noise")
+_FLOATS = ("amplitude", "extrema", "noise")
 _SECTION = ("section_x", "section_v")
 _FOUND_INTEGERS = ("response_class", "period_multiple", "mirror_of")
 _FOUND_FLOATS = ("x_max", "x_min", *_SECTION)
@@ -66,8 +66,8 @@ class Slab:
     class_number : ndarray of int
         Position in `gapsweep.analysis.classes.CLASSES`, -1 where nothing was asked for.
     attractor, host : ndarray of int
-    amplitude, lyapunov, lyapunov_error : ndarray
-        [m], [1/s], [1/s]; NaN where there is no response.
+    amplitude : ndarray
+        [m]; NaN where there is no response.
     extrema : ndarray, shape (..., n_extrema)
         [m], NaN-padded.
     noise : ndarray
@@ -84,8 +84,6 @@ class Slab:
     attractor: Ints
     host: Ints
     amplitude: Array
-    lyapunov: Array
-    lyapunov_error: Array
     extrema: Array
     noise: Array
     costs: dict[str, Array]

@@ -1,14 +1,11 @@
-"""Metrics of every sweep point: amplitude error, class, exponents (A4, A9, A13); costs (A14)."""
+"""Metrics of every sweep point: amplitude error and class (A4, A9), and costs (A14)."""
 
 import numpy as np
 
-from gapsweep.analysis.arrays import Array, Bools
+from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.classes import NONE as NO_CLASS
 from gapsweep.analysis.slab import Slab
 from gapsweep.response.attractors import NONE
-
-# A Lyapunov exponent has a sign if it is this many standard errors from zero.
-_SURE = 3.0
 
 
 def start_metrics(ours: Slab, theirs: Slab, half_gap: float) -> dict[str, Array]:
@@ -20,24 +17,6 @@ def start_metrics(ours: Slab, theirs: Slab, half_gap: float) -> dict[str, Array]
     return {
         "amplitude_error": np.where(both, error, np.nan),
         "class_agreement": np.where(asked, same, np.nan),
-        **_exponent_metrics(ours, theirs, both),
-    }
-
-
-def _exponent_metrics(ours: Slab, theirs: Slab, both: Bools) -> dict[str, Array]:
-    known = both & ~np.isnan(ours.lyapunov) & ~np.isnan(theirs.lyapunov)
-    finite = known & np.isfinite(ours.lyapunov) & np.isfinite(theirs.lyapunov)
-    with np.errstate(invalid="ignore"):
-        difference = ours.lyapunov - theirs.lyapunov
-        error = np.hypot(ours.lyapunov_error, theirs.lyapunov_error)
-        signs = [
-            np.sign(slab.lyapunov) * (np.abs(slab.lyapunov) > _SURE * slab.lyapunov_error)
-            for slab in (ours, theirs)
-        ]
-    return {
-        "lyapunov_difference": np.where(finite, difference, np.nan),
-        "lyapunov_difference_error": np.where(finite, error, np.nan),
-        "lyapunov_sign_agreement": np.where(known, signs[0] == signs[1], np.nan),
     }
 
 
