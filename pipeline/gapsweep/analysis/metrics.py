@@ -170,23 +170,12 @@ METRICS: dict[str, Metric] = {
         "1 if the two attractors match (see n_attractors_matched); 0 if not or if only one of the "
         "responses is on an attractor; NaN if none is",
     ),
-    "cpu_time_per_period": _pooled(
-        "A14", "s", "processor time per forcing period",
-        "sum of cpu_time / sum of omega t_simulated",
-    ),
     "cpu_time_per_period_ratio": _pooled(
         "A14", "1", "processor time per forcing period, relative to the exact law",
-        "cpu_time_per_period / that of the exact law, over the same points",
-    ),
-    "nfev_per_period": _pooled(
-        "A14", "1", "right-hand sides per forcing period", "sum of nfev / sum of omega t_simulated"
+        "sum of cpu_time / sum of omega t_simulated, over that of the exact law at the same points",
     ),
     "n_contacts_per_period": _pooled(
         "A14", "1", "crossings per forcing period", "sum of n_contacts / sum of omega t_simulated"
-    ),
-    "rejected_share": _pooled(
-        "A14", "1", "share of the steps that were rejected",
-        "sum of n_rejected / sum of (n_steps + n_rejected)",
     ),
     "largest_jump": Metric(
         "A5", CURVE, "Hz", "frequency of the largest jump of a curve",

@@ -13,7 +13,7 @@ from gapsweep.response.attractors import NONE as NO_ATTRACTOR
 from gapsweep.status import Status
 from gapsweep.study.points import FIXED
 
-COSTS = ("cpu_time", "nfev", "n_steps", "n_rejected", "n_contacts", "t_simulated")
+COSTS = ("cpu_time", "n_contacts", "t_simulated")
 _INTEGERS = ("status", "response_class", "period_multiple", "attractor", "host")
 _FLOATS = ("amplitude", "extrema", "noise")
 _SECTION = ("section_x", "section_v")

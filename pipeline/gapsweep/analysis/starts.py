@@ -34,18 +34,12 @@ def cost_sums(ours: Slab, theirs: Slab) -> dict[str, Array]:
     periods, their_periods = (
         slab.costs["t_simulated"] * slab.omega[:, None] for slab in (ours, theirs)
     )
-    tried = own["n_steps"] + own["n_rejected"]
+    times = own["cpu_time"], periods, exact["cpu_time"], their_periods
     ratios = {
-        "cpu_time_per_period": (own["cpu_time"], periods, timed),
-        "cpu_time_per_period_ratio": (
-            *(own["cpu_time"], periods, exact["cpu_time"], their_periods),
-            timed,
-        ),
-        "nfev_per_period": (own["nfev"], periods, both),
-        "n_contacts_per_period": (own["n_contacts"], periods, both),
-        "rejected_share": (own["n_rejected"], tried, both),
+        "cpu_time_per_period_ratio": (times, timed),
+        "n_contacts_per_period": ((own["n_contacts"], periods), both),
     }
     return {
         name: np.where(where[..., None], np.stack(sums, axis=-1), 0.0)
-        for name, (*sums, where) in ratios.items()
+        for name, (sums, where) in ratios.items()
     }
