@@ -102,12 +102,6 @@ METRICS: dict[str, Metric] = {
         f"|dA| >= {JUMP} max(A, G/2) and > {STEEPER:g} times the steps before and after; matched "
         f"one to one with the same direction within {WINDOW:g} Hz, NaN if with none",
     ),
-    "change_shift": _error(
-        "A5", POINT_DIMS, "Hz", "shift of a change of class, at the frequency below the exact one",
-        "omega of the change - omega of the exact one; a change: neighbours on a curve of another "
-        "class or period multiple, both resolved; matched one to one with the same change within "
-        f"{WINDOW:g} Hz, NaN if with none",
-    ),
     "class_agreement": _share(
         "A9", POINT_DIMS, "same class of response",
         f"1 if both are the same of {', '.join(CLASSES)}; else 0; its mean is the raw accuracy",
@@ -186,7 +180,6 @@ METRICS: dict[str, Metric] = {
         "largest_jump - that of the exact law", worst="max",
     ),
     "n_jumps": _count("A5", CURVE, "jumps along a curve", "see jump_shift"),
-    "n_changes": _count("A5", CURVE, "changes of class along a curve", "see change_shift"),
     "n_points": _count("all", POOLED, "sweep points", "asked for"),
     "n_compared": _count("all", POOLED, "sweep points compared", "with both responses"),
     "n_unresolved": _count("all", POOLED, "sweep points unresolved", "of class unresolved"),

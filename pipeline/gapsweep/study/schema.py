@@ -145,5 +145,5 @@ TAKEN = {
     *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "n_attractors"),
     # of agreement.nc and timing.nc
     *("regime", "bound", "f1", "precision", "recall"),
-    *("n_points", "n_compared", "n_failed", "n_unresolved", "n_jumps", "n_changes"),
+    *("n_points", "n_compared", "n_failed", "n_unresolved", "n_jumps"),
 }
