@@ -13,9 +13,11 @@ from gapsweep.response.attractors import NONE as NO_ATTRACTOR
 from gapsweep.status import Status
 from gapsweep.study.points import FIXED
 
-COSTS = ("cpu_time", "n_contacts", "t_simulated")
-_INTEGERS = ("status", "response_class", "period_multiple", "attractor", "host")
-_FLOATS = ("amplitude", "extrema", "noise")
+_KINDS = ("status", "response_class", "period_multiple")
+_FIELDS = (
+    *("attractor", "amplitude", "extrema", "noise"),
+    *("host", "cpu_time", "n_contacts", "t_simulated"),
+)
 _SECTION = ("section_x", "section_v")
 _FOUND_INTEGERS = ("response_class", "period_multiple", "mirror_of")
 _FOUND_FLOATS = ("x_max", "x_min", *_SECTION)
@@ -65,15 +67,15 @@ class Slab:
         Which cells are sweep points. The shape of all that follow, but for a last dimension.
     class_number : ndarray of int
         Position in `gapsweep.analysis.classes.CLASSES`, -1 where nothing was asked for.
-    attractor, host : ndarray of int
+    attractor : ndarray of int
     amplitude : ndarray
         [m]; NaN where there is no response.
     extrema : ndarray, shape (..., n_extrema)
         [m], NaN-padded.
     noise : ndarray
         What scatters section points [m].
-    costs : dict of str to ndarray
-        The variables named in `COSTS`.
+    host, cpu_time, n_contacts, t_simulated : ndarray
+        As in ``responses.nc``.
     found : Found
     """
 
@@ -82,11 +84,13 @@ class Slab:
     requested: Bools
     class_number: Ints
     attractor: Ints
-    host: Ints
     amplitude: Array
     extrema: Array
     noise: Array
-    costs: dict[str, Array]
+    host: Ints
+    cpu_time: Array
+    n_contacts: Ints
+    t_simulated: Array
     found: Found
 
     @property
@@ -113,18 +117,15 @@ def slab(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> Slab:
     at : mapping of str to int
         Position along the representation and every dimension of scenes.
     """
-    here = _read(responses, (*_INTEGERS, *_FLOATS, *COSTS), at)
+    here = _read(responses, (*_KINDS, *_FIELDS), at)
     requested = here["status"] != Status.NOT_REQUESTED
     return Slab(
         omega=responses["omega"].values,
         fixed=responses["start"].values == FIXED,
         requested=requested,
         class_number=class_numbers(requested, here["response_class"], here["period_multiple"]),
-        attractor=here["attractor"],
-        host=here["host"],
-        costs={name: here[name] for name in COSTS},
         found=_found(attractors, at, here),
-        **{name: here[name] for name in _FLOATS},
+        **{name: here[name] for name in _FIELDS},
     )
 
 

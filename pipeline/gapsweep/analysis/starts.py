@@ -30,16 +30,10 @@ def cost_sums(ours: Slab, theirs: Slab) -> dict[str, Array]:
     # The points of a sweep wait for each other: their time is that of calls with few motions.
     timed = both & (ours.host == theirs.host) & (ours.host != NONE)
     timed &= ours.fixed | ~ours.fixed.any()
-    own, exact = ours.costs, theirs.costs
-    periods, their_periods = (
-        slab.costs["t_simulated"] * slab.omega[:, None] for slab in (ours, theirs)
-    )
-    times = own["cpu_time"], periods, exact["cpu_time"], their_periods
-    ratios = {
-        "cpu_time_per_period_ratio": (times, timed),
-        "n_contacts_per_period": ((own["n_contacts"], periods), both),
-    }
+    periods, their_periods = (slab.t_simulated * slab.omega[:, None] for slab in (ours, theirs))
+    times = [ours.cpu_time, periods, theirs.cpu_time, their_periods]
+    contacts = [ours.n_contacts, periods]
     return {
-        name: np.where(where[..., None], np.stack(sums, axis=-1), 0.0)
-        for name, (sums, where) in ratios.items()
+        "cpu_time_per_period_ratio": np.where(timed[..., None], np.stack(times, axis=-1), 0.0),
+        "n_contacts_per_period": np.where(both[..., None], np.stack(contacts, axis=-1), 0.0),
     }
