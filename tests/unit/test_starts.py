@@ -1,5 +1,7 @@
 """Start-wise metrics of made-up responses, against the definitions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -41,17 +43,21 @@ def test_amplitude_error_of_small_responses_is_relative_to_half_the_gap(compare)
 
 def test_points_without_a_response_are_compared_by_class_alone(compare):
     some = periodic([[1e-3, 0.0]], W)
-    result = compare([failed(), some, failed()], [some, failed(), failed()])
-    assert result["class_agreement"] == [0.0, 0.0, 1.0]
+    away = periodic([[1e-3, 0.0]], W, amplitude=np.inf)
+    result = compare([failed(), some, failed(), away], [some, failed(), failed(), some])
+    assert result["class_agreement"] == [0.0, 0.0, 1.0, 1.0]
     assert np.isnan(result["amplitude_error"]).all()
 
 
 def test_costs_are_summed_where_both_have_a_response(slabs):
-    exact = [periodic([[1e-3, 0.0]], W, n_contacts=7), periodic([[1e-3, 0.0]], W)]
-    ours = [periodic([[1e-3, 0.0]], W), failed(n_contacts=9)]
-    sums = {name: values[0].tolist() for name, values in cost_sums(*slabs(ours, exact)).items()}
-    assert_allclose(sums["n_contacts_per_period"], [[4.0, 10.0 * W], [0.0, 0.0]])
-    assert sums["cpu_time_per_period_ratio"][1] == [0.0] * 4
+    some = periodic([[1e-3, 0.0]], W)
+    exact = [periodic([[1e-3, 0.0]], W, n_contacts=7), some, failed(n_contacts=8)]
+    ours, theirs = slabs([some, failed(n_contacts=9), some], exact)
+    sums = {name: values[0].tolist() for name, values in cost_sums(ours, theirs).items()}
+    assert_allclose(sums["n_contacts_per_period"], [[4.0, 10.0 * W], [0.0, 0.0], [0.0, 0.0]])
+    assert_allclose(sums["cpu_time_per_period_ratio"], [[0.5, 10.0 * W] * 2, [0.0] * 4, [0.0] * 4])
+    elsewhere = replace(theirs, host=theirs.host + 1)
+    assert not cost_sums(ours, elsewhere)["cpu_time_per_period_ratio"].any()
 
 
 def test_longer_runs_do_not_make_a_law_dearer(slabs):
