@@ -43,7 +43,7 @@ def test_quantiles_and_intervals_are_those_of_the_samples_drawn(cells, n_blocks)
 def test_pooled_statistics_are_those_of_the_blocks_drawn():
     rng = np.random.default_rng(0)
     sums, block = rng.uniform(size=(30, 2)), np.repeat(np.arange(10), 3)
-    estimate, interval = pooled(sums, block, ratio)
+    estimate, interval = pooled(sums, block)
     assert_allclose(estimate, sums[:, 0].sum() / sums[:, 1].sum())
     by_block = sums.reshape(10, 3, 2).sum(axis=1)
     drawn = [ratio((draw[:, None] * by_block).sum(axis=0)) for draw in bootstrap._draws(10)]
@@ -53,16 +53,16 @@ def test_pooled_statistics_are_those_of_the_blocks_drawn():
 def test_blocks_that_hold_nothing_are_not_drawn():
     sums = np.zeros((12, 2))
     sums[:5] = 1.0, 2.0
-    estimate, interval = pooled(sums, np.arange(12), ratio)
+    estimate, interval = pooled(sums, np.arange(12))
     assert (estimate, *interval) == (0.5, 0.5, 0.5)
-    assert np.isnan(pooled(sums[1:], np.arange(11), ratio)[1]).all()  # four blocks are too few
+    assert np.isnan(pooled(sums[1:], np.arange(11))[1]).all()  # four blocks are too few
 
 
 def test_nothing_has_no_quantile():
     estimates, intervals = quantiles(np.empty(0), np.empty(0, dtype=int), Q)
     assert np.isnan(estimates).all()
     assert np.isnan(intervals).all()
-    assert np.isnan(pooled(np.zeros((3, 2)), np.arange(3), ratio)[0])
+    assert np.isnan(pooled(np.zeros((3, 2)), np.arange(3))[0])
 
 
 def correlated(rng, n_blocks=40, in_block=6):
@@ -80,7 +80,7 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say(estimate):
         if estimate == "median":
             low, high = quantiles(values, block, (0.5,))[1][0]
         else:
-            low, high = pooled(np.stack([values, np.ones_like(values)], axis=1), block, ratio)[1]
+            low, high = pooled(np.stack([values, np.ones_like(values)], axis=1), block)[1]
         held += low <= 0.0 <= high
     # A bootstrap that took the values for independent would hold it in about 60 % of the cases.
     assert 0.88 <= held / 200 <= 0.99

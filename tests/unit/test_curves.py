@@ -1,11 +1,11 @@
-"""Jumps and changes of class along a curve, and how they are matched."""
+"""Jumps along a curve, and how they are matched."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.made import chaotic, datasets, failed, periodic, tables, unresolved
+from tests.made import chaotic, datasets, failed, periodic, tables
 
-from gapsweep.analysis.curves import WINDOW, breaks, changes, curve_metrics, jumps
+from gapsweep.analysis.curves import WINDOW, breaks, curve_metrics, jumps
 from gapsweep.analysis.slab import slab
 
 OMEGA = np.round(np.arange(5.0, 9.0, 0.1), 12)
@@ -39,9 +39,8 @@ def test_a_fold_is_one_jump_in_the_middle_of_its_step(curve):
     _, exact = curve(folded(7.05))
     found = jumps(exact, 0, np.arange(len(OMEGA)), HALF_GAP)
     assert_allclose(found.omega, [7.05])
-    assert found.kind.tolist() == [-1]
     assert_allclose(OMEGA[found.at], [7.0])
-    assert_allclose(found.size, [1.4e-3])  # 1.6 mm at 7 Hz, then 0.2 mm
+    assert_allclose(found.step, [-1.4e-3])  # 1.6 mm at 7 Hz, then 0.2 mm
 
 
 def test_a_steep_flank_is_no_jump(curve):
@@ -49,22 +48,12 @@ def test_a_steep_flank_is_no_jump(curve):
     assert jumps(exact, 0, np.arange(len(OMEGA)), HALF_GAP).omega.size == 0
 
 
-def test_beside_chaos_there_is_a_change_but_no_jump(curve):
-    def answer(omega):
-        if omega < 6.95:
-            return periodic([[1e-3, 0.0]], omega)
-        return chaotic([[2e-3, 0.0], [1e-3, 0.0]], omega)
-
-    _, exact = curve(answer)
-    along = np.arange(len(OMEGA))
-    assert jumps(exact, 0, along, HALF_GAP).omega.size == 0
-    assert_allclose(changes(exact, 0, along).omega, [6.95])
-
-
-@pytest.mark.parametrize("gone", [lambda w: failed(), lambda w: unresolved([[1e-3, 0.0]], w)])
-def test_what_is_unresolved_or_failed_is_no_bifurcation(curve, gone):
-    _, exact = curve(lambda w: gone(w) if abs(w - 7.0) < 0.2 else periodic([[1e-3, 0.0]], w))
-    assert changes(exact, 0, np.arange(len(OMEGA))).omega.size == 0
+@pytest.mark.parametrize(
+    "beyond", [lambda w: chaotic([[2e-3, 0.0], [1e-3, 0.0]], w), lambda w: failed()]
+)
+def test_there_is_no_jump_to_a_response_that_is_not_periodic(curve, beyond):
+    _, exact = curve(lambda w: periodic([[1e-3, 0.0]], w) if w < 6.95 else beyond(w))
+    assert jumps(exact, 0, np.arange(len(OMEGA)), HALF_GAP).omega.size == 0
 
 
 def test_shift_stands_at_the_exact_jump(curve):
@@ -82,15 +71,13 @@ def test_a_jump_too_far_off_is_counted_but_not_matched(curve):
     assert curves["n_jumps"] == [1]
 
 
-def test_only_like_changes_are_matched(curve):
-    def doubling(at, n):
-        return lambda w: periodic([[1e-3, 0.0]] + [[1.01e-3, 0.0]] * (n - 1) * (w > at), w)
+def test_only_jumps_in_the_same_direction_are_matched(curve):
+    def lifted(omega):
+        return periodic([[0.2e-3 if omega < 7.05 else 1.6e-3, 0.0]], omega)
 
-    points, curves = curve_metrics(*curve(doubling(7.05, 2), doubling(7.25, 2)), HALF_GAP)
-    assert_allclose(np.nansum(points["change_shift"]), 0.2)
-    points, curves = curve_metrics(*curve(doubling(7.05, 2), doubling(7.25, 3)), HALF_GAP)
-    assert np.isnan(points["change_shift"]).all()
-    assert curves["n_changes"] == [1]
+    points, curves = curve_metrics(*curve(folded(7.05), lifted), HALF_GAP)
+    assert np.isnan(points["jump_shift"]).all()
+    assert curves["n_jumps"] == [1]
 
 
 def resonance(omega):

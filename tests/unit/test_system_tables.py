@@ -202,7 +202,7 @@ REFUSED = {
     "sweep": (SECTION, {"sweep__0__initial_condition": "sweep_up"}, "follow the frequency"),
     "start": (TWO_MASSES, {"sweep__0__initial_condition": [0.1, 0.2]}, "must be 4"),
     "auto": (TWO_MASSES, {"sweep__0__representation": "auto"}, "name the representation"),
-    "taken by agreement": (SECTION, {"parameters__kappa": 1.0}, "choose another name"),
+    "taken by agreement": (SECTION, {"parameters__recall": 1.0}, "choose another name"),
     "parameter without use": (TWO_MASSES, {"parameters": {"k": 1.0}}, "'k': must be in"),
     "scale without value": (TWO_MASSES, {"system__forcing__0__scale": "p"}, "'p': must be in"),
     "list of parameters": (SECTION, {"parameters": [1.0]}, "parameters"),

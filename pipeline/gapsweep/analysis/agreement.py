@@ -13,8 +13,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.bands import band_metrics
-from gapsweep.analysis.classes import CLASSES
 from gapsweep.analysis.curves import curve_metrics
 from gapsweep.analysis.floors import floor_labels
 from gapsweep.analysis.grid import (
@@ -28,7 +26,7 @@ from gapsweep.analysis.grid import (
     scene_dims,
     scenes,
 )
-from gapsweep.analysis.metrics import BOUND, BOUNDS, CLASS_DIMS, REGIME, REGIMES, variables
+from gapsweep.analysis.metrics import BOUND, BOUNDS, REGIME, REGIMES, variables
 from gapsweep.analysis.sets import basin_metrics, matching, set_metrics
 from gapsweep.analysis.slab import Slab, slab
 from gapsweep.analysis.starts import start_metrics
@@ -78,8 +76,7 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
     mean_load = study.get("oscillator", {}).get("mean_load", 0.0)
     floors = floor_labels(responses.attrs.get("study_json", ""), labels)
     dims = point_dims(responses)
-    own = {REGIME: len(REGIMES), BOUND: len(BOUNDS), **dict.fromkeys(CLASS_DIMS, len(CLASSES))}
-    sizes = {str(dim): n for dim, n in responses.sizes.items()} | own
+    sizes = {**responses.sizes, REGIME: len(REGIMES), BOUND: len(BOUNDS)}
     tables: Tables = {}
     for name, metric in _VARIABLES.items():
         missing = 0 if metric.dtype == "i4" else np.nan
@@ -135,10 +132,9 @@ def _compared(
     """All variables of one slab, floors apart."""
     found = matching(ours, exact, width, symmetric=symmetric)
     values, curves = curve_metrics(ours, exact, 0.5 * width)
-    values |= start_metrics(ours, exact, 0.5 * width, symmetric=symmetric)
+    values |= start_metrics(ours, exact, 0.5 * width)
     values |= set_metrics(found, ours, exact, 0.5 * width)
     values |= basin_metrics(found, ours, exact)
-    values |= band_metrics(ours, exact, width, symmetric=symmetric)
     yield from values.items()
     yield from curves.items()
     yield from summaries(ours, exact, values)
@@ -157,8 +153,7 @@ def _set_floors(tables: Tables, floors: list[int]) -> None:
 def _dataset(tables: Tables, responses: xr.Dataset, floors: list[str]) -> xr.Dataset:
     dims = point_dims(responses)
     coordinates = {name: c for name, c in responses.coords.items() if set(c.dims) <= {*dims}}
-    labels = {REGIME: REGIMES, BOUND: BOUNDS, **dict.fromkeys(CLASS_DIMS, CLASSES)}
-    for dim, values in labels.items():
+    for dim, values in ((REGIME, REGIMES), (BOUND, BOUNDS)):
         coordinates[dim] = xr.DataArray(list(values), dims=dim, attrs={"long_name": dim})
     result = xr.Dataset(
         {

@@ -9,7 +9,6 @@ of a median or a mean hold the truth in 91 to 94 % of the cases (10 to 60 blocks
 those of a 95th percentile in 70 to 88 % (20 to 60 blocks): a tail is seen in a few blocks only.
 """
 
-from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -80,8 +79,8 @@ def _drawn_quantile(values: Array, upto: NDArray[np.int32], share: float) -> Arr
     return np.asarray(below + (position - low) * (above - below))
 
 
-def pooled(sums: Array, block: Ints, statistic: Callable[[Array], Array]) -> tuple[float, Array]:
-    """A statistic of sums over frequencies, and its confidence interval.
+def pooled(sums: Array, block: Ints) -> tuple[float, Array]:
+    """The `ratio` of sums over frequencies, and its confidence interval.
 
     Parameters
     ----------
@@ -89,8 +88,6 @@ def pooled(sums: Array, block: Ints, statistic: Callable[[Array], Array]) -> tup
         What is added up, per frequency.
     block : ndarray of int, shape (n,)
         The block of every frequency, ascending.
-    statistic : callable
-        From sums of shape (..., k) to shape (...); NaN where it is undefined.
 
     Returns
     -------
@@ -98,14 +95,14 @@ def pooled(sums: Array, block: Ints, statistic: Callable[[Array], Array]) -> tup
     interval : ndarray, shape (2,)
         NaN if fewer than `FEWEST_BLOCKS` blocks hold anything.
     """
-    estimate = float(statistic(sums.sum(axis=0)))
+    estimate = float(ratio(sums.sum(axis=0)))
     by_block = np.add.reduceat(sums, np.flatnonzero(np.diff(block, prepend=-1)))
     by_block = by_block[np.any(by_block != 0.0, axis=1)]
     if len(by_block) < FEWEST_BLOCKS:
         return estimate, _NO_INTERVAL
     # Not a matrix product: for so few numbers its threads cost more than they bring.
     drawn = np.einsum("db,bk->dk", _draws(len(by_block)), by_block)
-    return estimate, _interval(statistic(drawn))
+    return estimate, _interval(ratio(drawn))
 
 
 def ratio(sums: Array) -> Array:

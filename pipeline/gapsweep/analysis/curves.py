@@ -1,4 +1,4 @@
-"""Where the response jumps or changes its class along frequency, and how far off that is (A5).
+"""Where the amplitude jumps along frequency, and how far that is from the exact jump (A5).
 
 Found between neighbouring frequencies of one start (a sweep up or down, or a fixed state), so
 known to half the frequency step either way.
@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from gapsweep.analysis.arrays import Array, Ints
-from gapsweep.analysis.classes import NONE, UNRESOLVED
 from gapsweep.analysis.matching import matches_on_line
 from gapsweep.analysis.slab import Slab
 
@@ -17,13 +16,13 @@ from gapsweep.analysis.slab import Slab
 JUMP = 0.02
 # ... and this many times the steps next to it, so that a steep flank is none.
 STEEPER = 3.0
-# Farther apart [Hz] than this, two jumps or changes are not the same.
+# Farther apart [Hz] than this, two jumps are not the same.
 WINDOW = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Events:
-    """Jumps or changes along one curve.
+class Jumps:
+    """The jumps along one curve.
 
     Attributes
     ----------
@@ -31,19 +30,16 @@ class Events:
         Position of the frequency below each.
     omega : ndarray
         Middle of the two frequencies [Hz].
-    kind : ndarray of int
-        Only events of one kind are matched: jumps up or down, changes from one class to another.
-    size : ndarray
-        Of a jump, in amplitude [m].
+    step : ndarray
+        Change of the amplitude [m].
     """
 
     at: Ints
     omega: Array
-    kind: Ints
-    size: Array
+    step: Array
 
 
-def jumps(slab: Slab, start: int, along: Ints, half_gap: float) -> Events:
+def jumps(slab: Slab, start: int, along: Ints, half_gap: float) -> Jumps:
     """Jumps in amplitude between periodic responses at neighbours of the frequencies `along`."""
     amplitude = np.where(slab.periodic, slab.amplitude, np.nan)[along, start]
     steps = np.diff(amplitude)
@@ -53,7 +49,8 @@ def jumps(slab: Slab, start: int, along: Ints, half_gap: float) -> Events:
     beside = np.maximum(padded[:-2], padded[2:])
     # Comparisons with NaN are false: no jump next to a response that is not periodic.
     chosen = np.flatnonzero((size >= JUMP * scale) & (size > STEEPER * beside))
-    return _events(slab, along, chosen, np.sign(steps[chosen]).astype(np.int64), size[chosen])
+    below, above = along[chosen], along[chosen + 1]
+    return Jumps(below, 0.5 * (slab.omega[below] + slab.omega[above]), steps[chosen])
 
 
 def breaks(curve: Array) -> Ints:
@@ -72,40 +69,25 @@ def breaks(curve: Array) -> Ints:
     return np.flatnonzero((size >= JUMP * scale) & (size > STEEPER * near)) + 1
 
 
-def changes(slab: Slab, start: int, along: Ints) -> Events:
-    """Changes of class or period multiple; to or from unresolved and failed is none."""
-    numbers = slab.class_number[along, start]
-    known = np.where(numbers < UNRESOLVED, numbers, NONE)
-    before, after = known[:-1], known[1:]
-    chosen = np.flatnonzero((before != after) & (before != NONE) & (after != NONE))
-    kind = before[chosen] * UNRESOLVED + after[chosen]
-    return _events(slab, along, chosen, kind, np.zeros(len(chosen)))
-
-
-def _events(slab: Slab, along: Ints, chosen: Ints, kind: Ints, size: Array) -> Events:
-    below, above = along[chosen], along[chosen + 1]
-    return Events(below, 0.5 * (slab.omega[below] + slab.omega[above]), kind, size)
-
-
-def shifts(ours: Events, theirs: Events) -> Array:
-    """Shift [Hz] of the match of each of `theirs`, NaN where it has none within `WINDOW`."""
+def shifts(ours: Jumps, theirs: Jumps) -> Array:
+    """Shift [Hz] of the match of each of `theirs`: same direction, within `WINDOW`; else NaN."""
     shift = np.full(len(theirs.omega), np.nan)
-    for kind in np.unique(theirs.kind):
-        a, b = np.flatnonzero(ours.kind == kind), np.flatnonzero(theirs.kind == kind)
+    for is_up in (True, False):
+        a, b = (np.flatnonzero((one.step > 0.0) == is_up) for one in (ours, theirs))
         i, j = matches_on_line(ours.omega[a], theirs.omega[b], WINDOW)
         shift[b[j]] = ours.omega[a[i]] - theirs.omega[b[j]]
     return shift
 
 
-def largest_jump(events: Events) -> float:
+def largest_jump(found: Jumps) -> float:
     """Frequency of the largest jump [Hz], NaN if there is none."""
-    return float(events.omega[np.argmax(events.size)]) if len(events.size) else float("nan")
+    return float(found.omega[np.argmax(np.abs(found.step))]) if len(found.step) else float("nan")
 
 
 def curve_metrics(
     ours: Slab, theirs: Slab, half_gap: float
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Shifts at the exact jumps and changes, and what there is to count on every curve.
+    """Shifts at the exact jumps, and the number and the largest of the jumps of every curve.
 
     Returns
     -------
@@ -113,19 +95,14 @@ def curve_metrics(
     curves : dict of str to ndarray, shape (n_starts,)
     """
     shape = ours.requested.shape
-    points = {name: np.full(shape, np.nan) for name in ("jump_shift", "change_shift")}
-    counts = {name: np.zeros(shape[1]) for name in ("n_jumps", "n_changes")}
-    largest = np.full((2, shape[1]), np.nan)
+    shift, largest = np.full(shape, np.nan), np.full((2, shape[1]), np.nan)
+    n_jumps = np.zeros(shape[1])
     common = ours.requested & theirs.requested
     for start in np.flatnonzero(common.any(axis=0)).tolist():
         along = np.flatnonzero(common[:, start])
-        both = [jumps(slab, start, along, half_gap) for slab in (ours, theirs)]
-        largest[:, start] = [largest_jump(events) for events in both]
-        for name, (a, b) in (
-            ("jump", both),
-            ("change", [changes(slab, start, along) for slab in (ours, theirs)]),
-        ):
-            points[f"{name}_shift"][b.at, start] = shifts(a, b)
-            counts[f"n_{name}s"][start] = len(a.omega)
-    curves = {"largest_jump": largest[0], "largest_jump_shift": largest[0] - largest[1], **counts}
-    return points, curves
+        own, exact = (jumps(slab, start, along, half_gap) for slab in (ours, theirs))
+        largest[:, start] = largest_jump(own), largest_jump(exact)
+        shift[exact.at, start] = shifts(own, exact)
+        n_jumps[start] = len(own.omega)
+    curves = {"largest_jump": largest[0], "largest_jump_shift": largest[0] - largest[1]}
+    return {"jump_shift": shift}, curves | {"n_jumps": n_jumps}

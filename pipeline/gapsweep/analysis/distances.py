@@ -10,27 +10,10 @@ from functools import partial
 
 import numpy as np
 
-from gapsweep.analysis.arrays import Array, Bools, Ints
+from gapsweep.analysis.arrays import Array, Ints
 
 # Numbers in one temporary array: small enough to stay in cache.
 _BATCH = 2**19
-
-
-def wasserstein(a: Array, b: Array) -> Array:
-    """First Wasserstein distance of two samples on a line, their members of equal weight.
-
-    The area between the two distribution functions; the samples may differ in size.
-
-    Parameters
-    ----------
-    a, b : ndarray, shape (n, ...)
-        Samples, one per row.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    return _by_size(_wasserstein, a, b, power=1)
 
 
 def hausdorff_on_line(a: Array, b: Array) -> Array:
@@ -88,25 +71,10 @@ def _sizes(sets: Array) -> Ints:
     return np.asarray(np.count_nonzero(finite, axis=1))
 
 
-def _merged(a: Array, b: Array) -> tuple[Array, Bools]:
-    """Both sets of every row in one ascending order, and which members are of `a`."""
+def _hausdorff_on_line(a: Array, b: Array) -> Array:
     both = np.concatenate([a, b], axis=1)
     order = np.argsort(both, axis=1)
-    return np.take_along_axis(both, order, axis=1), order < a.shape[1]
-
-
-def _wasserstein(a: Array, b: Array) -> Array:
-    n_a, n_b = _sizes(a), _sizes(b)
-    values, of_a = _merged(a, b)
-    # Whole numbers, so that equal samples have distance 0 and not a rounding error.
-    ahead = np.cumsum(np.where(of_a, n_b[:, None], -n_a[:, None]), axis=1)
-    gaps = np.diff(values, axis=1)
-    area = np.where(np.isfinite(gaps), np.abs(ahead[:, :-1]) * gaps, 0.0)
-    return np.asarray(area.sum(axis=1) / (n_a * n_b))
-
-
-def _hausdorff_on_line(a: Array, b: Array) -> Array:
-    values, of_a = _merged(a, b)
+    values, of_a = np.take_along_axis(both, order, axis=1), order < a.shape[1]
     nearest = np.full(values.shape, np.inf)
     for own in (of_a, ~of_a):
         others = ~own & np.isfinite(values)

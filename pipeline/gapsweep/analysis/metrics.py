@@ -7,12 +7,10 @@ of the metrics there; A1 to A3 compare forces and need no responses.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from gapsweep.analysis.bands import FINENESS
 from gapsweep.analysis.bootstrap import BLOCK, FEWEST_BLOCKS, LEVEL, N_DRAWS
 from gapsweep.analysis.classes import CLASSES
 from gapsweep.analysis.curves import JUMP, STEEPER, WINDOW
 from gapsweep.analysis.sets import CLOSE
-from gapsweep.analysis.starts import PARTIAL
 from gapsweep.response.section import CLOUD_CLOSE, CLOUD_SHARE
 from gapsweep.study.schema import POINT_DIMS
 
@@ -20,7 +18,6 @@ SCENE = POINT_DIMS[:3]
 FREQUENCY = POINT_DIMS[:4]
 CURVE = (*SCENE, POINT_DIMS[4])
 REGIME, BOUND = "regime", "bound"
-CLASS_DIMS = ("class_exact", "class")
 POOLED = (*SCENE, REGIME)
 REGIMES = ("all", "periodic", "chaotic")
 BOUNDS = ("low", "high")
@@ -105,52 +102,9 @@ METRICS: dict[str, Metric] = {
         f"|dA| >= {JUMP} max(A, G/2) and > {STEEPER:g} times the steps before and after; matched "
         f"one to one with the same direction within {WINDOW:g} Hz, NaN if with none",
     ),
-    "change_shift": _error(
-        "A5", POINT_DIMS, "Hz", "shift of a change of class, at the frequency below the exact one",
-        "omega of the change - omega of the exact one; a change: neighbours on a curve of another "
-        "class or period multiple, both resolved; matched one to one with the same change within "
-        f"{WINDOW:g} Hz, NaN if with none",
-    ),
-    "section_w1": _error(
-        "A6", POINT_DIMS, "m", "Wasserstein distance of the displacements at whole periods",
-        "integral of |CDF - CDF_exact| over x; section points of equal weight",
-    ),
-    "extrema_w1": _error(
-        "A6", POINT_DIMS, "m", "Wasserstein distance of the steady extrema",
-        "integral of |CDF - CDF_exact| over x; stored extrema of equal weight",
-    ),
-    "section_distance": _error(
-        "A7", POINT_DIMS, "m", "Hausdorff distance of the stroboscopic sections",
-        "of the points (x, v / (2 pi omega)): largest distance to the nearest point of the other "
-        f"set; unless both are periodic, the {PARTIAL:g} quantile instead of the largest",
-    ),
-    "extrema_distance": _error(
-        "A7", POINT_DIMS, "m", "Hausdorff distance of the steady extrema",
-        "largest distance of an extremum to the nearest one of the other set",
-    ),
-    "band_jaccard": _share(
-        "A8", FREQUENCY, "Jaccard index of the pixels of the bifurcation diagram",
-        f"|P and P_exact| / |P or P_exact|; P: bins of height G/{FINENESS} that hold steady "
-        "extrema of any start, for symmetric gaps with their mirror images",
-    ),
-    "band_jaccard_tolerant": _share(
-        "A8", FREQUENCY, "Jaccard index of the bifurcation diagram, neighbouring pixels being one",
-        "h / (|P| + |P_exact| - h); h: mean number of pixels of either diagram that are occupied "
-        "in the other, or have a neighbour above or below that is",
-    ),
     "class_agreement": _share(
         "A9", POINT_DIMS, "same class of response",
         f"1 if both are the same of {', '.join(CLASSES)}; else 0; its mean is the raw accuracy",
-    ),
-    "kappa": _pooled(
-        "A9", "1", "Cohen's kappa of the classes",
-        "(p_o - p_e) / (1 - p_e) of the confusion table; p_o: share of agreement, p_e: that of "
-        "independent choices with the same margins; 1 if all agree, NaN if the exact law shows one "
-        "class only and not all agree", "min",
-    ),
-    "confusion": _count(
-        "A9", (*SCENE, *CLASS_DIMS), "sweep points by class",
-        "number of sweep points of class_exact with the exact law and of class here",
     ),
     "attractor_distance": _error(
         "A10", FREQUENCY, "m", "distance of paired attractors",
@@ -210,35 +164,12 @@ METRICS: dict[str, Metric] = {
         "1 if the two attractors match (see n_attractors_matched); 0 if not or if only one of the "
         "responses is on an attractor; NaN if none is",
     ),
-    "lyapunov_difference": _error(
-        "A13", POINT_DIMS, "s-1", "difference of the largest Lyapunov exponents",
-        "lambda_1 - lambda_1_exact",
-    ),
-    "lyapunov_difference_error": Metric(
-        "A13", POINT_DIMS, "s-1", "standard error of the difference of the Lyapunov exponents",
-        "sqrt(error^2 + error_exact^2)", dtype="f4",
-    ),
-    "lyapunov_sign_agreement": _share(
-        "A13", POINT_DIMS, "same sign of the largest Lyapunov exponent",
-        "1 if both are positive, both negative or both within three standard errors of 0; else 0",
-    ),
-    "cpu_time_per_period": _pooled(
-        "A14", "s", "processor time per forcing period",
-        "sum of cpu_time / sum of omega t_simulated",
-    ),
     "cpu_time_per_period_ratio": _pooled(
         "A14", "1", "processor time per forcing period, relative to the exact law",
-        "cpu_time_per_period / that of the exact law, over the same points",
-    ),
-    "nfev_per_period": _pooled(
-        "A14", "1", "right-hand sides per forcing period", "sum of nfev / sum of omega t_simulated"
+        "sum of cpu_time / sum of omega t_simulated, over that of the exact law at the same points",
     ),
     "n_contacts_per_period": _pooled(
         "A14", "1", "crossings per forcing period", "sum of n_contacts / sum of omega t_simulated"
-    ),
-    "rejected_share": _pooled(
-        "A14", "1", "share of the steps that were rejected",
-        "sum of n_rejected / sum of (n_steps + n_rejected)",
     ),
     "largest_jump": Metric(
         "A5", CURVE, "Hz", "frequency of the largest jump of a curve",
@@ -249,7 +180,6 @@ METRICS: dict[str, Metric] = {
         "largest_jump - that of the exact law", worst="max",
     ),
     "n_jumps": _count("A5", CURVE, "jumps along a curve", "see jump_shift"),
-    "n_changes": _count("A5", CURVE, "changes of class along a curve", "see change_shift"),
     "n_points": _count("all", POOLED, "sweep points", "asked for"),
     "n_compared": _count("all", POOLED, "sweep points compared", "with both responses"),
     "n_unresolved": _count("all", POOLED, "sweep points unresolved", "of class unresolved"),

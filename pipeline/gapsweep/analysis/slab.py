@@ -13,9 +13,11 @@ from gapsweep.response.attractors import NONE as NO_ATTRACTOR
 from gapsweep.status import Status
 from gapsweep.study.points import FIXED
 
-COSTS = ("cpu_time", "nfev", "n_steps", "n_rejected", "n_contacts", "t_simulated")
-_INTEGERS = ("status", "response_class", "period_multiple", "attractor", "host")
-_FLOATS = ("amplitude", "lyapunov", "lyapunov_error", "extrema", "noise")
+_KINDS = ("status", "response_class", "period_multiple")
+_FIELDS = (
+    *("attractor", "amplitude", "extrema", "noise"),
+    *("host", "cpu_time", "n_contacts", "t_simulated"),
+)
 _SECTION = ("section_x", "section_v")
 _FOUND_INTEGERS = ("response_class", "period_multiple", "mirror_of")
 _FOUND_FLOATS = ("x_max", "x_min", *_SECTION)
@@ -65,17 +67,15 @@ class Slab:
         Which cells are sweep points. The shape of all that follow, but for a last dimension.
     class_number : ndarray of int
         Position in `gapsweep.analysis.classes.CLASSES`, -1 where nothing was asked for.
-    attractor, host : ndarray of int
-    amplitude, lyapunov, lyapunov_error : ndarray
-        [m], [1/s], [1/s]; NaN where there is no response.
+    attractor : ndarray of int
+    amplitude : ndarray
+        [m]; NaN where there is no response.
     extrema : ndarray, shape (..., n_extrema)
         [m], NaN-padded.
     noise : ndarray
         What scatters section points [m].
-    section : ndarray, shape (..., n_points, 2)
-        Stroboscopic section ``(x, v / (2π ω))`` [m], NaN-padded.
-    costs : dict of str to ndarray
-        The variables named in `COSTS`.
+    host, cpu_time, n_contacts, t_simulated : ndarray
+        As in ``responses.nc``.
     found : Found
     """
 
@@ -84,14 +84,13 @@ class Slab:
     requested: Bools
     class_number: Ints
     attractor: Ints
-    host: Ints
     amplitude: Array
-    lyapunov: Array
-    lyapunov_error: Array
     extrema: Array
     noise: Array
-    section: Array
-    costs: dict[str, Array]
+    host: Ints
+    cpu_time: Array
+    n_contacts: Ints
+    t_simulated: Array
     found: Found
 
     @property
@@ -118,20 +117,15 @@ def slab(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> Slab:
     at : mapping of str to int
         Position along the representation and every dimension of scenes.
     """
-    omega = responses["omega"].values
-    here = _read(responses, (*_INTEGERS, *_FLOATS, *_SECTION, *COSTS), at)
+    here = _read(responses, (*_KINDS, *_FIELDS), at)
     requested = here["status"] != Status.NOT_REQUESTED
     return Slab(
-        omega=omega,
+        omega=responses["omega"].values,
         fixed=responses["start"].values == FIXED,
         requested=requested,
         class_number=class_numbers(requested, here["response_class"], here["period_multiple"]),
-        attractor=here["attractor"],
-        host=here["host"],
-        section=_section(here, omega),
-        costs={name: here[name] for name in COSTS},
         found=_found(attractors, at, here),
-        **{name: here[name] for name in _FLOATS},
+        **{name: here[name] for name in _FIELDS},
     )
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from gapsweep.analysis.arrays import Array, Bools, Ints
-from gapsweep.analysis.bootstrap import blocks, pooled, quantiles, ratio
-from gapsweep.analysis.classes import FAILED, NONE, UNRESOLVED, confusion, kappa
+from gapsweep.analysis.bootstrap import blocks, pooled, quantiles
+from gapsweep.analysis.classes import FAILED, UNRESOLVED
 from gapsweep.analysis.metrics import METRICS
 from gapsweep.analysis.slab import Slab
 from gapsweep.analysis.starts import cost_sums
@@ -40,7 +40,7 @@ def summaries(ours: Slab, exact: Slab, values: dict[str, Array]) -> Summaries:
     yield from _set_ratios(values, regimes[1], block)
     for name, sums in cost_sums(ours, exact).items():
         yield from _pooled(name, sums, regimes[2], block)
-    yield from _classes(ours, exact, regimes[2], block)
+    yield from _counts(ours, exact, regimes[2])
 
 
 def _regimes_of_points(exact: Slab) -> list[Bools]:
@@ -87,28 +87,15 @@ def _set_ratios(values: dict[str, Array], regimes: list[Bools], block: Ints) -> 
         yield from _pooled(name, np.stack([top, bottom], axis=-1), regimes, block)
 
 
-def _classes(ours: Slab, exact: Slab, regimes: list[Bools], block: Ints) -> Summaries:
-    own, theirs = ours.class_number, exact.class_number
-    table = confusion(own, theirs)
-    yield "confusion", table.sum(axis=0)
-    # A class of the exact law is a row of the table: the regimes are rows.
-    by_regime = [confusion(np.where(regime, own, NONE), theirs) for regime in regimes]
-    found = [pooled(t.reshape(len(t), -1), block, _flat_kappa) for t in by_regime]
-    yield "kappa", [estimate for estimate, _ in found]
-    yield "kappa_ci", [interval for _, interval in found]
+def _counts(ours: Slab, exact: Slab, regimes: list[Bools]) -> Summaries:
     counted = {
         "n_points": ours.requested,
         "n_compared": ours.exists & exact.exists,
-        "n_unresolved": own == UNRESOLVED,
-        "n_failed": own == FAILED,
+        "n_unresolved": ours.class_number == UNRESOLVED,
+        "n_failed": ours.class_number == FAILED,
     }
     for name, cells in counted.items():
         yield name, [np.count_nonzero(cells & regime) for regime in regimes]
-
-
-def _flat_kappa(tables: Array) -> Array:
-    n = int(np.sqrt(tables.shape[-1]))
-    return kappa(tables.reshape(*tables.shape[:-1], n, n))
 
 
 def _pooled(name: str, sums: Array, regimes: list[Bools], block: Ints) -> Summaries:
@@ -117,6 +104,6 @@ def _pooled(name: str, sums: Array, regimes: list[Bools], block: Ints) -> Summar
     for regime in regimes:
         chosen = np.where(regime[..., None], sums, 0.0)
         by_frequency = chosen.sum(axis=1) if chosen.ndim == 3 else chosen
-        found.append(pooled(by_frequency, block, ratio))
+        found.append(pooled(by_frequency, block))
     yield name, [estimate for estimate, _ in found]
     yield f"{name}_ci", [interval for _, interval in found]

@@ -144,6 +144,6 @@ TAKEN = {
     *PARTS,
     *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "n_attractors"),
     # of agreement.nc and timing.nc
-    *("regime", "bound", "class", "class_exact", "confusion", "kappa", "f1", "precision", "recall"),
-    *("n_points", "n_compared", "n_failed", "n_unresolved", "n_jumps", "n_changes"),
+    *("regime", "bound", "f1", "precision", "recall"),
+    *("n_points", "n_compared", "n_failed", "n_unresolved", "n_jumps"),
 }
