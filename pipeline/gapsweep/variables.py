@@ -1,5 +1,6 @@
 """Variables of datasets, and the datasets and tables of the results of one call."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -152,7 +153,8 @@ def dataset(
         return all(bool((values == values.take([0], i)).all()) for i, values in others)
 
     dims = next(filter(spans, permutations(axes, len(shape))), (POINT,))
-    sizes = dict(zip(dims, shape if len(dims) == len(shape) else (-1,), strict=True))
+    n = math.prod(shape)
+    sizes = dict(zip(dims, shape if len(dims) == len(shape) else (n,), strict=True))
     sizes |= {name: len(labels) for name, labels in parts.items()}
     described = {**INPUTS, **table}
 

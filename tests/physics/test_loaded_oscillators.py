@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import gapsweep as gs
+from gapsweep.analysis.static import static
 from gapsweep.execution.layout import Layout
 from gapsweep.execution.task import Tile, respond_to
 from gapsweep.model.equilibria import equilibria
@@ -142,3 +143,62 @@ def test_a_mean_load_breaks_the_mirror_symmetry():
         (piece,) = layout.pieces()
         found = layout.is_symmetric(piece)
         assert found.tolist() == expected
+
+
+def test_a_mass_that_its_load_drives_away_has_no_class():
+    away = gs.Oscillator(omega_n=0.0, alpha=0.0, mass=1.2, c=2.0, mean_load=-1.0)
+    gap = gs.Gap(2e-4, 2e-4)
+    for law in (gs.Tanh(1e4, gap, 1e5, K_ratio=0.0), gs.Piecewise(1e4, gap, K_ratio=0.0)):
+        found = gs.respond(away, law, omega=9.0)
+        assert found.response_class in (gs.ResponseClass.UNRESOLVED, gs.ResponseClass.FAILED)
+        assert found.message
+
+
+def test_a_free_mass_that_touches_nothing_is_told_why():
+    free = gs.Oscillator(omega_n=0.0, alpha=0.0, c=10.0, forcing=0.1)
+    found = gs.respond(free, gs.Piecewise(1e4, gs.Gap(1.0, 1.0)), omega=9.0)
+    assert found.response_class is gs.ResponseClass.UNRESOLVED
+    assert "every place in the gap" in found.message
+
+
+def test_static_equilibria_follow_a_swept_mean_load():
+    block = {"representation": "piecewise", "K_c": 1e5, "gap": [2e-4, 2e-4], "omega": 20.0}
+    tables = {
+        "study": {"name": "x"},
+        "oscillator": {"omega_n": 0.0, "alpha": 0.0, "mean_load": 5.0},
+        "sweep": [block | {"mean_load": [-2.0, 2.0]}],
+    }
+    found = static(gs.Study.from_dict(tables))["equilibrium_x"].squeeze()
+    assert found.dims[0] == "mean_load"
+    assert found.values.ravel() == pytest.approx([-2.2e-4, 2.2e-4])
+
+
+def test_ode45_takes_added_damping_and_refuses_a_mean_load():
+    law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    given = {"omega": 9.0, "t_end": 1.0, "controller": "ode45", "rtol": 1e-8, "atol": 1e-11}
+    ours = gs.simulate(gs.Oscillator(c=3.0), law, **given).x_end
+    exact = gs.simulate(gs.Oscillator(c=3.0), law, omega=9.0, t_end=1.0).x_end
+    assert ours == pytest.approx(exact, abs=1e-8)
+    with pytest.raises(gs.ModelError, match="mean_load"):
+        gs.simulate(gs.Oscillator(mean_load=1.0), law, **given).to_dataset()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"history": [{"mass": -1.0}]}, "history[0].mass = -1: must be > 0"),
+        ({"sweep": [{"[parameters]": {"zeta": 0.1}}]}, "unknown key"),
+        ({"sweep": [{"initial_condition": [[0.0, 0.0, 1.0]]}]}, "sweep[0].initial_condition: 3"),
+        ({"oscillator": {"zeta": -1.0}, "sweep": [{"K_c": None}]}, "sweep[0].K_c: missing"),
+    ],
+)
+def test_problems_name_their_place(change, said):
+    block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
+    history = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
+    tables = {"study": {"name": "x"}, "oscillator": change.get("oscillator", {})}
+    blocks = [block | each for each in change.get("sweep", [{}])]
+    tables["sweep"] = [{k: v for k, v in each.items() if v is not None} for each in blocks]
+    tables["history"] = [history | {"t_end": 2.0} | each for each in change.get("history", [])]
+    with pytest.raises(gs.StudyError) as refused:
+        gs.Study.from_dict(tables)
+    assert said in str(refused.value)

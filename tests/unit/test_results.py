@@ -131,3 +131,12 @@ def test_histories_are_those_of_the_run():
     assert_array_equal(found["t"], run.t)
     assert_array_equal(found["x"], run.q)
     assert_array_equal(found["v"], run.v)
+
+
+def test_inputs_of_several_dimensions_are_points():
+    omega = np.array([[8.0, 9.0], [9.0, 10.0]])
+    found = gs.respond(gs.Oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), omega)
+    dataset = found.to_dataset()
+    assert dataset.sizes["point"] == 4
+    assert dataset["x_max"].values.tolist() == found.x_max.ravel().tolist()
+    assert gs.Response(status=gs.Status.OK)._repr_html_() is None

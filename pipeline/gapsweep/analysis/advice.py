@@ -211,7 +211,8 @@ def _ranges(some: xr.Dataset) -> list[dict[str, Any]]:
 def _reason(model: Model, bound: float) -> str:
     if model is Model.EXACT:
         return (
-            "a wall may be reached: the exact law, contacts located, is the cheapest adequate one"
+            "a wall may be reached (with a mean load or omega_n = 0 no bound is known): the exact "
+            "law, contacts located, is the cheapest adequate one"
         )
     stays = f"|x| never exceeds {1e3 * bound:.3g} mm, no wall is reached"
     return f"{stays}{'; nor is the cubic spring seen' if model is Model.LINEAR else ''}"

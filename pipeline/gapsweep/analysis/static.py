@@ -33,7 +33,7 @@ Values = dict[str, Any]
 
 EQUILIBRIUM = "equilibrium"
 # What is no wall's: force curves do not depend on it.
-_SPRING = ("omega_n", "mass", "alpha")
+_SPRING = ("omega_n", "mass", "alpha", "mean_load")
 _N_UNIFORM = 801
 # Distances from a wall [m]: from the layer of tanh-1e9 on, 6 per decade.
 _FINEST, _N_PER_DECADE = 1e-10, 6
@@ -65,7 +65,7 @@ FORCED_VARIABLES = {
 _STABILITY = (("none", -1), ("unstable", 0), ("stable", 1))
 CONTACT_VARIABLES = {
     "tanh_threshold": Variable(
-        "f8", "m-1", "sharpness above which tanh has no false well, NaN if it has none at any"
+        "f8", "m-1", "sharpness above which tanh has no false well, NaN if none is known"
     ),
 }
 LIST_VARIABLES = {

@@ -23,8 +23,10 @@ def predicted_threshold(
 
     Between the walls, tanh pulls the mass towards the nearer wall with up to 0.139 of the wall's
     stiffness over ε; the springs hold it back with ``k j + α j³``. Meant for layers much
-    thinner than the gap; NaN if no wall has a distance to the origin.
+    thinner than the gap; NaN if no wall has a distance to the origin, or a mean load acts.
     """
+    if oscillator.mean_load:
+        return float("nan")
     walls = [(K, j) for K, j in ((K_ratio * K_c, gap.j_1), (K_c, gap.j_2)) if j > 0.0]
     springs = [linear_stiffness(oscillator) * j + oscillator.alpha * j**3 for _, j in walls]
     if not min(springs, default=0.0) > 0.0:

@@ -58,9 +58,9 @@ class Question:
     over_values: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        checked("omega", self.omega, low=0.0, strict=True)
         if not self.oscillator.omega_n:
             raise ModelError("omega_n = 0: must be > 0 here; of a free mass see gapsweep.respond")
+        checked("omega", self.omega, low=0.0, strict=True)
         for name, value in zip(("x_0", "v_0"), self.start, strict=True):
             checked(name, value)
         low, high = self.band

@@ -46,8 +46,8 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
         if located and not _is_oscillator(models):
             what = "restart = true" if solver.restart else "controller = 'ode45'"
             raise ModelError(
-                f"{what}: locates contacts of an Oscillator only; of a System use engine='scipy', "
-                "or located=False (piecewise-noevents)"
+                f"{what}: locates contacts of an Oscillator with omega_n > 0 and mean_load = 0 "
+                "only; otherwise use engine='scipy', or located=False (piecewise-noevents)"
             )
         return not laws
     if located and len(located) < len(laws):

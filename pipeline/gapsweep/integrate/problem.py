@@ -41,7 +41,7 @@ class Models:
     Attributes
     ----------
     systems : sequence of Oscillator or of System
-        Oscillators that are not classic become systems.
+        Oscillators that are not classic become systems; those that are have all damping in `zeta`.
     laws : sequence of tuple of ContactLaw
         The laws of all contacts, in the system's order.
     system, law : ndarray of int, shape (n,)
@@ -112,9 +112,11 @@ class Models:
 
 def _integrated(system: Model) -> Model:
     """The form of a model that the kernels take."""
-    if isinstance(system, Oscillator) and not system.is_classic:
+    if not isinstance(system, Oscillator):
+        return system
+    if not system.is_classic:
         return general_form(system)
-    return system
+    return replace(system, zeta=system.damping_ratio, c=0.0) if system.c else system
 
 
 def _distinct(objects: Sequence[T], key: Callable[[T], Hashable]) -> tuple[list[T], Numbers]:

@@ -99,6 +99,7 @@ class Oscillator:
     n_lags: ClassVar[int] = 0
     n_states: ClassVar[int] = 2
     coordinates: ClassVar[tuple[str, ...]] = ("x",)
+    contacts: ClassVar[tuple[str, ...]] = ("x",)
     parts: ClassVar[dict[str, tuple[str, ...]]] = {}
     is_forced: ClassVar[bool] = True
     sizes: ClassVar[tuple[int, ...]] = ()
@@ -125,11 +126,18 @@ class Oscillator:
 
     @property
     def is_classic(self) -> bool:
-        """Whether it has a spring, no mean load, and no damping but that of `zeta`.
+        """Whether it has a spring and no mean load, as kernels for one coordinate assume."""
+        return self.omega_n > 0.0 and self.mean_load == 0.0
 
-        The kernels for one coordinate and closed forms are of such oscillators.
-        """
-        return self.omega_n > 0.0 and self.mean_load == 0.0 and self.c == 0.0
+    @property
+    def damping_ratio(self) -> float:
+        """`zeta` and, where there is a spring, the share of `c` [-]."""
+        return self.zeta + (0.5 * self.c / (self.mass * self.omega_n_rad) if self.omega_n else 0.0)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether a spring holds it, contacts apart."""
+        return self.omega_n > 0.0
 
     @property
     def slowest(self) -> float:
@@ -169,7 +177,7 @@ class Oscillator:
         """
         if not self.omega_n:
             return self.decay_rate
-        zeta = self.zeta + 0.5 * self.c / (self.mass * self.omega_n_rad)
+        zeta = self.damping_ratio
         if zeta <= 1.0:
             return self.decay_rate
         return self.omega_n_rad / (zeta + math.sqrt(zeta - 1.0) * math.sqrt(zeta + 1.0))

@@ -63,7 +63,8 @@ class OscillatorStructure:
     in_metres : bool
         Whether coordinates are known to be lengths in metres.
     is_odd : bool
-        Whether the mirror image of a motion is known to be one where the contact is symmetric.
+        Whether the mirror image of a motion is known to be one where the contact is symmetric, and
+        no mean load acts.
     """
 
     in_metres: ClassVar[bool] = True

@@ -330,6 +330,11 @@ class System:
         return np.array([bool(self.modulation.get(name)) for name in self.contacts], bool)
 
     @property
+    def is_held(self) -> bool:
+        """Whether springs hold every coordinate, contacts apart."""
+        return int(np.linalg.matrix_rank(self.stiffness)) == self.n
+
+    @property
     def decay_rate(self) -> float:
         """Rate [1/s] at which a volume of states shrinks, whatever the forces, per state."""
         return -float(np.trace(first_order(self))) / self.n_states

@@ -12,7 +12,9 @@ from gapsweep.model.labels import AUTO, family, is_fitted, law_of
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.scales import plain, shortened
 
-_EQUATION = "ẍ + 2ζω_n ẋ + ω_n² x + (α x³ + F) / m = (p / m) cos ωt, with ω and ω_n in rad/s"
+_EQUATION = (
+    "ẍ + (2ζω_n + c / m) ẋ + ω_n² x + (α x³ + F) / m = (p₀ + p cos ωt) / m, with ω and ω_n in rad/s"
+)
 # Its numbers, in the order in which they are told: symbol and unit.
 _NUMBERS = {
     "zeta": ("ζ", ""),
@@ -20,6 +22,8 @@ _NUMBERS = {
     "mass": ("m", "kg"),
     "alpha": ("α", "N/m³"),
     "forcing": ("p", "N"),
+    "mean_load": ("p₀", "N"),
+    "c": ("c", "N s/m"),
     "K_c": ("K_c", "N/m"),
     "K_ratio": ("r", "(lower wall's stiffness over K_c)"),
     "omega": ("ω", "Hz"),

@@ -56,11 +56,14 @@ _REASONS = {
         "it repeats, but after more than max_period_multiple = {largest} periods (raise it, to 256 "
         "at most), or not on a stable orbit"
     ),
-    State.GROWING: "the motion was still going farther than ever at the end: give it more {time}",
+    State.GROWING: (
+        "the motion was still going farther at the end, on its way or because nothing holds it: "
+        "give it more {time}"
+    ),
 }
 _UNDAMPED = (
     "without damping a motion does not settle, and this one does not repeat within "
-    "max_period_multiple = {largest} periods"
+    "max_period_multiple = {largest} periods; where omega_n = 0, c is the damping, not zeta"
 )
 _UNMEASURED = (
     "no stable orbit of up to max_period_multiple = {largest} periods was found, and no Lyapunov "
@@ -69,6 +72,10 @@ _UNMEASURED = (
 _BLURRED = (
     "it repeats every {n} periods within the solver's noise, but shooting finds no stable orbit "
     "there: lower rtol and atol"
+)
+_NEUTRAL = (
+    "it repeats every {n} periods, but nothing except contacts holds the mass: there is such an "
+    "orbit at every place in the gap"
 )
 _SHRINKS = (
     "the Lyapunov exponent, {exponent}, is negative, but no stable orbit of up to "
@@ -155,7 +162,7 @@ def _why_unresolved(
     if found.state[point] in _REASONS:
         reason = _REASONS[State(found.state[point])]
     elif n:
-        reason = _BLURRED
+        reason = _BLURRED if windows.ensemble.system(point).is_held else _NEUTRAL
     elif windows.ensemble.settling_rate[point] <= 0.0:
         reason = _UNDAMPED
     elif math.isnan(exponent):

@@ -177,8 +177,9 @@ class Steady:
         Share [-] of a disturbance that may be left when a motion without a period is taken
         for settled, in (0, 0.1].
     max_decay_times, max_periods : float, int
-        Times ``1/(ζ ω_n)`` and forcing periods, the fewer of which a motion is watched for a
-        period, but never shorter than it needs to settle; then it is asked for its exponent.
+        Decay times, ``1/(ζ ω_n + c/2m)``, and forcing periods, the fewer of which a motion is
+        watched for a period, but never shorter than it needs to settle; then it is asked for its
+        exponent.
         Transient chaos may last many decay times. Both ``> 0``.
     t_max : float, optional
         Bound [s] of the time that it is watched before its last window of `n_periods`, also where
@@ -380,8 +381,8 @@ class Response:
         """
         return to_dataframe(self.to_dataset())
 
-    def _repr_html_(self) -> str:
-        return as_html(self.to_dataset())
+    def _repr_html_(self) -> str | None:
+        return as_html(self.to_dataset()) if self.inputs else None  # then its repr is shown
 
     def __repr__(self) -> str:
         kinds, counts = np.unique(np.asarray(self.response_class, object), return_counts=True)

@@ -32,6 +32,7 @@ from gapsweep.response.quasiperiodic import MOST_POINTS, persists, torus_test
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.section import (
     converging_multiples,
+    drifts,
     likely_multiple,
     period_multiples,
     prime_multiple,
@@ -500,7 +501,8 @@ class Search:
         is_alike = repeat_nearly(section, length, windows.step_error[points], largest)
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
         unlike = (exponent >= -limit.SURE * error) & ~is_alike
-        grows = np.zeros(len(points), bool)
+        grows = drifts(section[: self._ensemble.n_coordinates], length) & unlike
+        unlike &= ~grows
         grows[unlike] = ~self._ensemble.stays_bounded(points[unlike], windows.y[:, points[unlike]])
         is_chaotic = (exponent > limit.SURE * error) & ~is_alike
         after = np.where(is_chaotic, State.CHAOTIC, State.UNRESOLVED)

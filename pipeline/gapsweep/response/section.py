@@ -251,6 +251,25 @@ def repeat_nearly(sections: Array, lengths: Counts, error: Array, largest: int) 
     return np.asarray(found | (also & moves.any(axis=0)))
 
 
+def drifts(sections: Array, lengths: Counts) -> Mask:
+    """Which motions move one way along a coordinate, in every period of their windows.
+
+    Such a motion is on its way, or nothing holds it; rounding that grows with its distance
+    stretches disturbances as chaos does.
+
+    Parameters
+    ----------
+    sections : ndarray, shape (n_coordinates, m, longest)
+        Displacements of section points [m].
+    lengths : ndarray of int, shape (m,)
+        How many there are in each row.
+    """
+    moves = np.diff(sections, axis=2)
+    outside = np.arange(moves.shape[2]) >= lengths[:, None] - 1
+    one_way = [(outside | (way * moves > 0.0)).all(axis=2) for way in (1.0, -1.0)]
+    return np.asarray((one_way[0] | one_way[1]).any(axis=0) & (lengths > 2))
+
+
 def repeats(shares: Array, modulus: Array) -> Counts:
     """How many repeats of an orbit it takes until disturbances have shrunk to shares < 1.
 

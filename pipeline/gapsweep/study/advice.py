@@ -119,6 +119,7 @@ def advise(
     check_error(error)
     bound, steady, moved = math.inf, 0.0, math.inf
     if start is not None and oscillator.is_classic:  # the bounds below are of such
+        oscillator = replace(oscillator, zeta=oscillator.damping_ratio, c=0.0)
         steady, transient = _linear_motion(oscillator, omega, start)
         cubic = _cubic_share(oscillator)
         bound = _smallest_root(steady + transient, cubic)

@@ -69,7 +69,10 @@ class SceneTable(Table):
             "mirror": ("j_1 = j_2", self.gap[0] == self.gap[1]),
         }
         condition, is_met = needs.get(self.expected or "", ("", True))
-        return [] if is_met else [f"expected = {self.expected!r}: needs {condition}"]
+        found = [] if is_met else [f"expected = {self.expected!r}: needs {condition}"]
+        if not (own.omega_n > 0.0 and own.mean_load == own.c == 0.0):
+            found.append("needs omega_n > 0, mean_load = 0 and c = 0")
+        return found
 
 
 class MethodTable(Table):

@@ -97,10 +97,10 @@ class ParametricModel:
     def structure(self) -> AnyStructure:
         return structure_of(self.default)
 
-    @cached_property
+    @property
     def contacts(self) -> tuple[str, ...]:
         """Names of the contacts."""
-        return ("x",) if isinstance(self.default, Oscillator) else tuple(self.default.contacts)
+        return tuple(self.default.contacts)
 
     @property
     def parts(self) -> dict[str, tuple[str, ...]]:
@@ -132,7 +132,9 @@ class ParametricModel:
         directions : ndarray, shape (n, n_contacts, n_coordinates)
             Of the contacts.
         """
-        number, models = self._models(axes, places, len(rate))
+        number, models = np.zeros(len(rate), np.intp), [self.default]
+        if not self.is_oscillator:
+            number, models = self._models(axes, places, len(rate))
         slowest = np.array([model.slowest for model in models])[number]
         other = np.asarray(axes["omega"])[places["omega"]] if "omega" in axes else slowest
         omega = np.where(rate > 0.0, rate, other)
@@ -142,7 +144,7 @@ class ParametricModel:
             unit[:, number == i] = model.unit(omega_rad[number == i])
         return unit, np.array([model.directions for model in models])[number]
 
-    def starts(self, states: ArrayLike | None) -> Array:
+    def starts(self, states: ArrayLike | None, where: str = "initial_condition") -> Array:
         """States with as many components as the model's; what is not given is zero."""
         n, n_states = self.structure.n, self.structure.n_states
         if states is None:
@@ -151,11 +153,11 @@ class ParametricModel:
         for state in np.asarray(states, dtype=object):
             if len(state) not in (2 * n, n_states):
                 allowed = " or ".join(map(str, sorted({2 * n, n_states})))
+                lags = ", and first-order states if they are not zero" * (n_states > 2 * n)
                 raise StudyError(
                     [
-                        f"{self.source}: initial_condition: {len(state)} numbers: must be "
-                        f"{allowed}: coordinates {', '.join(self.default.coordinates)}, their "
-                        "velocities, and first-order states if they are not zero"
+                        f"{self.source}: {where}: {len(state)} numbers: must be {allowed}: "
+                        f"coordinates {', '.join(self.default.coordinates)}, their velocities{lags}"
                     ]
                 )
             found.append([*map(float, state), *[0.0] * (n_states - len(state))])
@@ -216,6 +218,9 @@ class ParametricModel:
         ]
         for i, block in enumerate(spec.sweep):
             wrong += [f"sweep[{i}].{problem}" for problem in self._problems(block)]
+        for i, history in enumerate(spec.history):
+            for name, value in history.parameter.items():
+                wrong += [f"history[{i}].{problem}" for problem in _out_of_range(name, [value])]
         if wrong:
             raise StudyError([f"{self.source}: {problem}" for problem in wrong])
 
@@ -269,6 +274,11 @@ class ParametricModel:
         return np.stack(table, axis=1) if table else np.empty((n, 0))
 
     def _arrays(self, axes: Axes, places: Places, n: int) -> Array:
+        if self.is_oscillator:  # its parameters are the numbers of a row
+            columns: dict[str, Any] = {n: canonical(x) for n, x in self.spec.model.items()}
+            columns |= {x: np.asarray(axes[x])[places[x]] for x in columns if x in axes}
+            rows = [np.broadcast_to(columns[name], n) for name in self.structure.names]
+            return np.stack(rows, axis=1)
         number, models = self._models(axes, places, n)
         return np.array([self.structure.row(model) for model in models])[number]
 
@@ -294,8 +304,7 @@ def _out_of_range(name: str, axis: Any) -> Iterator[str]:
 
 def _form(model: Model) -> tuple[Any, ...]:
     """What all models of a study share: all but numbers."""
-    contacts = () if isinstance(model, Oscillator) else tuple(model.contacts)
-    return model.coordinates, contacts, structure_of(model)
+    return model.coordinates, tuple(model.contacts), structure_of(model)
 
 
 def _are_alike(a: Model, b: Model) -> bool:

@@ -131,7 +131,7 @@ def _message(error: Any, spec: type[BaseModel], names: Collection[str]) -> str:
 
 
 def _in_units(loc: Loc) -> str:
-    if loc[:1] == ("system",):  # whose coordinates may be angles
+    if loc[:1] in (("system",), ("parameters",)):  # coordinates may be angles
         return ""
     return next((f", in {_UNITS[part]}" for part in reversed(loc) if part in _UNITS), "")
 

@@ -62,6 +62,8 @@ UNITS = {
     if variable.dtype == "f8" and variable.units != "1" and dim != START
 }
 
+# Numbers of an oscillator whose names parameters of a system may have, too.
+SHARED = ("mean_load", "c")
 PARAMETER = "parameter"  # of a system: what its coordinate's long name begins with
 
 
@@ -78,11 +80,16 @@ def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
         Of the models; it adds the dimensions within a point.
     """
     parts = part_sizes(structure)
-    known = {name: (name if name in dims else dim, v) for name, (dim, v) in COORDINATES.items()}
+    own = () if structure.in_metres else SHARED  # parameters of the user's, whatever they mean
+    known = {
+        name: (name if name in dims else dim, variable)
+        for name, (dim, variable) in COORDINATES.items()
+        if name not in own
+    }
     parameters = {
         name: (name, Variable("f8", "", f"{PARAMETER} {name}"))
         for name in dims
-        if name not in COORDINATES
+        if name not in known
     }
     found: Found = {
         name: ((dim, *parts_of(name, parts)), described(variable, structure))
@@ -138,7 +145,7 @@ OF_CALLS = {
 # Names that a parameter of a system cannot have: they mean something else in files and selections.
 TAKEN = {
     *OF_CALLS,
-    *(name for name in COORDINATES if name not in ("mean_load", "c")),
+    *(name for name in COORDINATES if name not in SHARED),
     *VARIABLES,
     *ATTRACTOR_VARIABLES,
     *PARTS,

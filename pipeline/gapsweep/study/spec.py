@@ -46,7 +46,7 @@ from gapsweep.study.axes import (
     several,
 )
 from gapsweep.study.bench import BenchTable
-from gapsweep.study.problems import problems
+from gapsweep.study.problems import EXAMPLES, problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
 
@@ -290,9 +290,6 @@ class StudySpec(Table):
         if n_points > MAX_POINTS:
             said = n_points if n_points < 10**15 else "more than 10^15"
             wrong.append(f"{said} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
-        own = self.oscillator
-        if scenes and not (own.omega_n > 0.0 and own.mean_load == own.c == 0.0):
-            wrong.append("bench: takes oscillators with omega_n > 0, mean_load = 0 and c = 0 only")
         wrong += [
             f"bench.scene {scene.name!r}: {problem}"
             for scene in scenes
@@ -314,6 +311,8 @@ def _parted(block: Any, parameters: Collection[str]) -> Any:
     """A block of points, or a history, with its parameters in a table within it."""
     if not isinstance(block, dict):
         return block
+    if PARAMETERS in block:  # no key of a file: refused as unknown
+        return block | {"parameters": block[PARAMETERS]}
     apart = {name: axis for name, axis in block.items() if name in parameters}
     rest = {name: axis for name, axis in block.items() if name not in parameters}
     return rest | {PARAMETERS: apart}
@@ -362,4 +361,16 @@ def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     except ValidationError as error:
         also = wrong_matrices(tables, source)
         found = problems(source, error, StudySpec, _parameters(tables))
-        raise StudyError([*found, *also]) from None
+        raise StudyError([*found, *_missing(tables, source), *also]) from None
+
+
+def _missing(tables: Any, source: str) -> list[str]:
+    """What blocks of an oscillator lack, in a study in which something else is wrong, too."""
+    given = isinstance(tables, dict) and tables.get("system") is None
+    blocks = tables.get("sweep") if given else None
+    return [
+        f"{source}: sweep[{i}].{name}: missing; write {EXAMPLES[name]}"
+        for i, block in enumerate(blocks if isinstance(blocks, list) else [])
+        for name in ("K_c", "omega")
+        if isinstance(block, dict) and name not in block
+    ]

@@ -272,16 +272,18 @@ class Study:
         swept = {name for block in self.spec.sweep for name in block.parameters}
         default = {n: x for n, x in {**self.spec.model, "K_ratio": 1.0}.items() if n in swept}
         return [
-            expanded(block, default) | {START: self._starts(block.initial_condition)}
-            for block in self.spec.sweep
+            expanded(block, default) | {START: self._starts(block.initial_condition, i)}
+            for i, block in enumerate(self.spec.sweep)
         ]
 
-    def _starts(self, given: Any) -> Starts:
+    def _starts(self, given: Any, block: int) -> Starts:
+        where = f"sweep[{block}].initial_condition"
+
         def starts(form: Any) -> Starts:
             if isinstance(form, str):
                 return Starts.sweep(form, self.structure.n_states)
             states = form if isinstance(form, list) else form.states()
-            return Starts.fixed(self.model.starts(states))
+            return Starts.fixed(self.model.starts(states, where))
 
         if given is None:
             return Starts.fixed(self.model.starts(None))
