@@ -1,5 +1,6 @@
 """`agreement.nc` as a whole: a made-up study with everything in it, summed up independently."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -177,6 +178,19 @@ def test_points_missing_from_the_cache_count_as_failed(tmp_path):
     assert (files[0]["status"] == Status.INTERRUPTED).sum() == 1
     row = agreement(*files).isel(SCENE).sel(representation="tanh-1e4", regime="all")
     assert (row["n_points"], row["n_compared"], row["n_failed"]) == (2, 1, 1)
+
+
+def test_an_uneven_force_has_no_mirror_images(tmp_path):
+    def mirrored(label, omega, i):
+        return periodic([[1e-3 if label == "piecewise" else -1e-3, 2e-4]], omega, extrema=[9e-4])
+
+    responses, attractors = datasets(tmp_path, tables(LABELS[::3], [7.0]), mirrored)
+    distances = []
+    for is_odd in (True, False):
+        uneven = {"tables_json": json.dumps({"tanh-1e4": {"is_odd": is_odd}})}
+        found = agreement(responses.assign_attrs(uneven), attractors)
+        distances.append(found["attractor_distance"].sel(representation="tanh-1e4").max().item())
+    assert distances[0] < distances[1]
 
 
 def test_without_a_gap_lengths_are_in_ranges_of_the_response(tmp_path):

@@ -330,7 +330,7 @@ def test_files_say_how_many_points_a_table_has_and_where_it_ends(tables, bench):
     tables["protocol"] = {"loose": {"rtol": 1e-5}}
     tables["sweep"][0]["representation"] = ["piecewise", label, f"{label}@loose"]
     held = json.loads(attributes_of(gs.Study.from_dict(tables))["tables_json"])
-    assert held == {label: {"points": len(X), "low": X[0], "high": X[-1]}}
+    assert held == {label: {"points": len(X), "low": X[0], "high": X[-1], "is_odd": False}}
 
 
 def test_the_library_that_draws_the_curve_is_part_of_the_key(tables, bench):

@@ -12,8 +12,13 @@ from tests.stored import all_keys, point
 
 import gapsweep as gs
 from gapsweep.cli.options import selected
+from gapsweep.explorer import question
+from gapsweep.model.oscillator import OSCILLATOR
+from gapsweep.report import model as report_model
 from gapsweep.study import points
+from gapsweep.study.axes import OscillatorTable
 from gapsweep.study.points import canonical
+from gapsweep.study.schema import COORDINATES
 from gapsweep.user_code import package_digest
 
 
@@ -467,3 +472,10 @@ def test_a_gap_is_selected_as_a_study_file_gives_it(tables, wanted):
     for wrong in (0.4e-3, (0.0, 0.9e-3), (-4e-4, 4e-4), "0.4", slice(0.0, 0.8e-3)):
         with pytest.raises(gs.StudyError, match="gap = "):
             study.select(gap=wrong)
+
+
+def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed():
+    numbers = set(OSCILLATOR)
+    assert set(OscillatorTable.model_fields) == numbers
+    for known in (COORDINATES, report_model._NUMBERS, question._DIALS):
+        assert numbers <= set(known)

@@ -32,7 +32,7 @@ from gapsweep.analysis.slab import Slab, slab
 from gapsweep.analysis.starts import start_metrics
 from gapsweep.analysis.summary import summaries
 from gapsweep.analysis.systems import by_coordinate, in_metres, section_rate, with_rate
-from gapsweep.model.labels import EXACT
+from gapsweep.model.labels import EXACT, law_of
 from gapsweep.response.thresholds import DEVIATIONS
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
@@ -74,6 +74,8 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
     labels = [str(label) for label in responses["representation"].values]
     study = json.loads(responses.attrs.get("study_json", "{}"))
     mean_load = study.get("oscillator", {}).get("mean_load", 0.0)
+    forces = json.loads(responses.attrs.get("tables_json", "{}"))
+    uneven = {label for label, force in forces.items() if not force["is_odd"]}
     floors = floor_labels(responses.attrs.get("study_json", ""), labels)
     dims = point_dims(responses)
     sizes = {**responses.sizes, REGIME: len(REGIMES), BOUND: len(BOUNDS)}
@@ -105,7 +107,8 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
             ours = exact if labels[r] == EXACT else slab(responses, attractors, here)
             # Infinity and NaN are what comes of a response that ran away, or of none.
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                for name, values in _compared(ours, exact, width, symmetric=is_symmetric):
+                symmetric = is_symmetric and law_of(labels[r]) not in uneven
+                for name, values in _compared(ours, exact, width, symmetric=symmetric):
                     place(name, here, values)
     _set_floors(tables, [labels.index(label) for label in floors])
     return _dataset(tables, responses, floors)

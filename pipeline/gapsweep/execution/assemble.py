@@ -116,7 +116,7 @@ def _tables(study: Study) -> dict[str, str]:
     labels = {law_of(label) for label in study.grid.representations}
     laws = {n: own.load() for n in sorted(labels) if (own := study.own_law(n)) is not None}
     found = {
-        label: {"points": len(law.x), "low": law.x[0], "high": law.x[-1]}
+        label: {"points": len(law.x), "low": law.x[0], "high": law.x[-1], "is_odd": law.is_odd}
         for label, law in laws.items()
         if isinstance(law, ForceTable)
     }
