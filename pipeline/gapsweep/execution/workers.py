@@ -100,4 +100,4 @@ def serve() -> None:
         await asyncio.gather(*closing, return_exceptions=True)  # they remove their folders
 
     asyncio.run(run())
-    os.killpg(0, signal.SIGKILL)  # itself, and what is left of the workers
+    os.killpg(0, signal.SIGKILL)  # this process and its remaining workers

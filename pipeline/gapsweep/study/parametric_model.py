@@ -145,7 +145,7 @@ class ParametricModel:
         return unit, np.array([model.directions for model in models])[number]
 
     def starts(self, states: ArrayLike | None, where: str = "initial_condition") -> Array:
-        """States with as many components as the model's; what is not given is zero."""
+        """States with as many components as the model's; missing first-order states are zero."""
         n, n_states = self.structure.n, self.structure.n_states
         if states is None:
             return np.zeros((1, n_states))
