@@ -258,7 +258,10 @@ class Cache:
 
     def _read(self, number: int) -> Slab | None:
         """A slab; None if it is damaged or gone."""
-        for _ in range(10):
+        # A listing made while others merge may show neither the old file nor the new one: a slab
+        # is gone when three listings show it nowhere.
+        n_missed = 0
+        while n_missed < 3:
             frame = self._frames[number]
             with _store_errors(frame.path), suppress(FileNotFoundError):
                 slab = read(frame)
@@ -267,8 +270,7 @@ class Cache:
                 return slab
             self._scanned.clear()  # merged by another process: it stands elsewhere
             self._refresh()
-            if self._frames[number] is frame:  # removed
-                break
+            n_missed += self._frames[number] is frame
         return None
 
     def _decoded(self, number: int) -> tuple[Slab, Stored] | None:
