@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
-from gapsweep.integrate.runge_kutta import lanes, representations, smooth
+from gapsweep.integrate.runge_kutta import representations
+from gapsweep.integrate.runge_kutta.scenes import runge_kutta_scenes
 from gapsweep.integrate.taylor import exact, record
 from gapsweep.integrate.taylor.scenes import Scenes, scenes
 from gapsweep.integrate.taylor.systems import Walls, system_scenes
@@ -35,7 +36,53 @@ Columns = Sequence[Array]
 
 def prepared(models: Models, solver: Solver) -> Integrate:
     """Integration of models; each result is the same to the last bit in any company."""
-    return (_exact if _by_taylor(models, solver) else _smooth)(models, solver)
+    is_taylor, scenes = _by_taylor(models, solver), _scenes(models, solver)
+    if not is_taylor:
+        laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
+        mass = np.ones(len(models))
+        if _is_oscillator(models):
+            mass = models.of_systems(attrgetter("mass"))
+        scenes = runge_kutta_scenes(
+            scenes, laws, mass, controller=solver.controller, restart=solver.restart
+        )
+
+    def integrate(problems: Problems) -> Motions:
+        contacts = problems.contacts or (problems.contact_time and not is_taylor)
+        given = {"contacts": contacts, **_given(problems)}
+        try:
+            run = exact.run(scenes, start=problems.start, **given)
+        except NumbaError as error:
+            for law in models.laws[0]:
+                if reason := _why_not_compiled(law):
+                    raise ModelError(
+                        f"{law}: numba cannot compile it ({reason}); use arithmetic and math "
+                        "functions only, or engine='scipy'"
+                    ) from error
+            raise  # not the user's fault
+
+        def events() -> Events:
+            head = record.POINT, record.TIME, record.WHICH
+            turns = [run.turns[:, column] for column in (*head, record.VALUE)]
+            sections = *(run.sections[:, i] for i in head[:2]), run.sections[:, record.STATE :]
+            contacts = [run.contacts[:, column] for column in head]
+            return _events(len(problems), turns, sections, contacts)
+
+        return Motions(
+            t=run.t,
+            state=run.state,
+            status=run.status,
+            n_contacts=run.n_contacts,
+            n_steps=run.n_steps,
+            n_rejected=run.n_rejected,
+            nfev=run.nfev,
+            reach=run.reach,
+            events=events,
+            sampler=run.sample,
+            monodromy=run.monodromy,
+            contact_time=run.contact_time if problems.contact_time and is_taylor else None,
+        )
+
+    return integrate
 
 
 def _by_taylor(models: Models, solver: Solver) -> bool:
@@ -106,95 +153,6 @@ def _scenes(models: Models, solver: Solver) -> Scenes:
         return scenes(**of_contact, **_oscillators(models), **tolerances)
     of_contacts = Walls(**walls)
     return system_scenes(models.systems, models.system, of_contacts, models.omega, **tolerances)
-
-
-def _exact(models: Models, solver: Solver) -> Integrate:
-    prepared_scenes = _scenes(models, solver)
-
-    def integrate(problems: Problems) -> Motions:
-        given = {"contacts": problems.contacts, **_given(problems)}
-        run = exact.run(prepared_scenes, start=problems.start, **given)
-
-        def events() -> Events:
-            head = record.POINT, record.TIME, record.WHICH
-            turns = [run.turns[:, column] for column in (*head, record.VALUE)]
-            sections = *(run.sections[:, i] for i in head[:2]), run.sections[:, record.STATE :]
-            contacts = [run.contacts[:, column] for column in head]
-            return _events(len(problems), turns, sections, contacts)
-
-        return Motions(
-            t=run.t,
-            state=run.state,
-            status=run.status,
-            n_contacts=run.n_contacts,
-            n_steps=run.n_steps,
-            n_rejected=np.zeros_like(run.n_steps),  # the step size comes from the series itself
-            nfev=run.n_steps,
-            reach=run.reach,
-            events=events,
-            sampler=run.sample,
-            monodromy=run.monodromy,
-            contact_time=run.contact_time if problems.contact_time else None,
-        )
-
-    return integrate
-
-
-def _smooth(models: Models, solver: Solver) -> Integrate:
-    options: dict[str, Any] = {
-        "rtol": solver.rtol,
-        "atol": solver.atol,
-        "controller": solver.controller,
-        "restart": solver.restart,
-    }
-    laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
-    if _is_oscillator(models):
-        scenes = smooth.scenes(laws[0], **_oscillators(models), **options)
-    else:
-        scenes = smooth.system_scenes(laws, _scenes(models, solver), **options)
-
-    def integrate(problems: Problems) -> Motions:
-        given = {"contacts": problems.contacts or problems.contact_time, **_given(problems)}
-        try:
-            run = smooth.run(scenes, start=problems.start, **given)
-        except NumbaError as error:
-            for law in models.laws[0]:
-                if reason := _why_not_compiled(law):
-                    raise ModelError(
-                        f"{law}: numba cannot compile it ({reason}); use arithmetic and math "
-                        "functions only, or engine='scipy'"
-                    ) from error
-            raise  # not the user's fault
-
-        def events() -> Events:
-            kind, records = run.records[:, lanes.E_KIND], run.records
-            head = lanes.E_POINT, lanes.E_T, lanes.E_WHICH
-            extrema, states, passed = (
-                records[kind == each] for each in (lanes.EXTREMUM, lanes.SECTION, lanes.CONTACT)
-            )
-            turns = [extrema[:, column] for column in (*head, lanes.E_STATE)]
-            sections = *(states[:, i] for i in head[:2]), states[:, lanes.E_STATE :]
-            contacts = [passed[:, column] for column in head]
-            return _events(len(problems), turns, sections, contacts)
-
-        def sampler(t: Array) -> Array:
-            return np.stack([run.sample(t, i) for i in range(len(problems))], axis=1)
-
-        return Motions(
-            t=run.t,
-            state=run.state,
-            status=run.status,
-            n_contacts=run.n_contacts,
-            n_steps=run.n_steps,
-            n_rejected=run.n_rejected,
-            nfev=run.nfev,
-            reach=run.reach,
-            events=events,
-            sampler=sampler,
-            monodromy=run.tangent if problems.tangent else None,
-        )
-
-    return integrate
 
 
 def _why_not_compiled(law: ContactLaw) -> str | None:

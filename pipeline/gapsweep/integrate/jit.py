@@ -81,7 +81,7 @@ inlined = njit(forceinline=True, **_PART, _nrt=False)
 
 def chosen_by_type(function: Callable[..., Any]) -> Any:
     """Decorate what chooses, by the types of its arguments, the code of a function."""
-    return overload(function, jit_options=_PART)
+    return overload(function, jit_options={**_PART, "_nrt": False})
 
 
 # Levels of x86-64, the best first, and what a processor of each has beyond the next. Below these,

@@ -1,5 +1,6 @@
 """The stages of a Runge-Kutta step of all lanes, and of its tangents: an oscillator's, where
-everything stays in registers, and a system's, whose stage stands in rows of the lane.
+everything stays in registers, and a system's, whose stage stands in rows of the lane. Of them all,
+the polynomials between steps.
 """
 
 from gapsweep.integrate import simd
@@ -10,13 +11,18 @@ from . import laws, vecmath
 
 
 def stages(at, kinds, q, lane, tableau, k, h):
-    """Derivatives of all stages into `k`; end state and its derivative into the lane."""
+    """Derivatives of a step's stages into `k`; end state and its derivative into the lane."""
     raise NotImplementedError("compiled code only")
 
 
-def tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h):
-    """The same step of the columns of the variational equation, along the stages in `k`; their ends
-    into the rows of old ones.
+def stage_derivative(at, kinds, q, lane, tableau, k, h, stage):
+    """The derivative of one more stage into `k`."""
+    raise NotImplementedError("compiled code only")
+
+
+def tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h, some):
+    """Some stages of the columns of the variational equation, along those in `k`; where the last
+    one of a step is among them, the columns' ends into the lane.
     """
     raise NotImplementedError("compiled code only")
 
@@ -27,12 +33,44 @@ def _stages(at, kinds, q, lane, tableau, k, h):
     return lambda at, kinds, q, lane, tableau, k, h: one(at, kinds, q, lane, tableau, k, h)
 
 
-@chosen_by_type(tangent_stages)
-def _tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h):
-    one = _oscillator_tangents if at.layout.is_plain else _system_tangents
-    return lambda at, kinds, q, lane, tableau, k, k_tangent, h: one(
-        at, kinds, q, lane, tableau, k, k_tangent, h
+@chosen_by_type(stage_derivative)
+def _stage_derivative(at, kinds, q, lane, tableau, k, h, stage):
+    one = _oscillator_stage if at.layout.is_plain else _system_stage
+    return lambda at, kinds, q, lane, tableau, k, h, stage: one(
+        at, kinds, q, lane, tableau, k, h, stage
     )
+
+
+@chosen_by_type(tangent_stages)
+def _tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h, some):
+    one = _oscillator_tangents if at.layout.is_plain else _system_tangents
+    return lambda at, kinds, q, lane, tableau, k, k_tangent, h, some: one(
+        at, kinds, q, lane, tableau, k, k_tangent, h, some
+    )
+
+
+@inlined
+def polynomials(at, tableau, lane, state, k, first, h, coefficients, row):
+    """Coefficients by powers of time of a motion, or a tangent, within a step, from `row` on.
+
+    Its state at the beginning stands in rows from `state` on, its derivatives in `k` from `first`
+    on.
+    """
+    for i in range(at.n_rates):
+        is_place = i < at.n
+        store(coefficients, row, load(lane, state + i if is_place else state + at.n + i))
+        if is_place:
+            store(coefficients, row + 1, load(lane, state + at.n + i))
+        power = simd.splat(1.0)
+        for n in range(2 if is_place else 1, at.n_terms):
+            total = simd.splat(0.0)
+            for j in range(tableau.c.size):
+                weight = tableau.dense_bar[j, n] if is_place else tableau.dense[j, n]
+                total = fma(load(k, first + j * at.n_rates + i), weight, total)
+            if n > (2 if is_place else 1):
+                power = power / h
+            store(coefficients, row + n, total * power)
+        row += at.n_terms
 
 
 # --- one coordinate -----------------------------------------------------------------------------
@@ -40,15 +78,15 @@ def _tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h):
 
 @inlined
 def _oscillator_stages(at, kinds, q, lane, tableau, k, h):
-    x, v = load(lane, at.old_q), load(lane, at.old_v)
-    frequency, tau = load(lane, at.omega), load(lane, at.old_tau)
+    x, v = load(lane, at.q), load(lane, at.v)
+    frequency, tau = load(lane, at.omega), load(lane, at.tau)
     forcing, damping = load(lane, at.push), load(lane, at.damping)
     stiffness, cubic = load(lane, at.stiffness), load(lane, at.cubic)
     turns, h2 = h * frequency, h * h
-    last = load(lane, at.old_a)
+    last = load(lane, at.a)
     store(k, 0, last)
     x_i, v_i = x, v
-    for i in range(1, tableau.c.size):
+    for i in range(1, tableau.n_stages):
         sx, sv = simd.splat(0.0), simd.splat(0.0)
         for j in range(i - 1):
             k_j = load(k, j)
@@ -71,11 +109,27 @@ def _oscillator_stages(at, kinds, q, lane, tableau, k, h):
 
 
 @inlined
-def _oscillator_tangents(at, kinds, q, lane, tableau, k, k_tangent, h):
-    n, x, v = tableau.c.size, load(lane, at.old_q), load(lane, at.old_v)
+def _oscillator_stage(at, kinds, q, lane, tableau, k, h, stage):
+    x, v = load(lane, at.q), load(lane, at.v)
+    sx, sv = simd.splat(0.0), simd.splat(0.0)
+    for j in range(stage):
+        k_j = load(k, j)
+        sx = fma(k_j, tableau.abar[stage, j], sx)
+        sv = fma(k_j, tableau.a[stage, j], sv)
+    x, v = fma(h * h, sx, fma(h * tableau.c[stage], v, x)), fma(h, sv, v)
+    turn = fma(h * load(lane, at.omega), tableau.c[stage], load(lane, at.tau))
+    stiffness = fma(load(lane, at.cubic) * x, x, load(lane, at.stiffness))
+    restoring = fma(x, stiffness, laws.acceleration(kinds[0], q[0], x))
+    driving = fma(load(lane, at.push), vecmath.cos_turns(turn), -restoring)
+    store(k, stage, fma(-load(lane, at.damping), v, driving))
+
+
+@inlined
+def _oscillator_tangents(at, kinds, q, lane, tableau, k, k_tangent, h, some):
+    n, x, v = tableau.c.size, load(lane, at.q), load(lane, at.v)
     damping, stiffness = load(lane, at.damping), load(lane, at.stiffness)
     cubic, h2 = load(lane, at.cubic), h * h
-    for i in range(n):
+    for i in range(some[0], some[1]):
         sx = simd.splat(0.0)
         for j in range(i):
             sx = fma(load(k, j), tableau.abar[i, j], sx)
@@ -92,9 +146,9 @@ def _oscillator_tangents(at, kinds, q, lane, tableau, k, k_tangent, h):
             dx_i = fma(h2, tx, fma(h * tableau.c[i], dv, dx))
             dv_i = fma(h, tv, dv)
             store(k_tangent, column * n + i, -fma(damping, dv_i, stiffness_i * dx_i))
-            if i == n - 1:
-                store(lane, at.old_tangent + 2 * column, dx_i)
-                store(lane, at.old_tangent + 2 * column + 1, dv_i)
+            if i == tableau.n_stages - 1:
+                store(lane, at.tangent_1 + 2 * column, dx_i)
+                store(lane, at.tangent_1 + 2 * column + 1, dv_i)
 
 
 # --- several ------------------------------------------------------------------------------------
@@ -103,39 +157,45 @@ def _oscillator_tangents(at, kinds, q, lane, tableau, k, k_tangent, h):
 @inlined
 def _system_stages(at, kinds, q, lane, tableau, k, h):
     for i in range(at.n_rates):
-        store(k, i, load(lane, at.old_a + i))
-    for stage in range(1, tableau.c.size):
-        _set_stage(at, lane, at.old_q, tableau, k, 0, h, stage)
-        _set_clock(at, lane, tableau.c[stage], h)
-        project(at, lane, at.stage, at.gap)
-        laws.accelerations(kinds, q, lane, at.gap, at.force)
-        for i in range(at.contacts):
-            store(lane, at.force + i, load(lane, at.force + i) * load(lane, at.rate + i))
-        for i in range(at.cubics):
-            place = _along(at, lane, i)
-            store(lane, at.cube + i, place * place * place)
-        _derivative(at, lane, at.harmonics, k, stage * at.n_rates)
+        store(k, i, load(lane, at.a + i))
+    for stage in range(1, tableau.n_stages):
+        _system_stage(at, kinds, q, lane, tableau, k, h, stage)
     for i in range(at.n_states):
         store(lane, at.q_1 + i, load(lane, at.stage + i))
     for i in range(at.n_rates):
-        store(lane, at.a_1 + i, load(k, (tableau.c.size - 1) * at.n_rates + i))
-    for i in range(3):  # places, speeds, accelerations
-        part = i * at.n + (at.m if i == 2 else 0)
-        project(at, lane, at.old_q + part, at.gap_0 + i * at.contacts)
-        project(at, lane, at.q_1 + part, at.gap_1 + i * at.contacts)
+        store(lane, at.a_1 + i, load(k, (tableau.n_stages - 1) * at.n_rates + i))
+    rows = (at.q, at.q_1), (at.v, at.v_1), (at.a, at.a_1)
+    for i in range(3):
+        project(at, lane, rows[i][0], at.gap_0 + i * at.contacts)
+        project(at, lane, rows[i][1], at.gap_1 + i * at.contacts)
 
 
 @inlined
-def _system_tangents(at, kinds, q, lane, tableau, k, k_tangent, h):
+def _system_stage(at, kinds, q, lane, tableau, k, h, stage):
+    _set_stage(at, lane, at.q, tableau, k, 0, h, stage)
+    _set_clock(at, lane, tableau.c[stage], h)
+    project(at, lane, at.stage, at.stage_gap)
+    laws.accelerations(kinds, q, lane, at.stage_gap, at.force)
+    for i in range(at.contacts):
+        store(lane, at.force + i, load(lane, at.force + i) * load(lane, at.modulation + i))
+    for i in range(at.cubics):
+        place = _along(at, lane, i)
+        store(lane, at.cube + i, place * place * place)
+    _derivative(at, lane, at.harmonics, k, stage * at.n_rates)
+
+
+@inlined
+def _system_tangents(at, kinds, q, lane, tableau, k, k_tangent, h, some):
     n, size = tableau.c.size, at.n_rates
-    for stage in range(n):
-        _set_stage(at, lane, at.old_q, tableau, k, 0, h, stage)
+    for stage in range(some[0], some[1]):
+        _set_stage(at, lane, at.q, tableau, k, 0, h, stage)
         _set_clock(at, lane, tableau.c[stage], h)
-        project(at, lane, at.stage, at.gap)
-        laws.slopes(kinds, q, lane, at.gap, at.force)
+        project(at, lane, at.stage, at.stage_gap)
+        laws.slopes(kinds, q, lane, at.stage_gap, at.force)
         for i in range(at.contacts):
-            # From here on in the place of the rate: what a contact's force grows by with its gap.
-            store(lane, at.rate + i, load(lane, at.force + i) * load(lane, at.rate + i))
+            # From here on in the place of the factor: what a contact's force grows by with its gap.
+            slope = load(lane, at.force + i) * load(lane, at.modulation + i)
+            store(lane, at.modulation + i, slope)
         for i in range(at.cubics):
             place = _along(at, lane, i)
             store(lane, at.bend + i, 3.0 * place * place)
@@ -143,15 +203,16 @@ def _system_tangents(at, kinds, q, lane, tableau, k, k_tangent, h):
             first = column * n * size
             state = at.tangent_state + column * at.n_states
             _set_stage(at, lane, state, tableau, k_tangent, first, h, stage)
-            project(at, lane, at.stage, at.gap)
+            project(at, lane, at.stage, at.stage_gap)
             for i in range(at.contacts):
-                store(lane, at.force + i, load(lane, at.rate + i) * load(lane, at.gap + i))
+                force = load(lane, at.modulation + i) * load(lane, at.stage_gap + i)
+                store(lane, at.force + i, force)
             for i in range(at.cubics):
                 store(lane, at.cube + i, load(lane, at.bend + i) * _along(at, lane, i))
             _derivative(at, lane, 0, k_tangent, first + stage * size)
-            if stage == n - 1:
+            if stage == tableau.n_stages - 1:
                 for i in range(at.n_states):
-                    row = at.old_tangent + column * at.n_states + i
+                    row = at.tangent_1 + column * at.n_states + i
                     store(lane, row, load(lane, at.stage + i))
 
 
@@ -175,7 +236,7 @@ def _set_stage(at, lane, state, tableau, k, first, h, stage):
 @inlined
 def _set_clock(at, lane, c, h):
     """Cosines of the loads at a stage, and by what the contacts' stiffness is multiplied."""
-    turn = fma(h * load(lane, at.omega), c, load(lane, at.old_tau))
+    turn = fma(h * load(lane, at.omega), c, load(lane, at.tau))
     for i in range(at.harmonics):
         if at.in_step:
             store(lane, at.cosine + i, vecmath.cos_turns(turn))
@@ -183,13 +244,13 @@ def _set_clock(at, lane, c, h):
             phase = fma(load(lane, at.multiple + i), turn, load(lane, at.phase + i))
             store(lane, at.cosine + i, vecmath.cos_turns(phase))
     for i in range(at.contacts):
-        store(lane, at.rate + i, simd.splat(1.0))
+        store(lane, at.modulation + i, simd.splat(1.0))
     for j in range(at.modulations):
         phase = fma(load(lane, at.depth_multiple + j), turn, load(lane, at.depth_phase + j))
         cosine = vecmath.cos_turns(phase)
         for i in range(at.contacts):
             depth = load(lane, at.depth + j * at.contacts + i)
-            store(lane, at.rate + i, fma(depth, cosine, load(lane, at.rate + i)))
+            store(lane, at.modulation + i, fma(depth, cosine, load(lane, at.modulation + i)))
 
 
 @inlined

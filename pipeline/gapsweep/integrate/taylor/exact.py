@@ -1,20 +1,31 @@
-"""Many points of systems with located contacts at once: arrays in, arrays and event lists out.
+"""Many points of systems at once: arrays in, arrays and event lists out.
 
-The compiled engine behind ``simulate(..., engine="compiled")`` for the piecewise law. `scenes`
-prepares one table row per system, `run` puts starts into copies of the rows, runs
-`exact_kernel.advance` on them and drains its buffers.
+The compiled engine behind ``simulate(..., engine="compiled")``. `scenes` prepares one table row per
+system, `run` puts starts into copies of the rows, runs `exact_kernel.advance` on them and drains
+its buffers.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.status import DIVERGED_AT
+from gapsweep.integrate.runge_kutta.method import with_work_space
+from gapsweep.status import DIVERGED_AT, Status
 
 from . import record
-from .exact_kernel import BUDGET_SPENT, BUFFER_FULL, FINISHED, OK, RUNNING, Run, advance
+from .exact_kernel import (
+    BUDGET_SPENT,
+    BUFFER_FULL,
+    FINISHED,
+    OK,
+    RUNNING,
+    Run,
+    advance,
+    advance_users,
+)
 from .layout import Layout, aligned
 from .roots import work_space
 from .sample import sample_steps
@@ -28,6 +39,8 @@ Array = NDArray[np.float64]
 _MOST_SHORT = 100.0
 _LOG_VALUES = 1 << 16  # of a log: it stays in the cache until it is drained
 _MOST_PLACED = 1 << 22  # section points that are given places before any motion has passed one
+# What a motion comes to that has left a fit's range, as if nothing else had happened to it.
+_OF_MOTIONS = (Status.OK, Status.DIVERGED, Status.STEP_UNDERFLOW)
 _BUDGET = 1 << 16  # vector steps per call of the kernel, about 20 ms: Ctrl-C is answered in between
 
 
@@ -45,9 +58,10 @@ class Exact:
     mode : ndarray of int, shape (n, n_contacts)
         Contacts at the end: -1 lower wall, 0 gap, +1 upper wall.
     status : ndarray of int
-        `exact_kernel.OK`, DIVERGED, STEP_UNDERFLOW or CHATTER.
-    n_contacts, n_steps : ndarray of int
-        Wall crossings, in and out, each counted once; steps.
+        `gapsweep.status.Status` values.
+    n_contacts, n_steps, n_rejected, nfev : ndarray of int
+        Wall crossings, in and out, each counted once; steps, and those that were too long;
+        right-hand sides of the motion itself (of a Taylor series, expansions).
     reach : ndarray, shape (n, n_coordinates)
         Largest modulus of q at the start and at the ends of steps.
     contact_time : ndarray, shape (n, n_contacts)
@@ -67,6 +81,8 @@ class Exact:
     status: NDArray[np.int64]
     n_contacts: NDArray[np.int64]
     n_steps: NDArray[np.int64]
+    n_rejected: NDArray[np.int64]
+    nfev: NDArray[np.int64]
     reach: Array
     contact_time: Array
     monodromy: Array | None
@@ -150,6 +166,10 @@ def run(
         Record the walls passed.
     """
     at = prepared.at.of_tangent if tangent else prepared.at
+    method, lanes = prepared.method, aligned(at.n_rows, at.width)
+    if not at.is_taylor:
+        wanted = {"tangent": tangent, "dense": dense_output, "contacts": contacts}
+        method = with_work_space(at, method, lanes, **wanted)
     points = np.empty((len(which) + 1, at.n_rows))
     follows = np.append(np.zeros(len(which), bool) if follows is None else follows, False)
     given = start, follows, t_0, t_end, record_from, section_only and not dense_output
@@ -175,12 +195,25 @@ def run(
         points[:-1, first : first + at.contacts] for first in (at.mode, at.contact_time)
     )
     contact_time[:] = np.where(mode != 0.0, -t_0[:, None], 0.0)
-    *events, steps = _drained(at, points, queue, follows, statuses, limits, kept, not section_only)
-    return _outcome(at, points[:-1], statuses, t_end, events, steps if dense_output else None)
+    # The code of a Runge-Kutta step is the same with the tangent and without.
+    layout = at if at.is_taylor else at.of_motion
+    *events, steps = _drained(
+        layout, at, method, lanes, points, queue, follows, statuses, limits, kept, not section_only
+    )
+    ended = points[:-1]
+    if not at.is_taylor:
+        left_range = ended[:, at.out_of_range] > 0.0
+        statuses[left_range & np.isin(statuses, _OF_MOTIONS)] = Status.OUT_OF_FIT_RANGE
+    n_stages = 0 if at.is_taylor else method.tableau.n_stages
+    counts = _counts(at, ended, n_stages)
+    return _outcome(at, ended, statuses, t_end, events, steps if dense_output else None, counts)
 
 
 def _drained(
+    layout: Layout,
     at: Layout,
+    method: Any,
+    lanes: Array,
     points: Array,
     queue: NDArray[np.intp],
     follows: NDArray[np.bool_],
@@ -200,7 +233,8 @@ def _drained(
         capacities[record.SECTIONS] = int(sections[-1, 1])
     run = Run(
         at=at.numbers,
-        lanes=aligned(at.n_rows, at.width),
+        method=method,
+        lanes=lanes,
         lane_point=np.full(at.width, -2),
         points=points,
         queue=queue,
@@ -219,9 +253,9 @@ def _drained(
         contacts=bool(kept[record.CONTACTS]),
     )
     pieces: list[list[Array]] = [[] for _ in kept]
-    outcome = BUDGET_SPENT
+    outcome, step_on = BUDGET_SPENT, advance_users if method.is_users else advance
     while outcome != FINISHED:
-        outcome = advance(at, run, limits, _BUDGET)
+        outcome = step_on(layout, run, limits, _BUDGET)
         if outcome in (BUFFER_FULL, FINISHED):
             for piece, log, n_rows in zip(pieces, run.logs, run.fill.tolist(), strict=True):
                 piece.append(log[:n_rows].copy())
@@ -281,6 +315,7 @@ def _outcome(
     t_end: Array,
     events: Sequence[Array],
     steps: Array | None,
+    counts: dict[str, NDArray[np.int64]],
 ) -> Exact:
     table = points.T
     turns, contacts, sections = events
@@ -300,8 +335,6 @@ def _outcome(
         t=t,
         mode=mode,
         status=statuses,
-        n_contacts=table[at.n_contacts].astype(np.int64),
-        n_steps=table[at.n_steps].astype(np.int64),
         reach=points[:, at.reach : at.reach + at.n].copy(),
         contact_time=until_left + np.where(mode != 0, t[:, None], 0.0),
         monodromy=monodromy,
@@ -309,4 +342,18 @@ def _outcome(
         contacts=contacts,
         sections=sections,
         steps=steps,
+        **counts,
     )
+
+
+def _counts(at: Layout, points: Array, n_stages: int) -> dict[str, NDArray[np.int64]]:
+    """What motions passed and cost, by a method of so many stages (0: Taylor)."""
+    n_steps = points[:, at.n_steps]
+    n_rejected = points[:, at.n_rejected] if n_stages else np.zeros_like(n_steps)
+    nfev = n_steps
+    if n_stages:
+        nfev = (n_steps + n_rejected) * (n_stages - 1) + points[:, at.n_starts]
+    # Below zero: the start lies on a wall and has not left it.
+    n_contacts = np.maximum(points[:, at.n_contacts], 0.0)
+    given = {"n_contacts": n_contacts, "n_steps": n_steps, "n_rejected": n_rejected, "nfev": nfev}
+    return {name: values.astype(np.int64) for name, values in given.items()}

@@ -1,20 +1,25 @@
-"""The stepping loop of the exact law: vector steps, and the scalar work for single lanes.
+"""The stepping loop: vector steps of a method, and the scalar work for single lanes.
 
-`advance` moves all lanes with `taylor_step` and looks after the lanes that it names: an unclear
-crossing, the end of a point, a failure, something to record. All state lives in the arrays
-that are passed in, so the loop can stop at any step (full buffer, step budget) and go on when
-called again.
+`advance` moves all lanes with a step of the method and looks after the lanes that it names: an
+unclear crossing, the end of a point, a failure, something to record. Of the step it needs nothing
+but the polynomial of the motion within it. All state lives in the arrays that are passed in, so the
+loop can stop at any step (full buffer, step budget) and go on when called again.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
-from gapsweep.integrate.jit import entry, internal
+from gapsweep.integrate.jit import chosen_by_type, counted, entry, inlined, internal
+from gapsweep.integrate.runge_kutta.step import runge_kutta_step
 from gapsweep.integrate.vectors import lowest_bit
 from gapsweep.status import Status
 
+from . import outcome
+from .outcome import Outcome
+from .passings import count_passings, record_passings
 from .record import has_room, load_series, record_steps
 from .roots import Work, first_exit, polynomial
 from .starts import follow
@@ -23,6 +28,7 @@ from .step import MAX_HALVINGS, SHORT_STEP, taylor_step
 # outcomes, as plain numbers for compiled code
 RUNNING, OK, DIVERGED = -1, int(Status.OK), int(Status.DIVERGED)
 STEP_UNDERFLOW, CHATTER = int(Status.STEP_UNDERFLOW), int(Status.CHATTER)
+MODEL_INVALID = int(Status.MODEL_INVALID)
 FINISHED, BUFFER_FULL, BUDGET_SPENT = 0, 1, 2
 IDLE = -1
 LARGEST = np.finfo(float).max
@@ -136,8 +142,9 @@ def _resolve(at, lanes, k, coefficients, work):
         is_short = step * lanes[at.rate, k] < SHORT_STEP
         lanes[at.n_short, k] = lanes[at.n_short, k] + 1.0 if is_short else 0.0
     else:
-        # negative: the step size has underflowed
-        lanes[at.n_short, k] = -1.0 if h < lanes[at.min_step, k] and not is_done else 0.0
+        has_underflow = h < lanes[at.min_step, k] and not is_done
+        lanes[at.n_short, k] = outcome.STEP_UNDERFLOW if has_underflow else 0.0
+    lanes[at.is_fresh, k] = 1.0
     for i in range(at.n):
         lanes[at.reach + i, k] = max(lanes[at.reach + i, k], abs(lanes[at.q + i, k]))
     lanes[at.step, k] = step
@@ -159,9 +166,12 @@ def _failure(at, lanes, k, x_bound, max_short):
             return DIVERGED
     if lanes[at.n_short, k] > max_short:
         return CHATTER
-    if lanes[at.n_short, k] < 0.0:
-        return STEP_UNDERFLOW
-    return RUNNING
+    reason = lanes[at.n_short, k]
+    if reason == outcome.MODEL_INVALID:
+        return MODEL_INVALID
+    if reason == outcome.DIVERGED:
+        return DIVERGED
+    return STEP_UNDERFLOW if reason < 0.0 else RUNNING
 
 
 @internal
@@ -223,37 +233,36 @@ def _judged(at, suspects, lanes, x_bound, max_short):
     while suspects != 0:
         k = lowest_bit(suspects)
         suspects &= suspects - 1
-        outcome = _failure(at, lanes, k, x_bound, max_short)
-        if outcome == CHATTER and _part(at, lanes, k):
+        status = _failure(at, lanes, k, x_bound, max_short)
+        if status == CHATTER and _part(at, lanes, k):
             parted |= 1 << k
-        elif outcome != RUNNING:
+        elif status != RUNNING:
             failed |= 1 << k
     return failed, parted
 
 
 @internal
-def _attend(layout, packed, run, limits):
-    """See to the lanes that `taylor_step` named."""
+def _attend(layout, named, run, limits):
+    """See to the lanes that a step has named."""
     _, _, x_bound, max_short = limits
     at, lanes = run.at, run.lanes
-    unclear = packed & at.all_lanes
-    done = (packed >> at.width) & at.all_lanes
-    bad = (packed >> 2 * at.width) & at.all_lanes
-    recording = (packed >> 3 * at.width) & at.all_lanes
-    done |= _settle(at, unclear, lanes, run.coefficients, run.work)
-    failed, parted = _judged(at, unclear | bad, lanes, x_bound, max_short)
+    done, bad, recording = named.done, named.bad, named.recording
+    count_passings(layout, named.near, run)
+    done |= _settle(at, named.unclear, lanes, run.coefficients, run.work)
+    failed, parted = _judged(at, named.unclear | bad, lanes, x_bound, max_short)
     bad &= ~parted
     recording &= ~failed
     if recording != 0:
         record_steps(layout, recording, run)
+        record_passings(layout, recording, run)
     ending = done | bad | failed
     while ending != 0:
         k = lowest_bit(ending)
         ending &= ending - 1
-        outcome = _failure(at, lanes, k, x_bound, max_short)
-        if outcome == RUNNING:
-            outcome = OK if (done >> k) & 1 != 0 else STEP_UNDERFLOW
-        _finish(at, run, k, outcome, limits)
+        status = _failure(at, lanes, k, x_bound, max_short)
+        if status == RUNNING:
+            status = OK if (done >> k) & 1 != 0 else STEP_UNDERFLOW
+        _finish(at, run, k, status, limits)
 
 
 @internal
@@ -269,7 +278,7 @@ def _load_next(at, run, k):
 
 
 @internal
-def _finish(at, run, k, outcome, limits):
+def _finish(at, run, k, status, limits):
     """Hand lane k's state back to the table of points and load the next one.
 
     That is the one that follows; what follows a failure has failed.
@@ -278,19 +287,25 @@ def _finish(at, run, k, outcome, limits):
     p = run.lane_point[k]
     for r in range(at.n_rows):
         run.points[p, r] = run.lanes[r, k]
-    run.statuses[p] = outcome
+    run.statuses[p] = status
     run.progress[1] += 1
     while run.follows[p + 1]:
         p += 1
-        if outcome == OK:
+        if status == OK:
             follow(at, run.points[p], run.points[p - 1], rtol, atol)
             run.lane_point[k] = p
             for r in range(at.n_rows):
                 run.lanes[r, k] = run.points[p, r]
             return
-        run.statuses[p] = outcome
+        run.statuses[p] = status
         run.progress[1] += 1
     _load_next(at, run, k)
+
+
+class Taylor(NamedTuple):
+    """The method whose polynomials are Taylor series; a `Layout` says of which degree."""
+
+    is_users: bool = False
 
 
 class Run(NamedTuple):
@@ -300,6 +315,7 @@ class Run(NamedTuple):
     ----------
     at : record
         `Layout.numbers`.
+    method : Taylor or RungeKutta
     lanes : array, shape (n_rows, width)
         State of the points under way.
     lane_point : int array, shape (width,)
@@ -315,7 +331,7 @@ class Run(NamedTuple):
     progress : int array, shape (2,)
         How many points of the queue are loaded; how many have ended.
     coefficients : array
-        As of `taylor_step`.
+        Polynomials of the last step, as of `taylor_step`.
     logs : tuple of arrays
         Buffers of `record_steps`; with no rows: not wanted.
     fill : int array, shape (4,)
@@ -330,6 +346,7 @@ class Run(NamedTuple):
     """
 
     at: np.record
+    method: Any
     lanes: np.ndarray
     lane_point: np.ndarray
     points: np.ndarray
@@ -346,8 +363,34 @@ class Run(NamedTuple):
     contacts: bool
 
 
-@entry
-def advance(layout, run, limits, budget):
+def method_step(layout, method, lanes, coefficients, limits):
+    """Advance every lane by one step of a method: an `Outcome`."""
+    raise NotImplementedError("compiled code only")
+
+
+@chosen_by_type(method_step)
+def _method_step(layout, method, lanes, coefficients, limits):
+    one = _taylor if method.instance_class is Taylor else runge_kutta_step
+    return lambda layout, method, lanes, coefficients, limits: one(
+        layout, method, lanes, coefficients, limits
+    )
+
+
+@inlined
+def _taylor(layout, method, lanes, coefficients, limits):
+    rtol, _, x_bound, max_short = limits
+    packed = taylor_step(layout, lanes, coefficients, rtol, x_bound, max_short)
+    every, width = layout.all_lanes, layout.width
+    return Outcome(
+        packed & every,
+        (packed >> width) & every,
+        (packed >> 2 * width) & every,
+        (packed >> 3 * width) & every,
+        0,
+    )
+
+
+def _advance(layout, run, limits, budget):
     """Advance until every point has ended, a buffer is full, or `budget` vector steps are made.
 
     Parameters
@@ -364,17 +407,23 @@ def advance(layout, run, limits, budget):
     int
         FINISHED, BUFFER_FULL or BUDGET_SPENT.
     """
-    rtol, _, x_bound, max_short = limits
-    at = run.at
+    # Out of the record, once: to take an array out of it counts a reference.
+    at, method, lanes, coefficients = run.at, run.method, run.lanes, run.coefficients
+    progress, n_points = run.progress, len(run.statuses)
     for k in range(at.width):
         if run.lane_point[k] < IDLE:
             _load_next(at, run, k)
     for _ in range(budget):
-        if run.progress[1] == len(run.statuses):
+        if progress[1] == n_points:
             return FINISHED
-        if not has_room(at, run):
-            return BUFFER_FULL
-        packed = taylor_step(layout, run.lanes, run.coefficients, rtol, x_bound, max_short)
-        if packed != 0:
-            _attend(layout.of_motion, packed, run, limits)
-    return FINISHED if run.progress[1] == len(run.statuses) else BUDGET_SPENT
+        named = method_step(layout, method, lanes, coefficients, limits)
+        if named.unclear | named.done | named.bad | named.recording | named.near != 0:
+            _attend(layout.of_motion, named, run, limits)
+            if not has_room(at, run):
+                return FINISHED if progress[1] == n_points else BUFFER_FULL
+    return FINISHED if progress[1] == n_points else BUDGET_SPENT
+
+
+advance = entry(_advance)
+# A user's law is a type that exists in this process only: its code is not kept on disk.
+advance_users = counted(njit(nogil=True)(_advance))

@@ -30,6 +30,8 @@ from numba.extending import (
 )
 from numpy.typing import NDArray
 
+from gapsweep.integrate.runge_kutta.parameters import N_PARAMETERS
+
 # Lanes that advance together. A multiple of every vector length in use (2, 4, 8 doubles); the
 # compiler cuts the wide values into registers, whose independent chains hide each other's
 # latency. At most 16: four masks of as many bits are packed into one 64-bit answer.
@@ -50,6 +52,7 @@ _ONE = (
     "rate",  # fastest angular frequency of the linear parts [rad/s]
     "min_step",  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
     *("n_steps", "n_contacts", "n_short"),
+    "is_fresh",  # whether a wall was passed last, where a one-step method needs its derivative anew
     # what the recording of the last step found: when it began [s], zero of a velocity
     *("start_time", "turn_time", "turn_x", "turn_v"),
 )
@@ -75,8 +78,12 @@ class Layout:
     is_free : bool
         Whether nothing repeats with the clock: the section is then passed where the first
         coordinate has a maximum.
+    is_located : bool
+        Whether steps end where a contact passes a wall.
+    is_taylor : bool
+        Whether the method is a Taylor series, or a Runge-Kutta method, which needs more rows.
     order : int
-        Degree of the Taylor polynomial.
+        Degree of the polynomials of a step.
     tangent : int
         1 if the variational equation is integrated along, else 0.
     width : int
@@ -92,12 +99,15 @@ class Layout:
     is_plain: bool = True
     in_step: bool = True
     is_free: bool = False
+    is_located: bool = True
+    is_taylor: bool = True
     order: int = 12
     tangent: int = 0
     width: int = WIDTH
 
     derived: ClassVar[tuple[str, ...]] = (
         *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
+        "n_rates",
     )
 
     @property
@@ -134,6 +144,11 @@ class Layout:
     def n_series(self) -> int:
         """Series of a step that are kept: of q and z, then of the contacts' gaps."""
         return 1 if self.is_plain else self.n + self.m + self.contacts
+
+    @property
+    def n_rates(self) -> int:
+        """Derivatives of a stage that are kept: of speeds, and of first-order states."""
+        return self.n + self.m
 
     @property
     def first_gap(self) -> int:
@@ -179,7 +194,35 @@ class Layout:
             # [1/s], sizes of lags beside a metre
             **{"mass_root": n * n * several, "spring_root": n * n * several},
             **{"fastest": 1 * several, "decay": 1 * several, "slow": 1 * several, "lag_floor": m},
+            **self._runge_kutta_blocks(),
         }
+
+    def _runge_kutta_blocks(self) -> dict[str, int]:
+        """Blocks that a Taylor series does not need."""
+        n, m, k, s = self.n, self.m, self.contacts, self.n_states
+        several = not self.is_plain
+        sizes = {
+            # derivatives at the start of the next step: of speeds, and of first-order states
+            **{"a": n, "w": m},
+            # the next step and the longest one [s], the step before a smoothing layer, why the last
+            # one is repeated if it is, whether the motion has left the range of a fit
+            **dict.fromkeys(("h", "h_max", "h_saved", "failed", "out_of_range"), 1),
+            # `n_starts`: derivatives computed by themselves, at starts and on walls
+            **{"n_rejected": 1, "n_starts": 1},
+            # parameters of the contacts' laws
+            "law": k * N_PARAMETERS,
+            # end of the attempted step, committed or not; of its tangent
+            **{"q_1": n, "v_1": n, "z_1": m, "a_1": n, "w_1": m, "tangent_1": s * s},
+            # gaps of several contacts, their speeds and accelerations, at both ends of it
+            **{"gap_0": 3 * k * several, "gap_1": 3 * k * several},
+            # of a stage of a system: state, cosines of loads; of every contact its gap, its force
+            # (or slope, or denominator) and by what its stiffness is multiplied; of every cubic
+            # spring the cube, and three squares
+            **{"stage": s * several, "cosine": self.harmonics * several},
+            **{"stage_gap": k, "force": k, "modulation": k * several},
+            **{"cube": self.cubics * several, "bend": self.cubics * several},
+        }
+        return {name: size * (not self.is_taylor) for name, size in sizes.items()}
 
     @cached_property
     def first(self) -> dict[str, int]:

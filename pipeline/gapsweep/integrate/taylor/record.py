@@ -47,7 +47,8 @@ def rows_per_step(at):
     """Most rows that a step of all lanes writes to each log."""
     n_turns = at.n_turning * (at.order + 1)
     n_sections = at.order + 1 if at.is_free else 1
-    return at.width * n_turns, at.width * 2 * at.contacts, at.width * n_sections, at.width
+    n_passings = 2 * at.contacts * (1 if at.is_located else at.order + 1)
+    return at.width * n_turns, at.width * n_passings, at.width * n_sections, at.width
 
 
 @internal
@@ -61,7 +62,7 @@ def has_room(at, run):
 
 
 @internal
-def _begin_row(run, log, k, kind, t, which):
+def begin_row(run, log, k, kind, t, which):
     """Number of a new row, whose values are left to the caller."""
     i, rows = run.fill[log], run.logs[log]
     rows[i, POINT], rows[i, TIME] = run.lane_point[k], t
@@ -72,13 +73,13 @@ def _begin_row(run, log, k, kind, t, which):
 
 @internal
 def _write_turn(run, k, kind, t, which, value):
-    i = _begin_row(run, TURNS, k, kind, t, which)
+    i = begin_row(run, TURNS, k, kind, t, which)
     run.logs[TURNS][i, VALUE] = value
 
 
 @internal
 def _write_contact(at, run, k, kind, t, contact):
-    i = _begin_row(run, CONTACTS, k, kind, t, contact)
+    i = begin_row(run, CONTACTS, k, kind, t, contact)
     for j in range(at.n_states):
         run.logs[CONTACTS][i, VALUE + j] = run.lanes[at.q + j, k]
 
@@ -91,19 +92,25 @@ def load_series(coefficients, first, k, series):
 
 
 @internal
-def _write_state(at, run, k, i, t, elapsed):
-    """Section point i, from the series of the last step: t is the time, `elapsed` within it."""
-    rows = run.logs[SECTIONS]
-    rows[i, POINT], rows[i, TIME] = run.lane_point[k], t
+def write_state(at, run, k, rows, i, first, elapsed):
+    """Put a state into row i from column `first` on, `elapsed` after the last step's beginning."""
     for j in range(at.n + at.m):
         value, slope = 0.0, 0.0
         for term in range(at.order, -1, -1):
             slope = slope * elapsed + value
             value = value * elapsed + run.coefficients[j * at.n_terms + term, k]
         if j < at.n:
-            rows[i, STATE + j], rows[i, STATE + at.n + j] = value, slope
+            rows[i, first + j], rows[i, first + at.n + j] = value, slope
         else:
-            rows[i, STATE + at.n + j] = value
+            rows[i, first + at.n + j] = value
+
+
+@internal
+def _write_section(at, run, k, i, t, elapsed):
+    """Section point i, from the series of the last step: t is the time, `elapsed` within it."""
+    rows = run.logs[SECTIONS]
+    rows[i, POINT], rows[i, TIME] = run.lane_point[k], t
+    write_state(at, run, k, rows, i, STATE, elapsed)
 
 
 @internal
@@ -111,7 +118,7 @@ def _write_return(at, run, k, start, t):
     """A section point at a maximum of the first coordinate."""
     i = run.fill[SECTIONS]
     run.fill[SECTIONS] += 1
-    _write_state(at, run, k, i, start + t, t)
+    _write_section(at, run, k, i, start + t, t)
     run.logs[SECTIONS][i, STATE + at.n] = 0.0  # to the last bit: the next motion begins here
 
 
@@ -149,7 +156,7 @@ def _record_section(at, run, k):
     period = lanes[at.period, k]
     t = lanes[at.t_start, k] + (cycle - lanes[at.tau_start, k]) * period
     until = min((1.0 - lanes[at.tau_0, k]) * period, lanes[at.step, k])
-    _write_state(at, run, k, i, t, until)
+    _write_section(at, run, k, i, t, until)
     if lanes[at.tau, k] == 0.0:
         for j in range(at.n_states):
             run.logs[SECTIONS][i, STATE + j] = lanes[at.q + j, k]

@@ -4,10 +4,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .exact_kernel import Taylor
 from .layout import NARROW, WIDTH, Layout, known
 
 Array = NDArray[np.float64]
@@ -25,6 +27,9 @@ def order_for(rtol: float) -> int:
     return next(order for smallest, order in ORDERS if rtol >= smallest)
 
 
+_TAYLOR = Taylor()
+
+
 @dataclass(frozen=True, slots=True)
 class Scenes:
     """Systems between walls as the kernel takes them: all of a point but its start and end.
@@ -37,12 +42,15 @@ class Scenes:
         motion that the forcing keeps up against all springs.
     rtol, atol : float
         As in `scenes`.
+    method : Taylor or RungeKutta
+        The latter without its work space.
     """
 
     at: Layout
     table: Array
     rtol: float
     atol: float
+    method: Any = _TAYLOR
 
 
 def scenes(

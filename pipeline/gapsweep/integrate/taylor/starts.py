@@ -221,6 +221,9 @@ def _set_clocks(at, point, t_0, t_end, record_from):
         end = whole
     point[at.tau] = point[at.tau_start] = tau
     point[at.t_start] = t_0
+    # A clock that starts at a phase cannot tell shorter steps from none.
+    coarse = CLOCK_ROUNDING * tau * point[at.period]
+    point[at.min_step] = max(point[at.min_step], coarse)
     point[at.end_cycle] = np.floor(end)
     point[at.end_tau] = end - np.floor(end)
     point[at.record_clock] = tau + (record_from - t_0) * omega

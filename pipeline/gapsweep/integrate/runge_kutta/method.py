@@ -1,0 +1,73 @@
+"""A Runge-Kutta method, with all that its steps have in common."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gapsweep.integrate.taylor.layout import Layout, aligned
+
+from .parameters import N_PARAMETERS
+from .tableaux import Tableau
+
+# Why the derivative at the state is needed before the next step: a wall was passed, or the motion
+# begins.
+AT_WALL, AT_START = 1.0, 2.0
+
+
+class RungeKutta(NamedTuple):
+    """A method with its work space.
+
+    Attributes
+    ----------
+    kinds : tuple of named tuples of `laws`
+        The law of every contact.
+    q : array, shape (n_contacts, N_PARAMETERS, WIDTH)
+        Their parameters, as they stand in the rows of the lanes.
+    tableau : Tableau
+    k, k_tangent : array, shapes (n_all * n_rates, WIDTH) and (n_states times that, WIDTH)
+        Derivatives of all stages, and of the tangents'.
+    is_ode45 : bool
+        Whether errors are measured and steps chosen as MATLAB's ode45 does.
+    restarts : bool
+        Whether the step is chosen at a located contact as at a start.
+    cuts_at_layers : bool
+        Whether steps are cut at the edges of smoothing layers.
+    has_range : bool
+        Whether a law is a fit, which holds within a range.
+    tangent : bool
+        Whether the variational equation is integrated along.
+    dense, contacts : bool
+        Whether every step is recorded; whether walls passed are.
+    is_users : bool
+        Whether a law is a user's function.
+    """
+
+    kinds: Any
+    q: np.ndarray
+    tableau: Tableau
+    k: np.ndarray
+    k_tangent: np.ndarray
+    is_ode45: bool
+    restarts: bool
+    cuts_at_layers: bool
+    has_range: bool
+    tangent: bool
+    dense: bool
+    contacts: bool
+    is_users: bool
+
+
+def with_work_space(
+    at: Layout, method: RungeKutta, lanes: np.ndarray, *, tangent: bool, dense: bool, contacts: bool
+) -> RungeKutta:
+    """A method for one run in these lanes."""
+    law = lanes[at.law : at.law + at.blocks["law"]]
+    n_rows = method.tableau.c.size * (at.n + at.m)
+    return method._replace(
+        q=law.reshape(at.contacts, N_PARAMETERS, at.width),
+        k=aligned(n_rows, at.width),
+        k_tangent=aligned(n_rows * at.n_states, at.width),
+        tangent=tangent,
+        dense=dense,
+        contacts=contacts,
+    )

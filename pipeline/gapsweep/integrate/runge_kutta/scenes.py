@@ -1,0 +1,90 @@
+"""Systems with laws that a Runge-Kutta method integrates, as the stepping loop takes them."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.integrate import simd
+from gapsweep.integrate.taylor.layout import known
+from gapsweep.integrate.taylor.scenes import Scenes
+
+from . import laws, parameters, tableaux
+from .laws import Law
+from .method import AT_START, RungeKutta
+
+Array = NDArray[np.float64]
+
+# At this tolerance and tighter the order-8 method is the cheaper one on the benchmark's scenes.
+_HIGH_ORDER_FROM = 1e-2
+_MIN_STEP = 1e-17  # s of the fastest frequency: what a stiff law asks for is no underflow
+
+
+def runge_kutta_scenes(
+    exact: Scenes, kernel_laws: Sequence[Law], mass: Array, *, controller: str, restart: bool
+) -> Scenes:
+    """The same systems with other laws.
+
+    Parameters
+    ----------
+    exact : Scenes
+        n systems for the Taylor method: the equation of motion is the same.
+    kernel_laws : sequence of Law
+        Of every contact; its parameters may be arrays, shape (n,).
+    mass : ndarray, shape (n,)
+        What a contact's force is divided by [kg]; 1 where the equation says it.
+    controller : {"native", "ode45"}
+        "ode45" is Dormand-Prince 5(4) with the step control of MATLAB's ode45.
+    restart : bool
+        Whether the step size is chosen anew at every located contact.
+    """
+    is_low = controller == "ode45" or exact.rtol > _HIGH_ORDER_FROM
+    located = any(getattr(each.kind, "number", None) == laws.LOCATED for each in kernel_laws)
+    at = known(
+        replace(
+            exact.at,
+            is_located=located,
+            is_taylor=False,
+            order=tableaux.DEGREE,
+            tangent=0,
+            width=simd.WIDTH,
+        )
+    )
+    table = np.zeros((len(exact.table), at.n_rows))
+    table[:, : exact.at.n_rows] = exact.table
+    points, has_layer, has_range = table[:-1], False, False
+    for i, law in enumerate(kernel_laws):
+        rows = law.rows(mass, len(points))
+        # Where the tail of tanh, exp(-2 |z|), is far below the tolerance, its layer has no edge.
+        reach = (3.0 - 0.5 * np.log(exact.rtol)) / parameters.TANH_SATURATION
+        rows[rows[:, parameters.SATURATION] > 0.0, parameters.LAYER] *= min(1.0, max(0.1, reach))
+        has_layer |= bool((rows[:, parameters.LAYER] > 0.0).any())
+        has_range |= bool((rows[:, parameters.RANGE] > 0.0).any())
+        first = at.law + i * parameters.N_PARAMETERS
+        points[:, first : first + parameters.N_PARAMETERS] = rows
+        table[-1, first : first + parameters.N_PARAMETERS] = rows[0]
+    highest = np.ones(len(points))
+    for name in ("multiple", "depth_multiple"):
+        block = slice(at.first[name], at.first[name] + at.blocks[name])
+        highest = np.maximum(highest, points[:, block].max(axis=1, initial=1.0))
+    points[:, at.h_max] = points[:, at.period] / highest
+    fastest = points[:, at.stiffness] if at.is_plain else points[:, at.fastest]
+    points[:, at.min_step] = _MIN_STEP / np.maximum(points[:, at.omega], np.sqrt(fastest))
+    points[:, at.is_fresh] = AT_START
+    method = RungeKutta(
+        kinds=tuple(law.kind for law in kernel_laws),
+        tableau=tableaux.DP5 if is_low else tableaux.DOP853,
+        q=np.empty((0, 0, 0)),
+        k=np.empty((0, 0)),
+        k_tangent=np.empty((0, 0)),
+        is_ode45=controller == "ode45",
+        restarts=restart,
+        cuts_at_layers=has_layer and controller != "ode45",
+        has_range=has_range,
+        tangent=False,
+        dense=False,
+        contacts=False,
+        is_users=any(isinstance(law.kind, laws.User) for law in kernel_laws),
+    )
+    return replace(exact, at=at, table=table, method=method)

@@ -1,0 +1,595 @@
+"""One attempted Runge-Kutta step of all lanes: stages, error, step control, what needs attention.
+
+Everything here is branch-free over lanes. The outcome is one word of lane bits per question
+(`Outcome`); only lanes with a bit set are looked at one by one afterwards, with the polynomials
+of the step as they are with those of a Taylor series.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gapsweep.integrate import simd
+from gapsweep.integrate.jit import inlined, internal
+from gapsweep.integrate.motion import VANISHED
+from gapsweep.integrate.simd import fma, load, maximum, minimum, select, store
+from gapsweep.integrate.taylor.outcome import DIVERGED, MODEL_INVALID, STEP_UNDERFLOW, Outcome
+from gapsweep.integrate.taylor.step import CLOCK_SLACK
+
+from . import laws, parameters, vecmath
+from .method import AT_START, AT_WALL
+from .stages import polynomials, stage_derivative, stages, tangent_stages
+from .tableaux import E3, E5, OTHER_E5
+
+# Measured on the tanh law at 1e-3 to 1e-9: 0.9 and 6 reject a quarter of all attempts and cost a
+# tenth more.
+SAFETY = 0.75
+GROW_LIMIT, SHRINK_LIMIT = 3.0, 0.2
+# An attempt within 10 % of the end is stretched to it (ode45's rule, kept for both controllers).
+STRETCH = 1.1
+# A tangent need not be better than this; nor a coordinate of it that moves by less than this share.
+TANGENT_RTOL, FAINT = 1e-8, 1e-3
+# In the row `failed`: the last step was too long, or is to be repeated up to the edge of a layer.
+_FAILED, _CUT = 1.0, 2.0
+
+
+@inlined
+def _error(at, method, lane, h, rtol, atol):
+    """Error estimate over tolerance; up to 1: accepted. Largest for ode45, else mean square."""
+    tableau, k = method.tableau, method.k
+    worst, lost = simd.splat(0.0), simd.splat(0.0)
+    e5, e3, other = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
+    for i in range(at.n_rates):
+        size_v = _size(lane, at.v + i, at.v_1 + i)  # first-order states stand after the speeds
+        size_x = _size(lane, at.q + i, at.q_1 + i) if i < at.n else size_v
+        if method.is_ode45:
+            ex, ev = _missed(at, tableau, k, E5, 0, i)
+            rv = simd.absolute(ev) / maximum(size_v, atol / rtol)
+            rx = simd.absolute(ex) * h / maximum(size_x, atol / rtol)
+            worst, lost = maximum(worst, maximum(rx * h, rv * h)), lost + 0.0 * (rx + rv)
+        else:
+            wx, wv = h * h / fma(rtol, size_x, atol), h / fma(rtol, size_v, atol)
+            e5 = e5 + _squared(at, tableau, k, E5, 0, i, wx, wv)
+            e3 = e3 + _squared(at, tableau, k, E3, 0, i, wx, wv)
+            other = other + _squared(at, tableau, k, OTHER_E5, 0, i, wx, wv)
+    if method.is_ode45:
+        # `maximum` hides a NaN in its first argument; the sum does not.
+        return worst / rtol + lost
+    return _joint(at, e5, e3, other) + 0.0 * e5
+
+
+@inlined
+def _joint(at, e5, e3, other):
+    """Error of order 8 over tolerance, from the squares of what formulas of order 5 and 3 miss.
+
+    The former passes zero in steps that are much too long. The other formula of order 5 seldom does
+    so in the same ones (docs/decisions/0025-estimates-that-pass-zero.md).
+    """
+    e5 = maximum(e5, other)
+    return e5 / simd.sqrt(maximum(float(at.n_states) * fma(0.01, e3, e5), 1e-300))
+
+
+@inlined
+def _missed(at, tableau, k, formula, first, i):
+    """What a formula of the tableau misses of place i, over h squared, and of its rate, over h.
+
+    Of the derivatives in rows of `k` from `first` on. What is no speed has no place: zero.
+    """
+    ex, ev = simd.splat(0.0), simd.splat(0.0)
+    for j in range(tableau.n_stages):
+        k_j = load(k, first + j * at.n_rates + i)
+        ev = fma(k_j, tableau.e[formula, j], ev)
+        if i < at.n:
+            ex = fma(k_j, tableau.ebar[formula, j], ex)
+    return ex, ev
+
+
+@inlined
+def _squared(at, tableau, k, formula, first, i, wx, wv):
+    """Squares of what `_missed` tells, of place and rate in units of these weights, added."""
+    ex, ev = _missed(at, tableau, k, formula, first, i)
+    rx, rv = ex * wx, ev * wv
+    return fma(rx, rx, rv * rv)
+
+
+@inlined
+def _tangent_error(at, method, lane, h, rtol):
+    """The same of the tangent's columns: the largest of them, each beside its own size.
+
+    A tangent swings on where its motion has come to rest against a wall, and is damped by steps
+    that are too long for it. Zero where it has overflowed: that is no fault of the motion.
+    """
+    tableau, k = method.tableau, method.k_tangent
+    tol, worst = max(rtol, TANGENT_RTOL), simd.splat(0.0)
+    for column in range(at.n_states):
+        before = at.tangent_state + column * at.n_states
+        after = at.tangent_1 + column * at.n_states
+        first, largest = column * tableau.c.size * at.n_rates, simd.splat(1e-300)
+        for i in range(at.n):
+            largest = maximum(largest, _tangent_size(at, lane, before, after, i, h))
+        e5, e3, other = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
+        for i in range(at.n_rates):
+            if i < at.n:
+                size = fma(FAINT, largest, _tangent_size(at, lane, before, after, i, h))
+                w = h * h / (tol * size)
+            else:
+                w = h / (tol * maximum(_size(lane, before + at.n + i, after + at.n + i), 1e-300))
+            e5 = e5 + _squared(at, tableau, k, E5, first, i, w, w)
+            e3 = e3 + _squared(at, tableau, k, E3, first, i, w, w)
+            other = other + _squared(at, tableau, k, OTHER_E5, first, i, w, w)
+        error = simd.sqrt(e5) if method.is_ode45 else _joint(at, e5, e3, other)
+        worst = maximum(worst, select(error < 1e300, error, 0.0))
+    return worst
+
+
+@inlined
+def _tangent_size(at, lane, before, after, i, h):
+    """How far a column leads in a step: the place alone may be passing zero."""
+    return fma(
+        h, _size(lane, before + at.n + i, after + at.n + i), _size(lane, before + i, after + i)
+    )
+
+
+@inlined
+def _size(lane, before, after):
+    return maximum(simd.absolute(load(lane, before)), simd.absolute(load(lane, after)))
+
+
+@inlined
+def _next_step(method, error, h, after_failure, accepted):
+    """The controller's next step length."""
+    scaled = vecmath.power(maximum(error, 1e-16), -method.tableau.exponent)
+    if method.is_ode45:
+        grown = select(after_failure, h, h * minimum(0.8 * scaled, 5.0))
+        shrunk = select(after_failure, 0.5 * h, h * maximum(0.8 * scaled, 0.1))
+        # A NaN error: ode45 would end in NaN; here the step is halved until it underflows.
+        return select(accepted, grown, select(error > 1.0, shrunk, 0.5 * h))
+    factor = minimum(
+        maximum(SAFETY * scaled, SHRINK_LIMIT), select(after_failure, simd.splat(1.0), GROW_LIMIT)
+    )
+    return h * select(accepted | (error > 1.0), factor, SHRINK_LIMIT)
+
+
+@inlined
+def ends(at, which):
+    """Rows of place, speed and acceleration of a coordinate or a gap, at both ends of the step."""
+    if which < at.n:
+        return (
+            at.q + which,
+            at.v + which,
+            at.a + which,
+            at.q_1 + which,
+            at.v_1 + which,
+            at.a_1 + which,
+        )
+    old, new, k = at.gap_0 + which - at.n, at.gap_1 + which - at.n, at.contacts
+    return old, old + k, old + 2 * k, new, new + k, new + 2 * k
+
+
+@inlined
+def _gap(at, contact):
+    """Number of a contact's gap among coordinates and gaps; of an oscillator, its coordinate's."""
+    return contact if at.is_plain else at.n + contact
+
+
+class _Hull(NamedTuple):
+    """A coordinate or a gap over a step: bounds, ends, inner Bernstein coefficients of its quintic
+    interpolant, and whether it may turn back.
+    """
+
+    low: Any
+    high: Any
+    x: Any
+    x_1: Any
+    v_1: Any
+    inner: Any
+    turns_back: Any
+
+
+@inlined
+def _hull(at, lane, which, h):
+    # Quintic Hermite interpolant in Bernstein form: its coefficients bound x, their differences v.
+    # Accelerations enter with h^2, so the interpolant costs nothing beyond the step itself.
+    rows = ends(at, which)
+    x, v, a = load(lane, rows[0]), load(lane, rows[1]), load(lane, rows[2])
+    x1, v1, a1 = load(lane, rows[3]), load(lane, rows[4]), load(lane, rows[5])
+    b1, b4 = fma(0.2 * h, v, x), fma(-0.2 * h, v1, x1)
+    b2 = fma(0.05 * h * h, a, fma(0.4 * h, v, x))
+    b3 = fma(0.05 * h * h, a1, fma(-0.4 * h, v1, x1))
+    low = minimum(minimum(minimum(x, x1), minimum(b1, b4)), minimum(b2, b3))
+    high = maximum(maximum(maximum(x, x1), maximum(b1, b4)), maximum(b2, b3))
+    rise = minimum(minimum(v, v1), minimum(minimum(b2 - b1, b4 - b3), b3 - b2))
+    fall = maximum(maximum(v, v1), maximum(maximum(b2 - b1, b4 - b3), b3 - b2))
+    return _Hull(low, high, x, x1, v1, (b1, b2, b3, b4), (rise <= 0.0) & (fall >= 0.0))
+
+
+@inlined
+def _horner(c, s):
+    c0, c1, c2, c3, c4, c5 = c
+    return fma(fma(fma(fma(fma(c5, s, c4), s, c3), s, c2), s, c1), s, c0)
+
+
+@inlined
+def _first_beyond(hull, target, at_end):
+    """Part of the step after which its interpolant is first beyond a target; above 1: never.
+
+    Of steps that do not end there, in `at_end`, it is looked for at eighths of the step.
+    """
+    b1, b2, b3, b4 = hull.inner
+    c0, c1, c2 = hull.x - target, 5.0 * (b1 - hull.x), 10.0 * (b2 - 2.0 * b1 + hull.x)
+    c3 = 10.0 * (b3 - 3.0 * (b2 - b1) - hull.x)
+    c4 = 5.0 * (b4 - 4.0 * (b3 + b1) + 6.0 * b2 + hull.x)
+    c5 = hull.x_1 - hull.x - 5.0 * (b4 - b1) + 10.0 * (b3 - b2)
+    c = c0, c1, c2, c3, c4, c5
+    last = select(at_end, simd.splat(1.0), 2.0)
+    if simd.bits(~at_end & hull.turns_back) != 0:
+        for i in range(7, 0, -1):
+            s = simd.splat(0.125 * i)
+            last = select(~at_end & (_horner(c, s) * c0 <= 0.0), s, last)
+    s = select(at_end, c0 / (hull.x - hull.x_1), last)
+    for _ in range(2):
+        slope = fma(fma(fma(fma(5.0 * c5, s, 4.0 * c4), s, 3.0 * c3), s, 2.0 * c2), s, c1)
+        s = minimum(maximum(s - _horner(c, s) / slope, simd.splat(0.0)), last)
+    return select(last > 1.0, last, s)
+
+
+class _Layers(NamedTuple):
+    """What smoothing layers ask of a step."""
+
+    cut: Any  # it jumps over one, and has to be repeated
+    part: Any  # up to this part of it
+    leaves: Any  # it leaves one
+    limit: Any  # longest next step inside one [s]; infinity outside
+
+
+@inlined
+def _layers(q, hull, v, accepted, before):
+    """Keep steps from jumping over a thin layer.
+
+    A step that starts outside a layer, enters it and moves farther than the layer's half-width is
+    repeated up to the layer's edge. Inside, at least four steps are taken per passage, and on
+    leaving the step goes back to its length before the layer.
+    """
+    half = load(q, parameters.LAYER)
+    low, high = load(q, parameters.WALL_LOW), load(q, parameters.WALL_HIGH)
+    has_one = half > 0.0
+    starts_inside = (simd.absolute(hull.x - low) <= half) | (simd.absolute(hull.x - high) <= half)
+    ends_inside = (simd.absolute(hull.x_1 - low) <= half) | (simd.absolute(hull.x_1 - high) <= half)
+    at_low = (hull.high > low - half) & (hull.low < low + half)
+    at_high = (hull.high > high - half) & (hull.low < high + half)
+    cut = accepted & ~starts_inside & (hull.high - hull.low > half) & (at_low | at_high) & has_one
+    part = before.part
+    if simd.bits(cut) != 0:
+        # Slightly inside of the edge that is met first.
+        to_high = (hull.x > high) | ((hull.x > low) & at_high & ~(at_low & (v < 0.0)))
+        wall = select(to_high, high, low)
+        side = simd.copysign(simd.splat(1.0), hull.x - wall)
+        is_deep = (hull.x_1 - wall) * side < 0.8 * half
+        where = _first_beyond(hull, wall + side * (0.95 * half), is_deep)
+        cut = cut & (where <= 1.0)
+        part = select(cut, minimum(part, where), part)
+    limit = half / maximum(2.0 * simd.absolute(hull.v_1), 1e-300)
+    limit = select(ends_inside & has_one, minimum(before.limit, limit), before.limit)
+    leaves = accepted & starts_inside & ~ends_inside & has_one
+    return _Layers(before.cut | cut, part, before.leaves | leaves, limit)
+
+
+@inlined
+def _passings(q, x, x_1):
+    """How many walls lie between both ends, as a float vector."""
+    total = simd.splat(0.0)
+    for row in (parameters.WALL_LOW, parameters.WALL_HIGH):
+        wall, sign = load(q, row), -1.0 if row == parameters.WALL_LOW else 1.0
+        was, is_ = sign * (x - wall) > 0.0, sign * (x_1 - wall) > 0.0
+        total = total + select((was & ~is_) | (~was & is_), simd.splat(1.0), 0.0)
+    return total
+
+
+class _Contacts(NamedTuple):
+    """What contacts ask of a step."""
+
+    turns_back: Any  # a gap may turn back
+    near: Any  # ... and its ends do not tell how often it has passed a wall, or left a fit's range
+    leaves_mode: Any  # a located contact may leave its mode
+    layers: Any
+
+
+@inlined
+def _contacts(at, method, q, lane, accepted, h):
+    """Look at the gap of every contact."""
+    none = accepted & (h < 0.0)
+    turns_back, near, leaves_mode = none, none, none
+    layers = _Layers(none, simd.splat(1.0), none, simd.splat(np.inf))
+    for i in range(at.contacts):
+        q_i, hull = q[i], _hull(at, lane, _gap(at, i), h)
+        low, high = load(q_i, parameters.WALL_LOW), load(q_i, parameters.WALL_HIGH)
+        turns_back = turns_back | hull.turns_back
+        if at.is_located:
+            mode = load(lane, at.mode + i)
+            over_high = (hull.high > high) & (mode <= 0.0)
+            under_low = (hull.low < low) & (mode >= 0.0)
+            back = ((mode > 0.0) & (hull.low < high)) | ((mode < 0.0) & (hull.high > low))
+            leaves_mode = leaves_mode | over_high | under_low | back
+        else:
+            dips = ((hull.low <= high) & (hull.high > high)) | (
+                (hull.low < low) & (hull.high >= low)
+            )
+            if method.has_range:
+                centre, reach = load(q_i, parameters.CENTRE), load(q_i, parameters.RANGE)
+                leaves = (hull.high - centre > reach) | (hull.low - centre < -reach)
+                dips = dips | (leaves & (reach > 0.0))
+            near = near | (hull.turns_back & dips)
+            if method.cuts_at_layers:
+                v = load(lane, ends(at, _gap(at, i))[1])
+                layers = _layers(q_i, hull, v, accepted, layers)
+    return _Contacts(turns_back, near, leaves_mode, layers)
+
+
+@inlined
+def _count_passings(at, method, q, lane, commit):
+    """Count the walls that committed steps have passed by their ends; where any was."""
+    total = simd.splat(0.0)
+    for i in range(at.contacts):
+        rows, q_i = ends(at, _gap(at, i)), q[i]
+        x, x_1 = load(lane, rows[0]), load(lane, rows[3])
+        total = total + _passings(q_i, x, x_1)
+        if method.has_range:
+            centre, reach = load(q_i, parameters.CENTRE), load(q_i, parameters.RANGE)
+            is_out = commit & (simd.absolute(x_1 - centre) > reach) & (reach > 0.0)
+            store(lane, at.out_of_range, select(is_out, 1.0, load(lane, at.out_of_range)))
+    total = select(commit, total, 0.0)
+    store(lane, at.n_contacts, load(lane, at.n_contacts) + total)
+    return total > 0.0
+
+
+@inlined
+def _take_back_starts(at, q, lane, starts):
+    """Take back the passing that a start on a wall, which heads out, will count: it is none."""
+    for i in range(at.contacts):
+        rows, q_i = ends(at, _gap(at, i)), q[i]
+        x, v, a = load(lane, rows[0]), load(lane, rows[1]), load(lane, rows[5])
+        heading = select((v > 0.0) | (v < 0.0), v, a)
+        over_high = (x == load(q_i, parameters.WALL_HIGH)) & (heading > 0.0)
+        over_low = (x == load(q_i, parameters.WALL_LOW)) & (heading < 0.0)
+        count = load(lane, at.n_contacts) - select(starts & over_high, simd.splat(1.0), 0.0)
+        store(lane, at.n_contacts, count - select(starts & over_low, simd.splat(1.0), 0.0))
+
+
+@inlined
+def _may_turn(at, lane, h, found):
+    """Lanes where an extremum of a coordinate may lie in the step, or of a gap as `found`."""
+    if not at.is_plain:
+        for i in range(at.n):
+            found = found | _hull(at, lane, i, h).turns_back
+    return found
+
+
+@inlined
+def _is_within(at, lane, first, bound):
+    """Lanes whose coordinates in rows from `first` on are where a motion may be."""
+    within = simd.absolute(load(lane, first)) <= bound
+    for i in range(1, at.n):
+        within = within & (simd.absolute(load(lane, first + i)) <= bound)
+    return within
+
+
+@inlined
+def _has_pole(at, method, q, lane, none):
+    """Lanes whose step ends beyond a pole of a fit."""
+    if method.has_range:
+        for i in range(at.contacts):
+            store(lane, at.stage_gap + i, load(lane, ends(at, _gap(at, i))[3]))
+        laws.denominators(method.kinds, q, lane, at.stage_gap, at.force)
+        for i in range(at.contacts):
+            none = none | (load(lane, at.force + i) <= 0.0)
+    return none
+
+
+@inlined
+def _begin(at, method, lane, rtol, atol, left):
+    """The next step where the derivative has become known: at a start by ode45's rule, from rest by
+    the size of y' alone; at a wall as before, or by the same rule.
+    """
+    threshold, rate = atol / rtol, simd.splat(0.0)
+    chosen = load(lane, at.is_fresh) >= (AT_WALL if method.restarts else AT_START)
+    for j in range(at.n_states):
+        # Derivatives of the state: speeds, accelerations, rates of first-order states.
+        slope = load(lane, at.v + j if j < at.n else at.a_1 + j - at.n)
+        size = maximum(simd.absolute(load(lane, at.q + j)), threshold)
+        rate = maximum(rate, simd.absolute(slope) / size)
+    rate = rate / (0.8 * rtol**method.tableau.exponent)
+    longest = load(lane, at.h_max)
+    if method.is_ode45:
+        longest = select(chosen, minimum(load(lane, at.period), 0.1 * left), longest)
+        store(lane, at.h_max, longest)
+    h = minimum(longest, left)
+    h = select(h * rate > 1.0, 1.0 / rate, h)
+    return select(chosen, h, load(lane, at.h))
+
+
+@inlined
+def _set_active(at, q, lane):
+    """Put the contact mode where the located law looks for it."""
+    for i in range(at.contacts):
+        q_i, mode = q[i], load(lane, at.mode + i)
+        upper, none = load(q_i, parameters.STIFFNESS), simd.splat(0.0)
+        lower = load(q_i, parameters.RATIO) * upper
+        stiffness = select(mode > 0.0, upper, select(mode < 0.0, lower, none))
+        high, low = load(q_i, parameters.WALL_HIGH), load(q_i, parameters.WALL_LOW)
+        wall = select(mode > 0.0, high, select(mode < 0.0, low, none))
+        store(q_i, parameters.ACTIVE_STIFFNESS, stiffness)
+        store(q_i, parameters.ACTIVE_WALL, wall)
+
+
+@inlined
+def _commit(at, method, lane, commit, fresh):
+    """Move committed lanes to the end of the step."""
+    for i in range(at.n_states):
+        store(lane, at.q + i, select(commit, load(lane, at.q_1 + i), load(lane, at.q + i)))
+    has_rates = commit | fresh
+    for i in range(at.n_rates):
+        store(lane, at.a + i, select(has_rates, load(lane, at.a_1 + i), load(lane, at.a + i)))
+    for i in range(at.n):
+        reach = load(lane, at.reach + i)
+        farther = maximum(reach, simd.absolute(load(lane, at.q_1 + i)))
+        store(lane, at.reach + i, select(commit, farther, reach))
+    if method.tangent:
+        for i in range(at.n_states * at.n_states):
+            after = load(lane, at.tangent_1 + i)
+            after = select(simd.absolute(after) < VANISHED, 0.0 * after, after)
+            store(
+                lane,
+                at.tangent_state + i,
+                select(commit, after, load(lane, at.tangent_state + i)),
+            )
+
+
+@inlined
+def _add(lane, row, lanes):
+    """Count some lanes."""
+    store(lane, row, load(lane, row) + select(lanes, simd.splat(1.0), 0.0))
+
+
+@internal
+def _polynomials(at, method, q, lane, coefficients, h):
+    """The polynomials of the step, of coordinates, first-order states and gaps, and of tangents."""
+    tableau, row = method.tableau, at.n_series * at.n_terms
+    for stage in range(tableau.n_stages, tableau.c.size):
+        stage_derivative(at, method.kinds, q, lane, tableau, method.k, h, stage)
+    polynomials(at, tableau, lane, at.q, method.k, 0, h, coefficients, 0)
+    if not at.is_plain:
+        for i in range(at.contacts):
+            for n in range(at.n_terms):
+                total = simd.splat(0.0)
+                for j in range(at.n):
+                    of_place = load(coefficients, j * at.n_terms + n)
+                    total = fma(load(lane, at.direction + i * at.n + j), of_place, total)
+                store(coefficients, (at.first_gap + i) * at.n_terms + n, total)
+    if at.is_located and method.tangent:
+        more = tableau.n_stages, tableau.c.size
+        tangent_stages(at, method.kinds, q, lane, tableau, method.k, method.k_tangent, h, more)
+        for column in range(at.n_states):
+            state = at.tangent_state + column * at.n_states
+            first = column * tableau.c.size * at.n_rates
+            polynomials(at, tableau, lane, state, method.k_tangent, first, h, coefficients, row)
+            row += at.n_rates * at.n_terms
+
+
+@inlined
+def runge_kutta_step(at, method, lane, coefficients, limits):
+    """Attempt a step of every lane.
+
+    One function: what a step decides, with wide values in registers that no call would keep there.
+
+    Parameters
+    ----------
+    at : Layout
+        With the types of the laws it decides the specialisation.
+    method : RungeKutta
+    lane : ndarray, shape (n_rows, WIDTH)
+        State of the lanes, updated.
+    coefficients : ndarray
+        Receives the polynomials of the step where a lane is named in the outcome.
+    limits : tuple of float
+        As of `advance`.
+
+    Returns
+    -------
+    Outcome
+    """
+    rtol, atol, bound, _ = limits
+    tableau, k, kinds, q = method.tableau, method.k, method.kinds, method.q
+    fresh = load(lane, at.is_fresh) > 0.0
+    h_asked = select(fresh, simd.splat(0.0), load(lane, at.h))
+    period, tau, cycle = load(lane, at.period), load(lane, at.tau), load(lane, at.cycle)
+    left = (load(lane, at.end_cycle) - cycle) + (load(lane, at.end_tau) - tau)
+    left = maximum((left - load(lane, at.tau_low)) * period, simd.splat(0.0))
+    failed = load(lane, at.failed)
+    stretched = h_asked * select(failed == _CUT, simd.splat(1.0), STRETCH)
+    to_end = ~fresh & (stretched >= left)
+    h = select(to_end, left, h_asked)
+    if at.is_located:
+        _set_active(at, q, lane)
+
+    stages(at, kinds, q, lane, tableau, k, h)
+    error = _error(at, method, lane, h, rtol, atol)
+    if method.tangent:
+        all_ = 0, tableau.n_stages
+        tangent_stages(at, kinds, q, lane, tableau, k, method.k_tangent, h, all_)
+        error = maximum(_tangent_error(at, method, lane, h, rtol), error)
+    accepted = (error <= 1.0) & ~fresh
+    h_next = _next_step(method, error, h, failed == _FAILED, accepted)
+    contacts = _contacts(at, method, q, lane, accepted, h)
+    layers = contacts.layers
+    unclear = accepted & contacts.leaves_mode
+    commit = accepted & ~unclear & ~layers.cut
+
+    turns = cycle + (tau - load(lane, at.tau_start))
+    h_min = maximum(3.6e-15 * (turns * period), load(lane, at.min_step))
+    within = _is_within(at, lane, at.q_1, bound)
+    pole = commit & _has_pole(at, method, q, lane, fresh & ~fresh)
+    bad = (~accepted & ~fresh & (h <= h_min)) | pole | (commit & ~within)
+    if at.is_located:
+        store(lane, at.n_short, select(commit, 0.0, load(lane, at.n_short)))
+
+    if method.cuts_at_layers:
+        h_next = select(layers.leaves, maximum(h_next, load(lane, at.h_saved)), h_next)
+        h_next = select(layers.cut, layers.part * h, minimum(h_next, layers.limit))
+        store(lane, at.h_saved, select(layers.cut, h, load(lane, at.h_saved)))
+    if simd.bits(fresh) != 0:
+        h_next = select(fresh, _begin(at, method, lane, rtol, atol, left), h_next)
+        for i in range(at.n_rates):
+            within = within & (simd.absolute(load(lane, at.a_1 + i)) < np.inf)
+        bad = bad | (fresh & ~within)
+        if not at.is_located:
+            _take_back_starts(at, q, lane, load(lane, at.is_fresh) >= AT_START)
+        _add(lane, at.n_starts, fresh)
+        store(lane, at.is_fresh, simd.splat(0.0))
+    if simd.bits(bad) != 0:
+        reason = select(pole, MODEL_INVALID, simd.splat(STEP_UNDERFLOW))
+        reason = select(within, reason, DIVERGED)
+        store(lane, at.n_short, select(bad, reason, load(lane, at.n_short)))
+    store(lane, at.h, minimum(maximum(h_next, h_min), load(lane, at.h_max)))
+    failed = select(accepted | fresh, simd.splat(0.0), _FAILED)
+    store(lane, at.failed, select(layers.cut, _CUT, failed))
+
+    # Clock, recording, polynomials.
+    turned = fma(h, load(lane, at.omega), load(lane, at.tau_low))
+    tau_1 = tau + turned
+    low_1 = turned - (tau_1 - tau)
+    whole = maximum(simd.floor(tau_1), simd.splat(0.0))
+    ended = commit & to_end
+    cycle_1 = select(ended, load(lane, at.end_cycle), cycle + whole)
+    tau_1 = select(ended, load(lane, at.end_tau), tau_1 - whole)
+    is_section = (cycle_1 > cycle) & (cycle_1 - load(lane, at.record_clock) >= -CLOCK_SLACK)
+    is_event = cycle_1 + tau_1 - load(lane, at.event_clock) >= -CLOCK_SLACK
+    passes = contacts.leaves_mode
+    if not at.is_located:
+        passes = _count_passings(at, method, q, lane, commit)
+    eventful = unclear | _may_turn(at, lane, h, contacts.turns_back)
+    if method.contacts:
+        eventful = eventful | passes
+    if method.dense:
+        eventful = commit | unclear
+    recording = (commit | unclear) & (is_section | (is_event & eventful))
+    near = commit & contacts.near
+    needed = recording | unclear | near
+    if simd.bits(needed) != 0:
+        _polynomials(at, method, q, lane, coefficients, h)
+        store(lane, at.step, h)
+        store(lane, at.tau_0, tau)
+        store(lane, at.cycle_0, cycle)
+        for i in range(at.contacts):
+            store(lane, at.mode_0 + i, load(lane, at.mode + i))
+            store(lane, at.side + i, simd.splat(0.0))
+
+    _commit(at, method, lane, commit, fresh)
+    store(lane, at.tau, select(commit, tau_1, tau))
+    tau_low = load(lane, at.tau_low)
+    store(lane, at.tau_low, select(commit, select(ended, 0.0 * low_1, low_1), tau_low))
+    store(lane, at.cycle, select(commit, cycle_1, cycle))
+    _add(lane, at.n_steps, commit)
+    _add(lane, at.n_rejected, (~accepted & ~fresh) | layers.cut)
+    return Outcome(
+        simd.bits(unclear), simd.bits(ended), simd.bits(bad), simd.bits(recording), simd.bits(near)
+    )

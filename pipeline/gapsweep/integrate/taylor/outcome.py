@@ -1,0 +1,28 @@
+"""What a step of all lanes comes to."""
+
+from typing import NamedTuple
+
+# Why a lane cannot go on, in its row `n_short`.
+STEP_UNDERFLOW, MODEL_INVALID, DIVERGED = -1.0, -2.0, -3.0
+
+
+class Outcome(NamedTuple):
+    """Bit i of each word answers for lane i.
+
+    Attributes
+    ----------
+    unclear : int
+        Its step is not committed, as it may have to end at a contact.
+    done, bad : int
+        It has reached its end; it cannot go on.
+    recording : int
+        Its step may hold something to record.
+    near : int
+        The ends of its step do not tell how often it has passed a wall that is not located.
+    """
+
+    unclear: int
+    done: int
+    bad: int
+    recording: int
+    near: int

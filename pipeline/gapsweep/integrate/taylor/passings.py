@@ -1,0 +1,154 @@
+"""Walls passed within the steps of a law whose contacts are not located."""
+
+from gapsweep.integrate.jit import chosen_by_type, internal
+from gapsweep.integrate.runge_kutta.parameters import CENTRE, N_PARAMETERS, RANGE
+from gapsweep.integrate.vectors import lowest_bit
+
+from .record import (
+    CONTACTS,
+    ENTER_LOWER,
+    ENTER_UPPER,
+    TIME,
+    VALUE,
+    begin_row,
+    load_series,
+    write_state,
+)
+from .roots import SIMPLE, first_exit, isolate, polynomial
+
+
+def count_passings(layout, among, run):
+    """Correct the counts of lanes whose last step may have passed a wall and come back."""
+    raise NotImplementedError("compiled code only")
+
+
+def record_passings(layout, among, run):
+    """Rows of the walls that lanes have passed in their last steps, in the order of time."""
+    raise NotImplementedError("compiled code only")
+
+
+@chosen_by_type(count_passings)
+def _chosen_count(layout, among, run):
+    one = _none if layout.layout.is_located else _count_all
+    return lambda layout, among, run: one(among, run)
+
+
+@chosen_by_type(record_passings)
+def _chosen_record(layout, among, run):
+    one = _none if layout.layout.is_located else _record_all
+    return lambda layout, among, run: one(among, run)
+
+
+@internal
+def _none(among, run):
+    """The loop itself counts and records located contacts."""
+
+
+@internal
+def _count_all(among, run):
+    while among != 0:
+        k = lowest_bit(among)
+        among &= among - 1
+        _count(run.at, run, k)
+
+
+@internal
+def _record_all(among, run):
+    while among != 0 and run.contacts:
+        k = lowest_bit(among)
+        among &= among - 1
+        _record(run.at, run, k)
+
+
+@internal
+def _passings(at, run, k, end, wall, outward):
+    """How often the series in `work.series` passes a wall up to `end`; when, in `work.roots`.
+
+    A motion that starts on the wall and heads out passes it too, but has no time of it.
+
+    Returns
+    -------
+    n_times, n_by_ends, heads_out : int
+        The times; passings that both ends of the step tell of, which is what steps count;
+        1 where it starts on the wall and heads out.
+    """
+    work, h = run.work, run.lanes[at.step, k]
+    series, gap = work.series, work.reduced
+    degree, skipped, is_on = at.order, 0, series[0] == wall
+    if is_on:
+        skipped = 1
+        while skipped < degree and series[skipped] == 0.0:
+            skipped += 1
+    for n in range(skipped, degree + 1):
+        gap[n - skipped] = series[n]
+    if not is_on:
+        gap[0] = series[0] - wall
+    was, is_ = outward * (series[0] - wall) > 0.0, outward * (end - wall) > 0.0
+    heads_out = int(is_on and outward * gap[0] > 0.0)
+    if gap[0] == 0.0 or h <= 0.0:
+        return 0, int(was != is_), heads_out
+    found = isolate(degree - skipped, h, (end - wall) / h**skipped, -1.0, work)
+    kept = 0
+    for i in range(found):
+        if work.multiplicity[i] == SIMPLE:
+            work.roots[kept] = work.roots[i]
+            kept += 1
+    return kept, int(was != is_), heads_out
+
+
+@internal
+def _end_of(at, run, k, contact):
+    """A gap at the end of the last step, as the next one begins with it."""
+    lanes = run.lanes
+    if at.is_plain:
+        return lanes[at.q, k]
+    place = 0.0
+    for i in range(at.n):
+        place += lanes[at.direction + contact * at.n + i, k] * lanes[at.q + i, k]
+    return place
+
+
+@internal
+def _count(at, run, k):
+    lanes, work = run.lanes, run.work
+    for contact in range(at.contacts):
+        load_series(run.coefficients, (at.first_gap + contact) * at.n_terms, k, work.series)
+        end, _ = polynomial(work.series, at.order, lanes[at.step, k])
+        for side in (1.0, -1.0):
+            wall = lanes[(at.upper if side > 0.0 else at.lower) + contact, k]
+            n_times, n_by_ends, heads_out = _passings(at, run, k, end, wall, side)
+            lanes[at.n_contacts, k] += n_times + heads_out - n_by_ends
+        law = at.law + contact * N_PARAMETERS
+        centre, reach = lanes[law + CENTRE, k], lanes[law + RANGE, k]
+        if reach > 0.0:
+            h, lo, hi = lanes[at.step, k], centre - reach, centre + reach
+            _, side = first_exit(h, lo, hi, end, work)
+            lanes[at.out_of_range, k] = max(lanes[at.out_of_range, k], abs(side))
+
+
+@internal
+def _record(at, run, k):
+    lanes, work, rows = run.lanes, run.work, run.logs[CONTACTS]
+    begun = lanes[at.cycle_0, k] + lanes[at.tau_0, k] - lanes[at.event_clock, k]
+    for contact in range(at.contacts):
+        load_series(run.coefficients, (at.first_gap + contact) * at.n_terms, k, work.series)
+        end, first = _end_of(at, run, k, contact), run.fill[CONTACTS]
+        for side in (1.0, -1.0):
+            wall = lanes[(at.upper if side > 0.0 else at.lower) + contact, k]
+            n_times, _, heads_out = _passings(at, run, k, end, wall, side)
+            is_beyond = side * (work.series[0] - wall) > 0.0 or heads_out == 1
+            for i in range(n_times):
+                t = work.roots[i]
+                entered = ENTER_UPPER if side > 0.0 else ENTER_LOWER
+                kind = entered + 1 if is_beyond else entered
+                is_beyond = not is_beyond
+                if t >= -begun * lanes[at.period, k]:
+                    row = begin_row(run, CONTACTS, k, kind, lanes[at.start_time, k] + t, contact)
+                    write_state(at, run, k, rows, row, VALUE, t)
+        # Those of both walls, in the order of time.
+        for i in range(first + 1, run.fill[CONTACTS]):
+            j = i
+            while j > first and rows[j - 1, TIME] > rows[j, TIME]:
+                for column in range(rows.shape[1]):
+                    rows[j - 1, column], rows[j, column] = rows[j, column], rows[j - 1, column]
+                j -= 1
