@@ -54,114 +54,12 @@ def test_a_start_that_rounding_put_beside_a_wall_is_on_it(wall, sign, towards, v
         assert abs(beside.x_end - exact.x_end) < 1e-10
 
 
-@pytest.mark.parametrize("forcing", [4.0, -4.0])
-def test_start_on_a_wall_goes_where_the_forcing_pushes(forcing, tight):
-    run = gs.simulate(gs.Oscillator(forcing=forcing), gs.Piecewise(SOFT, ASYMMETRIC), 6.0,
-                      t_end=0.05, dense_output=True, **tight)  # fmt: skip
-    x, _ = run.sample(1e-3)
-    assert math.copysign(1.0, x) == math.copysign(1.0, forcing)
-    assert 0.0 not in run.t_contacts
-
-
-@pytest.mark.parametrize("rtol", [1e-10, 1e-4])
-@pytest.mark.parametrize("engine", ENGINES)
-def test_conserved_energy_survives_many_contacts(engine, rtol):
-    oscillator = gs.Oscillator(zeta=0.0, forcing=0.0)
-    law = gs.Piecewise(1.4e6, SYMMETRIC)
-    run = gs.simulate(
-        oscillator,
-        law,
-        1.0,
-        x_0=0.0,
-        v_0=0.05,
-        t_end=5.0,
-        engine=engine,
-        rtol=rtol,
-        atol=1e-3 * rtol,
-    )
-    energy = 0.5 * oscillator.mass * run.v_end**2 + potential(oscillator, law, run.x_end)
-    assert run.n_contacts > 100
-    assert_allclose(energy, 0.5 * oscillator.mass * 0.05**2, rtol=2e3 * rtol)
-
-
-def test_extrema_are_the_turning_points_of_conservative_motion(tight):
-    oscillator = gs.Oscillator(zeta=0.0, forcing=0.0)
-    law = gs.Piecewise(SOFT, SYMMETRIC)
-    run = gs.simulate(oscillator, law, 1.0, v_0=0.05, t_end=2.0, **tight)
-    turning = [potential(oscillator, law, x) for x in run.extrema[:6]]
-    assert_allclose(turning, 0.5 * oscillator.mass * 0.05**2, rtol=1e-7)
-    assert np.all(np.diff(np.sign(run.extrema)) != 0)
-
-
-def test_contacts_alternate_between_touching_and_parting(tight):
-    run = gs.simulate(gs.Oscillator(), gs.Piecewise(1.4e6, SYMMETRIC), 9.0, t_end=5.0,
-                      dense_output=True, **tight)  # fmt: skip
-    x, v = run.sample(run.t_contacts)
-    outward = np.sign(x * v)
-    assert_allclose(np.abs(x), 0.4e-3, rtol=1e-9)
-    assert outward[0] == 1
-    assert np.all(outward[1:] == -outward[:-1])
-
-
 def test_contacts_shorter_than_a_step_are_not_missed(tight):
     # DOP853 at a loose tolerance steps over whole contacts of this scene.
     scene = gs.Oscillator(), gs.Piecewise(1.4e3, gs.Gap(0.0, 0.8e-3)), 30.0
     coarse = gs.simulate(*scene, t_end=5.0, engine="scipy", rtol=9.9e-7, atol=1e-6)
     fine = gs.simulate(*scene, t_end=5.0, **tight)
     assert coarse.n_contacts == fine.n_contacts
-
-
-def test_dip_inside_one_step_is_found_or_too_shallow_to_matter(tight):
-    # Unforced and undamped, the turning point at x = amplitude is the only extremum: put the
-    # wall just inside it and the contact is as short as one likes.
-    oscillator = gs.Oscillator(zeta=0.0, forcing=0.0, alpha=0.0)
-    for depth in (1e-3, 1e-6, 1e-9, 1e-12):
-        amplitude = 0.05 / oscillator.omega_n_rad
-        wall = amplitude * (1.0 - depth)
-        law = gs.Piecewise(SOFT, gs.Gap(1.0, wall))
-        run = gs.simulate(oscillator, law, 1.0, v_0=0.05, t_end=0.19, **tight)
-        assert run.n_contacts == 2
-        assert run.extrema[0] > wall * (1 - 1e-12)
-
-
-def test_symmetric_gap_mirrors_the_motion(tight):
-    law = gs.Piecewise(SOFT, SYMMETRIC)
-    one = gs.simulate(gs.Oscillator(forcing=4.0), law, 9.0, x_0=1e-4, v_0=0.01, t_end=3.0, **tight)
-    two = gs.simulate(
-        gs.Oscillator(forcing=-4.0), law, 9.0, x_0=-1e-4, v_0=-0.01, t_end=3.0, **tight
-    )
-    assert_allclose([one.x_end, one.v_end], [-two.x_end, -two.v_end], rtol=1e-9)
-    assert one.n_contacts == two.n_contacts
-
-
-def test_zero_gap_is_a_stiffer_spring(tight):
-    gapless = gs.simulate(
-        gs.Oscillator(), gs.Piecewise(SOFT, gs.Gap(0, 0)), 9.0, t_end=2.0, **tight
-    )
-    k = gs.Oscillator().mass * gs.Oscillator().omega_n_rad ** 2
-    omega_n = math.sqrt((k + SOFT) / 3.0) / (2 * math.pi)
-    # The damping term is 2 ζ ω_n: keep it the same with the higher frequency.
-    plain = gs.Oscillator(omega_n=omega_n, zeta=0.03 * 5.0 / omega_n)
-    free = gs.simulate(plain, gs.Piecewise(0.0, SYMMETRIC), 9.0, t_end=2.0, **tight)
-    assert_allclose([gapless.x_end, gapless.v_end], [free.x_end, free.v_end], atol=1e-10)
-
-
-def test_whole_periods_before_the_start_change_nothing(tight):
-    law = gs.Piecewise(SOFT, SYMMETRIC)
-    early = gs.simulate(gs.Oscillator(), law, 8.0, t_end=2.0, **tight)
-    late = gs.simulate(gs.Oscillator(), law, 8.0, t_0=1e6, t_end=1e6 + 2.0, **tight)
-    assert_allclose([late.x_end, late.v_end], [early.x_end, early.v_end], rtol=1e-9)
-    assert_allclose(late.section, early.section, atol=1e-12)
-
-
-def test_sample_returns_start_and_end(tight):
-    run = gs.simulate(gs.Oscillator(), gs.Tanh(SOFT, SYMMETRIC, 1e4), 8.0, x_0=1e-4, t_end=1.0,
-                      dense_output=True, **tight)  # fmt: skip
-    x, v = run.sample([0.0, 1.0])
-    assert_allclose(x, [1e-4, run.x_end], rtol=1e-12)
-    assert_allclose(v, [0.0, run.v_end], atol=1e-14)
-    with pytest.raises(gs.ModelError, match=r"t = 2 s: must be within 0..1 s"):
-        run.sample(2.0)
 
 
 @pytest.mark.parametrize(
@@ -251,29 +149,6 @@ def test_a_wall_too_stiff_for_one_step_is_a_status():
     run = gs.simulate(gs.Oscillator(), law, 9.0, t_end=0.5, engine="scipy")
     assert run.status is gs.Status.STEP_UNDERFLOW
     assert run.t_end < 0.5
-
-
-@pytest.mark.parametrize("label", ["piecewise", "tanh-1e4"])
-def test_a_run_that_is_sampled_first_is_the_run_that_is_sampled_last(label):
-    """The pass that samples records the end of the motion too, bit for bit the same one."""
-    law, t = gs.contact_law(label, 1.4e4, gs.Gap(0.4e-3, 0.4e-3)), np.linspace(1.5, 2.0, 7)
-
-    def run():
-        omega = np.array([8.0, 9.0])
-        return gs.simulate(gs.Oscillator(), law, omega, t_end=2.0, dense_output=True)
-
-    first, last = run(), run()
-    sampled_first = first.sample(t)
-    ends = [
-        (each.x_end, each.v_end, each.n_steps, each.status, each.n_contacts)
-        for each in (last, first)
-    ]
-    for name, ours, theirs in zip("xvnsc", *ends, strict=True):
-        assert ours.tobytes() == theirs.tobytes(), name
-    for ours, theirs in zip(sampled_first, last.sample(t), strict=True):
-        assert ours.tobytes() == theirs.tobytes()
-    # Seconds into the last step are a difference of rounded times.
-    np.testing.assert_allclose(sampled_first[0][..., -1], first.x_end, rtol=1e-11)
 
 
 @pytest.mark.parametrize("label", ["piecewise", "tanh-1e5", "poly-13"])
