@@ -68,7 +68,8 @@ def runge_kutta_scenes(
     for name in ("multiple", "depth_multiple"):
         block = slice(at.first[name], at.first[name] + at.blocks[name])
         highest = np.maximum(highest, points[:, block].max(axis=1, initial=1.0))
-    points[:, at.h_max] = points[:, at.period] / highest
+    # A tenth of the time span for ode45, as is known at the start.
+    points[:, at.h_max] = np.inf if controller == "ode45" else points[:, at.period] / highest
     fastest = points[:, at.stiffness] if at.is_plain else points[:, at.fastest]
     points[:, at.min_step] = _MIN_STEP / np.maximum(points[:, at.omega], np.sqrt(fastest))
     points[:, at.is_fresh] = AT_START

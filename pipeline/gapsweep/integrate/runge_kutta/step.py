@@ -400,7 +400,7 @@ def _begin(at, method, lane, rtol, atol, left):
     rate = rate / (0.8 * rtol**method.tableau.exponent)
     longest = load(lane, at.h_max)
     if method.is_ode45:
-        longest = select(chosen, minimum(load(lane, at.period), 0.1 * left), longest)
+        longest = select(chosen, minimum(longest, 0.1 * left), longest)
         store(lane, at.h_max, longest)
     h = minimum(longest, left)
     h = select(h * rate > 1.0, 1.0 / rate, h)

@@ -203,7 +203,11 @@ def run(
     ended = points[:-1]
     if not at.is_taylor:
         left_range = ended[:, at.out_of_range] > 0.0
+        has_failed = np.append(False, statuses[:-1] != OK) & follows[:-1]
         statuses[left_range & np.isin(statuses, _OF_MOTIONS)] = Status.OUT_OF_FIT_RANGE
+        # What follows a failure has failed, and as it did.
+        source = np.maximum.accumulate(np.where(has_failed, 0, np.arange(len(statuses))))
+        statuses = statuses[source]
     n_stages = 0 if at.is_taylor else method.tableau.n_stages
     counts = _counts(at, ended, n_stages)
     return _outcome(at, ended, statuses, t_end, events, steps if dense_output else None, counts)
@@ -231,6 +235,8 @@ def _drained(
     sections = _section_rows(at, points[:-1])
     if len(sections):
         capacities[record.SECTIONS] = int(sections[-1, 1])
+    elif not at.is_taylor:  # then a step records no more than one
+        points[:, at.h_max] = np.minimum(points[:, at.h_max], points[:, at.period])
     run = Run(
         at=at.numbers,
         method=method,

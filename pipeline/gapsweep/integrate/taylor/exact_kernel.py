@@ -55,8 +55,8 @@ def _commit_clock(at, lanes, k, step, is_done):
         turned = lanes[at.tau_low, k] + lanes[at.omega, k] * step
         tau_1, cycle_1 = lanes[at.tau, k] + turned, lanes[at.cycle, k]
         low_1 = turned - (tau_1 - lanes[at.tau, k])
-        if tau_1 >= 1.0:
-            tau_1, cycle_1 = tau_1 - 1.0, cycle_1 + 1.0
+        whole = max(math.floor(tau_1), 0.0)
+        tau_1, cycle_1 = tau_1 - whole, cycle_1 + whole
     lanes[at.tau, k], lanes[at.tau_low, k], lanes[at.cycle, k] = tau_1, low_1, cycle_1
 
 

@@ -135,15 +135,16 @@ def _record_sections(at, among, run):
     while among != 0:
         k = lowest_bit(among)
         among &= among - 1
-        cycle = lanes[at.cycle, k]
-        if cycle > lanes[at.cycle_0, k] and cycle >= first_section(lanes[at.record_clock, k]):
-            _record_section(at, run, k)
+        whole = max(lanes[at.cycle_0, k] + 1.0, first_section(lanes[at.record_clock, k]))
+        while whole <= lanes[at.cycle, k]:
+            _record_section(at, run, k, whole)
+            whole += 1.0
 
 
 @internal
-def _record_section(at, run, k):
-    """A section point, at its place where the motion has some."""
-    lanes, cycle = run.lanes, run.lanes[at.cycle, k]
+def _record_section(at, run, k, whole):
+    """The section point after so many periods, at its place where the motion has some."""
+    lanes = run.lanes
     if len(run.sections) > 0:
         places = run.sections[run.lane_point[k]]
         i = places[0]
@@ -154,10 +155,10 @@ def _record_section(at, run, k):
         i = run.fill[SECTIONS]
         run.fill[SECTIONS] += 1
     period = lanes[at.period, k]
-    t = lanes[at.t_start, k] + (cycle - lanes[at.tau_start, k]) * period
-    until = min((1.0 - lanes[at.tau_0, k]) * period, lanes[at.step, k])
-    _write_section(at, run, k, i, t, until)
-    if lanes[at.tau, k] == 0.0:
+    t = lanes[at.t_start, k] + (whole - lanes[at.tau_start, k]) * period
+    until = ((whole - lanes[at.cycle_0, k]) - lanes[at.tau_0, k]) * period
+    _write_section(at, run, k, i, t, min(until, lanes[at.step, k]))
+    if whole == lanes[at.cycle, k] and lanes[at.tau, k] == 0.0:
         for j in range(at.n_states):
             run.logs[SECTIONS][i, STATE + j] = lanes[at.q + j, k]
 
