@@ -114,6 +114,15 @@ def members(kind: type[IntEnum], numbers: NDArray[np.integer]) -> Any:
     return np.array([*kind], dtype=object)[numbers]
 
 
+def objects(value: Any) -> NDArray[Any]:
+    """Objects of a list, tuple or array as an array; one object as an array without axes."""
+    if isinstance(value, list | tuple | np.ndarray):
+        return np.array(value, dtype=object)
+    found = np.empty((), object)
+    found[()] = value
+    return found
+
+
 def dataset(
     inputs: Mapping[str, Any],
     shape: tuple[int, ...],
@@ -122,8 +131,8 @@ def dataset(
 ) -> "xr.Dataset":
     """Dataset of the points of a call.
 
-    Its dimensions are `omega` and `initial_condition` where every frequency is computed from every
-    initial state, otherwise `point`. The other inputs are its attributes.
+    Its dimensions are `omega` and `initial_condition` where one model is computed at every
+    frequency from every initial state, otherwise `point`. The other inputs are its attributes.
 
     Parameters
     ----------
@@ -137,7 +146,8 @@ def dataset(
     """
     import xarray as xr  # takes half a second, which no computation needs
 
-    parts, is_system = inputs["oscillator"].parts, "q_0" in inputs
+    parts, is_system = objects(inputs["oscillator"]).flat[0].parts, "q_0" in inputs
+    is_grid = not any(np.ndim(inputs.get(name, 0)) for name in ("oscillator", "law", "n_periods"))
     states = {
         name.replace("q", "x"): np.reshape(inputs[name], (*shape, -1))
         for name in ("x_0", "q_0", "v_0", "z_0")
@@ -152,7 +162,8 @@ def dataset(
         others = ((i, axes[x]) for i, dim in enumerate(dims) for x in axes if x != dim)
         return all(bool((values == values.take([0], i)).all()) for i, values in others)
 
-    dims = next(filter(spans, permutations(axes, len(shape))), (POINT,))
+    grids = permutations(axes, len(shape)) if is_grid else ()
+    dims = next(filter(spans, grids), (POINT,))
     n = math.prod(shape)
     sizes = dict(zip(dims, shape if len(dims) == len(shape) else (n,), strict=True))
     sizes |= {name: len(labels) for name, labels in parts.items()}

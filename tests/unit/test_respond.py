@@ -309,6 +309,18 @@ def test_scipy_records_only_what_is_asked_for():
         assert together.n_steps[k] == alone.n_steps
 
 
+def test_several_models_and_laws_give_what_each_gives_alone():
+    models = [gs.Oscillator(zeta=0.05), gs.Oscillator(mean_load=0.5), gs.Oscillator(forcing=9.0)]
+    laws = [[gs.Piecewise(1.4e4, SYMMETRIC)], [gs.Tanh(1.4e4, SYMMETRIC, epsilon=1e4)]]
+    together = gs.respond(models, laws, omega=[9.0, 8.0, 7.0])
+    assert together.status.shape == (2, 3)
+    for i, j in np.ndindex(2, 3):
+        alone = gs.respond(models[j], laws[i][0], omega=9.0 - j)
+        for name in ("x_max", "x_min", "multiplier_abs", "n_steps", "contact_share", "force_max"):
+            assert getattr(together, name)[i, j] == getattr(alone, name)
+        assert_array_equal(together.section[i, j], alone.section)
+
+
 @pytest.mark.parametrize(
     ("omega", "x_0", "said"),
     [

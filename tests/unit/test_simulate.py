@@ -5,6 +5,7 @@ import multiprocessing
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -142,6 +143,116 @@ def test_bad_arguments_are_refused_by_name(arguments, message):
     given = {"omega": 5.0, "t_end": 1.0} | arguments
     with pytest.raises(gs.ModelError, match=message):
         gs.simulate(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
+
+
+MODELS = [gs.Oscillator(zeta=0.05), gs.Oscillator(mean_load=0.5, c=2.0), gs.Oscillator(forcing=9.0)]
+LAWS = [
+    gs.Piecewise(SOFT, SYMMETRIC),
+    gs.Piecewise(1.4e5, ASYMMETRIC),
+    gs.Tanh(SOFT, SYMMETRIC, epsilon=1e4),
+]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_a_number_of_periods_ends_on_the_section(law, engine):
+    rng = np.random.default_rng(5)
+    n = 3 if engine == "scipy" else 100
+    omega, n_periods = rng.uniform(5.0, 30.0, n), rng.integers(1, 9, n)
+    runs = gs.simulate(gs.Oscillator(), law, omega, n_periods=n_periods, engine=engine)
+    assert_allclose(runs.t_end, n_periods / omega, rtol=1e-15)
+    for k, section in enumerate(runs.section):
+        assert len(section) == n_periods[k]
+        end = [runs.x_end[k], runs.v_end[k]]
+        if engine == "scipy":  # whose section is read off between steps
+            assert_allclose(section[-1], end, rtol=1e-6, atol=1e-9)
+        else:
+            assert section[-1].tolist() == end
+    again = gs.simulate(
+        gs.Oscillator(), law, omega[0], t_end=n_periods[0] / omega[0], engine=engine
+    )
+    assert (again.x_end, again.v_end) == (runs.x_end[0], runs.v_end[0])
+
+
+def test_periods_are_counted_from_the_start():
+    given = {"omega": 8.0, "t_0": 0.3, "tangent": True}
+    run = gs.simulate(gs.Oscillator(), LAWS[0], n_periods=12, **given)
+    assert_allclose(run.t_end, 0.3 + 12 / 8.0, rtol=1e-15)
+    rate = gs.Oscillator().decay_rate
+    assert_allclose(np.linalg.det(run.monodromy), math.exp(-2.0 * rate * 12 / 8.0), rtol=1e-6)
+
+
+def test_several_models_and_laws_give_what_each_gives_alone():
+    omega, n_periods = np.array([[9.0], [7.0]]), [20, 30, 10]
+    given = {"rtol": 1e-7, "tangent": True}
+    runs = gs.simulate(MODELS, LAWS, omega, n_periods=n_periods, **given)
+    assert runs.shape == (2, 3)
+    for i, j in np.ndindex(2, 3):
+        alone = gs.simulate(
+            MODELS[j], LAWS[j], omega[i, 0], n_periods=n_periods[j], **given
+        )  # fmt: skip
+        for name in ("t_end", "x_end", "v_end", "n_steps", "nfev", "monodromy"):
+            assert_same(getattr(runs, name)[i, j], getattr(alone, name))
+        for name in ("extrema", "t_extrema", "t_contacts", "section", "t_section"):
+            assert_same(getattr(runs, name)[i, j], getattr(alone, name))
+        assert runs.laws[i, j] == alone.laws
+
+
+def test_several_models_can_be_sampled():
+    runs = gs.simulate(MODELS, LAWS, 9.0, t_end=1.0, dense_output=True)
+    x, _ = runs.sample([0.25, 0.5])
+    for j, (model, law) in enumerate(zip(MODELS, LAWS, strict=True)):
+        alone = gs.simulate(model, law, 9.0, t_end=1.0, dense_output=True)
+        assert_same(x[j], alone.sample([0.25, 0.5])[0])
+
+
+def test_several_systems_start_from_their_own_states():
+    one, law = gs.systems.two_masses(), gs.systems.two_masses_law()
+    other = replace(one, damping=2.0 * one.damping)
+    q_0 = np.array([[0.1, 0.0], [0.2, -0.1]])
+    runs = gs.simulate([one, other], law, 0.6, q_0=q_0, n_periods=[3, 4])
+    for k, system in enumerate((one, other)):
+        alone = gs.simulate(system, law, 0.6, q_0=q_0[k], n_periods=3 + k)
+        assert_same(runs.q_end[k], alone.q_end)
+        assert_same(runs.extrema[k], alone.extrema)
+
+
+def test_extrema_of_a_loaded_oscillator_are_listed_once():
+    run = gs.simulate(MODELS[1], LAWS[0], 9.0, t_end=2.0, dense_output=True)
+    v = run.sample(np.linspace(1e-3, run.t_end, 20_001))[1]
+    assert len(run.extrema) == np.count_nonzero(np.diff(np.sign(v)))
+    assert np.all(np.diff(run.t_extrema) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "t_end = missing: give one of the two, as t_end=10.0 or n_periods=100"),
+        ({"t_end": 1.0, "n_periods": 3}, "t_end = 1.0, and n_periods = 3: give one of the two"),
+        ({"n_periods": 0}, "n_periods = 0: must be whole and > 0, as n_periods=100"),
+        ({"n_periods": [3, 2.5]}, "n_periods = 2.5: must be whole and > 0"),
+        ({"n_periods": "3"}, "n_periods = '3': must be a number"),
+        ({"n_periods": True}, "n_periods = True: must be a number"),
+        ({"n_periods": [1, 2], "x_0": [0.0] * 3}, "n_periods: shape mismatch"),
+        ({"t_end": 1.0, "law": []}, r"law = \[\]: must be one, or a sequence of at least one"),
+        ({"t_end": 1.0, "law": LAWS[:2], "x_0": [0.0] * 3}, "law, omega, .*: shape mismatch"),
+        ({"t_end": 1.0, "oscillator": [gs.Oscillator(), 3]}, "oscillator = 3: must be"),
+        (
+            {"t_end": 1.0, "oscillator": [gs.Oscillator(), gs.systems.two_masses()]},
+            "'x_1', 'x_2', 'stop'.*: several must all be oscillators, or systems with the same",
+        ),
+    ],
+)
+def test_bad_spans_and_sequences_are_refused(arguments, message):
+    given = {"oscillator": gs.Oscillator(), "law": LAWS[0], "omega": 5.0} | arguments
+    with pytest.raises(gs.ModelError, match=message):
+        gs.simulate(**given)
+
+
+def test_periods_of_a_system_that_nothing_forces_are_refused():
+    section, law = gs.systems.typical_section(8.0), gs.systems.typical_section_law()
+    with pytest.raises(gs.ModelError, match="n_periods = 3: this System is not forced; give t_end"):
+        gs.simulate(section, law, q_0=[0.01, 0.0, 0.0], n_periods=3)
 
 
 def test_a_wall_too_stiff_for_one_step_is_a_status():

@@ -16,7 +16,7 @@ from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.system import floats
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.attractors import Attractors, Grouping
-from gapsweep.response.respond import check_kinds, respond_all
+from gapsweep.response.respond import check_steady, respond_all
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.scene import Scene
 from gapsweep.response.section import unit_of
@@ -86,7 +86,7 @@ def basins(
     (2, 3)
     """
     steady = Steady() if steady is None else steady
-    check_kinds(oscillator, steady)
+    check_steady(steady)
     if not isinstance(oscillator, Oscillator):
         raise ModelError(
             "oscillator: basins lie over x and v of a gapsweep.Oscillator; of a System ask "

@@ -128,16 +128,17 @@ def _walls(models: Models) -> dict[str, Any]:
 def _given(problems: Problems) -> dict[str, Any]:
     """Arguments that both kernels take."""
     effort = problems.t_end - problems.t_0 if problems.effort is None else problems.effort
-    heads = np.arange(len(problems))
-    if problems.follows is not None:
+    if problems.follows is None:
+        queue = (-effort).argsort(kind="stable")
+    else:
         heads = np.flatnonzero(~problems.follows)
-        effort = np.add.reduceat(effort, heads)
+        queue = heads[(-np.add.reduceat(effort, heads)).argsort(kind="stable")]
     return {
         "which": problems.which,
         "t_0": problems.t_0,
         "t_end": problems.t_end,
         "record_from": problems.record_from,
-        "queue": heads[np.argsort(-effort, kind="stable")],
+        "queue": queue,
         "follows": problems.follows,
         "section_only": problems.section_only,
         "tangent": problems.tangent,

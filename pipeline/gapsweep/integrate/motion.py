@@ -1,7 +1,8 @@
 """What an engine returns."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,12 @@ SCALARS = ("t", "status", *COUNTS)
 # A component of a tangent that is smaller is zero: doubles lose digits there, and take some
 # processors a hundred times as long.
 VANISHED = 1e-290
+# Counts of `Events`, and the lists that they count.
+_LISTS = {
+    "n_extrema": ("t_extrema", "extrema", "extrema_of"),
+    "n_contacts": ("t_contacts", "contacts_of"),
+    "n_section": ("t_section", "section"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +59,7 @@ class Events:
     n_section: Counts
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)  # to make a frozen one takes three times as long
 class Motions:
     """The solutions of `Problems`, in their order.
 
@@ -91,3 +98,36 @@ class Motions:
     sampler: Callable[[Array], Array]
     monodromy: Array | None = None
     contact_time: Array | None = None
+
+
+def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motions:
+    """Motions of several calls as one, each part at its `rows`."""
+    if len(parts) == 1:
+        return parts[0]
+    order = np.argsort(np.concatenate(rows))
+    columns: dict[str, Any] = {}
+    for name in (*SCALARS, "state", "reach", "monodromy", "contact_time"):
+        values = [getattr(part, name) for part in parts]
+        columns[name] = None if values[0] is None else np.concatenate(values)[order]
+
+    def events() -> Events:
+        return _merged_events([part.events() for part in parts], np.concatenate(rows))
+
+    def sampler(t: Array) -> Array:
+        return np.concatenate([part.sampler(t) for part in parts], axis=1)[:, order]
+
+    return Motions(events=events, sampler=sampler, **columns)
+
+
+def _merged_events(parts: Sequence[Events], places: NDArray[np.intp]) -> Events:
+    """Events of several calls as one; `places`: of the motions of the first, of the second, ...."""
+    found = {
+        field.name: np.concatenate([getattr(part, field.name) for part in parts])
+        for field in fields(Events)
+    }
+    for counts in [name for name in found if name.startswith("n_")]:
+        order = np.argsort(np.repeat(places, found[counts]), kind="stable")
+        for name in _LISTS[counts]:
+            found[name] = found[name][order]
+        found[counts] = found[counts][np.argsort(places)]
+    return Events(**found)

@@ -70,9 +70,11 @@ class Models:
 
     @classmethod
     def of(cls, systems: Sequence[Model], laws: Sequence[Laws], omega: Array) -> "Models":
-        """Rows with these systems, laws and frequencies, each of length n."""
+        """Rows with these systems, laws and frequencies; one of a kind is that of all rows."""
         found, system = _distinct(systems, id)
         several, law = _distinct(laws, lambda these: tuple(map(id, these)))
+        n = len(omega)
+        system, law = (each if len(each) == n else np.repeat(each, n) for each in (system, law))
         return cls(systems=found, laws=several, system=system, law=law, omega=omega)
 
     def __len__(self) -> int:
@@ -90,12 +92,15 @@ class Models:
             omega=self.omega[rows],
         )
 
-    def by_kind(self) -> list[Numbers]:
-        """Rows that an engine can take together, group by group."""
+    def by_kind(self) -> list[tuple[Numbers, "Models"]]:
+        """Rows that an engine can take together, and these as models, group by group."""
         sizes = _distinct([system.sizes for system in self.systems], lambda size: size)[1]
         kinds, which = _distinct([tuple(map(law_kind, laws)) for laws in self.laws], lambda k: k)
+        if len(kinds) == 1 and not sizes.any():
+            return [(np.arange(len(self)), self)]
         group = sizes[self.system] * len(kinds) + which[self.law]
-        return [np.flatnonzero(group == one) for one in np.unique(group).tolist()]
+        groups = [np.flatnonzero(group == one) for one in np.unique(group).tolist()]
+        return [(rows, self.take(rows)) for rows in groups]
 
     def of_systems(self, value: Callable[[Any], Any]) -> NDArray[Any]:
         """A value of every row's system, shape (n, ...)."""
@@ -142,7 +147,7 @@ def law_kind(law: ContactLaw) -> Hashable:
     return law
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)  # to make a frozen one takes three times as long
 class Problems:
     """Initial value problems, m of them, that an engine solves in one call.
 

@@ -1,26 +1,32 @@
 """One call for every engine, for one motion or many."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from operator import attrgetter
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import Motions
+from gapsweep.integrate.motion import Motions, merged
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Integrate, Models, Problems, Solver
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
 from gapsweep.model.system import System, floats
+from gapsweep.variables import objects
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+Several: TypeAlias = T | Sequence[T] | NDArray[Any]
+AnyModel = Oscillator | System
+AnyLaw = ContactLaw | Mapping[str, ContactLaw]
 
 # Largest resolution of the clock, as a share of the natural period.
 _CLOCK_SHARE = 1e-9
+_MOST_PERIODS = 2**53  # of whole numbers that a float holds
 
 
 def prepared(models: Models, solver: Solver) -> Integrate:
@@ -38,13 +44,14 @@ def loaded(engine: str) -> Callable[[Models, Solver], Integrate]:
 
 
 def simulate(
-    oscillator: Oscillator | System,
-    law: ContactLaw | Mapping[str, ContactLaw],
+    oscillator: Several[AnyModel],
+    law: Several[AnyLaw],
     omega: ArrayLike | None = None,
     x_0: ArrayLike = 0.0,
     v_0: ArrayLike = 0.0,
     *,
-    t_end: float,
+    t_end: float | None = None,
+    n_periods: ArrayLike | None = None,
     q_0: ArrayLike = 0.0,
     z_0: ArrayLike = 0.0,
     t_0: float = 0.0,
@@ -60,13 +67,16 @@ def simulate(
 
     Parameters
     ----------
-    oscillator : Oscillator or System
-    law : ContactLaw or mapping of str to ContactLaw
+    oscillator : Oscillator or System, or sequence of them
+        Several must be oscillators, or systems with the same coordinates, first-order states and
+        contacts.
+    law : ContactLaw or mapping of str to ContactLaw, or sequence of them
         One law for all contacts, or that of each contact of a system, by its name.
     omega : float or array_like
         Forcing frequency [Hz], ``> 0``; None of a system that is not forced.
     x_0 : float or array_like
-        Displacement [m] of an oscillator at `t_0`; broadcast against `omega`.
+        Displacement [m] of an oscillator at `t_0`. Sequences of models and laws, `omega`, initial
+        states and `n_periods` are broadcast against each other, as arrays of numpy are.
     v_0 : float or array_like
         Velocity [m/s], likewise; of a system, velocities along the last axis.
     q_0, z_0 : float or array_like
@@ -74,6 +84,9 @@ def simulate(
         out if there is but one.
     t_end, t_0 : float
         End and start [s], ``t_end > t_0``.
+    n_periods : int or array_like of int
+        In place of `t_end`: forcing periods from `t_0` to the end, ``> 0``. With ``t_0 = 0`` the
+        end is the last point of `section`; of the compiled engine bit for bit.
     engine, rtol, atol, controller, restart
         As in `gapsweep.integrate.problem.Solver`; tolerances that are None take the engine's
         defaults: compiled 1e-9 and 1e-12, scipy 1e-4 and 1e-7.
@@ -89,12 +102,14 @@ def simulate(
     Returns
     -------
     Trajectory
-        Its attributes are arrays if `omega` or a start is one. Of a system a `SystemTrajectory`.
+        Its attributes are arrays if `omega`, a start or `n_periods` is one, or if there are several
+        models or laws. Of a system a `SystemTrajectory`.
 
     Raises
     ------
     ModelError
-        If an argument is out of range. A numerical failure is no error but a `status`.
+        If an argument is out of range, shapes do not fit, or not one of `t_end` and `n_periods` is
+        given. A numerical failure is no error but a `status`.
 
     Examples
     --------
@@ -103,105 +118,218 @@ def simulate(
     >>> run = gs.simulate(gs.Oscillator(), law, omega=9.0, t_end=2.0)
     >>> run.status.label, run.n_contacts > 0
     ('ok', True)
+    >>> laws = [gs.Piecewise(K_c, gs.Gap(0.4e-3, 0.4e-3)) for K_c in (1.4e3, 1.4e4, 1.4e5)]
+    >>> runs = gs.simulate(gs.Oscillator(), laws, omega=9.0, n_periods=100)
+    >>> runs.x_end.shape
+    (3,)
     """
     solver = Solver.of(engine, rtol, atol, controller, restart)
-    t_0, t_end = checked("t_0", t_0), checked("t_end", t_end)
-    if t_end <= t_0:
-        raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
-    frequency, start, laws = starts(oscillator, law, omega, x_0, v_0, q_0, z_0)
-    n = frequency.size
-    models = Models.of([oscillator] * n, [laws] * n, frequency.ravel())
-    _check_clock(oscillator, frequency, t_0)
-    problems = Problems(
-        which=np.arange(n),
-        start=start.reshape(n, -1),
-        t_0=np.full(n, t_0),
-        t_end=np.full(n, t_end),
-        record_from=np.full(n, math.inf),
-        tangent=tangent,
+    t_0 = checked("t_0", t_0)
+    span: dict[str, Any] = {"t_end": t_end}
+    if n_periods is not None:
+        span = {"n_periods": _whole_periods(n_periods)}
+    if (t_end is None) == (n_periods is None):
+        said = "missing" if t_end is None else f"{t_end!r}, and n_periods = {n_periods!r}"
+        raise ModelError(f"t_end = {said}: give one of the two, as t_end=10.0 or n_periods=100")
+    models, start, shape = cases(
+        oscillator, law, omega, x_0, v_0, q_0, z_0, np.shape(span.get("n_periods", 0))
     )
+    if t_end is not None:
+        span["t_end"] = t_end = checked("t_end", t_end)
+        if t_end <= t_0:
+            raise ModelError(f"t_end = {t_end:g} s: must be > t_0 = {t_0:g} s")
+        ends = np.full(len(models), t_end)
+    elif not models.omega.all():
+        raise ModelError(f"n_periods = {n_periods!r}: this System is not forced; give t_end [s]")
+    else:
+        periods = np.broadcast_to(span["n_periods"], shape).ravel()
+        ends = (t_0 * models.omega + periods) / models.omega
+    _check_clock(models, t_0)
     if dense_output:  # nothing runs yet, but what no engine takes is refused now
-        prepared(models, solver)
-    solve = partial(_solved, models, solver, problems)
+        for _, some in models.by_kind():
+            prepared(some, solver)
+    solve = partial(_solved, models, solver, start, t_0, ends, tangent)
     inputs = {
-        **inputs_of(oscillator, law, frequency, start),
-        **{"t_end": t_end, "t_0": t_0},
-        **asdict(solver),
+        **inputs_of(oscillator, law, models, start, shape),
+        **span,
+        "t_0": t_0,
+        **{name: getattr(solver, name) for name in Solver.__slots__},
         **{"dense_output": dense_output, "tangent": tangent},
     }
-    kind = SystemTrajectory if isinstance(oscillator, System) else Trajectory
-    return kind(inputs, laws, solve, frequency.shape)
+    kind = SystemTrajectory if "q_0" in inputs else Trajectory
+    return kind(inputs, _laws_of(models, shape), solve, shape)
 
 
 def _solved(
-    models: Models, solver: Solver, problems: Problems, record_from: float, dense_output: bool
+    models: Models,
+    solver: Solver,
+    start: Array,
+    t_0: float,
+    t_end: Array,
+    tangent: bool,
+    record_from: float,
+    dense_output: bool,
 ) -> Motions:
-    """One pass over the problems, recorded from a time [s] on."""
-    return prepared(models, solver)(
-        replace(
-            problems,
-            record_from=np.full(len(problems), record_from),
-            dense_output=dense_output,
-            section_only=dense_output,
-            contacts=math.isfinite(record_from) and not dense_output,
+    """One pass over the motions, recorded from a time [s] on."""
+    groups = models.by_kind()
+    parts = [
+        prepared(some, solver)(
+            Problems(
+                which=np.arange(len(rows)),
+                start=start[rows],
+                t_0=np.full(len(rows), t_0),
+                t_end=t_end[rows],
+                record_from=np.full(len(rows), record_from),
+                dense_output=dense_output,
+                section_only=dense_output,
+                tangent=tangent,
+                contacts=math.isfinite(record_from) and not dense_output,
+            )
         )
-    )
+        for rows, some in groups
+    ]
+    return merged(parts, [rows for rows, _ in groups])
 
 
-def starts(
-    oscillator: Oscillator | System,
-    law: ContactLaw | Mapping[str, ContactLaw],
+def _whole_periods(n_periods: ArrayLike) -> Any:
+    """Whole numbers of periods: one, or an array of them."""
+    (given,) = broadcast(n_periods=n_periods)
+    is_whole = (given == np.rint(given)) & (given >= 1.0) & (given <= _MOST_PERIODS)
+    for wrong in given[~is_whole].flat:
+        raise ModelError(f"n_periods = {wrong:g}: must be whole and > 0, as n_periods=100")
+    return given.astype(np.int64)[()]
+
+
+def cases(
+    oscillator: Several[AnyModel],
+    law: Several[AnyLaw],
     omega: ArrayLike | None,
     x_0: ArrayLike,
     v_0: ArrayLike,
     q_0: ArrayLike,
     z_0: ArrayLike,
-) -> tuple[Array, Array, Any]:
-    """Forcing frequencies, the states to start from, and the laws of all contacts.
+    *shapes: tuple[int, ...],
+) -> tuple[Models, Array, tuple[int, ...]]:
+    """Parameter sets of a call and the states that they start from.
 
     Parameters
     ----------
     oscillator, law, omega, x_0, v_0, q_0, z_0
         As in `simulate`.
+    *shapes : tuple of int
+        Of further arguments.
 
     Returns
     -------
-    omega : ndarray
-        In the shape that all have together [Hz]; zero where nothing is forced.
-    start : ndarray, shape (..., n_states)
+    models : Models
+        n parameter sets; `omega` is zero where nothing is forced.
+    start : ndarray, shape (n, n_states)
         Displacements [m], velocities [m/s] and first-order states.
-    laws : tuple of ContactLaw
+    shape : tuple of int
+        That all arguments have together.
 
     Raises
     ------
     ModelError
         If an argument is out of range, or not one of such a model.
     """
-    if isinstance(oscillator, System):
+    systems, given = _several("oscillator", oscillator), _several("law", law)
+    first = _alike(systems)
+    if isinstance(first, System):
         _zero("x_0", x_0, "a System starts from q_0, v_0 and z_0")
-        return *_system_starts(oscillator, omega, q_0, v_0, z_0), _laws(oscillator, law)
-    contact_law: Any = law
-    for name, value in (("q_0", q_0), ("z_0", z_0)):
-        _zero(name, value, "an Oscillator starts from x_0 and v_0")
-    frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
-    return frequency, np.stack([x_0, v_0], axis=-1), (checked_law(contact_law),)
+        frequency, start = _system_starts(first, omega, q_0, v_0, z_0)
+        laws = [_laws(first, each) for each in given.flat]
+    else:
+        for name, value in (("q_0", q_0), ("z_0", z_0)):
+            _zero(name, value, "an Oscillator starts from x_0 and v_0")
+        frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
+        start = np.stack([x_0, v_0], axis=-1)
+        laws = [(checked_law(each),) for each in given.flat]
+    shape = frequency.shape
+    if any((systems.shape, given.shape, *shapes)):
+        try:
+            shape = np.broadcast_shapes(shape, systems.shape, given.shape, *shapes)
+        except ValueError as error:
+            raise ModelError(
+                f"oscillator, law, omega, initial states, n_periods: {error}"
+            ) from None
+        frequency = np.broadcast_to(frequency, shape)
+        start = np.broadcast_to(start, (*shape, start.shape[-1]))
+    rows = _rows(list(systems.flat), systems, shape), _rows(laws, given, shape)
+    models = Models.of(*rows, frequency.ravel())
+    return models, start.reshape(len(models), -1), shape
 
 
 def inputs_of(
-    oscillator: Oscillator | System,
-    law: ContactLaw | Mapping[str, ContactLaw],
-    omega: Array,
+    oscillator: Several[AnyModel],
+    law: Several[AnyLaw],
+    models: Models,
     start: Array,
+    shape: tuple[int, ...],
 ) -> dict[str, Any]:
-    """Arguments of a call by name, from what `starts` made of them."""
+    """Arguments of a call by name, from what `cases` made of them."""
     inputs: dict[str, Any] = {"oscillator": oscillator, "law": law}
-    if isinstance(oscillator, System):
-        n, is_forced = oscillator.n, oscillator.is_forced
+    start = start.reshape(*shape, start.shape[-1])
+    first = objects(oscillator).flat[0]
+    if isinstance(first, System):
+        n, is_forced = first.n, first.is_forced
         states = {"q_0": start[..., :n], "v_0": start[..., n : 2 * n], "z_0": start[..., 2 * n :]}
     else:
         is_forced, states = True, {"x_0": start[..., 0], "v_0": start[..., 1]}
-    inputs["omega"] = np.array(omega)[()] if is_forced else None
+    inputs["omega"] = np.array(models.omega.reshape(shape))[()] if is_forced else None
     return inputs | {name: np.array(each)[()] for name, each in states.items() if each.size}
+
+
+def _laws_of(models: Models, shape: tuple[int, ...]) -> Any:
+    """Laws of all contacts; of several models an array of them."""
+    if len(models.laws) == 1:
+        return models.laws[0]
+    found = np.empty(len(models), object)
+    for i, law in enumerate(models.law.tolist()):
+        found[i] = models.laws[law]
+    return found.reshape(shape)
+
+
+def _several(name: str, value: Any) -> NDArray[Any]:
+    """One object or several as an array of at least one."""
+    try:
+        found = objects(value)
+    except ValueError as error:
+        raise ModelError(f"{name}: {error}") from None
+    if not found.size:
+        raise ModelError(f"{name} = {value!r}: must be one, or a sequence of at least one")
+    return found
+
+
+def _alike(systems: NDArray[Any]) -> Any:
+    """The first of several models, which must have all names in common."""
+    for each in systems.flat:
+        if not isinstance(each, Oscillator | System):
+            raise ModelError(
+                f"oscillator = {each!r}: must be a gapsweep.Oscillator or a gapsweep.System"
+            )
+    first, *others = systems.flat
+    for each in others:
+        if _names(each) != _names(first):
+            raise ModelError(
+                f"oscillator: {_names(first)} and {_names(each)}: several must all be oscillators, "
+                "or systems with the same coordinates, contacts and number of first-order states"
+            )
+    return first
+
+
+def _names(model: AnyModel) -> tuple[Any, ...]:
+    """What several models of a call have in common."""
+    form = type(model).__name__, *model.coordinates, *model.contacts
+    return *form, model.n_lags, "forced" if model.is_forced else "not forced"
+
+
+def _rows(values: list[T], of: NDArray[Any], shape: tuple[int, ...]) -> list[T]:
+    """Values, given in the shape of an array, for all points; one stands for all."""
+    if len(values) == 1:
+        return values
+    places = np.broadcast_to(np.arange(len(values)).reshape(of.shape), shape)
+    return [values[i] for i in places.flat]
 
 
 def _zero(name: str, value: ArrayLike, remedy: str) -> None:
@@ -213,7 +341,7 @@ def _zero(name: str, value: ArrayLike, remedy: str) -> None:
         raise ModelError(f"{name} = {value!r}: {remedy}")
 
 
-def _laws(system: System, law: ContactLaw | Mapping[str, ContactLaw]) -> tuple[ContactLaw, ...]:
+def _laws(system: System, law: AnyLaw) -> tuple[ContactLaw, ...]:
     """The law of every contact, in the system's order."""
     if not isinstance(law, Mapping):
         return (checked_law(law),) * len(system.contacts)
@@ -252,25 +380,24 @@ def _system_starts(
     return np.broadcast_to(frequency, shape), np.concatenate(states, axis=-1)
 
 
-def _check_clock(system: Oscillator | System, omega: NDArray[np.float64], t_0: float) -> None:
+def _check_clock(models: Models, t_0: float) -> None:
     """Refuse a start at a forcing phase beside which a step of the motion is rounded away.
 
     Time is kept as whole forcing periods and a fraction, so a fraction to begin with limits what
     the clock can tell apart.
     """
+    omega = models.omega
     if not t_0 or not omega.all():
         return
-    turns = omega.ravel() * t_0
-    resolved = np.spacing(turns - np.floor(turns)) / omega.ravel()
-    fastest = system.fastest
-    if not fastest:  # nothing but contacts holds it
-        return
-    largest = _CLOCK_SHARE / fastest
-    coarse = resolved > largest
-    if coarse.any():
+    turns = omega * t_0
+    resolved = np.spacing(turns - np.floor(turns)) / omega
+    # Where nothing but contacts holds a mass, there is no limit.
+    coarse = resolved * models.of_systems(attrgetter("fastest")) > _CLOCK_SHARE
+    for k in np.flatnonzero(coarse)[:1].tolist():
+        fastest = models.systems[models.system[k]].fastest
         raise ModelError(
-            f"t_0 = {t_0:g} s: at omega = {omega.ravel()[coarse][0]:g} Hz its phase leaves a clock "
-            f"of {resolved[coarse][0]:.2g} s, must be <= {largest:.2g} s; start at t_0 = 0"
+            f"t_0 = {t_0:g} s: at omega = {omega[k]:g} Hz its phase leaves a clock of "
+            f"{resolved[k]:.2g} s, must be <= {_CLOCK_SHARE / fastest:.2g} s; start at t_0 = 0"
         )
 
 

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Counts, Events, Motions
-from gapsweep.model.contact import ContactLaw
 from gapsweep.model.system import System, floats
 from gapsweep.status import Status
 from gapsweep.variables import (
@@ -23,6 +22,7 @@ from gapsweep.variables import (
     as_html,
     dataset,
     members,
+    objects,
     to_dataframe,
 )
 
@@ -79,7 +79,7 @@ class Trajectory:
         Arguments of the call by name, defaults included; frequencies and initial states have the
         shape of the run. ``gs.simulate(**run.inputs)`` computes it again.
     laws : tuple of ContactLaw
-        Of the contacts; of an oscillator the one.
+        Of the contacts; of an oscillator the one. Of several an array of tuples.
     monodromy : ndarray, shape (2, 2), or None
         Derivative of the end state by the initial state, with ``tangent=True``.
 
@@ -96,7 +96,7 @@ class Trajectory:
     def __init__(
         self,
         inputs: Mapping[str, Any],
-        laws: tuple[ContactLaw, ...],
+        laws: Any,
         solve: Callable[[float, bool], Motions],
         shape: tuple[int, ...],
     ) -> None:
@@ -162,7 +162,7 @@ class Trajectory:
 
     def _ends(self) -> Any:
         """Where and how the motions ended, as an `xarray.Dataset`."""
-        motions, n = self._motions, self.inputs["oscillator"].n
+        motions, n = self._motions, objects(self.inputs["oscillator"]).flat[0].n
         ends = np.split(motions.state, [n, 2 * n], axis=1)
         arrays = {
             "status": motions.status,
@@ -186,12 +186,12 @@ class Trajectory:
     @property
     def extrema(self) -> Array:
         """Displacements [m] of all zero-velocity points in ``(t_0, t_end]``."""
-        return self._ragged(self._events.extrema, self._events.n_extrema)
+        return self._of_coordinate(self._events.extrema)
 
     @property
     def t_extrema(self) -> Array:
         """Times [s] of `extrema`."""
-        return self._ragged(self._events.t_extrema, self._events.n_extrema)
+        return self._of_coordinate(self._events.t_extrema)
 
     @property
     def t_contacts(self) -> Array:
@@ -271,6 +271,12 @@ class Trajectory:
     def _shaped(self, values: NDArray[Any]) -> Any:
         return values.reshape(self.shape) if self.shape else values[0].item()
 
+    def _of_coordinate(self, values: Array) -> Array:
+        """Of values of `extrema` those of the coordinate, without those of the contact's gap."""
+        its, n = self._events.extrema_of == 0, self._events.n_extrema
+        motions = np.repeat(np.arange(len(n)), n)
+        return self._ragged(values[its], np.bincount(motions[its], minlength=len(n)))
+
     def _ragged(self, values: Array, counts: Counts) -> Array:
         if not self.shape:
             return values
@@ -305,7 +311,8 @@ class SystemTrajectory(Trajectory):
 
     @property
     def system(self) -> System:
-        system: System = self.inputs["oscillator"]
+        """The system; of several the first, whose names all have."""
+        system: System = objects(self.inputs["oscillator"]).flat[0]
         return system
 
     q_end = property(lambda run: run._end[0])

@@ -91,12 +91,11 @@ _UNCERTAIN = "the sign of the Lyapunov exponent, {exponent}, is not certain: giv
 _TIME = "time (max_decay_times, max_periods, t_max)"
 
 
-_CLASSES = {
-    State.PERIODIC: ResponseClass.PERIODIC,
-    State.CHAOTIC: ResponseClass.CHAOTIC,
-    State.QUASIPERIODIC: ResponseClass.QUASIPERIODIC,
-    State.EQUILIBRIUM: ResponseClass.EQUILIBRIUM,
-}
+# By state: those without a class of their name are unresolved.
+_CLASSES = np.array(
+    [ResponseClass.__members__.get(state.name, ResponseClass.UNRESOLVED) for state in State]
+)
+_CLASSES[State.FAILED] = ResponseClass.UNRESOLVED
 
 
 def answers(
@@ -105,9 +104,9 @@ def answers(
     """Responses of all points of a search."""
     ensemble, t_settled = windows.ensemble, windows.t
     n = len(t_settled)
-    states = _record(np.flatnonzero(found.state == State.PERIODIC), windows, shooting)
+    states = _record(np.flatnonzero(found.is_periodic), windows, shooting)
     _rest(np.flatnonzero(found.has_stopped), windows, states)
-    is_ok = windows.status == Status.OK
+    is_ok = windows.status == int(Status.OK)
     points, failures = np.flatnonzero(is_ok), np.flatnonzero(~is_ok)
     read, lists = _read_off(points, windows, found, steady)
     read |= _stability(points, windows, shooting, found)
@@ -123,8 +122,9 @@ def answers(
         columns[name][points] = read[name].reshape(len(points), *columns[name].shape[1:])
     columns["status"][failures], messages = _failures(failures, windows)
     for state in (State.NO_RETURN, State.HIDDEN):
-        messages |= dict.fromkeys(np.flatnonzero(found.state == state).tolist(), _REASONS[state])
-    for point in np.flatnonzero(columns["status"] == Status.UNRESOLVED).tolist():
+        here = np.flatnonzero(found.state == int(state))
+        messages |= dict.fromkeys(here.tolist(), _REASONS[state])
+    for point in np.flatnonzero(columns["status"] == int(Status.UNRESOLVED)).tolist():
         messages.setdefault(point, _why_unresolved(point, windows, found, steady))
     columns |= ensemble.costs()
     of_all = {}
@@ -138,6 +138,8 @@ def answers(
 
 def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status], dict[int, str]]:
     """Status of the points that failed, and what to say of it by point."""
+    if not failures.size:
+        return [], {}
     ensemble = windows.ensemble
     y = windows.y[:, failures]
     gaps = ensemble.gaps(ensemble.turning(failures, y))
@@ -179,9 +181,8 @@ def _stability(
     points: Numbers, windows: RecordedWindows, shooting: NewtonShooting, found: Classification
 ) -> dict[str, Array | Counts]:
     """Columns that say what the responses of some points are, and how sure that is."""
-    state = found.state[points]
-    is_orbit = state == State.PERIODIC
-    at_rest = (state == State.EQUILIBRIUM) | (state == State.UNSTABLE_REST)
+    state, is_orbit = found.state[points], found.is_periodic[points]
+    at_rest = (state == int(State.EQUILIBRIUM)) | (state == int(State.UNSTABLE_REST))
     n, omega = shooting.n[points], shooting.omega[points]
     lyapunov, error = found.lyapunov[points], found.lyapunov_error[points]
     modulus = np.full(len(points), np.nan)
@@ -197,14 +198,11 @@ def _stability(
     # numpy's own logarithm is another one on another processor.
     logarithms = np.fromiter(map(math.log, modulus[shrinks].tolist()), float)
     lyapunov[shrinks] = logarithms * omega[shrinks] / n[shrinks]
-    kinds = np.full(len(points), ResponseClass.UNRESOLVED)
-    for of_state, kind in _CLASSES.items():
-        kinds[state == of_state] = kind
-    noise = windows.noise(np.where(found.state == State.PERIODIC, shooting.n, 1))[points]
+    noise = windows.noise(np.where(found.is_periodic, shooting.n, 1))[points]
     noise = np.where(at_rest, found.offset[points], noise)
     return {
         "period": np.where(is_orbit, n / omega, np.nan),
-        "response_class": kinds,
+        "response_class": _CLASSES[state],
         "period_multiple": np.where(is_orbit, n, 0),
         "multiplier_abs": modulus,
         "lyapunov": lyapunov,
@@ -217,7 +215,7 @@ def _multipliers(
     points: Numbers, shooting: NewtonShooting, found: Classification
 ) -> tuple[Array, Counts]:
     """Floquet multipliers of the orbits among some points, real part and imaginary part in turn."""
-    is_orbit, n = found.state[points] == State.PERIODIC, shooting.n_multipliers
+    is_orbit, n = found.is_periodic[points], shooting.n_multipliers
     multipliers = np.ascontiguousarray(shooting.multipliers[points[is_orbit], :n])
     return multipliers.view(float).ravel(), np.where(is_orbit, 2 * n, 0)
 
@@ -260,14 +258,15 @@ def _section(
     steady: Steady,
 ) -> tuple[Array, Counts]:
     """States of some points: of orbits as recorded, of other motions the last of their windows."""
-    others = points[~((found.state == State.PERIODIC) | found.has_stopped)[points]]
-    n_states, _, width = windows.section.shape
-    length = windows.length[others]
-    counts = np.minimum(length, steady.max_period_multiple)
-    last = spans(others * width + length - counts, counts)
-    window = windows.section.reshape(n_states, -1)[:, last]
-    window = window * np.repeat(windows.ensemble.unit[:, others], counts, axis=1)
-    states.put(others, window.T.ravel(), n_states * counts)
+    others = points[~(found.is_periodic | found.has_stopped)[points]]
+    if others.size:
+        n_states, _, width = windows.section.shape
+        length = windows.length[others]
+        counts = np.minimum(length, steady.max_period_multiple)
+        last = spans(others * width + length - counts, counts)
+        window = windows.section.reshape(n_states, -1)[:, last]
+        window = window * np.repeat(windows.ensemble.unit[:, others], counts, axis=1)
+        states.put(others, window.T.ravel(), n_states * counts)
     return states.of(points)
 
 
@@ -275,7 +274,7 @@ def _read_off(
     points: Numbers, windows: RecordedWindows, found: Classification, steady: Steady
 ) -> tuple[dict[str, Array | Counts], dict[str, tuple[Array | Counts, Counts]]]:
     """Columns and lists that are read off the recorded extrema of some points."""
-    ensemble, is_orbit = windows.ensemble, found.state[points] == State.PERIODIC
+    ensemble, is_orbit = windows.ensemble, found.is_periodic[points]
     n_q, place = ensemble.n_coordinates, ensemble.turning(points, windows.y[:, points])
     x, counts = windows.extrema.of(windows.rows(points))
     first = np.cumsum(counts) - counts
@@ -302,7 +301,7 @@ def _read_off(
     if n_q > 1:
         hidden |= _hidden_springs(points, windows, 0.5 * (x_max - x_min))
     found.state[points[hidden & ~found.has_stopped[points]]] = State.HIDDEN
-    status = np.where(found.is_classified[points], Status.OK, Status.UNRESOLVED)
+    status = np.where(found.is_classified[points], int(Status.OK), int(Status.UNRESOLVED))
     status[has_left.any(axis=0)] = Status.OUT_OF_FIT_RANGE
     laws = zip(*map(ensemble.laws, points.tolist()), strict=True)
     forces = [largest_forces(*each) for each in zip(laws, gap_min, gap_max, strict=False)]
@@ -387,9 +386,11 @@ def _whole_period(
         a_turning = ensemble.turning(orbit, a[:, None])[which, 0]
         missed[row] = (v_start[row] - v_end[row]) * a_turning > 0.0
         doubled[row] = not missed[row] and counts[row] > 0
-    x = np.delete(x, (ends - counts)[doubled])
-    counts = counts - doubled
-    x = np.insert(x, np.cumsum(counts)[missed], at[missed])
+    if doubled.any():
+        x = np.delete(x, (ends - counts)[doubled])
+        counts = counts - doubled
+    if missed.any():
+        x = np.insert(x, np.cumsum(counts)[missed], at[missed])
     return x, counts + missed
 
 
@@ -399,7 +400,7 @@ def _kinds(x: Array, counts: Counts, closed: Mask) -> Counts:
     What is passed on the way from one neighbour to the other is an inflection. `closed`: the first
     follows the last.
     """
-    before, after = np.roll(x, 1), np.roll(x, -1)
+    before, after = np.concatenate([x[-1:], x[:-1]]), np.concatenate([x[1:], x[:1]])
     some = np.flatnonzero(counts)
     last, first = (np.cumsum(counts) - 1)[some], (np.cumsum(counts) - counts)[some]
     is_closed, two = closed[some], np.minimum(first + 1, last)
@@ -409,7 +410,7 @@ def _kinds(x: Array, counts: Counts, closed: Mask) -> Counts:
     return np.asarray(
         np.where(
             is_maximum,
-            ExtremumKind.MAXIMUM,
-            np.where(is_minimum, ExtremumKind.MINIMUM, ExtremumKind.INFLECTION),
+            int(ExtremumKind.MAXIMUM),
+            np.where(is_minimum, int(ExtremumKind.MINIMUM), int(ExtremumKind.INFLECTION)),
         )
     )

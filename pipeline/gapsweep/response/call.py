@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 # How far a tangent's determinant may be off, and from which share of its size squared on its own
 # rounding shows.
 _UNSOUND, _ROUNDING = 1e-2, 1e-3
+_OK = int(Status.OK)  # numpy compares with a member of an enumeration four times as slowly
 
 
 class Call:
@@ -30,18 +31,20 @@ class Call:
         Section points per second [Hz].
     status : ndarray of int, shape (n,)
         `Status` values.
+    is_ok : ndarray of bool, shape (n,)
+        Which motions did not fail.
     n_steps : ndarray of int, shape (n,)
-    reach : ndarray, shape (n,)
-        Largest modulus of a displacement at the ends of steps, as a section point's [m].
     n_contacts : ndarray of int, shape (n,)
         How many walls they passed.
     t, t_end : ndarray, shape (n,)
         How long they lasted [s], and how long they were to last.
     contact_time : ndarray, shape (n, n_contacts), or None
         Time spent beyond the walls of every contact [s]; None: only the events tell.
-    swing : ndarray, shape (n,)
+    swing : ndarray, shape (n,), or float
         How far [m] motions swing by themselves; infinity where they are driven.
     """
+
+    swing: Array | float = math.inf
 
     def __init__(
         self,
@@ -58,18 +61,18 @@ class Call:
         self._volume_rate, self.t_end = volume_rate, t_end
         self.contact_time, self.n_contacts = found.contact_time, found.n_contacts
         self.y, self.t, self._tangent_end = found.state.T, found.t, tangent_end
-        self.status, self.swing = found.status, np.full(len(t_end), np.inf)
-        self.n_steps, self.reach = found.n_steps, reach_of(found.reach.T, unit)
+        self.n_steps, self.status, self._reach = found.n_steps, found.status, found.reach
         if self.status.any():
             # A fit that was left on the way but did not run away goes on; where its steady
             # response lies decides in the end.
             excused = arrived(found, t_end) & (found.status == Status.OUT_OF_FIT_RANGE)
             self.status = np.where(excused, Status.OK, found.status)
+        self.is_ok = self.status == _OK
 
     @property
-    def is_ok(self) -> NDArray[np.bool_]:
-        """Which motions did not fail."""
-        return np.equal(self.status, Status.OK)
+    def reach(self) -> Array:
+        """Largest moduli of displacements at the ends of steps, as section points [m]."""
+        return reach_of(self._reach.T, self.unit)
 
     @property
     def monodromy(self) -> Array:

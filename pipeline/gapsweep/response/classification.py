@@ -66,6 +66,11 @@ class Classification:
         self.lyapunov, self.lyapunov_error, self.offset = np.full((3, n), np.nan)
 
     @property
+    def is_periodic(self) -> NDArray[np.bool_]:
+        """Which points have a periodic orbit."""
+        return np.asarray(self.state == int(State.PERIODIC))
+
+    @property
     def is_classified(self) -> NDArray[np.bool_]:
         """Which points have a class of steady response."""
         return (self.state >= int(State.PERIODIC)) & (self.state <= int(State.EQUILIBRIUM))

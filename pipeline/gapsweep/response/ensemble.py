@@ -30,6 +30,7 @@ from gapsweep.response.scene import Forces, located
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
+_Costs = list[tuple[NDArray[np.intp], Array]]
 
 # Beside the `Status` values of a call: the motion has come to rest, or never comes back.
 AT_REST, ASTRAY = -1, -2
@@ -89,9 +90,8 @@ class Ensemble:
         is_forced = models.omega.any()
         self.set_clock(models.omega if is_forced else models.of_systems(attrgetter("slowest")))
         self.swing = np.zeros(n)
-        places = attrgetter("valid_range"), attrgetter("walls"), _felt_walls
         self.valid_range, self.walls, self.felt_walls = (
-            models.of_laws(each).reshape(n, n_contacts, 2).T for each in places
+            models.of_laws(_places).reshape(n, n_contacts, 3, 2).transpose(2, 3, 1, 0)
         )
         self._directions: Array = models.of_systems(attrgetter("directions"))
         self.is_modulated = models.of_systems(attrgetter("is_modulated")).T
@@ -101,8 +101,11 @@ class Ensemble:
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
             self._integrate_tangent = prepared(models.with_laws(located), forces.tangent_solver)
-        # Of every call, by motion: number of the scene, then what it has cost.
-        self._costs: list[tuple[NDArray[Any], ...]] = []
+        # Of every call, by motion: number of the scene, and processor time [s]; then of calls that
+        # are part of motions number of the scene, counts, and periods.
+        nobody: NDArray[np.intp] = np.zeros(0, np.intp)
+        self._seconds: _Costs = [(nobody, np.empty(0))]
+        self._costs: _Costs = [(nobody, np.empty((len(COUNTS) + 1, 0)))]
 
     def set_clock(self, omega: Array) -> None:
         """Count time in periods of these frequencies [Hz], shape (n,).
@@ -301,11 +304,15 @@ class Ensemble:
         found = integrate(problems)
         spent = time.thread_time() - LOADING.seconds - begin
         # What ran together shares the processor time in proportion to its steps.
-        seconds = spent * found.n_steps / max(found.n_steps.sum(), 1)
-        counts = (is_motion * getattr(found, name) for name in COUNTS)
-        lasted = found.t * self.omega[problems.which] * _begun(problems, found)
-        n_periods = is_motion * np.where(arrived(found, problems.t_end), n_periods, lasted)
-        self._costs.append((problems.which, *counts, n_periods, seconds))
+        share = spent / max(int(found.n_steps.sum()), 1)
+        seconds = np.asarray(share * found.n_steps, np.float64)
+        self._seconds.append((problems.which, seconds))
+        if is_motion:
+            if found.status.any():
+                lasted = found.t * self.omega[problems.which] * _begun(problems, found)
+                n_periods = np.where(arrived(found, problems.t_end), n_periods, lasted)
+            costs = np.array([*(getattr(found, name) for name in COUNTS), n_periods], float)
+            self._costs.append((problems.which, costs))
         return found
 
     def costs(self) -> dict[str, NDArray[Any]]:
@@ -313,9 +320,11 @@ class Ensemble:
 
         Counts and simulated time are of its motion; the processor time is of its analysis too.
         """
-        scenes, *columns = map(np.concatenate, zip(*self._costs, strict=True))
         n = len(self.omega)
-        *counts, n_periods, seconds = (np.bincount(scenes, column, n) for column in columns)
+        (seconds,), (*counts, n_periods) = (
+            [np.bincount(scenes, cost, n) for cost in np.atleast_2d(costs)]
+            for scenes, costs in map(_joined, (self._seconds, self._costs))
+        )
         found = {name: count.astype(np.int64) for name, count in zip(COUNTS, counts, strict=True)}
         return found | {"t_simulated": n_periods / self.omega, "cpu_time": seconds}
 
@@ -330,6 +339,12 @@ def _begun(problems: Problems, found: Motions) -> NDArray[np.bool_]:
     return ~problems.follows | np.roll(is_ok, 1)
 
 
-def _felt_walls(law: ContactLaw) -> tuple[float, float]:
-    """Places of the walls at which the stiffness changes, at once or, of a smooth law, around."""
-    return (math.nan, math.nan) if law.gap.width == 0.0 and law.K_ratio == 1.0 else law.walls
+def _joined(parts: _Costs) -> tuple[NDArray[np.intp], Array]:
+    scenes, columns = zip(*parts, strict=True)
+    return np.concatenate(scenes), np.concatenate(columns, axis=-1)
+
+
+def _places(law: ContactLaw) -> tuple[tuple[float, float], ...]:
+    """Where a law holds, its walls, and those at which the stiffness changes, at once or around."""
+    is_felt = law.gap.width > 0.0 or law.K_ratio != 1.0
+    return law.valid_range, law.walls, law.walls if is_felt else (math.nan, math.nan)

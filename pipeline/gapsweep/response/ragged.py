@@ -19,8 +19,8 @@ def spans(first: NDArray[np.integer], counts: NDArray[np.integer]) -> Counts:
     -------
     ndarray of int, shape (sum of counts,)
     """
-    before = np.cumsum(counts) - counts
-    return np.asarray(np.repeat(first - before, counts) + np.arange(counts.sum()))
+    begin = (first - counts.cumsum() + counts).repeat(counts)
+    return np.asarray(begin + np.arange(len(begin)))
 
 
 class RaggedArrays:

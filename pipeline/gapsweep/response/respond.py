@@ -16,18 +16,14 @@ section lies on a curve. What may be one is measured again, eight times as long 
 section points at least.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Models, Numbers, Solver
-from gapsweep.integrate.simulate import inputs_of, starts
-from gapsweep.model.contact import ContactLaw
-from gapsweep.model.oscillator import Oscillator
-from gapsweep.model.system import System
+from gapsweep.integrate.simulate import AnyLaw, AnyModel, Several, cases, inputs_of
 from gapsweep.response.autonomous import PoincareMap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Response, Responses, Steady
@@ -36,10 +32,12 @@ from gapsweep.response.search import Search
 
 Array = NDArray[np.float64]
 
+_STEADY = Steady()  # checked once
+
 
 def respond(
-    oscillator: Oscillator | System,
-    law: ContactLaw | Mapping[str, ContactLaw],
+    oscillator: Several[AnyModel],
+    law: Several[AnyLaw],
     omega: ArrayLike | None = None,
     x_0: ArrayLike = 0.0,
     v_0: ArrayLike = 0.0,
@@ -55,14 +53,14 @@ def respond(
 
     Parameters
     ----------
-    oscillator : Oscillator or System
-    law : ContactLaw or mapping of str to ContactLaw
-        One law for all contacts, or that of each contact of a system, by its name.
+    oscillator, law
+        As in `gapsweep.simulate`: one or a sequence of either.
     omega : float or array_like
         Forcing frequency [Hz], ``> 0``; None of a system that is not forced.
     x_0, v_0 : float or array_like
         Initial displacement [m] and velocity [m/s], at forcing phase zero; broadcast against
-        `omega`. Sixty points in one call cost a quarter of what they cost one by one.
+        `omega` and sequences of models or laws. Sixty points in one call cost a quarter of what
+        they cost one by one.
     q_0, z_0 : float or array_like
         Coordinates [m] and first-order states of a system, along the last axis, as is its `v_0`.
     engine, rtol, atol
@@ -73,8 +71,9 @@ def respond(
     Returns
     -------
     Response
-        Its attributes are arrays if any of `omega` and the starts is one: of their shape; of
-        `extrema`, `extremum_kind`, `multipliers` and `section` an array of arrays.
+        Its attributes are arrays if any of the arguments above is one, or a sequence: of the shape
+        that these have together; of `extrema`, `extremum_kind`, `multipliers` and `section` an
+        array of arrays.
 
     Raises
     ------
@@ -90,30 +89,18 @@ def respond(
     >>> gs.respond(gs.Oscillator(), law, omega=[7.0, 9.0, 11.0]).amplitude.shape
     (3,)
     """
-    solver, steady = Solver.of(engine, rtol, atol), Steady() if steady is None else steady
-    check_kinds(oscillator, steady)
-    frequency, start, laws = starts(oscillator, law, omega, x_0, v_0, q_0, z_0)
-    n = frequency.size
-    models = Models.of([oscillator] * n, [laws] * n, frequency.ravel())
-    responses = respond_models(models, solver, start.reshape(n, -1), steady)
-    found = responses.shaped(frequency.shape) if frequency.shape else responses.row(0)
-    inputs = inputs_of(oscillator, law, frequency, start)
-    settings = {"engine": solver.engine, "rtol": solver.rtol, "atol": solver.atol}
-    return replace(found, inputs={**inputs, **settings, "steady": steady})
+    solver, steady = Solver.of(engine, rtol, atol), _STEADY if steady is None else steady
+    check_steady(steady)
+    models, start, shape = cases(oscillator, law, omega, x_0, v_0, q_0, z_0)
+    found = respond_models(models, solver, start, steady)
+    inputs = inputs_of(oscillator, law, models, start, shape) | {
+        "engine": solver.engine, "rtol": solver.rtol, "atol": solver.atol, "steady": steady
+    }  # fmt: skip
+    return found.shaped(shape, **inputs) if shape else found.rows(**inputs)[0]
 
 
-def check_kinds(oscillator: Oscillator | System, steady: Steady) -> None:
-    """Refuse what is no model, or no settings of when a response is steady.
-
-    Raises
-    ------
-    ModelError
-        If one of them is something else.
-    """
-    if not isinstance(oscillator, Oscillator | System):
-        raise ModelError(
-            f"oscillator = {oscillator!r}: must be a gapsweep.Oscillator or a gapsweep.System"
-        )
+def check_steady(steady: Steady) -> None:
+    """Refuse what is no settings of when a response is steady with a `ModelError`."""
     if not isinstance(steady, Steady):
         raise ModelError(f"steady = {steady!r}: must be a gapsweep.Steady")
 
@@ -159,12 +146,12 @@ def respond_models(models: Models, solver: Solver, starts: Array, steady: Steady
     steady : Steady
     """
     groups, found = models.by_kind(), []
-    for group in groups:
-        some, start = models.take(group), starts[group].T
+    for rows, some in groups:
+        start = starts[rows].T
         is_forced = some.omega[0] > 0.0
         ensemble = Ensemble(some, solver) if is_forced else PoincareMap(some, solver, start)
         found.append(Search(ensemble, start, steady).responses())
-    return _in_order(found, groups)
+    return _in_order(found, [rows for rows, _ in groups])
 
 
 def _in_order(parts: Sequence[Responses], groups: Sequence[Sequence[int] | Numbers]) -> Responses:

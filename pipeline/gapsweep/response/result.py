@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from gapsweep.variables import (
     as_html,
     dataset,
     members,
+    objects,
     to_dataframe,
 )
 
@@ -121,7 +123,8 @@ _MESSAGE = {"message": Variable("str", "", "reason for a failure or an unresolve
 _OSCILLATOR = OscillatorStructure()
 
 
-def columns_of(structure: AnyStructure) -> dict[str, tuple[str, tuple[int, ...]]]:
+@cache
+def columns_of(structure: AnyStructure) -> Mapping[str, tuple[str, tuple[int, ...]]]:
     """Columns of responses: NumPy type code, and the shape of one point's value.
 
     Values of a single coordinate, or of a single contact, are plain numbers.
@@ -357,8 +360,9 @@ class Response:
         Its dimensions are `omega` and `initial_condition` where every frequency is computed from
         every initial state, otherwise `point`.
         """
-        model, steady = self.inputs["oscillator"], self.inputs["steady"]
-        structure, n = structure_of(model), math.prod(np.shape(self.status))
+        shape, steady = np.shape(self.status), self.inputs["steady"]
+        models, n = objects(self.inputs["oscillator"]), math.prod(shape)
+        structure = structure_of(models.flat[0])
         columns = {
             name: np.asarray(getattr(self, name)).astype(dtype).reshape(n, *shape)
             for name, (dtype, shape) in columns_of(structure).items()
@@ -368,10 +372,13 @@ class Response:
             for name in LISTS
             for found in [getattr(self, name)]
         }
-        of_contacts = np.broadcast_to(model.directions, (n, *np.shape(model.directions)))
+        directions = np.array([model.directions for model in models.flat])
+        size = directions.shape[1:]
+        of_contacts = np.broadcast_to(directions.reshape(*models.shape, *size), (*shape, *size))
+        of_contacts = of_contacts.reshape(n, *size)
         arrays = Responses(columns, lists, {}).arrays(sizes_of(structure, steady), of_contacts)
         arrays["message"] = np.ravel(self.message).astype(str)
-        return dataset(self.inputs, np.shape(self.status), RESPONSE | _MESSAGE, arrays)
+        return dataset(self.inputs, shape, RESPONSE | _MESSAGE, arrays)
 
     def to_dataframe(self) -> Any:
         """The responses as a `pandas.DataFrame`, a row each, without extrema and sections.
@@ -560,8 +567,8 @@ class Responses:
         """One response as plain values."""
         return self.take([k]).rows()[0]
 
-    def rows(self) -> list[Response]:
-        """All responses as plain values."""
+    def rows(self, **inputs: Any) -> list[Response]:
+        """All responses as plain values, with the `inputs` of the call."""
         values: dict[str, list[Any]] = {
             name: list(column) if column.ndim > 1 else column.tolist()
             for name, column in self.columns.items()
@@ -572,10 +579,10 @@ class Responses:
         values["message"] = [self.messages.get(k, "") for k in range(len(self))]
         names = tuple(values)
         rows = zip(*values.values(), strict=True)
-        return [Response(**dict(zip(names, row, strict=True))) for row in rows]
+        return [Response(**dict(zip(names, row, strict=True)), inputs=inputs) for row in rows]
 
-    def shaped(self, shape: tuple[int, ...]) -> Response:
-        """All responses as one, whose attributes are arrays."""
+    def shaped(self, shape: tuple[int, ...], **inputs: Any) -> Response:
+        """All responses as one, whose attributes are arrays, with the `inputs` of the call."""
         # Whole numbers as numpy has them: the short ones of a column overflow in arithmetic.
         values: dict[str, Any] = {
             name: column.astype(np.int64) if column.dtype.kind == "i" else column
@@ -592,7 +599,8 @@ class Responses:
             values.setdefault(name, np.full(len(self), math.nan))
         values.setdefault("z_end", np.empty((len(self), 0)))
         return Response(
-            **{name: value.reshape(*shape, *value.shape[1:]) for name, value in values.items()}
+            **{name: value.reshape(*shape, *value.shape[1:]) for name, value in values.items()},
+            inputs=inputs,
         )
 
     def _split(self, name: str) -> list[list[Any]]:

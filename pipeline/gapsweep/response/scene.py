@@ -59,7 +59,8 @@ class Forces:
     @property
     def has_own_tangent(self) -> bool:
         """Whether motion and tangent are integrated together."""
-        return located(self.laws) == self.laws and self.tangent_solver == self.solver
+        is_exact = all(isinstance(law, Piecewise) for law in self.laws)
+        return self.is_located or not (is_exact or self.tangent_solver != self.solver)
 
     @property
     def tangent_solver(self) -> Solver:

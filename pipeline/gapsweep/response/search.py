@@ -82,19 +82,17 @@ TRANSITIONS: dict[State, tuple[str, tuple[State, ...]]] = {
 }  # fmt: skip
 
 
-def _call(function: str) -> tuple[str, int, int]:
-    """A function's method, and the first and last of the states, in a row, that share it."""
-    shared = [int(state) for state, (name, _) in TRANSITIONS.items() if name == function]
-    return f"_{function}", shared[0], shared[-1]
-
-
-_CALLS = [_call(function) for function, _ in TRANSITIONS.values()]
-_N_WAITING = len(TRANSITIONS)
-# Decisions come first. Most points wait for windows or shots: those that more points wait for come
-# next. The rest is left to the end, for all to share.
-_DECISIONS = range(State.APPROACHED, _N_WAITING)
-_MOVES, _SHOTS = range(State.SHOOT), range(State.SHOOT, State.LYAPUNOV)
-_LAST = range(State.LYAPUNOV, State.APPROACHED)
+# Functions in the order in which they are called: decisions, windows, shots. The rest is left to
+# the end, for all points to share.
+_FUNCTIONS = [
+    *dict.fromkeys(TRANSITIONS[s][0] for s in sorted(TRANSITIONS, key=State.APPROACHED.__gt__))
+]
+_AFTER_MOTION = np.array([State.PERIOD_TEST, State.APPROACHED, State.TIME_OVER])
+_WINDOWS, _LAST_SHOT = map(_FUNCTIONS.index, ("integrate", "measure_orbit"))
+# Which of them each state has; a class has none.
+_FUNCTION = np.array(
+    [_FUNCTIONS.index(TRANSITIONS[s][0]) if s in TRANSITIONS else len(_FUNCTIONS) for s in State]
+)
 
 
 class Search:
@@ -131,15 +129,15 @@ class Search:
     def responses(self) -> Responses:
         """Advance all points until each has its class."""
         while True:
-            waiting = np.bincount(self.state, minlength=_N_WAITING).tolist()
-            n_moves, n_shots = (sum(waiting[k] for k in states) for states in (_MOVES, _SHOTS))
-            order = *_DECISIONS, *(_SHOTS if n_shots > n_moves else _MOVES), *_LAST
-            state = next((k for k in order if waiting[k]), None)
-            if state is None:
+            function = _FUNCTION[self.state]
+            k = int(function.min())
+            if k == len(_FUNCTIONS):
                 break
-            method, first, last = _CALLS[state]
-            points = np.flatnonzero((self.state >= first) & (self.state <= last))
-            self.state[points] = getattr(self, method)(points)
+            if k == _WINDOWS:  # most points wait for these or for shots: what more wait for
+                shots = function[(function > k) & (function <= _LAST_SHOT)]
+                k = int(shots.min()) if len(shots) > np.count_nonzero(function == k) else k
+            points = (function == k).nonzero()[0]
+            self.state[points] = getattr(self, f"_{_FUNCTIONS[k]}")(points)
         return answers(self._windows, self._shooting, self._found, self._steady)
 
     # --- transient and recording window -----------------------------------------------------------
@@ -175,8 +173,8 @@ class Search:
         windows.integrate(points, passed, recorded)
         self._transient[points], self._recording[points] = transient - passed, recording - recorded
         is_over = passed + recorded == transient + recording
-        after = np.choose(state, (State.PERIOD_TEST, State.APPROACHED, State.TIME_OVER))
-        is_ok = windows.status[points] == Status.OK
+        after = _AFTER_MOTION[state]
+        is_ok = windows.status[points] == int(Status.OK)
         return np.where(is_ok, np.where(is_over, after, state), State.STOPPED)
 
     def _test_period(self, points: Numbers) -> States:
@@ -535,14 +533,11 @@ def time_budget(ensemble: Ensemble, steady: Steady) -> tuple[Any, Any, Any, Arra
     # Without damping nothing settles: what does not repeat at once never will.
     with np.errstate(over="ignore"):
         decay_periods = np.divide(omega, rate, out=np.zeros(len(rate)), where=rate > 0.0)
-    pause, settling, longest = (
-        np.ceil(np.minimum(times * decay_periods, limit.MOST_PERIODS)).astype(np.int64)
-        for times in (
-            math.log(1.0 / limit.TRANSIENT_SHARE),
-            math.log(1.0 / steady.settle_tol),
-            steady.max_decay_times,
-        )
-    )
+    shares = 1.0 / limit.TRANSIENT_SHARE, 1.0 / steady.settle_tol
+    times = np.array([*map(math.log, shares), steady.max_decay_times])[:, None]
+    pause, settling, longest = np.ceil(
+        np.minimum(times * decay_periods, limit.MOST_PERIODS)
+    ).astype(np.int64)
     # A full window more: slow forcing leaves no period between settling and the end.
     last = np.maximum(settling, np.minimum(longest, steady.max_periods)) + steady.n_periods
     at_a_time = omega * (math.inf if steady.t_max is None else steady.t_max)

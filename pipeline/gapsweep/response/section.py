@@ -60,9 +60,9 @@ def scaled(states: ArrayLike, unit: Array) -> Array:
 def norm(parts: Array) -> Array:
     """Lengths of vectors whose components stand along the first axis."""
     # One after the other: numpy's sum of eight and more depends on how many vectors there are.
-    total = np.square(parts[0])
-    for part in parts[1:]:
-        total = total + np.square(part)
+    total, *squares = np.square(parts)
+    for square in squares:
+        total = total + square
     return np.asarray(np.sqrt(total))
 
 
@@ -192,13 +192,14 @@ def converging_multiples(
     """
     n_tried = max(0, min(largest, int(lengths[points].max(initial=0)) - 4))
     latest = _latest(sections, lengths, points, n_tried + CONTRACTION_POINTS - 1)
-    may = np.ones((len(points), n_tried), bool)
+    found = np.zeros(len(points), np.int64)
+    earlier = latest[:, :, np.arange(n_tried)[:, None] + np.arange(1, 5)]
     with np.errstate(invalid="ignore"):
-        for i in range(4):
-            earlier = latest[:, :, i + 1 : i + 1 + n_tried]
-            may &= _are_near(latest[..., i : i + 1], earlier, closeness[:, None])
+        may = _are_near(latest[..., None, :4], earlier, closeness[:, None, None]).all(axis=2)
     # In the order of the sections, then of n.
     section, before = np.nonzero(may)
+    if not section.size:
+        return found
     place = np.arange(CONTRACTION_POINTS) + before[:, None] + 1
     steps = norm(latest[:, section, :CONTRACTION_POINTS] - latest[:, section[:, None], place])
     # What was farther away was on its way here, and may be on its way out again.
@@ -208,10 +209,9 @@ def converging_multiples(
     farthest[~(contracts | (farthest <= same[section]))] = np.nan
     best = np.full(len(points), np.inf)
     np.fmin.at(best, section, farthest)
-    converging = farthest <= AS_GOOD * best[section]
-    found = np.zeros(len(points), np.int64)
-    hits, first = np.unique(section[converging], return_index=True)
-    found[hits] = before[converging][first] + 1
+    # The smallest n is kept, since it is written last.
+    converging = np.flatnonzero(farthest <= AS_GOOD * best[section])[::-1]
+    found[section[converging]] = before[converging] + 1
     return found
 
 

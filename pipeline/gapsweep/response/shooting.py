@@ -156,7 +156,9 @@ class NewtonShooting:
             shortens = length < limit.SHORTENED * self.last_step[points]
             shortens |= apart < limit.SHORTENED * self._apart[points]
             is_at_best = is_near & ~shortens & (length <= limit.SHORT_STEP * self._furthest[points])
-            is_found = is_ok & call.is_sound & ((length <= goal) | is_at_best)
+            is_found = is_ok & ((length <= goal) | is_at_best)
+            if is_found.any():
+                is_found &= call.is_sound
             multipliers = floquet_multipliers(call.monodromy, call.determinant)
             modulus = np.abs(multipliers[:, 0])
             # About a rest, Newton's orbits shrink until they close within the noise.
@@ -165,7 +167,7 @@ class NewtonShooting:
             )
             is_rest &= np.isfinite(goal)  # of an orbit as it is, Newton moves nothing
             is_found &= ~is_rest
-            self._keep(points, np.flatnonzero(is_found), multipliers, call)
+            self._keep(points, is_found.nonzero()[0], multipliers, call)
             self._tries[points] += 1
             self.last_step[points], self._apart[points] = length, apart
             moved = self._moved[:, points] + step
@@ -250,14 +252,14 @@ def floquet_multipliers(monodromy: Array, determinant: Array) -> NDArray[np.comp
 def _pairs(monodromy: Array, determinant: Array) -> NDArray[np.complex128]:
     """Eigenvalues of 2 x 2 matrices, the larger first."""
     with np.errstate(all="ignore"):  # of tangents that overflowed or shrank to nothing
-        half = 0.5 * np.trace(monodromy, axis1=1, axis2=2)
+        half = 0.5 * (monodromy[:, 0, 0] + monodromy[:, 1, 1])
         # Where the trace is zero the two are imaginary.
         ratio = np.where(half == 0.0, np.inf, determinant / half / half)
+        is_real, root = ratio <= 1.0, np.sqrt(determinant)
         larger = half * (1.0 + np.sqrt(1.0 - ratio))
         smaller = np.where(larger == 0.0, 0.0, determinant / larger)
-        height = np.sqrt((np.sqrt(determinant) - half) * (np.sqrt(determinant) + half))
-    is_real = ratio <= 1.0
+        height = np.where(is_real, 0.0, np.sqrt((root - half) * (root + half)))
     found = np.empty((len(half), 2), complex)
-    found.real = np.where(is_real, (larger, smaller), half).T
-    found.imag = np.where(is_real, 0.0, (height, -height)).T
+    found.real[:, 0], found.imag[:, 0] = np.where(is_real, larger, half), height
+    found.real[:, 1], found.imag[:, 1] = np.where(is_real, smaller, half), 0.0 - height
     return found

@@ -109,13 +109,12 @@ class RecordedWindows:
     ) -> None:
         """Go on for whole periods, then for some that are added to the windows; one may be none."""
         # The motions of a call: of each point a transient, a window, or one that follows the other.
-        n_motions = (transient > 0) + (window > 0).astype(np.intp)
-        of = np.repeat(np.arange(len(points)), n_motions)
-        follows = np.append(False, of[1:] == of[:-1])
-        last = np.cumsum(n_motions) - 1
-        recorded = np.zeros(len(of), bool)
-        recorded[last] = window > 0
-        scenes, n_periods = points[of], np.where(recorded, window[of], transient[of])
+        both = np.array((transient, window)).T
+        of, part = both.nonzero()
+        recorded = part == 1
+        follows = recorded & (transient > 0)[of]
+        last = (recorded | (window == 0)[of]).nonzero()[0]
+        scenes, n_periods = points[of], both[of, part]
         call = self.ensemble.call(
             scenes, self.y[:, scenes], n_periods, np.where(recorded, 0.0, math.inf),
             section_only=section_only, follows=follows if follows.any() else None,
@@ -126,16 +125,17 @@ class RecordedWindows:
             shares = contact_shares(self.ensemble, points, self.y[:, points], call)
             self.contact_share[:, points] = shares
         if recorded.any():
-            self._add(scenes[recorded], np.flatnonzero(recorded), call)
-        # What failed in its transient is where it was left.
-        first = last - n_motions + 1
-        last = np.where(call.is_ok[first], last, first)
-        self._steps_per_period[points] = np.maximum(call.n_steps[last] / n_periods[last], 1.0)
+            self._add(scenes[recorded], recorded.nonzero()[0], call)
         self._elapsed[points] += np.bincount(of, call.t_end)
-        # What failed did so before the end of a period, and what follows it was not begun.
-        lasted = np.where(call.is_ok, n_periods, np.ceil(call.t * call.omega))
-        elapsed = np.bincount(of, lasted).astype(np.int64)
-        self.move_to(points, call.y[:, last], call.status[last], elapsed)
+        if not call.is_ok.all():
+            # What failed in its transient is where it was left.
+            first = last - follows[last]
+            last = np.where(call.is_ok[first], last, first)
+            # What failed did so before the end of a period, and what follows it was not begun.
+            lasted = np.where(call.is_ok, n_periods, np.ceil(call.t * call.omega))
+            transient, window = np.bincount(of, lasted).astype(np.int64), np.zeros_like(window)
+        self._steps_per_period[points] = np.maximum(call.n_steps[last] / n_periods[last], 1.0)
+        self.move_to(points, call.y[:, last], call.status[last], transient + window)
 
     def extrema_of(self, call: Call) -> tuple[Array, Counts]:
         """Zero-velocity points [m] of a call, and how many there are of each motion's quantities.
@@ -156,7 +156,7 @@ class RecordedWindows:
     def _add(self, points: Numbers, motions: Numbers, call: Call) -> None:
         """Add recorded motions of a call to the windows of their points."""
         self._extent[points] = np.maximum(self._extent[points], call.reach[motions])
-        new = np.diff(call.period_ends)[motions]
+        new = call.passings[1][motions]
         room = int((self.length[points] + new).max()) - self.section.shape[2]
         if room > 0:
             more = np.zeros((*self.section.shape[:2], room))
