@@ -73,7 +73,7 @@ def test_engine_with_a_wrong_smooth_force_is_silent_and_wrong(monkeypatch):
         return kernel_law(models.with_laws(stiffer), contact)
 
     monkeypatch.setattr(compiled, "_kernel_law", broken)
-    found = outcomes(HARD, labels=["tanh-1e6"])[0, 0]
+    found = outcomes(HARD, labels=["arctan-1e6"])[0, 0]
     assert found.tolist()[1:] == [Outcome.SILENT_WRONG] * 2
 
 

@@ -1,4 +1,4 @@
-"""The compiled engine: the exact law by Taylor series, all others by Runge–Kutta, in lanes."""
+"""The compiled engine: the exact law and tanh by Taylor series, all others by Runge–Kutta."""
 
 from collections.abc import Sequence
 from operator import attrgetter
@@ -33,10 +33,15 @@ from gapsweep.model.user_law import UserLaw
 Array = NDArray[np.float64]
 Columns = Sequence[Array]
 
+# Largest relative tolerance at which a Taylor series of overlapping tanh layers costs no more than
+# Runge-Kutta steps.
+_THICK_LAYERS_UP_TO = 1e-5
+
 
 def prepared(models: Models, solver: Solver) -> Integrate:
     """Integration of models; each result is the same to the last bit in any company."""
-    is_taylor, scenes = _by_taylor(models, solver), _scenes(models, solver)
+    is_taylor = _by_taylor(models, solver)
+    scenes = _scenes(models, solver, is_taylor)
     if not is_taylor:
         laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
         mass = np.ones(len(models))
@@ -48,7 +53,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
     def integrate(problems: Problems) -> Motions:
         contacts = problems.contacts or (problems.contact_time and not is_taylor)
-        given = {"contacts": contacts, **_given(problems)}
+        given = {"contacts": contacts, "sampled": problems.sampled, **_given(problems)}
         try:
             run = exact.run(scenes, start=problems.start, **given)
         except NumbaError as error:
@@ -102,6 +107,8 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
             f"{located[0]}: a contact is located only if all are; take located=False here "
             "(piecewise-noevents), or engine='scipy', which then locates none"
         )
+    if _is_oscillator(models) and isinstance(laws[0], Tanh):
+        return laws[0].has_thin_layers or solver.rtol <= _THICK_LAYERS_UP_TO
     return len(located) == len(laws)
 
 
@@ -146,11 +153,13 @@ def _given(problems: Problems) -> dict[str, Any]:
     }
 
 
-def _scenes(models: Models, solver: Solver) -> Scenes:
+def _scenes(models: Models, solver: Solver, is_taylor: bool) -> Scenes:
     tolerances: dict[str, Any] = {"rtol": solver.rtol, "atol": solver.atol}
     walls = _walls(models)
     if _is_oscillator(models):
         of_contact = {name: column[:, 0] for name, column in walls.items()}
+        if is_taylor and isinstance(models.laws[0][0], Tanh):
+            of_contact["epsilon"] = models.of_laws(attrgetter("epsilon"))[:, 0]
         return scenes(**of_contact, **_oscillators(models), **tolerances)
     of_contacts = Walls(**walls)
     return system_scenes(models.systems, models.system, of_contacts, models.omega, **tolerances)

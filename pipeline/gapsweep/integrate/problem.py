@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motion import Motions
-from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
+from gapsweep.model.contact import ContactLaw, Piecewise, Tanh, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
@@ -143,7 +143,8 @@ def law_kind(law: ContactLaw) -> Hashable:
         If it is no law.
     """
     if checked_law(law).is_numbers:
-        return type(law), isinstance(law, Piecewise) and law.located
+        is_thin = isinstance(law, Tanh) and law.has_thin_layers
+        return type(law), is_thin, isinstance(law, Piecewise) and law.located
     return law
 
 
@@ -172,6 +173,8 @@ class Problems:
         Whether of these only the section is needed: a compiled engine then records no other.
     dense_output : bool
         Whether the motions are kept for sampling, from `record_from` on.
+    sampled : bool
+        Whether another pass, with the same steps, has `dense_output`.
     tangent : bool
         Whether the variational equations are integrated along.
     contacts : bool
@@ -190,6 +193,7 @@ class Problems:
     follows: NDArray[np.bool_] | None = None
     section_only: bool = False
     dense_output: bool = False
+    sampled: bool = False
     tangent: bool = False
     contacts: bool = False
     contact_time: bool = False

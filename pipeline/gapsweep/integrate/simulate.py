@@ -148,7 +148,7 @@ def simulate(
     if dense_output:  # nothing runs yet, but what no engine takes is refused now
         for _, some in models.by_kind():
             prepared(some, solver)
-    solve = partial(_solved, models, solver, start, t_0, ends, tangent)
+    solve = partial(_solved, models, solver, start, t_0, ends, tangent, dense_output)
     inputs = {
         **inputs_of(oscillator, law, models, start, shape),
         **span,
@@ -167,6 +167,7 @@ def _solved(
     t_0: float,
     t_end: Array,
     tangent: bool,
+    sampled: bool,
     record_from: float,
     dense_output: bool,
 ) -> Motions:
@@ -181,6 +182,7 @@ def _solved(
                 t_end=t_end[rows],
                 record_from=np.full(len(rows), record_from),
                 dense_output=dense_output,
+                sampled=sampled,
                 section_only=dense_output,
                 tangent=tangent,
                 contacts=math.isfinite(record_from) and not dense_output,

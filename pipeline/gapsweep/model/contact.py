@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 FIT_RANGE = 4e-3
 _NOEVENTS = "noevents"
 _HALVINGS = 60  # to the last digits of a double
+_THIN = 30.0  # gap over the width of a layer
 
 
 @dataclass(frozen=True)
@@ -271,6 +272,11 @@ class Tanh(_Switched):
 
     family: ClassVar[str] = "tanh"
     colour: ClassVar[str] = "#0072B2"
+
+    @property
+    def has_thin_layers(self) -> bool:
+        """Whether the layers at both walls leave most of the gap free."""
+        return self.epsilon * self.gap.width >= _THIN
 
     @cached_property
     def turns(self) -> tuple[float, ...] | None:

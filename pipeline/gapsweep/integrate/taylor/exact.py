@@ -134,6 +134,7 @@ def run(
     section_only: bool = False,
     tangent: bool = False,
     dense_output: bool = False,
+    sampled: bool = False,
     contacts: bool = True,
 ) -> Exact:
     """Integrate prepared systems from their starts.
@@ -162,6 +163,8 @@ def run(
         the contact force is continuous.
     dense_output : bool
         Keep every step's series from `record_from` on, for `Exact.sample`.
+    sampled : bool
+        Take the steps that a run with `dense_output` takes.
     contacts : bool
         Record the walls passed.
     """
@@ -184,6 +187,8 @@ def run(
         heads = points[:-1][~follows[:-1]]
         set_modes_on_walls(at, heads)
         points[:-1][~follows[:-1]] = heads
+    if at.is_tanh and (dense_output or sampled):
+        points[:, at.layer] = np.inf  # no layer is crossed at once: the motion within it is wanted
     statuses = np.full(len(which), RUNNING)
     limits = prepared.rtol, prepared.atol, DIVERGED_AT, _MOST_SHORT
     queue = np.flatnonzero(~follows[:-1]) if queue is None else queue

@@ -75,6 +75,8 @@ class Layout:
         Whether it is an oscillator: one coordinate, which one contact and one cubic spring act on.
     in_step : bool
         Whether the only harmonic has the frequency and the phase of the clock.
+    is_tanh : bool
+        Whether the contact of an oscillator is smoothed by tanh.
     is_free : bool
         Whether nothing repeats with the clock: the section is then passed where the first
         coordinate has a maximum.
@@ -98,6 +100,7 @@ class Layout:
     modulations: int = 0
     is_plain: bool = True
     in_step: bool = True
+    is_tanh: bool = False
     is_free: bool = False
     is_located: bool = True
     is_taylor: bool = True
@@ -177,6 +180,9 @@ class Layout:
             # contact was left less those at which it was made
             **{"mode": k, "mode_0": k, "side": k, "gap": k * several},
             **{"lower": k, "upper": k, "lower_stiffness": k, "upper_stiffness": k},
+            # smoothing: 2 epsilon [1/m], half-width of the layers [m], whether one is near, longest
+            # step [s], and what to add to the time of the contact that ended the last step [s]
+            **dict.fromkeys(("sharpness", "layer", "is_near", "longest", "lag"), 1 * self.is_tanh),
             **{"compliance": k * several, "contact_time": k},
             # q'' = push cos(..) - damping v - stiffness q - lag_force z - cubic's and contacts'
             # pull, all per unit mass (multiplied by M^-1); z' = of_speed v + of_place q + of_lag z

@@ -263,6 +263,8 @@ def _record_contact(at, run, k, contact):
     """A wall passed, or both where no gap lies between them: the time, and rows if wanted."""
     lanes = run.lanes
     side, end = lanes[at.side + contact, k], lanes[at.start_time, k] + lanes[at.step, k]
+    if at.is_tanh:
+        end += lanes[at.lag, k]
     mode, mode_0 = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
     has_gap = lanes[at.lower + contact, k] < lanes[at.upper + contact, k]
     if mode == 0.0 or (not has_gap and mode_0 != 0.0):

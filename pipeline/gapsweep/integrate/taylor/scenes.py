@@ -20,6 +20,8 @@ ORDERS = ((2e-5, 8), (2e-8, 12), (2e-11, 16), (0.0, 20))
 # Shortest step that makes progress, in rad of the natural or forcing frequency: a stiffness of 1e9
 # N/m takes steps a million times longer, and a run of shorter ones would never end.
 MIN_STEP = 1e-10
+# The force that is left out beyond a layer, K |y| exp(-2 eps |y|): within exp(-6) of the tolerance.
+_TAIL = 6.0
 
 
 def order_for(rtol: float) -> int:
@@ -64,6 +66,7 @@ def scenes(
     j_2: Array,
     omega: Array,
     K_ratio: Array,
+    epsilon: Array | None = None,
     *,
     rtol: float,
     atol: float,
@@ -79,6 +82,8 @@ def scenes(
         Natural and forcing frequency [Hz], both > 0.
     j_1, j_2 : ndarray, shape (n,)
         Distances of the walls from the origin [m], >= 0; infinity: no wall.
+    epsilon : ndarray, shape (n,), optional
+        Convergence parameter [1/m] of contacts that are smoothed by tanh.
     rtol, atol : float
         A step's error in velocity is kept below about `rtol` times the speed that the state's
         energy amounts to, in the gap or beside the wall, whichever springs hold it; that of a
@@ -90,12 +95,16 @@ def scenes(
     check(K_c=K_c, K_ratio=K_ratio, j_1=j_1, j_2=j_2)
     n_rad = 2 * np.pi * omega_n
     width = NARROW if len(zeta) <= NARROW else WIDTH
-    at = known(Layout(order=order_for(rtol), width=width))
+    at = known(Layout(order=order_for(rtol), width=width, is_tanh=epsilon is not None))
     points, table = empty_table(at, len(zeta))
     table[at.stiffness], table[at.damping] = n_rad**2, 2 * zeta * n_rad
     table[at.cubic], table[at.push] = alpha / mass, forcing / mass
     table[at.lower], table[at.upper] = -j_1, j_2
     table[at.lower_stiffness], table[at.upper_stiffness] = K_ratio * K_c / mass, K_c / mass
+    if epsilon is not None:
+        table[at.sharpness] = 2.0 * epsilon
+        table[at.layer] = (_TAIL - math.log(rtol)) / table[at.sharpness]
+        table[at.is_near], table[at.longest] = 1.0, np.inf
     set_clock(at, table, omega)
     stiffnesses = table[at.lower_stiffness], table[at.upper_stiffness]
     table[at.floor] = np.minimum(*map(partial(_forced_size, at, table), (j_1, j_2), stiffnesses))
@@ -261,4 +270,6 @@ def _set_idle(at: Layout, point: Array) -> None:
     point[at.upper : at.upper + at.contacts] = 1.0
     if not at.is_plain:
         point[at.slow] = 1.0
+    if at.is_tanh:
+        point[at.sharpness], point[at.longest] = 1.0, np.inf
     point[[at.end_cycle, at.record_clock, at.event_clock]] = np.inf

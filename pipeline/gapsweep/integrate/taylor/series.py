@@ -144,6 +144,15 @@ def _harmonics(lanes, amplitudes, names, n_terms):
     return total
 
 
+def value_and_slope(series, t):
+    """Polynomial and derivative at t by Horner's rule."""
+    value, slope = series[-1], None
+    for a in reversed(series[:-1]):
+        slope = value if slope is None else fma(slope, t, value)
+        value = fma(value, t, a)
+    return value, slope
+
+
 def square_term(x, n):
     """Coefficient n of x^2. The newest coefficient comes last: the sum waits for it alone."""
     if n == 0:

@@ -25,6 +25,7 @@ from gapsweep.integrate.vectors import (
     I64,
     Vec,
     absolute,
+    branch,
     copysign,
     fma,
     is_nonzero,
@@ -35,8 +36,10 @@ from gapsweep.integrate.vectors import (
     where,
 )
 
-from .series import Equation, Lanes, Modes, Motion, dot, pointers, variation
+from .series import Equation, Lanes, Modes, Motion, dot, pointers, value_and_slope, variation
 from .step_size import Sizes, step_size
+from .tanh import Layers, TanhMotion
+from .tanh import variation as tanh_variation
 
 # A step spans at most this part of a forcing period, so that it holds at most one section point.
 MAX_PERIODS_PER_STEP = 0.5
@@ -45,15 +48,6 @@ MAX_HALVINGS = 3
 NEWTON_STEPS = 3
 SHORT_STEP = 1e-6  # rad of the fastest frequency: contact steps shorter than this count as chatter
 _EPS = 2.0**-52
-
-
-def value_and_slope(series, t):
-    """Polynomial and derivative at t by Horner's rule."""
-    value, slope = series[-1], None
-    for a in reversed(series[:-1]):
-        slope = value if slope is None else fma(slope, t, value)
-        value = fma(value, t, a)
-    return value, slope
 
 
 def compensated_sum(total, term):
@@ -93,17 +87,16 @@ class _Shape:
         low = minimum(minimum(offsets[0], offsets[1]), minimum(offsets[2], 0.0 * y_1))
         high = maximum(maximum(offsets[0], offsets[1]), maximum(offsets[2], 0.0 * y_1))
         slack = fma(tail, 1.0 / 12, fma(absolute(series[0]), 16 * _EPS, rounding))
-        self.stays_above_lo = series[0] + (low - slack) >= lo
-        self.stays_below_hi = series[0] + (high + slack) <= hi
+        self.bottom, self.top = series[0] + (low - slack), series[0] + (high + slack)
         is_monotone = self.falls | self.rises
         # Inside at the start, x leaves over `lo` at most once if it is monotone or concave,
         # over `hi` at most once if monotone or convex: then the end point decides.
-        self.is_decided = (self.stays_above_lo | is_monotone | self.is_concave) & (
-            self.stays_below_hi | is_monotone | self.is_convex
+        self.is_decided = ((self.bottom >= lo) | is_monotone | self.is_concave) & (
+            (self.top <= hi) | is_monotone | self.is_convex
         )
 
 
-def _emit_decided_step(builder, gaps, h, modes):
+def _emit_decided_step(builder, gaps, h, modes, layers):
     """Shorten the step of lanes whose crossing is unclear, up to MAX_HALVINGS times.
 
     A shorter step costs a fifth of isolating roots for one lane, and its bounds are much tighter:
@@ -115,9 +108,11 @@ def _emit_decided_step(builder, gaps, h, modes):
         The step.
     is_decided : Mask
         No gap is left, or left once and where its end lies beyond.
+    shapes : list of _Shape
+        Of the gaps.
     """
     if not gaps:
-        return h, h <= h
+        return h, h <= h, []
     start = builder.block
     loop, done = builder.append_basic_block("halve"), builder.append_basic_block("decided")
     builder.branch(loop)
@@ -126,6 +121,8 @@ def _emit_decided_step(builder, gaps, h, modes):
     trial = Vec(builder, step)
     shapes = [_Shape(*gap, trial) for gap in zip(gaps, modes.lo, modes.hi, strict=True)]
     is_decided = reduce(lambda a, b: a & b, [shape.is_decided for shape in shapes])
+    if layers:
+        is_decided = is_decided & ~layers.ends_in_one(shapes[0], trial)
     halved = where(is_decided, trial, trial * 0.5)
     step.add_incoming(h.value, start)
     step.add_incoming(halved.value, builder.block)
@@ -135,7 +132,7 @@ def _emit_decided_step(builder, gaps, h, modes):
     may_go_on = builder.icmp_unsigned("<", count, ir.Constant(I64, MAX_HALVINGS))
     builder.cbranch(builder.and_(is_open, may_go_on), loop, done)
     builder.position_at_end(done)
-    return trial, is_decided
+    return trial, is_decided, shapes
 
 
 def _signs(bernstein, slack):
@@ -173,22 +170,15 @@ def _emit_crossings(builder, series, h, end, outward, wants_root, wall):
         Newton's method converged inside the step to an outward crossing.
     """
     x_1, v_1 = end
-    mask_type = wants_root.value.type
-    none = ir.Constant(mask_type, [ir.Constant(ir.IntType(1), 0)] * mask_type.count)
-    before = builder.block
-    with builder.if_then(is_nonzero(builder, wants_root.bits())):
+
+    def found():
         t, v, residual = _crossing(series, h, wall, x_1, v_1)
         size = absolute(series[0]) + (absolute(series[1]) + absolute(v)) * absolute(t)
         is_exact = absolute(residual) <= size * (8 * _EPS)  # as near as rounding lets it come
-        is_found = is_exact & (t > 0.0) & (t <= h) & (v * outward > 0.0)
-        inside = builder.block
-    results = []
-    for skipped, computed in ((h.value, t.value), (v_1.value, v.value), (none, is_found.value)):
-        phi = builder.phi(computed.type)
-        phi.add_incoming(skipped, before)
-        phi.add_incoming(computed, inside)
-        results.append(phi)
-    return Vec(builder, results[0]), Vec(builder, results[1]), type(wants_root)(builder, results[2])
+        return t, v, is_exact & (t > 0.0) & (t <= h) & (v * outward > 0.0)
+
+    is_wanted = is_nonzero(builder, wants_root.bits())
+    return branch(builder, is_wanted, found, lambda: (h, v_1, h < h))
 
 
 class _Exits:
@@ -205,12 +195,13 @@ class _Exits:
     crosses : Mask
         Lanes that end on one.
     is_unclear : Mask
-    of_one : tuple of Vec
-        Displacement and velocity at the end, of a plain oscillator.
+    ends : list of tuple of Vec
+        For every contact, the gap and its rate at the end of the step.
+    shapes : list of _Shape
     """
 
-    def __init__(self, builder, motion, modes, h):
-        h, is_decided = _emit_decided_step(builder, motion.gaps, h, modes)
+    def __init__(self, builder, motion, modes, h, layers):
+        h, is_decided, self.shapes = _emit_decided_step(builder, motion.gaps, h, modes, layers)
         found = [
             self._crossing_of(builder, gap, h, lo, hi, is_decided)
             for gap, lo, hi in zip(motion.gaps, modes.lo, modes.hi, strict=True)
@@ -276,12 +267,12 @@ def _commit_contacts(lanes, modes, motion, exits, state):
     return n_walls
 
 
-def _emit_tangents(lanes, coefficients, motion, step, is_unclear):
+def _emit_tangents(lanes, coefficients, motion, step, keeps, layers):
     """Advance the solutions of the variational equation, and keep their series."""
     layout = lanes.layout
     kept = layout.n_series * layout.n_terms
     for column in range(layout.n_states):
-        y, z = variation(lanes, motion, column)
+        y, z = (tanh_variation if layers else variation)(lanes, motion, column)
         for number, series in enumerate(y + z):
             for n, term in enumerate(series):
                 coefficients[kept + number * layout.n_terms + n] = term
@@ -289,11 +280,12 @@ def _emit_tangents(lanes, coefficients, motion, step, is_unclear):
         pairs = [value_and_slope(series, step) for series in y]
         ends = [a for a, _ in pairs] + [b for _, b in pairs]
         ends += [value_and_slope(series, step)[0] for series in z]
+        ends = layers.jump(*ends) if layers else ends
         starts = [s[0] for s in y] + [s[1] for s in y] + [s[0] for s in z]
         first = layout.tangent_state + column * layout.n_states
         for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
             end = where(absolute(end) < VANISHED, 0.0, end)
-            lanes[first + i] = where(is_unclear, start, end)
+            lanes[first + i] = where(keeps, start, end)
 
 
 def _emit_step(builder, layout, arrays, scalars):
@@ -306,12 +298,18 @@ def _emit_step(builder, layout, arrays, scalars):
 
     # 1. series and step size
     modes = Modes(lanes)
-    motion = Motion(lanes, modes, Equation(lanes, modes))
+    motion = (TanhMotion if layout.is_tanh else Motion)(lanes, modes, Equation(lanes, modes))
     kept = motion.q if layout.is_plain else motion.q + motion.z + motion.gaps
     for number, series in enumerate(kept):
         for n, term in enumerate(series):
             coefficients[number * layout.n_terms + n] = term
-    free_step = step_size(lanes, motion, Sizes(lanes, modes, motion), rtol)
+    sizes, layers = Sizes(lanes, modes, motion), None
+    if layout.is_tanh and layout.tangent:
+        sizes.springs = sizes.springs + motion.stiffening
+    free_step = step_size(lanes, motion, sizes, rtol)
+    if layout.is_tanh:
+        layers = Layers(lanes, modes, motion)
+        free_step = minimum(free_step, layers.longest)
     period, tau, tau_low, cycle = (lanes[name] for name in ("period", "tau", "tau_low", "cycle"))
     end_cycle, end_tau = lanes["end_cycle"], lanes["end_tau"]
     left = maximum(((end_cycle - cycle) + (end_tau - tau) - tau_low) * period, 0.0 * period)
@@ -320,15 +318,21 @@ def _emit_step(builder, layout, arrays, scalars):
     h = where(is_last, left, h)
 
     # 2., 3. which lanes leave their intervals, and where exactly
-    exits = _Exits(builder, motion, modes, h)
+    exits = _Exits(builder, motion, modes, h, layers)
+    if layers:
+        layers.cross(exits, left, fma(sizes.speed, rtol, lanes["floor"]))
     step, crosses, is_unclear = exits.step, exits.crosses, exits.is_unclear
+    keeps = is_unclear | layers.repeats if layers else is_unclear  # lanes that do not move
     # a step that is halved in search of a crossing may be as short as it likes
     is_stuck = (h < lanes["min_step"]) & ~(crosses | is_last)
     is_last = is_last & (exits.h >= left)
     state = list(exits.ends[0]) if layout.is_plain else _state_at(motion, step)
 
     # 4. commit
-    is_done = is_last & ~crosses & ~is_unclear
+    if layout.tangent:
+        _emit_tangents(lanes, coefficients, motion, step, keeps, layers)
+    step = step + layers.delay if layers else step
+    is_done = is_last & ~crosses & ~keeps
     tau_1, low_1 = compensated_sum(tau, fma(lanes["omega"], step, tau_low))
     wraps = tau_1 >= 1.0
     tau_1 = where(is_done, end_tau, where(wraps, tau_1 - 1.0, tau_1))
@@ -346,24 +350,25 @@ def _emit_step(builder, layout, arrays, scalars):
     is_section = (cycle_1 > cycle) & (cycle_1 - lanes["record_clock"] >= -CLOCK_SLACK)
     is_recording = is_section | (cycle_1 + tau_1 - lanes["event_clock"] >= -CLOCK_SLACK)
 
-    if layout.tangent:
-        _emit_tangents(lanes, coefficients, motion, step, is_unclear)
     n_walls = _commit_contacts(lanes, modes, motion, exits, state)
     before = lanes.rows("q") + lanes.rows("v") + lanes.rows("z")
     for i, (old, new) in enumerate(zip(before, state, strict=True)):
-        lanes[layout.q + i] = where(is_unclear, old, new)
+        lanes[layout.q + i] = where(keeps, old, new)
     for i, reach in enumerate(lanes.rows("reach")):
-        lanes[layout.reach + i] = where(is_unclear, reach, maximum(reach, absolute(state[i])))
-    lanes["tau"] = where(is_unclear, tau, tau_1)
-    lanes["tau_low"] = where(is_unclear, tau_low, where(is_done, 0.0 * one, low_1))
-    lanes["cycle"] = where(is_unclear, cycle, cycle_1)
-    lanes["n_steps"] = lanes["n_steps"] + where(is_unclear, 0.0 * one, 1.0)
+        lanes[layout.reach + i] = where(keeps, reach, maximum(reach, absolute(state[i])))
+    lanes["tau"] = where(keeps, tau, tau_1)
+    lanes["tau_low"] = where(keeps, tau_low, where(is_done, 0.0 * one, low_1))
+    lanes["cycle"] = where(keeps, cycle, cycle_1)
+    lanes["n_steps"] = lanes["n_steps"] + where(keeps, 0.0 * one, 1.0)
     lanes["n_contacts"] = lanes["n_contacts"] + n_walls
-    lanes["n_short"] = where(is_unclear, lanes["n_short"], n_short)
+    lanes["n_short"] = where(keeps, lanes["n_short"], n_short)
     lanes["step"], lanes["tau_0"], lanes["cycle_0"] = step, tau, cycle
 
+    if layers:
+        layers.commit(state, exits.h, keeps)
+        is_recording = is_recording & ~layers.repeats
     packed = is_unclear.bits()
-    for k, mask in enumerate((is_done, is_bad & ~is_unclear, is_recording), start=1):
+    for k, mask in enumerate((is_done, is_bad & ~keeps, is_recording), start=1):
         packed = builder.or_(packed, builder.shl(mask.bits(), ir.Constant(I64, k * layout.width)))
     return packed
 

@@ -128,6 +128,10 @@ def step_size(lanes, motion, sizes, rtol):
     - A cubic spring swings like an elliptic cosine, whose poles lie `_POLE` over the root of
       `hardening` from the real axis: terms fall no faster than powers of h over that.
 
+    A contact smoothed by tanh has its poles at imaginary depths. In a motion from rest on the wall
+    the depth is the square of time, and three terms in four vanish. So the two terms before the
+    last ones count too, with the size that they would have in a geometric series.
+
     First-order states keep `rtol` of their own size, or of what they change by in a radian.
     """
     order = lanes.layout.order
@@ -141,6 +145,10 @@ def step_size(lanes, motion, sizes, rtol):
         (log_scale - _off_grid(math.log2(n)) - _log_speed(lanes, motion, n)) * (1.0 / (n - 1))
         for n in (order, order - 1)
     ]
+    if lanes.layout.is_tanh:
+        for n in (order - 2, order - 3):
+            log_n = log_scale - log_error * ((order - n) / (order - 1)) - math.log2(n)
+            limits.append((log_n - _log_speed(lanes, motion, n)) * (1.0 / (n - 1)))
     limits.append(log_carried - log_rate)
     limits.append(log_ratio - rough_log2(sizes.hardening) * 0.5)
     for z, floor in zip(motion.z, lanes.rows("lag_floor"), strict=True):

@@ -1,0 +1,132 @@
+"""Contacts smoothed by tanh: Taylor steps across their thin layers, against scipy's engine."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import gapsweep as gs
+
+OSCILLATOR = gs.Oscillator()
+TIGHT = {"engine": "scipy", "rtol": 1e-12, "atol": 1e-15}
+FINE = {"rtol": 1e-10, "atol": 1e-13}
+T_END = 0.3
+EPSILONS = 1e3, 3e4, 2e5, 1e6, 1e7
+# forcing frequency [Hz], stiffness of the upper wall [N/m], gap, that of the lower wall over it
+CASES = {
+    "soft": (6.0, 1.4e4, gs.Gap(0.0, 8e-4), 1.0),
+    "hard": (12.0, 1.4e6, gs.Gap(4e-4, 4e-4), 1.0),
+    "unequal": (9.0, 1e5, gs.Gap(2e-4, 4e-4), 0.3),
+    "no gap": (9.0, 1e5, gs.Gap(0.0, 0.0), 2.0),
+}
+
+
+def scene(case, epsilon):
+    omega, K_c, gap, K_ratio = CASES[case]
+    return OSCILLATOR, gs.Tanh(K_c, gap, epsilon, K_ratio=K_ratio), omega
+
+
+@pytest.mark.parametrize("epsilon", EPSILONS)
+@pytest.mark.parametrize("case", CASES)
+def test_motions_and_events_are_those_of_scipy(case, epsilon):
+    # 1e-10 of 0.03 m/s, 1e-3 m and a period, and some for the growth of errors at hard walls
+    run, truth = (
+        gs.simulate(*scene(case, epsilon), 1e-4, 0.03, t_end=T_END, dense_output=True, **settings)
+        for settings in (FINE, TIGHT)
+    )
+    assert_allclose(run.x_end, truth.x_end, rtol=0.0, atol=1e-11)
+    assert_allclose(run.v_end, truth.v_end, rtol=0.0, atol=5e-10)
+    assert run.n_contacts == len(run.t_contacts) == truth.n_contacts
+    assert_allclose(run.t_contacts, truth.t_contacts, rtol=0.0, atol=2e-10)
+    assert_allclose(run.section, truth.section, rtol=0.0, atol=5e-10)
+    assert_allclose(run.extrema, truth.extrema, rtol=0.0, atol=1e-11)
+    t = np.linspace(0.0, T_END, 1000)  # some of them within a layer
+    assert_allclose(run.sample(t), truth.sample(t), rtol=0.0, atol=1e-9)
+
+
+def test_thin_layers_cost_about_what_the_exact_law_costs():
+    for case in ("soft", "hard", "unequal"):
+        oscillator, law, omega = scene(case, 1e6)
+        steps = [
+            gs.simulate(oscillator, each, omega, t_end=10.0, rtol=1e-7, atol=1e-10).n_steps
+            for each in (law, law.exact)
+        ]
+        assert steps[0] < 1.3 * steps[1]
+
+
+@pytest.mark.parametrize("epsilon", EPSILONS)
+@pytest.mark.parametrize("case", CASES)
+def test_the_tangent_is_the_derivative_of_the_motion(case, epsilon):
+    start, step = np.array([1e-4, 0.03]), np.array([1e-8, 1e-6])
+    omega = scene(case, epsilon)[2]
+    steady = {"t_end": 1.0 / omega, "rtol": 1e-12, "atol": 1e-15}
+    run = gs.simulate(*scene(case, epsilon), *start, tangent=True, **steady)
+    volume = math.exp(-2.0 * OSCILLATOR.decay_rate * steady["t_end"])
+    assert_allclose(np.linalg.det(run.monodromy), volume, rtol=1e-8)
+    columns = []
+    for i in range(2):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = start.copy()
+            moved[i] += sign * step[i]
+            end = gs.simulate(*scene(case, epsilon), *moved, **steady, dense_output=False)
+            ends.append([end.x_end, end.v_end])
+        columns.append(np.subtract(*ends) / (2.0 * step[i]))
+    scale = np.array([[1.0, 1 / 30.0], [30.0, 1.0]])
+    assert_allclose(run.monodromy / scale, np.transpose(columns) / scale, rtol=0.0, atol=2e-3)
+
+
+@pytest.mark.parametrize("epsilon", EPSILONS)
+def test_a_motion_is_the_same_in_any_company(epsilon):
+    # some lanes are in a layer while others are not
+    rng = np.random.default_rng(11)
+    law, n = gs.Tanh(1.4e5, gs.Gap(4e-4, 4e-4), epsilon), 20
+    omega, v_0 = rng.uniform(2.0, 20.0, n), rng.uniform(-0.05, 0.05, n)
+    together = gs.simulate(OSCILLATOR, law, omega, 0.0, v_0, t_end=2.0)
+    for i in range(n):
+        alone = gs.simulate(OSCILLATOR, law, omega[i], 0.0, v_0[i], t_end=2.0)
+        assert (alone.x_end, alone.v_end, alone.n_steps, alone.n_contacts) == (
+            together.x_end[i], together.v_end[i], together.n_steps[i], together.n_contacts[i],
+        )  # fmt: skip
+        assert_array_equal(alone.section, together.section[i])
+        assert_array_equal(alone.t_contacts, together.t_contacts[i])
+
+
+@pytest.mark.parametrize("epsilon", EPSILONS)
+def test_mirrored_motions_are_mirror_images(epsilon):
+    law = gs.Tanh(1.4e5, gs.Gap(4e-4, 4e-4), epsilon)
+    one, other = (
+        gs.simulate(
+            gs.Oscillator(forcing=sign * 4.0), law, 7.0, sign * 6e-4, sign * 0.02, t_end=2.0
+        )
+        for sign in (1.0, -1.0)
+    )
+    assert (one.x_end, one.v_end) == (-other.x_end, -other.v_end)
+    assert one.n_contacts == other.n_contacts > 0
+
+
+@pytest.mark.parametrize("epsilon", [1e5, 1e6])
+@pytest.mark.parametrize(("K_c", "gap"), [(7.44e5, gs.Gap(1.2446e-4, 7.336e-4)),
+                                          (1.6e6, gs.Gap(4.5e-4, 8.4e-4)),
+                                          (5e5, gs.Gap(5.5e-5, 2.26e-4))])  # fmt: skip
+def test_crossing_a_layer_at_once_is_integrating_through_it(K_c, gap, epsilon):
+    # a run that is to be sampled integrates through every layer
+    rng = np.random.default_rng(1)
+    law, n = gs.Tanh(K_c, gap, epsilon), 200
+    start = rng.uniform(2.0, 30.0, n), rng.uniform(-8e-4, 8e-4, n), rng.uniform(-0.05, 0.05, n)
+    at_once, through = (
+        gs.simulate(OSCILLATOR, law, *start, t_end=0.05, tangent=True, dense_output=dense)
+        for dense in (False, True)
+    )
+    assert at_once.n_steps.sum() < through.n_steps.sum()
+    scale = np.array([[1.0, 1 / 30.0], [30.0, 1.0]])
+    stretch = np.maximum(1.0, np.abs(through.monodromy / scale).max(axis=(1, 2)))
+    apart = np.abs(at_once.x_end - through.x_end) / stretch
+    assert apart.max() < 7e-12  # 14 tolerances of half a millimetre
+    assert at_once.n_contacts.tolist() == through.n_contacts.tolist()
+    pairs = zip(at_once.t_contacts, through.t_contacts, strict=True)
+    late = np.array([np.abs(one - other).max(initial=0.0) for one, other in pairs])
+    assert np.quantile(late / stretch, 0.9) < 1e-11
+    turned = np.abs(at_once.monodromy - through.monodromy) / scale / stretch[:, None, None]
+    assert turned.max() < 1e-4
