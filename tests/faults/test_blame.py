@@ -15,7 +15,7 @@ from gapsweep.execution.cluster import cluster
 from gapsweep.execution.isolated import Isolated
 from gapsweep.execution.task import response_of
 from gapsweep.integrate.problem import Solver
-from gapsweep.integrate.runge_kutta import smooth
+from gapsweep.integrate.stepping import batch
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.store.cache import Cache
 from gapsweep.study.points import Kind
@@ -29,7 +29,7 @@ def break_numba(n_times: float = float("inf")) -> None:
     """Have numba fail, as it does on a bug of its own or where it lacks memory."""
     from numba.core.errors import LoweringError
 
-    whole, failures = smooth.run, []
+    whole, failures = batch.run, []
 
     def run(*arguments, **options):
         if len(failures) < n_times:
@@ -37,7 +37,7 @@ def break_numba(n_times: float = float("inf")) -> None:
             raise LoweringError("out of registers\nand so on")
         return whole(*arguments, **options)
 
-    smooth.run = run
+    batch.run = run
 
 
 @pytest.fixture

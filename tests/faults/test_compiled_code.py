@@ -21,8 +21,8 @@ x, _ = run.sample(0.5)
 print(run.x_end.hex(), run.n_contacts, float(x).hex())
 """
 COUNTED = """
-from gapsweep.integrate.taylor import exact_kernel, sample, starts
-used = exact_kernel.advance, sample.sample_steps, starts.set_starts
+from gapsweep.integrate.stepping import loop, sample, starts
+used = loop.advance, sample.sample_steps, starts.set_starts
 print(sum(sum(each.stats.cache_misses.values()) for each in used))
 """
 

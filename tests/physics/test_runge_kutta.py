@@ -4,21 +4,21 @@ import math
 
 import numpy as np
 import pytest
-from numba import njit
 from numpy.testing import assert_allclose
 from scipy.interpolate import BPoly
+from scipy.linalg import expm
 from scipy.optimize import brentq
 from tests.equation import Equation
 
 import gapsweep as gs
-from gapsweep.integrate.runge_kutta import interpolant, smooth, tableaux
+from gapsweep.integrate.runge_kutta import tableaux
 
 GAP = gs.Gap(0.4e-3, 0.4e-3)
 OSCILLATOR = gs.Oscillator()
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
 
 
-# --- Tableaux and roots ---------------------------------------------------------------------------
+# --- Tableaux -------------------------------------------------------------------------------------
 
 
 def _trees(a, order):
@@ -39,14 +39,16 @@ def _trees(a, order):
 
 def test_tableaux_satisfy_the_quadrature_conditions_of_their_order():
     for tableau in (tableaux.DP5, tableaux.DOP853):
-        b, c = tableau.a[-1], tableau.c
+        n = tableau.n_stages
+        b, c = tableau.a[n - 1, :n], tableau.c[:n]
         for power in range(tableau.order):
             assert b @ c**power == pytest.approx(1 / (power + 1), abs=1e-14)
 
 
 def test_two_estimates_of_order_5_miss_what_is_beyond_it_in_different_ways():
     tableau = tableaux.DOP853
-    trees = _trees(tableau.a, 6)
+    n = tableau.n_stages
+    trees = _trees(tableau.a[:n, :n], 6)
     for order, weights in trees.items():
         first, third, other = (np.array(weights) @ tableau.e.T).T
         if order <= 5:
@@ -61,19 +63,27 @@ def test_two_estimates_of_order_5_miss_what_is_beyond_it_in_different_ways():
     assert_allclose(other @ other, first @ first, rtol=1e-9)
 
 
-def test_two_roots_in_one_step_are_found():
-    # (theta - 0.3)(theta - 0.3001), positive at both ends.
-    a, b = 0.3, 0.3001
-    coefficients = np.array([a * b, a * b - (a + b) / 2, a * b - (a + b) + 1])
-    elevated = coefficients
-    for n in (2, 3):  # degree elevation to 4
-        i = np.arange(1, n + 1)
-        inner = i / (n + 1) * elevated[:-1] + (1 - i / (n + 1)) * elevated[1:]
-        elevated = np.concatenate(([elevated[0]], inner, [elevated[-1]]))
-    found = np.zeros(8)
-    roots = njit(interpolant.roots.py_func)  # compiled for calls from Python
-    assert roots(elevated, found, np.zeros(interpolant.STACK_SHAPE)) == 2
-    assert found[:2] == pytest.approx([a, b], abs=1e-11)
+@pytest.mark.parametrize(("tableau", "order"), [(tableaux.DP5, 5), (tableaux.DOP853, 8)])
+def test_polynomials_between_steps_are_as_good_as_steps(tableau, order):
+    """Of x'' = -x - x' / 10, whose steps are linear in the state: the error falls with the step."""
+    matrix, state, errors = np.array([[0.0, 1.0], [-1.0, -0.1]]), np.array([1.0, 0.3]), []
+    for h in (0.4, 0.2):
+        k = np.zeros(len(tableau.c))
+        for i, c in enumerate(tableau.c):
+            x = state[0] + c * h * state[1] + h * h * (tableau.abar[i, :i] @ k[:i])
+            v = state[1] + h * (tableau.a[i, :i] @ k[:i])
+            k[i] = matrix[1] @ (x, v)
+            if i == tableau.n_stages - 1:
+                end = x, v
+        part = np.linspace(0.0, 1.0, 11)
+        powers = part[:, None] ** np.arange(tableaux.DEGREE + 1)
+        series = h * h * (k @ tableau.dense_bar)
+        series[:2] += state[0], h * state[1]
+        truth = np.array([expm(matrix * s * h) @ state for s in part])
+        errors.append(np.abs(powers @ series - truth[:, 0]).max())
+        slope = np.polynomial.polynomial.polyder(series) / h
+        assert_allclose([series.sum(), slope.sum()], end, rtol=1e-12)
+    assert errors[0] / errors[1] > 0.7 * 2 ** (order + 1)
 
 
 # --- Estimates and layers -------------------------------------------------------------------------
@@ -145,13 +155,6 @@ def test_a_pole_ends_a_motion():
     runs = gs.simulate(linear, law, 5.0, np.array([0.9e-3, 1.1 * pole]), t_end=5.0)
     assert runs.status[0] is gs.Status.OK
     assert runs.status[1] is gs.Status.MODEL_INVALID
-
-
-def test_attempts_are_limited(monkeypatch):
-    monkeypatch.setattr(smooth, "_MOST_ATTEMPTS", 500.0)
-    run = gs.simulate(OSCILLATOR, gs.Tanh(1.4e4, GAP, 1e4), 9.0, t_end=100.0)
-    assert run.status is gs.Status.TIMED_OUT
-    assert run.t_end < 100.0
 
 
 # --- ode45 ----------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp, trapezoid
 
 import gapsweep as gs
-from gapsweep.integrate.taylor import exact
+from gapsweep.integrate.stepping import batch
 
 GAP = gs.Gap(4e-4, 6e-4)
 # Damped so that each scene has one attractor: which one a start ends on is another question.
@@ -326,7 +326,7 @@ def test_contact_that_chatter_ends_is_counted_once(monkeypatch):
     system = two_equal_machines()
     shares = []
     for most in (100.0, 99.0, 8.0, 7.0):
-        monkeypatch.setattr(exact, "_MOST_SHORT", most)
+        monkeypatch.setattr(batch, "_MOST_SHORT", most)
         law = gs.Piecewise(0.5, gs.Gap(0.0, 0.1))
         found = gs.respond(system, law, 1.1, q_0=[0.013, 0.0, 0.013, 0.0])
         shares.append(found.contact_share)

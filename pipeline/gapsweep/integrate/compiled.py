@@ -15,9 +15,9 @@ from gapsweep.integrate.motion import Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.runge_kutta import representations
 from gapsweep.integrate.runge_kutta.scenes import runge_kutta_scenes
-from gapsweep.integrate.taylor import exact, record
-from gapsweep.integrate.taylor.scenes import Scenes, scenes
-from gapsweep.integrate.taylor.systems import Walls, system_scenes
+from gapsweep.integrate.stepping import batch, record
+from gapsweep.integrate.stepping.scenes import Scenes, scenes
+from gapsweep.integrate.stepping.systems import Walls, system_scenes
 from gapsweep.model.contact import (
     Arctan,
     ContactLaw,
@@ -55,7 +55,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
         contacts = problems.contacts or (problems.contact_time and not is_taylor)
         given = {"contacts": contacts, "sampled": problems.sampled, **_given(problems)}
         try:
-            run = exact.run(scenes, start=problems.start, **given)
+            run = batch.run(scenes, start=problems.start, **given)
         except NumbaError as error:
             for law in models.laws[0]:
                 if reason := _why_not_compiled(law):

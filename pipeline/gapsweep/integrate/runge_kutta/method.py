@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gapsweep.integrate.taylor.layout import Layout, aligned
+from gapsweep.integrate.stepping.layout import Layout, aligned
 
 from .parameters import N_PARAMETERS
 from .tableaux import Tableau

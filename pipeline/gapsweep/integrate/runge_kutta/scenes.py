@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
-from gapsweep.integrate.taylor.layout import known
-from gapsweep.integrate.taylor.scenes import Scenes
+from gapsweep.integrate.stepping.layout import known
+from gapsweep.integrate.stepping.scenes import Scenes
 
 from . import laws, parameters, tableaux
 from .laws import Law

@@ -13,8 +13,13 @@ from gapsweep.integrate import simd
 from gapsweep.integrate.jit import inlined, internal
 from gapsweep.integrate.motion import VANISHED
 from gapsweep.integrate.simd import fma, load, maximum, minimum, select, store
-from gapsweep.integrate.taylor.outcome import DIVERGED, MODEL_INVALID, STEP_UNDERFLOW, Outcome
-from gapsweep.integrate.taylor.step import CLOCK_SLACK
+from gapsweep.integrate.stepping.outcome import (
+    CLOCK_SLACK,
+    DIVERGED,
+    MODEL_INVALID,
+    STEP_UNDERFLOW,
+    Outcome,
+)
 
 from . import laws, parameters, vecmath
 from .method import AT_START, AT_WALL

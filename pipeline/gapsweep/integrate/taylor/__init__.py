@@ -1,1 +1,1 @@
-"""The exact law: Taylor series with contacts located inside the step, points in SIMD lanes."""
+"""Steps by Taylor series: the exact law, and tanh, with contacts located inside the step."""

@@ -21,6 +21,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from gapsweep.integrate.motion import VANISHED
+from gapsweep.integrate.stepping.outcome import CLOCK_SLACK, MAX_HALVINGS, SHORT_STEP
+from gapsweep.integrate.stepping.rows import Lanes, dot, pointers, value_and_slope
 from gapsweep.integrate.vectors import (
     I64,
     Vec,
@@ -36,17 +38,14 @@ from gapsweep.integrate.vectors import (
     where,
 )
 
-from .series import Equation, Lanes, Modes, Motion, dot, pointers, value_and_slope, variation
+from .series import Equation, Modes, Motion, variation
 from .step_size import Sizes, step_size
 from .tanh import Layers, TanhMotion
 from .tanh import variation as tanh_variation
 
 # A step spans at most this part of a forcing period, so that it holds at most one section point.
 MAX_PERIODS_PER_STEP = 0.5
-CLOCK_SLACK = 1e-9  # of a period: a record_from meant as a whole period includes its section
-MAX_HALVINGS = 3
 NEWTON_STEPS = 3
-SHORT_STEP = 1e-6  # rad of the fastest frequency: contact steps shorter than this count as chatter
 _EPS = 2.0**-52
 
 

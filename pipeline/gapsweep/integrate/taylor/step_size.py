@@ -3,6 +3,7 @@
 import math
 from functools import reduce
 
+from gapsweep.integrate.stepping.rows import dot
 from gapsweep.integrate.vectors import (
     absolute,
     fma,
@@ -11,8 +12,6 @@ from gapsweep.integrate.vectors import (
     rough_exp2,
     rough_log2,
 )
-
-from .series import dot
 
 # The step size comes from terms that the step still contains, h^N and h^(N-1). With this factor
 # the energy of a free swing is kept to some 20 rtol over 50 cycles, whatever the spring.

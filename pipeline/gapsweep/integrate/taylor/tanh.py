@@ -27,6 +27,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from gapsweep.integrate.stepping.rows import value_and_slope
 from gapsweep.integrate.vectors import (
     absolute,
     branch,
@@ -41,7 +42,7 @@ from gapsweep.integrate.vectors import (
     where,
 )
 
-from .series import Motion, product_term, square_term, value_and_slope
+from .series import Motion, product_term, square_term
 
 # With w(y), the integral of s / (1 + exp(2 s)) from y to infinity, and integrals over y from 0 on:
 # I = 2 int(y w), and of the delay k^2 / (eps v)^5: 3/2 int(y^2 w - pi^2/12 w + 2 w^2).

@@ -33,7 +33,7 @@ def set_starts(
     points : array, shape (n + 1, n_rows)
         Receives the points, and the table's last row, the idle point, as its last one.
     table : array, shape (n_scenes + 1, n_rows)
-        Rows of `exact.Scenes`.
+        Rows of `scenes.Scenes`.
     which : int array, shape (n,)
         Number of the scene of each point.
     start : array, shape (n, n_states)
@@ -42,7 +42,7 @@ def set_starts(
         Points that have their starts from `follow`.
     t_0, t_end, record_from : arrays, shape (n,)
     section_only : bool
-        As in `exact.run`.
+        As in `batch.run`.
 
     Returns
     -------

@@ -24,9 +24,9 @@ from gapsweep.integrate.vectors import (
     lowest_bit,
 )
 
+from .outcome import CLOCK_SLACK
 from .roots import DOUBLE, SIMPLE, isolate, polynomial
-from .series import Lanes, pointers
-from .step import CLOCK_SLACK
+from .rows import Lanes, pointers
 from .turns import TOUCH, find_coordinate_turns, find_gap_turns
 
 MINIMUM, MAXIMUM, INFLECTION, SECTION = 0, 1, 2, 3

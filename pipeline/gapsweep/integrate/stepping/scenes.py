@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .exact_kernel import Taylor
 from .layout import NARROW, WIDTH, Layout, known
+from .loop import Taylor
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numba.extending import intrinsic
 
 from gapsweep.integrate.vectors import I64, absolute, copysign, is_nonzero, where
 
-from .series import Lanes, dot, pointers, value_and_slope
+from .rows import Lanes, dot, pointers, value_and_slope
 
 TOUCH = 1e-12  # of the velocity: a closer approach to zero is a touch, by the same measure
 _NEWTON_STEPS = 3

@@ -1,7 +1,7 @@
 """Many points of systems at once: arrays in, arrays and event lists out.
 
 The compiled engine behind ``simulate(..., engine="compiled")``. `scenes` prepares one table row per
-system, `run` puts starts into copies of the rows, runs `exact_kernel.advance` on them and drains
+system, `run` puts starts into copies of the rows, runs `loop.advance` on them and drains
 its buffers.
 """
 
@@ -16,7 +16,8 @@ from gapsweep.integrate.runge_kutta.method import with_work_space
 from gapsweep.status import DIVERGED_AT, Status
 
 from . import record
-from .exact_kernel import (
+from .layout import Layout, aligned
+from .loop import (
     BUDGET_SPENT,
     BUFFER_FULL,
     FINISHED,
@@ -26,12 +27,11 @@ from .exact_kernel import (
     advance,
     advance_users,
 )
-from .layout import Layout, aligned
+from .outcome import CLOCK_SLACK
 from .roots import work_space
 from .sample import sample_steps
 from .scenes import Scenes, check, set_modes_on_walls
 from .starts import BACKWARD, NOT_FINITE, ON_WALL, set_starts
-from .step import CLOCK_SLACK
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ _BUDGET = 1 << 16  # vector steps per call of the kernel, about 20 ms: Ctrl-C is
 
 
 @dataclass(frozen=True, slots=True)
-class Exact:
+class Batch:
     """Outcome of `run`; arrays of shape (n,) unless noted, one entry per point.
 
     Attributes
@@ -136,7 +136,7 @@ def run(
     dense_output: bool = False,
     sampled: bool = False,
     contacts: bool = True,
-) -> Exact:
+) -> Batch:
     """Integrate prepared systems from their starts.
 
     Parameters
@@ -162,7 +162,7 @@ def run(
         Also integrate the variational equation. Its jump at a contact is the identity, because
         the contact force is continuous.
     dense_output : bool
-        Keep every step's series from `record_from` on, for `Exact.sample`.
+        Keep every step's series from `record_from` on, for `Batch.sample`.
     sampled : bool
         Take the steps that a run with `dense_output` takes.
     contacts : bool
@@ -327,7 +327,7 @@ def _outcome(
     events: Sequence[Array],
     steps: Array | None,
     counts: dict[str, NDArray[np.int64]],
-) -> Exact:
+) -> Batch:
     table = points.T
     turns, contacts, sections = events
     elapsed = table[at.cycle] + (table[at.tau] - table[at.tau_start])
@@ -340,7 +340,7 @@ def _outcome(
     t = np.where(statuses == OK, t_end, table[at.t_start] + elapsed * table[at.period])
     mode = points[:, at.mode : at.mode + at.contacts].astype(np.int64)
     until_left = points[:, at.contact_time : at.contact_time + at.contacts]
-    return Exact(
+    return Batch(
         at=at,
         state=points[:, at.q : at.q + at.n_states].copy(),
         t=t,

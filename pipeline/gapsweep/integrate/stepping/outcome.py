@@ -2,6 +2,9 @@
 
 from typing import NamedTuple
 
+CLOCK_SLACK = 1e-9  # of a period: a record_from meant as a whole period includes its section
+MAX_HALVINGS = 3  # of a step in search of a crossing
+SHORT_STEP = 1e-6  # rad of the fastest frequency: contact steps shorter than this count as chatter
 # Why a lane cannot go on, in its row `n_short`.
 STEP_UNDERFLOW, MODEL_INVALID, DIVERGED = -1.0, -2.0, -3.0
 

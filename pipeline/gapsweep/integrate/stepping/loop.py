@@ -14,16 +14,16 @@ from numba import njit
 
 from gapsweep.integrate.jit import chosen_by_type, counted, entry, inlined, internal
 from gapsweep.integrate.runge_kutta.step import runge_kutta_step
+from gapsweep.integrate.taylor.step import taylor_step
 from gapsweep.integrate.vectors import lowest_bit
 from gapsweep.status import Status
 
 from . import outcome
-from .outcome import Outcome
+from .outcome import MAX_HALVINGS, SHORT_STEP, Outcome
 from .passings import count_passings, record_passings
 from .record import has_room, load_series, record_steps
 from .roots import Work, first_exit, polynomial
 from .starts import follow
-from .step import MAX_HALVINGS, SHORT_STEP, taylor_step
 
 # outcomes, as plain numbers for compiled code
 RUNNING, OK, DIVERGED = -1, int(Status.OK), int(Status.DIVERGED)

@@ -65,7 +65,7 @@ def system_scenes(
     rtol: float,
     atol: float,
 ) -> Scenes:
-    """Prepare points of systems; `exact.run` then starts them as often as wanted.
+    """Prepare points of systems; `batch.run` then starts them as often as wanted.
 
     Parameters
     ----------

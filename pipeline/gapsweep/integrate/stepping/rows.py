@@ -1,0 +1,63 @@
+"""Rows of the lanes, and series, in emitted vector code."""
+
+from llvmlite import ir
+from numba import types
+
+from gapsweep.integrate.vectors import I64, fma, load_row, store_row
+
+
+class Lanes:
+    """The rows of all lanes, by number or name; reads and writes are emitted where they stand."""
+
+    def __init__(self, builder, pointer, layout):
+        self.builder, self.pointer, self.layout = builder, pointer, layout
+
+    def _number(self, row):
+        return self.layout.first[row] if isinstance(row, str) else row
+
+    def __getitem__(self, row):
+        return load_row(self.builder, self.pointer, self._number(row), self.layout.width)
+
+    def __setitem__(self, row, vec):
+        store_row(self.pointer, self._number(row), vec)
+
+    def below(self, group, n_rows):
+        """The rows from the first one of a group of rows on, the group known at run time."""
+        first = self.builder.mul(group, ir.Constant(I64, n_rows * self.layout.width))
+        return Lanes(self.builder, self.builder.gep(self.pointer, [first]), self.layout)
+
+    def rows(self, block):
+        """All rows of a block."""
+        first = self.layout.first[block]
+        return [self[first + i] for i in range(self.layout.blocks[block])]
+
+    def matrix(self, block, n_rows):
+        """The rows of a block as those of a matrix."""
+        rows = self.rows(block)
+        n = len(rows) // max(n_rows, 1)
+        return [rows[i * n : (i + 1) * n] for i in range(n_rows)]
+
+
+def pointers(context, builder, signature, args):
+    """Where the arrays among the arguments begin."""
+    return [
+        context.make_array(t)(context, builder, a).data
+        for t, a in zip(signature.args, args, strict=True)
+        if isinstance(t, types.Array)
+    ]
+
+
+def dot(factors, values, total):
+    """Sum of products, added to `total`."""
+    for a, b in zip(factors, values, strict=True):
+        total = fma(a, b, total)
+    return total
+
+
+def value_and_slope(series, t):
+    """Polynomial and derivative at t by Horner's rule."""
+    value, slope = series[-1], None
+    for a in reversed(series[:-1]):
+        slope = value if slope is None else fma(slope, t, value)
+        value = fma(value, t, a)
+    return value, slope
