@@ -118,18 +118,16 @@ def _is_oscillator(models: Models) -> bool:
 
 
 def _oscillators(models: Models) -> dict[str, Any]:
-    columns = {name: models.of_systems(attrgetter(name)) for name in CLASSIC}
-    return columns | {"omega": models.omega}
+    columns = models.of_systems(attrgetter(*CLASSIC)).T
+    return {**dict(zip(CLASSIC, columns, strict=True)), "omega": models.omega}
 
 
 def _walls(models: Models) -> dict[str, Any]:
     """Stiffnesses and walls of all contacts, shape (n, n_contacts)."""
-    shape = len(models), len(models.laws[0])
-    low, high = np.moveaxis(models.of_laws(attrgetter("walls")).reshape(*shape, 2), -1, 0)
-    stiffness = {
-        name: models.of_laws(attrgetter(name)).reshape(shape) for name in ("K_c", "K_ratio")
-    }
-    return stiffness | {"j_1": -low, "j_2": high}
+    shape = len(models), len(models.laws[0]), 4
+    columns = models.of_laws(lambda law: (law.K_c, law.K_ratio, *law.walls)).reshape(shape)
+    stiffness, ratio, low, high = columns.transpose(2, 0, 1)
+    return {"K_c": stiffness, "K_ratio": ratio, "j_1": -low, "j_2": high}
 
 
 def _given(problems: Problems) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from gapsweep.integrate.runge_kutta.method import with_work_space
 from gapsweep.status import DIVERGED_AT, Status
 
 from . import record
-from .layout import Layout, aligned
+from .layout import LOADED, Layout, aligned
 from .loop import (
     BUDGET_SPENT,
     BUFFER_FULL,
@@ -264,6 +264,7 @@ def _drained(
         contacts=bool(kept[record.CONTACTS]),
     )
     pieces: list[list[Array]] = [[] for _ in kept]
+    LOADED.add(at.of_motion)
     outcome, step_on = BUDGET_SPENT, advance_users if method.is_users else advance
     while outcome != FINISHED:
         outcome = step_on(layout, run, limits, _BUDGET)

@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from itertools import accumulate
-from typing import Any, ClassVar, TypeVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import types
@@ -255,15 +255,26 @@ class Layout:
         return self.first[name]
 
 
-_L = TypeVar("_L", bound=Layout)
-
-
 _KNOWN: dict[Layout, Layout] = {}
 
 
-def known(layout: _L) -> _L:
+def known(layout: Layout) -> Layout:
     """The first of all layouts that equal this one: its rows are looked up once."""
-    return cast(_L, _KNOWN.setdefault(layout, layout))
+    return _KNOWN.setdefault(layout, layout)
+
+
+# Layouts whose machine code this process has loaded.
+LOADED: set[Layout] = set()
+
+
+def of_width(n: int, layout: Layout) -> Layout:
+    """A layout for n scenes: narrow for few, unless the code for many alone is loaded.
+
+    To load or compile machine code takes longer than to move a thousand idle lanes, and lanes give
+    the same bits in any company.
+    """
+    wide, narrow = (known(replace(layout, width=width)) for width in (WIDTH, NARROW))
+    return narrow if n <= NARROW and (narrow in LOADED or wide not in LOADED) else wide
 
 
 def aligned(*shape: int) -> NDArray[np.float64]:

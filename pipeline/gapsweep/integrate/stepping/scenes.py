@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .layout import NARROW, WIDTH, Layout, known
+from .layout import Layout, of_width
 from .loop import Taylor
 
 Array = NDArray[np.float64]
@@ -94,8 +94,7 @@ def scenes(
     check(zeta=zeta, omega_n=omega_n, mass=mass, alpha=alpha, forcing=forcing, omega=omega)
     check(K_c=K_c, K_ratio=K_ratio, j_1=j_1, j_2=j_2)
     n_rad = 2 * np.pi * omega_n
-    width = NARROW if len(zeta) <= NARROW else WIDTH
-    at = known(Layout(order=order_for(rtol), width=width, is_tanh=epsilon is not None))
+    at = of_width(len(zeta), Layout(order=order_for(rtol), is_tanh=epsilon is not None))
     points, table = empty_table(at, len(zeta))
     table[at.stiffness], table[at.damping] = n_rad**2, 2 * zeta * n_rad
     table[at.cubic], table[at.push] = alpha / mass, forcing / mass
