@@ -261,7 +261,7 @@ def test_an_edited_helper_and_an_edited_kernel_remake_the_files_of_a_run(tmp_pat
     replaced(mine / "made.py", "factor=1.0", "factor=3.0")
     run()
     assert made[1][0] != made[0][0]
-    replaced(copy / "integrate" / "taylor" / "record.py", '"""\n\n', '"""\n\n_EDITED = True\n')
+    replaced(copy / "integrate" / "stepping" / "record.py", '"""\n\n', '"""\n\n_EDITED = True\n')
     run()
     assert made[2][0] == made[1][0]
     assert made[2][1] > made[1][1]

@@ -66,7 +66,7 @@ def machine_code(tmp_path_factory):
 def test_edited_helper_gives_new_numbers_in_the_next_process(copy, tmp_path):
     before = printed(start(copy, tmp_path / "code"))
     # Sampling enters compiled code in sample.py and evaluates polynomials in roots.py.
-    helper = copy / "gapsweep" / "integrate" / "taylor" / "roots.py"
+    helper = copy / "gapsweep" / "integrate" / "stepping" / "roots.py"
     text = helper.read_text()
     assert text.count("    return value, slope\n") == 1
     helper.write_text(text.replace("    return value, slope\n", "    return 2.0 * value, slope\n"))
