@@ -328,3 +328,11 @@ def test_another_process_gives_the_same_bits(label):
         cwd=Path(__file__).parents[2],
     )
     assert there.stdout.strip() == ends(label)
+
+
+def test_a_restart_is_of_located_contacts():
+    law = gs.Tanh(1.4e4, gs.Gap(0.4e-3, 0.4e-3), 1e5)
+    plain, restarted = (
+        gs.simulate(gs.Oscillator(), law, 9.0, t_end=2.0, restart=r) for r in (0, 1)
+    )
+    assert (plain.x_end, plain.nfev) == (restarted.x_end, restarted.nfev)

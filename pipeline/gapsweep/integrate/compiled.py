@@ -91,10 +91,10 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
 
 def _by_taylor(models: Models, solver: Solver) -> bool:
-    """Whether the exact kernel takes them; refuses what neither kernel does."""
+    """Whether Taylor series integrate them; refuses what no method takes."""
     laws = models.laws[0]
     located = [law for law in laws if isinstance(law, Piecewise) and law.located]
-    if solver.controller != "native" or solver.restart:
+    if solver.controller != "native" or (solver.restart and located):
         if located and not _is_oscillator(models):
             what = "restart = true" if solver.restart else "controller = 'ode45'"
             raise ModelError(
@@ -131,7 +131,7 @@ def _walls(models: Models) -> dict[str, Any]:
 
 
 def _given(problems: Problems) -> dict[str, Any]:
-    """Arguments that both kernels take."""
+    """Arguments of `batch.run`."""
     effort = problems.t_end - problems.t_0 if problems.effort is None else problems.effort
     if problems.follows is None:
         queue = (-effort).argsort(kind="stable")

@@ -308,7 +308,7 @@ def _alike(systems: NDArray[Any]) -> Any:
     for each in systems.flat:
         if not isinstance(each, Oscillator | System):
             raise ModelError(
-                f"oscillator = {each!r}: must be a gapsweep.Oscillator or a gapsweep.System"
+                f"oscillator = {each!r}: must be a gapsweep.Oscillator() or a gapsweep.System()"
             )
     first, *others = systems.flat
     for each in others:

@@ -9,10 +9,6 @@ from gapsweep.integrate.stepping.layout import Layout, aligned
 from .parameters import N_PARAMETERS
 from .tableaux import Tableau
 
-# Why the derivative at the state is needed before the next step: a wall was passed, or the motion
-# begins.
-AT_WALL, AT_START = 1.0, 2.0
-
 
 class RungeKutta(NamedTuple):
     """A method with its work space.

@@ -6,9 +6,8 @@ WALL_LOW, WALL_HIGH = 1, 2  # -j_1 and j_2 [m]
 SHARPNESS = 3  # epsilon or gamma [1/m]
 CENTRE, HALF_GAP, DECAY = 4, 5, 6  # tanh: of the gap [m, m, -]; tables: centre of the range
 OFFSET = 4  # log-arctan: A_c [m]
-# Located contact: of the present mode, and the mode itself (1 upper wall, -1 lower wall, 0 none): a
-# wall may have no stiffness or lie at zero, so neither tells whether it is touched.
-ACTIVE_STIFFNESS, ACTIVE_WALL, ACTIVE_MODE = 3, 4, 5
+# Located contact: of the present mode.
+ACTIVE_STIFFNESS, ACTIVE_WALL = 3, 4
 LAYER = 7  # half-width of the smoothing layer around each wall [m]; 0: none
 RANGE = 8  # fits and tables: half of the range in which they hold [m]; 0: no range
 SATURATION = 9  # tanh: distance from a wall beyond which the law is exactly piecewise [m]

@@ -8,17 +8,18 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.stepping.layout import known
+from gapsweep.integrate.stepping.outcome import AT_START
 from gapsweep.integrate.stepping.scenes import Scenes
 
 from . import laws, parameters, tableaux
 from .laws import Law
-from .method import AT_START, RungeKutta
+from .method import RungeKutta
 
 Array = NDArray[np.float64]
 
 # At this tolerance and tighter the order-8 method is the cheaper one on the benchmark's scenes.
 _HIGH_ORDER_FROM = 1e-2
-_MIN_STEP = 1e-17  # s of the fastest frequency: what a stiff law asks for is no underflow
+_MIN_STEP = 1e-17  # of a period: stiff laws need far shorter steps than a Taylor series
 
 
 def runge_kutta_scenes(

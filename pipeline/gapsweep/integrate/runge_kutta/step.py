@@ -14,6 +14,8 @@ from gapsweep.integrate.jit import inlined, internal
 from gapsweep.integrate.motion import VANISHED
 from gapsweep.integrate.simd import fma, load, maximum, minimum, select, store
 from gapsweep.integrate.stepping.outcome import (
+    AT_START,
+    AT_WALL,
     CLOCK_SLACK,
     DIVERGED,
     MODEL_INVALID,
@@ -22,7 +24,6 @@ from gapsweep.integrate.stepping.outcome import (
 )
 
 from . import laws, parameters, vecmath
-from .method import AT_START, AT_WALL
 from .stages import polynomials, stage_derivative, stages, tangent_stages
 from .tableaux import E3, E5, OTHER_E5
 
@@ -294,7 +295,9 @@ class _Contacts(NamedTuple):
     """What contacts ask of a step."""
 
     turns_back: Any  # a gap may turn back
-    near: Any  # ... and its ends do not tell how often it has passed a wall, or left a fit's range
+    miscounted: (
+        Any  # ... and its ends do not tell how often it has passed a wall, or left a fit's range
+    )
     leaves_mode: Any  # a located contact may leave its mode
     layers: Any
 
@@ -303,11 +306,11 @@ class _Contacts(NamedTuple):
 def _contacts(at, method, q, lane, accepted, h):
     """Look at the gap of every contact."""
     none = accepted & (h < 0.0)
-    turns_back, near, leaves_mode = none, none, none
+    turns_back, miscounted, leaves_mode = none, none, none
     layers = _Layers(none, simd.splat(1.0), none, simd.splat(np.inf))
     for i in range(at.contacts):
         q_i, hull = q[i], _hull(at, lane, _gap(at, i), h)
-        low, high = load(q_i, parameters.WALL_LOW), load(q_i, parameters.WALL_HIGH)
+        low, high = load(lane, at.lower + i), load(lane, at.upper + i)
         turns_back = turns_back | hull.turns_back
         if at.is_located:
             mode = load(lane, at.mode + i)
@@ -323,11 +326,11 @@ def _contacts(at, method, q, lane, accepted, h):
                 centre, reach = load(q_i, parameters.CENTRE), load(q_i, parameters.RANGE)
                 leaves = (hull.high - centre > reach) | (hull.low - centre < -reach)
                 dips = dips | (leaves & (reach > 0.0))
-            near = near | (hull.turns_back & dips)
+            miscounted = miscounted | (hull.turns_back & dips)
             if method.cuts_at_layers:
                 v = load(lane, ends(at, _gap(at, i))[1])
                 layers = _layers(q_i, hull, v, accepted, layers)
-    return _Contacts(turns_back, near, leaves_mode, layers)
+    return _Contacts(turns_back, miscounted, leaves_mode, layers)
 
 
 @inlined
@@ -416,14 +419,13 @@ def _begin(at, method, lane, rtol, atol, left):
 def _set_active(at, q, lane):
     """Put the contact mode where the located law looks for it."""
     for i in range(at.contacts):
-        q_i, mode = q[i], load(lane, at.mode + i)
-        upper, none = load(q_i, parameters.STIFFNESS), simd.splat(0.0)
-        lower = load(q_i, parameters.RATIO) * upper
+        mode, none = load(lane, at.mode + i), simd.splat(0.0)
+        upper, lower = load(lane, at.upper_stiffness + i), load(lane, at.lower_stiffness + i)
         stiffness = select(mode > 0.0, upper, select(mode < 0.0, lower, none))
-        high, low = load(q_i, parameters.WALL_HIGH), load(q_i, parameters.WALL_LOW)
+        high, low = load(lane, at.upper + i), load(lane, at.lower + i)
         wall = select(mode > 0.0, high, select(mode < 0.0, low, none))
-        store(q_i, parameters.ACTIVE_STIFFNESS, stiffness)
-        store(q_i, parameters.ACTIVE_WALL, wall)
+        store(q[i], parameters.ACTIVE_STIFFNESS, stiffness)
+        store(q[i], parameters.ACTIVE_WALL, wall)
 
 
 @inlined
@@ -544,11 +546,11 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
     if simd.bits(fresh) != 0:
         h_next = select(fresh, _begin(at, method, lane, rtol, atol, left), h_next)
         for i in range(at.n_rates):
-            within = within & (simd.absolute(load(lane, at.a_1 + i)) < np.inf)
+            within = within & (~fresh | (simd.absolute(load(lane, at.a_1 + i)) < np.inf))
         bad = bad | (fresh & ~within)
         if not at.is_located:
             _take_back_starts(at, q, lane, load(lane, at.is_fresh) >= AT_START)
-        _add(lane, at.n_starts, fresh)
+        _add(lane, at.n_extra, fresh)
         store(lane, at.is_fresh, simd.splat(0.0))
     if simd.bits(bad) != 0:
         reason = select(pole, MODEL_INVALID, simd.splat(STEP_UNDERFLOW))
@@ -577,10 +579,13 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
     if method.dense:
         eventful = commit | unclear
     recording = (commit | unclear) & (is_section | (is_event & eventful))
-    near = commit & contacts.near
-    needed = recording | unclear | near
+    miscounted = commit & contacts.miscounted
+    needed = recording | unclear | miscounted
     if simd.bits(needed) != 0:
         _polynomials(at, method, q, lane, coefficients, h)
+        # Where a wall is located they belong to the motion; for what is recorded they do not.
+        n_more = select(unclear, float(tableau.c.size - tableau.n_stages), simd.splat(0.0))
+        store(lane, at.n_extra, load(lane, at.n_extra) + n_more)
         store(lane, at.step, h)
         store(lane, at.tau_0, tau)
         store(lane, at.cycle_0, cycle)
@@ -596,5 +601,9 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
     _add(lane, at.n_steps, commit)
     _add(lane, at.n_rejected, (~accepted & ~fresh) | layers.cut)
     return Outcome(
-        simd.bits(unclear), simd.bits(ended), simd.bits(bad), simd.bits(recording), simd.bits(near)
+        simd.bits(unclear),
+        simd.bits(ended),
+        simd.bits(bad),
+        simd.bits(recording),
+        simd.bits(miscounted),
     )

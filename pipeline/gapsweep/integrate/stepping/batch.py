@@ -55,8 +55,6 @@ class Batch:
         (q, v, z) at the end; of a failed point, where it failed.
     t : ndarray
         Time reached [s]; `t_end` where status is OK.
-    mode : ndarray of int, shape (n, n_contacts)
-        Contacts at the end: -1 lower wall, 0 gap, +1 upper wall.
     status : ndarray of int
         `gapsweep.status.Status` values.
     n_contacts, n_steps, n_rejected, nfev : ndarray of int
@@ -65,7 +63,7 @@ class Batch:
     reach : ndarray, shape (n, n_coordinates)
         Largest modulus of q at the start and at the ends of steps.
     contact_time : ndarray, shape (n, n_contacts)
-        Time spent beyond the walls of every contact [s], where all events are recorded.
+        Time spent beyond the walls of every located contact [s], where all events are recorded.
     monodromy : ndarray, shape (n, n_states, n_states), or None
         Derivative of the state at the end by that at the start.
     turns, contacts, sections : ndarray, shape (n_events, number of columns)
@@ -77,7 +75,6 @@ class Batch:
     at: Layout
     state: Array
     t: Array
-    mode: NDArray[np.int64]
     status: NDArray[np.int64]
     n_contacts: NDArray[np.int64]
     n_steps: NDArray[np.int64]
@@ -188,7 +185,9 @@ def run(
         set_modes_on_walls(at, heads)
         points[:-1][~follows[:-1]] = heads
     if at.is_tanh and (dense_output or sampled):
-        points[:, at.layer] = np.inf  # no layer is crossed at once: the motion within it is wanted
+        points[:-1, at.layer] = (
+            np.inf
+        )  # no layer is crossed at once: the motion within it is wanted
     statuses = np.full(len(which), RUNNING)
     limits = prepared.rtol, prepared.atol, DIVERGED_AT, _MOST_SHORT
     queue = np.flatnonzero(~follows[:-1]) if queue is None else queue
@@ -282,7 +281,7 @@ def _drained(
 
 def _log_columns(at: Layout) -> tuple[int, ...]:
     """How wide the logs of `record` are."""
-    turns, contacts = record.VALUE + 1, record.VALUE + at.n_states
+    turns, contacts = record.VALUE + 1, record.VALUE
     steps = record.DENSE_HEAD + (at.n + at.m) * at.n_terms
     return turns, contacts, record.STATE + at.n_states, steps
 
@@ -339,16 +338,15 @@ def _outcome(
         columns = table[at.tangent_state : at.tangent_state + n * n].T.reshape(-1, n, n)
         monodromy = columns.transpose(0, 2, 1).copy()
     t = np.where(statuses == OK, t_end, table[at.t_start] + elapsed * table[at.period])
-    mode = points[:, at.mode : at.mode + at.contacts].astype(np.int64)
+    touches = points[:, at.mode : at.mode + at.contacts] != 0.0
     until_left = points[:, at.contact_time : at.contact_time + at.contacts]
     return Batch(
         at=at,
         state=points[:, at.q : at.q + at.n_states].copy(),
         t=t,
-        mode=mode,
         status=statuses,
         reach=points[:, at.reach : at.reach + at.n].copy(),
-        contact_time=until_left + np.where(mode != 0, t[:, None], 0.0),
+        contact_time=until_left + np.where(touches, t[:, None], 0.0),
         monodromy=monodromy,
         turns=turns,
         contacts=contacts,
@@ -364,7 +362,7 @@ def _counts(at: Layout, points: Array, n_stages: int) -> dict[str, NDArray[np.in
     n_rejected = points[:, at.n_rejected] if n_stages else np.zeros_like(n_steps)
     nfev = n_steps
     if n_stages:
-        nfev = (n_steps + n_rejected) * (n_stages - 1) + points[:, at.n_starts]
+        nfev = (n_steps + n_rejected) * (n_stages - 1) + points[:, at.n_extra]
     # Below zero: the start lies on a wall and has not left it.
     n_contacts = np.maximum(points[:, at.n_contacts], 0.0)
     given = {"n_contacts": n_contacts, "n_steps": n_steps, "n_rejected": n_rejected, "nfev": nfev}

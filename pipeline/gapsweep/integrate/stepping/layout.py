@@ -31,11 +31,8 @@ from numba.extending import (
 from numpy.typing import NDArray
 
 from gapsweep.integrate.runge_kutta.parameters import N_PARAMETERS
+from gapsweep.integrate.simd import WIDTH
 
-# Lanes that advance together. A multiple of every vector length in use (2, 4, 8 doubles); the
-# compiler cuts the wide values into registers, whose independent chains hide each other's
-# latency. At most 16: four masks of as many bits are packed into one 64-bit answer.
-WIDTH = 16
 # Lanes of a table of so few scenes: a lone one takes half the time that it takes among idle lanes.
 NARROW = 4
 
@@ -52,7 +49,7 @@ _ONE = (
     "rate",  # fastest angular frequency of the linear parts [rad/s]
     "min_step",  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
     *("n_steps", "n_contacts", "n_short"),
-    "is_fresh",  # whether a wall was passed last, where a one-step method needs its derivative anew
+    "is_fresh",  # why the derivative is missing, or 0 (of Runge-Kutta methods)
     # what the recording of the last step found: when it began [s], zero of a velocity
     *("start_time", "turn_time", "turn_x", "turn_v"),
 )
@@ -83,7 +80,7 @@ class Layout:
     is_located : bool
         Whether steps end where a contact passes a wall.
     is_taylor : bool
-        Whether the method is a Taylor series, or a Runge-Kutta method, which needs more rows.
+        Whether steps are those of a Taylor series; a Runge-Kutta method needs more rows.
     order : int
         Degree of the polynomials of a step.
     tangent : int
@@ -117,11 +114,6 @@ class Layout:
     def n_states(self) -> int:
         """Length of a state (q, v, z)."""
         return 2 * self.n + self.m
-
-    @cached_property
-    def bare(self) -> "Layout":
-        """The same rows, whatever the method does with them: less is compiled for it."""
-        return known(replace(self, order=0, tangent=0, width=0))
 
     @cached_property
     def of_motion(self) -> "Layout":
@@ -213,8 +205,8 @@ class Layout:
             # the next step and the longest one [s], the step before a smoothing layer, why the last
             # one is repeated if it is, whether the motion has left the range of a fit
             **dict.fromkeys(("h", "h_max", "h_saved", "failed", "out_of_range"), 1),
-            # `n_starts`: derivatives computed by themselves, at starts and on walls
-            **{"n_rejected": 1, "n_starts": 1},
+            # `n_extra`: right-hand sides at starts and on walls
+            **{"n_rejected": 1, "n_extra": 1},
             # parameters of the contacts' laws
             "law": k * N_PARAMETERS,
             # end of the attempted step, committed or not; of its tangent

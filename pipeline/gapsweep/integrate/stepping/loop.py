@@ -48,7 +48,7 @@ def _interval(at, lanes, k, contact):
 
 @internal
 def _commit_clock(at, lanes, k, step, is_done):
-    """As `taylor_step` does for decided lanes."""
+    """Advance the clock of one lane."""
     if is_done:
         tau_1, low_1, cycle_1 = lanes[at.end_tau, k], 0.0, lanes[at.end_cycle, k]
     else:
@@ -144,7 +144,7 @@ def _resolve(at, lanes, k, coefficients, work):
     else:
         has_underflow = h < lanes[at.min_step, k] and not is_done
         lanes[at.n_short, k] = outcome.STEP_UNDERFLOW if has_underflow else 0.0
-    lanes[at.is_fresh, k] = 1.0
+    lanes[at.is_fresh, k] = outcome.AT_WALL if has_passed else outcome.AT_NEW_STATE
     for i in range(at.n):
         lanes[at.reach + i, k] = max(lanes[at.reach + i, k], abs(lanes[at.q + i, k]))
     lanes[at.step, k] = step
@@ -247,7 +247,7 @@ def _attend(layout, named, run, limits):
     _, _, x_bound, max_short = limits
     at, lanes = run.at, run.lanes
     done, bad, recording = named.done, named.bad, named.recording
-    count_passings(layout, named.near, run)
+    count_passings(layout, named.miscounted, run)
     done |= _settle(at, named.unclear, lanes, run.coefficients, run.work)
     failed, parted = _judged(at, named.unclear | bad, lanes, x_bound, max_short)
     bad &= ~parted
@@ -417,7 +417,7 @@ def _advance(layout, run, limits, budget):
         if progress[1] == n_points:
             return FINISHED
         named = method_step(layout, method, lanes, coefficients, limits)
-        if named.unclear | named.done | named.bad | named.recording | named.near != 0:
+        if named.unclear | named.done | named.bad | named.recording | named.miscounted != 0:
             _attend(layout.of_motion, named, run, limits)
             if not has_room(at, run):
                 return FINISHED if progress[1] == n_points else BUFFER_FULL

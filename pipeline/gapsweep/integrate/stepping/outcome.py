@@ -5,6 +5,9 @@ from typing import NamedTuple
 CLOCK_SLACK = 1e-9  # of a period: a record_from meant as a whole period includes its section
 MAX_HALVINGS = 3  # of a step in search of a crossing
 SHORT_STEP = 1e-6  # rad of the fastest frequency: contact steps shorter than this count as chatter
+# Why the derivative must be evaluated before the next Runge-Kutta step, in the row `is_fresh`: the
+# last step ended short of its own end, on a wall, or the motion begins.
+AT_NEW_STATE, AT_WALL, AT_START = 0.5, 1.0, 2.0
 # Why a lane cannot go on, in its row `n_short`.
 STEP_UNDERFLOW, MODEL_INVALID, DIVERGED = -1.0, -2.0, -3.0
 
@@ -20,12 +23,12 @@ class Outcome(NamedTuple):
         It has reached its end; it cannot go on.
     recording : int
         Its step may hold something to record.
-    near : int
-        The ends of its step do not tell how often it has passed a wall that is not located.
+    miscounted : int
+        A gap may have passed a wall that is not located and come back within its step.
     """
 
     unclear: int
     done: int
     bad: int
     recording: int
-    near: int
+    miscounted: int

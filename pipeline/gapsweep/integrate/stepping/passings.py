@@ -4,17 +4,8 @@ from gapsweep.integrate.jit import chosen_by_type, internal
 from gapsweep.integrate.runge_kutta.parameters import CENTRE, N_PARAMETERS, RANGE
 from gapsweep.integrate.vectors import lowest_bit
 
-from .record import (
-    CONTACTS,
-    ENTER_LOWER,
-    ENTER_UPPER,
-    TIME,
-    VALUE,
-    begin_row,
-    load_series,
-    write_state,
-)
-from .roots import SIMPLE, first_exit, isolate, polynomial
+from .record import CONTACTS, TIME, load_series, write_row
+from .roots import SIMPLE, first_exit, isolate
 
 
 def count_passings(layout, among, run):
@@ -97,23 +88,11 @@ def _passings(at, run, k, end, wall, outward):
 
 
 @internal
-def _end_of(at, run, k, contact):
-    """A gap at the end of the last step, as the next one begins with it."""
-    lanes = run.lanes
-    if at.is_plain:
-        return lanes[at.q, k]
-    place = 0.0
-    for i in range(at.n):
-        place += lanes[at.direction + contact * at.n + i, k] * lanes[at.q + i, k]
-    return place
-
-
-@internal
 def _count(at, run, k):
     lanes, work = run.lanes, run.work
     for contact in range(at.contacts):
         load_series(run.coefficients, (at.first_gap + contact) * at.n_terms, k, work.series)
-        end, _ = polynomial(work.series, at.order, lanes[at.step, k])
+        end = lanes[at.q if at.is_plain else at.gap_1 + contact, k]
         for side in (1.0, -1.0):
             wall = lanes[(at.upper if side > 0.0 else at.lower) + contact, k]
             n_times, n_by_ends, heads_out = _passings(at, run, k, end, wall, side)
@@ -132,19 +111,13 @@ def _record(at, run, k):
     begun = lanes[at.cycle_0, k] + lanes[at.tau_0, k] - lanes[at.event_clock, k]
     for contact in range(at.contacts):
         load_series(run.coefficients, (at.first_gap + contact) * at.n_terms, k, work.series)
-        end, first = _end_of(at, run, k, contact), run.fill[CONTACTS]
+        end, first = lanes[at.q if at.is_plain else at.gap_1 + contact, k], run.fill[CONTACTS]
         for side in (1.0, -1.0):
             wall = lanes[(at.upper if side > 0.0 else at.lower) + contact, k]
-            n_times, _, heads_out = _passings(at, run, k, end, wall, side)
-            is_beyond = side * (work.series[0] - wall) > 0.0 or heads_out == 1
+            n_times, _, _ = _passings(at, run, k, end, wall, side)
             for i in range(n_times):
-                t = work.roots[i]
-                entered = ENTER_UPPER if side > 0.0 else ENTER_LOWER
-                kind = entered + 1 if is_beyond else entered
-                is_beyond = not is_beyond
-                if t >= -begun * lanes[at.period, k]:
-                    row = begin_row(run, CONTACTS, k, kind, lanes[at.start_time, k] + t, contact)
-                    write_state(at, run, k, rows, row, VALUE, t)
+                if work.roots[i] >= -begun * lanes[at.period, k]:
+                    write_row(run, CONTACTS, k, lanes[at.start_time, k] + work.roots[i], contact)
         # Those of both walls, in the order of time.
         for i in range(first + 1, run.fill[CONTACTS]):
             j = i

@@ -1,9 +1,8 @@
 """What a step leaves behind when recording is on: extrema, section points, contacts, the series.
 
-A section point is a row (point, t, q, v, z) of its log, in the order of time. Any other record is
-a row (point, t, which, kind, ...), in the order of time for each `which`. That is the contact, and
-the whole state follows, which shows that it is on the wall; of an extremum, whose value follows, it
-is the coordinate, or a contact's gap after all coordinates.
+A section point is a row (point, t, q, v, z) of its log, in the order of time. An extremum is a row
+(point, t, which, value), in the order of time for each `which`: a coordinate, or a contact's gap
+after all coordinates. A wall passed is a row (point, t, contact).
 
 Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
 at once, that there is none or one, and finds it (`turns`). That leaves one step in some
@@ -29,10 +28,9 @@ from .roots import DOUBLE, SIMPLE, isolate, polynomial
 from .rows import Lanes, pointers
 from .turns import TOUCH, find_coordinate_turns, find_gap_turns
 
-MINIMUM, MAXIMUM, INFLECTION, SECTION = 0, 1, 2, 3
-ENTER_UPPER, LEAVE_UPPER, ENTER_LOWER, LEAVE_LOWER = 4, 5, 6, 7
+MINIMUM, MAXIMUM, INFLECTION = 0, 1, 2
 TURNS, CONTACTS, SECTIONS, STEPS = range(4)  # the logs
-POINT, TIME, WHICH, KIND, VALUE = range(5)
+POINT, TIME, WHICH, VALUE = range(4)
 STATE = 2  # of a section point
 DENSE_HEAD = 3  # of a step: point, start time, length; then the coefficients of q and z
 
@@ -62,26 +60,18 @@ def has_room(at, run):
 
 
 @internal
-def begin_row(run, log, k, kind, t, which):
-    """Number of a new row, whose values are left to the caller."""
+def write_row(run, log, k, t, which):
+    """Add a row to a log: its number."""
     i, rows = run.fill[log], run.logs[log]
-    rows[i, POINT], rows[i, TIME] = run.lane_point[k], t
-    rows[i, WHICH], rows[i, KIND] = which, kind
+    rows[i, POINT], rows[i, TIME], rows[i, WHICH] = run.lane_point[k], t, which
     run.fill[log] += 1
     return i
 
 
 @internal
-def _write_turn(run, k, kind, t, which, value):
-    i = begin_row(run, TURNS, k, kind, t, which)
+def _write_turn(run, k, t, which, value):
+    i = write_row(run, TURNS, k, t, which)
     run.logs[TURNS][i, VALUE] = value
-
-
-@internal
-def _write_contact(at, run, k, kind, t, contact):
-    i = begin_row(run, CONTACTS, k, kind, t, contact)
-    for j in range(at.n_states):
-        run.logs[CONTACTS][i, VALUE + j] = run.lanes[at.q + j, k]
 
 
 @internal
@@ -92,17 +82,17 @@ def load_series(coefficients, first, k, series):
 
 
 @internal
-def write_state(at, run, k, rows, i, first, elapsed):
-    """Put a state into row i from column `first` on, `elapsed` after the last step's beginning."""
+def _write_state(at, run, k, rows, i, elapsed):
+    """Put the state `elapsed` after the last step's beginning into a section's row."""
     for j in range(at.n + at.m):
         value, slope = 0.0, 0.0
         for term in range(at.order, -1, -1):
             slope = slope * elapsed + value
             value = value * elapsed + run.coefficients[j * at.n_terms + term, k]
         if j < at.n:
-            rows[i, first + j], rows[i, first + at.n + j] = value, slope
+            rows[i, STATE + j], rows[i, STATE + at.n + j] = value, slope
         else:
-            rows[i, first + at.n + j] = value
+            rows[i, STATE + at.n + j] = value
 
 
 @internal
@@ -110,7 +100,7 @@ def _write_section(at, run, k, i, t, elapsed):
     """Section point i, from the series of the last step: t is the time, `elapsed` within it."""
     rows = run.logs[SECTIONS]
     rows[i, POINT], rows[i, TIME] = run.lane_point[k], t
-    write_state(at, run, k, rows, i, STATE, elapsed)
+    _write_state(at, run, k, rows, i, elapsed)
 
 
 @internal
@@ -220,7 +210,7 @@ def _velocity_roots(step, v_1, work):
 
 @internal
 def _record_extrema(at, run, k, which, first):
-    """The zeros of a velocity within a step that `_found_turns` left unclear."""
+    """The zeros of a velocity within a step that `turns` left undecided."""
     lanes, work = run.lanes, run.work
     load_series(run.coefficients, first, k, work.series)
     n_roots = _velocity_roots(lanes[at.step, k], lanes[at.turn_v, k], work)
@@ -252,7 +242,7 @@ def _record_extrema(at, run, k, which, first):
             is_again = abs(x - halt) <= _SAME_DISPLACEMENT * abs(x)
             halt = x
         if t >= first and not is_again:
-            _write_turn(run, k, kind, start + t, which, x)
+            _write_turn(run, k, start + t, which, x)
             if at.is_free and which == 0 and kind == MAXIMUM:
                 _write_return(at, run, k, start, t)
         i += 1
@@ -262,22 +252,19 @@ def _record_extrema(at, run, k, which, first):
 def _record_contact(at, run, k, contact):
     """A wall passed, or both where no gap lies between them: the time, and rows if wanted."""
     lanes = run.lanes
-    side, end = lanes[at.side + contact, k], lanes[at.start_time, k] + lanes[at.step, k]
+    end = lanes[at.start_time, k] + lanes[at.step, k]
     if at.is_tanh:
         end += lanes[at.lag, k]
     mode, mode_0 = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
     has_gap = lanes[at.lower + contact, k] < lanes[at.upper + contact, k]
     if mode == 0.0 or (not has_gap and mode_0 != 0.0):
-        # out of contact: over its upper wall downward (side -1), over its lower one upward
-        left = LEAVE_UPPER if side < 0.0 else LEAVE_LOWER
         lanes[at.contact_time + contact, k] += end
         if run.contacts:
-            _write_contact(at, run, k, left, end, contact)
+            write_row(run, CONTACTS, k, end, contact)
     if mode != 0.0:
-        entered = ENTER_UPPER if side > 0.0 else ENTER_LOWER
         lanes[at.contact_time + contact, k] -= end
         if run.contacts:
-            _write_contact(at, run, k, entered, end, contact)
+            write_row(run, CONTACTS, k, end, contact)
 
 
 @internal
@@ -346,7 +333,7 @@ def _write_turns(at, run, events, which, series):
         turns &= turns - 1
         slope = run.coefficients[first + 1, k]
         t, x = run.lanes[at.turn_time, k], run.lanes[at.turn_x, k]
-        _write_turn(run, k, MAXIMUM if slope > 0.0 else MINIMUM, t, which, x)
+        _write_turn(run, k, t, which, x)
         if at.is_free and which == 0 and slope > 0.0:
             start = run.lanes[at.start_time, k]
             _write_return(at, run, k, start, t - start)
