@@ -287,6 +287,46 @@ def test_random_oscillators_move_as_the_equation_says(seed):
         test_extrema_are_those_of_the_equation(case)
 
 
+@pytest.mark.parametrize("j_1", [0.0, 0.4e-3])
+def test_a_smoothed_wall_moves_what_is_at_rest(j_1):
+    """Nothing else does: without forcing or energy only it tells the size of the motion."""
+    model = gs.Oscillator(zeta=0.1, forcing=0.0, alpha=0.0)
+    law, start = gs.Tanh(1e3, gs.Gap(j_1, 0.8e-3), 1e3), {"x_0": 0.0, "v_0": 0.0}
+    for rtol in (1e-9, 1e-11):
+        how = {"rtol": rtol, "atol": 1e-3 * rtol}
+        case = Case(model, law, 9.0, start, 0.5, how, within=100.0 * rtol)
+        test_the_end_is_that_of_the_equation(case)
+
+
+def test_steps_that_touch_a_thin_layer_come_to_an_end():
+    """They turn back in it: where they enter it, their interpolant is not nearly straight."""
+    model = gs.Oscillator(zeta=0.03, omega_n=5.0, mass=3.0, forcing=4.0, alpha=7e8)
+    start = {"x_0": 0.00010771443845100566, "v_0": 0.0016050810222214573}
+    law = gs.Arctan(14e3, gs.Gap(0.0, 0.8e-3), 1e6)
+    motion = gs.simulate(model, law, 22.8, **start, n_periods=5, rtol=1e-9, atol=1e-12)
+    assert motion.n_rejected < motion.n_steps < 1000
+
+
+@pytest.mark.parametrize("epsilon", [1e9, 1e12, 1e15])
+def test_the_sharpest_tanh_is_the_exact_law(epsilon):
+    walls, at = (1e6, gs.Gap(0.4e-3, 0.4e-3)), {"x_0": 0.01, "n_periods": 1}
+    model = gs.Oscillator(alpha=0.0)
+    exact = gs.simulate(model, gs.Piecewise(*walls), 9.0, **at)
+    motion = gs.simulate(model, gs.Tanh(*walls, epsilon), 9.0, **at)
+    assert motion.n_contacts == exact.n_contacts > 30
+    assert_allclose(state(motion), state(exact), rtol=1e-6)
+
+
+def test_a_start_within_a_thin_layer_is_followed_out_of_it():
+    """The layer lies before the first stage of a step that leaves it."""
+    model, law = gs.Oscillator(mean_load=1.0), gs.Tanh(1e6, GAP, 1e6)
+    loose, tight = (
+        gs.simulate(model, law, 9.0, GAP.j_2, -0.05, t_end=0.02, rtol=rtol, atol=1e-3 * rtol)
+        for rtol in (1e-7, 1e-11)
+    )
+    assert_allclose(loose.x_end, tight.x_end, rtol=1e-6)
+
+
 # --- Tangents -------------------------------------------------------------------------------------
 
 
@@ -552,6 +592,16 @@ def test_a_motion_is_the_same_in_any_batch(name, options):
         assert [bits(few, i, t) for i in range(len(group))] == [expected[k] for k in group]
     for k in (0, 9, 18):
         assert bits(of(k), None, t) == expected[k]
+
+
+def test_thin_layers_are_met_alike_in_any_batch():
+    omega, start = np.linspace(3.0, 9.0, 16), {"x_0": 6e-4, "v_0": 6e-3, "t_end": 1.0}
+    law = gs.Arctan(5e5, gs.Gap(1e-4, 7e-4), 2.7e6)
+    together = gs.simulate(OSCILLATOR, law, omega, **start)
+    for i, frequency in enumerate(omega):
+        assert bits(gs.simulate(OSCILLATOR, law, frequency, **start), None, None) == bits(
+            together, i, None
+        )
 
 
 @pytest.mark.parametrize("law", [PIECEWISE, TANH], ids=["taylor", "native"])

@@ -188,6 +188,7 @@ class _Hull(NamedTuple):
     x: Any
     x_1: Any
     v_1: Any
+    a_1: Any
     inner: Any
     turns_back: Any
 
@@ -206,7 +207,7 @@ def _hull(at, lane, which, h):
     high = maximum(maximum(maximum(x, x1), maximum(b1, b4)), maximum(b2, b3))
     rise = minimum(minimum(v, v1), minimum(minimum(b2 - b1, b4 - b3), b3 - b2))
     fall = maximum(maximum(v, v1), maximum(maximum(b2 - b1, b4 - b3), b3 - b2))
-    return _Hull(low, high, x, x1, v1, (b1, b2, b3, b4), (rise <= 0.0) & (fall >= 0.0))
+    return _Hull(low, high, x, x1, v1, a1, (b1, b2, b3, b4), (rise <= 0.0) & (fall >= 0.0))
 
 
 @inlined
@@ -219,7 +220,8 @@ def _horner(c, s):
 def _first_beyond(hull, target, at_end):
     """Part of the step after which its interpolant is first beyond a target; above 1: never.
 
-    Of steps that do not end there, in `at_end`, it is looked for at eighths of the step.
+    It is looked for at the end, of steps that end there, in `at_end`, and at eighths of the step of
+    those that do or may turn back; from there by the rule of false position.
     """
     b1, b2, b3, b4 = hull.inner
     c0, c1, c2 = hull.x - target, 5.0 * (b1 - hull.x), 10.0 * (b2 - 2.0 * b1 + hull.x)
@@ -228,15 +230,19 @@ def _first_beyond(hull, target, at_end):
     c5 = hull.x_1 - hull.x - 5.0 * (b4 - b1) + 10.0 * (b3 - b2)
     c = c0, c1, c2, c3, c4, c5
     last = select(at_end, simd.splat(1.0), 2.0)
-    if simd.bits(~at_end & hull.turns_back) != 0:
-        for i in range(7, 0, -1):
-            s = simd.splat(0.125 * i)
-            last = select(~at_end & (_horner(c, s) * c0 <= 0.0), s, last)
-    s = select(at_end, c0 / (hull.x - hull.x_1), last)
+    for i in range(7, 0, -1):
+        s = simd.splat(0.125 * i)
+        is_beyond = (at_end | hull.turns_back) & (_horner(c, s) * c0 <= 0.0)
+        last = select(is_beyond, s, last)
+    first = last - 0.125
+    before, beyond = _horner(c, first), _horner(c, last)
     for _ in range(2):
-        slope = fma(fma(fma(fma(5.0 * c5, s, 4.0 * c4), s, 3.0 * c3), s, 2.0 * c2), s, c1)
-        s = minimum(maximum(s - _horner(c, s) / slope, simd.splat(0.0)), last)
-    return select(last > 1.0, last, s)
+        s = first + (last - first) * (before / (before - beyond))
+        value = _horner(c, s)
+        is_before = value * c0 > 0.0
+        first, before = select(is_before, s, first), select(is_before, value, before)
+        last, beyond = select(is_before, last, s), select(is_before, beyond, value)
+    return select(last > 1.0, last, first + (last - first) * (before / (before - beyond)))
 
 
 class _Layers(NamedTuple):
@@ -275,6 +281,7 @@ def _layers(q, hull, v, accepted, before):
         cut = cut & (where <= 1.0)
         part = select(cut, minimum(part, where), part)
     limit = half / maximum(2.0 * simd.absolute(hull.v_1), 1e-300)
+    limit = minimum(limit, simd.sqrt(half / maximum(2.0 * simd.absolute(hull.a_1), 1e-300)))
     limit = select(ends_inside & has_one, minimum(before.limit, limit), before.limit)
     leaves = accepted & starts_inside & ~ends_inside & has_one
     return _Layers(before.cut | cut, part, before.leaves | leaves, limit)
@@ -539,10 +546,6 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
     if at.is_located:
         store(lane, at.n_short, select(commit, 0.0, load(lane, at.n_short)))
 
-    if method.cuts_at_layers:
-        h_next = select(layers.leaves, maximum(h_next, load(lane, at.h_saved)), h_next)
-        h_next = select(layers.cut, layers.part * h, minimum(h_next, layers.limit))
-        store(lane, at.h_saved, select(layers.cut, h, load(lane, at.h_saved)))
     if simd.bits(fresh) != 0:
         h_next = select(fresh, _begin(at, method, lane, rtol, atol, left), h_next)
         for i in range(at.n_rates):
@@ -552,6 +555,10 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
             _take_back_starts(at, q, lane, load(lane, at.is_fresh) >= AT_START)
         _add(lane, at.n_extra, fresh)
         store(lane, at.is_fresh, simd.splat(0.0))
+    if method.cuts_at_layers:
+        h_next = select(layers.leaves, maximum(h_next, load(lane, at.h_saved)), h_next)
+        h_next = select(layers.cut, layers.part * h, minimum(h_next, layers.limit))
+        store(lane, at.h_saved, select(layers.cut, h, load(lane, at.h_saved)))
     if simd.bits(bad) != 0:
         reason = select(pole, MODEL_INVALID, simd.splat(STEP_UNDERFLOW))
         reason = select(within, reason, DIVERGED)

@@ -20,8 +20,10 @@ ORDERS = ((2e-5, 8), (2e-8, 12), (2e-11, 16), (0.0, 20))
 # Shortest step that makes progress, in rad of the natural or forcing frequency: a stiffness of 1e9
 # N/m takes steps a million times longer, and a run of shorter ones would never end.
 MIN_STEP = 1e-10
+_MIN_STEP_IN_LAYERS = 1e-15  # a layer of 1e-11 m is passed in a few steps of 1e-14 rad
 # The force that is left out beyond a layer, K |y| exp(-2 eps |y|): within exp(-6) of the tolerance.
 _TAIL = 6.0
+_STRONGEST = 0.2785  # largest s / (1 + exp(s)): pull of a smoothed wall before it is met
 
 
 def order_for(rtol: float) -> int:
@@ -108,7 +110,8 @@ def scenes(
     stiffnesses = table[at.lower_stiffness], table[at.upper_stiffness]
     table[at.floor] = np.minimum(*map(partial(_forced_size, at, table), (j_1, j_2), stiffnesses))
     table[at.rate] = np.sqrt(n_rad**2 + np.maximum(*stiffnesses)) + table[at.omega_rad]
-    table[at.min_step] = MIN_STEP / np.maximum(n_rad, table[at.omega_rad])
+    shortest = _MIN_STEP_IN_LAYERS if at.is_tanh else MIN_STEP
+    table[at.min_step] = shortest / np.maximum(n_rad, table[at.omega_rad])
     return Scenes(at, points, rtol, atol)
 
 
@@ -154,8 +157,13 @@ def check(**values: Array) -> None:
 
 
 def _forced_size(at: Layout, table: Array, to_wall: Array, contact: Array) -> Array:
-    """Displacement [m] that the forcing keeps up against the springs, and a wall if it is met."""
+    """Displacement [m] that the forcing keeps up against the springs, and a wall if it is met.
+
+    The smoothing of a wall pushes too: without it a start at rest has no size, and no step.
+    """
     push = np.abs(table[at.push])
+    if at.is_tanh:
+        push = push + contact * (_STRONGEST / table[at.sharpness])
     cubic = np.cbrt(np.abs(table[at.cubic]) * push**2)
     springs = table[at.stiffness] + cubic + table[at.omega_rad] ** 2
     free = push / springs
