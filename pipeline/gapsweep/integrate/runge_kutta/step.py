@@ -234,7 +234,7 @@ def _first_beyond(hull, target, at_end):
         s = simd.splat(0.125 * i)
         is_beyond = (at_end | hull.turns_back) & (_horner(c, s) * c0 <= 0.0)
         last = select(is_beyond, s, last)
-    first = last - 0.125
+    is_met, first = last <= 1.0, last - 0.125
     before, beyond = _horner(c, first), _horner(c, last)
     for _ in range(2):
         s = first + (last - first) * (before / (before - beyond))
@@ -242,7 +242,7 @@ def _first_beyond(hull, target, at_end):
         is_before = value * c0 > 0.0
         first, before = select(is_before, s, first), select(is_before, value, before)
         last, beyond = select(is_before, last, s), select(is_before, beyond, value)
-    return select(last > 1.0, last, first + (last - first) * (before / (before - beyond)))
+    return select(is_met, first + (last - first) * (before / (before - beyond)), 2.0)
 
 
 class _Layers(NamedTuple):
