@@ -48,8 +48,8 @@ or of half of the gap where that is larger. Blank: not swept there, or failed th
   line it lies, or the frequencies are too few for any.
 - **tanh: one well**: where tanh has no false static equilibrium. That is needed and not enough:
   beside it stands the least ε of this study that may be used.
-- `piecewise-noevents` is the exact force, contacts not located: no stand-in; it shows what locating
-  them saves. Nor is `auto` one, which takes the exact law where it must.
+- `piecewise-noevents` is the exact force, contacts not located: no approximation; it shows what
+  locating them saves. Nor is `auto` one, which takes the exact law where it must.
 """
 COSTS = """\
 The cost of a law is stated in three ways, which must not be mixed:

@@ -1,4 +1,4 @@
-"""How far motions of stand-ins are from the truth, beside what their tolerance asks.
+"""How far motions of approximations are from the truth, beside what their tolerance asks.
 
     python benchmarks/step_errors.py [--scenes 1000] [--seed 1]
 

@@ -22,7 +22,7 @@ from tests.browser.test_report import OPTIONS
 import gapsweep as gs
 
 PICTURE = Path(__file__).parent / "images" / "explore.png"
-STAND_INS = ("tanh-1e4", "poly-13", "ratpoly-5/3")
+APPROXIMATIONS = ("tanh-1e4", "poly-13", "ratpoly-5/3")
 N_MOVES = 15
 CHAOTIC = 12.8  # Hz, from rest
 # Milliseconds from a slider's move to the frame after the responses of each law are there.
@@ -62,8 +62,8 @@ def chromium() -> Iterator[str]:
 
 
 async def moved(opened: Tab) -> list[float]:
-    """Times [ms] of one move: the exact law's, and the last stand-in's."""
-    laws = ", ".join(model(f"response {k} from rest") for k in range(len(STAND_INS) + 1))
+    """Times [ms] of one move: the exact law's, and the last approximation's."""
+    laws = ", ".join(model(f"response {k} from rest") for k in range(len(APPROXIMATIONS) + 1))
     answer = await opened.call(
         "Runtime.evaluate",
         expression=MOVE.format(laws=laws, slider=model("forcing")),
@@ -101,9 +101,9 @@ if __name__ == "__main__":
         print(f"{PICTURE}: {PICTURE.stat().st_size} bytes")
         for K_c in (1.4e4, 1.4e6):
             law = gs.Piecewise(K_c=K_c, gap=gs.Gap(0.4e-3, 0.4e-3))
-            page = gs.explore(law=law, stand_ins=STAND_INS)
+            page = gs.explore(law=law, approximations=APPROXIMATIONS)
             exact, last = zip(*asyncio.run(timed(address, page.url)), strict=True)
             page.stop()
-            for law_of, times in (("exact law", exact), ("three stand-ins", last)):
+            for law_of, times in (("exact law", exact), ("three approximations", last)):
                 middle, most = statistics.median(times), max(times)
                 print(f"K_c = {K_c:g} N/m, {law_of}: {middle:.0f} ms, at most {most:.0f} ms")

@@ -148,11 +148,11 @@ def test_the_response_follows_a_slider_that_is_dragged(debugger):  # noqa: F811
             await opened.ask("window.drawn.length"),
         )
 
-    during, forcing, x_max, n_drawn = browse(debugger, gs.explore(stand_ins=()), drag)
+    during, forcing, x_max, n_drawn = browse(debugger, gs.explore(approximations=()), drag)
     assert forcing > 4.5
     assert during >= 2  # while the button was held
     assert n_drawn <= 31  # no more often than it moved
-    question = of_model(stand_ins=())
+    question = of_model(approximations=())
     here = asked(numbers(question) | {"forcing": forcing}, question.band)
     np.testing.assert_allclose(x_max, 1e3 * from_rest(here, EXACT).x_max, rtol=1e-12)
 
@@ -175,7 +175,7 @@ def test_a_click_on_a_response_shows_its_motion(debugger):  # noqa: F811
         text = await opened.until(f"{model('status')}.text")
         return omega, text, await opened.ask(numbers_of("phase 0", "x"))
 
-    omega, text, x = browse(debugger, gs.explore(stand_ins=()), click)
+    omega, text, x = browse(debugger, gs.explore(approximations=()), click)
     assert f"Motion at {omega:.4g} Hz from x = " in text
     assert max(x) > 0.4  # beyond the wall
 
@@ -205,7 +205,7 @@ def test_clicks_on_basins_and_map_show_the_motion_from_there(debugger):  # noqa:
         await opened.until(f"{model('status')}.text.includes('from rest')")
         return shape, said, [await opened.ask(f"{model(name)}.value") for name in ("omega", "K_c")]
 
-    page = gs.explore(stand_ins=())
+    page = gs.explore(approximations=())
     shape, said, (omega, K_c) = browse(debugger, page, steps, size=(1280, 1700))
     assert shape == [48, 48]
     assert float(re.search("x = ([0-9.]+) mm", said)[1]) == pytest.approx(0.5, abs=0.05)
@@ -215,13 +215,13 @@ def test_clicks_on_basins_and_map_show_the_motion_from_there(debugger):  # noqa:
 
 def test_a_law_that_is_unknown_is_a_word_not_a_traceback(debugger):  # noqa: F811
     async def type_in(opened):
-        await opened.ask(f"{model('stand_ins')}.value = 'tangent'")
+        await opened.ask(f"{model('approximations')}.value = 'tangent'")
         await opened.until(f"{model('status')}.text.includes('unknown representation')")
-        await opened.ask(f"{model('stand_ins')}.value = 'poly-13, tanh-1e5'")
+        await opened.ask(f"{model('approximations')}.value = 'poly-13, tanh-1e5'")
         await opened.until(f"{source('response 2 from rest')}.omega.length === 200")
         return await opened.ask(f"{model('legend')}.text")
 
-    assert "tanh-1e5" in browse(debugger, gs.explore(stand_ins=()), type_in)
+    assert "tanh-1e5" in browse(debugger, gs.explore(approximations=()), type_in)
 
 
 def test_a_click_on_a_stored_point_opens_it(debugger, tmp_path):  # noqa: F811
@@ -271,6 +271,6 @@ def test_a_map_over_another_number_is_not_shown_under_its_name(debugger):  # noq
         await opened.until(f"{source('map 0 peaks')}.image?.[0]?.shape[0] === 40")
         return begun, await opened.ask(title)
 
-    (title, n_shown), done = browse(debugger, gs.explore(stand_ins=()), change)
+    (title, n_shown), done = browse(debugger, gs.explore(approximations=()), change)
     assert ("computing" in title) == (n_shown == 0)
     assert done == "Peaks from rest over ω and α: piecewise"

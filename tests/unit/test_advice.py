@@ -15,7 +15,7 @@ from tests.stored import point
 import gapsweep as gs
 from gapsweep.analysis.advice import advice, sentences
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
-from gapsweep.study.advice import Model, advise, stand_in, stand_ins
+from gapsweep.study.advice import Model, advise, approximation, approximations
 
 GAP = gs.Gap(0.4e-3, 0.4e-3)
 
@@ -101,17 +101,17 @@ def test_a_wall_at_the_origin_is_always_reached():
 
 def test_static_error_of_a_smooth_law():
     layer = minimize_scalar(lambda u: -u * (1 - math.tanh(u)) / 2, bounds=(0, 3), method="bounded")
-    found = stand_in("tanh-1e6", 1.4e4, GAP, 4.0, error=1e-3)
+    found = approximation("tanh-1e6", 1.4e4, GAP, 4.0, error=1e-3)
     assert_allclose(found.force_error, -layer.fun * 1.4e4 / 1e6 / 4.0, rtol=1e-4)
     assert found.is_adequate
-    assert not stand_in("tanh-1e5", 1.4e4, GAP, 4.0, error=1e-3).is_adequate
+    assert not approximation("tanh-1e5", 1.4e4, GAP, 4.0, error=1e-3).is_adequate
 
 
 def test_the_least_smooth_laws_are_one_decade_from_failing():
-    for one in stand_ins(1.4e6, GAP, 4.0, error=1e-2):
+    for one in approximations(1.4e6, GAP, 4.0, error=1e-2):
         family, _, decade = one.label.partition("-1e")
         assert one.is_adequate
-        coarser = stand_in(f"{family}-1e{int(decade) - 1}", 1.4e6, GAP, 4.0, error=1e-2)
+        coarser = approximation(f"{family}-1e{int(decade) - 1}", 1.4e6, GAP, 4.0, error=1e-2)
         assert not coarser.is_adequate
 
 

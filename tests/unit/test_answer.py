@@ -180,7 +180,7 @@ def test_a_price_of_all_motions_stands_beside_that_of_periodic_ones(tmp_path):
     assert 2.0 < tanh.price < 20.0
 
 
-def test_code_of_the_users_that_only_fails_is_no_stand_in(tmp_path):
+def test_code_of_the_users_that_only_fails_is_no_approximation(tmp_path):
     broken = {"tests.laws:raising": (None, 0.0)}
     _, (contact,) = made(tmp_path, LAWS | broken)
     assert {one.law for one in contact.laws} == LAWS.keys() - {"piecewise", "piecewise@half"}
@@ -205,7 +205,7 @@ def test_without_a_steady_exact_response_no_law_is_judged(tmp_path, one_case):
     assert [one.verdict for one in found[0].laws] == []
     assert "cannot be judged" in said[-1]
     assert "the exact law has no steady response" in said[-1]
-    assert "no stand-in" not in " ".join(said)
+    assert "no approximation" not in " ".join(said)
     if not one_case:
         assert [one.verdict for one in found[1].laws] == ["use", "use"]
 
@@ -300,7 +300,7 @@ def test_the_answer_names_what_saves_time():
     cheap, dear = judged("poly-13", price=0.5), judged("tanh-1e4", price=3.0)
     said = in_words([contact(cheap, dear), contact(dear, K_c=1e6)])
     assert said[0] == (
-        "A stand-in saves time with this study's solver in 1 of 2 contacts: "
+        "An approximation saves time with this study's solver in 1 of 2 contacts: "
         "poly-13 for 10000 N/m with 0.4/0.4 mm (0.5\u00a0×)."
     )
     assert said[1].startswith("Elsewhere take the exact law; ")
@@ -345,10 +345,10 @@ def test_a_cheap_law_in_doubt_does_not_hide_a_sure_one():
 
 def test_nothing_to_use_is_said():
     bad = judged("poly-13", "with care")
-    assert in_words([contact(bad)]) == ["Take the exact law: no stand-in is adequate."]
+    assert in_words([contact(bad)]) == ["Take the exact law: no approximation is adequate."]
     open_ = judged("poly-13", "with care", firm=False)
     assert in_words([contact(open_)]) == [
-        "Take the exact law: no stand-in has been shown to be adequate."
+        "Take the exact law: no approximation has been shown to be adequate."
     ]
     said = in_words([contact(bad), contact(judged("tanh-1e4"), gap="0/1")])
     assert "none of those swept for 10000 N/m with 0.4/0.4 mm" in said[1]
@@ -365,17 +365,17 @@ def test_a_contact_where_nothing_is_sure_is_called_open():
 
 
 @pytest.mark.parametrize("label", ["piecewise-noevents", "auto"])
-def test_what_is_the_exact_law_is_no_stand_in(tmp_path, label):
+def test_what_is_the_exact_law_is_no_approximation(tmp_path, label):
     """Neither in the answer and its prices, nor among those that are counted."""
     exact = judged(label, "exact here", price=0.5)
-    assert in_words([contact(exact)]) == ["Take the exact law: no stand-in was swept."]
+    assert in_words([contact(exact)]) == ["Take the exact law: no approximation was swept."]
     said = found_in(tmp_path, contact(judged("tanh-1e4"), exact))
-    assert "Of 1 pair of contact and stand-in" in said
+    assert "Of 1 pair of contact and approximation" in said
     assert label not in said
 
 
-def test_a_law_of_ones_own_is_a_stand_in_whatever_its_module_is_called():
-    assert judged("piecewise_fits:spring").is_stand_in
+def test_a_law_of_ones_own_is_a_approximation_whatever_its_module_is_called():
+    assert judged("piecewise_fits:spring").is_approximation
 
 
 def test_prices_have_two_digits():
@@ -394,18 +394,18 @@ def test_closest_is_who_is_closest_in_the_same_contact(tmp_path):
     alone = judged("arctan-1e4", median=1e-6)
     exact = judged("piecewise-noevents", median=1e-9)
     said = found_in(tmp_path, contact(near, far, exact), contact(alone))
-    assert "tanh-1e4 in the only contact with several stand-ins." in said
+    assert "tanh-1e4 in the only contact with several approximations." in said
     assert "arctan" not in said
     assert "noevents" not in said
 
 
 def test_overlapping_intervals_and_floors_name_none(tmp_path):
     near, level = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.0112)
-    none = "In no contact is one stand-in clearly closest in amplitude."
+    none = "In no contact is one approximation clearly closest in amplitude."
     assert none in found_in(tmp_path, contact(near, level))
     far = judged("poly-13", median=0.3)
     several = found_in(tmp_path, contact(near, level), contact(near, far))
-    assert "tanh-1e4 in 1, no single one in 1 of 2 contacts with several stand-ins." in several
+    assert "tanh-1e4 in 1, no single one in 1 of 2 contacts with several approximations." in several
     assert none in found_in(tmp_path, contact(near, far, floor=0.5))
     unknown = judged("poly-13", median=0.3, width=np.nan)
     assert none in found_in(tmp_path, contact(near, unknown))
@@ -413,4 +413,6 @@ def test_overlapping_intervals_and_floors_name_none(tmp_path):
 
 def test_prices_are_counted_by_what_is_beyond_doubt(tmp_path):
     laws = [judged("poly-13", "no", 0.5), judged("tanh-1e4"), judged("arctan-1e4", price=1.05)]
-    assert "Of 3 pairs of contact and stand-in 1 cost more" in found_in(tmp_path, contact(*laws))
+    assert "Of 3 pairs of contact and approximation 1 cost more" in found_in(
+        tmp_path, contact(*laws)
+    )

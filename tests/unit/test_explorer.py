@@ -76,7 +76,7 @@ def linear_amplitude(oscillator, omega):
 
 def test_the_numbers_of_the_sliders_make_the_question():
     law = gs.Tanh(K_c=2e4, gap=gs.Gap(1e-4, 3e-4), K_ratio=0.5, epsilon=1e5)
-    question = of_model(gs.Oscillator(alpha=-1e8, zeta=0.0), law, stand_ins=())
+    question = of_model(gs.Oscillator(alpha=-1e8, zeta=0.0), law, approximations=())
     assert asked(numbers(question), question.band) == question
 
 
@@ -107,7 +107,7 @@ def test_a_study_gives_the_ranges():
     question, ranges = of_study(study)
     found = {dial.name: dial for dial in dials(question, ranges)}
     assert question.band == (4.0, 12.0)
-    assert question.stand_ins == ("poly-7",)
+    assert question.approximations == ("poly-7",)
     assert question.oscillator.mass == 2.0
     assert (found["K_c"].low, found["K_c"].high) == (1e3, 1e6)
     assert (found["zeta"].low, found["zeta"].high) == (0.01, 0.2)
@@ -135,12 +135,12 @@ def test_what_is_no_oscillator_is_refused():
         ("tangent", "unknown representation"),
     ],
 )
-def test_what_cannot_stand_in_is_refused(typed, said):
+def test_what_cannot_approximation_is_refused(typed, said):
     with pytest.raises(ModelError, match=said):
         labels(typed)
 
 
-def test_stand_ins_are_typed_as_one_likes():
+def test_approximations_are_typed_as_one_likes():
     assert labels("tanh-10000,poly-13  piecewise, tanh-1e4") == ("tanh-1e4", "poly-13")
 
 
@@ -197,17 +197,17 @@ def test_a_motion_starts_where_the_question_says():
 
 
 def test_what_is_looked_at_first_comes_first():
-    question = of_model(stand_ins=("tanh-1e4",))
+    question = of_model(approximations=("tanh-1e4",))
     first = [next(found) for found in [answers(question)] for _ in range(4)]
     kinds = [(type(answer).__name__, answer.label) for answer in first]
     laws = (EXACT, "tanh-1e4")
     assert kinds == [(kind, law) for law in laws for kind in ("Curve", "Motion")]
 
 
-def test_the_planes_come_last_of_the_exact_law_and_one_stand_in(monkeypatch):
+def test_the_planes_come_last_of_the_exact_law_and_one_approximation(monkeypatch):
     monkeypatch.setattr(shown, "N_STARTS", 3)
     monkeypatch.setattr(shown, "N_MAP", 3)
-    question = replace(of_model(stand_ins=("tanh-1e4", "poly-13")), over_values=(1e3, 1e4))
+    question = replace(of_model(approximations=("tanh-1e4", "poly-13")), over_values=(1e3, 1e4))
     every = list(answers(question))
     found = [answer for answer in every if isinstance(answer, Plane)]
     assert every[-len(found) :] == found
@@ -302,7 +302,9 @@ def test_what_has_not_settled_is_grey_and_called_so(zeta, is_given):
 
 def test_rows_of_a_map_have_settled_by_their_own_damping():
     dampings = (1e-3, 0.3)
-    question = replace(of_model(gs.Oscillator(), stand_ins=()), over="zeta", over_values=dampings)
+    question = replace(
+        of_model(gs.Oscillator(), approximations=()), over="zeta", over_values=dampings
+    )
     found = looked_at(question)
     never = np.zeros((2, 3), bool)
     plane = Plane(EXACT, MAP, np.arange(3.0), np.array(dampings), np.ones((2, 3)), never)
@@ -317,12 +319,12 @@ def test_motions_of_micrometres_are_as_good_as_those_of_millimetres():
     """Lengths and forces 1e-6 of the others, stiffnesses the same: so are the motions."""
     small = 1e-6
     large = of_model(
-        gs.Oscillator(alpha=0.0), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), stand_ins=()
+        gs.Oscillator(alpha=0.0), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), approximations=()
     )
     tiny = of_model(
         gs.Oscillator(alpha=0.0, forcing=4.0 * small),
         gs.Piecewise(1.4e4, gs.Gap(4e-4 * small, 4e-4 * small)),
-        stand_ins=(),
+        approximations=(),
     )
     ours, theirs = from_rest(tiny, EXACT), from_rest(large, EXACT)
     same = ours.is_periodic & theirs.is_periodic & (ours.period_multiple == theirs.period_multiple)
@@ -460,7 +462,7 @@ def test_the_points_of_a_run_are_found_in_their_scenes(run):
 
 
 def test_the_page_is_there_and_for_this_machine_only():
-    with_page = gs.explore(stand_ins=())
+    with_page = gs.explore(approximations=())
     try:
         for _ in range(2):  # visitors, each with a document of their own
             with urllib.request.urlopen(with_page.url, timeout=SOON) as answer:
@@ -480,7 +482,7 @@ def test_the_page_is_there_and_for_this_machine_only():
 # Tornado leaves the socket that it could not bind to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_port_that_is_taken_is_refused():
-    page = gs.explore(stand_ins=())
+    page = gs.explore(approximations=())
     try:
         with pytest.raises(GapsweepError, match="in use; choose another"):
             gs.explore(port=urlsplit(page.url).port)
@@ -494,7 +496,7 @@ def sockets(page):
 
 
 def test_another_site_cannot_talk_to_the_page():
-    page = gs.explore(stand_ins=())
+    page = gs.explore(approximations=())
 
     async def knock():
         there = page.url.replace("http", "ws") + "ws"
@@ -510,7 +512,7 @@ def test_another_site_cannot_talk_to_the_page():
 @pytest.mark.parametrize("path", ["/", "/ws", "/static/js/bokeh.min.js", "/guessed/ws"])
 def test_a_site_that_takes_the_name_of_this_machine_does_not_know_the_path(path):
     """DNS rebinding: its pages reach the port, with a host and an origin that agree."""
-    page = gs.explore(stand_ins=())
+    page = gs.explore(approximations=())
     port = urlsplit(page.url).port
     headers = {"Host": f"rebound.example:{port}", "Origin": f"http://rebound.example:{port}"}
 

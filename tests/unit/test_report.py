@@ -167,9 +167,9 @@ def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
     assert said[-1].endswith("75 % of its attractors, medians over 3 scenes; in one 50 %.")
 
 
-def test_what_stand_ins_keep_of_systems_is_told(tmp_path):
+def test_what_approximations_keep_of_systems_is_told(tmp_path):
     responses, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
-    # These are of an oscillator, whose stand-ins are judged instead.
+    # These are of an oscillator, whose approximations are judged instead.
     assert len(findings(responses, [], None, agreement=compared)) == 1
     *_, tanh, poly = findings(in_own_units(responses), [], None, agreement=compared)
     kept = "keeps 95 % of the amplitudes within"
@@ -608,7 +608,7 @@ def test_the_page_says_how_it_was_made(page):
     assert Study.from_dict(json.loads(unescape(settings)))
 
 
-def test_claims_stand_in_the_page_with_their_numbers(page):
+def test_claims_approximation_the_page_with_their_numbers(page):
     text = page.read_text()
     assert [v for v in VERDICTS if f'data-verdict="{v}"' not in text] == []
     assert "1 refuted, 1 partly, 1 confirmed, 1 undecidable" in text

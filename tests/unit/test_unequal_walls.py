@@ -172,7 +172,7 @@ def test_scenes_are_symmetric_between_equal_walls_alone(tables):
 def test_advice_compares_with_the_force_of_the_walls(tables):
     study = swept(tables, [0.2, 5.0], representation=["piecewise", "tanh-1e4"], omega=7.0)
     found = advice(study, 1e-3)
-    error = found.force_error.sel(stand_in="tanh-1e4").squeeze()
+    error = found.force_error.sel(approximation="tanh-1e4").squeeze()
     assert error.dims == ("K_ratio",)
     assert_allclose(error.values[1] / error.values[0], 5.0, rtol=0.02)  # the upper wall's, then
     assert [scene["K_ratio"] for scene in sentences(found)] == [0.2, 5.0]

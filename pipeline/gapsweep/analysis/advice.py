@@ -13,14 +13,14 @@ from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import Piecewise
 from gapsweep.model.labels import family, law_of
 from gapsweep.model.oscillator import Gap
-from gapsweep.study.advice import Model, StandIn, stand_in, stand_ins
+from gapsweep.study.advice import Approximation, Model, approximation, approximations
 from gapsweep.study.grid import START
 from gapsweep.study.schema import coordinates
 from gapsweep.study.study import Study
 from gapsweep.variables import Variable
 
 MODEL_FLAGS = (("none", -1), *((model.name.lower(), int(model)) for model in Model))
-STAND_IN = "stand_in"
+APPROXIMATION = "approximation"
 
 # Over every dimension but the representation; over those of scenes, and the smooth law.
 VARIABLES = {
@@ -51,8 +51,8 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
     -------
     Dataset
         `VARIABLES` over every dimension but the representation, -1 where none is asked for;
-        `SCREENED` over the dimensions of scenes and `stand_in`: the study's own smooth laws and,
-        per family, the one with the smallest adequate power of ten. Attribute `error`.
+        `SCREENED` over the dimensions of scenes and `approximation`: the study's own smooth laws
+        and, per family, the one with the smallest adequate power of ten. Attribute `error`.
     """
     if not study.model.is_oscillator:
         raise StudyError(
@@ -79,12 +79,12 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
     }
     labels, screened = _screened(study, error)
     for name, values in screened.items():
-        variables[name] = ((*grid.scene_dims, STAND_IN), values, SCREENED[name].attributes)
+        variables[name] = ((*grid.scene_dims, APPROXIMATION), values, SCREENED[name].attributes)
     values = grid.coordinates()
     return xr.Dataset(
         variables,
         {
-            STAND_IN: (STAND_IN, labels, {"long_name": "smooth law"}),
+            APPROXIMATION: (APPROXIMATION, labels, {"long_name": "smooth law"}),
             **{
                 name: (along, values[name], variable.attributes)
                 for name, (along, variable) in coordinates(grid.dims[1:], grid.structure).items()
@@ -108,7 +108,7 @@ def _screened(study: Study, error: float) -> tuple[list[str], dict[str, Any]]:
         gap = axes["gap"] if "gap" in axes else Gap(axes["j_1"], axes["j_2"])
         forcing = axes.get("forcing", study.oscillator.forcing)
         K_ratio = axes.get("K_ratio", 1.0)
-        least = stand_ins(axes["K_c"], gap, forcing, error=error, K_ratio=K_ratio)
+        least = approximations(axes["K_c"], gap, forcing, error=error, K_ratio=K_ratio)
         rest = [label for label in smooth if label not in {one.label for one in least}]
         given = {"error": error, "fit_range": study.spec.fit.range, "K_ratio": K_ratio}
         screened[at] = [*least, *_each(rest, axes["K_c"], gap, forcing, **given)]
@@ -122,13 +122,15 @@ def _screened(study: Study, error: float) -> tuple[list[str], dict[str, Any]]:
     return labels, {"force_error": force_error, "is_adequate": is_adequate}
 
 
-def _each(labels: list[str], K_c: float, gap: Gap, forcing: float, **given: float) -> list[StandIn]:
+def _each(
+    labels: list[str], K_c: float, gap: Gap, forcing: float, **given: float
+) -> list[Approximation]:
     found = []
     for label in labels:
         try:
-            one = stand_in(label, K_c, gap, forcing, **given)
+            one = approximation(label, K_c, gap, forcing, **given)
         except ModelError:  # a fit with a pole in its range
-            one = StandIn(label=label, force_error=np.inf, is_adequate=False)
+            one = Approximation(label=label, force_error=np.inf, is_adequate=False)
         found.append(one)
     return found
 
@@ -141,7 +143,7 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
     list of dict
         ``K_c``, ``gap``, what else is swept by name, ``starts``, a list of ``start``, which says
         those that need the same models, and ``advice``, a list of ``from``, ``to`` [Hz], ``model``
-        and ``reason``; ``stand_ins``, a sentence.
+        and ``reason``; ``approximations``, a sentence.
     """
     scenes = []
     dims = found["force_error"].dims[:-1]
@@ -157,7 +159,7 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
                 "starts": [
                     {"start": _starts(some), "advice": _ranges(some)} for some in _alike(here)
                 ],
-                "stand_ins": _stand_ins(here),
+                "approximations": _approximations(here),
             }
         )
     return scenes
@@ -218,11 +220,11 @@ def _reason(model: Model, bound: float) -> str:
     return f"{stays}{'; nor is the cubic spring seen' if model is Model.LINEAR else ''}"
 
 
-def _stand_ins(here: xr.Dataset) -> str:
+def _approximations(here: xr.Dataset) -> str:
     rows = [
         (str(label), float(value), int(yes))
         for label, value, yes in zip(
-            here[STAND_IN].values,
+            here[APPROXIMATION].values,
             here["force_error"].values,
             here["is_adequate"].values,
             strict=True,

@@ -272,7 +272,7 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
                 ],
             )  # fmt: skip
         click.echo()
-        print_text(scene["stand_ins"])
+        print_text(scene["approximations"])
     for label in own:
         print_text(f"{label} is not assessed: advice is for straight walls of stiffness K_c")
     return FINISHED
@@ -282,7 +282,7 @@ def _scene(scene: dict[str, Any]) -> str:
     from gapsweep.study.schema import UNITS
 
     words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
-    swept = scene.keys() - {"K_c", "gap", "starts", "stand_ins", "j_1", "j_2"}
+    swept = scene.keys() - {"K_c", "gap", "starts", "approximations", "j_1", "j_2"}
     others = [f"{name} = {scene[name]:g} {UNITS.get(name, '')}".strip() for name in sorted(swept)]
     return ", ".join(words + others)
 

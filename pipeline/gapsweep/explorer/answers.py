@@ -176,9 +176,9 @@ class Motion:
 def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
     """All that a page shows of a question, what is looked at first first.
 
-    The exact law from rest, the motion, the same of every stand-in, then sweeps of the exact law
-    in growing parts, and the planes, of the first stand-in too. Whoever has no use for the rest any
-    more stops asking.
+    The exact law from rest, the motion, the same of every approximation, then sweeps of the exact
+    law in growing parts, and the planes, of the first approximation too. Whoever has no use for the
+    rest any more stops asking.
 
     Raises
     ------
@@ -186,7 +186,7 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
         If a law cannot be made, as a fit beyond its range.
     """
     highest = max(question.gap.j_1, question.gap.j_2, _LEAST)
-    for label in (EXACT, *question.stand_ins):
+    for label in (EXACT, *question.approximations):
         curve = from_rest(question, label)
         yield curve
         yield motion(question, label)
@@ -194,7 +194,7 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
     for curve in sweeps(question):
         yield curve
         highest = max(highest, _height(curve, question.omega))
-    shown = (EXACT, *question.stand_ins[:1])
+    shown = (EXACT, *question.approximations[:1])
     for label in shown:
         yield from basins(question, label, _BEYOND * highest)
     for label in shown:

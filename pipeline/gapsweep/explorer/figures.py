@@ -23,7 +23,7 @@ from gapsweep.explorer.answers import (
 )
 from gapsweep.explorer.canvas import blank, guide
 from gapsweep.explorer.planes import Planes
-from gapsweep.explorer.question import MAX_STAND_INS, Question
+from gapsweep.explorer.question import MAX_APPROXIMATIONS, Question
 from gapsweep.model.labels import EXACT
 from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, colour, lines
 
@@ -35,7 +35,7 @@ _MARKERS = {REST: "circle", UP: "triangle", DOWN: "inverted_triangle"}
 _EXACT_SIZE, _SIZE = 6, 3.5  # pixels: of dots; the exact law behind is larger
 _EXACT_WIDTH, _WIDTH = 3.0, 1.3  # of lines
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
-_PALE = 0.35  # of a stand-in's dots where its response is not periodic
+_PALE = 0.35  # of an approximation's dots where its response is not periodic
 
 _RESPONSE = ("omega", "x_max", "colour", "alpha", "law", "protocol", "kind")
 _LINES = ("x", "y")
@@ -72,17 +72,17 @@ class Figures:
         )  # fmt: skip
         self._name()
         self._stored = self._dots("stored", "square", 7)
-        # The exact law behind: what shows of it is missed by the stand-ins.
+        # The exact law behind: what shows of it is missed by the approximations.
         self._curves = {
             (slot, protocol): self._dots(
                 f"response {slot} {protocol}", marker, _SIZE if slot else _EXACT_SIZE
             )
-            for slot in range(MAX_STAND_INS + 1)
+            for slot in range(MAX_APPROXIMATIONS + 1)
             for protocol, marker in _MARKERS.items()
             if slot == 0 or protocol == REST
         }
         self._lines = {
-            name: [_line(shown, name, slot) for slot in range(MAX_STAND_INS + 1)]
+            name: [_line(shown, name, slot) for slot in range(MAX_APPROXIMATIONS + 1)]
             for name, shown in self._of_motions().items()
         }
         self.planes = Planes()
@@ -126,17 +126,17 @@ class Figures:
         for spans, wall in zip(self._walls, (-gap.j_1, gap.j_2), strict=True):
             for span in spans:
                 span.location = wall * _MM
-        # What is shown no more does not linger: stand-ins taken away, sweeps of other parameters.
+        # What is shown no more goes: approximations taken away, sweeps of other parameters.
         for slot, source in self._curves.items():
-            if slot[1] != REST or slot[0] > len(question.stand_ins):
+            if slot[1] != REST or slot[0] > len(question.approximations):
                 source.data = _empty(_RESPONSE)
         for drawn in self._lines.values():
-            for source, _ in drawn[len(question.stand_ins) + 1 :]:
+            for source, _ in drawn[len(question.approximations) + 1 :]:
                 source.data = _empty(_LINES)
 
     def show(self, question: Question, answer: Curve | Motion | Plane) -> None:
         """Draw an answer to a question."""
-        labels = (EXACT, *question.stand_ins)
+        labels = (EXACT, *question.approximations)
         slot = labels.index(answer.label)
         if isinstance(answer, Plane):
             self.planes.show(slot, answer)
@@ -189,11 +189,11 @@ def legend(question: Question, motions: Iterable[Motion]) -> str:
         f'<span style="margin-right:1.4em"><b style="color:{colour(label)}">●</b> '
         f"{escape(label)}{' (exact)' if label == EXACT else ''}"
         f"{': ' + said[label] if label in said else ''}</span>"
-        for label in (EXACT, *question.stand_ins)
+        for label in (EXACT, *question.approximations)
     )
     marks = (
         "● from rest&ensp;△ exact law, sweep up&ensp;▽ sweep down&ensp;"
-        f'<b style="color:{NOT_PERIODIC}">●</b> not periodic (dots of stand-ins: pale)&ensp;'
+        f'<b style="color:{NOT_PERIODIC}">●</b> not periodic (dots of approximations: pale)&ensp;'
         f'<b style="color:{NOT_SETTLED}">●</b> not settled (transients are given '
         f"{given:.2g} of {DECAY_TIMES:g} decay times)&ensp;┈ walls"
     )

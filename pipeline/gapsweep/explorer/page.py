@@ -37,7 +37,7 @@ from gapsweep.explorer.answers import (
 from gapsweep.explorer.figures import Figures, legend
 from gapsweep.explorer.latest import Latest
 from gapsweep.explorer.question import (
-    MAX_STAND_INS,
+    MAX_APPROXIMATIONS,
     Dial,
     Question,
     asked,
@@ -144,8 +144,8 @@ class Page:
         )  # fmt: skip
         self._band.on_change("value", self._moved)
         self._laws = TextInput(
-            title=f"Stand-ins beside the exact law (up to {MAX_STAND_INS})", name="stand_ins",
-            value=", ".join(question.stand_ins), placeholder="tanh-1e4, poly-13, ratpoly-5/3",
+            title=f"Beside the exact law (up to {MAX_APPROXIMATIONS})", name="approximations",
+            value=", ".join(question.approximations), placeholder="tanh-1e4, poly-13, ratpoly-5/3",
             width=_SIDE,
         )  # fmt: skip
         self._laws.on_change("value", self._moved)
@@ -205,8 +205,10 @@ class Page:
         over = self._dials[self._over.value]
         kept |= {"over": over.name, "over_values": over.along(N_MAP)}
         try:
-            stand_ins = labels(self._laws.value)
-            question = asked(values, self._band.value, **{"stand_ins": stand_ins, **kept, **others})
+            approximations = labels(self._laws.value)
+            question = asked(
+                values, self._band.value, **{"approximations": approximations, **kept, **others}
+            )
         except GapsweepError as error:
             self._refuse(self._question, str(error))
             return
@@ -279,7 +281,7 @@ class Page:
         if label in (EXACT, AUTO, *ours) or ":" in label:
             return
         self._is_setting = True
-        self._laws.value = ", ".join((*ours[: MAX_STAND_INS - 1], label))
+        self._laws.value = ", ".join((*ours[: MAX_APPROXIMATIONS - 1], label))
         self._is_setting = False
 
     def _open_scene(self, name: str) -> None:

@@ -1,4 +1,4 @@
-"""Basins and maps of the page: peaks over two numbers, the exact law beside a stand-in."""
+"""Basins and maps of the page: peaks over two numbers, the exact law beside an approximation."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -23,7 +23,7 @@ from gapsweep.model.labels import EXACT
 from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, sequence
 
 _MM = 1e3
-_SLOTS = 2  # the exact law and the first stand-in
+_SLOTS = 2  # the exact law and the first approximation
 _SHADES = 64
 _ROWS = 8  # computed between two looks: the browser takes longer to draw than one is computed
 _FAILED = "#555555"
@@ -36,7 +36,7 @@ class Planes:
     Attributes
     ----------
     figures : mapping of (str, int) to figure
-        Basins and maps, of the exact law (0) and the first stand-in (1).
+        Basins and maps, of the exact law (0) and the first approximation (1).
     """
 
     def __init__(self) -> None:
@@ -77,7 +77,7 @@ class Planes:
             BASINS: f"Peaks by start, {question.omega:.4g} Hz",
             MAP: f"Peaks from rest over ω and {over.title.split()[-1]}",
         }
-        self._labels = (EXACT, *question.stand_ins)[:_SLOTS]
+        self._labels = (EXACT, *question.approximations)[:_SLOTS]
         for (name, slot), shown in self.figures.items():
             for mark, place in zip(self._marks[name, slot], here[name], strict=True):
                 mark.location = place

@@ -13,8 +13,8 @@ from gapsweep.model.labels import AUTO, EXACT, canonical_label, contact_law, law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 from gapsweep.study.study import Study
 
-MAX_STAND_INS = 3
-DEFAULT_STAND_INS = ("tanh-1e4",)
+MAX_APPROXIMATIONS = 3
+DEFAULT_APPROXIMATIONS = ("tanh-1e4",)
 # Natural frequencies that a page looks at first: beyond the resonance, where contacts matter.
 _LOOKED_AT = 1.8
 
@@ -29,7 +29,7 @@ class Question:
     K_c, K_ratio : float
         Stiffness [N/m] of the upper wall, and of the lower over the upper [-].
     gap : Gap
-    stand_ins : tuple of str
+    approximations : tuple of str
         Labels of the laws beside the exact one.
     band : (float, float)
         First and last frequency [Hz] of the response.
@@ -51,7 +51,7 @@ class Question:
     band: tuple[float, float]
     omega: float
     K_ratio: float = 1.0
-    stand_ins: tuple[str, ...] = ()
+    approximations: tuple[str, ...] = ()
     start: tuple[float, float] = (0.0, 0.0)
     fit_range: float = FIT_RANGE
     over: str = "K_c"
@@ -84,16 +84,16 @@ class Question:
 
     def at(self, name: str, value: float) -> "Question":
         """The same with another value of a number that has a slider."""
-        others = ("stand_ins", "start", "fit_range", "over", "over_values")
+        others = ("approximations", "start", "fit_range", "over", "over_values")
         kept = {each: getattr(self, each) for each in others}
         return asked(numbers(self) | {name: value}, self.band, **kept)
 
 
-_OF_NO_PLANE: dict[str, Any] = {"stand_ins": (), "start": (0.0, 0.0)}
+_OF_NO_PLANE: dict[str, Any] = {"approximations": (), "start": (0.0, 0.0)}
 
 
 def labels(text: str) -> tuple[str, ...]:
-    """Labels of stand-ins from what was typed: ``"tanh-1e4, poly-13"``.
+    """Labels of approximations from what was typed: ``"tanh-1e4, poly-13"``.
 
     Raises
     ------
@@ -106,8 +106,10 @@ def labels(text: str) -> tuple[str, ...]:
         if ":" in label or label == AUTO:
             raise ModelError(f"{label}: cannot be typed here; use a law that is a formula")
     found = tuple(label for label in found if label != EXACT)
-    if len(found) > MAX_STAND_INS:
-        raise ModelError(f"{len(found)} stand-ins: must be <= {MAX_STAND_INS}; take some away")
+    if len(found) > MAX_APPROXIMATIONS:
+        raise ModelError(
+            f"{len(found)} approximations: must be <= {MAX_APPROXIMATIONS}; take some away"
+        )
     return found
 
 
@@ -251,9 +253,9 @@ def of_model(
     oscillator: Oscillator | None = None,
     law: ContactLaw | None = None,
     *,
-    stand_ins: Sequence[str] = DEFAULT_STAND_INS,
+    approximations: Sequence[str] = DEFAULT_APPROXIMATIONS,
 ) -> Question:
-    """The question of an oscillator and a contact; a law that is a stand-in is one beside.
+    """The question of an oscillator and a contact; a law that is an approximation is one beside.
 
     Raises
     ------
@@ -271,7 +273,7 @@ def of_model(
         K_c=law.K_c,
         K_ratio=law.K_ratio,
         gap=law.gap,
-        stand_ins=labels(" ".join(stand_ins)),
+        approximations=labels(" ".join(approximations)),
         band=(0.4 * oscillator.omega_n, 3.0 * oscillator.omega_n),
         omega=_LOOKED_AT * oscillator.omega_n,
     )
@@ -325,7 +327,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
         values["omega"] = min(max(_LOOKED_AT * values["omega_n"], band[0]), band[1])
     ours = [label for label in _plain(grid.representations) if ":" not in label]
     others = [label for label in ours if label not in (EXACT, AUTO)]
-    question = asked(values, band, stand_ins=tuple(others[:1]), fit_range=study.spec.fit.range)
+    question = asked(values, band, approximations=tuple(others[:1]), fit_range=study.spec.fit.range)
     return question, ranges
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from gapsweep.errors import ModelError
 from gapsweep.explorer.question import (
-    DEFAULT_STAND_INS,
+    DEFAULT_APPROXIMATIONS,
     Question,
     not_computed,
     of_model,
@@ -26,7 +26,7 @@ def explore(
     oscillator: Oscillator | None = None,
     law: ContactLaw | None = None,
     *,
-    stand_ins: Sequence[str] = DEFAULT_STAND_INS,
+    approximations: Sequence[str] = DEFAULT_APPROXIMATIONS,
     port: int = 0,
 ) -> Explorer:
     """Open a page whose figures follow its sliders.
@@ -41,7 +41,7 @@ def explore(
     law : ContactLaw, optional
         Its stiffness and its gap are where the sliders start; 14000 N/m and 0.4 mm on both sides
         if None.
-    stand_ins : sequence of str
+    approximations : sequence of str
         Labels of up to three laws beside the exact one.
     port : int
         Port of this machine, 0: any that is free.
@@ -59,12 +59,12 @@ def explore(
     Examples
     --------
     >>> import gapsweep as gs
-    >>> page = gs.explore(stand_ins=["tanh-1e4", "poly-13"])
+    >>> page = gs.explore(approximations=["tanh-1e4", "poly-13"])
     >>> page.url.startswith("http://")
     True
     >>> page.stop()
     """
-    return opened(of_model(oscillator, law, stand_ins=stand_ins), port=port)
+    return opened(of_model(oscillator, law, approximations=approximations), port=port)
 
 
 def explore_path(path: Path | None, port: int) -> Explorer:

@@ -93,11 +93,11 @@ def simulate(
     dense_output : bool
         Whether to keep the motion between steps, for its history `t`, `x`, `v` and ``sample(t)``.
     tangent : bool
-        Whether to integrate the variational equations along, for ``monodromy``; steps of stand-ins
-        are then cut for them, too. Where kinks of the force are not located (``located=False``, a
-        law of your own with corners) every one that is passed adds an error that no tolerance
-        bounds, 1e-4 to 1e-2 of the whole as measured; `respond` takes the located law's for
-        multipliers where there is one.
+        Whether to integrate the variational equations along, for ``monodromy``; steps of smooth
+        laws are then cut for them, too. Where kinks of the force are not located
+        (``located=False``, a law of your own with corners) every one that is passed adds an error
+        that no tolerance bounds, 1e-4 to 1e-2 of the whole as measured; `respond` takes the located
+        law's for multipliers where there is one.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Which stand-in may be taken for which contact, and at what price: what a report opens with.
+"""Which approximation may be taken for which contact, and at what price: what a report opens with.
 
 Judged contact by contact (stiffness and gap), from ``agreement.nc``:
 
@@ -49,7 +49,7 @@ _SHOWN = {
 _PRICE = "cpu_time_per_period_ratio"
 _CONTACTS = "n_contacts_per_period"
 COLUMNS = ("use", "with care", "no")
-_NO_STAND_INS = ("piecewise-noevents", AUTO)
+_NO_APPROXIMATIONS = ("piecewise-noevents", AUTO)
 # Of each number the estimate, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
 Row = dict[str, Any]  # variables of one law in one contact
@@ -76,9 +76,9 @@ class Judged:
     periodic_price: float = np.nan  # where the exact law is periodic
 
     @property
-    def is_stand_in(self) -> bool:
+    def is_approximation(self) -> bool:
         """Unlocated contacts are the exact force, and ``auto`` chooses it where it is needed."""
-        return self.law not in _NO_STAND_INS
+        return self.law not in _NO_APPROXIMATIONS
 
     @property
     def is_firm(self) -> bool:
@@ -149,26 +149,26 @@ class Contact:
 
     @property
     def picks(self) -> list[Judged]:
-        """The cheapest stand-in to use, and those whose price cannot be told from its."""
-        usable = [one for one in self.columns["use"] if one.is_stand_in]
+        """The cheapest approximation to use, and those whose price cannot be told from its."""
+        usable = [one for one in self.columns["use"] if one.is_approximation]
         best = next((one for one in usable if one.is_firm), usable[0] if usable else None)
         # Without an interval of either nothing says that their prices are alike.
         return [one for one in usable if best and (one is best or one.low <= best.high)]
 
     @property
     def is_sure(self) -> bool:
-        """Whether a stand-in may be used beyond doubt."""
+        """Whether an approximation may be used beyond doubt."""
         return any(one.is_firm for one in self.picks)
 
     @property
     def is_open(self) -> bool:
         """Whether none may be used beyond doubt, and one may be."""
-        laws = [one for one in self.laws if one.is_stand_in]
+        laws = [one for one in self.laws if one.is_approximation]
         return not self.is_sure and any("use" in one.possible for one in laws)
 
     @property
     def is_paying(self) -> bool:
-        """Whether a stand-in saves time beyond doubt."""
+        """Whether an approximation saves time beyond doubt."""
         return any(one.is_firm and one.high < 1.0 for one in self.picks)
 
     @property
@@ -308,7 +308,7 @@ def _threshold(static: xr.Dataset | None, here: xr.Dataset) -> str:
 
 
 def in_words(found: Sequence[Contact]) -> list[str]:
-    """What to take, what a stand-in costs where it must be one, and where no law can be judged."""
+    """What to take, what an approximation costs, and where no law can be judged."""
     judged = [contact for contact in found if not contact.unjudged]
     said = _said(judged) if judged else []
     for reason, n in Counter(c.unjudged for c in found if c.unjudged).items():
@@ -327,24 +327,25 @@ def _said(found: Sequence[Contact]) -> list[str]:
     others = [c for c in found if not c.is_paying]
     picks = [one for contact in others for one in contact.picks]
     if paying:
-        said = f"A stand-in saves time {_WITH} in {how_many(len(paying), found)}: {_picked(paying)}"
+        count = how_many(len(paying), found)
+        said = f"An approximation saves time {_WITH} in {count}: {_picked(paying)}"
     elif not picks:
-        laws = [one for contact in found for one in contact.laws if one.is_stand_in]
+        laws = [one for contact in found for one in contact.laws if one.is_approximation]
         is_open = any(contact.is_open for contact in found)
         how = "has been shown to be adequate" if is_open else "is adequate"
-        said = f"Take the exact law: no stand-in {how if laws else 'was swept'}"
+        said = f"Take the exact law: no approximation {how if laws else 'was swept'}"
     else:
         is_dearer = all(one.low > 1.0 for one in picks)
         but = f"cost {_range(picks)} as much" if is_dearer else "none saves time beyond doubt"
-        said = f"Take the exact law: stand-ins {_adequate(found)}, but {but} {_WITH}"
+        said = f"Take the exact law: approximations {_adequate(found)}, but {but} {_WITH}"
     if not others or not (picks or paying):
         return [f"{said}."]
     where = "Elsewhere take the exact law; if" if paying else "If"
-    return [f"{said}.", f"{where} it must be a stand-in, the cheapest: {_picked(others)}."]
+    return [f"{said}.", f"{where} it must be an approximation, the cheapest: {_picked(others)}."]
 
 
 def _adequate(found: Sequence[Contact]) -> str:
-    """In how many contacts stand-ins may be used, in words."""
+    """In how many contacts approximations may be used, in words."""
     n_sure, n_open = sum(c.is_sure for c in found), sum(c.is_open for c in found)
     if not n_sure:
         return f"may be adequate in {how_many(n_open, found)}"
@@ -353,7 +354,7 @@ def _adequate(found: Sequence[Contact]) -> str:
 
 
 def _picked(found: Sequence[Contact]) -> str:
-    """Which stand-ins for which contacts, contacts with the same ones together."""
+    """Which approximations for which contacts, contacts with the same ones together."""
     groups: dict[tuple[str, ...], list[Contact]] = {}
     for contact in found:
         groups.setdefault(tuple(sorted(one.name for one in contact.picks)), []).append(contact)

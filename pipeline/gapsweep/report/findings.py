@@ -43,7 +43,7 @@ def findings(
     advice : Dataset, optional
         As stored in ``advice.nc``.
     attractors, agreement : Dataset, optional
-        As stored in the run's folder; of a run of systems, whose stand-ins are not judged, how far
+        As stored in the run's folder; of systems, whose approximations are not judged, how far
         these agree is said in numbers.
     """
     # First, as it says that nothing else here is about contacts.
@@ -177,7 +177,7 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
 
 
 def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
-    """What every stand-in keeps of the exact law, in the coordinate where it keeps least."""
+    """What every approximation keeps of the exact law, in the coordinate where it keeps least."""
     floors = str(agreement.attrs["floor_representations"]).split()
     error, recall, n = "amplitude_error_p95", "recall_pooled", "n_compared"
     of_scenes = agreement[[error, recall, n]].sel(regime="all").load()
@@ -206,16 +206,16 @@ def _closest(found: Sequence[Contact]) -> Iterator[str]:
     undecided = counts.pop("", 0)
     if not counts:
         if several and all(_is_unknown(contact) for contact in several):
-            yield "Which stand-in is closest is not decided: the frequencies are too few."
+            yield "Which approximation is closest is not decided: the frequencies are too few."
         elif several:
-            yield "In no contact is one stand-in clearly closest in amplitude."
+            yield "In no contact is one approximation clearly closest in amplitude."
         return
     pairs = [*counts.most_common(), *([("no single one", undecided)] if undecided else [])]
     # The last number is part of how many they are of.
     *others, (last, n) = pairs
     parts = [*(f"{name} in {k}" for name, k in others), f"{last} in {how_many(n, several)}"]
     said = ", ".join(parts)
-    yield f"Closest in amplitude beyond the 95 % intervals: {said} with several stand-ins."
+    yield f"Closest in amplitude beyond the 95 % intervals: {said} with several approximations."
 
 
 def _closest_in(contact: Contact) -> str:
@@ -230,29 +230,30 @@ def _closest_in(contact: Contact) -> str:
 
 
 def _is_unknown(contact: Contact) -> bool:
-    """Whether no stand-in's error has an interval."""
+    """Whether no approximation's error has an interval."""
     return all(np.isnan(one.values["median"][1:]).all() for one in _models(contact))
 
 
 def _models(contact: Contact) -> list[Judged]:
-    """The stand-ins with any amplitudes."""
-    return [o for o in contact.laws if o.is_stand_in and np.isfinite(o.values["median"][0])]
+    """The approximations with any amplitudes."""
+    return [o for o in contact.laws if o.is_approximation and np.isfinite(o.values["median"][0])]
 
 
 def _prices(found: Sequence[Contact]) -> Iterator[str]:
-    laws = [o for c in found for o in c.laws if o.is_stand_in and np.isfinite(o.price)]
+    laws = [o for c in found for o in c.laws if o.is_approximation and np.isfinite(o.price)]
     dearer, cheaper = sum(one.low > 1.0 for one in laws), sum(one.high < 1.0 for one in laws)
     if laws and all(np.isnan(one.low) for one in laws):
         yield (
-            "Which stand-ins cost more than the exact law is not decided: the study does not sweep "
-            "it twice, or has too few frequencies, so that nothing says how far prices repeat. "
-            "piecewise@half, with half = { rtol = 5e-10, atol = 5e-13 } in [protocol], would."
+            "Which approximations cost more than the exact law is not decided: the study does not "
+            "sweep it twice, or has too few frequencies, so that nothing says how far prices "
+            "repeat. piecewise@half, with half = { rtol = 5e-10, atol = 5e-13 } in [protocol], "
+            "would."
         )
     elif laws:
         pairs = f"{len(laws)} pair{'s' * (len(laws) > 1)}"
         yield (
-            f"Of {pairs} of contact and stand-in {dearer} cost more processor time per forcing "
-            f"period than the exact law with this study's solver, {cheaper} less; "
+            f"Of {pairs} of contact and approximation {dearer} cost more processor time per "
+            f"forcing period than the exact law with this study's solver, {cheaper} less; "
             f"{len(laws) - dearer - cheaper} cannot be told from it."
         )
 

@@ -236,12 +236,12 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
 
 
 def _telling(contact: Contact) -> list[Judged]:
-    """Of each verdict the cheapest stand-in, firm if any is; best and worst if all are alike."""
-    columns = ([one for one in laws if one.is_stand_in] for laws in contact.columns.values())
+    """Of each verdict the cheapest approximation, firm if any is; best and worst if all alike."""
+    columns = ([one for one in laws if one.is_approximation] for laws in contact.columns.values())
     shown = [next((one for one in laws if one.is_firm), laws[0]) for laws in columns if laws]
     if len(shown) > 1:
         return shown
-    told = [one for one in contact.laws if one.is_stand_in]
+    told = [one for one in contact.laws if one.is_approximation]
     told.sort(key=lambda one: np.nan_to_num(one.values["p95"][0], nan=np.inf))
     return told[:1] + told[1:][-1:]
 

@@ -25,7 +25,7 @@ Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-# How much longer than expected a motion may take to come round, and how often it is asked again.
+# How much longer than expected a motion may take to come round, and how often it is waited for.
 _MARGIN, _LONGER, _TRIES = 1.1, 4.0, 5
 # Maxima of a coordinate that swings by less than this share of the motion say nothing of it.
 _FAINT = 1e-10

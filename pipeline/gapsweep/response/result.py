@@ -181,8 +181,8 @@ class Steady:
         for settled, in (0, 0.1].
     max_decay_times, max_periods : float, int
         Decay times, ``1/(ζ ω_n + c/2m)``, and forcing periods, the fewer of which a motion is
-        watched for a period, but never shorter than it needs to settle; then it is asked for its
-        exponent.
+        watched for a period, but never shorter than it needs to settle; then its
+        exponent is computed.
         Transient chaos may last many decay times. Both ``> 0``.
     t_max : float, optional
         Bound [s] of the time that it is watched before its last window of `n_periods`, also where

@@ -75,7 +75,7 @@ class Advice:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StandIn:
+class Approximation:
     """How a smooth law would do in a scene.
 
     Attributes
@@ -156,9 +156,9 @@ def check_error(error: float) -> float:
     return error
 
 
-def stand_ins(
+def approximations(
     K_c: float, gap: Gap, forcing: float, *, error: float, K_ratio: float = 1.0
-) -> list[StandIn]:
+) -> list[Approximation]:
     """Per family the smooth law with the smallest adequate power of ten as its parameter.
 
     Families without one up to 1e12 /m are left out.
@@ -167,14 +167,14 @@ def stand_ins(
     for family in _SHARPENED:
         for decade in _DECADES:
             label = f"{family}-1e{decade}"
-            one = stand_in(label, K_c, gap, forcing, error=error, K_ratio=K_ratio)
+            one = approximation(label, K_c, gap, forcing, error=error, K_ratio=K_ratio)
             if one.is_adequate:
                 found.append(one)
                 break
     return found
 
 
-def stand_in(
+def approximation(
     label: str,
     K_c: float,
     gap: Gap,
@@ -183,7 +183,7 @@ def stand_in(
     error: float,
     fit_range: float = FIT_RANGE,
     K_ratio: float = 1.0,
-) -> StandIn:
+) -> Approximation:
     """Static screening of one smooth law.
 
     Parameters
@@ -200,7 +200,9 @@ def stand_in(
     law = contact_law(label, K_c, gap, fit_range, K_ratio=K_ratio)
     largest = _largest_force_error(law, fit_range)
     relative = largest / abs(forcing) if forcing else math.inf
-    return StandIn(label=label, force_error=relative, is_adequate=relative <= check_error(error))
+    return Approximation(
+        label=label, force_error=relative, is_adequate=relative <= check_error(error)
+    )
 
 
 def _largest_force_error(law: ContactLaw, reach: float) -> float:
