@@ -162,7 +162,7 @@ CASES = {
     "native logarctan": oscillator(gs.LogArctan(1.4e4, GAP, 1e4, K_ratio=0.5)),
     "native polynomial": oscillator(gs.Polynomial(1.4e4, GAP, 9)),
     "native rational": oscillator(gs.RationalPolynomial(1.4e4, GAP, 5, 3)),
-    "native table": oscillator(TABLE, within=1e-9),
+    "native table": oscillator(TABLE, within=3e-9),
     "native user": oscillator(gs.law(spring, 1.4e4, GAP)),
     "native unlocated": oscillator(UNLOCATED, **KINKS),
     "taylor free tanh": oscillator(TANH, model=FREE, **POLES),

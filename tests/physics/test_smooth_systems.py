@@ -60,8 +60,10 @@ COUPLED = {"stop": gs.Tanh(2e3, STOP, 3e3), "wall": gs.Tanh(2e3, gs.Gap(5e-3, 5e
 
 def test_responses_are_where_brute_force_settles():
     system, omega = coupled(), np.linspace(1.0, 8.0, 12)
-    found = gs.respond(system, COUPLED, omega)
     settled = gs.simulate(system, COUPLED, omega, t_end=80.0)
+    # From there: from rest two motions of this scene may settle on two attractors.
+    at = np.array([section[-1] for section in settled.section])
+    found = gs.respond(system, COUPLED, omega, q_0=at[:, :2], v_0=at[:, 2:])
     n_checked = 0
     for k in np.flatnonzero(found.response_class == gs.ResponseClass.PERIODIC):
         n = int(found.period_multiple[k])

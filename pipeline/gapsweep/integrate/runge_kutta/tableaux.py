@@ -9,6 +9,7 @@ which is the same method with half the storage, and whose X_i does not wait for 
 step the motion is a polynomial whose coefficients are sums of the K_j as well (`Tableau.dense`).
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +64,11 @@ def _rows(*parts: Array) -> Array:
     return np.array([np.pad(row, (0, len(rows) - len(row))) for row in rows])
 
 
+def _product(a: Array, b: Array) -> Array:
+    """Matrix product whose sums are rounded once: those of BLAS depend on the processor."""
+    return np.array([[math.fsum(row * column) for column in b.T] for row in a])
+
+
 def _tableau(
     a: Array, n_stages: int, estimates: list[Array], dense: Array, exponent: float, order: int
 ) -> Tableau:
@@ -73,11 +79,11 @@ def _tableau(
     dense[:, 1] = np.eye(len(a))[0]  # it is, but for rounding
     dense_bar = np.zeros_like(dense)
     dense_bar[:, 1:] = dense[:, :-1] / np.arange(1, DEGREE + 1)
-    abar = a @ a
+    abar = _product(a, a)
     missed = abar[n_stages - 1] - dense_bar.sum(axis=1)
     dense_bar[:, 3:6] += np.outer(missed, [10.0, -15.0, 6.0])
-    ebar = e @ a[:n_stages, :n_stages]
-    c = a.sum(axis=1)
+    ebar = _product(e, a[:n_stages, :n_stages])
+    c = np.array([math.fsum(row) for row in a])
     return Tableau(n_stages, a, abar, c, e, ebar, dense, dense_bar, exponent, order)
 
 
