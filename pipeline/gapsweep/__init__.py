@@ -17,6 +17,7 @@ from gapsweep.status import Status
 if TYPE_CHECKING:
     from gapsweep.analysis.basins import basins
     from gapsweep.analysis.force_error import static_error
+    from gapsweep.continuation.call import branches
     from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -47,6 +48,7 @@ _ON_DEMAND = {
     "UserLaw": "model.user_law",
     "Study": "study.study",
     "basins": "analysis.basins",
+    "branches": "continuation.call",
     "explore": "explorer.widget",
     "open": "store.netcdf",
     "plot": "report.motion",
@@ -59,7 +61,7 @@ _ON_DEMAND = {
 _MODULES = ("systems",)
 
 # What these return is drawn by ``ds.gapsweep``: it is there once one of them is.
-_RETURN_DATASETS = ("basins", "open", "query", "run")
+_RETURN_DATASETS = ("basins", "branches", "open", "query", "run")
 
 __all__ = [
     "Arctan",
@@ -92,6 +94,7 @@ __all__ = [
     "Trajectory",
     "UserLaw",
     "basins",
+    "branches",
     "canonical_label",
     "contact_law",
     "explore",

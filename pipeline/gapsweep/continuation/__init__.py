@@ -1,0 +1,1 @@
+"""Branches of periodic orbits: continuation, special points, curves of them."""

@@ -1,0 +1,229 @@
+"""`gapsweep.branches`: periodic orbits continued along a parameter."""
+
+from collections.abc import Callable
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from gapsweep.continuation.branches import Attractor, Branches
+from gapsweep.continuation.dataset import dataset
+from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.orbits import OrbitEquations
+from gapsweep.errors import ModelError
+from gapsweep.integrate.problem import Model, Solver
+from gapsweep.integrate.simulate import AnyLaw, simulate
+from gapsweep.model.oscillator import checked, whole
+from gapsweep.response.respond import respond_models
+from gapsweep.response.result import Response, ResponseClass, Steady
+
+Array = NDArray[np.float64]
+
+DEFAULT_RTOL, DEFAULT_ATOL = 1e-11, 1e-14
+_VALUES = 8  # of the parameter, at which attractors are sought
+_AWAY = 2.0  # starts beyond the walls, as parts of their distance
+
+
+def branches(
+    oscillator: Model | Callable[..., Model],
+    law: AnyLaw,
+    along: str = "omega",
+    between: tuple[float, float] = (1.0, 30.0),
+    at: ArrayLike | None = None,
+    start: Response | ArrayLike | None = None,
+    *,
+    omega: float | None = None,
+    starts: ArrayLike | None = None,
+    follow: int = 0,
+    max_steps: int = 500,
+    rtol: float = DEFAULT_RTOL,
+    atol: float = DEFAULT_ATOL,
+) -> xr.Dataset:
+    """Continue periodic orbits along a parameter, stable and unstable, through folds and grazes.
+
+    Parameters
+    ----------
+    oscillator : Oscillator, System, or callable
+        A callable returns the model for keyword arguments, such as ``gs.systems.typical_section``.
+    law : ContactLaw or mapping of str to ContactLaw
+        As in `gapsweep.simulate`.
+    along : str
+        ``"omega"`` [Hz]; ``"amplitude"`` [m] of the first coordinate, of free motions without
+        damping; a field of the oscillator (``"forcing"``) or the law (``"K_c"``, ``"epsilon"``,
+        ``"j_1"``, ``"j_2"``, or ``"gap"``: both walls alike); or a keyword of the callable.
+    between : tuple of float
+        Range of the parameter, ascending.
+    at : float or array_like, optional
+        Parameter values at which branches start, within `between`; by default where a `Response`
+        was found, or at eight values.
+    start : Response or array_like, optional
+        An orbit to start from: a periodic response, or an initial state (displacements, velocities,
+        first-order states) near an orbit. By default branches start from all attractors that
+        motions from `starts` settle on.
+    omega : float, optional
+        Forcing frequency [Hz], where the parameter is another one.
+    starts : array_like, shape (n, n_states), optional
+        Initial states of motions that are settled; by default rest, and the first coordinate
+        displaced beyond either wall.
+    follow : int
+        Generations of branches that leave others at period doublings and where symmetry breaks,
+        0 to 10.
+    max_steps : int
+        Orbits of a branch on either side of its start, 2 to 100000.
+    rtol, atol : float
+        Tolerances of the compiled engine.
+
+    Returns
+    -------
+    Dataset
+        Dimensions `branch` and `step`; see the page *Branches* of the documentation.
+
+    Raises
+    ------
+    ModelError
+        If an argument is out of range, or no periodic orbit is found near `start`.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> br = gs.branches(gs.Oscillator(), law, along="omega", between=(6.0, 12.0))
+    >>> br["special"].attrs["flag_meanings"].split()[:2]
+    ['none', 'fold']
+    """
+    window = Window.of(along, between)
+    values = {along: window.low} if at is None else {along: float(np.ravel(at)[0])}
+    if omega is not None:
+        omega = checked("omega", omega, low=0.0, strict=True)
+    family = Family(oscillator, law, None if along == "omega" else omega, (along,), values)
+    solver = Solver.of("compiled", rtol, atol)
+    equations = OrbitEquations(family, (window,), solver)
+    found = Branches(equations=equations, max_steps=whole("max_steps", max_steps, 2, 100_000))
+    found.add(_attractors(equations, at, start, starts))
+    if start is not None and not found.found:
+        raise ModelError(
+            f"start: Newton's method finds no periodic orbit near it at {along} = "
+            f"{found.attractors[0].value:g}; settle it first, as with start=gs.respond(...)"
+        )
+    for _ in range(whole("follow", follow, 0, 10)):
+        found.follow()
+    return dataset(found)
+
+
+def _attractors(
+    equations: OrbitEquations,
+    at: ArrayLike | None,
+    start: Response | ArrayLike | None,
+    starts: ArrayLike | None,
+) -> list[Attractor]:
+    """Orbits that branches start from."""
+    window, n_states = equations.windows[0], equations.n_states
+    if isinstance(start, Response):
+        if start.response_class != ResponseClass.PERIODIC:
+            raise ModelError("start: the response is not periodic; give one that is")
+        if at is None:
+            at = start.inputs.get("omega") if window.name == "omega" else None
+        if at is None:
+            raise ModelError(f"at: missing; give the value of {window.name} of the response")
+        return [_attractor(start, _inside(window, at)[0], n_states)]
+    if start is not None:
+        state = np.asarray(start, float).ravel()
+        if len(state) != n_states or not np.isfinite(state).all():
+            raise ModelError(f"start = {start!r}: must be a state of {n_states} numbers")
+        if equations.family.is_conservative:
+            return [_free(equations, state)]
+        if equations.has_period:
+            raise ModelError("start: of a system that nothing forces, give a gapsweep.Response")
+        if at is None:
+            raise ModelError(f"at: missing; give the value of {window.name} of the start")
+        value = _inside(window, at)[0]
+        return [Attractor(value=value, section=state[None, :], period=np.nan, multiple=1)]
+    if equations.family.is_conservative:
+        state = np.zeros(n_states)
+        state[0] = window.low
+        return [_free(equations, state)]
+    values = np.asarray(
+        window.value((np.arange(_VALUES) + 0.5) / _VALUES) if at is None else _inside(window, at)
+    )
+    states = _states(equations, starts)
+    return settled(equations, np.repeat(values, len(states)), np.tile(states, (len(values), 1)))
+
+
+def settled(equations: OrbitEquations, values: Array, states: Array) -> list[Attractor]:
+    """Periodic attractors that motions settle on, each once."""
+    window, n = equations.windows[0], equations.n_states
+    models = equations.family.models((window,), np.asarray(window.place(values))[:, None])
+    answers = respond_models(models, Solver.of(), states, Steady()).rows()
+    found: list[Attractor] = []
+    for value, answer in zip(values.tolist(), answers, strict=True):
+        if answer.response_class != ResponseClass.PERIODIC:
+            continue
+        attractor = _attractor(answer, value, n)
+        if not any(_are_same(attractor, other) for other in found):
+            found.append(attractor)
+    return found
+
+
+def _are_same(one: Attractor, other: Attractor) -> bool:
+    if one.value != other.value or one.section.shape != other.section.shape:
+        return False
+    size = np.abs(one.section).max(axis=0) + 1e-300
+    apart = np.abs(one.section[:1] - other.section) / size
+    return float(apart.max(axis=1).min()) <= 1e-4
+
+
+def _attractor(response: Response, value: float, n_states: int) -> Attractor:
+    section = np.reshape(np.asarray(response.section, float), (-1, n_states))
+    multiple = int(response.period_multiple)
+    period = float(response.period) if response.period else np.nan
+    return Attractor(value=value, section=section, period=period, multiple=multiple)
+
+
+def _free(equations: OrbitEquations, state: Array) -> Attractor:
+    """A free motion from rest, up to the next maximum of its first coordinate."""
+    model, laws = equations.family.example, equations.family.laws_at({})
+    law = dict(zip(model.contacts, laws, strict=True))
+    n, slowest = model.n, model.slowest or model.fastest
+    if not slowest:
+        raise ModelError("start: no spring gives this System a time of its own; give a Response")
+    run = simulate(
+        model,
+        law,
+        q_0=state[:n],
+        v_0=state[n : 2 * n],
+        t_end=20.0 / slowest,
+        rtol=1e-11,
+        atol=1e-14,
+    )
+    if not len(run.t_section):
+        raise ModelError("start: the motion does not return; give another amplitude")
+    amplitude = abs(float(state[0]))
+    period = float(run.t_section[0])
+    return Attractor(value=amplitude, section=state[None, :], period=period, multiple=1)
+
+
+def _inside(window: Window, at: ArrayLike) -> list[float]:
+    try:
+        values = np.asarray(at, float).ravel().tolist()
+    except (TypeError, ValueError):
+        values = []
+    if not values or not all(window.low <= value <= window.high for value in values):
+        raise ModelError(
+            f"at = {at!r}: must lie within between = ({window.low:g}, {window.high:g})"
+        )
+    return [float(value) for value in values]
+
+
+def _states(equations: OrbitEquations, starts: ArrayLike | None) -> Array:
+    n = equations.n_states
+    if starts is not None:
+        states = np.asarray(starts, float).reshape(-1, n) if np.size(starts) % n == 0 else None
+        if states is None or not np.isfinite(states).all():
+            raise ModelError(f"starts: must be states of {n} numbers")
+        return states
+    found = [np.zeros(n)]
+    for law in equations.family.laws_at(equations.family.values):
+        for wall in law.walls:
+            found.append(np.zeros(n))
+            found[-1][0] = _AWAY * (wall or law.gap.width)
+    return np.unique(np.array(found), axis=0)

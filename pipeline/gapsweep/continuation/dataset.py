@@ -1,0 +1,144 @@
+"""Branches as an `xarray.Dataset`."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gapsweep.continuation.branches import Branch, Branches
+from gapsweep.continuation.family import AMPLITUDE
+from gapsweep.continuation.orbits import Orbit
+from gapsweep.continuation.special import Special
+from gapsweep.variables import COORDINATE, PARTS, Variable
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+BRANCH, STEP, STATE, MULTIPLIER, ATTRACTOR = "branch", "step", "state", "multiplier", "attractor"
+_POINT = (BRANCH, STEP)
+_ENDS = ("none", "window", "closed", "branch_point", "max_steps", "step_too_small")
+END_FLAGS = tuple((name, i) for i, name in enumerate(_ENDS))
+SPECIAL_FLAGS = tuple((kind.name.lower(), int(kind)) for kind in Special)
+_STATUS = (("ok", 0), ("not_requested", 1))
+_STABLE = (("none", -1), ("unstable", 0), ("stable", 1))
+_NEUTRAL = 1e-6  # by which multipliers of free motions are off the unit circle
+
+VARIABLES = {
+    "period": Variable("f8", "s", "period of the orbit"),
+    "x_max": Variable("f8", "m", "peak displacement", dims=(COORDINATE,)),
+    "x_min": Variable("f8", "m", "trough displacement", dims=(COORDINATE,)),
+    "amplitude": Variable("f8", "m", "half the range of the displacement", dims=(COORDINATE,)),
+    "period_multiple": Variable("i4", "1", "forcing periods in one period of the orbit", 0),
+    "n_contacts": Variable("i4", "1", "wall crossings in a period, in and out", 0),
+    "stable": Variable("i1", "1", "whether the orbit is stable", -1, _STABLE),
+    "special": Variable("i1", "1", "kind of special point", 0, SPECIAL_FLAGS),
+    "status": Variable("i1", "1", "whether there is an orbit", 1, _STATUS),
+    "multiplier_real": Variable(
+        "f8", "1", "real part of the Floquet multipliers", dims=(MULTIPLIER,)
+    ),
+    "multiplier_imag": Variable(
+        "f8", "1", "imaginary part of the Floquet multipliers", dims=(MULTIPLIER,)
+    ),
+    "start_state": Variable("f8", "", "state in which the orbit starts", dims=(STATE,)),
+}
+OF_BRANCH = {
+    "n_orbits": Variable("i4", "1", "orbits of the branch", 0),
+    "begins": Variable("i1", "1", "why the branch ends before its first orbit", 0, END_FLAGS),
+    "ends": Variable("i1", "1", "why the branch ends after its last orbit", 0, END_FLAGS),
+    "parent": Variable("i4", "1", "branch that this one leaves at its first orbit, -1: none", -1),
+}
+_UNITS = {"omega": "Hz", "amplitude": "m", "K_c": "N m-1", "forcing": "N", "mass": "kg"}
+_UNITS |= {"j_1": "m", "j_2": "m", "gap": "m", "omega_n": "Hz", "alpha": "N m-3"}
+
+
+def dataset(found: Branches) -> "xr.Dataset":
+    """Dataset of branches: orbits over `branch` and `step`, rows behind a branch's end missing."""
+    import xarray as xr
+
+    equations, branches = found.equations, found.found
+    family, window = equations.family, equations.windows[0]
+    model = family.example
+    longest = max((len(branch.orbits) for branch in branches), default=0)
+    sizes = {BRANCH: len(branches), STEP: longest, COORDINATE: model.n}
+    sizes |= {STATE: equations.n_states, MULTIPLIER: equations.n_states - equations.has_period}
+    table = dict(VARIABLES)
+    if window.name != AMPLITUDE:
+        unit = _UNITS.get(window.name, "")
+        table = {window.name: Variable("f8", unit, f"{window.name} along the branch")} | table
+    is_system = equations.first_gap > 0
+    data: dict[str, Any] = {}
+    for name, variable in table.items():
+        dims = tuple(d for d in variable.dims if d != COORDINATE or model.n > 1)
+        values = np.full([sizes[d] for d in (*_POINT, *dims)], variable.missing, variable.dtype)
+        for i, branch in enumerate(branches):
+            rows = [
+                _value(name, orbit, window.name, family.is_conservative) for orbit in branch.orbits
+            ]
+            values[i, : len(rows)] = np.reshape(rows, (len(rows), *values.shape[2:]))
+        form = variable.of_systems if is_system else variable
+        data[name] = ((*_POINT, *dims), values, form.attributes)
+    for name, variable in OF_BRANCH.items():
+        rows = [_of_branch(name, branch) for branch in branches]
+        data[name] = ((BRANCH,), np.array(rows, variable.dtype), variable.attributes)
+    data |= _attractors(found)
+    coordinates: dict[str, Any] = {BRANCH: np.arange(len(branches)), STEP: np.arange(longest)}
+    if model.n > 1:
+        labels = list(model.coordinates)
+        coordinates[COORDINATE] = (COORDINATE, labels, PARTS[COORDINATE].attributes)
+    made = xr.Dataset(data, coordinates)
+    made.attrs = {
+        "along": window.name,
+        "between": [window.low, window.high],
+        "model": repr(family.model),
+        "law": repr(family.law),
+        "rtol": equations.solver.rtol,
+        "atol": equations.solver.atol,
+        "n_lost": found.n_lost,
+    }
+    if family.omega is not None:
+        made.attrs["forcing_frequency"] = family.omega
+    made.encoding["family"] = family
+    return made
+
+
+def _value(name: str, orbit: Orbit, along: str, is_conservative: bool) -> Any:
+    """One value of an orbit."""
+    if name == along and name != AMPLITUDE:
+        return orbit.parameters[0]
+    if name == "amplitude":
+        return 0.5 * (orbit.x_max - orbit.x_min)
+    if name == "status":
+        return 0
+    if name == "stable":
+        largest = np.abs(orbit.multipliers).max(initial=0.0)
+        return int(largest <= 1.0 + _NEUTRAL if is_conservative else largest < 1.0)
+    if name == "multiplier_real":
+        return orbit.multipliers.real
+    if name == "multiplier_imag":
+        return orbit.multipliers.imag
+    return orbit.state if name == "start_state" else getattr(orbit, name)
+
+
+def _of_branch(name: str, branch: Branch) -> int:
+    if name == "n_orbits":
+        return len(branch.orbits)
+    if name == "parent":
+        return branch.parent
+    return _ENDS.index(branch.ends[0 if name == "begins" else 1])
+
+
+def _attractors(found: Branches) -> dict[str, Any]:
+    """Which attractors lie on which branch."""
+    name = found.equations.windows[0].name
+    dims, some = (ATTRACTOR,), found.attractors
+    return {
+        "attractor_on_branch": (
+            dims,
+            np.array([each.branch for each in some], "i4"),
+            {"long_name": "branch that the attractor lies on, -1: none"},
+        ),
+        f"attractor_{name}": (
+            dims,
+            np.array([each.value for each in some], float),
+            {"long_name": f"{name} of the attractor"},
+        ),
+    }

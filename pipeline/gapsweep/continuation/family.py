@@ -1,0 +1,238 @@
+"""Models of a branch: one system whose parameters vary along it."""
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.errors import ModelError
+from gapsweep.integrate.problem import Model, Models
+from gapsweep.integrate.simulate import AnyLaw
+from gapsweep.model.contact import ContactLaw, checked_law
+from gapsweep.model.oscillator import Gap, Oscillator, checked
+from gapsweep.model.structure import general_form
+from gapsweep.model.system import System
+
+Array = NDArray[np.float64]
+
+AMPLITUDE = "amplitude"
+_GAP = ("gap", "j_1", "j_2")
+_LOGARITHMIC = 10.0  # windows whose ends have a larger ratio are divided by ratios
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The range of a parameter, mapped to 0..1: by its logarithm where it spans a decade.
+
+    Parameters
+    ----------
+    name : str
+    low, high : float
+        In the unit of the parameter, ``low < high``.
+    """
+
+    name: str
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, name: str, between: Any) -> "Window":
+        """The window of a call.
+
+        Raises
+        ------
+        ModelError
+            If `between` is not two numbers in ascending order, or out of the parameter's range.
+        """
+        try:
+            low, high = map(float, between)
+        except (TypeError, ValueError):
+            raise ModelError(
+                f"between = {between!r}: must be the two ends of {name}, as between=(1.0, 30.0)"
+            ) from None
+        is_positive = name in ("omega", AMPLITUDE)
+        checked(f"between of {name}", low, low=0.0 if is_positive else -math.inf, strict=True)
+        checked(f"between of {name}", high)
+        if not low < high:
+            raise ModelError(f"between = {between!r}: must be ascending, as ({high:g}, {low:g})")
+        return cls(name, low, high)
+
+    @property
+    def _is_logarithmic(self) -> bool:
+        return self.low > 0.0 and self.high / self.low >= _LOGARITHMIC
+
+    def value(self, place: Any) -> Any:
+        """Parameter values at places from 0 to 1."""
+        if self._is_logarithmic:
+            return self.low * np.exp(place * math.log(self.high / self.low))
+        return self.low + place * (self.high - self.low)
+
+    def place(self, value: Any) -> Any:
+        """Places from 0 to 1 of parameter values."""
+        if self._is_logarithmic:
+            return np.log(np.asarray(value) / self.low) / math.log(self.high / self.low)
+        return (np.asarray(value) - self.low) / (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Family:
+    """A model and its contact laws as functions of one or two parameters.
+
+    Parameters
+    ----------
+    model : Oscillator, System, or callable
+        A callable returns the model for keyword arguments, the parameters among them.
+    law : ContactLaw or mapping of str to ContactLaw
+        As in `gapsweep.simulate`.
+    omega : float or None
+        Forcing frequency [Hz] where it is no parameter.
+    names : tuple of str
+        ``"omega"``, ``"amplitude"`` (of free motions), a field of the oscillator or of the laws
+        (``"K_c"``, ``"j_1"``, ``"gap"`` for both walls alike), or a keyword of the callable.
+    values : mapping of str to float
+        Of the parameters where nothing else is given: the model of messages and of the kind.
+    """
+
+    model: Model | Callable[..., Model]
+    law: AnyLaw
+    omega: float | None
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        for name in self.names:
+            self._check(name)
+        is_forced = self.example.is_forced
+        if "omega" in self.names and not is_forced:
+            raise ModelError("along = 'omega': nothing forces this System; name another parameter")
+        if AMPLITUDE in self.names:
+            self._check_free()
+        elif "omega" not in self.names and (self.omega is None) == is_forced:
+            said = "missing; this model is forced" if is_forced else "nothing forces this System"
+            raise ModelError(f"omega: {said}")
+
+    def _check(self, name: str) -> None:
+        if name in ("omega", AMPLITUDE):
+            return
+        if callable(self.model) and name in inspect.signature(self.model).parameters:
+            return
+        if isinstance(self.model, Oscillator) and name in _names(self.model):
+            return
+        if any(name in _GAP or name in _names(law) for law in self._laws):
+            return
+        known = [each for law in self._laws for each in _names(law) if each != "gap"]
+        known += _names(self.model) if isinstance(self.model, Oscillator) else []
+        if callable(self.model):
+            known += inspect.signature(self.model).parameters
+        allowed = ", ".join(dict.fromkeys(["omega", AMPLITUDE, *known, *_GAP]))
+        raise ModelError(
+            f"parameter {name!r}: must be one of {allowed}; parameters of a System are keywords "
+            "of a function that returns it, given in its place"
+        )
+
+    def _check_free(self) -> None:
+        model = self.example
+        if model.is_forced or model.decay_rate:
+            raise ModelError(
+                "along = 'amplitude': continues free motions without damping: "
+                "forcing and damping must be 0"
+            )
+
+    @cached_property
+    def _laws(self) -> tuple[ContactLaw, ...]:
+        law = self.law
+        return tuple(law.values()) if isinstance(law, Mapping) else (checked_law(law),)
+
+    @cached_property
+    def example(self) -> Any:
+        """The model at `values`."""
+        return self.model_at(self.values)
+
+    @cached_property
+    def is_forced(self) -> bool:
+        """Whether the period of orbits is a multiple of the forcing's."""
+        return bool(self.example.is_forced)
+
+    @cached_property
+    def is_conservative(self) -> bool:
+        """Whether orbits come in families, one for each amplitude."""
+        return AMPLITUDE in self.names
+
+    def model_at(self, values: Mapping[str, float]) -> Model:
+        """The model at parameter values."""
+        model = self.model
+        if callable(model):
+            known = inspect.signature(model).parameters
+            made = model(**{name: value for name, value in values.items() if name in known})
+            if not isinstance(made, Oscillator | System):
+                raise ModelError(f"oscillator: {made!r}: must return a gapsweep.System")
+            return made
+        if not isinstance(model, Oscillator | System):
+            raise ModelError(
+                f"oscillator = {model!r}: must be a gapsweep.Oscillator(), a gapsweep.System(), "
+                "or a function that returns one"
+            )
+        if not isinstance(model, Oscillator):
+            return model
+        here = {name: value for name, value in values.items() if name in _names(model)}
+        model = replace(model, **here) if here else model
+        if AMPLITUDE in self.names and not model.forcing:
+            return replace(general_form(model), forcing=())
+        return model
+
+    def laws_at(self, values: Mapping[str, float]) -> tuple[ContactLaw, ...]:
+        """The laws of all contacts, in the model's order, at parameter values."""
+        contacts = self.example.contacts
+        laws = [self.law[c] for c in contacts] if isinstance(self.law, Mapping) else [self.law]
+        laws = [_law_at(law, values) for law in laws]
+        return tuple(laws) if len(laws) == len(contacts) else tuple(laws * len(contacts))
+
+    def models(self, windows: tuple[Window, ...], places: Array) -> Models:
+        """Models at places in windows of the parameters.
+
+        Parameters
+        ----------
+        windows : tuple of Window
+            Of `names`, in their order.
+        places : ndarray, shape (m, number of names)
+        """
+        columns = (
+            {}
+            if self.is_conservative
+            else {window.name: window.value(places[:, k]) for k, window in enumerate(windows)}
+        )
+        omega = columns.pop("omega", None)
+        if omega is None:
+            omega = np.full(len(places), self.omega or 0.0)
+        if not columns:
+            return Models.of([self.example], [self.laws_at({})], omega)
+        rows = [
+            dict(self.values) | dict(zip(columns, row, strict=True))
+            for row in zip(*(column.tolist() for column in columns.values()), strict=True)
+        ]
+        of_model = callable(self.model) or bool(set(columns) & set(_names(self.model)))
+        systems = [self.model_at(row) for row in rows] if of_model else [self.example]
+        laws = [self.laws_at(row) for row in rows]
+        return Models.of(systems, laws, omega)
+
+
+def _names(of: Any) -> list[str]:
+    """Numeric fields of an oscillator or a law; none of a system."""
+    return [field.name for field in fields(of)] if not isinstance(of, System) else []
+
+
+def _law_at(law: ContactLaw, values: Mapping[str, float]) -> ContactLaw:
+    known: dict[str, Any] = {
+        name: value for name, value in values.items() if name in _names(law) and name != "gap"
+    }
+    gap: dict[str, Any] = {name: values[name] for name in ("j_1", "j_2") if name in values}
+    if "gap" in values:
+        known["gap"] = Gap(values["gap"], values["gap"])
+    elif gap:
+        known["gap"] = replace(law.gap, **gap)
+    return replace(law, **known) if known else law

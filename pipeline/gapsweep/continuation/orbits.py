@@ -1,0 +1,341 @@
+"""Periodic orbits as zeros of equations: residuals, derivatives, and what the orbits are.
+
+Unknowns of an orbit are its initial state y, its period T where nothing forces it, and the
+parameters p::
+
+    φ(T, y, p) - y = 0                        one equation for each component of the state
+    f · (y - y_ref) = 0                       where nothing forces it: it starts near y_ref
+
+φ is the motion's end and f the derivative of y_ref by time. Both are divided by the size of the
+state. Derivatives of φ by y are the monodromy matrix, by T the motion's rate, by the parameters
+central differences of two motions. All orbits of a call are integrated together.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.continuation.family import Family, Window
+from gapsweep.integrate.motion import Motions
+from gapsweep.integrate.problem import Problems, Solver
+from gapsweep.integrate.simulate import prepared
+from gapsweep.model.oscillator import Oscillator
+from gapsweep.response.equilibrium import Rates
+from gapsweep.response.shooting import floquet_multipliers
+from gapsweep.status import Status
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+
+_DIFFERENCE = 3e-7  # of a window, for derivatives by a parameter
+_LINEAR = 1e-6  # a rate whose components are smaller is none
+
+
+@dataclass(slots=True, kw_only=True)
+class Reference:
+    """What stays fixed while one orbit is sought, of n branches.
+
+    Attributes
+    ----------
+    size : ndarray, shape (n, n_states)
+        Sizes of the components of the state.
+    duration : ndarray, shape (n,)
+        Scale of periods [s]; 1 where the forcing sets them.
+    multiple : ndarray of int, shape (n,)
+        Forcing periods in one response period.
+    y, rate : ndarray, shape (n, n_states)
+        State near which an unforced orbit starts, and its derivative by time.
+    """
+
+    size: Array
+    duration: Array
+    multiple: NDArray[np.int64]
+    y: Array
+    rate: Array
+
+    def take(self, lanes: Any) -> "Reference":
+        """Those of some branches."""
+        names = ("size", "duration", "multiple", "y", "rate")
+        return Reference(**{name: getattr(self, name)[lanes] for name in names})
+
+
+@dataclass(slots=True, kw_only=True)
+class Orbit:
+    """One periodic orbit.
+
+    Attributes
+    ----------
+    unknowns, tangent : ndarray, shape (d,)
+        Scaled unknowns, and the direction of the branch there.
+    parameters : tuple of float
+    period : float
+        Response period [s].
+    state : ndarray, shape (n_states,)
+        Where it starts: at forcing phase zero.
+    multipliers : ndarray of complex
+        Floquet multipliers, largest modulus first; without the one along an unforced orbit.
+    x_max, x_min : ndarray, shape (n,)
+        Of every coordinate [m].
+    turning : list of (ndarray, ndarray)
+        Of every contact's gap the maxima and the minima [m], in descending order.
+    n_contacts : int
+        Wall crossings in a period, in and out.
+    branching : float
+        Determinant of the equations and the tangent: zero where branches cross.
+    period_multiple : int
+    special : int
+        Kind of a special point, as of `gapsweep.continuation.special.Special`; 0: none.
+    unlike : tuple of float
+        How far its two halves are from being alike, and from being mirror images, as shares of its
+        size: 0 where the branch has met another one.
+    monodromy : ndarray, shape (n_states, n_states)
+    """
+
+    unknowns: Array
+    tangent: Array
+    parameters: tuple[float, ...]
+    period: float
+    state: Array
+    multipliers: NDArray[np.complex128]
+    x_max: Array
+    x_min: Array
+    turning: list[tuple[Array, Array]]
+    n_contacts: int
+    branching: float
+    period_multiple: int
+    special: int = 0
+    unlike: tuple[float, float] = (1.0, 1.0)
+    monodromy: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @property
+    def amplitude(self) -> float:
+        """Half the range of the first coordinate [m]."""
+        return 0.5 * float(self.x_max[0] - self.x_min[0])
+
+
+@dataclass(slots=True, kw_only=True)
+class Evaluation:
+    """Equations at m sets of unknowns.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (m, d - 1)
+    jacobian : ndarray, shape (m, d - 1, d)
+    is_ok : ndarray of bool, shape (m,)
+        Whose motions did not fail.
+    """
+
+    residual: Array
+    jacobian: Array
+    is_ok: NDArray[np.bool_]
+    motions: Motions
+    rate: Array
+
+
+class OrbitEquations:
+    """The equations of the orbits of a family.
+
+    Parameters
+    ----------
+    family : Family
+    windows : tuple of Window
+        Of its parameters.
+    solver : Solver
+    """
+
+    def __init__(self, family: Family, windows: tuple[Window, ...], solver: Solver) -> None:
+        self.family, self.windows, self.solver = family, windows, solver
+        model = family.example
+        self.n, self.n_states = model.n, model.n_states
+        self.first_gap = 0 if isinstance(model, Oscillator) else model.n
+        self.n_contacts = len(model.contacts)
+        self.has_period = not family.is_forced
+        # The amplitude of free motions is a result, no parameter of their equations.
+        self.n_parameters = 0 if family.is_conservative else len(windows)
+        self.n_unknowns = self.n_states + self.has_period + self.n_parameters
+
+    def unknowns(self, state: Array, period: Array, values: Array, reference: Reference) -> Array:
+        """Scaled unknowns of orbits, shape (m, d).
+
+        Parameters
+        ----------
+        state : ndarray, shape (m, n_states)
+        period : ndarray, shape (m,)
+        values : ndarray, shape (m, number of parameters)
+        """
+        parts = [state / reference.size]
+        if self.has_period:
+            parts.append((period / reference.duration)[:, None])
+        for k in range(self.n_parameters):
+            parts.append(np.asarray(self.windows[k].place(values[:, k]))[:, None])
+        return np.concatenate(parts, axis=1)
+
+    def places(self, unknowns: Array) -> Array:
+        """Places of the parameters in their windows, shape (m, number of parameters)."""
+        return unknowns[..., self.n_states + self.has_period :]
+
+    def parameters(self, unknowns: Array) -> tuple[float, ...]:
+        """The parameters of one orbit."""
+        places = self.places(unknowns)
+        return tuple(float(w.value(s)) for w, s in zip(self.windows, places, strict=False))
+
+    def evaluate(self, unknowns: Array, reference: Reference) -> Evaluation:
+        """Residuals and their derivatives."""
+        m, n = len(unknowns), self.n_states
+        y = unknowns[:, :n] * reference.size
+        places, period = self.places(unknowns), None
+        if self.has_period:
+            period = unknowns[:, n] * reference.duration
+        # Each set of unknowns, then with every parameter a little larger and smaller.
+        shifted = [places]
+        for k in range(self.n_parameters):
+            for sign in (1.0, -1.0):
+                other = places.copy()
+                other[:, k] += sign * _DIFFERENCE
+                shifted.append(other)
+        found, models = self._motions(
+            np.tile(y, (len(shifted), 1)),
+            None if period is None else np.tile(period, len(shifted)),
+            np.concatenate(shifted),
+            np.tile(reference.multiple, len(shifted)),
+        )
+        ends, monodromy = found.state.reshape(-1, m, n), found.monodromy
+        assert monodromy is not None
+        size = reference.size
+        with np.errstate(all="ignore"):  # of motions that failed
+            residual = [(ends[0] - y) / size]
+            by_state = (monodromy[:m] - np.eye(n)) * (size[:, None, :] / size[:, :, None])
+            columns = [by_state]
+            rate = np.zeros((m, n))
+            if self.has_period:
+                rate = Rates(models)(np.arange(m), ends[0].T).T
+                columns.append((rate / size * reference.duration[:, None])[:, :, None])
+            for k in range(self.n_parameters):
+                change = (ends[1 + 2 * k] - ends[2 + 2 * k]) / (2.0 * _DIFFERENCE)
+                columns.append((change / size)[:, :, None])
+            jacobian = np.concatenate(columns, axis=2)
+            if self.has_period:
+                normal = reference.rate / size
+                normal = normal / np.sqrt((normal**2).sum(axis=1))[:, None]
+                residual.append(((y - reference.y) / size * normal).sum(axis=1)[:, None])
+                row = np.zeros((m, 1, jacobian.shape[2]))
+                row[:, 0, :n] = normal
+                jacobian = np.concatenate([jacobian, row], axis=1)
+            of_all = np.concatenate(residual, axis=1)
+            is_ok = (found.status.reshape(-1, m) == Status.OK).all(axis=0)
+            is_ok &= np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(of_all).all(axis=1)
+        return Evaluation(residual=of_all, jacobian=jacobian, is_ok=is_ok, motions=found, rate=rate)
+
+    def _motions(
+        self, y: Array, period: Array | None, places: Array, multiple: NDArray[np.int64]
+    ) -> tuple[Motions, Any]:
+        """Motions over one period, with tangents and events."""
+        models, m = self.family.models(self.windows, places), len(y)
+        t_end = multiple / models.omega if period is None else np.where(period > 0.0, period, 1e-9)
+        problems = Problems(
+            which=np.arange(m),
+            start=np.ascontiguousarray(y),
+            t_0=np.zeros(m),
+            t_end=t_end,
+            record_from=np.zeros(m),
+            tangent=True,
+        )
+        return prepared(models, self.solver)(problems), models
+
+    def orbits(
+        self,
+        unknowns: Array,
+        tangents: Array,
+        reference: Reference,
+        found: Evaluation,
+        rows: Numbers,
+    ) -> list[Orbit]:
+        """What the orbits are whose equations an evaluation holds, of some of its rows.
+
+        Parameters
+        ----------
+        unknowns, tangents : ndarray, shape (number of rows, d)
+        reference : Reference
+            Of these rows.
+        found : Evaluation
+        rows : ndarray of int
+        """
+        motions, n = found.motions, self.n_states
+        assert motions.monodromy is not None
+        monodromy = motions.monodromy[rows]
+        size = reference.size
+        scaled = monodromy * (size[:, None, :] / size[:, :, None])
+        if self.has_period:  # on a section across the motion, which its multiplier 1 leaves
+            along = found.rate[rows] / size
+            normal = along / (along**2).sum(axis=1)[:, None]
+            across = np.einsum("mi,mij->mj", normal, scaled)
+            scaled = scaled - along[:, :, None] * across[:, None, :]
+        determinant = np.zeros(len(rows))
+        if not self.has_period:
+            models, period = self.family.models(self.windows, self.places(unknowns)), motions.t
+            rate = n * models.of_systems(lambda system: system.decay_rate)
+            determinant = np.exp(-rate * period[rows])
+        multipliers = floquet_multipliers(scaled, determinant)[:, : n - self.has_period]
+        equations = np.concatenate([found.jacobian[rows], tangents[:, None, :]], axis=1)
+        branching = np.zeros(len(rows))
+        if not self.family.is_conservative:
+            sign, log = np.linalg.slogdet(equations)
+            branching = sign * np.exp(np.clip(log, -600.0, 600.0))
+        events = motions.events()
+        ends = np.cumsum(events.n_extrema)
+        orbits = []
+        for k, row in enumerate(rows.tolist()):
+            span = slice(ends[row] - events.n_extrema[row], ends[row])
+            values, of = events.extrema[span], events.extrema_of[span]
+            state = unknowns[k, :n] * size[k]
+            q = [np.append(values[of == i], state[i]) for i in range(self.n)]
+            gaps = [values[of == self.first_gap + j] for j in range(self.n_contacts)]
+            orbits.append(
+                Orbit(
+                    unknowns=unknowns[k].copy(),
+                    tangent=tangents[k].copy(),
+                    parameters=self.parameters(unknowns[k]),
+                    period=float(motions.t[row]),
+                    state=state,
+                    multipliers=multipliers[k],
+                    x_max=np.array([each.max() for each in q]),
+                    x_min=np.array([each.min() for each in q]),
+                    turning=[_turning(each) for each in gaps],
+                    n_contacts=int(motions.n_contacts[row]),
+                    branching=float(branching[k]),
+                    period_multiple=int(reference.multiple[k]),
+                    unlike=_unlike(q),
+                    monodromy=monodromy[k].copy(),
+                )
+            )
+        return orbits
+
+    def rates(self, states: Array, unknowns: Array) -> Array:
+        """Derivatives of states by time, shape (m, n_states)."""
+        models = self.family.models(self.windows, self.places(unknowns))
+        return np.asarray(Rates(models)(np.arange(len(states)), states.T)).T
+
+
+def _unlike(q: list[Array]) -> tuple[float, float]:
+    """How far the halves of an orbit are from being alike, and from being mirror images."""
+    turning = np.sort(q[0][:-1])
+    size = float(np.abs(turning).max(initial=math.ulp(0.0)))
+    halves = 1.0
+    if len(turning) > 2 and len(turning) % 2 == 0:
+        halves = float(np.abs(turning[1::2] - turning[::2]).max()) / size
+    return halves, max(abs(float(each.max() + each.min())) / float(np.ptp(each)) for each in q)
+
+
+def _turning(values: Array) -> tuple[Array, Array]:
+    """Maxima and minima, each in descending order, of turning points in order of time."""
+    is_maximum = values > np.roll(values, -1)
+    return -np.sort(-values[is_maximum]), -np.sort(-values[~is_maximum])
+
+
+def swing(states: Sequence[Array] | Array) -> float:
+    """Largest modulus of a component, at least the smallest float."""
+    return float(max(np.abs(np.asarray(states)).max(), math.ulp(0.0)))
