@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gapsweep.analysis.basins import basins
     from gapsweep.analysis.force_error import static_error
     from gapsweep.continuation.call import branches
+    from gapsweep.continuation.curves import special_curve
     from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -54,6 +55,7 @@ _ON_DEMAND = {
     "plot": "report.motion",
     "respond": "response.respond",
     "simulate": "integrate.simulate",
+    "special_curve": "continuation.curves",
     "static_error": "analysis.force_error",
     "systems": "model.systems",
 }
@@ -61,7 +63,7 @@ _ON_DEMAND = {
 _MODULES = ("systems",)
 
 # What these return is drawn by ``ds.gapsweep``: it is there once one of them is.
-_RETURN_DATASETS = ("basins", "branches", "open", "query", "run")
+_RETURN_DATASETS = ("basins", "branches", "open", "query", "run", "special_curve")
 
 __all__ = [
     "Arctan",
@@ -105,6 +107,7 @@ __all__ = [
     "respond",
     "run",
     "simulate",
+    "special_curve",
     "static_error",
     "systems",
 ]

@@ -168,16 +168,12 @@ class Continuation:
     Parameters
     ----------
     equations : OrbitEquations or like it
-    place : callable
-        Of an orbit its place in the window: 0 to 1.
     max_steps : int
         Orbits of a half at most.
     """
 
-    def __init__(
-        self, equations: OrbitEquations, place: Callable[[Orbit], float], max_steps: int
-    ) -> None:
-        self.equations, self.place, self.max_steps = equations, place, max_steps
+    def __init__(self, equations: OrbitEquations, max_steps: int) -> None:
+        self.equations, self.max_steps = equations, max_steps
         self.corrector = Corrector(equations)
 
     def follow(self, starts: Sequence[Orbit], reference: Reference) -> list[Half]:
@@ -276,8 +272,9 @@ class Continuation:
     def _end(self, half: Half) -> str:
         """Why a half ends at its last orbit; nothing if it goes on."""
         first, before, last = half.orbits[0], half.orbits[-2], half.orbits[-1]
-        place, moves = self.place(last), self.place(last) - self.place(before)
-        if (place < 0.0 and moves < 0.0) or (place > 1.0 and moves > 0.0):
+        places = np.array([self.equations.window_places(orbit) for orbit in (before, last)])
+        leaves = np.where(places[1] < 0.5, -places, places - 1.0)
+        if ((leaves[1] > 0.0) & (leaves[1] > leaves[0])).any():
             return "window"
         if self._is_pitchfork(half.orbits[-3:]):
             return "branch_point"
@@ -290,10 +287,12 @@ class Continuation:
 
         Behind it lie the same orbits half a period later, or their mirror images.
         """
+        if len(self.equations.windows) > 1:
+            return False
         steps = [pair for pair in pairwise(orbits) if not pair[0].special]
         folds = any(a.tangent[-1] * b.tangent[-1] < 0.0 for a, b in steps)
         crosses = any(a.branching * b.branching < 0.0 for a, b in steps)
-        places = [self.place(orbit) for orbit in orbits]
+        places = [self.equations.window_places(orbit)[0] for orbit in orbits]
         return folds and crosses and max(places) - min(places) <= _STATIONARY
 
     def _is_closed(self, first: Orbit, before: Orbit, last: Orbit) -> bool:

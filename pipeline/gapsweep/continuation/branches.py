@@ -94,12 +94,10 @@ class Branches:
 
     def __post_init__(self) -> None:
         self.window = self.equations.windows[0]
-        self.continuation = Continuation(self.equations, self._place, self.max_steps)
+        self.continuation = Continuation(self.equations, self.max_steps)
 
     def _place(self, orbit: Orbit) -> float:
-        is_result = self.equations.family.is_conservative
-        value = orbit.amplitude if is_result else orbit.parameters[0]
-        return float(self.window.place(value))
+        return float(self.equations.window_places(orbit)[0])
 
     def add(self, attractors: Sequence[Attractor]) -> None:
         """Follow the branches of attractors, those of one parameter value together."""
@@ -172,7 +170,7 @@ class Branches:
         others = [] if parents else list(map(reversed_orbit, starts))
         lanes = np.concatenate([np.arange(n)] * (1 if parents else 2))
         halves = self.continuation.follow([*starts, *others], reference.take(lanes))
-        rows = self._with_special_points(halves)
+        rows = self.with_special_points(halves)
         found = []
         for k in range(n):
             forward, backward = rows[k], [] if parents else rows[n + k]
@@ -221,10 +219,10 @@ class Branches:
         if start is None:
             return None
         first, reference = start
-        (half,) = Continuation(self.equations, self._place, 1).follow([first], reference)
+        (half,) = Continuation(self.equations, 1).follow([first], reference)
         return (half.orbits[1], half.references[0]) if len(half.orbits) > 1 else None
 
-    def _with_special_points(self, halves: Sequence[Half]) -> list[list[Orbit]]:
+    def with_special_points(self, halves: Sequence[Half]) -> list[list[Orbit]]:
         """The orbits of halves, special points and ends of the window among them."""
         tasks: list[tuple[Half, int, Crossing]] = []
         for half in halves:
@@ -278,8 +276,11 @@ class Branches:
         return found
 
     def _window_end(self, last: Orbit) -> Crossing:
-        bound = 0.0 if self._place(last) < 0.5 else 1.0
-        return Crossing(_WINDOW, lambda orbit: self._place(orbit) - bound)
+        """The end of the window that the last orbit of a half is outside of."""
+        places = self.equations.window_places(last)
+        k = int(np.argmax(np.abs(places - 0.5)))
+        bound = float(places[k] > 0.5)
+        return Crossing(_WINDOW, lambda o: float(self.equations.window_places(o)[k]) - bound)
 
     def _crossing(self, orbit: Orbit) -> Special:
         """What crosses a branch: that of half the period, of symmetric orbits, or another one."""

@@ -60,10 +60,11 @@ def dataset(found: Branches) -> "xr.Dataset":
     longest = max((len(branch.orbits) for branch in branches), default=0)
     sizes = {BRANCH: len(branches), STEP: longest, COORDINATE: model.n}
     sizes |= {STATE: equations.n_states, MULTIPLIER: equations.n_states - equations.has_period}
-    table = dict(VARIABLES)
-    if window.name != AMPLITUDE:
-        unit = _UNITS.get(window.name, "")
-        table = {window.name: Variable("f8", unit, f"{window.name} along the branch")} | table
+    names = [each.name for each in equations.windows if each.name != AMPLITUDE]
+    swept = {
+        name: Variable("f8", _UNITS.get(name, ""), f"{name} along the branch") for name in names
+    }
+    table = swept | VARIABLES
     is_system = equations.first_gap > 0
     data: dict[str, Any] = {}
     for name, variable in table.items():
@@ -71,7 +72,8 @@ def dataset(found: Branches) -> "xr.Dataset":
         values = np.full([sizes[d] for d in (*_POINT, *dims)], variable.missing, variable.dtype)
         for i, branch in enumerate(branches):
             rows = [
-                _value(name, orbit, window.name, family.is_conservative) for orbit in branch.orbits
+                _value(name, orbit, names, is_free=family.is_conservative)
+                for orbit in branch.orbits
             ]
             values[i, : len(rows)] = np.reshape(rows, (len(rows), *values.shape[2:]))
         form = variable.of_systems if is_system else variable
@@ -100,17 +102,17 @@ def dataset(found: Branches) -> "xr.Dataset":
     return made
 
 
-def _value(name: str, orbit: Orbit, along: str, is_conservative: bool) -> Any:
+def _value(name: str, orbit: Orbit, swept: list[str], *, is_free: bool) -> Any:
     """One value of an orbit."""
-    if name == along and name != AMPLITUDE:
-        return orbit.parameters[0]
+    if name in swept:
+        return orbit.parameters[swept.index(name)]
     if name == "amplitude":
         return 0.5 * (orbit.x_max - orbit.x_min)
     if name == "status":
         return 0
     if name == "stable":
         largest = np.abs(orbit.multipliers).max(initial=0.0)
-        return int(largest <= 1.0 + _NEUTRAL if is_conservative else largest < 1.0)
+        return int(largest <= 1.0 + _NEUTRAL if is_free else largest < 1.0)
     if name == "multiplier_real":
         return orbit.multipliers.real
     if name == "multiplier_imag":

@@ -192,6 +192,35 @@ class Family:
         laws = [_law_at(law, values) for law in laws]
         return tuple(laws) if len(laws) == len(contacts) else tuple(laws * len(contacts))
 
+    def value_of(self, name: str, values: Mapping[str, float]) -> float:
+        """A parameter's value where others have some.
+
+        Raises
+        ------
+        ModelError
+            If the model does not have it, or not one value of it.
+        """
+        if name == "omega" and self.omega is not None:
+            return self.omega
+        given = {**self.values, **values}
+        model, default = self.model_at(given), inspect.Parameter.empty
+        if callable(self.model):
+            known = inspect.signature(self.model).parameters
+            default = known[name].default if name in known else default
+        laws = self.laws_at(given)
+        found = [getattr(law, name) for law in laws if name in _names(law) and name != "gap"]
+        if name in _GAP:
+            found = [getattr(law.gap, "j_1" if name == "gap" else name) for law in laws]
+        if isinstance(model, Oscillator) and name in _names(model):
+            found = [getattr(model, name)]
+        if default is not inspect.Parameter.empty:
+            found = [default]
+        if not found:
+            raise ModelError(
+                f"second = {name!r}: the model has no such parameter, or no value of it"
+            )
+        return float(found[0])
+
     def models(self, windows: tuple[Window, ...], places: Array) -> Models:
         """Models at places in windows of the parameters.
 

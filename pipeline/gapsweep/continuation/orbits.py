@@ -183,6 +183,11 @@ class OrbitEquations:
         places = self.places(unknowns)
         return tuple(float(w.value(s)) for w, s in zip(self.windows, places, strict=False))
 
+    def window_places(self, orbit: Orbit) -> Array:
+        """Where an orbit is in every window: from 0 to 1 inside."""
+        values = [orbit.amplitude] if self.family.is_conservative else orbit.parameters
+        return np.array([w.place(x) for w, x in zip(self.windows, values, strict=True)])
+
     def evaluate(self, unknowns: Array, reference: Reference) -> Evaluation:
         """Residuals and their derivatives."""
         m, n = len(unknowns), self.n_states
@@ -282,7 +287,7 @@ class OrbitEquations:
         multipliers = floquet_multipliers(scaled, determinant)[:, : n - self.has_period]
         equations = np.concatenate([found.jacobian[rows], tangents[:, None, :]], axis=1)
         branching = np.zeros(len(rows))
-        if not self.family.is_conservative:
+        if equations.shape[1] == equations.shape[2]:  # neither surplus, as of free motions, nor few
             sign, log = np.linalg.slogdet(equations)
             branching = sign * np.exp(np.clip(log, -600.0, 600.0))
         events = motions.events()

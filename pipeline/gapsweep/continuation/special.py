@@ -53,6 +53,8 @@ def crossings(
     is_first : bool
         Whether the branch begins at the first one, where another branch crosses it.
     """
+    if len(equations.windows) > 1:  # all are special points
+        return
     if not equations.family.is_conservative:
         tests = {Special.PERIOD_DOUBLING: doubling, Special.TORUS: torus}
         if not is_first:
@@ -124,6 +126,19 @@ class Graze:
         beyond = _beyond(orbit, self.contact, self.side, wall)[0 if self.is_outer else 1]
         least = -abs(wall) - 1e-9
         return float(beyond[self.rank]) if self.rank < len(beyond) else least
+
+
+def nearest_graze(equations: OrbitEquations, orbit: Orbit) -> Graze:
+    """The turning point of a gap that is nearest to a wall."""
+    every = [
+        Graze(equations, contact, side, is_outer, rank)
+        for contact, turning in enumerate(orbit.turning)
+        for side in (1, -1)
+        if walls(equations, orbit, contact)[side] is not None
+        for is_outer, values in zip((True, False), turning[::side], strict=True)
+        for rank in range(len(values))
+    ]
+    return min(every, key=lambda graze: abs(graze(orbit)))
 
 
 def walls(equations: OrbitEquations, orbit: Orbit, contact: int) -> dict[int, float | None]:

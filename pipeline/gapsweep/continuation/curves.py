@@ -1,0 +1,219 @@
+"""`gapsweep.special_curve`: special points of branches continued in a second parameter.
+
+The equations of the orbit get one more unknown, the second parameter, and one more equation g = 0,
+with the multiplier μ nearest to where it must be, or the turning point x of a contact's gap::
+
+    fold  g = μ - 1        period doubling  g = μ + 1
+    torus g = |μ| - 1      graze            g = x - wall, over the size of the orbit
+
+Derivatives of g are central differences.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.continuation.arclength import Continuation, reversed_orbit
+from gapsweep.continuation.branches import Branch, Branches
+from gapsweep.continuation.dataset import dataset
+from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.orbits import Evaluation, Orbit, OrbitEquations, Reference
+from gapsweep.continuation.special import Graze, Special, nearest_graze
+from gapsweep.errors import ModelError
+from gapsweep.integrate.problem import Solver
+from gapsweep.model.oscillator import whole
+
+Array = NDArray[np.float64]
+
+_DIFFERENCE = 1e-7  # of the scaled unknowns, for derivatives of g
+_TARGETS = {Special.FOLD: 1.0, Special.PERIOD_DOUBLING: -1.0}
+
+
+class CurveEquations(OrbitEquations):
+    """Equations of orbits with two parameters that are special points of one kind.
+
+    Parameters
+    ----------
+    family, windows, solver
+        As of `OrbitEquations`.
+    condition : callable
+        g of an orbit.
+    """
+
+    def __init__(
+        self,
+        family: Family,
+        windows: tuple[Window, ...],
+        solver: Solver,
+        condition: Callable[[Orbit], float],
+    ) -> None:
+        super().__init__(family, windows, solver)
+        self._condition = condition
+
+    def evaluate(self, unknowns: Array, reference: Reference) -> Evaluation:
+        m, d = unknowns.shape
+        shifts = _DIFFERENCE * np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)])
+        every = (unknowns[None, :, :] + shifts[:, None, :]).reshape(-1, d)
+        lanes = np.tile(np.arange(m), len(shifts))
+        whole = super().evaluate(every, reference.take(lanes))
+        # Those of the motions with the parameters as they are; an unknown tangent does no harm.
+        orbits = super().orbits(
+            every, np.zeros_like(every), reference.take(lanes), whole, np.arange(len(every))
+        )
+        values = np.array([self._condition(orbit) for orbit in orbits]).reshape(-1, m)
+        slope = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * _DIFFERENCE)
+        first = slice(0, m)
+        return Evaluation(
+            residual=np.concatenate([whole.residual[first], values[0][:, None]], axis=1),
+            jacobian=np.concatenate([whole.jacobian[first], slope.T[:, None, :]], axis=1),
+            is_ok=whole.is_ok.reshape(-1, m).all(axis=0) & np.isfinite(slope).all(axis=0),
+            motions=whole.motions,
+            rate=whole.rate,
+        )
+
+
+def special_curve(
+    branches: xr.Dataset,
+    point: int,
+    second: str,
+    between: tuple[float, float],
+    *,
+    max_steps: int = 500,
+) -> xr.Dataset:
+    """Continue a special point of a branch in a second parameter.
+
+    Parameters
+    ----------
+    branches : Dataset
+        What `gapsweep.branches` returned, in this process.
+    point : int
+        Number of the special point among all of `branches`, counted from 0: branch by branch, in
+        their order along it. Folds, period doublings, torus bifurcations and grazes have curves.
+    second : str
+        The second parameter, named as in `gapsweep.branches`.
+    between : tuple of float
+        Its range. The first parameter keeps its range.
+    max_steps : int
+        Points of the curve on either side, 2 to 100000.
+
+    Returns
+    -------
+    Dataset
+        Along `step` both parameters and the variables of `branches`.
+
+    Raises
+    ------
+    ModelError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> br = gs.branches(gs.Oscillator(), law, along="omega", between=(6.0, 12.0), at=8.0)
+    >>> curve = gs.special_curve(br, 0, "forcing", (3.0, 5.0))
+    >>> curve["omega"].dims
+    ('step',)
+    """
+    family = branches.encoding.get("family")
+    if not isinstance(family, Family):
+        raise ModelError("branches: must come from gapsweep.branches in this process")
+    row, kind = _row(branches, point)
+    first = Window.of(family.names[0], branches.attrs["between"])
+    windows = first, Window.of(second, between)
+    value = float(row[first.name])
+    fixed = family.value_of(second, {first.name: value})
+    if not windows[1].low <= fixed <= windows[1].high:
+        raise ModelError(
+            f"between = {between!r}: must hold {second} = {fixed:g}, where the branch is"
+        )
+    values = {**family.values, first.name: value, second: fixed}
+    omega = None if "omega" in (first.name, second) else family.omega
+    curves = Family(family.model, family.law, omega, (first.name, second), values)
+    solver = Solver.of("compiled", branches.attrs["rtol"], branches.attrs["atol"])
+    plain = OrbitEquations(curves, windows, solver)
+    start, reference = _start(plain, row, np.array([[value, fixed]]))
+    equations = CurveEquations(curves, windows, solver, _condition(plain, start, kind, reference))
+    max_steps = whole("max_steps", max_steps, 2, 100_000)
+    continuation = Continuation(equations, max_steps)
+    along = np.zeros((1, len(start.unknowns)))
+    along[0, -1] = 1.0
+    found, _ = continuation.corrector.orbits(
+        start.unknowns[None, :], along, reference, np.array([0.1])
+    )
+    if found[0] is None:
+        raise ModelError(f"point = {point}: Newton's method finds no curve through it")
+    halves = continuation.follow(
+        [found[0], reversed_orbit(found[0])], reference.take(np.zeros(2, int))
+    )
+    found_all = Branches(equations=equations, max_steps=max_steps)
+    forward, backward = found_all.with_special_points(halves)
+    orbits = [replace(o, special=int(kind)) for o in [*backward[:0:-1], *forward]]
+    ends = halves[1].end, halves[0].end
+    found_all.found = [Branch(orbits=orbits, ends=ends, reference=reference)]
+    return dataset(found_all).isel(branch=0, drop=True)
+
+
+def _row(branches: xr.Dataset, point: int) -> tuple[xr.Dataset, Special]:
+    """The orbit of a special point, and its kind."""
+    places = np.argwhere(branches["special"].values > 0)
+    number = whole("point", point, 0, max(len(places) - 1, 0))
+    if not len(places):
+        raise ModelError("branches: have no special points")
+    branch, step = places[number].tolist()
+    row = branches.isel(branch=branch, step=step)
+    kind = Special(int(row["special"]))
+    if kind in (Special.BRANCH_POINT, Special.SYMMETRY_BREAKING):
+        raise ModelError(
+            f"point = {point}: is a {kind.name.lower()}; must be a fold, a period doubling, "
+            "a torus bifurcation or a graze"
+        )
+    return row, kind
+
+
+def _start(equations: OrbitEquations, row: xr.Dataset, values: Array) -> tuple[Orbit, Reference]:
+    """The orbit of a row of branches, with both parameters."""
+    state, period = row["start_state"].values[None, :], np.array([float(row["period"])])
+    model = equations.family.example
+    unit = np.asarray(model.unit(2.0 * np.pi / period[0]), float).reshape(-1)
+    size = unit * np.abs(state[0] / unit).max()
+    multiple = np.array([int(row["period_multiple"])])
+    duration = period if equations.has_period else np.ones(1)
+    reference = Reference(
+        size=size[None, :], duration=duration, multiple=multiple, y=state, rate=np.zeros_like(state)
+    )
+    unknowns = equations.unknowns(state, period, values, reference)
+    if equations.has_period:
+        reference.rate = equations.rates(state, unknowns)
+    found = equations.evaluate(unknowns, reference)
+    tangent = np.zeros_like(unknowns)
+    (orbit,) = equations.orbits(unknowns, tangent, reference, found, np.zeros(1, np.intp))
+    return orbit, reference
+
+
+def _condition(
+    equations: OrbitEquations, start: Orbit, kind: Special, reference: Reference
+) -> Callable[[Orbit], float]:
+    """g of a special point of a kind, as a function of orbits near the curve."""
+    if kind == Special.GRAZING:
+        graze: Graze = nearest_graze(equations, start)
+        size = float(reference.size[0, 0])
+        return lambda orbit: graze(orbit) / size
+    if kind == Special.TORUS:
+        return _torus
+    target = _TARGETS[kind]
+
+    def nearest(orbit: Orbit) -> float:
+        apart = orbit.multipliers - target
+        return float(apart[np.argmin(np.abs(apart))].real)
+
+    return nearest
+
+
+def _torus(orbit: Orbit) -> float:
+    """Modulus of the complex multiplier that is nearest to the unit circle, less 1."""
+    moduli = np.abs(orbit.multipliers[np.abs(orbit.multipliers.imag) > 0.0]) - 1.0
+    return float(moduli[np.argmin(np.abs(moduli))]) if len(moduli) else np.nan
