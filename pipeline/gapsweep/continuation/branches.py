@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.continuation.arclength import Continuation, Crossing, Half, reversed_orbit
+from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
+from gapsweep.continuation.locate import Step, crossing, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference, swing
-from gapsweep.continuation.special import Special, branching, crossings, is_torus
+from gapsweep.continuation.special import Crossing, Special, branching, crossings, is_torus
 from gapsweep.integrate.motion import Events
 from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.integrate.simulate import prepared
@@ -209,8 +210,7 @@ class Branches:
         )
         if last is None or last.branching * back.branching > 0.0:
             return end
-        half = Half([back, last], [step * back.tangent], [reference])
-        found = self.continuation.crossing(half, 0, branching)
+        found = crossing(self.continuation.corrector, Step(back, last, reference), branching)
         return end if found is None else replace(found, special=end.special)
 
     def _beside(self, branch: Branch, orbit: Orbit) -> tuple[Orbit, Reference] | None:
@@ -229,21 +229,23 @@ class Branches:
             for i, (before, after) in enumerate(zip(half.orbits, half.orbits[1:], strict=False)):
                 is_first = i == 0 and before.special > 0
                 found = crossings(before, after, self.equations, is_first=is_first)
-                tasks += [(half, i, crossing) for crossing in found]
+                tasks += [(half, i, test) for test in found]
             if half.end == "window":
                 tasks.append((half, len(half.orbits) - 2, self._window_end(half.orbits[-1])))
-        located = self.continuation.located(tasks)
+        corrector = self.continuation.corrector
+        steps = [half.step(i) for half, i, _ in tasks]
+        located = roots(corrector, steps, [test.value for *_, test in tasks])
         by_step: dict[tuple[int, int], list[tuple[float, int, Orbit]]] = {}
-        for (half, i, crossing), point in zip(tasks, located, strict=True):
+        for (half, i, test), step, point in zip(tasks, steps, located, strict=True):
             if point is None:
                 self.n_lost += 1
                 continue
             part, orbit = point
-            if crossing.kind == Special.BRANCH_POINT:
-                orbit = self.continuation.crossing(half, i, branching) or orbit
-            if crossing.kind == Special.TORUS and not is_torus(orbit):
+            if test.kind == Special.BRANCH_POINT:
+                orbit = crossing(corrector, step, branching) or orbit
+            if test.kind == Special.TORUS and not is_torus(orbit):
                 continue
-            by_step.setdefault((id(half), i), []).append((part, crossing.kind, orbit))
+            by_step.setdefault((id(half), i), []).append((part, test.kind, orbit))
         rows = []
         for half in halves:
             orbits = [half.orbits[0]]
@@ -396,8 +398,10 @@ class Branches:
         if not tasks:
             return
         guess, direction, references = [], [], []
-        for _, number, before, after, share in tasks:
+        for attractor, number, before, after, share in tasks:
             u = before.unknowns + share * (after.unknowns - before.unknowns)
+            if not self.equations.family.is_conservative:
+                u[-1] = self.window.place(attractor.value)
             guess.append(u)
             along = np.zeros(len(u))
             along[0 if self.equations.family.is_conservative else -1] = 1.0
@@ -407,12 +411,7 @@ class Branches:
             if self.equations.has_period:
                 reference.rate = self.equations.rates(reference.y, before.unknowns[None, :])
             references.append(reference)
-        reference = Reference(
-            **{
-                name: np.concatenate([getattr(each, name) for each in references])
-                for name in ("size", "duration", "multiple", "y", "rate")
-            }
-        )
+        reference = Reference.joined(references)
         orbits, _ = self.continuation.corrector.orbits(
             np.array(guess), np.array(direction), reference, np.full(len(tasks), 0.2)
         )

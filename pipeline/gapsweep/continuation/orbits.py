@@ -59,8 +59,13 @@ class Reference:
 
     def take(self, lanes: Any) -> "Reference":
         """Those of some branches."""
-        names = ("size", "duration", "multiple", "y", "rate")
-        return Reference(**{name: getattr(self, name)[lanes] for name in names})
+        return Reference(**{name: getattr(self, name)[lanes] for name in self.__slots__})
+
+    @classmethod
+    def joined(cls, parts: "Sequence[Reference]") -> "Reference":
+        """Those of several."""
+        names = cls.__slots__
+        return cls(**{name: np.concatenate([getattr(x, name) for x in parts]) for name in names})
 
 
 @dataclass(slots=True, kw_only=True)

@@ -11,19 +11,34 @@ g of a contact's gap, a branch has
 - a graze (GR) where one more, or one fewer, of the g lies beyond a wall.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.continuation.arclength import Crossing
 from gapsweep.continuation.orbits import Orbit, OrbitEquations
 
 Array = NDArray[np.float64]
 
 
 _VERTICAL = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """A function of orbits that changes its sign over a step.
+
+    Attributes
+    ----------
+    kind : int
+        As of `Special`, or negative: the end of the window.
+    value : callable
+    """
+
+    kind: int
+    value: Callable[[Orbit], float]
 
 
 class Special(IntEnum):

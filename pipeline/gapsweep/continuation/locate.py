@@ -1,0 +1,144 @@
+"""Where a function of orbits changes its sign along a step of a branch.
+
+Orbits of a step are sought on hyperplanes across its chord, from cubic polynomials through its
+ends and along their tangents. Roots are those of Chandrupatla's method. Where branches cross,
+Newton's method finds either of them: the crossing is interpolated between orbits at both sides.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import elementwise
+
+from gapsweep.continuation.newton import Corrector
+from gapsweep.continuation.orbits import Orbit, Reference
+
+Array = NDArray[np.float64]
+Value = Callable[[Orbit], float]
+
+# Of a step: to which roots are located; distance of the orbits about a crossing, in unknowns.
+_LOCATED, _AROUND = 1e-13, 1e-3
+_NEAREST = 0.125  # the same as a part of a step
+_ON = 1e-13
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Two orbits of a branch, one after the other.
+
+    Attributes
+    ----------
+    before, after : Orbit
+    reference : Reference
+        With which the second one was found.
+    """
+
+    before: Orbit
+    after: Orbit
+    reference: Reference
+
+    @property
+    def chord(self) -> Array:
+        """From the first to the second orbit, in unknowns."""
+        return self.after.unknowns - self.before.unknowns
+
+    @property
+    def size(self) -> float:
+        """Length of the chord."""
+        return float(np.sqrt((self.chord**2).sum()))
+
+    def point(self, s: float) -> Array:
+        """Unknowns near those of the branch, for s from 0 to 1."""
+        a, b, size = self.before, self.after, self.size
+        bent = (
+            a.special or float(a.tangent @ b.tangent) < 0.5
+        )  # a kink, or another branch's tangent
+        if bent:
+            return a.unknowns + s * self.chord
+        slope = s * (1.0 - s) ** 2 * a.tangent - s**2 * (1.0 - s) * b.tangent
+        return a.unknowns + s**2 * (3.0 - 2.0 * s) * self.chord + size * slope
+
+
+def orbits_at(
+    corrector: Corrector, steps: Sequence[Step], parts: Sequence[float] | Array
+) -> list[Orbit | None]:
+    """Orbits at parts of steps, 0 to 1; None where none is found."""
+    chords = np.array([step.chord / step.size for step in steps])
+    return corrector.orbits(
+        np.array([step.point(s) for step, s in zip(steps, parts, strict=True)]),
+        chords,
+        Reference.joined([step.reference for step in steps]),
+        np.array([max(step.size, 1e-7) for step in steps]),
+    )[0]
+
+
+def roots(
+    corrector: Corrector, steps: Sequence[Step], values: Sequence[Value]
+) -> list[tuple[float, Orbit] | None]:
+    """Parts of steps at which functions change their signs, and the orbits there."""
+    found: list[tuple[float, Orbit] | None] = [None] * len(steps)
+    nearest = np.full(len(steps), np.inf)
+    at_ends = np.array(
+        [[value(x) for x in (s.before, s.after)] for s, value in zip(steps, values, strict=True)]
+    )
+
+    def value(parts: Array, which: Any) -> Array:
+        tasks = np.ravel(which).astype(int)
+        f = at_ends[tasks, np.ravel(parts).astype(int)]
+        inner = np.flatnonzero((np.ravel(parts) > 0.0) & (np.ravel(parts) < 1.0))
+        some, at = tasks[inner].tolist(), np.ravel(parts)[inner].tolist()
+        orbits = orbits_at(corrector, [steps[k] for k in some], at) if some else []
+        for i, k, s, orbit in zip(inner.tolist(), some, at, orbits, strict=True):
+            f[i] = np.nan if orbit is None else values[k](orbit)
+            if orbit is not None and abs(f[i]) <= nearest[k]:
+                nearest[k], found[k] = abs(f[i]), (s, orbit)
+        return np.asarray(f.reshape(np.shape(parts)))
+
+    inside = np.flatnonzero(np.abs(at_ends[:, 0]) > _ON) if len(steps) else np.empty(0, int)
+    for k in set(range(len(steps))) - set(inside.tolist()):
+        found[k] = 0.0, steps[k].before
+    if len(inside):
+        tolerances = {"xatol": _LOCATED, "xrtol": 0.0, "fatol": 0.0, "frtol": 0.0}
+        ends = np.zeros(len(inside)), np.ones(len(inside))
+        elementwise.find_root(value, ends, args=(inside.astype(float),), tolerances=tolerances)
+    return found
+
+
+def crossing(corrector: Corrector, step: Step, value: Value) -> Orbit | None:
+    """The orbit of a step at which another branch crosses."""
+    ends, f = [0.0, 1.0], [value(step.before), value(step.after)]
+    apart = min(_AROUND / step.size, _NEAREST)
+    while ends[1] - ends[0] > 8.0 * apart:
+        middle = 0.5 * (ends[0] + ends[1])
+        (orbit,) = orbits_at(corrector, [step], [middle])
+        if orbit is None:
+            return None
+        side = 0 if value(orbit) * f[0] > 0.0 else 1
+        ends[side], f[side] = middle, value(orbit)
+    s = (ends[0] * f[1] - ends[1] * f[0]) / (f[1] - f[0]) + apart * np.array([-3, -1, 1, 3])
+    found = [orbit for orbit in orbits_at(corrector, [step] * 4, s) if orbit is not None]
+    if len(found) < len(s):
+        return None
+    at = float(_lagrange(np.array([value(orbit) for orbit in found]), s, 0.0))
+    if abs(at - s.mean()) > 3.0 * apart:
+        return None
+    u, t = (
+        _lagrange(s, np.array([getattr(orbit, name) for orbit in found]), at)[None, :]
+        for name in ("unknowns", "tangent")
+    )
+    equations = corrector.equations.evaluate(u, step.reference)
+    if not equations.is_ok[0]:
+        return None
+    there: list[Orbit] = corrector.equations.orbits(
+        u, t, step.reference, equations, np.zeros(1, np.intp)
+    )
+    return there[0]
+
+
+def _lagrange(x: Array, values: Array, at: float) -> Any:
+    """Polynomial through values at some x, at another one."""
+    weights = [np.prod([(at - other) / (one - other) for other in x if other != one]) for one in x]
+    return np.tensordot(weights, values, axes=1)
