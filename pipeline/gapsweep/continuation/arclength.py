@@ -129,6 +129,9 @@ class Continuation:
         met = zip(before.unlike, orbit.unlike, strict=True)
         if any(one > _MET[0] and other < _MET[1] for one, other in met):  # on the other branch
             return math.inf, False
+        # Grazes leave the determinant's sign: it was found behind one where the branch turns back.
+        if before.branching * orbit.branching < 0.0 and before.n_contacts != orbit.n_contacts:
+            return math.inf, False
         turn = math.acos(min(1.0, max(-1.0, float(before.tangent @ orbit.tangent))))
         if turn > _TURN:
             return turn, False

@@ -35,7 +35,7 @@ def branches(
     omega: float | None = None,
     starts: ArrayLike | None = None,
     follow: int = 0,
-    max_steps: int = 500,
+    max_steps: int = 1000,
     rtol: float = DEFAULT_RTOL,
     atol: float = DEFAULT_ATOL,
 ) -> xr.Dataset:

@@ -31,7 +31,7 @@ from gapsweep.status import Status
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
-_DIFFERENCE = 3e-7  # of a window, for derivatives by a parameter
+_DIFFERENCE = 1e-9  # of a window, for derivatives by a parameter
 _LINEAR = 1e-6  # a rate whose components are smaller is none
 
 
