@@ -16,6 +16,7 @@ LAYERS = (
     {"model"},
     {"integrate"},
     {"response"},
+    {"continuation"},
     {"study"},
     {"store"},
     {"execution"},
@@ -31,10 +32,10 @@ LAYERS = (
     {"cli", "__init__"},
 )
 FENCES = {
-    "scipy": {"model", "integrate", "response", "study", "analysis"},
+    "scipy": {"model", "integrate", "response", "continuation", "study", "analysis"},
     "numba": {"model", "integrate", "response"},
     "xarray": {
-        *("variables", "store", "analysis", "report"),
+        *("variables", "continuation", "store", "analysis", "report"),
         *("own_code", "make", "workflow", "cli", "explorer"),
     },
     "pandas": set(),
