@@ -11,7 +11,7 @@ multipliers change much.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise, product
+from itertools import combinations_with_replacement, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,10 +102,8 @@ class Continuation:
                     if orbit is None:
                         half.end, goes_on[k] = "step_too_small", False
                         continue
-                    size[i], turn = (
-                        0.1 * float(np.abs(orbit.unknowns - half.orbits[-1].unknowns).max()),
-                        math.inf,
-                    )
+                    turn = math.inf
+                    size[i] = 0.1 * float(np.abs(orbit.unknowns - half.orbits[-1].unknowns).max())
                 assert orbit is not None
                 half.orbits.append(orbit)
                 half.references.append(here.take([k]))
@@ -147,8 +145,8 @@ class Continuation:
         """
         last = orbits[-1]
         u, d = last.unknowns, len(last.unknowns)
-        axes = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=d) if np.any(way)])
-        axes = axes[(axes != 0.0).sum(axis=1) <= 2]
+        ways = np.concatenate([np.eye(d), -np.eye(d)])
+        axes = np.array([a + b for a, b in combinations_with_replacement(ways, 2) if (a + b).any()])
         axes /= np.sqrt((axes**2).sum(axis=1))[:, None]
         normals = np.tile(axes, (len(_BEHIND), 1))
         distances = np.repeat(_BEHIND, len(axes))

@@ -17,7 +17,6 @@ from gapsweep.integrate.simulate import prepared
 
 Array = NDArray[np.float64]
 
-_FREQUENCIES = 8  # at which attractors are sought
 _OFF_TURNING = 0.137  # of a period: orbits that start at a maximum are moved off it
 _SAME = 1e-6  # orbits that are nearer, as a share of their size, are the same
 _HALVES = 1e-3  # of a state: beside a pitchfork, halves of a period are this much alike
@@ -83,8 +82,8 @@ class Branches:
         Orbits of a branch on either side of its start, at most.
     found : list of Branch
     attractors : list of Attractor
-    n_orbits : int
-        Computed for them.
+    n_lost : int
+        Starts, special points and branches from there that Newton's method did not find.
     """
 
     equations: OrbitEquations
