@@ -229,7 +229,7 @@ class Branches:
                 is_first = i == 0 and before.special > 0
                 found = crossings(before, after, self.equations, is_first=is_first)
                 tasks += [(half, i, test) for test in found]
-            if half.end == "window":
+            if half.end == "window" and self.equations.family.is_conservative:
                 tasks.append((half, len(half.orbits) - 2, self._window_end(half.orbits[-1])))
         corrector = self.continuation.corrector
         steps = [half.step(i) for half, i, _ in tasks]
@@ -277,11 +277,9 @@ class Branches:
         return found
 
     def _window_end(self, last: Orbit) -> Crossing:
-        """The end of the window that the last orbit of a half is outside of."""
-        places = self.equations.window_places(last)
-        k = int(np.argmax(np.abs(places - 0.5)))
-        bound = float(places[k] > 0.5)
-        return Crossing(_WINDOW, lambda o: float(self.equations.window_places(o)[k]) - bound)
+        """The end of the window of amplitudes that the last orbit of a half is outside of."""
+        bound = float(self._place(last) > 0.5)
+        return Crossing(_WINDOW, lambda orbit: self._place(orbit) - bound)
 
     def _crossing(self, orbit: Orbit) -> Special:
         """What crosses a branch: that of half the period, of symmetric orbits, or another one."""
