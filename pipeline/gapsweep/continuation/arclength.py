@@ -28,7 +28,7 @@ _FIRST, SMALLEST, _LARGEST = 1e-3, 1e-9, 0.03
 _GROWS, _FEW_STEPS = 2.0, 4
 _TURN, _SLIGHT_TURN = 0.3, 0.1  # of the tangent in a step [rad]
 _MET = 1e-5, 1e-7  # of the size: halves of orbits that differ, and that do not
-_STATIONARY = 1e-3  # of the window: a parameter that changes less over two steps is at a fold
+_STATIONARY = 0.2  # of the way: a parameter that changes less over two steps is at a fold
 _ASIDE = 0.5  # correction over step
 _EDGE = 1e-12  # of a window, within which its end is reached
 # Change of multipliers in a step, but not where they change ever so fast, as beside a graze.
@@ -214,7 +214,8 @@ class Continuation:
         folds = any(a.tangent[-1] * b.tangent[-1] < 0.0 for a, b in steps)
         crosses = any(a.branching * b.branching < 0.0 for a, b in steps)
         places = [self.equations.window_places(orbit)[0] for orbit in orbits]
-        return folds and crosses and max(places) - min(places) <= _STATIONARY
+        way = float(np.sqrt(((orbits[-1].unknowns - orbits[0].unknowns) ** 2).sum()))
+        return folds and crosses and max(places) - min(places) <= _STATIONARY * way
 
     def _is_closed(self, first: Orbit, before: Orbit, last: Orbit) -> bool:
         """Whether the first orbit lies between the last two."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
 from gapsweep.continuation.locate import Step, crossing, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference, swing
-from gapsweep.continuation.special import Crossing, Special, branching, crossings, is_torus
+from gapsweep.continuation.special import Crossing, Special, crossing_test, crossings, is_torus
 from gapsweep.integrate.motion import Events
 from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.integrate.simulate import prepared
@@ -209,8 +209,10 @@ class Branches:
         )
         if last is None or last.branching * back.branching > 0.0:
             return end
-        found = crossing(self.continuation.corrector, Step(back, last, reference), branching)
-        return end if found is None else replace(found, special=end.special)
+        found = crossing(self.continuation.corrector, Step(back, last, reference), crossing_test)
+        if found is None:
+            return end
+        return replace(found, special=int(self._crossing(found)), tangent=end.tangent)
 
     def _beside(self, branch: Branch, orbit: Orbit) -> tuple[Orbit, Reference] | None:
         """The first orbit beside a crossing on the other branch."""
@@ -241,7 +243,7 @@ class Branches:
                 continue
             part, orbit = point
             if test.kind == Special.BRANCH_POINT:
-                orbit = crossing(corrector, step, branching) or orbit
+                orbit = crossing(corrector, step, crossing_test) or orbit
             if test.kind == Special.TORUS and not is_torus(orbit):
                 continue
             by_step.setdefault((id(half), i), []).append((part, test.kind, orbit))
