@@ -100,27 +100,35 @@ class Branches:
         return float(self.equations.window_places(orbit)[0])
 
     def add(self, attractors: Sequence[Attractor]) -> None:
-        """Follow the branches of attractors, those of one parameter value together."""
+        """Follow the branches of attractors, those of one parameter value together.
+
+        Their sections become those of the orbits that Newton's method finds: of settled motions
+        they are known to the tolerance of another solver.
+        """
         self.attractors += attractors
-        left = list(attractors)
+        if not attractors:
+            return
+        starts, reference, kept = self._starts(attractors)
+        self.n_lost += len(attractors) - len(starts)
+        for orbit, attractor in zip(starts, kept, strict=True):
+            attractor.section = self._whole_section(orbit)
+        left = list(range(len(kept)))
         while left:
-            self._find(left)
-            left = [each for each in left if each.branch < 0]
+            self._find([kept[k] for k in left])
+            left = [k for k in left if kept[k].branch < 0]
             if not left:
                 return
-            values = [each.value for each in left]
+            values = [kept[k].value for k in left]
             value = max(set(values), key=values.count)
-            now = [each for each in left if each.value == value]
-            left = [each for each in left if each.value != value]
-            starts, reference, kept = self._starts(now)
-            self.n_lost += len(now) - len(starts)
-            several = self._followed(starts, reference)
+            now = [k for k in left if kept[k].value == value]
+            left = [k for k in left if kept[k].value != value]
+            several = self._followed([starts[k] for k in now], reference.take(now))
             first = len(self.found)
-            for branch, attractor in zip(several, kept, strict=True):
-                self._find([attractor], first)
-                if attractor.branch < 0:
+            for branch, k in zip(several, now, strict=True):
+                self._find([kept[k]], first)
+                if kept[k].branch < 0:
                     self.found.append(branch)
-                    attractor.branch = len(self.found) - 1
+                    kept[k].branch = len(self.found) - 1
 
     def _starts(
         self, attractors: Sequence[Attractor]
