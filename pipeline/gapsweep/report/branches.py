@@ -1,0 +1,255 @@
+"""Branches of periodic orbits in figures: lines, and special points with their symbols."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.continuation.dataset import BRANCH, STEP, VARIABLES
+from gapsweep.continuation.special import Special
+from gapsweep.errors import DatasetError
+from gapsweep.report import scales
+from gapsweep.report.scales import drawn
+from gapsweep.report.selection import places, scene
+from gapsweep.report.style import colour
+from gapsweep.study.grid import COORDINATE
+from gapsweep.study.schema import COORDINATES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+FREQUENCY, REPRESENTATION = "frequency", "representation"
+_OF_STABILITY = "stable", "special", "period_multiple"
+KINDS = {
+    Special.FOLD: ("o", "fold"),
+    Special.PERIOD_DOUBLING: ("s", "period doubling"),
+    Special.TORUS: ("D", "Neimark\N{EN DASH}Sacker"),
+    Special.BRANCH_POINT: ("^", "branch point"),
+    Special.SYMMETRY_BREAKING: ("P", "symmetry breaking"),
+    Special.GRAZING: ("v", "graze"),
+}
+_COLOURS = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#666666"
+_MOST_NAMES = 8  # branches in a legend
+_FONT = 7.5  # points
+_LETTERS = 1.9, 1.15  # width and height of a symbol of two letters, in sizes of its font
+_WAYS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0)])
+_FINE = 8  # places on a step of a branch that a symbol should not hide
+
+
+def default_axis(found: xr.Dataset) -> str:
+    """The horizontal axis of branches: their parameter; of free motions the frequency."""
+    along = str(_checked(found).attrs.get("along", "omega"))
+    return along if along in found and along != "amplitude" else FREQUENCY
+
+
+def shown(
+    found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any] | None = None
+) -> xr.Dataset:
+    """Variables of branches that are drawn, over branch and step.
+
+    Raises
+    ------
+    DatasetError
+        If the dataset holds no branches, lacks a variable, or has several coordinates left.
+    """
+    if "period" in _checked(found):
+        about = {"units": "Hz", "long_name": "frequency of the orbit"}
+        found = found.assign({FREQUENCY: (1.0 / found["period"]).assign_attrs(about)})
+    needed = dict.fromkeys([*names, *_OF_STABILITY], (BRANCH, STEP))
+    return scene(found, needed, wanted or {})
+
+
+def _checked(found: Any) -> xr.Dataset:
+    if not isinstance(found, xr.Dataset) or "special" not in found or "stable" not in found:
+        raise DatasetError("branches: none in this dataset; gs.branches(...) returns branches")
+    return found
+
+
+def of_scene(found: xr.Dataset, here: xr.Dataset, along: str) -> xr.Dataset | None:
+    """The branches of what a figure shows one value of; None if there are none.
+
+    Raises
+    ------
+    DatasetError
+        If they are continued along another parameter.
+    """
+    if default_axis(found) != along:
+        raise DatasetError(
+            f"branches: continued along {found.attrs['along']}, and this figure is along {along}"
+        )
+    is_here = np.ones(found.sizes[BRANCH], bool)
+    for name in [*places(here), REPRESENTATION]:
+        if name in found.coords and name in here.coords:
+            values = np.broadcast_to(found[name].values, is_here.shape)
+            is_here &= np.isin(values, here[name].values)
+    return found.isel({BRANCH: is_here}) if is_here.any() else None
+
+
+def label(variable: xr.DataArray) -> str:
+    """The label of an axis: a parameter is called as in other datasets."""
+    words = scales.long_name(variable).removesuffix(" along the branch")
+    return scales.axis_label(
+        variable, COORDINATES[words][1].long_name if words in COORDINATES else words
+    )
+
+
+def is_log(variable: xr.DataArray) -> bool:
+    """Whether an axis over branches is logarithmic: of some parameters, never of a result."""
+    if variable.name in (*VARIABLES, FREQUENCY):
+        return False
+    return scales.is_log(variable.stack(point=(BRANCH, STEP)).dropna("point"))
+
+
+def behind(
+    axes: "Axes", found: xr.Dataset, here: xr.Dataset, along: str, heights: Sequence[str]
+) -> None:
+    """Branches of a scene, to be drawn before what it has: in the colour of its one law, or grey.
+
+    Parameters
+    ----------
+    here : Dataset
+        What the figure shows.
+    """
+    branches = of_scene(found, here, along)
+    if branches is not None:
+        one = {COORDINATE: here[COORDINATE].item()} if COORDINATE in here.coords else {}
+        branches = shown(branches, [along, *heights], one)
+        labels = np.atleast_1d(here[REPRESENTATION].values)
+        draw(axes, branches, along, heights, colour(labels[0]) if len(labels) == 1 else "#888888")
+        name_points(axes, branches, along, heights[0])
+
+
+def draw(
+    axes: "Axes", branches: xr.Dataset, along: str, heights: Sequence[str], shade: str = ""
+) -> None:
+    """Branches as lines, solid where they are stable, and their special points.
+
+    Parameters
+    ----------
+    branches : Dataset
+        As `shown` returns it.
+    along : str
+        Variable of the horizontal axis.
+    heights : sequence of str
+        Variables of the vertical axis; the first has the special points.
+    shade : str
+        One colour of all; if empty, that of the representation, or of the branch where there is
+        one representation at most. Then the legend names them.
+    """
+    look = _looks(branches) if not shade else [(shade, "")] * branches.sizes[BRANCH]
+    x = drawn(branches[along].transpose(BRANCH, STEP))
+    stable, special = (branches[n].transpose(BRANCH, STEP).values for n in _OF_STABILITY[:2])
+    told = set[str]()
+    for name in heights:
+        points = np.stack([x, drawn(branches[name].transpose(BRANCH, STEP))], axis=2)
+        for each, is_stable, kinds, (own, label) in zip(points, stable, special, look, strict=True):
+            for dashes, word, line in _lines(each, is_stable, kinds):
+                is_new = label not in told and dashes == "-"
+                told |= {label} if is_new else set()
+                axes.plot(
+                    *line.T,
+                    dashes,
+                    color=own,
+                    linewidth=1.3,
+                    zorder=1.8,
+                    label=label if label and is_new else f"_{label} {word}",
+                )
+    if (stable == 0).any():
+        axes.plot([], [], "--", color=shade or _COLOURS[-1], linewidth=1.3, label="unstable")
+    first = np.stack([x, drawn(branches[heights[0]].transpose(BRANCH, STEP))], axis=2)
+    for kind, (marker, word) in KINDS.items():
+        if (special == kind).any():
+            axes.plot(
+                *first[special == kind].T,
+                marker,
+                color="#222222",
+                markerfacecolor="white",
+                markersize=4.0 if kind != Special.GRAZING else 3.0,
+                markeredgewidth=0.8,
+                zorder=2.8,
+                label=f"{kind.symbol} {word}",
+            )
+
+
+def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
+    """Colour and name of every branch."""
+    n = branches.sizes[BRANCH]
+    if REPRESENTATION in branches.coords:
+        labels = np.broadcast_to(branches[REPRESENTATION].values, n).tolist()
+        if len(set(labels)) > 1:
+            return [(colour(label), label) for label in labels]
+    numbers = np.broadcast_to(branches[BRANCH].values, n) if BRANCH in branches.coords else range(n)
+    multiple = branches["period_multiple"].transpose(BRANCH, STEP).values[:, 0]
+    has_periods = (multiple > 1).any()
+    return [
+        (
+            _COLOURS[i % len(_COLOURS)],
+            f"branch {number}{f', period {times}' if has_periods else ''}"
+            if 1 < n <= _MOST_NAMES
+            else "",
+        )
+        for i, (number, times) in enumerate(zip(numbers, multiple, strict=True))
+    ]
+
+
+def _lines(
+    points: Array, stable: NDArray[np.int8], special: NDArray[np.int8]
+) -> Iterator[tuple[str, str, Array]]:
+    """Dashes, a word and the points of the stable and the unstable part, which have gaps."""
+    there = np.isfinite(points).all(axis=1) & (stable >= 0)
+    # At a bifurcation rounding decides whether a multiplier is beyond 1: its neighbour says more.
+    is_at = (special > 0) & (special != Special.GRAZING)
+    of_step = np.where(is_at[:-1], stable[1:], stable[:-1])
+    for value, dashes, word in ((0, "--", "unstable"), (1, "-", "stable")):
+        chosen = (of_step == value) & there[:-1] & there[1:]
+        ends = np.flatnonzero(np.diff(chosen.astype(int), prepend=0, append=0)).reshape(-1, 2)
+        pieces = [np.vstack([points[a : b + 1], [[np.nan, np.nan]]]) for a, b in ends]
+        if pieces:
+            yield dashes, word, np.concatenate(pieces)
+
+
+def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> None:
+    """Symbols next to special points where there is room; called when all else is drawn.
+
+    Bifurcations come before grazes. A symbol stands where it hides the least of the branches.
+    """
+    x, y = (drawn(branches[name].transpose(BRANCH, STEP)) for name in (along, height))
+    special = branches["special"].transpose(BRANCH, STEP).values
+    there = np.isfinite(x) & np.isfinite(y)
+    if not (special[there] > 0).any():
+        return
+    axes.autoscale_view()
+    at = axes.transData.transform(np.stack([x, y], axis=2).reshape(-1, 2)).reshape(*x.shape, 2)
+    parts = np.linspace(0.0, 1.0, _FINE, endpoint=False)[:, None, None, None]
+    lines = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
+    lines = np.concatenate([lines, *[at[special > 0]] * _FINE])
+    size = _FONT * axes.figure.dpi / 72.0 * np.array(_LETTERS)
+    taken = np.empty((0, 2))
+    for kind in KINDS:
+        for row in np.argwhere(there & (special == kind)):
+            place = at[tuple(row)]
+            centres = place + 0.5 * _WAYS * size
+            is_free = axes.bbox.padded(-0.5 * size[1]).contains
+            hidden = (np.abs(centres[:, None] - lines) < 0.45 * size).all(axis=2).sum(axis=1)
+            overlaps = (np.abs(centres[:, None] - taken) < size).all(axis=2).any(axis=1)
+            overlaps |= [not is_free(*centre) for centre in centres]
+            if overlaps.all():
+                continue
+            best = int(np.where(overlaps, np.inf, hidden).argmin())
+            taken = np.vstack([taken, centres[best]])
+            right, up = _WAYS[best]
+            axes.text(
+                x[tuple(row)],
+                y[tuple(row)],
+                f" {kind.symbol} ",
+                horizontalalignment="left" if right > 0 else "right",
+                verticalalignment={1: "bottom", 0: "center", -1: "top"}[int(up)],
+                fontsize=_FONT,
+                color="#222222",
+                zorder=3,
+                clip_on=True,
+            )
