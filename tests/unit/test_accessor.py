@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
+from tests.made import branches as of_branches
 from tests.made import chaotic, datasets, failed, periodic, tables
 
 import gapsweep as gs
@@ -305,31 +306,6 @@ def test_units_are_those_of_the_dataset(responses, ax):
 def test_what_cannot_be_drawn_is_refused_with_the_remedy(responses, attractors, call, message):
     with pytest.raises(gs.DatasetError, match=message):
         call(responses, attractors)
-
-
-KINDS = "none fold period_doubling torus branch_point grazing symmetry_breaking"
-
-
-def of_branches(stable, special, **coordinates):
-    """Branches whose peak [m] is the number of the step plus ten times that of the branch."""
-    stable, special = np.array(stable, "i1"), np.array(special, "i1")
-    dims, there = ("branch", "step"), stable >= 0
-    branch, step = np.indices(stable.shape)
-    x = np.where(there, 1e-3 * (step + 10 * branch), np.nan)
-    metres = {"units": "m", "long_name": "displacement"}
-    return xr.Dataset(
-        {
-            "omega": (dims, np.where(there, 5.0 + 0.5 * step, np.nan), {"units": "Hz"}),
-            "period": (dims, np.where(there, 0.2, np.nan), {"units": "s"}),
-            "x_max": (dims, x, metres),
-            "x_min": (dims, -x, metres),
-            "period_multiple": (dims, there.astype("i4") * (1 + branch)),
-            "stable": (dims, stable),
-            "special": (dims, special, {"flag_meanings": KINDS}),
-        },
-        {"branch": np.arange(len(stable)), **{n: ("branch", v) for n, v in coordinates.items()}},
-        {"along": "omega"},
-    )
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
-from tests.made import chaotic, datasets, datasets_by_place, failed, periodic, tables
+from tests.made import branches, chaotic, datasets, datasets_by_place, failed, periodic, tables
 from tests.unit.test_system_tables import TWO_MASSES
 
 from gapsweep.analysis.agreement import agreement
@@ -31,7 +31,7 @@ from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rend
 from gapsweep.report.pictures import is_picture, pictures
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import Told
-from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent
+from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent, special_points
 from gapsweep.stages import is_of_run
 from gapsweep.status import Status
 from gapsweep.store.artefact import SUMS, sha256
@@ -791,6 +791,72 @@ def test_a_file_counts_where_no_digest_has_come_along(tmp_path):
     made_from = json.dumps({"responses.nc": sha256(responses)})
     xr.Dataset(attrs={"made_from": made_from}).to_netcdf(agreement)
     assert is_of_run(agreement)
+
+
+def pages_of_branches(folder, wanted, **coordinates):
+    """The report without branches, and with those of the coordinates; the texts of both pages."""
+    files = datasets(folder, wanted, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
+    stable = [[1, 1, 0, 0, 1], [1, 0, 0, -1, -1], [1, 1, 0, 0, 1]]
+    special = [[0, 1, 0, 6, 0], [0, 3, 0, 0, 0], [0, 1, 0, 0, 5]]
+    found = branches(stable, special, **coordinates)
+    found["omega"] -= 4.0 - 0.01 * (found["branch"] > 1)
+    texts = []
+    for given in (None, found):
+        path = write_report(
+            folder / f"page-{given is None}" / "index.html", files[0], agreement(*files),
+            timing(files[0]), attractors=files[1], branches=given,
+        )  # fmt: skip
+        texts.append(path.read_text())
+    figures = sorted((folder / "page-False" / "figures").glob("*.csv"))
+    return *texts, [figure.read_text() for figure in figures]
+
+
+def test_branches_lie_behind_the_attractors_with_their_special_points(tmp_path):
+    """Of branch 1, of another stiffness, nothing is shown."""
+    labels = ["piecewise", "piecewise", "tanh-1e4"]
+    wanted = tables(["piecewise", "tanh-1e4"], OMEGA, starts=2)
+    K_c, gap = [1.4e4, 1.0, 1.4e4], ["0.4/0.4"] * 3
+    without, text, figures = pages_of_branches(
+        tmp_path, wanted, representation=labels, K_c=K_c, gap=gap
+    )
+    said = "Lines: periodic orbits, dashed where unstable. LP: fold, SB: symmetry breaking, GR"
+    assert text.count(said) == 2  # figures
+    assert "periodic orbits, dashed" not in without
+    assert "Special points of the branches" not in without
+    table = text.partition("Special points of the branches")[2].partition("</table>")[0]
+    rows = [re.findall("<t[dh][^>]*>(.*?)</t[dh]>", row) for row in table.split("<tr>")[2:]]
+    assert [unescape(" | ".join(row)) for row in rows] == [
+        "LP, fold | piecewise | 1 | 1.5 | 1 | ",
+        "LP, fold | tanh-1e4 | 3 | 1.51 | 21 | –",
+        "SB, symmetry breaking | piecewise | 1 | 2.5 | 3 | ",
+        "GR, graze | tanh-1e4 | 3 | 3.01 | 24 | –",
+    ]
+    both = [figure for figure in figures if "LP fold,point" in figure]
+    assert len(both) == 2
+    for figure in both:
+        assert "1,LP fold,point,1.5,1," in figure
+        assert "2,LP fold,point,1.51,21," in figure
+        assert "torus" not in figure
+        assert "Sacker" not in figure
+
+
+def test_special_points_are_compared_with_those_of_the_exact_law(tmp_path):
+    """Of as many periods; a twin of the same numbers has no row."""
+    wanted = tables(["piecewise", "tanh-1e4"], OMEGA)
+    files = datasets(tmp_path, wanted, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
+    labels = ["piecewise", "piecewise", "tanh-1e4", "tanh-1e4"]
+    found = branches([[1, 1, 0]] * 4, [[0, 1, 0]] * 4, representation=labels)
+    found["period_multiple"][:] = 1
+    found["omega"][:] = np.array([5.0, 8.0, 5.05, 5.05])[:, None]
+    found["x_max"][:] = 1e-3
+    (table,) = special_points(found, files[0], "omega")
+    assert [[row[i] for i in (0, 1, 3, 5)] for row in table.rows] == [
+        ["LP, fold", "piecewise", "5", ""],
+        ["LP, fold", "piecewise", "8", ""],
+        ["LP, fold", "tanh-1e4", "5.05", "1 %"],
+    ]
+    assert special_points(found.assign(special=0 * found["special"]), files[0], "omega") == []
+    assert special_points(found, files[0], "K_c") == []
 
 
 def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):

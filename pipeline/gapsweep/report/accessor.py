@@ -117,10 +117,11 @@ class GapsweepAccessor:
         shown = drawing.with_setting(self._along(along, needed, wanted), "extrema")
         labels = labels_of(shown)
         other = NOT_PERIODIC if len(labels) == 1 else None
+        if branches is not None and (its := of_branches.default_axis(branches)) != along:
+            raise DatasetError(f"branches: continued along {its}, and this plot is along {along}")
         axes = _axes(ax)
         backdrop.walls(axes, shown, along)
-        if branches is not None:
-            of_branches.behind(axes, branches, shown, along, ("x_max", "x_min"))
+        of_branches.behind(axes, branches, shown, along, ("x_max", "x_min"))
         for label in labels:
             drawing.extrema(axes, shown.sel(representation=label), along, other=other)
             axes.plot([], [], ".", color=colour(label), label=label)

@@ -70,17 +70,9 @@ def _checked(found: Any) -> xr.Dataset:
 
 
 def of_scene(found: xr.Dataset, here: xr.Dataset, along: str) -> xr.Dataset | None:
-    """The branches of what a figure shows one value of; None if there are none.
-
-    Raises
-    ------
-    DatasetError
-        If they are continued along another parameter.
-    """
+    """The branches of what a figure shows; None if there are none along its axis."""
     if default_axis(found) != along:
-        raise DatasetError(
-            f"branches: continued along {found.attrs['along']}, and this figure is along {along}"
-        )
+        return None
     is_here = np.ones(found.sizes[BRANCH], bool)
     for name in [*places(here), REPRESENTATION]:
         if name in found.coords and name in here.coords:
@@ -105,22 +97,25 @@ def is_log(variable: xr.DataArray) -> bool:
 
 
 def behind(
-    axes: "Axes", found: xr.Dataset, here: xr.Dataset, along: str, heights: Sequence[str]
+    axes: "Axes", found: xr.Dataset | None, here: xr.Dataset, along: str, heights: Sequence[str]
 ) -> None:
-    """Branches of a scene, to be drawn before what it has: in the colour of its one law, or grey.
-
-    Parameters
-    ----------
-    here : Dataset
-        What the figure shows.
-    """
-    branches = of_scene(found, here, along)
+    """Branches behind what a figure shows, in the colour of its one representation, or grey."""
+    branches = None if found is None else of_scene(found, here, along)
     if branches is not None:
         one = {COORDINATE: here[COORDINATE].item()} if COORDINATE in here.coords else {}
         branches = shown(branches, [along, *heights], one)
         labels = np.atleast_1d(here[REPRESENTATION].values)
         draw(axes, branches, along, heights, colour(labels[0]) if len(labels) == 1 else "#888888")
         name_points(axes, branches, along, heights[0])
+
+
+def said(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
+    """What a caption says of branches, with a blank before; nothing where none is drawn."""
+    branches = None if found is None else of_scene(found, here, along)
+    if branches is None:
+        return ""
+    marks = [f"{k.symbol}: {KINDS[k][1]}" for k in KINDS if (branches["special"] == k).any()]
+    return f" Lines: periodic orbits, dashed where unstable. {', '.join(marks)}{'.' * bool(marks)}"
 
 
 def draw(
@@ -156,7 +151,7 @@ def draw(
                     color=own,
                     linewidth=1.3,
                     zorder=1.8,
-                    label=label if label and is_new else f"_{label} {word}",
+                    label=label if label and is_new else f"_{label or BRANCH} {word}",
                 )
     if (stable == 0).any():
         axes.plot([], [], "--", color=shade or _COLOURS[-1], linewidth=1.3, label="unstable")

@@ -10,11 +10,19 @@ import xarray as xr
 from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.metrics import BOUND
 from gapsweep.analysis.systems import by_coordinate
+from gapsweep.continuation.dataset import BRANCH, STEP
+from gapsweep.continuation.special import Special
+from gapsweep.model.labels import EXACT
+from gapsweep.report.branches import KINDS, REPRESENTATION, of_scene, shown
+from gapsweep.report.branches import label as of_axis
 from gapsweep.report.parts import Table
+from gapsweep.report.scales import drawn
+from gapsweep.study.grid import COORDINATE
 
 Row = dict[str, Any]
 
 _COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
+_MOST_ROWS = 60  # of special points
 # Worst first: what a reader looks for.
 VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 
@@ -129,6 +137,60 @@ def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
         points = f"{row['n_points'].item()}"
         points += f" (+{others} of other machines, not shown)" if others else ""
         yield [label, cpu, *(number(row[f"{n}_median"].item()) for n in _COUNTS), points]
+
+
+def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> list[Table]:
+    """A table of the special points of branches by kind and parameter, if there are any.
+
+    Orbits that are each other's mirror images have one row. Points of approximations are compared
+    with the nearest one of the exact law.
+
+    Parameters
+    ----------
+    found : Dataset or None
+        ``branches.nc``.
+    here : Dataset
+        The scene.
+    along : str
+        The parameter.
+    """
+    found = None if found is None else of_scene(found, here, along)
+    if found is None:
+        return []
+    names = [along, "x_max", "special", "period_multiple"]
+    part = shown(found.isel({COORDINATE: 0}, missing_dims="ignore"), names)
+    x, y, special, multiple = (drawn(part[name].transpose(BRANCH, STEP)) for name in names)
+    labels = np.broadcast_to(part.coords.get(REPRESENTATION, ""), len(x)).astype(str)
+    kinds = list(KINDS)
+    points = [
+        (kinds.index(Special(int(special[i, j]))), labels[i], multiple[i, j], x[i, j], y[i, j])
+        for i, j in np.argwhere(special > 0)
+    ]
+    exact = [(kind, n, at) for kind, law, n, at, _ in points if law == EXACT]
+    rows = dict.fromkeys(
+        (
+            f"{kinds[kind].symbol}, {KINDS[kinds[kind]][1]}",
+            law,
+            f"{n:.0f}",
+            f"{at:.9g}",
+            number(peak),
+            _off(at, [e for k, m, e in exact if (k, m) == (kind, n)]) if law != EXACT else "",
+        )
+        for kind, law, n, at, peak in sorted(points)
+    )
+    title = "Special points of the branches"
+    if len(rows) > _MOST_ROWS:
+        title += f", {_MOST_ROWS} of {len(rows)}: all are in branches.nc"
+    header = ["Kind", "Representation", "Period", of_axis(part[along]), of_axis(part["x_max"])]
+    header.append("Off the nearest one of the exact law")
+    table = Table(title, header, [list(row) for row in rows][:_MOST_ROWS])
+    return [table] if rows else []
+
+
+def _off(at: float, exact: Sequence[float]) -> str:
+    """How far a point is from the nearest exact one."""
+    nearest = min(exact, key=lambda other: abs(other - at), default=np.nan)
+    return percent(at / nearest - 1.0)
 
 
 def condensed(dataset: xr.Dataset) -> xr.Dataset:
