@@ -349,7 +349,7 @@ def test_special_points_are_marked_and_named(branched, ax):
     assert marks(ax) == {"LP fold": [2.0], "PD period doubling": [12.0], "GR graze": [4.0]}
     assert sorted(text.get_text().strip() for text in ax.texts) == ["GR", "LP", "PD"]
     told = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert told[:3] == ["branch 0, period 1", "unstable", "LP fold"]
+    assert told[:4] == ["branch 0, period 1", "branch 1, period 2", "unstable", "LP fold"]
 
 
 def test_symbols_that_would_overlap_are_left_out(ax):

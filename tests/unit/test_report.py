@@ -841,19 +841,20 @@ def test_branches_lie_behind_the_attractors_with_their_special_points(tmp_path):
 
 
 def test_special_points_are_compared_with_those_of_the_exact_law(tmp_path):
-    """Of as many periods; a twin of the same numbers has no row."""
+    """Of as many periods, where each is the other's nearest; mirror images share a row."""
     wanted = tables(["piecewise", "tanh-1e4"], OMEGA)
     files = datasets(tmp_path, wanted, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
-    labels = ["piecewise", "piecewise", "tanh-1e4", "tanh-1e4"]
-    found = branches([[1, 1, 0]] * 4, [[0, 1, 0]] * 4, representation=labels)
+    labels = ["piecewise"] * 2 + ["tanh-1e4"] * 3
+    found = branches([[1, 1, 0]] * 5, [[0, 1, 0]] * 5, representation=labels)
     found["period_multiple"][:] = 1
-    found["omega"][:] = np.array([5.0, 8.0, 5.05, 5.05])[:, None]
-    found["x_max"][:] = 1e-3
+    found["omega"][:] = np.array([5.0, 8.0, 5.05, 5.05, 6.0])[:, None]
+    found["x_max"][:] = 1e-3 * np.array([1, 1, 1, 2, 1])[:, None]
     (table,) = special_points(found, files[0], "omega")
-    assert [[row[i] for i in (0, 1, 3, 5)] for row in table.rows] == [
-        ["LP, fold", "piecewise", "5", ""],
-        ["LP, fold", "piecewise", "8", ""],
-        ["LP, fold", "tanh-1e4", "5.05", "1 %"],
+    assert [[row[i] for i in (0, 1, 3, 4, 5)] for row in table.rows] == [
+        ["LP, fold", "piecewise", "5", "1", ""],
+        ["LP, fold", "piecewise", "8", "1", ""],
+        ["LP, fold", "tanh-1e4", "5.05", "1, 2", "1 %"],
+        ["LP, fold", "tanh-1e4", "6", "1", "–"],
     ]
     assert special_points(found.assign(special=0 * found["special"]), files[0], "omega") == []
     assert special_points(found, files[0], "K_c") == []

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 FREQUENCY, REPRESENTATION = "frequency", "representation"
-_OF_STABILITY = "stable", "special", "period_multiple"
+_OF_ORBITS = "stable", "special", "period_multiple"
 KINDS = {
     Special.FOLD: ("o", "fold"),
     Special.PERIOD_DOUBLING: ("s", "period doubling"),
@@ -34,8 +34,8 @@ KINDS = {
 }
 _COLOURS = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#666666"
 _MOST_NAMES = 8  # branches in a legend
-_FONT = 7.5  # points
-_LETTERS = 1.9, 1.15  # width and height of a symbol of two letters, in sizes of its font
+_FONT = 8.0  # points
+_LETTERS = 2.1, 1.1  # width and height of a symbol of two letters, in sizes of its font
 _WAYS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0)])
 _FINE = 8  # places on a step of a branch that a symbol should not hide
 
@@ -59,7 +59,7 @@ def shown(
     if "period" in _checked(found):
         about = {"units": "Hz", "long_name": "frequency of the orbit"}
         found = found.assign({FREQUENCY: (1.0 / found["period"]).assign_attrs(about)})
-    needed = dict.fromkeys([*names, *_OF_STABILITY], (BRANCH, STEP))
+    needed = dict.fromkeys([*names, *_OF_ORBITS], (BRANCH, STEP))
     return scene(found, needed, wanted or {})
 
 
@@ -136,30 +136,22 @@ def draw(
         one representation at most. Then the legend names them.
     """
     look = _looks(branches) if not shade else [(shade, "")] * branches.sizes[BRANCH]
-    x = drawn(branches[along].transpose(BRANCH, STEP))
-    stable, special = (branches[n].transpose(BRANCH, STEP).values for n in _OF_STABILITY[:2])
-    told = set[str]()
+    style: dict[str, Any] = {"linewidth": 1.3, "zorder": 1.8}
     for name in heights:
-        points = np.stack([x, drawn(branches[name].transpose(BRANCH, STEP))], axis=2)
-        for each, is_stable, kinds, (own, label) in zip(points, stable, special, look, strict=True):
-            for dashes, word, line in _lines(each, is_stable, kinds):
-                is_new = label not in told and dashes == "-"
-                told |= {label} if is_new else set()
-                axes.plot(
-                    *line.T,
-                    dashes,
-                    color=own,
-                    linewidth=1.3,
-                    zorder=1.8,
-                    label=label if label and is_new else f"_{label or BRANCH} {word}",
-                )
-    if (stable == 0).any():
-        axes.plot([], [], "--", color=shade or _COLOURS[-1], linewidth=1.3, label="unstable")
-    first = np.stack([x, drawn(branches[heights[0]].transpose(BRANCH, STEP))], axis=2)
+        for number, is_stable, line in lines(branches, along, name):
+            own, told = look[number]
+            dashes, word = ("-", "stable") if is_stable else ("--", "unstable")
+            axes.plot(*line.T, dashes, color=own, label=f"_{told or BRANCH} {word}", **style)
+    for told, own in {told: own for own, told in look if told}.items():
+        axes.plot([], [], "-", color=own, label=told, **style)
+    if (branches["stable"] == 0).any():
+        axes.plot([], [], "--", color=shade or _COLOURS[-1], label="unstable", **style)
+    x, y, special = _of_orbits(branches, along, heights[0], "special")
     for kind, (marker, word) in KINDS.items():
         if (special == kind).any():
             axes.plot(
-                *first[special == kind].T,
+                x[special == kind],
+                y[special == kind],
                 marker,
                 color="#222222",
                 markerfacecolor="white",
@@ -168,6 +160,11 @@ def draw(
                 zorder=2.8,
                 label=f"{kind.symbol} {word}",
             )
+
+
+def _of_orbits(branches: xr.Dataset, *names: str) -> list[Array]:
+    """Variables as they are drawn, shape (n_branches, n_steps)."""
+    return [drawn(branches[name].transpose(BRANCH, STEP)) for name in names]
 
 
 def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
@@ -179,57 +176,51 @@ def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
             return [(colour(label), label) for label in labels]
     numbers = np.broadcast_to(branches[BRANCH].values, n) if BRANCH in branches.coords else range(n)
     multiple = branches["period_multiple"].transpose(BRANCH, STEP).values[:, 0]
-    has_periods = (multiple > 1).any()
-    return [
-        (
-            _COLOURS[i % len(_COLOURS)],
-            f"branch {number}{f', period {times}' if has_periods else ''}"
-            if 1 < n <= _MOST_NAMES
-            else "",
-        )
-        for i, (number, times) in enumerate(zip(numbers, multiple, strict=True))
+    names = [
+        f"branch {number}" + f", period {times}" * bool((multiple > 1).any())
+        for number, times in zip(numbers, multiple, strict=True)
     ]
+    is_named = 1 < n <= _MOST_NAMES
+    return [(_COLOURS[i % len(_COLOURS)], name * is_named) for i, name in enumerate(names)]
 
 
-def _lines(
-    points: Array, stable: NDArray[np.int8], special: NDArray[np.int8]
-) -> Iterator[tuple[str, str, Array]]:
-    """Dashes, a word and the points of the stable and the unstable part, which have gaps."""
-    there = np.isfinite(points).all(axis=1) & (stable >= 0)
-    # At a bifurcation rounding decides whether a multiplier is beyond 1: its neighbour says more.
-    is_at = (special > 0) & (special != Special.GRAZING)
-    of_step = np.where(is_at[:-1], stable[1:], stable[:-1])
-    for value, dashes, word in ((0, "--", "unstable"), (1, "-", "stable")):
-        chosen = (of_step == value) & there[:-1] & there[1:]
-        ends = np.flatnonzero(np.diff(chosen.astype(int), prepend=0, append=0)).reshape(-1, 2)
-        pieces = [np.vstack([points[a : b + 1], [[np.nan, np.nan]]]) for a, b in ends]
-        if pieces:
-            yield dashes, word, np.concatenate(pieces)
+def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, bool, Array]]:
+    """Of every branch its number and the points of the unstable or the stable part, with gaps."""
+    columns = _of_orbits(branches, along, height, "stable", "special")
+    for number, (x, y, stable, special) in enumerate(zip(*columns, strict=True)):
+        there = np.isfinite(x) & np.isfinite(y)
+        # At a bifurcation rounding decides whether a multiplier exceeds 1: its neighbour says more.
+        is_at = (special > 0) & (special != Special.GRAZING)
+        of_step = np.where(is_at[:-1], stable[1:], stable[:-1])
+        for is_stable in (False, True):
+            chosen = (of_step == is_stable) & there[:-1] & there[1:]
+            ends = np.flatnonzero(np.diff(chosen.astype(int), prepend=0, append=0)).reshape(-1, 2)
+            pieces = [np.r_[np.c_[x, y][a : b + 1], [[np.nan, np.nan]]] for a, b in ends]
+            if pieces:
+                yield number, is_stable, np.concatenate(pieces)
 
 
 def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> None:
     """Symbols next to special points where there is room; called when all else is drawn.
 
-    Bifurcations come before grazes. A symbol stands where it hides the least of the branches.
+    The rarest kind comes first. A symbol stands where it hides the least of the branches.
     """
-    x, y = (drawn(branches[name].transpose(BRANCH, STEP)) for name in (along, height))
-    special = branches["special"].transpose(BRANCH, STEP).values
+    x, y, special = _of_orbits(branches, along, height, "special")
     there = np.isfinite(x) & np.isfinite(y)
     if not (special[there] > 0).any():
         return
     axes.autoscale_view()
     at = axes.transData.transform(np.stack([x, y], axis=2).reshape(-1, 2)).reshape(*x.shape, 2)
     parts = np.linspace(0.0, 1.0, _FINE, endpoint=False)[:, None, None, None]
-    lines = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
-    lines = np.concatenate([lines, *[at[special > 0]] * _FINE])
+    places = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
+    places = np.concatenate([places, *[at[special > 0]] * _FINE])
     size = _FONT * axes.figure.dpi / 72.0 * np.array(_LETTERS)
     taken = np.empty((0, 2))
-    for kind in KINDS:
-        for row in np.argwhere(there & (special == kind)):
-            place = at[tuple(row)]
-            centres = place + 0.5 * _WAYS * size
+    for kind in sorted(KINDS, key=lambda kind: int((special == kind).sum())):
+        for branch, step in np.argwhere(there & (special == kind)):
+            centres = at[branch, step] + 0.5 * _WAYS * size
             is_free = axes.bbox.padded(-0.5 * size[1]).contains
-            hidden = (np.abs(centres[:, None] - lines) < 0.45 * size).all(axis=2).sum(axis=1)
+            hidden = (np.abs(centres[:, None] - places) < 0.45 * size).all(axis=2).sum(axis=1)
             overlaps = (np.abs(centres[:, None] - taken) < size).all(axis=2).any(axis=1)
             overlaps |= [not is_free(*centre) for centre in centres]
             if overlaps.all():
@@ -238,9 +229,9 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
             taken = np.vstack([taken, centres[best]])
             right, up = _WAYS[best]
             axes.text(
-                x[tuple(row)],
-                y[tuple(row)],
-                f" {kind.symbol} ",
+                x[branch, step],
+                y[branch, step],
+                f" {kind.symbol}" if right > 0 else f"{kind.symbol} ",
                 horizontalalignment="left" if right > 0 else "right",
                 verticalalignment={1: "bottom", 0: "center", -1: "top"}[int(up)],
                 fontsize=_FONT,

@@ -142,8 +142,8 @@ def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
 def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> list[Table]:
     """A table of the special points of branches by kind and parameter, if there are any.
 
-    Orbits that are each other's mirror images have one row. Points of approximations are compared
-    with the nearest one of the exact law.
+    Orbits that are each other's mirror images share a row. A point of an approximation is compared
+    with one of the exact law where each is the other's nearest.
 
     Parameters
     ----------
@@ -161,36 +161,33 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> li
     part = shown(found.isel({COORDINATE: 0}, missing_dims="ignore"), names)
     x, y, special, multiple = (drawn(part[name].transpose(BRANCH, STEP)) for name in names)
     labels = np.broadcast_to(part.coords.get(REPRESENTATION, ""), len(x)).astype(str)
-    kinds = list(KINDS)
-    points = [
-        (kinds.index(Special(int(special[i, j]))), labels[i], multiple[i, j], x[i, j], y[i, j])
-        for i, j in np.argwhere(special > 0)
-    ]
-    exact = [(kind, n, at) for kind, law, n, at, _ in points if law == EXACT]
-    rows = dict.fromkeys(
-        (
-            f"{kinds[kind].symbol}, {KINDS[kinds[kind]][1]}",
-            law,
-            f"{n:.0f}",
-            f"{at:.9g}",
-            number(peak),
-            _off(at, [e for k, m, e in exact if (k, m) == (kind, n)]) if law != EXACT else "",
-        )
-        for kind, law, n, at, peak in sorted(points)
-    )
+    kinds, peaks = list(KINDS), dict[tuple[int, str, int, float], set[str]]()
+    for i, k in np.argwhere(special > 0):
+        at = float(f"{x[i, k]:.7g}")
+        key = kinds.index(Special(int(special[i, k]))), labels[i], int(multiple[i, k]), at
+        peaks.setdefault(key, set()).add(number(y[i, k]))
+    rows = []
+    for kind, law, n, at in sorted(peaks):
+        alike = [
+            [other for k, one, m, other in peaks if (k, one, m) == (kind, which, n)]
+            for which in (EXACT, law)
+        ]
+        name = f"{kinds[kind].symbol}, {KINDS[kinds[kind]][1]}"
+        heights, off = ", ".join(sorted(peaks[kind, law, n, at])), _off(at, *alike)
+        rows.append([name, law, f"{n}", f"{at:.7g}", heights, "" if law == EXACT else off])
     title = "Special points of the branches"
     if len(rows) > _MOST_ROWS:
         title += f", {_MOST_ROWS} of {len(rows)}: all are in branches.nc"
     header = ["Kind", "Representation", "Period", of_axis(part[along]), of_axis(part["x_max"])]
-    header.append("Off the nearest one of the exact law")
-    table = Table(title, header, [list(row) for row in rows][:_MOST_ROWS])
-    return [table] if rows else []
+    header.append("Off the exact law's")
+    return [Table(title, header, rows[:_MOST_ROWS])] if rows else []
 
 
-def _off(at: float, exact: Sequence[float]) -> str:
-    """How far a point is from the nearest exact one."""
+def _off(at: float, exact: Sequence[float], own: Sequence[float]) -> str:
+    """How far a point is from the exact one that is nearest to it, and it to that one."""
     nearest = min(exact, key=lambda other: abs(other - at), default=np.nan)
-    return percent(at / nearest - 1.0)
+    back = min(own, key=lambda other: abs(other - nearest))
+    return percent(at / nearest - 1.0 if back == at else np.nan)
 
 
 def condensed(dataset: xr.Dataset) -> xr.Dataset:
