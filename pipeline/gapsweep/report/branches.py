@@ -56,7 +56,8 @@ def shown(
     DatasetError
         If the dataset holds no branches, lacks a variable, or has several coordinates left.
     """
-    if "period" in _checked(found):
+    found = _checked(found)
+    if "period" in found:
         about = {"units": "Hz", "long_name": "frequency of the orbit"}
         found = found.assign({FREQUENCY: (1.0 / found["period"]).assign_attrs(about)})
     needed = dict.fromkeys([*names, *_OF_ORBITS], (BRANCH, STEP))
@@ -66,13 +67,14 @@ def shown(
 def _checked(found: Any) -> xr.Dataset:
     if not isinstance(found, xr.Dataset) or "special" not in found or "stable" not in found:
         raise DatasetError("branches: none in this dataset; gs.branches(...) returns branches")
-    return found
+    return found if BRANCH in found.dims else found.expand_dims(BRANCH)
 
 
 def of_scene(found: xr.Dataset, here: xr.Dataset, along: str) -> xr.Dataset | None:
     """The branches of what a figure shows; None if there are none along its axis."""
     if default_axis(found) != along:
         return None
+    found = _checked(found)
     is_here = np.ones(found.sizes[BRANCH], bool)
     for name in [*places(here), REPRESENTATION]:
         if name in found.coords and name in here.coords:
