@@ -68,10 +68,9 @@ class Stored:
 
     def branches(self, name: str) -> list[tuple[str, bool, NDArray[np.float64]]]:
         """Lines of the branches of a scene [Hz, mm]: label, whether they are stable, points."""
-        found = self._branches and branches.of_scene(self._branches, self._scene(name), "omega")
+        found = branches.of_scene(self._branches, self._scene(name), "omega", "x_max")
         if found is None:
             return []
-        found = branches.shown(found, ["omega", "x_max"])
         labels = np.broadcast_to(found["representation"].values, found.sizes["branch"]).tolist()
         drawn = branches.lines(found, "omega", "x_max")
         return [(labels[number], is_stable, points) for number, is_stable, points in drawn]

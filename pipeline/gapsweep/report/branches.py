@@ -40,15 +40,7 @@ _WAYS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0)])
 _FINE = 8  # places on a step of a branch that a symbol should not hide
 
 
-def default_axis(found: xr.Dataset) -> str:
-    """The horizontal axis of branches: their parameter; of free motions the frequency."""
-    along = str(_checked(found).attrs.get("along", "omega"))
-    return along if along in found and along != "amplitude" else FREQUENCY
-
-
-def shown(
-    found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any] | None = None
-) -> xr.Dataset:
+def shown(found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any]) -> xr.Dataset:
     """Variables of branches that are drawn, over branch and step.
 
     Raises
@@ -60,8 +52,13 @@ def shown(
     if "period" in found:
         about = {"units": "Hz", "long_name": "frequency of the orbit"}
         found = found.assign({FREQUENCY: (1.0 / found["period"]).assign_attrs(about)})
-    needed = dict.fromkeys([*names, *_OF_ORBITS], (BRANCH, STEP))
-    return scene(found, needed, wanted or {})
+    return scene(found, dict.fromkeys([*names, *_OF_ORBITS], (BRANCH, STEP)), wanted)
+
+
+def default_axis(found: xr.Dataset) -> str:
+    """The horizontal axis of branches: their parameter; of free motions the frequency."""
+    along = str(_checked(found).attrs.get("along", "omega"))
+    return along if along in found and along != "amplitude" else FREQUENCY
 
 
 def _checked(found: Any) -> xr.Dataset:
@@ -70,17 +67,20 @@ def _checked(found: Any) -> xr.Dataset:
     return found if BRANCH in found.dims else found.expand_dims(BRANCH)
 
 
-def of_scene(found: xr.Dataset, here: xr.Dataset, along: str) -> xr.Dataset | None:
-    """The branches of what a figure shows; None if there are none along its axis."""
-    if default_axis(found) != along:
+def of_scene(
+    found: xr.Dataset | None, here: xr.Dataset, along: str, *heights: str
+) -> xr.Dataset | None:
+    """The branches of what a figure shows, as `shown`; None if there are none along its axis."""
+    if found is None or default_axis(found) != along:
         return None
     found = _checked(found)
     is_here = np.ones(found.sizes[BRANCH], bool)
     for name in [*places(here), REPRESENTATION]:
         if name in found.coords and name in here.coords:
-            values = np.broadcast_to(found[name].values, is_here.shape)
-            is_here &= np.isin(values, here[name].values)
-    return found.isel({BRANCH: is_here}) if is_here.any() else None
+            is_here &= np.isin(np.broadcast_to(found[name], is_here.shape), here[name])
+    first = found[COORDINATE].values[:1].item() if COORDINATE in found.dims else ""
+    one = {COORDINATE: np.ravel(here.coords.get(COORDINATE, first))[0]} if first else {}
+    return shown(found.isel({BRANCH: is_here}), [along, *heights], one) if is_here.any() else None
 
 
 def label(variable: xr.DataArray) -> str:
@@ -102,10 +102,8 @@ def behind(
     axes: "Axes", found: xr.Dataset | None, here: xr.Dataset, along: str, heights: Sequence[str]
 ) -> None:
     """Branches behind what a figure shows, in the colour of its one representation, or grey."""
-    branches = None if found is None else of_scene(found, here, along)
+    branches = of_scene(found, here, along, *heights)
     if branches is not None:
-        one = {COORDINATE: here[COORDINATE].item()} if COORDINATE in here.coords else {}
-        branches = shown(branches, [along, *heights], one)
         labels = np.atleast_1d(here[REPRESENTATION].values)
         draw(axes, branches, along, heights, colour(labels[0]) if len(labels) == 1 else "#888888")
         name_points(axes, branches, along, heights[0])
@@ -113,7 +111,7 @@ def behind(
 
 def said(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
     """What a caption says of branches, with a blank before; nothing where none is drawn."""
-    branches = None if found is None else of_scene(found, here, along)
+    branches = of_scene(found, here, along)
     if branches is None:
         return ""
     marks = [f"{k.symbol}: {KINDS[k][1]}" for k in KINDS if (branches["special"] == k).any()]

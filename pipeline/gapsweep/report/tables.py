@@ -13,11 +13,10 @@ from gapsweep.analysis.systems import by_coordinate
 from gapsweep.continuation.dataset import BRANCH, STEP
 from gapsweep.continuation.special import Special
 from gapsweep.model.labels import EXACT
-from gapsweep.report.branches import KINDS, REPRESENTATION, of_scene, shown
+from gapsweep.report.branches import KINDS, REPRESENTATION, of_scene
 from gapsweep.report.branches import label as of_axis
 from gapsweep.report.parts import Table
 from gapsweep.report.scales import drawn
-from gapsweep.study.grid import COORDINATE
 
 Row = dict[str, Any]
 
@@ -154,11 +153,10 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> li
     along : str
         The parameter.
     """
-    found = None if found is None else of_scene(found, here, along)
-    if found is None:
+    part = of_scene(found, here, along, "x_max")
+    if part is None:
         return []
     names = [along, "x_max", "special", "period_multiple"]
-    part = shown(found.isel({COORDINATE: 0}, missing_dims="ignore"), names)
     x, y, special, multiple = (drawn(part[name].transpose(BRANCH, STEP)) for name in names)
     labels = np.broadcast_to(part.coords.get(REPRESENTATION, ""), len(x)).astype(str)
     kinds, peaks = list(KINDS), dict[tuple[int, str, int, float], set[str]]()
