@@ -22,6 +22,7 @@ from tests.made import chaotic, datasets, failed, periodic, tables
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement import agreement
+from gapsweep.report.branches import of_scene
 from gapsweep.report.figures import frequency_response
 from gapsweep.report.points import as_csv
 from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, colour
@@ -363,6 +364,9 @@ def test_symbols_that_would_overlap_are_left_out(ax):
     assert 8 < len(boxes) < 60
     pairs = [(a, b) for i, a in enumerate(boxes) for b in boxes[:i] if a.overlaps(b)]
     assert pairs == []
+    beyond = Figure().subplots()
+    beyond.set_xlim(0.0, 1.0)
+    assert not made.gapsweep.branches(ax=beyond).texts
 
 
 def test_branches_of_several_representations_have_their_colours(branched, ax):
@@ -401,6 +405,20 @@ def test_branches_lie_behind_the_attractors_of_their_scene(responses, branched, 
         representation="piecewise", branches=elsewhere, ax=Figure().subplots(), **SCENE
     )
     assert "LP fold" not in marks(alone)
+
+
+def test_branches_of_systems_are_those_of_the_coordinate_that_is_drawn(branched, ax):
+    """A figure without coordinates, as of a system with one, has the first."""
+    size = xr.DataArray([1.0, -7.0], {"coordinate": ["h", "beta"]}, "coordinate")
+    both = branched.assign(x_max=(branched["x_max"] * size).assign_attrs(units="m"))
+    with pytest.raises(gs.DatasetError, match="coordinate: this plot has room for one"):
+        both.gapsweep.branches(ax=ax)
+    both.gapsweep.branches(coordinate="beta", ax=ax)
+    assert marks(ax)["LP fold"] == [-14.0]
+    here = xr.Dataset(coords={"representation": "piecewise"})
+    assert of_scene(both, here, "omega", "x_max")["x_max"].max() == pytest.approx(0.012)
+    beta = of_scene(both, here.assign_coords(coordinate="beta"), "omega", "x_max")
+    assert beta["x_max"].min() == pytest.approx(-0.084)
 
 
 def test_what_holds_no_branches_is_refused(responses, branched, ax):

@@ -826,10 +826,10 @@ def test_branches_lie_behind_the_attractors_with_their_special_points(tmp_path):
     table = text.partition("Special points of the branches")[2].partition("</table>")[0]
     rows = [re.findall("<t[dh][^>]*>(.*?)</t[dh]>", row) for row in table.split("<tr>")[2:]]
     assert [unescape(" | ".join(row)) for row in rows] == [
-        "LP, fold | piecewise | 1 | 1.5 | 1 | ",
-        "LP, fold | tanh-1e4 | 3 | 1.51 | 21 | –",
-        "SB, symmetry breaking | piecewise | 1 | 2.5 | 3 | ",
-        "GR, graze | tanh-1e4 | 3 | 3.01 | 24 | –",
+        "LP, fold | 1 | piecewise | 1.5 | 1 | ",
+        "LP, fold | 3 | tanh-1e4 | 1.51 | 21 | –",
+        "SB, symmetry breaking | 1 | piecewise | 2.5 | 3 | ",
+        "GR, graze | 3 | tanh-1e4 | 3.01 | 24 | –",
     ]
     both = [figure for figure in figures if "LP fold,point" in figure]
     assert len(both) == 2
@@ -850,7 +850,7 @@ def test_special_points_are_compared_with_those_of_the_exact_law(tmp_path):
     found["omega"][:] = np.array([5.0, 8.0, 5.05, 5.05, 6.0])[:, None]
     found["x_max"][:] = 1e-3 * np.array([1, 1, 1, 2, 1])[:, None]
     (table,) = special_points(found, files[0], "omega")
-    assert [[row[i] for i in (0, 1, 3, 4, 5)] for row in table.rows] == [
+    assert [[row[i] for i in (0, 2, 3, 4, 5)] for row in table.rows] == [
         ["LP, fold", "piecewise", "5", "1", ""],
         ["LP, fold", "piecewise", "8", "1", ""],
         ["LP, fold", "tanh-1e4", "5.05", "1, 2", "1 %"],

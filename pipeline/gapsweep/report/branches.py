@@ -146,7 +146,7 @@ def draw(
         axes.plot([], [], "-", color=own, label=told, **style)
     if (branches["stable"] == 0).any():
         axes.plot([], [], "--", color=shade or _COLOURS[-1], label="unstable", **style)
-    x, y, special = _of_orbits(branches, along, heights[0], "special")
+    x, y, special = of_orbits(branches, along, heights[0], "special")
     for kind, (marker, word) in KINDS.items():
         if (special == kind).any():
             axes.plot(
@@ -162,7 +162,7 @@ def draw(
             )
 
 
-def _of_orbits(branches: xr.Dataset, *names: str) -> list[Array]:
+def of_orbits(branches: xr.Dataset, *names: str) -> list[Array]:
     """Variables as they are drawn, shape (n_branches, n_steps)."""
     return [drawn(branches[name].transpose(BRANCH, STEP)) for name in names]
 
@@ -186,7 +186,7 @@ def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
 
 def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, bool, Array]]:
     """Of every branch its number and the points of the unstable or the stable part, with gaps."""
-    columns = _of_orbits(branches, along, height, "stable", "special")
+    columns = of_orbits(branches, along, height, "stable", "special")
     for number, (x, y, stable, special) in enumerate(zip(*columns, strict=True)):
         there = np.isfinite(x) & np.isfinite(y)
         # At a bifurcation rounding decides whether a multiplier exceeds 1: its neighbour says more.
@@ -205,7 +205,7 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
 
     The rarest kind comes first. A symbol stands where it hides the least of the branches.
     """
-    x, y, special = _of_orbits(branches, along, height, "special")
+    x, y, special = of_orbits(branches, along, height, "special")
     there = np.isfinite(x) & np.isfinite(y)
     if not (special[there] > 0).any():
         return

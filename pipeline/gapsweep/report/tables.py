@@ -10,13 +10,11 @@ import xarray as xr
 from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.metrics import BOUND
 from gapsweep.analysis.systems import by_coordinate
-from gapsweep.continuation.dataset import BRANCH, STEP
 from gapsweep.continuation.special import Special
 from gapsweep.model.labels import EXACT
-from gapsweep.report.branches import KINDS, REPRESENTATION, of_scene
+from gapsweep.report.branches import KINDS, REPRESENTATION, of_orbits, of_scene
 from gapsweep.report.branches import label as of_axis
 from gapsweep.report.parts import Table
-from gapsweep.report.scales import drawn
 
 Row = dict[str, Any]
 
@@ -154,31 +152,28 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> li
         The parameter.
     """
     part = of_scene(found, here, along, "x_max")
-    if part is None:
+    if part is None or not (part["special"] > 0).any():
         return []
-    names = [along, "x_max", "special", "period_multiple"]
-    x, y, special, multiple = (drawn(part[name].transpose(BRANCH, STEP)) for name in names)
+    x, y, special, multiple = of_orbits(part, along, "x_max", "special", "period_multiple")
     labels = np.broadcast_to(part.coords.get(REPRESENTATION, ""), len(x)).astype(str)
-    kinds, peaks = list(KINDS), dict[tuple[int, str, int, float], set[str]]()
+    peaks: dict[tuple[int, int, str, float], set[str]] = {}
     for i, k in np.argwhere(special > 0):
-        at = float(f"{x[i, k]:.7g}")
-        key = kinds.index(Special(int(special[i, k]))), labels[i], int(multiple[i, k]), at
-        peaks.setdefault(key, set()).add(number(y[i, k]))
+        kind, at = list(KINDS).index(Special(int(special[i, k]))), float(f"{x[i, k]:.7g}")
+        point = kind, int(multiple[i, k]), labels[i], at
+        peaks.setdefault(point, set()).add(f"{y[i, k]:.6g}")
     rows = []
-    for kind, law, n, at in sorted(peaks):
-        alike = [
-            [other for k, one, m, other in peaks if (k, one, m) == (kind, which, n)]
-            for which in (EXACT, law)
-        ]
-        name = f"{kinds[kind].symbol}, {KINDS[kinds[kind]][1]}"
-        heights, off = ", ".join(sorted(peaks[kind, law, n, at])), _off(at, *alike)
-        rows.append([name, law, f"{n}", f"{at:.7g}", heights, "" if law == EXACT else off])
+    for kind, n, law, at in sorted(peaks):
+        name = f"{list(KINDS)[kind].symbol}, {list(KINDS.values())[kind][1]}"
+        alike = ([p[3] for p in peaks if p[:3] == (kind, n, one)] for one in (EXACT, law))
+        off = "" if law == EXACT else _off(at, *alike)
+        heights = ", ".join(sorted(peaks[kind, n, law, at]))
+        rows.append([name, f"{n}", law, f"{at:.7g}", heights, off])
     title = "Special points of the branches"
     if len(rows) > _MOST_ROWS:
         title += f", {_MOST_ROWS} of {len(rows)}: all are in branches.nc"
-    header = ["Kind", "Representation", "Period", of_axis(part[along]), of_axis(part["x_max"])]
-    header.append("Off the exact law's")
-    return [Table(title, header, rows[:_MOST_ROWS])] if rows else []
+    axes = [of_axis(part[name]) for name in (along, "x_max")]
+    header = ["Kind", "Period", "Representation", *axes, "Off the exact law's"]
+    return [Table(title, header, rows[:_MOST_ROWS])]
 
 
 def _off(at: float, exact: Sequence[float], own: Sequence[float]) -> str:
