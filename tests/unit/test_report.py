@@ -826,10 +826,10 @@ def test_branches_lie_behind_the_attractors_with_their_special_points(tmp_path):
     table = text.partition("Special points of the branches")[2].partition("</table>")[0]
     rows = [re.findall("<t[dh][^>]*>(.*?)</t[dh]>", row) for row in table.split("<tr>")[2:]]
     assert [unescape(" | ".join(row)) for row in rows] == [
-        "LP, fold | 1 | piecewise | 1.5 | 1 | ",
-        "LP, fold | 3 | tanh-1e4 | 1.51 | 21 | –",
-        "SB, symmetry breaking | 1 | piecewise | 2.5 | 3 | ",
-        "GR, graze | 3 | tanh-1e4 | 3.01 | 24 | –",
+        "LP, fold | 1 | piecewise | 1.5 | 1",
+        "LP, fold | 3 | tanh-1e4 | 1.51 | 21",
+        "GR, graze | 3 | tanh-1e4 | 3.01 | 24",
+        "SB, symmetry breaking | 1 | piecewise | 2.5 | 3",
     ]
     both = [figure for figure in figures if "LP fold,point" in figure]
     assert len(both) == 2
@@ -841,23 +841,34 @@ def test_branches_lie_behind_the_attractors_with_their_special_points(tmp_path):
 
 
 def test_special_points_are_compared_with_those_of_the_exact_law(tmp_path):
-    """Of as many periods, where each is the other's nearest; mirror images share a row."""
+    """As branches.nc says; mirror images share a row, and a point that is left over has a dash."""
     wanted = tables(["piecewise", "tanh-1e4"], OMEGA)
     files = datasets(tmp_path, wanted, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
-    labels = ["piecewise"] * 2 + ["tanh-1e4"] * 3
-    found = branches([[1, 1, 0]] * 5, [[0, 1, 0]] * 5, representation=labels)
+    labels = ["piecewise", "tanh-1e4", "tanh-1e4"]
+    found = branches([[1, 1, 0]] * 3, [[0, 1, 0]] * 3, representation=labels)
     found["period_multiple"][:] = 1
-    found["omega"][:] = np.array([5.0, 8.0, 5.05, 5.05, 6.0])[:, None]
-    found["x_max"][:] = 1e-3 * np.array([1, 1, 1, 2, 1])[:, None]
+    found["omega"][:] = np.array([5.0, 5.05, 5.05])[:, None]
+    found["x_max"][:] = 1e-3 * np.array([1, 1, 2])[:, None]
     (table,) = special_points(found, files[0], "omega")
-    assert [[row[i] for i in (0, 2, 3, 4, 5)] for row in table.rows] == [
-        ["LP, fold", "piecewise", "5", "1", ""],
-        ["LP, fold", "piecewise", "8", "1", ""],
-        ["LP, fold", "tanh-1e4", "5.05", "1, 2", "1 %"],
-        ["LP, fold", "tanh-1e4", "6", "1", "–"],
+    assert table.rows == [
+        ["LP, fold", "1", "piecewise", "5", "1"],
+        ["LP, fold", "1", "tanh-1e4", "5.05", "1, 2"],
     ]
-    assert special_points(found.assign(special=0 * found["special"]), files[0], "omega") == []
-    assert special_points(found, files[0], "K_c") == []
+    scenes = ["piecewise", "tanh-1e4", "tanh-1e4"]
+    matches = {"scene": [1, 1, 2], "kind": [1, 2, 1], "period_multiple": [1, 1, 1]}
+    values = {"exact": [5.0, 7.0, 1.0], "law": [5.05, np.nan, 1.0], "difference": [0.05, np.nan, 0]}
+    compared = found.assign(
+        {f"match_{name}": ("match", column) for name, column in (matches | values).items()}
+    ).assign_coords(scene_representation=("scene", scenes), scene_K_c=("scene", [1.4e4, 1.4e4, 1]))
+    _, table = special_points(compared, files[0], "omega")
+    assert table.title.endswith("exact law, forcing frequency [Hz]")
+    assert table.rows == [
+        ["LP, fold", "1", "tanh-1e4", "5", "5.05", "0.05"],
+        ["PD, period doubling", "1", "tanh-1e4", "7", "–", "–"],
+    ]
+    assert [*special_points(found.assign(special=0 * found["special"]), files[0], "omega")] == []
+    assert [*special_points(found, files[0], "K_c")] == []
+    assert [*special_points(xr.Dataset(coords={"branch": []}), files[0], "omega")] == []
 
 
 def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):

@@ -71,16 +71,22 @@ def of_scene(
     found: xr.Dataset | None, here: xr.Dataset, along: str, *heights: str
 ) -> xr.Dataset | None:
     """The branches of what a figure shows, as `shown`; None if there are none along its axis."""
-    if found is None or default_axis(found) != along:
+    if found is None or not found.sizes.get(BRANCH, 1) or default_axis(found) != along:
         return None
     found = _checked(found)
-    is_here = np.ones(found.sizes[BRANCH], bool)
-    for name in [*places(here), REPRESENTATION]:
-        if name in found.coords and name in here.coords:
-            is_here &= np.isin(np.broadcast_to(found[name], is_here.shape), here[name])
+    inside = in_scene(found, here, BRANCH)
     first = found[COORDINATE].values[:1].item() if COORDINATE in found.dims else ""
     one = {COORDINATE: np.ravel(here.coords.get(COORDINATE, first))[0]} if first else {}
-    return shown(found.isel({BRANCH: is_here}), [along, *heights], one) if is_here.any() else None
+    return shown(found.isel({BRANCH: inside}), [along, *heights], one) if inside.any() else None
+
+
+def in_scene(found: xr.Dataset, here: xr.Dataset, dim: str, prefix: str = "") -> NDArray[np.bool_]:
+    """Which entries of a dimension are of what a figure shows, by coordinates with a prefix."""
+    inside = np.ones(found.sizes[dim], bool)
+    for name in [*places(here), REPRESENTATION]:
+        if prefix + name in found.coords and name in here.coords:
+            inside &= np.isin(np.broadcast_to(found[prefix + name], inside.shape), here[name])
+    return inside
 
 
 def label(variable: xr.DataArray) -> str:

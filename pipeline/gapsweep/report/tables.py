@@ -11,10 +11,10 @@ from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.metrics import BOUND
 from gapsweep.analysis.systems import by_coordinate
 from gapsweep.continuation.special import Special
-from gapsweep.model.labels import EXACT
-from gapsweep.report.branches import KINDS, REPRESENTATION, of_orbits, of_scene
+from gapsweep.report.branches import KINDS, REPRESENTATION, in_scene, of_orbits, of_scene
 from gapsweep.report.branches import label as of_axis
 from gapsweep.report.parts import Table
+from gapsweep.report.scales import drawn
 
 Row = dict[str, Any]
 
@@ -136,11 +136,10 @@ def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
         yield [label, cpu, *(number(row[f"{n}_median"].item()) for n in _COUNTS), points]
 
 
-def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> list[Table]:
-    """A table of the special points of branches by kind and parameter, if there are any.
+def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> Iterator[Table]:
+    """Special points of branches, by kind and parameter, and those of laws against the exact ones.
 
-    Orbits that are each other's mirror images share a row. A point of an approximation is compared
-    with one of the exact law where each is the other's nearest.
+    Orbits that are each other's mirror images share a row.
 
     Parameters
     ----------
@@ -152,35 +151,46 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> li
         The parameter.
     """
     part = of_scene(found, here, along, "x_max")
-    if part is None or not (part["special"] > 0).any():
-        return []
+    if found is None or part is None or not (part["special"] > 0).any():
+        return
     x, y, special, multiple = of_orbits(part, along, "x_max", "special", "period_multiple")
     labels = np.broadcast_to(part.coords.get(REPRESENTATION, ""), len(x)).astype(str)
     peaks: dict[tuple[int, int, str, float], set[str]] = {}
     for i, k in np.argwhere(special > 0):
-        kind, at = list(KINDS).index(Special(int(special[i, k]))), float(f"{x[i, k]:.7g}")
-        point = kind, int(multiple[i, k]), labels[i], at
+        point = special[i, k], multiple[i, k], labels[i], float(f"{x[i, k]:.7g}")
         peaks.setdefault(point, set()).add(f"{y[i, k]:.6g}")
-    rows = []
-    for kind, n, law, at in sorted(peaks):
-        name = f"{list(KINDS)[kind].symbol}, {list(KINDS.values())[kind][1]}"
-        alike = ([p[3] for p in peaks if p[:3] == (kind, n, one)] for one in (EXACT, law))
-        off = "" if law == EXACT else _off(at, *alike)
-        heights = ", ".join(sorted(peaks[kind, n, law, at]))
-        rows.append([name, f"{n}", law, f"{at:.7g}", heights, off])
-    title = "Special points of the branches"
-    if len(rows) > _MOST_ROWS:
-        title += f", {_MOST_ROWS} of {len(rows)}: all are in branches.nc"
-    axes = [of_axis(part[name]) for name in (along, "x_max")]
-    header = ["Kind", "Period", "Representation", *axes, "Off the exact law's"]
-    return [Table(title, header, rows[:_MOST_ROWS])]
+    head = ["Kind", "Period", "Representation"]
+    rows = [
+        [_kind(kind), f"{n:.0f}", law, f"{at:.7g}", ", ".join(sorted(peaks[kind, n, law, at]))]
+        for kind, n, law, at in sorted(peaks)
+    ]
+    yield _cut(
+        "Special points of the branches", [*head, *map(of_axis, (part[along], part["x_max"]))], rows
+    )
+    if "match_scene" not in found:
+        return
+    inside = in_scene(found, here, "scene", "scene_")[found["match_scene"].values]
+    matches = found.isel(match=inside)
+    laws = found["scene_representation"].values[matches["match_scene"].values]
+    columns = [matches[f"match_{name}"].values for name in ("kind", "period_multiple")]
+    columns += [drawn(matches[f"match_{name}"]) for name in ("exact", "law", "difference")]
+    rows = [
+        [_kind(kind), f"{n}", law, *(f"{v:.7g}" if np.isfinite(v) else "–" for v in values)]
+        for law, kind, n, *values in zip(laws, *columns, strict=True)
+    ]
+    if rows:
+        title = f"Special points against those of the exact law, {of_axis(part[along])}"
+        yield _cut(title, [*head, "Exact", "Representation's", "Difference"], rows)
 
 
-def _off(at: float, exact: Sequence[float], own: Sequence[float]) -> str:
-    """How far a point is from the exact one that is nearest to it, and it to that one."""
-    nearest = min(exact, key=lambda other: abs(other - at), default=np.nan)
-    back = min(own, key=lambda other: abs(other - nearest))
-    return percent(at / nearest - 1.0 if back == at else np.nan)
+def _kind(kind: float) -> str:
+    return f"{Special(int(kind)).symbol}, {KINDS[Special(int(kind))][1]}"
+
+
+def _cut(title: str, header: list[str], rows: list[list[str]]) -> Table:
+    """A table of no more rows than a reader looks at."""
+    n = f", {_MOST_ROWS} of {len(rows)}: all are in branches.nc" if len(rows) > _MOST_ROWS else ""
+    return Table(title + n, header, rows[:_MOST_ROWS])
 
 
 def condensed(dataset: xr.Dataset) -> xr.Dataset:
