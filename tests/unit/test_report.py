@@ -860,7 +860,8 @@ def test_special_points_are_compared_with_those_of_the_exact_law(tmp_path):
     compared = found.assign(
         {f"match_{name}": ("match", column) for name, column in (matches | values).items()}
     ).assign_coords(scene_representation=("scene", scenes), scene_K_c=("scene", [1.4e4, 1.4e4, 1]))
-    _, table = special_points(compared, files[0], "omega")
+    first, table = special_points(compared, files[0], "omega")
+    assert first.rows == [["LP, fold", "1", "piecewise", "5", "1"]]
     assert table.title.endswith("exact law, forcing frequency [Hz]")
     assert table.rows == [
         ["LP, fold", "1", "tanh-1e4", "5", "5.05", "0.05"],

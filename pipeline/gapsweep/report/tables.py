@@ -11,6 +11,7 @@ from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.metrics import BOUND
 from gapsweep.analysis.systems import by_coordinate
 from gapsweep.continuation.special import Special
+from gapsweep.model.labels import EXACT
 from gapsweep.report.branches import KINDS, REPRESENTATION, in_scene, of_orbits, of_scene
 from gapsweep.report.branches import label as of_axis
 from gapsweep.report.parts import Table
@@ -19,7 +20,7 @@ from gapsweep.report.scales import drawn
 Row = dict[str, Any]
 
 _COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
-_MOST_ROWS = 60  # of special points
+_MOST_ROWS = 40  # of special points
 # Worst first: what a reader looks for.
 VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 
@@ -137,9 +138,10 @@ def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
 
 
 def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> Iterator[Table]:
-    """Special points of branches, by kind and parameter, and those of laws against the exact ones.
+    """Special points of branches by kind and parameter, and those of laws against the exact ones.
 
-    Orbits that are each other's mirror images share a row.
+    Orbits that are each other's mirror images share a row. The first table has the points of the
+    exact law alone where the second one has the others.
 
     Parameters
     ----------
@@ -156,7 +158,10 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     x, y, special, multiple = of_orbits(part, along, "x_max", "special", "period_multiple")
     labels = np.broadcast_to(part.coords.get(REPRESENTATION, ""), len(x)).astype(str)
     peaks: dict[tuple[int, int, str, float], set[str]] = {}
-    for i, k in np.argwhere(special > 0):
+    is_listed = np.full(labels.shape, True)
+    if "match_scene" in found and EXACT in labels:
+        is_listed = labels == EXACT
+    for i, k in np.argwhere((special > 0) & is_listed[:, None]):
         point = special[i, k], multiple[i, k], labels[i], float(f"{x[i, k]:.7g}")
         peaks.setdefault(point, set()).add(f"{y[i, k]:.6g}")
     head = ["Kind", "Period", "Representation"]
@@ -164,9 +169,9 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
         [_kind(kind), f"{n:.0f}", law, f"{at:.7g}", ", ".join(sorted(peaks[kind, n, law, at]))]
         for kind, n, law, at in sorted(peaks)
     ]
-    yield _cut(
-        "Special points of the branches", [*head, *map(of_axis, (part[along], part["x_max"]))], rows
-    )
+    axes = [of_axis(part[name]) for name in (along, "x_max")]
+    if rows:
+        yield _cut("Special points of the branches", [*head, *axes], rows)
     if "match_scene" not in found:
         return
     inside = in_scene(found, here, "scene", "scene_")[found["match_scene"].values]
@@ -180,7 +185,7 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     ]
     if rows:
         title = f"Special points against those of the exact law, {of_axis(part[along])}"
-        yield _cut(title, [*head, "Exact", "Representation's", "Difference"], rows)
+        yield _cut(title, [*head, "Exact law", "Representation", "Difference"], rows)
 
 
 def _kind(kind: float) -> str:
@@ -188,7 +193,8 @@ def _kind(kind: float) -> str:
 
 
 def _cut(title: str, header: list[str], rows: list[list[str]]) -> Table:
-    """A table of no more rows than a reader looks at."""
+    """A table of different rows, no more than a reader looks at."""
+    rows = [list(row) for row in dict.fromkeys(map(tuple, rows))]
     n = f", {_MOST_ROWS} of {len(rows)}: all are in branches.nc" if len(rows) > _MOST_ROWS else ""
     return Table(title + n, header, rows[:_MOST_ROWS])
 
