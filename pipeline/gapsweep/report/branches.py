@@ -37,6 +37,8 @@ _MOST_NAMES = 8  # branches in a legend
 _FONT = 8.0  # points
 _LETTERS = 2.1, 1.1  # width and height of a symbol of two letters, in sizes of its font
 _WAYS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0)])
+_MOST_SYMBOLS = 100  # special points of a figure, beyond which markers must do
+_CELL = 0.3  # of a symbol's size: a third of what it hides
 _FINE = 8  # places on a step of a branch that a symbol should not hide
 
 
@@ -213,7 +215,7 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
     """
     x, y, special = of_orbits(branches, along, height, "special")
     there = np.isfinite(x) & np.isfinite(y)
-    if not (special[there] > 0).any():
+    if not 0 < (special[there] > 0).sum() <= _MOST_SYMBOLS:
         return
     axes.autoscale_view()
     at = axes.transData.transform(np.stack([x, y], axis=2).reshape(-1, 2)).reshape(*x.shape, 2)
@@ -221,12 +223,21 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
     places = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
     places = np.concatenate([places, *[at[special > 0]] * _FINE])
     size = _FONT * axes.figure.dpi / 72.0 * np.array(_LETTERS)
+    low, high = np.array(axes.bbox.min) - 2.0 * size, np.array(axes.bbox.max) + 2.0 * size
+    places = places[((places > low) & (places < high)).all(axis=1)]
+    cells = np.ceil((high - low) / (_CELL * size)).astype(int)
+    # How many places lie in each cell of a grid as fine as a part of a symbol.
+    crowd = np.histogram2d(
+        *places.T, bins=(int(cells[0]), int(cells[1])), range=list(zip(low, high, strict=True))
+    )[0]
+    crowd = np.lib.stride_tricks.sliding_window_view(np.pad(crowd, 1), (3, 3)).sum(axis=(2, 3))
     taken = np.empty((0, 2))
     for kind in sorted(KINDS, key=lambda kind: int((special == kind).sum())):
         for branch, step in np.argwhere(there & (special == kind)):
             centres = at[branch, step] + 0.5 * _WAYS * size
             is_free = axes.bbox.padded(-0.5 * size[1]).contains
-            hidden = (np.abs(centres[:, None] - places) < 0.45 * size).all(axis=2).sum(axis=1)
+            cell = np.clip(((centres - low) / (high - low) * cells).astype(int), 0, cells - 1)
+            hidden = crowd[tuple(cell.T)]
             overlaps = (np.abs(centres[:, None] - taken) < size).all(axis=2).any(axis=1)
             overlaps |= [not is_free(*centre) for centre in centres]
             if overlaps.all():
