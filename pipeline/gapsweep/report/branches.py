@@ -150,8 +150,11 @@ def draw(
             axes.plot(*line.T, dashes, color=own, label=f"_{told or BRANCH} {word}", **style)
     for told, own in {told: own for own, told in look if told}.items():
         axes.plot([], [], "-", color=own, label=told, **style)
-    if (branches["stable"] == 0).any():
-        axes.plot([], [], "--", color=shade or _COLOURS[-1], label="unstable", **style)
+    dashed = [line for line in axes.lines if str(line.get_label()) == f"_{BRANCH} unstable"]
+    if shade and dashed:  # one of them in a legend
+        dashed[0].set_label(f"{BRANCH} unstable")
+    elif (branches["stable"] == 0).any():
+        axes.plot([], [], "--", color=_COLOURS[-1], label="unstable", **style)
     x, y, special = of_orbits(branches, along, heights[0], "special")
     for kind, (marker, word) in KINDS.items():
         if (special == kind).any():
