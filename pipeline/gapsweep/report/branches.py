@@ -221,15 +221,15 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
     axes.autoscale_view()
     at = axes.transData.transform(np.stack([x, y], axis=2).reshape(-1, 2)).reshape(*x.shape, 2)
     parts = np.linspace(0.0, 1.0, _FINE, endpoint=False)[:, None, None, None]
-    places = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
-    places = np.concatenate([places, *[at[special > 0]] * _FINE])
+    covered = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
+    covered = np.concatenate([covered, *[at[special > 0]] * _FINE])
     size = _FONT * axes.figure.dpi / 72.0 * np.array(_LETTERS)
     taken = np.empty((0, 2))
     for kind in sorted(KINDS, key=lambda kind: int((special == kind).sum())):
         for branch, step in np.argwhere(there & (special == kind)):
             centres = at[branch, step] + 0.5 * _WAYS * size
             is_free = axes.bbox.padded(-0.5 * size[1]).contains
-            hidden = (np.abs(centres[:, None] - places) < 0.45 * size).all(axis=2).sum(axis=1)
+            hidden = (np.abs(centres[:, None] - covered) < 0.45 * size).all(axis=2).sum(axis=1)
             overlaps = (np.abs(centres[:, None] - taken) < size).all(axis=2).any(axis=1)
             overlaps |= [not is_free(*centre) for centre in centres]
             if overlaps.all():
