@@ -118,8 +118,10 @@ def _branches() -> Iterator[tuple[str, ...]]:
         yield _row(name, [continued.BRANCH, continued.STEP, *_lists(variable)], variable)
     for name, variable in continued.OF_BRANCH.items():
         yield _row(name, [continued.BRANCH], variable)
-    for name, variable in (branches.TABLES | branch_agreement.VARIABLES).items():
-        yield _row(name, [name.partition("_")[0]], variable)
+    for name, (over, variable) in branches.OF_STUDY.items():
+        yield _row(name, [over], variable)
+    for name, variable in branch_agreement.VARIABLES.items():
+        yield _row(name, [branch_agreement.MATCH], variable)
 
 
 def _flags() -> Iterator[tuple[str, ...]]:
