@@ -152,8 +152,11 @@ def draw(
             axes.plot(*line.T, dashes, color=own, label=f"_{told or BRANCH} {word}", **style)
     for told, own in {told: own for own, told in look if told}.items():
         axes.plot([], [], "-", color=own, label=told, **style)
-    if (branches["stable"] == 0).any():
-        axes.plot([], [], "--", color=shade or _COLOURS[-1], label="unstable", **style)
+    dashed = [line for line in axes.lines if str(line.get_label()) == f"_{BRANCH} unstable"]
+    if shade and dashed:  # one of them in a legend
+        dashed[0].set_label(f"{BRANCH} unstable")
+    elif (branches["stable"] == 0).any():
+        axes.plot([], [], "--", color=_COLOURS[-1], label="unstable", **style)
     x, y, special = of_orbits(branches, along, heights[0], "special")
     for kind, (marker, word) in KINDS.items():
         if (special == kind).any():
@@ -220,16 +223,15 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
     axes.autoscale_view()
     at = axes.transData.transform(np.stack([x, y], axis=2).reshape(-1, 2)).reshape(*x.shape, 2)
     parts = np.linspace(0.0, 1.0, _FINE, endpoint=False)[:, None, None, None]
-    places = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
-    places = np.concatenate([places, *[at[special > 0]] * _FINE])
+    covered = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
+    covered = np.concatenate([covered, *[at[special > 0]] * _FINE])
     size = _FONT * axes.figure.dpi / 72.0 * np.array(_LETTERS)
     low, high = np.array(axes.bbox.min) - 2.0 * size, np.array(axes.bbox.max) + 2.0 * size
-    places = places[((places > low) & (places < high)).all(axis=1)]
+    covered = covered[((covered > low) & (covered < high)).all(axis=1)]
     cells = np.ceil((high - low) / (_CELL * size)).astype(int)
-    # How many places lie in each cell of a grid as fine as a part of a symbol.
-    crowd = np.histogram2d(
-        *places.T, bins=(int(cells[0]), int(cells[1])), range=list(zip(low, high, strict=True))
-    )[0]
+    # How much lies in each cell of a grid as fine as a part of a symbol.
+    crowd = np.zeros(cells)
+    np.add.at(crowd, tuple(((covered - low) / (high - low) * cells).astype(int).T), 1.0)
     crowd = np.lib.stride_tricks.sliding_window_view(np.pad(crowd, 1), (3, 3)).sum(axis=(2, 3))
     taken = np.empty((0, 2))
     for kind in sorted(KINDS, key=lambda kind: int((special == kind).sum())):
