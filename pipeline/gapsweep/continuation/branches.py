@@ -419,10 +419,10 @@ class Branches:
                 reference.rate = self.equations.rates(reference.y, before.unknowns[None, :])
             references.append(reference)
         reference = Reference.joined(references)
-        orbits, _ = self.continuation.corrector.orbits(
+        nearby, _ = self.continuation.corrector.orbits(
             np.array(guess), np.array(direction), reference, np.full(len(tasks), 0.2)
         )
-        for (attractor, number, *_), orbit in zip(tasks, orbits, strict=True):
+        for (attractor, number, *_), orbit in zip(tasks, nearby, strict=True):
             if orbit is None or attractor.branch >= 0:
                 continue
             section = attractor.section
