@@ -17,7 +17,7 @@ from gapsweep.integrate.simulate import prepared
 
 Array = NDArray[np.float64]
 
-_OFF_TURNING = 0.137  # of a period: orbits that start at a maximum are moved off it
+_OFF_TURNING = 0.137  # of a period: orbits start off turning points, which would come and go
 _SAME = 1e-6  # orbits that are nearer, as a share of their size, are the same
 _HALVES = 1e-2  # of a state: beside a pitchfork, halves of a period are this much alike
 _PITCHFORK = (Special.FOLD, Special.BRANCH_POINT)
@@ -143,9 +143,7 @@ class Branches:
         models = equations.family.models(equations.windows, places)
         multiple = np.array([each.multiple for each in attractors])
         if equations.has_period:
-            moved = 0.0 if equations.family.is_conservative else _OFF_TURNING
-            if moved:
-                states = _ends(models, equations.solver, states, moved * period)
+            states = _ends(models, equations.solver, states, _OFF_TURNING * period)
             rate = 2.0 * np.pi / period
         else:
             period, rate = np.ones(n), 2.0 * np.pi * models.omega
