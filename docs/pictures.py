@@ -12,7 +12,7 @@ import matplotlib
 from matplotlib.figure import Figure
 from workflows.paper.figures import figures
 from workflows.paper.paper_figures import start_scan
-from workflows.paper.starts import starts
+from workflows.paper.refined import starts
 
 import gapsweep as gs
 from gapsweep.analysis.verdicts import Run
