@@ -8,7 +8,7 @@ from gapsweep.analysis import branch_agreement, branches, histories, static
 from gapsweep.analysis.metrics import variables
 from gapsweep.analysis.timing import COSTS
 from gapsweep.cli.main import commands
-from gapsweep.continuation import dataset
+from gapsweep.continuation import dataset as continued
 from gapsweep.response.result import CLASS_FLAGS, KIND_FLAGS
 from gapsweep.response.search import TRANSITIONS
 from gapsweep.status import Status
@@ -114,12 +114,12 @@ def _histories() -> Iterator[tuple[str, ...]]:
 
 
 def _branches() -> Iterator[tuple[str, ...]]:
-    for name, variable in dataset.VARIABLES.items():
-        yield _row(name, ["branch", "step", *_lists(variable)], variable)
-    for name, variable in dataset.OF_BRANCH.items():
-        yield _row(name, ["branch"], variable)
-    for name, (dim, variable) in branches.OF_STUDY.items():
-        yield _row(name, [dim], variable)
+    for name, variable in continued.VARIABLES.items():
+        yield _row(name, [continued.BRANCH, continued.STEP, *_lists(variable)], variable)
+    for name, variable in continued.OF_BRANCH.items():
+        yield _row(name, [continued.BRANCH], variable)
+    for name, (over, variable) in branches.OF_STUDY.items():
+        yield _row(name, [over], variable)
     for name, variable in branch_agreement.VARIABLES.items():
         yield _row(name, [branch_agreement.MATCH], variable)
 
@@ -129,8 +129,8 @@ def _flags() -> Iterator[tuple[str, ...]]:
         ("status", STATUS_FLAGS),
         ("response_class", CLASS_FLAGS),
         ("extremum_kind", KIND_FLAGS),
-        ("special", dataset.SPECIAL_FLAGS),
-        ("begins, ends", dataset.END_FLAGS),
+        ("special", continued.SPECIAL_FLAGS),
+        ("begins, ends", continued.END_FLAGS),
     )
     for name, flags in known:
         for meaning, value in flags:

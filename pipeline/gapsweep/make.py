@@ -334,5 +334,6 @@ def _report(folder: Path) -> Path:
             own_parts=(own_code.stored(folder / SECTIONS) or {}).get("sections", ()),
             work_precision=stored(WORK_PRECISION),
             stability=stored(STABILITY),
+            branches=stored(BRANCHES),
             made_from=as_text(made_from(stage, folder, {})),
         )

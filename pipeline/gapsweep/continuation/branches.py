@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
 from gapsweep.continuation.locate import Step, crossing, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference, swing
-from gapsweep.continuation.special import Crossing, Special, branching, crossings, is_torus
+from gapsweep.continuation.special import Crossing, Special, crossing_test, crossings, is_torus
 from gapsweep.integrate.motion import Events
 from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.integrate.simulate import prepared
@@ -19,8 +19,9 @@ Array = NDArray[np.float64]
 
 _OFF_TURNING = 0.137  # of a period: orbits that start at a maximum are moved off it
 _SAME = 1e-6  # orbits that are nearer, as a share of their size, are the same
-_HALVES = 1e-3  # of a state: beside a pitchfork, halves of a period are this much alike
+_HALVES = 1e-2  # of a state: beside a pitchfork, halves of a period are this much alike
 _PITCHFORK = (Special.FOLD, Special.BRANCH_POINT)
+_ROUNDING = 1e-12  # of parameter values
 _SHORTEST = 4  # orbits of a branch that leaves another one
 _AT_ONCE = 1e-9  # grazes that are nearer in scaled unknowns are one
 _WINDOW = -1  # kind of the crossing that is the window's end
@@ -217,8 +218,10 @@ class Branches:
         )
         if last is None or last.branching * back.branching > 0.0:
             return end
-        found = crossing(self.continuation.corrector, Step(back, last, reference), branching)
-        return end if found is None else replace(found, special=end.special)
+        found = crossing(self.continuation.corrector, Step(back, last, reference), crossing_test)
+        if found is None:
+            return end
+        return replace(found, special=int(self._crossing(found)), tangent=end.tangent)
 
     def _beside(self, branch: Branch, orbit: Orbit) -> tuple[Orbit, Reference] | None:
         """The first orbit beside a crossing on the other branch."""
@@ -237,7 +240,7 @@ class Branches:
                 is_first = i == 0 and before.special > 0
                 found = crossings(before, after, self.equations, is_first=is_first)
                 tasks += [(half, i, test) for test in found]
-            if half.end == "window":
+            if half.end == "window" and self.equations.family.is_conservative:
                 tasks.append((half, len(half.orbits) - 2, self._window_end(half.orbits[-1])))
         corrector = self.continuation.corrector
         steps = [half.step(i) for half, i, _ in tasks]
@@ -249,7 +252,7 @@ class Branches:
                 continue
             part, orbit = point
             if test.kind == Special.BRANCH_POINT:
-                orbit = crossing(corrector, step, branching) or orbit
+                orbit = crossing(corrector, step, crossing_test) or orbit
             if test.kind == Special.TORUS and not is_torus(orbit):
                 continue
             by_step.setdefault((id(half), i), []).append((part, test.kind, orbit))
@@ -285,11 +288,9 @@ class Branches:
         return found
 
     def _window_end(self, last: Orbit) -> Crossing:
-        """The end of the window that the last orbit of a half is outside of."""
-        places = self.equations.window_places(last)
-        k = int(np.argmax(np.abs(places - 0.5)))
-        bound = float(places[k] > 0.5)
-        return Crossing(_WINDOW, lambda o: float(self.equations.window_places(o)[k]) - bound)
+        """The end of the window of amplitudes that the last orbit of a half is outside of."""
+        bound = float(self._place(last) > 0.5)
+        return Crossing(_WINDOW, lambda orbit: self._place(orbit) - bound)
 
     def _crossing(self, orbit: Orbit) -> Special:
         """What crosses a branch: that of half the period, of symmetric orbits, or another one."""
@@ -390,18 +391,17 @@ class Branches:
     def _find(self, attractors: Sequence[Attractor], first: int = 0) -> None:
         """Look for the branches that attractors lie on, from a number on."""
         tasks = []
-        for attractor in attractors:
-            for number in range(first, len(self.found)):
-                branch = self.found[number]
-                if branch.orbits[0].period_multiple != attractor.multiple and not (
-                    self.equations.has_period
-                ):
-                    continue
-                for before, after in zip(branch.orbits, branch.orbits[1:], strict=False):
-                    a, b = self._value(before), self._value(after)
-                    if min(a, b) - 1e-12 <= attractor.value <= max(a, b) + 1e-12:
-                        share = (attractor.value - a) / (b - a) if b != a else 0.0
-                        tasks.append((attractor, number, before, after, share))
+        for number in range(first, len(self.found)):
+            orbits = self.found[number].orbits
+            values = np.array([self._value(orbit) for orbit in orbits])
+            low, high = np.sort([values[:-1], values[1:]], axis=0)
+            for attractor in attractors:
+                alike = orbits[0].period_multiple == attractor.multiple or self.equations.has_period
+                there = (low - _ROUNDING <= attractor.value) & (attractor.value <= high + _ROUNDING)
+                for i in np.flatnonzero(there & alike).tolist():
+                    part = attractor.value - values[i], values[i + 1] - values[i]
+                    share = part[0] / part[1] if part[1] else 0.0
+                    tasks.append((attractor, number, orbits[i], orbits[i + 1], share))
         if not tasks:
             return
         guess, direction, references = [], [], []
@@ -419,10 +419,10 @@ class Branches:
                 reference.rate = self.equations.rates(reference.y, before.unknowns[None, :])
             references.append(reference)
         reference = Reference.joined(references)
-        orbits, _ = self.continuation.corrector.orbits(
+        nearby, _ = self.continuation.corrector.orbits(
             np.array(guess), np.array(direction), reference, np.full(len(tasks), 0.2)
         )
-        for (attractor, number, *_), orbit in zip(tasks, orbits, strict=True):
+        for (attractor, number, *_), orbit in zip(tasks, nearby, strict=True):
             if orbit is None or attractor.branch >= 0:
                 continue
             section = attractor.section
