@@ -17,7 +17,9 @@ from tests.calls import Deadly
 import gapsweep as gs
 from gapsweep import lookup
 from gapsweep.analysis import branches as branches_of_study
+from gapsweep.continuation.orbits import integrated
 from gapsweep.execution import branch_tasks
+from gapsweep.integrate.problem import Models, Solver
 from gapsweep.model.own_law import OwnLaw
 
 # The oscillator of pyvib: m = 1, c = .05, k = 1, 3 more beyond ±.1745, force .03.
@@ -195,6 +197,29 @@ def test_branches_along_another_parameter(along, omega, client, tmp_path):
         found["period"],
         (1.0 / found["omega"]).broadcast_like(found["period"]).where(found["period"].notnull()),
     )
+
+
+def test_laws_that_are_fitted_at_every_value_are_refused_in_their_scene(client, tmp_path):
+    block = tables()["sweep"][0] | {"representation": ["poly-13", "piecewise"], "omega": 0.2}
+    block["K_c"] = [2.0, 3.0]
+    study = gs.Study.from_dict(tables(sweep=[block], branches={"along": "K_c"}, fit={"range": 0.5}))
+    found = run(study, client, tmp_path)
+    is_fit = found["attractor_representation"].values == "poly-13"
+    assert is_fit.any()
+    np.testing.assert_array_equal(found["attractor_status"], is_fit * gs.Status.MODEL_INVALID)
+    assert "follow 'omega'" in str(found["attractor_message"].values[is_fit][0])
+    assert (found["attractor_on_branch"].values[~is_fit] >= 0).all()
+
+
+def test_orbits_of_laws_of_several_kinds_are_integrated_each_with_its_own():
+    laws = [gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), epsilon) for epsilon in (1e3, 1e6, 1e3, 1e6)]
+    assert {law.has_thin_layers for law in laws} == {False, True}
+    models = Models.of([gs.Oscillator()], [(law,) for law in laws], np.full(4, 9.0))
+    states, span = np.array([[1e-3, 0.0]] * 4), np.full(4, 0.25)
+    found = integrated(models, Solver.of(), states, span, np.zeros(4), tangent=True)
+    runs = [gs.simulate(gs.Oscillator(), law, 9.0, 1e-3, 0.0, t_end=0.25) for law in laws]
+    np.testing.assert_allclose(found.state[:, 0], [each.x_end for each in runs], rtol=1e-6)
+    assert len(np.unique(found.state[:, 0])) == 2
 
 
 def test_branches_of_a_system_along_a_parameter_of_its_function(client, tmp_path):

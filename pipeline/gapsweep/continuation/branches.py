@@ -9,11 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
 from gapsweep.continuation.locate import Step, crossing, roots
-from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference, swing
+from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference, integrated, swing
 from gapsweep.continuation.special import Crossing, Special, crossing_test, crossings, is_torus
 from gapsweep.integrate.motion import Events
-from gapsweep.integrate.problem import Problems, Solver
-from gapsweep.integrate.simulate import prepared
+from gapsweep.integrate.problem import Solver
 
 Array = NDArray[np.float64]
 
@@ -445,13 +444,5 @@ def _ends(models: Any, solver: Solver, states: Array, t_end: ArrayLike) -> Array
 
 
 def _run(models: Any, solver: Solver, states: Array, t_end: ArrayLike, record_from: float) -> Any:
-    n = len(states)
-    return prepared(models, solver)(
-        Problems(
-            which=np.arange(n),
-            start=np.ascontiguousarray(states),
-            t_0=np.zeros(n),
-            t_end=np.asarray(t_end, float),
-            record_from=np.full(n, record_from),
-        )
-    )
+    ends, begin = np.asarray(t_end, float), np.full(len(states), record_from)
+    return integrated(models, solver, states, ends, begin, tangent=False)

@@ -127,6 +127,11 @@ class Family:
         if isinstance(self.model, Oscillator) and name in _names(self.model):
             return
         if any(name in _GAP or name in _names(law) for law in self._laws):
+            if not all(law.is_numbers for law in self._laws):
+                raise ModelError(
+                    f"along = {name!r}: a fitted law, or one of your own, is another one at every "
+                    "value; follow 'omega' or a parameter of the model"
+                )
             return
         known = [each for law in self._laws for each in _names(law) if each != "gap"]
         known += _names(self.model) if isinstance(self.model, Oscillator) else []

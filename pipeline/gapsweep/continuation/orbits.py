@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation.family import Family, Window
-from gapsweep.integrate.motion import Motions
+from gapsweep.integrate.motion import Motions, merged
 from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.oscillator import Oscillator
@@ -247,15 +247,7 @@ class OrbitEquations:
         """Motions over one period, with tangents and events."""
         models, m = self.family.models(self.windows, places), len(y)
         t_end = multiple / models.omega if period is None else np.where(period > 0.0, period, 1e-9)
-        problems = Problems(
-            which=np.arange(m),
-            start=np.ascontiguousarray(y),
-            t_0=np.zeros(m),
-            t_end=t_end,
-            record_from=np.zeros(m),
-            tangent=True,
-        )
-        return prepared(models, self.solver)(problems), models
+        return integrated(models, self.solver, y, t_end, np.zeros(m), tangent=True), models
 
     def orbits(
         self,
@@ -329,6 +321,27 @@ class OrbitEquations:
         """Derivatives of states by time, shape (m, n_states)."""
         models = self.family.models(self.windows, self.places(unknowns))
         return np.asarray(Rates(models)(np.arange(len(states)), states.T)).T
+
+
+def integrated(
+    models: Any, solver: Solver, states: Array, t_end: Array, record_from: Array, *, tangent: bool
+) -> Motions:
+    """Motions from states for some time [s]; laws of several kinds are integrated one by one.
+
+    A smooth law changes its kind along a parameter where its layers at the walls become thin.
+    """
+    parts, groups = [], models.by_kind()
+    for rows, some in groups:
+        problems = Problems(
+            which=np.arange(len(rows)),
+            start=np.ascontiguousarray(states[rows]),
+            t_0=np.zeros(len(rows)),
+            t_end=t_end[rows],
+            record_from=record_from[rows],
+            tangent=tangent,
+        )
+        parts.append(prepared(some, solver)(problems))
+    return merged(parts, [rows for rows, _ in groups])
 
 
 def _unlike(q: list[Array]) -> tuple[float, float]:

@@ -30,8 +30,8 @@ from gapsweep.model.oscillator import Gap
 from gapsweep.status import Status
 from gapsweep.study.parametric_model import AlongParameter
 from gapsweep.study.points import FIXED, OF_CONTACT, Points
+from gapsweep.study.software import software
 from gapsweep.study.spec import BranchesTable
-from gapsweep.user_code.package_digest import continuation_fingerprint
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +60,7 @@ class Scene:
         """Content key: SHA-256 of all that the branches depend on, the code included."""
         kind = self.point.kind
         whole = {
-            "code": continuation_fingerprint(),
+            "software": dict(software()),
             "kind": replace(kind, start=FIXED, start_jitter=0.0).identity,
             "numbers": self.point.numbers[0, : -kind.n_states].tolist(),
             "system": self.system and self.system.identity,
