@@ -15,6 +15,30 @@ from tests.stored import commit
 
 COST = {"n_steps": 10, "nfev": 100, "n_rejected": 0, "n_contacts": 4, "cpu_time": 0.5}
 
+KINDS = "none fold period_doubling torus branch_point grazing symmetry_breaking"
+
+
+def branches(stable, special, **coordinates):
+    """Branches whose peak [m] is the number of the step plus ten times that of the branch."""
+    stable, special = np.array(stable, "i1"), np.array(special, "i1")
+    dims, there = ("branch", "step"), stable >= 0
+    branch, step = np.indices(stable.shape)
+    x = np.where(there, 1e-3 * (step + 10 * branch), np.nan)
+    metres = {"units": "m", "long_name": "displacement"}
+    return xr.Dataset(
+        {
+            "omega": (dims, np.where(there, 5.0 + 0.5 * step, np.nan), {"units": "Hz"}),
+            "period": (dims, np.where(there, 0.2, np.nan), {"units": "s"}),
+            "x_max": (dims, x, metres),
+            "x_min": (dims, -x, metres),
+            "period_multiple": (dims, there.astype("i4") * (1 + branch)),
+            "stable": (dims, stable),
+            "special": (dims, special, {"flag_meanings": KINDS}),
+        },
+        {"branch": np.arange(len(stable)), **{n: ("branch", v) for n, v in coordinates.items()}},
+        {"along": "omega"},
+    )
+
 
 def motion(kind, section, omega, extrema=None, **changes):
     """A response with these section points ``(x, v / (2π ω))`` [m].

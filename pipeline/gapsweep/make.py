@@ -8,10 +8,10 @@ before they would be loaded.
 import gc
 import warnings
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gapsweep import own_code
 from gapsweep.analysis.walls import wrong_tables
@@ -24,6 +24,7 @@ from gapsweep.stages import (
     ADVICE,
     AGREEMENT,
     ATTRACTORS,
+    BRANCHES,
     CLAIMS,
     DAMAGED,
     HISTORIES,
@@ -90,6 +91,8 @@ def update(
     given: MadeFrom,
     *,
     n_points: int,
+    cache: Path,
+    connect: Callable[[], AbstractContextManager[Any]],
     timeout: float,
     retry_failed: bool,
     say: Callable[[str], None],
@@ -102,6 +105,10 @@ def update(
         As `update_points` returns it.
     n_points : int
         Of the study.
+    cache : Path
+        Folder of the cache.
+    connect : callable
+        Starts or joins a cluster, for branches that are not stored.
     timeout : float
         Time [s] that a motion with a law of the user's own may take.
     retry_failed : bool
@@ -123,6 +130,12 @@ def update(
             own_code.draw(stage, study, folder, now)
         elif stage.file == REPORT:
             _report(folder)
+        elif stage.file == BRANCHES:
+            from gapsweep.analysis.branches import branches
+
+            with netcdf.read(folder / ATTRACTORS, lazy=True) as attractors:
+                made = branches(study, attractors, cache, connect, timeout, say)
+            netcdf.write(made, folder / stage.file, {"made_from": as_text(now)})
         else:
             _analyse(stage, study, folder, now, timeout, say)
         if n_points > _MANY:
@@ -258,12 +271,14 @@ def try_out_own_laws(study: Study, timeout: float, say: Callable[[str], None] | 
 def failed_motions(path: Path) -> dict[str, int]:
     """Number of motions in a file per status that says that they failed.
 
-    Of a benchmark, which looks for failures of methods, only those of the user's own code.
+    Of a benchmark, which looks for failures of methods, only those of the user's own code; of
+    branches the scenes.
     """
-    if path.name not in (HISTORIES, WORK_PRECISION, STABILITY):
+    if path.name not in (HISTORIES, WORK_PRECISION, STABILITY, BRANCHES):
         return {}
-    first = Status.DIVERGED if path.name == HISTORIES else Status.TIMED_OUT
-    found = netcdf.values(path, "status")
+    is_bench = path.name in (WORK_PRECISION, STABILITY)
+    first = Status.TIMED_OUT if is_bench else Status.DIVERGED
+    found = netcdf.values(path, "scene_status" if path.name == BRANCHES else "status")
     counts = {status.label: int((found == status).sum()) for status in Status if status >= first}
     return {label: n for label, n in counts.items() if n}
 
@@ -319,5 +334,6 @@ def _report(folder: Path) -> Path:
             own_parts=(own_code.stored(folder / SECTIONS) or {}).get("sections", ()),
             work_precision=stored(WORK_PRECISION),
             stability=stored(STABILITY),
+            branches=stored("branches.nc"),
             made_from=as_text(made_from(stage, folder, {})),
         )

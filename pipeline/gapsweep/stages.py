@@ -30,6 +30,7 @@ from gapsweep.user_code.snapshot import Snapshot
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
 HISTORIES, ADVICE, CLAIMS = "histories.nc", "advice.nc", "claims.json"
+BRANCHES = "branches.nc"
 WORK_PRECISION, STABILITY = "work_precision.nc", "stability.nc"
 SECTIONS = "sections.json"
 REPORT = "report/index.html"
@@ -60,7 +61,7 @@ class Stage:
 STUDY, POINTS = "study", "sweep points"
 CLAIMS_MODULE, REPORT_MODULE = "claims module", "report module"
 # What claims and sections read, apart from the datasets that the study makes itself.
-_READ = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES)
+_READ = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, BRANCHES)
 
 STAGES = (
     Stage(RESPONSES, (STUDY, POINTS)),
@@ -70,6 +71,7 @@ STAGES = (
     Stage(TIMING, (RESPONSES,)),
     Stage(HISTORIES, (STUDY,)),
     Stage(ADVICE, (STUDY,)),
+    Stage(BRANCHES, (STUDY, ATTRACTORS)),
     Stage(CLAIMS, (CLAIMS_MODULE, *_READ)),
     Stage(WORK_PRECISION, (STUDY,)),
     Stage(STABILITY, (STUDY,)),
@@ -83,6 +85,7 @@ STAGES = (
             AGREEMENT,
             TIMING,
             ADVICE,
+            BRANCHES,
             CLAIMS,
             SECTIONS,
             WORK_PRECISION,
@@ -132,9 +135,9 @@ def stages_of(study: Study) -> list[Stage]:
     """The stages of a study.
 
     Without the exact law there is nothing to agree with, and nothing that could if it is alone;
-    without claims nothing to decide, motions are kept only where some are asked for, and advice
-    where ``auto`` took it. Scenes of a benchmark whose right answer is stated make one file, the
-    others another. Datasets of the study's own come before what reads them.
+    without claims nothing to decide. Motions are kept and branches followed only where some are
+    asked for, and advice where ``auto`` took it. Scenes of a benchmark whose right answer is stated
+    make one file, the others another. Datasets of the study's own come before what reads them.
     """
     labels, bench = study.grid.representations, study.spec.bench
     stated = [scene.expected is not None for scene in bench.scene] if bench else []
@@ -143,6 +146,7 @@ def stages_of(study: Study) -> list[Stage]:
         AGREEMENT: EXACT not in labels or len(labels) == 1,
         ADVICE: AUTO not in labels,
         HISTORIES: not study.spec.history,
+        BRANCHES: study.spec.branches is None,
         WORK_PRECISION: all(stated),
         STABILITY: not any(stated),
         CLAIMS: study.claims_module is None,

@@ -8,7 +8,7 @@ everything up to date ends before they would be loaded.
 import os
 import warnings
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -192,6 +192,8 @@ def carry_out(
                 folder,
                 given,
                 n_points=progress.n_points,
+                cache=path,
+                connect=partial(_connected, client, how.get("workers", 2), how.get("scheduler")),
                 timeout=timeout,
                 retry_failed=retry_failed,
                 say=say,
@@ -319,11 +321,9 @@ def _computed(
     check_writable(path if path.exists() else path.parent, "a cache elsewhere with --cache")
     if client is None:
         tell(on_progress, before, f"joining {scheduler}" if scheduler else "starting the workers")
-    from gapsweep.execution.cluster import cluster
     from gapsweep.execution.execute import execute
 
-    joined = nullcontext(client) if client is not None else cluster(workers, scheduler)
-    with joined as connected:
+    with _connected(client, workers, scheduler) as connected:
         if begin is not None:
             begin()
         with Cache(path) as store:
@@ -336,6 +336,15 @@ def _computed(
         if client is None and not scheduler:
             tell(on_progress, done, "stopping the workers")
     return done
+
+
+def _connected(
+    client: "Client | None", workers: int, scheduler: str | None
+) -> "AbstractContextManager[Client]":
+    """The client of a call, or one of a cluster that is started or joined."""
+    from gapsweep.execution.cluster import cluster
+
+    return nullcontext(client) if client is not None else cluster(workers, scheduler)
 
 
 def _failures(planned: Plan) -> dict[str, int]:

@@ -16,11 +16,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
+from tests.made import branches as of_branches
 from tests.made import chaotic, datasets, failed, periodic, tables
 
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement import agreement
+from gapsweep.report.branches import of_scene
 from gapsweep.report.figures import frequency_response
 from gapsweep.report.points import as_csv
 from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, colour
@@ -305,6 +307,143 @@ def test_units_are_those_of_the_dataset(responses, ax):
 def test_what_cannot_be_drawn_is_refused_with_the_remedy(responses, attractors, call, message):
     with pytest.raises(gs.DatasetError, match=message):
         call(responses, attractors)
+
+
+@pytest.fixture
+def branched():
+    """A fold at step 2 and a graze at 4 of one branch; a shorter one with a doubling at its end."""
+    stable = [[1, 1, 1, 0, 0, 1], [0, 0, 1, -1, -1, -1]]
+    special = [[0, 0, 1, 0, 5, 0], [0, 0, 2, 0, 0, 0]]
+    return of_branches(stable, special)
+
+
+def ends(axes, dashes):
+    """First and last heights [mm] of all unbroken lines drawn in a style."""
+    found = []
+    for line in axes.lines:
+        y = np.asarray(line.get_ydata(), float)
+        if line.get_linestyle() == dashes and y.size:
+            pieces = np.split(y, np.flatnonzero(np.isnan(y)))
+            pieces = [each[np.isfinite(each)] for each in pieces]
+            found += [(each[0], each[-1]) for each in pieces if each.size]
+    return sorted(found)
+
+
+def marks(axes):
+    """Heights [mm] of the special points, by the words of the legend."""
+    kinds = [line for line in axes.lines if line.get_linestyle() == "None"]
+    return {line.get_label(): list(line.get_ydata()) for line in kinds}
+
+
+def test_unstable_parts_of_branches_are_dashed(branched, ax):
+    """At the fold, where the flag is rounding, the steps on either side decide."""
+    branched.gapsweep.branches(ax=ax)
+    assert ends(ax, "-") == [(0.0, 2.0)]
+    assert ends(ax, "--") == [(2.0, 5.0), (10.0, 12.0)]
+    branched["stable"][0, 2] = 0
+    other = branched.gapsweep.branches(ax=Figure().subplots())
+    assert ends(other, "-") == [(0.0, 2.0)]
+
+
+def test_special_points_are_marked_and_named(branched, ax):
+    branched.gapsweep.branches(ax=ax)
+    assert marks(ax) == {"LP fold": [2.0], "PD period doubling": [12.0], "GR graze": [4.0]}
+    assert sorted(text.get_text().strip() for text in ax.texts) == ["GR", "LP", "PD"]
+    told = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert told[:4] == ["branch 0, period 1", "branch 1, period 2", "unstable", "LP fold"]
+
+
+def test_symbols_that_would_overlap_are_left_out(ax):
+    made = of_branches(np.ones((1, 60), "i1"), np.full((1, 60), 5))
+    made["x_max"][:] = 1e-3 + 1e-9 * np.arange(60)
+    ax.set_ylim(0.0, 2.0)
+    made.gapsweep.branches(ax=ax)
+    assert len(marks(ax)["GR graze"]) == 60
+    ax.figure.canvas.draw()
+    boxes = [text.get_window_extent() for text in ax.texts]
+    assert 8 < len(boxes) < 60
+    pairs = [(a, b) for i, a in enumerate(boxes) for b in boxes[:i] if a.overlaps(b)]
+    assert pairs == []
+    beyond = Figure().subplots()
+    beyond.set_xlim(0.0, 1.0)
+    assert not made.gapsweep.branches(ax=beyond).texts
+
+
+def test_branches_of_several_representations_have_their_colours(branched, ax):
+    branched = branched.assign_coords(representation=("branch", ["piecewise", "tanh-1e4"]))
+    branched.gapsweep.branches(ax=ax)
+    shades = {to_hex(line.get_color()) for line in ax.lines if "stable" in str(line.get_label())}
+    assert shades <= {colour("piecewise").lower(), colour("tanh-1e4").lower(), "#666666"}
+    assert len(shades) == 3
+    one = branched.gapsweep.branches(representation="tanh-1e4", ax=Figure().subplots())
+    assert list(marks(one)) == ["PD period doubling"]
+
+
+def test_branches_over_another_variable(branched, ax):
+    branched.gapsweep.branches("frequency", along="x_max", ax=ax)
+    assert ax.get_ylabel() == "frequency of the orbit [Hz]"
+    assert marks(ax)["LP fold"] == [5.0]
+    branched.attrs["along"] = "amplitude"  # a family of free motions: a backbone
+    branched["amplitude"] = branched["x_max"]
+    free = branched.gapsweep.branches("amplitude", ax=Figure().subplots())
+    assert free.get_xlabel() == "frequency of the orbit [Hz]"
+
+
+def test_branches_lie_behind_the_attractors_of_their_scene(responses, branched, ax):
+    branched = branched.assign_coords(
+        representation=("branch", ["piecewise", "tanh-1e4"]), K_c=("branch", [1.4e4, 1.4e4])
+    )
+    responses.gapsweep.bifurcation(representation="piecewise", branches=branched, ax=ax, **SCENE)
+    assert {k: v for k, v in marks(ax).items() if "LP" in k or "PD" in k} == {"LP fold": [2.0]}
+    assert set(ends(ax, "--")) >= {(2.0, 5.0), (-2.0, -5.0)}
+    dots = [line for line in ax.lines if line.get_marker() == "." and len(line.get_xdata())]
+    behind = [line for line in ax.lines if "unstable" in str(line.get_label())]
+    behind = [line.get_zorder() for line in behind if len(line.get_xdata())]
+    assert 0 < max(behind) < min(line.get_zorder() for line in dots)
+    elsewhere = branched.assign_coords(K_c=("branch", [1.0, 1.0]))
+    alone = responses.gapsweep.bifurcation(
+        representation="piecewise", branches=elsewhere, ax=Figure().subplots(), **SCENE
+    )
+    assert "LP fold" not in marks(alone)
+
+
+def test_branches_of_systems_are_those_of_the_coordinate_that_is_drawn(branched, ax):
+    """A figure without coordinates, as of a system with one, has the first."""
+    size = xr.DataArray([1.0, -7.0], {"coordinate": ["h", "beta"]}, "coordinate")
+    both = branched.assign(x_max=(branched["x_max"] * size).assign_attrs(units="m"))
+    with pytest.raises(gs.DatasetError, match="coordinate: this plot has room for one"):
+        both.gapsweep.branches(ax=ax)
+    both.gapsweep.branches(coordinate="beta", ax=ax)
+    assert marks(ax)["LP fold"] == [-14.0]
+    here = xr.Dataset(coords={"representation": "piecewise"})
+    assert of_scene(both, here, "omega", "x_max")["x_max"].max() == pytest.approx(0.012)
+    beta = of_scene(both, here.assign_coords(coordinate="beta"), "omega", "x_max")
+    assert beta["x_max"].min() == pytest.approx(-0.084)
+
+
+def test_what_holds_no_branches_is_refused(responses, branched, ax):
+    for call in (
+        lambda: responses.gapsweep.branches(ax=ax),
+        lambda: responses.gapsweep.bifurcation(branches=responses, **SCENE),
+    ):
+        with pytest.raises(gs.DatasetError, match=r"^branches: none in this dataset; gs\.branches"):
+            call()
+    branched.attrs["along"] = "K_c"
+    branched["K_c"] = branched["omega"]
+    with pytest.raises(gs.DatasetError, match=r"^branches: continued along K_c, .* along omega$"):
+        responses.gapsweep.bifurcation(branches=branched, **SCENE)
+    with pytest.raises(gs.DatasetError, match="nothing: no variable of this dataset"):
+        branched.gapsweep.branches("nothing")
+
+
+def test_branches_that_gapsweep_computes_are_drawn(ax):
+    law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    found = gs.branches(gs.Oscillator(), law, between=(9.0, 16.0), at=14.0)
+    found.gapsweep.branches(ax=ax)
+    n = sum(len(heights) for heights in marks(ax).values())
+    assert n == int((found["special"] > 0).sum()) > 1
+    assert ax.get_xlabel() == "forcing frequency [Hz]"
+    assert ends(ax, "--")
 
 
 @pytest.fixture(scope="module")

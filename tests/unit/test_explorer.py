@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from bokeh.document import Document
-from tests.made import datasets, periodic, tables
+from tests.made import branches, datasets, periodic, tables
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
@@ -456,6 +456,27 @@ def test_the_points_of_a_run_are_found_in_their_scenes(run):
     np.testing.assert_allclose(points.x_max, 1e-3 * points.omega)
     np.testing.assert_allclose(points.x_end, 1e-3 * points.omega)
     assert len(set(points.v_end)) == 3  # at rest, or one at either frequency
+
+
+def test_branches_of_a_run_are_lines_behind_its_points(run):
+    """Of the scene alone; without the file there are none."""
+    (name,) = Stored(run).scenes
+    assert Stored(run).branches(name) == []
+    labels, K_c, gap = ["piecewise", "tanh-1e4"], [1.4e4, 1.0], ["0.4/0.4"] * 2
+    found = branches([[1, 1, 0]] * 2, [[0, 1, 0]] * 2, representation=labels, K_c=K_c, gap=gap)
+    found.attrs["created"] = "9999"
+    found.to_netcdf(run / "branches.nc", engine="netcdf4")
+    with pytest.warns(UserWarning, match="no SHA-256 beside it"):
+        stored = Stored(run)
+    lines = stored.branches(name)
+    assert [(label, is_stable) for label, is_stable, _ in lines] == [
+        ("piecewise", False),
+        ("piecewise", True),
+    ]
+    np.testing.assert_allclose(lines[1][2][:2], [[5.0, 0.0], [5.5, 1.0]])
+    figures = Figures()
+    figures.show_stored(stored.points(name), lines)
+    assert figures.response.select_one({"name": "branches"}).data["dash"] == ["dashed", "solid"]
 
 
 # --- the server -----------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
-from tests.made import chaotic, datasets, datasets_by_place, failed, periodic, tables
+from tests.made import branches, chaotic, datasets, datasets_by_place, failed, periodic, tables
 from tests.unit.test_system_tables import TWO_MASSES
 
 from gapsweep.analysis.agreement import agreement
@@ -31,7 +31,7 @@ from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rend
 from gapsweep.report.pictures import is_picture, pictures
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import Told
-from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent
+from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent, special_points
 from gapsweep.stages import is_of_run
 from gapsweep.status import Status
 from gapsweep.store.artefact import SUMS, sha256
@@ -791,6 +791,85 @@ def test_a_file_counts_where_no_digest_has_come_along(tmp_path):
     made_from = json.dumps({"responses.nc": sha256(responses)})
     xr.Dataset(attrs={"made_from": made_from}).to_netcdf(agreement)
     assert is_of_run(agreement)
+
+
+def pages_of_branches(folder, wanted, **coordinates):
+    """The report without branches, and with those of the coordinates; the texts of both pages."""
+    files = datasets(folder, wanted, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
+    stable = [[1, 1, 0, 0, 1], [1, 0, 0, -1, -1], [1, 1, 0, 0, 1]]
+    special = [[0, 1, 0, 6, 0], [0, 3, 0, 0, 0], [0, 1, 0, 0, 5]]
+    found = branches(stable, special, **coordinates)
+    found["omega"] -= 4.0 - 0.01 * (found["branch"] > 1)
+    texts = []
+    for given in (None, found):
+        path = write_report(
+            folder / f"page-{given is None}" / "index.html", files[0], agreement(*files),
+            timing(files[0]), attractors=files[1], branches=given,
+        )  # fmt: skip
+        texts.append(path.read_text())
+    figures = sorted((folder / "page-False" / "figures").glob("*.csv"))
+    return *texts, [figure.read_text() for figure in figures]
+
+
+def test_branches_lie_behind_the_attractors_with_their_special_points(tmp_path):
+    """Of branch 1, of another stiffness, nothing is shown."""
+    labels = ["piecewise", "piecewise", "tanh-1e4"]
+    wanted = tables(["piecewise", "tanh-1e4"], OMEGA, starts=2)
+    K_c, gap = [1.4e4, 1.0, 1.4e4], ["0.4/0.4"] * 3
+    without, text, figures = pages_of_branches(
+        tmp_path, wanted, representation=labels, K_c=K_c, gap=gap
+    )
+    said = "Lines: periodic orbits, dashed where unstable. LP: fold, SB: symmetry breaking, GR"
+    assert text.count(said) == 2  # figures
+    assert "periodic orbits, dashed" not in without
+    assert "Special points of the branches" not in without
+    table = text.partition("Special points of the branches")[2].partition("</table>")[0]
+    rows = [re.findall("<t[dh][^>]*>(.*?)</t[dh]>", row) for row in table.split("<tr>")[2:]]
+    assert [unescape(" | ".join(row)) for row in rows] == [
+        "LP, fold | 1 | piecewise | 1.5 | 1",
+        "LP, fold | 3 | tanh-1e4 | 1.51 | 21",
+        "GR, graze | 3 | tanh-1e4 | 3.01 | 24",
+        "SB, symmetry breaking | 1 | piecewise | 2.5 | 3",
+    ]
+    both = [figure for figure in figures if "LP fold,point" in figure]
+    assert len(both) == 2
+    for figure in both:
+        assert "1,LP fold,point,1.5,1," in figure
+        assert "2,LP fold,point,1.51,21," in figure
+        assert "torus" not in figure
+        assert "Sacker" not in figure
+
+
+def test_special_points_are_compared_with_those_of_the_exact_law(tmp_path):
+    """As branches.nc says; mirror images share a row, and a point that is left over has a dash."""
+    wanted = tables(["piecewise", "tanh-1e4"], OMEGA)
+    files = datasets(tmp_path, wanted, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
+    labels = ["piecewise", "tanh-1e4", "tanh-1e4"]
+    found = branches([[1, 1, 0]] * 3, [[0, 1, 0]] * 3, representation=labels)
+    found["period_multiple"][:] = 1
+    found["omega"][:] = np.array([5.0, 5.05, 5.05])[:, None]
+    found["x_max"][:] = 1e-3 * np.array([1, 1, 2])[:, None]
+    (table,) = special_points(found, files[0], "omega")
+    assert table.rows == [
+        ["LP, fold", "1", "piecewise", "5", "1"],
+        ["LP, fold", "1", "tanh-1e4", "5.05", "1, 2"],
+    ]
+    scenes = ["piecewise", "tanh-1e4", "tanh-1e4"]
+    matches = {"scene": [1, 1, 2], "kind": [1, 2, 1], "period_multiple": [1, 1, 1]}
+    values = {"exact": [5.0, 7.0, 1.0], "law": [5.05, np.nan, 1.0], "difference": [0.05, np.nan, 0]}
+    compared = found.assign(
+        {f"match_{name}": ("match", column) for name, column in (matches | values).items()}
+    ).assign_coords(scene_representation=("scene", scenes), scene_K_c=("scene", [1.4e4, 1.4e4, 1]))
+    first, table = special_points(compared, files[0], "omega")
+    assert first.rows == [["LP, fold", "1", "piecewise", "5", "1"]]
+    assert table.title.endswith("exact law, forcing frequency [Hz]")
+    assert table.rows == [
+        ["LP, fold", "1", "tanh-1e4", "5", "5.05", "0.05"],
+        ["PD, period doubling", "1", "tanh-1e4", "7", "–", "–"],
+    ]
+    assert [*special_points(found.assign(special=0 * found["special"]), files[0], "omega")] == []
+    assert [*special_points(found, files[0], "K_c")] == []
+    assert [*special_points(xr.Dataset(coords={"branch": []}), files[0], "omega")] == []
 
 
 def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):

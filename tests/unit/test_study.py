@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 
 import numpy as np
@@ -479,3 +480,66 @@ def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed():
     assert set(OscillatorTable.model_fields) == numbers
     for known in (COORDINATES, report_model._NUMBERS, question._DIALS):
         assert numbers <= set(known)
+
+
+def test_branches_have_defaults_and_stand_in_the_json(tables):
+    study = gs.Study.from_dict(tables | {"branches": {}})
+    assert study.spec.branches.along == "omega"
+    assert json.loads(study.json)["branches"] == {"along": "omega", "follow": 0, "max_steps": 1000}
+    assert "branches" not in json.loads(gs.Study.from_dict(tables).json)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"folow": 1}, "branches.folow = 1: unknown key; did you mean follow?"),
+        ({"follow": 11}, "branches.follow = 11: must be <= 10"),
+        ({"follow": 1.5}, "branches.follow = 1.5: must be a whole number"),
+        ({"max_steps": 1}, "branches.max_steps = 1: must be >= 2"),
+        ({"rtol": 0.0}, "branches.rtol = 0.0: must be >= 1e-13"),
+        ({"atol": -1.0}, "branches.atol = -1.0: must be > 0"),
+        ({"along": 3}, "branches.along = 3: must be text, in quotes"),
+        ({"along": "K_c"}, "branches.along = 'K_c': must be a swept number of the study: omega"),
+        ({"along": "gap"}, "branches.along = 'gap': must be a swept number of the study: omega"),
+        ({"along": "speed"}, "must be a swept number of the study: omega"),
+    ],
+)
+def test_wrong_tables_of_branches_are_refused(tables, given, words):
+    with pytest.raises(gs.StudyError, match=re.escape(words)):
+        gs.Study.from_dict(tables | {"branches": given})
+
+
+def test_branches_are_refused_with_all_other_errors_at_once(tables):
+    tables["sweep"][0]["K_c"] = -1.0
+    with pytest.raises(gs.StudyError) as error:
+        gs.Study.from_dict(tables | {"branches": {"rtol": 1.0, "steps": 3}})
+    assert len(error.value.problems) == 3
+
+
+def test_branches_without_a_range_or_a_law_that_can_be_followed_are_refused(tables):
+    tables["sweep"][0] |= {"representation": "piecewise-noevents", "omega": 9.0}
+    with pytest.raises(gs.StudyError) as error:
+        gs.Study.from_dict(tables | {"branches": {}})
+    first, second = error.value.problems
+    assert "branches.along = 'omega'" in first
+    assert "give one several values in [[sweep]]" in first
+    assert "no representation of the study is followed" in second
+
+
+def test_branches_along_what_a_contact_has_of_its_own_are_refused():
+    tables = {
+        "study": {"name": "two"},
+        "system": {
+            "mass": [[1.0]],
+            "stiffness": [[1.0]],
+            "contacts": {"a": [1.0], "b": [1.0]},
+            "forcing": [{"amplitude": [1.0]}],
+        },
+        "contact": {"a": {"K_c": 1.0}},
+        "sweep": [
+            {"representation": "piecewise", "K_c": [1.0, 2.0], "gap": [1.0, 1.0], "omega": 1.0}
+        ],
+        "branches": {"along": "K_c"},
+    }
+    with pytest.raises(gs.StudyError, match="a contact has one of its own"):
+        gs.Study.from_dict(tables)

@@ -28,8 +28,9 @@ _FIRST, SMALLEST, _LARGEST = 1e-3, 1e-9, 0.03
 _GROWS, _FEW_STEPS = 2.0, 4
 _TURN, _SLIGHT_TURN = 0.3, 0.1  # of the tangent in a step [rad]
 _MET = 1e-5, 1e-7  # of the size: halves of orbits that differ, and that do not
-_STATIONARY = 1e-3  # of the window: a parameter that changes less over two steps is at a fold
+_STATIONARY = 0.2  # of the way: a parameter that changes less over two steps is at a fold
 _ASIDE = 0.5  # correction over step
+_EDGE = 1e-12  # of a window, within which its end is reached
 # Change of multipliers in a step, but not where they change ever so fast, as beside a graze.
 _CHANGE, _FAST = 0.4, 1e-4
 # Distances at which a branch is sought again behind a kink, and where it is no longer there.
@@ -77,7 +78,9 @@ class Continuation:
         halves = [Half([start]) for start in starts]
         n = len(halves)
         size, reference = np.full(n, _FIRST), reference.take(np.arange(n))
-        left = np.arange(n)
+        for half in halves:
+            half.end = "window" if self._leaves(half.orbits[0]) else ""
+        left = np.array([i for i, half in enumerate(halves) if not half.end], int)
         while left.size:
             now = [halves[i].orbits[-1] for i in left.tolist()]
             u, t = (np.array([getattr(o, name) for o in now]) for name in ("unknowns", "tangent"))
@@ -89,7 +92,8 @@ class Continuation:
             bend = size[left, None] * np.array([_bend(halves[i].orbits) for i in left.tolist()])
             bend[np.abs(bend).max(axis=1) > _SLIGHT_TURN] = 0.0  # at a kink
             guess = u + size[left, None] * (t + 0.5 * bend)
-            found, n_steps = self.corrector.orbits(guess, t, here, _ASIDE * size[left])
+            guess, normal = self._within(u, guess, t)
+            found, n_steps = self.corrector.orbits(guess, normal, here, _ASIDE * size[left])
             goes_on = np.ones(len(left), bool)
             for k, (i, orbit) in enumerate(zip(left.tolist(), found, strict=True)):
                 half, step = halves[i], float(size[i])
@@ -116,6 +120,24 @@ class Continuation:
                     size[i] = min(_GROWS * step, largest)
             left = left[goes_on]
         return halves
+
+    def _leaves(self, orbit: Orbit) -> bool:
+        """Whether an orbit at the end of a window is on the way out."""
+        first = len(orbit.unknowns) - self.equations.n_parameters
+        u, t = orbit.unknowns[first:], orbit.tangent[first:]
+        return bool((((u <= _EDGE) & (t < 0.0)) | ((u >= 1.0 - _EDGE) & (t > 0.0))).any())
+
+    def _within(self, u: Array, guess: Array, tangent: Array) -> tuple[Array, Array]:
+        """Guesses and normals of hyperplanes; of steps out of a window the plane at its end."""
+        normal, first = tangent.copy(), u.shape[1] - self.equations.n_parameters
+        for k in range(first, u.shape[1]):
+            end = np.clip(guess[:, k], 0.0, 1.0)
+            out = np.flatnonzero(guess[:, k] != end)
+            part = (end[out] - u[out, k]) / (guess[out, k] - u[out, k])
+            guess[out] = u[out] + part[:, None] * (guess[out] - u[out])
+            guess[out, k], normal[out] = end[out], np.eye(u.shape[1])[k]
+            normal[out, k] = np.where(end[out] > 0.5, 1.0, -1.0)
+        return guess, normal
 
     def _judged(self, orbits: list[Orbit], orbit: Orbit | None, step: float) -> tuple[float, bool]:
         """Turn of the tangent [rad], and whether the step is accepted."""
@@ -168,9 +190,12 @@ class Continuation:
     def _end(self, half: Half) -> str:
         """Why a half ends at its last orbit; nothing if it goes on."""
         first, before, last = half.orbits[0], half.orbits[-2], half.orbits[-1]
-        places = np.array([self.equations.window_places(orbit) for orbit in (before, last)])
-        leaves = np.where(places[1] < 0.5, -places, places - 1.0)
-        if ((leaves[1] > 0.0) & (leaves[1] > leaves[0])).any():
+        places = [float(self.equations.window_places(orbit)[0]) for orbit in (before, last)]
+        is_free = self.equations.family.is_conservative
+        passed = (
+            is_free and not 0.0 <= places[1] <= 1.0 and abs(places[1] - 0.5) > abs(places[0] - 0.5)
+        )
+        if passed or self._leaves(last):
             return "window"
         if self._is_pitchfork(half.orbits[-3:]):
             return "branch_point"
@@ -189,7 +214,8 @@ class Continuation:
         folds = any(a.tangent[-1] * b.tangent[-1] < 0.0 for a, b in steps)
         crosses = any(a.branching * b.branching < 0.0 for a, b in steps)
         places = [self.equations.window_places(orbit)[0] for orbit in orbits]
-        return folds and crosses and max(places) - min(places) <= _STATIONARY
+        way = float(np.sqrt(((orbits[-1].unknowns - orbits[0].unknowns) ** 2).sum()))
+        return folds and crosses and max(places) - min(places) <= _STATIONARY * way
 
     def _is_closed(self, first: Orbit, before: Orbit, last: Orbit) -> bool:
         """Whether the first orbit lies between the last two."""

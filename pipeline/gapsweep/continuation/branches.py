@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
 from gapsweep.continuation.locate import Step, crossing, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference, swing
-from gapsweep.continuation.special import Crossing, Special, branching, crossings, is_torus
+from gapsweep.continuation.special import Crossing, Special, crossing_test, crossings, is_torus
 from gapsweep.integrate.motion import Events
 from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.integrate.simulate import prepared
@@ -100,27 +100,35 @@ class Branches:
         return float(self.equations.window_places(orbit)[0])
 
     def add(self, attractors: Sequence[Attractor]) -> None:
-        """Follow the branches of attractors, those of one parameter value together."""
+        """Follow the branches of attractors, those of one parameter value together.
+
+        Their sections become those of the orbits that Newton's method finds: of settled motions
+        they are known to the tolerance of another solver.
+        """
         self.attractors += attractors
-        left = list(attractors)
+        if not attractors:
+            return
+        starts, reference, kept = self._starts(attractors)
+        self.n_lost += len(attractors) - len(starts)
+        for orbit, attractor in zip(starts, kept, strict=True):
+            attractor.section = self._whole_section(orbit)
+        left = list(range(len(kept)))
         while left:
-            self._find(left)
-            left = [each for each in left if each.branch < 0]
+            self._find([kept[k] for k in left])
+            left = [k for k in left if kept[k].branch < 0]
             if not left:
                 return
-            values = [each.value for each in left]
+            values = [kept[k].value for k in left]
             value = max(set(values), key=values.count)
-            now = [each for each in left if each.value == value]
-            left = [each for each in left if each.value != value]
-            starts, reference, kept = self._starts(now)
-            self.n_lost += len(now) - len(starts)
-            several = self._followed(starts, reference)
+            now = [k for k in left if kept[k].value == value]
+            left = [k for k in left if kept[k].value != value]
+            several = self._followed([starts[k] for k in now], reference.take(now))
             first = len(self.found)
-            for branch, attractor in zip(several, kept, strict=True):
-                self._find([attractor], first)
-                if attractor.branch < 0:
+            for branch, k in zip(several, now, strict=True):
+                self._find([kept[k]], first)
+                if kept[k].branch < 0:
                     self.found.append(branch)
-                    attractor.branch = len(self.found) - 1
+                    kept[k].branch = len(self.found) - 1
 
     def _starts(
         self, attractors: Sequence[Attractor]
@@ -209,8 +217,10 @@ class Branches:
         )
         if last is None or last.branching * back.branching > 0.0:
             return end
-        found = crossing(self.continuation.corrector, Step(back, last, reference), branching)
-        return end if found is None else replace(found, special=end.special)
+        found = crossing(self.continuation.corrector, Step(back, last, reference), crossing_test)
+        if found is None:
+            return end
+        return replace(found, special=int(self._crossing(found)), tangent=end.tangent)
 
     def _beside(self, branch: Branch, orbit: Orbit) -> tuple[Orbit, Reference] | None:
         """The first orbit beside a crossing on the other branch."""
@@ -229,7 +239,7 @@ class Branches:
                 is_first = i == 0 and before.special > 0
                 found = crossings(before, after, self.equations, is_first=is_first)
                 tasks += [(half, i, test) for test in found]
-            if half.end == "window":
+            if half.end == "window" and self.equations.family.is_conservative:
                 tasks.append((half, len(half.orbits) - 2, self._window_end(half.orbits[-1])))
         corrector = self.continuation.corrector
         steps = [half.step(i) for half, i, _ in tasks]
@@ -241,7 +251,7 @@ class Branches:
                 continue
             part, orbit = point
             if test.kind == Special.BRANCH_POINT:
-                orbit = crossing(corrector, step, branching) or orbit
+                orbit = crossing(corrector, step, crossing_test) or orbit
             if test.kind == Special.TORUS and not is_torus(orbit):
                 continue
             by_step.setdefault((id(half), i), []).append((part, test.kind, orbit))
@@ -277,11 +287,9 @@ class Branches:
         return found
 
     def _window_end(self, last: Orbit) -> Crossing:
-        """The end of the window that the last orbit of a half is outside of."""
-        places = self.equations.window_places(last)
-        k = int(np.argmax(np.abs(places - 0.5)))
-        bound = float(places[k] > 0.5)
-        return Crossing(_WINDOW, lambda o: float(self.equations.window_places(o)[k]) - bound)
+        """The end of the window of amplitudes that the last orbit of a half is outside of."""
+        bound = float(self._place(last) > 0.5)
+        return Crossing(_WINDOW, lambda orbit: self._place(orbit) - bound)
 
     def _crossing(self, orbit: Orbit) -> Special:
         """What crosses a branch: that of half the period, of symmetric orbits, or another one."""

@@ -94,8 +94,10 @@ def branches(
     window = Window.of(along, between)
     values = {along: window.low} if at is None else {along: float(np.ravel(at)[0])}
     if omega is not None:
+        if along == "omega":
+            raise ModelError(f"omega = {omega!r}: is the parameter; leave it out")
         omega = checked("omega", omega, low=0.0, strict=True)
-    family = Family(oscillator, law, None if along == "omega" else omega, (along,), values)
+    family = Family(oscillator, law, omega, (along,), values)
     solver = Solver.of("compiled", rtol, atol)
     equations = OrbitEquations(family, (window,), solver)
     found = Branches(equations=equations, max_steps=whole("max_steps", max_steps, 2, 100_000))
@@ -119,6 +121,8 @@ def _attractors(
     """Orbits that branches start from."""
     window, n_states = equations.windows[0], equations.n_states
     if isinstance(start, Response):
+        if np.ndim(start.period_multiple):
+            raise ModelError("start: several responses; give one, as from gs.respond at one omega")
         if start.response_class != ResponseClass.PERIODIC:
             raise ModelError("start: the response is not periodic; give one that is")
         if at is None:
@@ -127,8 +131,8 @@ def _attractors(
             raise ModelError(f"at: missing; give the value of {window.name} of the response")
         return [_attractor(start, _inside(window, at)[0], n_states)]
     if start is not None:
-        state = np.asarray(start, float).ravel()
-        if len(state) != n_states or not np.isfinite(state).all():
+        state = _numbers("start", start)
+        if len(state) != n_states:
             raise ModelError(f"start = {start!r}: must be a state of {n_states} numbers")
         if equations.family.is_conservative:
             return [_free(equations, state)]
@@ -203,24 +207,32 @@ def _free(equations: OrbitEquations, state: Array) -> Attractor:
 
 
 def _inside(window: Window, at: ArrayLike) -> list[float]:
-    try:
-        values = np.asarray(at, float).ravel().tolist()
-    except (TypeError, ValueError):
-        values = []
+    values: list[float] = _numbers("at", at).tolist()
     if not values or not all(window.low <= value <= window.high for value in values):
         raise ModelError(
             f"at = {at!r}: must lie within between = ({window.low:g}, {window.high:g})"
         )
-    return [float(value) for value in values]
+    return values
+
+
+def _numbers(name: str, value: ArrayLike) -> Array:
+    """A flat array of finite numbers."""
+    try:
+        found = np.asarray(value, float).ravel()
+    except (TypeError, ValueError):
+        found = np.array([np.nan])
+    if not np.isfinite(found).all():
+        raise ModelError(f"{name} = {value!r}: must be numbers")
+    return found
 
 
 def _states(equations: OrbitEquations, starts: ArrayLike | None) -> Array:
     n = equations.n_states
     if starts is not None:
-        states = np.asarray(starts, float).reshape(-1, n) if np.size(starts) % n == 0 else None
-        if states is None or not np.isfinite(states).all():
+        states = _numbers("starts", starts)
+        if not len(states) or len(states) % n:
             raise ModelError(f"starts: must be states of {n} numbers")
-        return states
+        return states.reshape(-1, n)
     found = [np.zeros(n)]
     for law in equations.family.laws_at(equations.family.values):
         for wall in law.walls:

@@ -56,7 +56,11 @@ class CurveEquations(OrbitEquations):
     def evaluate(self, unknowns: Array, reference: Reference) -> Evaluation:
         m, d = unknowns.shape
         shifts = _DIFFERENCE * np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)])
-        every = (unknowns[None, :, :] + shifts[:, None, :]).reshape(-1, d)
+        moved = unknowns[None, :, :] + shifts[:, None, :]
+        first = d - self.n_parameters
+        moved[:, :, first:] = np.clip(moved[:, :, first:], 0.0, 1.0)
+        apart = np.einsum("imi->im", moved[1 : d + 1] - moved[d + 1 :])
+        every = moved.reshape(-1, d)
         lanes = np.tile(np.arange(m), len(shifts))
         whole = super().evaluate(every, reference.take(lanes))
         # Those of the motions with the parameters as they are; an unknown tangent does no harm.
@@ -64,11 +68,11 @@ class CurveEquations(OrbitEquations):
             every, np.zeros_like(every), reference.take(lanes), whole, np.arange(len(every))
         )
         values = np.array([self._condition(orbit) for orbit in orbits]).reshape(-1, m)
-        slope = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * _DIFFERENCE)
-        first = slice(0, m)
+        with np.errstate(all="ignore"):  # of motions that failed, and beyond a window's end
+            slope = (values[1 : d + 1] - values[d + 1 :]) / apart
         return Evaluation(
-            residual=np.concatenate([whole.residual[first], values[0][:, None]], axis=1),
-            jacobian=np.concatenate([whole.jacobian[first], slope.T[:, None, :]], axis=1),
+            residual=np.concatenate([whole.residual[:m], values[0][:, None]], axis=1),
+            jacobian=np.concatenate([whole.jacobian[:m], slope.T[:, None, :]], axis=1),
             is_ok=whole.is_ok.reshape(-1, m).all(axis=0) & np.isfinite(slope).all(axis=0),
             motions=whole.motions,
             rate=whole.rate,

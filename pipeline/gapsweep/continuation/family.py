@@ -14,7 +14,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Models
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import ContactLaw, checked_law
-from gapsweep.model.oscillator import Gap, Oscillator, checked
+from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 
@@ -67,7 +67,8 @@ class Window:
         return self.low > 0.0 and self.high / self.low >= _LOGARITHMIC
 
     def value(self, place: Any) -> Any:
-        """Parameter values at places from 0 to 1."""
+        """Parameter values at places from 0 to 1; beyond, those at the ends."""
+        place = np.clip(place, 0.0, 1.0)
         if self._is_logarithmic:
             return self.low * np.exp(place * math.log(self.high / self.low))
         return self.low + place * (self.high - self.low)
@@ -107,6 +108,8 @@ class Family:
     def __post_init__(self) -> None:
         for name in self.names:
             self._check(name)
+        if isinstance(self.law, Mapping) and set(self.law) != set(self.example.contacts):
+            raise ModelError(f"law: of {list(self.law)}: must name {list(self.example.contacts)}")
         is_forced = self.example.is_forced
         if "omega" in self.names and not is_forced:
             raise ModelError("along = 'omega': nothing forces this System; name another parameter")
@@ -117,7 +120,7 @@ class Family:
             raise ModelError(f"omega: {said}")
 
     def _check(self, name: str) -> None:
-        if name in ("omega", AMPLITUDE):
+        if name in ("omega", AMPLITUDE) and self._laws:
             return
         if callable(self.model) and name in inspect.signature(self.model).parameters:
             return
@@ -251,8 +254,11 @@ class Family:
 
 
 def _names(of: Any) -> list[str]:
-    """Numeric fields of an oscillator or a law; none of a system."""
-    return [field.name for field in fields(of)] if not isinstance(of, System) else []
+    """Numbers and the gap of an oscillator or a law; none of a system."""
+    if isinstance(of, System):
+        return []
+    names = [field.name for field in fields(of)]
+    return [name for name in names if is_number(getattr(of, name)) or name == "gap"]
 
 
 def _law_at(law: ContactLaw, values: Mapping[str, float]) -> ContactLaw:

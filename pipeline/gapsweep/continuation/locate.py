@@ -110,6 +110,8 @@ def roots(
 def crossing(corrector: Corrector, step: Step, value: Value) -> Orbit | None:
     """The orbit of a step at which another branch crosses."""
     ends, f = [0.0, 1.0], [value(step.before), value(step.after)]
+    if f[0] * f[1] >= 0.0:
+        return None
     apart = min(_AROUND / step.size, _NEAREST)
     while ends[1] - ends[0] > 8.0 * apart:
         middle = 0.5 * (ends[0] + ends[1])

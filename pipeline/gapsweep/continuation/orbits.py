@@ -205,7 +205,7 @@ class OrbitEquations:
         for k in range(self.n_parameters):
             for sign in (1.0, -1.0):
                 other = places.copy()
-                other[:, k] += sign * _DIFFERENCE
+                other[:, k] = np.clip(other[:, k] + sign * _DIFFERENCE, 0.0, 1.0)
                 shifted.append(other)
         found, models = self._motions(
             np.tile(y, (len(shifted), 1)),
@@ -225,7 +225,8 @@ class OrbitEquations:
                 rate = Rates(models)(np.arange(m), ends[0].T).T
                 columns.append((rate / size * reference.duration[:, None])[:, :, None])
             for k in range(self.n_parameters):
-                change = (ends[1 + 2 * k] - ends[2 + 2 * k]) / (2.0 * _DIFFERENCE)
+                apart = shifted[1 + 2 * k][:, k] - shifted[2 + 2 * k][:, k]
+                change = (ends[1 + 2 * k] - ends[2 + 2 * k]) / apart[:, None]
                 columns.append((change / size)[:, :, None])
             jacobian = np.concatenate(columns, axis=2)
             if self.has_period:

@@ -97,6 +97,14 @@ def branching(orbit: Orbit) -> float:
     return orbit.branching
 
 
+def crossing_test(orbit: Orbit) -> float:
+    """Product of all ``1 - μ`` [-]: zero where a branch that goes through is crossed, and at folds.
+
+    Unlike `branching` it has no part in the rounding of derivatives by parameters.
+    """
+    return float(np.prod(1.0 - orbit.multipliers).real)
+
+
 def doubling(orbit: Orbit) -> float:
     """Product of all ``1 + μ`` [-]."""
     return float(np.prod(1.0 + orbit.multipliers).real)

@@ -285,7 +285,7 @@ class _Execution:
     # --- receiving -------------------------------------------------------------------------------
 
     def _receive(self, future: Future, job: _Job) -> None:
-        if _is_gone(future):
+        if is_gone(future):
             self._compute_anew(job)
             return
         try:
@@ -293,7 +293,7 @@ class _Execution:
         except ClusterError:  # of the worker itself, so of none of its points
             raise
         except Exception as error:  # a task's own, of any type, becomes the failure of its points
-            if _is_gone(future) or future.status != "error":  # there again, perhaps, by now
+            if is_gone(future) or future.status != "error":  # there again, perhaps, by now
                 self._compute_anew(job)
             else:
                 if not isinstance(error, KilledWorker):
@@ -361,7 +361,7 @@ class _Execution:
         self.in_flight.clear()
 
 
-def _is_gone(future: Future) -> bool:
+def is_gone(future: Future) -> bool:
     """Whether a result went with its worker before anybody fetched it.
 
     Raises

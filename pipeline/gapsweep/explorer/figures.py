@@ -39,6 +39,7 @@ _PALE = 0.35  # of an approximation's dots where its response is not periodic
 
 _RESPONSE = ("omega", "x_max", "colour", "alpha", "law", "protocol", "kind")
 _LINES = ("x", "y")
+_BRANCH = (*_LINES, "colour", "dash")
 _TIPS = [
     ("law", "@law, @protocol"),
     ("ω", "@omega{0.000} Hz"),
@@ -71,6 +72,10 @@ class Figures:
             x_range=Range1d(0.0, 1.0), y_range=Range1d(1e-6, 1.0),
         )  # fmt: skip
         self._name()
+        self._branches = ColumnDataSource(_empty(_BRANCH), name="branches")
+        self.response.multi_line(
+            "x", "y", source=self._branches, line_color="colour", line_dash="dash", line_alpha=0.7
+        )
         self._stored = self._dots("stored", "square", 7)
         # The exact law behind: what shows of it is missed by the approximations.
         self._curves = {
@@ -167,8 +172,13 @@ class Figures:
             self.spectrum.y_range.update(start=_FLOOR * largest, end=largest)
             self.spectrum.x_range.end = _ORDERS * motion.omega
 
-    def show_stored(self, points: Points) -> None:
-        """Draw the points of a run."""
+    def show_stored(self, points: Points, branches: Sequence[tuple[str, bool, Any]]) -> None:
+        """Draw the points of a run, and its branches as lines: unstable ones dashed."""
+        columns = [
+            (*line.T, colour(label), "solid" if is_stable else "dashed")
+            for label, is_stable, line in branches
+        ]
+        self._branches.data = {n: [row[i] for row in columns] for i, n in enumerate(_BRANCH)}
         n = len(points.omega)
         self._stored.data = {
             "omega": points.omega,

@@ -288,7 +288,7 @@ class Page:
         """Show the points of a scene of the run, and ask for it."""
         assert self._stored is not None
         self._points = self._stored.points(name)
-        self._figures.show_stored(self._points)
+        self._figures.show_stored(self._points, self._stored.branches(name))
         self._set(self._stored.scenes[name])
         self._ask(start=(0.0, 0.0))
 

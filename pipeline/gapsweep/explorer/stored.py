@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from gapsweep.explorer.answers import Points
 from gapsweep.explorer.question import not_computed, of_study, refuse_systems
 from gapsweep.model.labels import law_of
 from gapsweep.model.oscillator import OSCILLATOR
-from gapsweep.stages import RESPONSES
+from gapsweep.report import branches
+from gapsweep.stages import RESPONSES, is_of_run
 from gapsweep.store import netcdf
 from gapsweep.study.schema import written
 from gapsweep.study.study import Study
@@ -36,6 +38,8 @@ class Stored:
 
     def __init__(self, folder: Path) -> None:
         self._dataset = netcdf.read(folder / RESPONSES)
+        path = folder / "branches.nc"
+        self._branches = netcdf.read(path) if path.exists() and is_of_run(path) else None
         tables = _tables(self._dataset)
         refuse_systems(tables, folder)
         study = Study.from_dict(tables, source=str(folder))
@@ -61,6 +65,15 @@ class Stored:
         is_there = np.isfinite(x_max.values) & np.isfinite(first["section_x"].values)
         columns = (label, omega, x_max.values, first["section_x"].values, first["section_v"].values)
         return Points(*(column[is_there] for column in columns))
+
+    def branches(self, name: str) -> list[tuple[str, bool, NDArray[np.float64]]]:
+        """Lines of the branches of a scene [Hz, mm]: label, whether they are stable, points."""
+        found = branches.of_scene(self._branches, self._scene(name), "omega", "x_max")
+        if found is None:
+            return []
+        labels = np.broadcast_to(found["representation"].values, found.sizes["branch"]).tolist()
+        drawn = branches.lines(found, "omega", "x_max")
+        return [(labels[number], is_stable, points) for number, is_stable, points in drawn]
 
 
 def _tables(dataset: xr.Dataset) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import xarray as xr
 from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, drawing, maps
+from gapsweep.report import branches as of_branches
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.scales import axis_label, drawn, is_log, named
 from gapsweep.report.selection import missing_variable, places, scene
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 _MANY_STARTS = 500  # from here on those that form a grid are a mesh
 _CURVES = ("representation", "initial_condition")
 _WIDTH = 90  # characters of a title that fit over axes of the usual size
+_COLUMN = 6  # entries of a legend in one column
 _RIM, _DOT = 5.0, 3.0  # points: of the law behind, of the one before it
 
 
@@ -88,7 +90,12 @@ class GapsweepAccessor:
         return _finished(axes, shown, along)
 
     def bifurcation(
-        self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
+        self,
+        *,
+        along: str | None = None,
+        branches: xr.Dataset | None = None,
+        ax: "Axes | None" = None,
+        **wanted: Any,
     ) -> "Axes":
         """All steady extrema over frequency, from all starts.
 
@@ -100,14 +107,21 @@ class GapsweepAccessor:
         ----------
         along, ax, **wanted
             As for `frequency_response`.
+        branches : Dataset, optional
+            Periodic orbits continued along the same axis, as `gapsweep.branches` returns them: the
+            largest and smallest displacements of those of this scene are lines behind the extrema,
+            dashed where they are unstable, with their special points.
         """
         needed = {"extrema": (*_CURVES, "extremum"), "response_class": _CURVES}
         along = self._axis(along, wanted)
         shown = drawing.with_setting(self._along(along, needed, wanted), "extrema")
         labels = labels_of(shown)
         other = NOT_PERIODIC if len(labels) == 1 else None
+        if branches is not None and (its := of_branches.default_axis(branches)) != along:
+            raise DatasetError(f"branches: continued along {its}, and this plot is along {along}")
         axes = _axes(ax)
         backdrop.walls(axes, shown, along)
+        of_branches.behind(axes, branches, shown, along, ("x_max", "x_min"))
         for label in labels:
             drawing.extrema(axes, shown.sel(representation=label), along, other=other)
             axes.plot([], [], ".", color=colour(label), label=label)
@@ -117,6 +131,45 @@ class GapsweepAccessor:
         backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown["extrema"], "steady extrema"))
         return _finished(axes, shown, along)
+
+    def branches(
+        self,
+        y: str = "x_max",
+        *,
+        along: str | None = None,
+        ax: "Axes | None" = None,
+        **wanted: Any,
+    ) -> "Axes":
+        """Branches of periodic orbits: stable parts solid, unstable ones dashed.
+
+        Each branch has its colour, or each representation where there are several. Special points
+        are marked: LP fold, PD period doubling, NS Neimark–Sacker, BP branch point, SB
+        symmetry breaking, GR graze; their symbols stand where there is room.
+
+        Parameters
+        ----------
+        y : str
+            Variable of the vertical axis, as ``"x_max"``, ``"amplitude"``, ``"period"`` or
+            ``"frequency"``; of special curves the second parameter.
+        along : str, optional
+            Variable of the horizontal axis; None: the parameter that the branches are continued
+            along, and of free motions ``"frequency"`` (a backbone).
+        ax : Axes, optional
+            Drawn into; new ones if None.
+        **wanted
+            Selection by coordinate; of systems one `coordinate` must be left.
+        """
+        along = along or of_branches.default_axis(self._dataset)
+        shown = of_branches.shown(self._dataset, [along, y], wanted)
+        axes = _axes(ax)
+        of_branches.draw(axes, shown, along, [y])
+        for name, which in ((along, "x"), (y, "y")):
+            axes.set(**{f"{which}label": of_branches.label(shown[name])})
+            if of_branches.is_log(shown[name]):
+                axes.set(**{f"{which}scale": "log"})
+        _titled(axes, shown)
+        of_branches.name_points(axes, shown, along, y)
+        return axes
 
     def compare(
         self,
@@ -341,7 +394,8 @@ def _finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
 def _titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
     """Say what is what, and what the plot shows one value of."""
     if axes.get_legend() is None and axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8)
+        n = len(axes.get_legend_handles_labels()[0])
+        axes.legend(fontsize=8, ncols=2 if n > _COLUMN else 1)
     names = ["scene", "representation", *places(shown), "regime", COORDINATE, START]
     one = [named(shown[name]) for name in names if name in shown.coords and shown[name].size == 1]
     if START in shown.coords and "start" in shown.coords and shown["start"].size == 1:

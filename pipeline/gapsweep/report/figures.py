@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gapsweep.model.labels import EXACT
-from gapsweep.report import backdrop, drawing
+from gapsweep.report import backdrop, branches, drawing
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.maps import Picture, draw
 from gapsweep.report.scales import axis_label, drawn, is_log
@@ -43,15 +43,18 @@ def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
     return figure
 
 
-def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
+def bifurcation(
+    responses: xr.Dataset, along: str = "omega", continued: xr.Dataset | None = None
+) -> Figure:
     """All steady extrema over frequency, a panel per representation.
 
-    Behind it are pale bands where any start is not periodic.
+    Behind it are pale bands where any start is not periodic, and branches of ``branches.nc``.
     """
 
     def extrema(axes: Axes, one: xr.Dataset) -> None:
         backdrop.walls(axes, responses, along)
         backdrop.bands(axes, one, along)
+        branches.behind(axes, continued, one, along, ("x_max", "x_min"))
         drawing.extrema(axes, one, along)
 
     shown = drawing.with_setting(responses, "extrema")
@@ -60,7 +63,9 @@ def bifurcation(responses: xr.Dataset, along: str = "omega") -> Figure:
     return figure
 
 
-def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
+def attractors(
+    found: xr.Dataset, along: str = "omega", continued: xr.Dataset | None = None
+) -> Figure:
     """Peak of every attractor over frequency, its dot as large as its basin, a panel per label.
 
     Parameters
@@ -69,10 +74,13 @@ def attractors(found: xr.Dataset, along: str = "omega") -> Figure:
         Part of ``attractors.nc``; dimensions representation, `along`, attractor.
     along : str
         Numeric dimension of the horizontal axis.
+    continued : Dataset, optional
+        ``branches.nc``, drawn behind.
     """
 
     def peaks(axes: Axes, one: xr.Dataset) -> None:
         backdrop.walls(axes, found, along, of_peaks=True)
+        branches.behind(axes, continued, one, along, ("x_max",))
         drawing.attractor_peaks(axes, one, along)
 
     return _grid(found, along, axis_label(found["x_max"], "peak"), peaks)

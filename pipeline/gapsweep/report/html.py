@@ -32,6 +32,7 @@ from gapsweep.report.answer import (
 )
 from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
 from gapsweep.report.bench import bench_parts
+from gapsweep.report.branches import said as said_of_branches
 from gapsweep.report.drawing import labels_of, said_of_marks, said_of_peaks
 from gapsweep.report.figures import attractors as attractor_panels
 from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
@@ -46,7 +47,15 @@ from gapsweep.report.scales import named, plain
 from gapsweep.report.scenes import Scenes, said_of_starts, starts_of, swept
 from gapsweep.report.selection import anchor_of, beside, gap_label
 from gapsweep.report.style import MATPLOTLIB, colour
-from gapsweep.report.tables import VERDICTS, Row, claim_rows, number, percent, scene_tables
+from gapsweep.report.tables import (
+    VERDICTS,
+    Row,
+    claim_rows,
+    number,
+    percent,
+    scene_tables,
+    special_points,
+)
 from gapsweep.status import Status
 from gapsweep.store.artefact import is_recorded, recording, remove
 
@@ -71,6 +80,7 @@ def write_report(
     own_parts: Sequence[Mapping[str, Any]] = (),
     work_precision: xr.Dataset | None = None,
     stability: xr.Dataset | None = None,
+    branches: xr.Dataset | None = None,
     made_from: str = "",
 ) -> Path:
     """Write the report: the files of its figures, and the page last.
@@ -93,10 +103,12 @@ def write_report(
         The sections that stand in ``sections.json``.
     work_precision, stability : Dataset, optional
         As stored in the run's folder, for the sections of the benchmark.
+    branches : Dataset, optional
+        As stored in the run's folder; drawn behind the attractors.
     made_from : str
         Kept in a meta element, so that the report is made again only if that changes.
     """
-    files = (responses, agreement, timing, attractors)
+    files = (responses, agreement, timing, attractors, branches)
     ours = chain(
         bench_parts(work_precision, stability),
         [overview(*files)] if is_wide(responses) else _scenes(*files),
@@ -286,6 +298,7 @@ def _scenes(
     agreement: xr.Dataset | None,
     timing: xr.Dataset,
     attractors: xr.Dataset | None,
+    branches: xr.Dataset | None,
 ) -> Iterator[Part]:
     """Everything about one scene after the other; what would be columns of dots, in one figure."""
     scenes = Scenes(responses)
@@ -301,10 +314,13 @@ def _scenes(
             anchor_of(at),
             title,
             [outcomes(here)],
-            scene_tables(compared, timing.isel(at), labels),
+            [
+                *scene_tables(compared, timing.isel(at), labels),
+                *special_points(branches, here, "omega"),
+            ],
             ()
             if is_joint and at in columns
-            else _scene_figures(_without_protocols(here), attractors, at, title),
+            else _scene_figures(_without_protocols(here), attractors, branches, at, title),
         )
 
 
@@ -352,7 +368,11 @@ def _at_one_frequency(scenes: Scenes, columns: Sequence[At], omega: str) -> Part
 
 
 def _scene_figures(
-    scene: xr.Dataset, attractors: xr.Dataset | None, at: At, title: str
+    scene: xr.Dataset,
+    attractors: xr.Dataset | None,
+    branches: xr.Dataset | None,
+    at: At,
+    title: str,
 ) -> Iterator[Figured]:
     if scene.sizes["omega"] == 1 and (plane := plane_of(scene)):
         at_once = scene.isel(omega=0)
@@ -368,16 +388,18 @@ def _scene_figures(
         caption = "Amplitude (half the range) of the steady response; broken where it jumps."
         yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
     yield Figured(
-        bifurcation(scene),
+        bifurcation(scene, continued=branches),
         f"All steady zero-velocity displacements{said_of_starts(scene)}."
-        f"{said_of_bands(scene)}{said_of_missing(scene)}{said_of_walls(scene)}",
+        f"{said_of_bands(scene)}{said_of_missing(scene)}{said_of_walls(scene)}"
+        f"{said_of_branches(branches, scene, 'omega')}",
         f"Bifurcation diagram, {title}",
     )
     if found is not None:
         yield Figured(
-            attractor_panels(found),
+            attractor_panels(found, continued=branches),
             f"Peak displacement of every attractor that the starts reach{_where_few(found, scene)}."
-            f"{said_of_peaks(found)}{said_of_walls(scene, of_peaks=True)}",
+            f"{said_of_peaks(found)}{said_of_walls(scene, of_peaks=True)}"
+            f"{said_of_branches(branches, scene, 'omega')}",
             f"Attractors and their basins, {title}",
         )
 

@@ -15,6 +15,7 @@ from gapsweep.analysis.systems import by_coordinate, in_metres
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
+from gapsweep.report.branches import said as said_of_branches
 from gapsweep.report.drawing import said_of_peaks
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, frequency_response, maps
@@ -22,7 +23,7 @@ from gapsweep.report.maps import Picture, numbered_as, numeric_axes, on_grid, pi
 from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scales import long_name, named, shown_unit
 from gapsweep.report.selection import places
-from gapsweep.report.tables import number, scene_tables
+from gapsweep.report.tables import number, scene_tables, special_points
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
@@ -67,12 +68,13 @@ def overview(
     agreement: xr.Dataset | None,
     timing: xr.Dataset,
     attractors: xr.Dataset | None,
+    branches: xr.Dataset | None,
 ) -> Part:
     """What stands in the report in place of its scenes.
 
     Parameters
     ----------
-    responses, agreement, timing, attractors : Dataset
+    responses, agreement, timing, attractors, branches : Dataset
         As for `gapsweep.report.html.write_report`.
     """
     asked = responses["status"].load() != Status.NOT_REQUESTED
@@ -101,7 +103,10 @@ def overview(
         "overview",
         " over ".join(["All scenes" if n_scenes > 1 else "The scene", *([both] if both else [])]),
         [sentence],
-        scene_tables(agreement, timing, labels, over, _apart(asked, n_scenes)),
+        [
+            *scene_tables(agreement, timing, labels, over, _apart(asked, n_scenes)),
+            *(special_points(branches, responses, axes[0]) if n_scenes == 1 and axes else []),
+        ],
         (
             figure
             for label in plain
@@ -111,6 +116,7 @@ def overview(
             for figure in _figures(
                 responses.isel(cut),
                 None if attractors is None else attractors.isel(cut, missing_dims="ignore"),
+                branches,
                 asked.isel(cut),
                 label,
                 axes,
@@ -160,6 +166,7 @@ def plane_of(responses: xr.Dataset) -> list[str]:
 def _figures(
     responses: xr.Dataset,
     attractors: xr.Dataset | None,
+    branches: xr.Dataset | None,
     asked: xr.DataArray,
     label: str,
     axes: list[str],
@@ -182,7 +189,7 @@ def _figures(
         of_part = found
         if found is not None and suffix:
             of_part = found.sel({COORDINATE: part[COORDINATE].values})
-        yield from _curves(part, of_part, axes[0], where + suffix, start, n_starts)
+        yield from _curves(part, of_part, branches, axes[0], where + suffix, start, n_starts)
 
 
 def _said_of_start(here: xr.Dataset) -> str:
@@ -242,6 +249,7 @@ def _everywhere(one: Picture) -> str:
 def _curves(
     here: xr.Dataset,
     found: xr.Dataset | None,
+    branches: xr.Dataset | None,
     along: str,
     where: str,
     start: str,
@@ -250,9 +258,10 @@ def _curves(
     """Diagrams over the only axis: of one start, and amplitudes or the attractors from all."""
     shown = here[["extrema", "response_class"]].load().expand_dims([REPRESENTATION, _START])
     yield Figured(
-        bifurcation(shown, along),
+        bifurcation(shown, along, branches),
         f"All steady zero-velocity displacements: {where}{start}."
-        f"{said_of_bands(shown)}{said_of_missing(shown)}{said_of_walls(shown, along)}",
+        f"{said_of_bands(shown)}{said_of_missing(shown)}{said_of_walls(shown, along)}"
+        f"{said_of_branches(branches, shown, along)}",
         f"Bifurcation diagram, {where}{start}",
     )
     if n_starts == 1:
@@ -262,9 +271,10 @@ def _curves(
     elif found is not None:
         shown = found[["x_max", "basin_share", "response_class"]].load()
         yield Figured(
-            attractors_figure(shown.expand_dims(REPRESENTATION), along),
+            attractors_figure(shown.expand_dims(REPRESENTATION), along, branches),
             f"Peak displacement of every attractor: {where}.{said_of_peaks(shown)}"
-            f"{said_of_walls(shown, along, of_peaks=True)}",
+            f"{said_of_walls(shown, along, of_peaks=True)}"
+            f"{said_of_branches(branches, shown, along)}",
             f"Attractors and their basins, {where}",
         )
 

@@ -10,11 +10,17 @@ import xarray as xr
 from gapsweep.analysis.grid import At, scene_dims
 from gapsweep.analysis.metrics import BOUND
 from gapsweep.analysis.systems import by_coordinate
+from gapsweep.continuation.special import Special
+from gapsweep.model.labels import EXACT
+from gapsweep.report.branches import KINDS, REPRESENTATION, in_scene, of_orbits, of_scene
+from gapsweep.report.branches import label as of_axis
 from gapsweep.report.parts import Table
+from gapsweep.report.scales import drawn
 
 Row = dict[str, Any]
 
 _COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
+_MOST_ROWS = 40  # of special points
 # Worst first: what a reader looks for.
 VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 
@@ -129,6 +135,68 @@ def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
         points = f"{row['n_points'].item()}"
         points += f" (+{others} of other machines, not shown)" if others else ""
         yield [label, cpu, *(number(row[f"{n}_median"].item()) for n in _COUNTS), points]
+
+
+def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> Iterator[Table]:
+    """Special points of branches by kind and parameter, and those of laws against the exact ones.
+
+    Orbits that are each other's mirror images share a row. The first table has the points of the
+    exact law alone where the second one has the others.
+
+    Parameters
+    ----------
+    found : Dataset or None
+        ``branches.nc``.
+    here : Dataset
+        The scene.
+    along : str
+        The parameter.
+    """
+    part = of_scene(found, here, along, "x_max")
+    if found is None or part is None or not (part["special"] > 0).any():
+        return
+    x, y, special, multiple = of_orbits(part, along, "x_max", "special", "period_multiple")
+    labels = np.broadcast_to(part.coords.get(REPRESENTATION, ""), len(x)).astype(str)
+    peaks: dict[tuple[int, int, str, float], set[str]] = {}
+    is_listed = np.full(labels.shape, True)
+    if "match_scene" in found and EXACT in labels:
+        is_listed = labels == EXACT
+    for i, k in np.argwhere((special > 0) & is_listed[:, None]):
+        point = special[i, k], multiple[i, k], labels[i], float(f"{x[i, k]:.7g}")
+        peaks.setdefault(point, set()).add(f"{y[i, k]:.6g}")
+    head = ["Kind", "Period", "Representation"]
+    rows = [
+        [_kind(kind), f"{n:.0f}", law, f"{at:.7g}", ", ".join(sorted(peaks[kind, n, law, at]))]
+        for kind, n, law, at in sorted(peaks)
+    ]
+    axes = [of_axis(part[name]) for name in (along, "x_max")]
+    if rows:
+        yield _cut("Special points of the branches", [*head, *axes], rows)
+    if "match_scene" not in found:
+        return
+    inside = in_scene(found, here, "scene", "scene_")[found["match_scene"].values]
+    matches = found.isel(match=inside)
+    laws = found["scene_representation"].values[matches["match_scene"].values]
+    columns = [matches[f"match_{name}"].values for name in ("kind", "period_multiple")]
+    columns += [drawn(matches[f"match_{name}"]) for name in ("exact", "law", "difference")]
+    rows = [
+        [_kind(kind), f"{n}", law, *(f"{v:.7g}" if np.isfinite(v) else "–" for v in values)]
+        for law, kind, n, *values in zip(laws, *columns, strict=True)
+    ]
+    if rows:
+        title = f"Special points against those of the exact law, {of_axis(part[along])}"
+        yield _cut(title, [*head, "Exact law", "Representation", "Difference"], rows)
+
+
+def _kind(kind: float) -> str:
+    return f"{Special(int(kind)).symbol}, {KINDS[Special(int(kind))][1]}"
+
+
+def _cut(title: str, header: list[str], rows: list[list[str]]) -> Table:
+    """A table of different rows, no more than a reader looks at."""
+    rows = [list(row) for row in dict.fromkeys(map(tuple, rows))]
+    n = f", {_MOST_ROWS} of {len(rows)}: all are in branches.nc" if len(rows) > _MOST_ROWS else ""
+    return Table(title + n, header, rows[:_MOST_ROWS])
 
 
 def condensed(dataset: xr.Dataset) -> xr.Dataset:

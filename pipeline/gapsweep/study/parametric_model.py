@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from gapsweep.study.grid import START, Axes, starts_of
 from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical
 from gapsweep.study.problems import EXAMPLES
 from gapsweep.study.spec import StudySpec, SweepTable
-from gapsweep.study.system_tables import maker, said
+from gapsweep.study.system_tables import Maker, maker, said
 
 Array = NDArray[np.float64]
 Places = Mapping[str, NDArray[np.intp]]
@@ -31,6 +32,22 @@ _MADE_AGAIN = 4
 
 
 Model = Oscillator | System
+
+
+@dataclass(frozen=True, eq=False)
+class AlongParameter:
+    """The system of a study as a function of one parameter, given by its name; can be pickled."""
+
+    make: Maker
+    values: Mapping[str, float]
+    name: str
+
+    @property
+    def __signature__(self) -> Signature:
+        return Signature([Parameter(self.name, Parameter.KEYWORD_ONLY)])
+
+    def __call__(self, **given: float) -> Model:
+        return self.make({**self.values, **given})
 
 
 @dataclass(frozen=True)
@@ -201,6 +218,14 @@ class ParametricModel:
                 ]
             )
         return made
+
+    def along(self, name: str, some: Mapping[str, float]) -> Model | AlongParameter:
+        """What branches along a parameter are of, where other parameters have some values."""
+        if self.is_oscillator or name not in self.spec.model:
+            return self.at(some)
+        values = {**self.spec.model, **some}
+        assert isinstance(self._make, Maker)
+        return AlongParameter(self._make, {n: canonical(x) for n, x in values.items()}, name)
 
     def check(self) -> None:
         """Refuse tables that do not fit the model.

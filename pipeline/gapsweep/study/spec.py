@@ -7,7 +7,7 @@ the plain immutable values that the rest of the package works with.
 
 import math
 import tomllib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping
 from os import PathLike
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
@@ -46,6 +46,7 @@ from gapsweep.study.axes import (
     several,
 )
 from gapsweep.study.bench import BenchTable
+from gapsweep.study.grid import START, Axes
 from gapsweep.study.problems import EXAMPLES, problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
@@ -185,6 +186,33 @@ class ModuleTable(Table):
     module: Annotated[str, AfterValidator(_python_file)]
 
 
+class BranchesTable(Table):
+    """Presence asks for branches of periodic orbits, continued from the attractors."""
+
+    along: str = "omega"
+    follow: Annotated[int, Field(ge=0, le=10)] = 0
+    max_steps: Annotated[int, Field(ge=2, le=100_000)] = 1000
+    rtol: Annotated[float, Field(ge=SMALLEST_RTOL, le=LARGEST_RTOL)] | None = None
+    atol: Positive | None = None
+
+    def problems(self, axes: Axes, contacts: Mapping[str, ContactTable]) -> Iterator[str]:
+        """What is wrong with the parameter, for the axes of a study."""
+        names = [name for name in axes if name not in _NO_PARAMETERS and len(axes[name]) > 1]
+        if self.along not in names:
+            swept = ", ".join(names) or "none; give one several values in [[sweep]]"
+            yield f"branches.along = {self.along!r}: must be a swept number of the study: {swept}"
+        name = "gap" if self.along in ("j_1", "j_2") else self.along
+        if any(getattr(contact, name, None) is not None for contact in contacts.values()):
+            yield f"branches.along = {self.along!r}: a contact has one of its own in [contact]"
+        if not any(map(is_followed, axes["representation"])):
+            yield "branches: no representation of the study is followed: add 'piecewise'"
+
+
+def is_followed(label: str) -> bool:
+    """Whether branches of a representation are followed: contacts located, no protocol."""
+    return "@" not in label and label not in (AUTO, "piecewise-noevents")
+
+
 class ClaimsTable(ModuleTable):
     """Presence asks for verdicts."""
 
@@ -193,6 +221,8 @@ class ReportTable(ModuleTable):
     """Presence asks for sections of the study's own in the report."""
 
 
+# Axes that no branch goes along.
+_NO_PARAMETERS = ("representation", "gap", START)
 # What studies of oscillators have and those of systems do not.
 _OF_OSCILLATORS = ("oscillator", "auto", "history", "bench")
 
@@ -211,6 +241,7 @@ class StudySpec(Table):
     auto: AutoTable = AutoTable()
     history: list[HistoryTable] = Field([])
     bench: BenchTable | None = None
+    branches: BranchesTable | None = None
     claims: ClaimsTable | None = None
     report: ReportTable | None = None
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -101,6 +102,8 @@ class Study:
         self._check_modules()
         self.model.check()
         lines = undecided(self.spec.history, self.spec.model, self._axes)
+        if self.spec.branches:
+            lines = chain(lines, self.spec.branches.problems(self._axes, self.spec.contact))
         problems = [f"{self.source}: {line}" for line in lines]
         if problems:
             raise StudyError(problems)

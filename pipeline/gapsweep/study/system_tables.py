@@ -1,8 +1,8 @@
 """The tables of a study file that describe a system: matrices, or a function of named numbers."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import chdir
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -118,10 +118,43 @@ class ContactTable(Table):
         return self
 
 
-def maker(
-    table: SystemTable, source: str, folders: Iterable[Path] = ()
-) -> Callable[[Mapping[str, float]], System]:
-    """What makes the system of a study at some values of its parameters, of the code as it is now.
+@dataclass(frozen=True)
+class Maker:
+    """What makes the system of a study at some values of its parameters; it can be pickled.
+
+    Attributes
+    ----------
+    table : SystemTable
+    source : str
+        For messages.
+    own : OwnLaw, optional
+        The code of the user's function.
+    """
+
+    table: SystemTable
+    source: str
+    own: OwnLaw | None
+
+    def __call__(self, parameters: Mapping[str, float]) -> System:
+        """The system at some values.
+
+        Raises
+        ------
+        StudyError
+            If there is none.
+        """
+        name = self.table.function
+        try:
+            if name is None:
+                return _of_matrices(self.table, parameters)
+            return _made(name, self.own.load() if self.own else getattr(systems, name), parameters)
+        except ModelError as error:
+            at = f" at {said(parameters)}" if parameters else ""
+            raise StudyError([f"{self.source}: system{at}: {error}"]) from None
+
+
+def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Maker:
+    """What makes the system of a study, of the code as it is now.
 
     Parameters
     ----------
@@ -134,23 +167,16 @@ def maker(
     Raises
     ------
     StudyError
-        If there is none; so does what is returned.
+        If its code cannot be read.
     """
-
-    def made(parameters: Mapping[str, float]) -> System:
-        try:
-            if table.function is None:
-                return _of_matrices(table, parameters)
-            return _made(table.function, function, parameters)
-        except ModelError as error:
-            at = f" at {said(parameters)}" if parameters else ""
-            raise StudyError([f"{source}: system{at}: {error}"]) from None
-
     try:
-        function = None if table.function is None else _function(table.function, folders)
+        is_own = table.function is not None and table.function not in READY_MADE
+        own = OwnLaw.of(str(table.function), folders) if is_own else None
+        if own is not None:
+            own.load()
     except ModelError as error:
         raise StudyError([f"{source}: system: {error}"]) from None
-    return made
+    return Maker(table, source, own)
 
 
 def wrong_matrices(tables: Any, source: str) -> list[str]:
@@ -169,13 +195,6 @@ def wrong_matrices(tables: Any, source: str) -> list[str]:
 def said(parameters: Mapping[str, float]) -> str:
     """Values of parameters, for messages."""
     return ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
-
-
-def _function(name: str, folders: Iterable[Path]) -> Any:
-    """A ready-made system's function, or the user's."""
-    if name in READY_MADE:
-        return getattr(systems, name)
-    return OwnLaw.of(name, folders).load()
 
 
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:

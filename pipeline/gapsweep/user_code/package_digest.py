@@ -15,6 +15,8 @@ NUMERICS = (
     *("status.py", "model", "integrate", "response"),
     *("study/points.py", "execution/task.py", "execution/sweeps.py"),
 )
+# What decides branches besides.
+CONTINUATION = ("continuation", "execution/branch_tasks.py")
 # Folders that no dataset depends on.
 DRAWING = ("report", "explorer", "cli")
 
@@ -23,6 +25,12 @@ DRAWING = ("report", "explorer", "cli")
 def numerics_fingerprint() -> str:
     """SHA-256 (16 hex digits) of the source in `NUMERICS`."""
     return _digest(*(PACKAGE / name for name in NUMERICS))
+
+
+@cache
+def continuation_fingerprint() -> str:
+    """SHA-256 (16 hex digits) of the source that decides the branches of given attractors."""
+    return _digest(*(PACKAGE / name for name in (*NUMERICS, *CONTINUATION)))
 
 
 @cache

@@ -1,0 +1,247 @@
+"""Branches of periodic orbits in figures: lines, and special points with their symbols."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.continuation.dataset import BRANCH, STEP, VARIABLES
+from gapsweep.continuation.special import Special
+from gapsweep.errors import DatasetError
+from gapsweep.report import scales
+from gapsweep.report.scales import drawn
+from gapsweep.report.selection import places, scene
+from gapsweep.report.style import colour
+from gapsweep.study.grid import COORDINATE
+from gapsweep.study.schema import COORDINATES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+FREQUENCY, REPRESENTATION = "frequency", "representation"
+_OF_ORBITS = "stable", "special", "period_multiple"
+KINDS = {
+    Special.FOLD: ("o", "fold"),
+    Special.PERIOD_DOUBLING: ("s", "period doubling"),
+    Special.TORUS: ("D", "Neimark\N{EN DASH}Sacker"),
+    Special.BRANCH_POINT: ("^", "branch point"),
+    Special.SYMMETRY_BREAKING: ("P", "symmetry breaking"),
+    Special.GRAZING: ("v", "graze"),
+}
+_COLOURS = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#666666"
+_MOST_NAMES = 8  # branches in a legend
+_FONT = 8.0  # points
+_LETTERS = 2.1, 1.1  # width and height of a symbol of two letters, in sizes of its font
+_WAYS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0)])
+_FINE = 8  # places on a step of a branch that a symbol should not hide
+
+
+def shown(found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any]) -> xr.Dataset:
+    """Variables of branches that are drawn, over branch and step.
+
+    Raises
+    ------
+    DatasetError
+        If the dataset holds no branches, lacks a variable, or has several coordinates left.
+    """
+    found = _checked(found)
+    if "period" in found:
+        about = {"units": "Hz", "long_name": "frequency of the orbit"}
+        found = found.assign({FREQUENCY: (1.0 / found["period"]).assign_attrs(about)})
+    return scene(found, dict.fromkeys([*names, *_OF_ORBITS], (BRANCH, STEP)), wanted)
+
+
+def default_axis(found: xr.Dataset) -> str:
+    """The horizontal axis of branches: their parameter; of free motions the frequency."""
+    along = str(_checked(found).attrs.get("along", "omega"))
+    return along if along in found and along != "amplitude" else FREQUENCY
+
+
+def _checked(found: Any) -> xr.Dataset:
+    if not isinstance(found, xr.Dataset) or "special" not in found or "stable" not in found:
+        raise DatasetError("branches: none in this dataset; gs.branches(...) returns branches")
+    return found if BRANCH in found.dims else found.expand_dims(BRANCH)
+
+
+def of_scene(
+    found: xr.Dataset | None, here: xr.Dataset, along: str, *heights: str
+) -> xr.Dataset | None:
+    """The branches of what a figure shows, as `shown`; None if there are none along its axis."""
+    if found is None or not found.sizes.get(BRANCH, 1) or default_axis(found) != along:
+        return None
+    found = _checked(found)
+    inside = in_scene(found, here, BRANCH)
+    first = found[COORDINATE].values[:1].item() if COORDINATE in found.dims else ""
+    one = {COORDINATE: np.ravel(here.coords.get(COORDINATE, first))[0]} if first else {}
+    return shown(found.isel({BRANCH: inside}), [along, *heights], one) if inside.any() else None
+
+
+def in_scene(found: xr.Dataset, here: xr.Dataset, dim: str, prefix: str = "") -> NDArray[np.bool_]:
+    """Which entries of a dimension are of what a figure shows, by coordinates with a prefix."""
+    inside = np.ones(found.sizes[dim], bool)
+    for name in [*places(here), REPRESENTATION]:
+        if prefix + name in found.coords and name in here.coords:
+            inside &= np.isin(np.broadcast_to(found[prefix + name], inside.shape), here[name])
+    return inside
+
+
+def label(variable: xr.DataArray) -> str:
+    """The label of an axis: a parameter is called as in other datasets."""
+    words = scales.long_name(variable).removesuffix(" along the branch")
+    return scales.axis_label(
+        variable, COORDINATES[words][1].long_name if words in COORDINATES else words
+    )
+
+
+def is_log(variable: xr.DataArray) -> bool:
+    """Whether an axis over branches is logarithmic: of some parameters, never of a result."""
+    if variable.name in (*VARIABLES, FREQUENCY):
+        return False
+    return scales.is_log(variable.stack(point=(BRANCH, STEP)).dropna("point"))
+
+
+def behind(
+    axes: "Axes", found: xr.Dataset | None, here: xr.Dataset, along: str, heights: Sequence[str]
+) -> None:
+    """Branches behind what a figure shows, in the colour of its one representation, or grey."""
+    branches = of_scene(found, here, along, *heights)
+    if branches is not None:
+        labels = np.atleast_1d(here[REPRESENTATION].values)
+        draw(axes, branches, along, heights, colour(labels[0]) if len(labels) == 1 else "#888888")
+        name_points(axes, branches, along, heights[0])
+
+
+def said(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
+    """What a caption says of branches, with a blank before; nothing where none is drawn."""
+    branches = of_scene(found, here, along)
+    if branches is None:
+        return ""
+    marks = [f"{k.symbol}: {KINDS[k][1]}" for k in KINDS if (branches["special"] == k).any()]
+    return f" Lines: periodic orbits, dashed where unstable. {', '.join(marks)}{'.' * bool(marks)}"
+
+
+def draw(
+    axes: "Axes", branches: xr.Dataset, along: str, heights: Sequence[str], shade: str = ""
+) -> None:
+    """Branches as lines, solid where they are stable, and their special points.
+
+    Parameters
+    ----------
+    branches : Dataset
+        As `shown` returns it.
+    along : str
+        Variable of the horizontal axis.
+    heights : sequence of str
+        Variables of the vertical axis; the first has the special points.
+    shade : str
+        One colour of all; if empty, that of the representation, or of the branch where there is
+        one representation at most. Then the legend names them.
+    """
+    look = _looks(branches) if not shade else [(shade, "")] * branches.sizes[BRANCH]
+    style: dict[str, Any] = {"linewidth": 1.3, "zorder": 1.8}
+    for name in heights:
+        for number, is_stable, line in lines(branches, along, name):
+            own, told = look[number]
+            dashes, word = ("-", "stable") if is_stable else ("--", "unstable")
+            axes.plot(*line.T, dashes, color=own, label=f"_{told or BRANCH} {word}", **style)
+    for told, own in {told: own for own, told in look if told}.items():
+        axes.plot([], [], "-", color=own, label=told, **style)
+    if (branches["stable"] == 0).any():
+        axes.plot([], [], "--", color=shade or _COLOURS[-1], label="unstable", **style)
+    x, y, special = of_orbits(branches, along, heights[0], "special")
+    for kind, (marker, word) in KINDS.items():
+        if (special == kind).any():
+            axes.plot(
+                x[special == kind],
+                y[special == kind],
+                marker,
+                color="#222222",
+                markerfacecolor="white",
+                markersize=4.0 if kind != Special.GRAZING else 3.0,
+                markeredgewidth=0.8,
+                zorder=2.8,
+                label=f"{kind.symbol} {word}",
+            )
+
+
+def of_orbits(branches: xr.Dataset, *names: str) -> list[Array]:
+    """Variables as they are drawn, shape (n_branches, n_steps)."""
+    return [drawn(branches[name].transpose(BRANCH, STEP)) for name in names]
+
+
+def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
+    """Colour and name of every branch."""
+    n = branches.sizes[BRANCH]
+    if REPRESENTATION in branches.coords:
+        labels = np.broadcast_to(branches[REPRESENTATION].values, n).tolist()
+        if len(set(labels)) > 1:
+            return [(colour(label), label) for label in labels]
+    numbers = np.broadcast_to(branches[BRANCH].values, n) if BRANCH in branches.coords else range(n)
+    multiple = branches["period_multiple"].transpose(BRANCH, STEP).values[:, 0]
+    names = [
+        f"branch {number}" + f", period {times}" * bool((multiple > 1).any())
+        for number, times in zip(numbers, multiple, strict=True)
+    ]
+    is_named = 1 < n <= _MOST_NAMES
+    return [(_COLOURS[i % len(_COLOURS)], name * is_named) for i, name in enumerate(names)]
+
+
+def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, bool, Array]]:
+    """Of every branch its number and the points of the unstable or the stable part, with gaps."""
+    columns = of_orbits(branches, along, height, "stable", "special")
+    for number, (x, y, stable, special) in enumerate(zip(*columns, strict=True)):
+        there = np.isfinite(x) & np.isfinite(y)
+        # At a bifurcation rounding decides whether a multiplier exceeds 1: its neighbour says more.
+        is_at = (special > 0) & (special != Special.GRAZING)
+        of_step = np.where(is_at[:-1], stable[1:], stable[:-1])
+        for is_stable in (False, True):
+            chosen = (of_step == is_stable) & there[:-1] & there[1:]
+            ends = np.flatnonzero(np.diff(chosen.astype(int), prepend=0, append=0)).reshape(-1, 2)
+            pieces = [np.r_[np.c_[x, y][a : b + 1], [[np.nan, np.nan]]] for a, b in ends]
+            if pieces:
+                yield number, is_stable, np.concatenate(pieces)
+
+
+def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> None:
+    """Symbols next to special points where there is room; called when all else is drawn.
+
+    The rarest kind comes first. A symbol stands where it hides the least of the branches.
+    """
+    x, y, special = of_orbits(branches, along, height, "special")
+    there = np.isfinite(x) & np.isfinite(y)
+    if not (special[there] > 0).any():
+        return
+    axes.autoscale_view()
+    at = axes.transData.transform(np.stack([x, y], axis=2).reshape(-1, 2)).reshape(*x.shape, 2)
+    parts = np.linspace(0.0, 1.0, _FINE, endpoint=False)[:, None, None, None]
+    places = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
+    places = np.concatenate([places, *[at[special > 0]] * _FINE])
+    size = _FONT * axes.figure.dpi / 72.0 * np.array(_LETTERS)
+    taken = np.empty((0, 2))
+    for kind in sorted(KINDS, key=lambda kind: int((special == kind).sum())):
+        for branch, step in np.argwhere(there & (special == kind)):
+            centres = at[branch, step] + 0.5 * _WAYS * size
+            is_free = axes.bbox.padded(-0.5 * size[1]).contains
+            hidden = (np.abs(centres[:, None] - places) < 0.45 * size).all(axis=2).sum(axis=1)
+            overlaps = (np.abs(centres[:, None] - taken) < size).all(axis=2).any(axis=1)
+            overlaps |= [not is_free(*centre) for centre in centres]
+            if overlaps.all():
+                continue
+            best = int(np.where(overlaps, np.inf, hidden).argmin())
+            taken = np.vstack([taken, centres[best]])
+            right, up = _WAYS[best]
+            axes.text(
+                x[branch, step],
+                y[branch, step],
+                f" {kind.symbol}" if right > 0 else f"{kind.symbol} ",
+                horizontalalignment="left" if right > 0 else "right",
+                verticalalignment={1: "bottom", 0: "center", -1: "top"}[int(up)],
+                fontsize=_FONT,
+                color="#222222",
+                zorder=3,
+                clip_on=True,
+            )

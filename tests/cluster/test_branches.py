@@ -1,0 +1,287 @@
+"""Branches in a study: `branches.nc` from real worker processes."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from tests.calls import Deadly
+
+import gapsweep as gs
+from gapsweep import lookup
+from gapsweep.analysis import branches as branches_of_study
+from gapsweep.execution import branch_tasks
+from gapsweep.model.own_law import OwnLaw
+
+# The oscillator of pyvib: m = 1, c = .05, k = 1, 3 more beyond ±.1745, force .03.
+ONE_RAD = 1.0 / (2.0 * math.pi)
+OSCILLATOR = {"mass": 1.0, "omega_n": ONE_RAD, "zeta": 0.025, "alpha": 0.0, "forcing": 0.03}
+FOLDS = 1.078508348107, 1.534979533623  # rad/s
+GRAZES = 0.913376663806, 1.078537468063
+STUDY = f"""
+[study]
+name = "folds"
+[oscillator]
+mass = 1.0
+omega_n = {ONE_RAD!r}
+zeta = 0.025
+alpha = 0.0
+forcing = 0.03
+[[sweep]]
+representation = ["piecewise", "piecewise-noevents", "tanh-1e3"]
+K_c = 3.0
+gap = [0.1745, 0.1745]
+omega = {{ start = 0.1, stop = 0.3, num = 21 }}
+initial_condition = [[0.0, 0.0], [0.35, 0.0]]
+[branches]
+"""
+
+
+def tables(**changes):
+    return {
+        "study": {"name": "folds"},
+        "oscillator": OSCILLATOR,
+        "sweep": [
+            {
+                "representation": ["piecewise", "piecewise-noevents", "tanh-1e3"],
+                "K_c": [3.0],
+                "gap": [[0.1745, 0.1745]],
+                "omega": {"start": 0.1, "stop": 0.3, "num": 21},
+                "initial_condition": [[0.0, 0.0], [0.35, 0.0]],
+            }
+        ],
+        "branches": {},
+    } | changes
+
+
+def run(study, client, folder):
+    gs.run(study, client, out=folder / "out", cache=folder / "c").close()
+    return gs.open(folder / "out" / "branches.nc")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("branches")
+
+
+@pytest.fixture(scope="module")
+def branches(client, folder):
+    return run(gs.Study.from_dict(tables()), client, folder)
+
+
+def of_law(branches, label):
+    return branches.isel(branch=branches["representation"].values == label)
+
+
+def special(found, kind):
+    return np.sort(found["omega"].values[found["special"].values == kind]) / ONE_RAD
+
+
+def test_special_points_are_those_of_the_exact_law(branches):
+    exact = of_law(branches, "piecewise")
+    np.testing.assert_allclose(special(exact, 1), FOLDS, rtol=1e-11)
+    np.testing.assert_allclose(special(exact, 5), GRAZES, rtol=1e-11)
+
+
+def test_folds_are_those_that_the_call_finds(branches):
+    law = gs.Tanh(3.0, gs.Gap(0.1745, 0.1745), 1e3)
+    called = gs.branches(gs.Oscillator(**OSCILLATOR), law, between=(0.1, 0.3))
+    ours = special(of_law(branches, "tanh-1e3"), 1)
+    assert len(ours) == 2
+    np.testing.assert_allclose(ours, special(called, 1), rtol=1e-9)
+
+
+def test_every_periodic_attractor_lies_on_a_branch_that_is_stable_there(branches, folder):
+    with gs.open(folder / "out" / "attractors.nc") as attractors:
+        labels = attractors["representation"] != "piecewise-noevents"
+        n_orbits = int(((attractors["response_class"] == 0) & labels).sum())
+    assert branches.sizes["attractor"] == n_orbits > 42, "two attractors between the folds"
+    for one in range(n_orbits):
+        here = branches.isel(attractor=one)
+        assert here["attractor_on_branch"] >= 0
+        branch = branches.sel(branch=int(here["attractor_on_branch"]))
+        assert branch["representation"] == here["attractor_representation"]
+        beyond = branch["omega"].values - float(here["attractor_omega"])
+        passes = np.flatnonzero(beyond[:-1] * beyond[1:] <= 1e-15)  # the window ends at some
+        assert (branch["stable"].values[np.concatenate([passes, passes + 1])] == 1).any()
+
+
+def test_attractors_of_a_loose_solver_start_no_copies(client, tmp_path):
+    found = run(gs.Study.from_dict(tables(solver={"rtol": 1e-5, "atol": 1e-8})), client, tmp_path)
+    assert found["representation"].values.tolist() == ["piecewise", "tanh-1e3"]
+
+
+def test_scenes_and_settings_stand_in_the_file(branches):
+    assert branches["scene_status"].values.tolist() == [0, 0]
+    assert branches["scene_representation"].values.tolist() == ["piecewise", "tanh-1e3"]
+    assert branches["branch_scene"].values.tolist() == [0, 1]
+    assert branches["omega"].attrs["units"] == "Hz"
+    assert branches.attrs["along"] == "omega"
+    assert branches.attrs["rtol"] == 1e-11
+    assert {"study_json", "made_from", "numerics_fingerprint", "created"} <= set(branches.attrs)
+
+
+def test_special_points_of_laws_are_compared(branches):
+    assert branches["match_kind"].values.tolist() == [1, 1, 5, 5]
+    exact, law = branches["match_exact"].values, branches["match_law"].values
+    np.testing.assert_allclose(sorted(exact / ONE_RAD), sorted([*FOLDS, *GRAZES]), rtol=1e-11)
+    np.testing.assert_array_equal(branches["match_difference"], law - exact)
+    for kind in (1, 5):
+        here = np.sort(law[branches["match_kind"] == kind])
+        np.testing.assert_array_equal(here / ONE_RAD, special(of_law(branches, "tanh-1e3"), kind))
+
+
+def test_a_second_run_makes_nothing_and_a_new_folder_takes_all_from_the_cache(
+    branches, client, folder, tmp_path, monkeypatch
+):
+    study = gs.Study.from_dict(tables())
+    before = (folder / "out" / "branches.nc").stat().st_mtime_ns
+    planned = lookup.plan(study, folder / "c")
+    assert not any(lookup.stage_reasons(study, planned, folder / "out", folder / "c").values())
+    monkeypatch.setattr(branches_of_study, "followed", None)
+    gs.run(study, client, out=folder / "out", cache=folder / "c").close()
+    assert (folder / "out" / "branches.nc").stat().st_mtime_ns == before
+    gs.run(study, client, out=tmp_path / "other", cache=folder / "c").close()
+    found = gs.open(tmp_path / "other" / "branches.nc")
+    xr.testing.assert_identical(found.drop_attrs(deep=False), branches.drop_attrs(deep=False))
+
+
+def test_damaged_branches_of_a_scene_are_computed_again(branches, client, folder, tmp_path):
+    stored = sorted((folder / "c" / "branches").glob("*/scene.nc"))
+    assert len(stored) == 2
+    stored[0].write_bytes(stored[0].read_bytes()[:-1])
+    gs.run(gs.Study.from_dict(tables()), client, out=tmp_path / "out", cache=folder / "c").close()
+    found = gs.open(tmp_path / "out" / "branches.nc")
+    xr.testing.assert_identical(found.drop_attrs(deep=False), branches.drop_attrs(deep=False))
+
+
+@pytest.mark.parametrize(("along", "omega"), [("forcing", 0.2), ("K_c", [0.2, 0.25])])
+def test_branches_along_another_parameter(along, omega, client, tmp_path):
+    block = tables()["sweep"][0] | {"omega": omega, along: [2.0, 3.0, 4.0]}
+    if along == "forcing":
+        block["forcing"] = [0.01, 0.03, 0.05]
+    found = run(
+        gs.Study.from_dict(tables(sweep=[block], branches={"along": along})), client, tmp_path
+    )
+    assert (found["attractor_on_branch"] >= 0).all()
+    assert found[along].dims == ("branch", "step")
+    assert found["omega"].dims == ("branch",)
+    assert np.nanmax(found[along]) <= block[along][-1] * (1.0 + 1e-12)
+    np.testing.assert_allclose(
+        found["period"],
+        (1.0 / found["omega"]).broadcast_like(found["period"]).where(found["period"].notnull()),
+    )
+
+
+def test_branches_of_a_system_along_a_parameter_of_its_function(client, tmp_path):
+    study = gs.Study.from_dict(
+        {
+            "study": {"name": "masses"},
+            "system": {"function": "typical_section"},
+            "parameters": {"speed": 12.0},
+            "sweep": [
+                {
+                    "representation": "piecewise",
+                    "K_c": 3.9,
+                    "gap": [0.037001, 0.037001],
+                    "speed": [15.0, 16.0, 17.0],
+                    "initial_condition": [[0.0, 0.05, 0.0, 0.0, 0.0, 0.0]],
+                }
+            ],
+            "branches": {"along": "speed"},
+        }
+    )
+    found = run(study, client, tmp_path)
+    assert found["scene_status"].values.tolist() == [0]
+    assert found.sizes["attractor"] == 3
+    assert (found["attractor_on_branch"] >= 0).all()
+    assert found["x_max"].dims == ("branch", "step", "coordinate")
+    assert found["coordinate"].values.tolist() == list(gs.systems.typical_section(15.0).coordinates)
+
+
+def scene(folder):
+    """The scene of the exact law, of a run that is stored."""
+    study = gs.Study.from_dict(tables())
+    with gs.open(folder / "out" / "attractors.nc") as attractors:
+        return next(branches_of_study._scenes(study, attractors))[2]
+
+
+def test_what_becomes_of_a_scene_whose_process_ends_or_hangs_is_its_status(
+    branches, client, folder
+):
+    sound = scene(folder)
+    own = OwnLaw.of("tests.laws:spinning", [Path(__file__).parents[2]])
+    point = replace(sound.point, kind=replace(sound.point.kind, contacts=(own.label,), own=own))
+    scenes = [Deadly(), replace(sound, point=point), sound]
+    found = dict(branch_tasks.followed(scenes, client, 3.0, lambda: None))
+    assert found[0].status == gs.Status.KILLED
+    assert found[0].message == "its process ended with exit code 7"
+    assert found[1].status == gs.Status.TIMED_OUT
+    assert found[2].status == gs.Status.OK
+
+
+def test_failed_scenes_are_in_the_file_and_are_tried_again_if_asked(client, tmp_path, monkeypatch):
+    study = gs.Study.from_dict(tables())
+    failing = branch_tasks.Followed(gs.Status.ERROR, "lost")
+
+    def fails(scenes, *_):
+        sound = branch_tasks.followed(scenes[:1], client, 60.0, lambda: None)
+        yield from ((number, one) for number, one in sound)
+        yield from ((number, failing) for number in range(1, len(scenes)))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(branches_of_study, "followed", fails)
+        found = run(study, client, tmp_path)
+    assert found["scene_status"].values.tolist() == [gs.Status.OK, gs.Status.ERROR]
+    assert found["scene_message"].values.tolist() == ["", "lost"]
+    assert (of_attractors(found, "tanh-1e3") == -1).all()
+    assert (of_attractors(found, "piecewise") == 0).all()
+    assert not found.sizes["match"]
+    where = {"out": tmp_path / "out", "cache": tmp_path / "c"}
+    gs.run(study, client, **where, retry_failed=True).close()
+    found = gs.open(tmp_path / "out" / "branches.nc")
+    assert found["scene_status"].values.tolist() == [0, 0]
+
+
+def of_attractors(found, label):
+    return found["attractor_on_branch"].values[found["attractor_representation"].values == label]
+
+
+def test_a_killed_run_computes_only_the_scene_that_it_lacks(branches, tmp_path):
+    (tmp_path / "folds.toml").write_text(STUDY)
+    code = "import sys; from gapsweep.cli import main; sys.argv[0] = 'gapsweep'; main()"
+    command = [sys.executable, "-c", code, "run", "folds.toml", "--workers", "1"]
+
+    def started():
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+        return subprocess.Popen(
+            [*command, "--out", "out", "--cache", "c"], cwd=tmp_path, env=environment,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        )  # fmt: skip
+
+    def stored():
+        return {path: path.stat().st_mtime_ns for path in tmp_path.glob("c/branches/*/scene.nc")}
+
+    process = started()
+    while not stored() and process.poll() is None:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    before = stored()
+    assert len(before) == 1, "killed at work"
+    assert not (tmp_path / "out" / "branches.nc").exists()
+    process = started()
+    _, errors = process.communicate(timeout=600)
+    assert process.returncode == 0, errors
+    after = stored()
+    assert len(after) == 2
+    assert {path: after[path] for path in before} == before
+    found = gs.open(tmp_path / "out" / "branches.nc")
+    xr.testing.assert_identical(found.drop_attrs(deep=False), branches.drop_attrs(deep=False))
