@@ -291,6 +291,71 @@ def test_folds_of_duffing_without_contact_are_those_of_harmonic_balance():
         assert np.abs(multipliers(branch)[i] - 1.0).min() <= 1e-8
 
 
+def half_period(model, y, omega):
+    """Minus the state after half a forcing period, and its derivatives, by DOP853.
+
+    States in static deflections of the spring and in those times the forcing's rate.
+    """
+    m, w = model.mass, TURN * omega
+    k = m * (TURN * model.omega_n) ** 2
+    c, x_0 = 2.0 * model.zeta * math.sqrt(k * m), model.forcing / k
+
+    def rates(t, u):
+        x, v = x_0 * u[0], x_0 * w * u[1]
+        force = model.forcing * math.cos(w * t) - c * v - k * x - model.alpha * x**3
+        tangent = u[2:].reshape(2, 2)
+        slope = -(k + 3.0 * model.alpha * x**2) / (m * w) * tangent[0] - c / m * tangent[1]
+        return np.concatenate([[w * u[1], force / (m * x_0 * w)], w * tangent[1], slope])
+
+    run = solve_ivp(
+        rates,
+        (0.0, 0.5 / omega),
+        [*y, 1.0, 0.0, 0.0, 1.0],
+        method="DOP853",
+        rtol=1e-11,
+        atol=1e-13,
+    )
+    return -run.y[:2, -1], -run.y[2:, -1].reshape(2, 2)
+
+
+def broken_symmetry(model, state, omega):
+    """Frequency at which minus the motion over half a period has a multiplier -1."""
+    x_0 = model.forcing / (model.mass * (TURN * model.omega_n) ** 2)
+    start = np.array([state[0], state[1] / (TURN * omega)]) / x_0
+
+    def value(omega):
+        y, step = start, np.inf
+        while np.abs(step).max() > 1e-10:
+            end, tangent = half_period(model, y, omega)
+            step = -np.linalg.solve(tangent - np.eye(2), end - y)
+            y = y + step
+        return np.linalg.det(tangent + np.eye(2))
+
+    return brentq(value, (1.0 - 2e-4) * omega, (1.0 + 2e-4) * omega, xtol=1e-13 * omega)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "zeta"),
+    [
+        (5.0, 0.05),
+        pytest.param(
+            20.0,
+            0.03,
+            marks=pytest.mark.xfail(strict=True, reason="located to 1e-5 where the branch is bent"),
+        ),
+    ],
+)
+def test_symmetry_of_duffing_breaks_where_half_a_period_says(alpha, zeta):
+    model = gs.Oscillator(zeta=zeta, omega_n=RATE, mass=1.0, alpha=alpha, forcing=1.0)
+    window = 0.2 * RATE, 1.5 * RATE
+    branch = rows(gs.branches(model, NO_CONTACT, "omega", window, at=0.85 * RATE), 0)
+    steps = [i for kind, i in special_points(branch) if kind == "symmetry_breaking"]
+    assert len(steps) >= 2
+    for step in steps:
+        found, state = float(branch["omega"][step]), branch["start_state"].values[step]
+        assert found == pytest.approx(broken_symmetry(model, state, found), rel=1e-6)
+
+
 def test_the_backbone_of_duffing_has_elliptic_periods():
     model = gs.Oscillator(zeta=0.0, omega_n=RATE, mass=1.0, alpha=1.0, forcing=0.0)
     branch = rows(gs.branches(model, NO_CONTACT, "amplitude", (0.1, 3.0)), 0)
