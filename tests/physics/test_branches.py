@@ -379,6 +379,8 @@ def test_free_periods_of_a_bilinear_oscillator_are_the_mean_of_both_springs(rati
     assert_allclose(branch["period"].values, expected, rtol=1e-9)
     share = -branch["x_min"].values / branch["x_max"].values
     assert_allclose(share, math.sqrt(1.0 + ratio), rtol=1e-9)
+    half_range = 0.5 * (1.0 + share) * branch["x_max"].values
+    assert_allclose(branch["amplitude"].values, half_range, rtol=1e-12)
 
 
 def test_symmetric_orbits_between_walls_solve_four_equations_in_closed_form():
