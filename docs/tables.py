@@ -4,10 +4,11 @@ from collections.abc import Iterable, Iterator
 
 import click
 
-from gapsweep.analysis import histories, static
+from gapsweep.analysis import branch_agreement, branches, histories, static
 from gapsweep.analysis.metrics import variables
 from gapsweep.analysis.timing import COSTS
 from gapsweep.cli.main import commands
+from gapsweep.continuation import dataset as continued
 from gapsweep.response.result import CLASS_FLAGS, KIND_FLAGS
 from gapsweep.response.search import TRANSITIONS
 from gapsweep.status import Status
@@ -33,6 +34,7 @@ def pages() -> dict[str, str]:
         "timing": _table(("variable", "over", "units", "what it is"), _timing()),
         "static": _table(("variable", "over", *_FACTS), _static()),
         "histories": _table(("variable", "over", *_FACTS), _histories()),
+        "branches": _table(("variable", "over", *_FACTS), _branches()),
         "flags": _table(("variable", "value", "meaning"), _flags()),
         "commands": "\n".join(_commands(commands, "gapsweep")),
     }
@@ -111,11 +113,24 @@ def _histories() -> Iterator[tuple[str, ...]]:
         yield _row(name, dims, variable)
 
 
+def _branches() -> Iterator[tuple[str, ...]]:
+    for name, variable in continued.VARIABLES.items():
+        yield _row(name, [continued.BRANCH, continued.STEP, *_lists(variable)], variable)
+    for name, variable in continued.OF_BRANCH.items():
+        yield _row(name, [continued.BRANCH], variable)
+    for name, (over, variable) in branches.OF_STUDY.items():
+        yield _row(name, [over], variable)
+    for name, variable in branch_agreement.VARIABLES.items():
+        yield _row(name, [branch_agreement.MATCH], variable)
+
+
 def _flags() -> Iterator[tuple[str, ...]]:
     known = (
         ("status", STATUS_FLAGS),
         ("response_class", CLASS_FLAGS),
         ("extremum_kind", KIND_FLAGS),
+        ("special", continued.SPECIAL_FLAGS),
+        ("begins, ends", continued.END_FLAGS),
     )
     for name, flags in known:
         for meaning, value in flags:

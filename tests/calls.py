@@ -6,6 +6,7 @@ import signal
 import sys
 import tempfile
 import time
+from types import SimpleNamespace
 
 
 def same(number: int) -> int:
@@ -102,7 +103,7 @@ def dying_with_a_child() -> None:
 class Deadly:
     """A scene of branches that ends the process in which they are followed."""
 
-    is_own = False
+    system, point = None, SimpleNamespace(kind=SimpleNamespace(own=None))
 
     @property
     def window(self) -> object:

@@ -272,13 +272,13 @@ def failed_motions(path: Path) -> dict[str, int]:
     """Number of motions in a file per status that says that they failed.
 
     Of a benchmark, which looks for failures of methods, only those of the user's own code; of
-    branches the scenes.
+    branches the attractors whose scenes failed.
     """
     if path.name not in (HISTORIES, WORK_PRECISION, STABILITY, BRANCHES):
         return {}
     is_bench = path.name in (WORK_PRECISION, STABILITY)
     first = Status.TIMED_OUT if is_bench else Status.DIVERGED
-    found = netcdf.values(path, "scene_status" if path.name == BRANCHES else "status")
+    found = netcdf.values(path, "attractor_status" if path.name == BRANCHES else "status")
     counts = {status.label: int((found == status).sum()) for status in Status if status >= first}
     return {label: n for label, n in counts.items() if n}
 
@@ -334,6 +334,6 @@ def _report(folder: Path) -> Path:
             own_parts=(own_code.stored(folder / SECTIONS) or {}).get("sections", ()),
             work_precision=stored(WORK_PRECISION),
             stability=stored(STABILITY),
-            branches=stored("branches.nc"),
+            branches=stored(BRANCHES),
             made_from=as_text(made_from(stage, folder, {})),
         )

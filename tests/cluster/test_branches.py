@@ -119,13 +119,30 @@ def test_attractors_of_a_loose_solver_start_no_copies(client, tmp_path):
 
 
 def test_scenes_and_settings_stand_in_the_file(branches):
-    assert branches["scene_status"].values.tolist() == [0, 0]
-    assert branches["scene_representation"].values.tolist() == ["piecewise", "tanh-1e3"]
-    assert branches["branch_scene"].values.tolist() == [0, 1]
+    assert branches["representation"].values.tolist() == ["piecewise", "tanh-1e3"]
+    assert (branches["attractor_status"] == 0).all()
+    assert branches["n_lost"].values.tolist() == [0, 0]
     assert branches["omega"].attrs["units"] == "Hz"
     assert branches.attrs["along"] == "omega"
     assert branches.attrs["rtol"] == 1e-11
     assert {"study_json", "made_from", "numerics_fingerprint", "created"} <= set(branches.attrs)
+
+
+def test_attractors_are_those_of_the_other_file(branches, folder):
+    with gs.open(folder / "out" / "attractors.nc") as attractors:
+        names = [name for name in branches.coords if str(name).startswith("attractor_")]
+        at = {
+            name.removeprefix("attractor_"): branches[name]
+            for name in names
+            if name.removeprefix("attractor_") in attractors.dims
+        }
+        assert set(at) == {"representation", "K_c", "gap", "omega"}
+        same = attractors.rename(attractor="number").sel(at)
+        same = same.isel(number=branches["attractor_number"])
+        assert (same["response_class"] == 0).all()
+        heights = same["x_max"].values
+    exact = np.isclose(branches["attractor_omega"], 0.2) & (branches["attractor_K_c"] == 3.0)
+    assert len(np.unique(heights[exact.values].round(6))) >= 2
 
 
 def test_special_points_of_laws_are_compared(branches):
@@ -199,7 +216,6 @@ def test_branches_of_a_system_along_a_parameter_of_its_function(client, tmp_path
         }
     )
     found = run(study, client, tmp_path)
-    assert found["scene_status"].values.tolist() == [0]
     assert found.sizes["attractor"] == 3
     assert (found["attractor_on_branch"] >= 0).all()
     assert found["x_max"].dims == ("branch", "step", "coordinate")
@@ -210,7 +226,7 @@ def scene(folder):
     """The scene of the exact law, of a run that is stored."""
     study = gs.Study.from_dict(tables())
     with gs.open(folder / "out" / "attractors.nc") as attractors:
-        return next(branches_of_study._scenes(study, attractors))[2]
+        return next(branches_of_study._parts(study, attractors)).scene
 
 
 def test_what_becomes_of_a_scene_whose_process_ends_or_hangs_is_its_status(
@@ -239,15 +255,17 @@ def test_failed_scenes_are_in_the_file_and_are_tried_again_if_asked(client, tmp_
     with monkeypatch.context() as patched:
         patched.setattr(branches_of_study, "followed", fails)
         found = run(study, client, tmp_path)
-    assert found["scene_status"].values.tolist() == [gs.Status.OK, gs.Status.ERROR]
-    assert found["scene_message"].values.tolist() == ["", "lost"]
+    lost = found["attractor_representation"].values == "tanh-1e3"
+    np.testing.assert_array_equal(found["attractor_status"], lost * gs.Status.ERROR)
+    assert {*found["attractor_message"].values[lost]} == {"lost"}
     assert (of_attractors(found, "tanh-1e3") == -1).all()
     assert (of_attractors(found, "piecewise") == 0).all()
     assert not found.sizes["match"]
     where = {"out": tmp_path / "out", "cache": tmp_path / "c"}
     gs.run(study, client, **where, retry_failed=True).close()
     found = gs.open(tmp_path / "out" / "branches.nc")
-    assert found["scene_status"].values.tolist() == [0, 0]
+    assert (found["attractor_status"] == 0).all()
+    assert (found["attractor_on_branch"] >= 0).all()
 
 
 def of_attractors(found, label):

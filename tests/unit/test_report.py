@@ -854,12 +854,12 @@ def test_special_points_are_compared_with_those_of_the_exact_law(tmp_path):
         ["LP, fold", "1", "piecewise", "5", "1"],
         ["LP, fold", "1", "tanh-1e4", "5.05", "1, 2"],
     ]
-    scenes = ["piecewise", "tanh-1e4", "tanh-1e4"]
-    matches = {"scene": [1, 1, 2], "kind": [1, 2, 1], "period_multiple": [1, 1, 1]}
-    values = {"exact": [5.0, 7.0, 1.0], "law": [5.05, np.nan, 1.0], "difference": [0.05, np.nan, 0]}
+    matches = {"kind": [1, 2, 1], "period_multiple": [1, 1, 1], "exact": [5.0, 7.0, 1.0]}
+    matches |= {"law": [5.05, np.nan, 1.0], "difference": [0.05, np.nan, 0.0]}
+    scenes = {"representation": ["tanh-1e4"] * 3, "K_c": [1.4e4, 1.4e4, 1.0]}
     compared = found.assign(
-        {f"match_{name}": ("match", column) for name, column in (matches | values).items()}
-    ).assign_coords(scene_representation=("scene", scenes), scene_K_c=("scene", [1.4e4, 1.4e4, 1]))
+        {f"match_{name}": ("match", column) for name, column in matches.items()}
+    ).assign_coords({f"match_{name}": ("match", column) for name, column in scenes.items()})
     first, table = special_points(compared, files[0], "omega")
     assert first.rows == [["LP, fold", "1", "piecewise", "5", "1"]]
     assert table.title.endswith("exact law, forcing frequency [Hz]")

@@ -6,7 +6,8 @@ so that a run that was interrupted computes only the scenes that it lacks.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.branch_agreement import special_points
+from gapsweep.analysis.branch_agreement import MATCH, compared
 from gapsweep.continuation.branches import Attractor
 from gapsweep.continuation.call import DEFAULT_ATOL, DEFAULT_RTOL
 from gapsweep.continuation.dataset import ATTRACTOR, BRANCH, OF_BRANCH, VARIABLES
@@ -31,18 +32,40 @@ from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import SECTION_POINT, STATUS_FLAGS, Variable
 
-SCENE, FOLDER = "scene", "branches"
-_NONE = np.zeros((0, 2), np.intp)
-TABLES = {
-    "branch_scene": Variable("i4", "1", "number of the scene"),
-    "attractor_number": Variable("i4", "1", "number of the attractor in its scene"),
-    "attractor_on_branch": Variable("i4", "1", "branch that the attractor lies on, -1: none"),
-    "scene_status": Variable("i1", "1", "outcome of the scene", Status.NOT_REQUESTED, STATUS_FLAGS),
-    "scene_message": Variable("str", "1", "why the scene has no branches"),
-    "scene_n_lost": Variable("i4", "1", "orbits and special points not found"),
+FOLDER = "branches"
+OF_STUDY = {
+    "n_lost": (BRANCH, Variable("i4", "1", "orbits and special points not found in the scene")),
+    "attractor_on_branch": (
+        ATTRACTOR,
+        Variable("i4", "1", "branch that the attractor lies on, -1: none"),
+    ),
+    "attractor_number": (ATTRACTOR, Variable("i4", "1", "number of the attractor in its scene")),
+    "attractor_status": (
+        ATTRACTOR,
+        Variable("i1", "1", "outcome of the scene of the attractor", flags=STATUS_FLAGS),
+    ),
+    "attractor_message": (ATTRACTOR, Variable("str", "1", "why the scene has no branches")),
 }
 
-Places = Mapping[str, int]
+
+@dataclass(slots=True, kw_only=True)
+class _Part:
+    """A scene of a study.
+
+    Attributes
+    ----------
+    at : mapping of str to int
+        Its place on the axes.
+    numbers : ndarray of int, shape (n_attractors, 2)
+        Of its periodic attractors: along the parameter, and in ``attractors.nc``.
+    scene : Scene
+    found : Followed
+    """
+
+    at: Mapping[str, int]
+    numbers: NDArray[np.intp]
+    scene: Scene
+    found: Followed
 
 
 def branches(
@@ -70,46 +93,30 @@ def branches(
     say : callable
         Called with the progress.
     """
-    scenes = list(_scenes(study, attractors))
-    found: dict[int, Followed] = {}
+    parts = [part for part in _parts(study, attractors) if part.scene.attractors]
     missing = []
-    for number, (_, _, scene) in enumerate(scenes):
-        path = _path(cache, scene)
-        if not scene.attractors:
-            found[number] = Followed(Status.OK, "no periodic attractor")
-        elif (stored := _stored(path)) is not None:
-            found[number] = Followed(Status.OK, branches=stored)
-        else:
-            missing.append(number)
+    for part in parts:
+        # In a folder for each scene: SHA256SUMS has one writer.
+        path = cache / FOLDER / part.scene.key / "scene.nc"
+        with suppress(StoreError):
+            part.found = Followed(Status.OK, branches=netcdf.read(path))
+        if part.found.branches is None:
+            missing.append((part, path))
     if missing:
         with connect() as client:
-            tasks = [scenes[number][2] for number in missing]
-            for i, one in followed(tasks, client, timeout, lambda: say("waiting for workers")):
-                found[missing[i]] = one
-                if one.branches is not None:
-                    netcdf.write(one.branches, _path(cache, tasks[i]), {})
-                say(f"making branches.nc, {len(found)} of {len(scenes)} scenes")
-    where = [(at, numbers) for at, numbers, _ in scenes]
-    return _assembled(study, where, [found[number] for number in range(len(scenes))])
+            tasks = [part.scene for part, _ in missing]
+            arriving = followed(tasks, client, timeout, lambda: say("waiting for workers"))
+            for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
+                part, path = missing[number]
+                part.found = found
+                if found.branches is not None:
+                    netcdf.write(found.branches, path, {})
+                say(f"making branches.nc, {n_done} of {len(parts)} scenes")
+    return _assembled(study, parts)
 
 
-def _path(cache: Path, scene: Scene) -> Path:
-    """Where the branches of a scene are stored; the folder has a digest of this file alone."""
-    return cache / FOLDER / scene.key / "scene.nc"
-
-
-def _stored(path: Path) -> xr.Dataset | None:
-    """Branches that are stored; None if they are not, or are damaged."""
-    try:
-        return netcdf.read(path) if path.exists() else None
-    except StoreError:
-        return None
-
-
-def _scenes(
-    study: Study, attractors: xr.Dataset
-) -> Iterator[tuple[Places, NDArray[np.intp], Scene]]:
-    """The scenes of a study: place on their axes, places of their attractors, and the scene."""
+def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_Part]:
+    """The scenes of a study."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
     along, axes = table.along, grid.axes
@@ -117,111 +124,84 @@ def _scenes(
     window = Window.of(along, (min(axes[along]), max(axes[along])))
     order = [grid.dims.index(name) for name in (*dims, along, START)]
     requested = grid.requested.transpose(order)
-    is_orbit = attractors["response_class"].transpose(*dims, along, ATTRACTOR).values
-    is_orbit = is_orbit == ResponseClass.PERIODIC
-    for place in np.ndindex(*(len(axes[name]) for name in dims)):
+    kind = attractors["response_class"].transpose(*dims, along, ATTRACTOR).values
+    for place in np.ndindex(*requested.shape[:-2]):
         at = dict(zip(dims, place, strict=True))
-        label = axes["representation"][at["representation"]]
-        if not is_followed(label) or not requested[place].any():
+        if not is_followed(axes["representation"][at["representation"]]):
             continue
-        first = np.argwhere(requested[place])[0].tolist()
-        cell = at | dict(zip((along, START), first, strict=True))
+        if not requested[place].any():
+            continue
+        cell = at | dict(zip((along, START), np.argwhere(requested[place])[0], strict=True))
         flat = np.ravel_multi_index([cell[name] for name in grid.dims], grid.shape)
         ((_, point),) = study.points(np.array([flat]))
-        numbers = np.argwhere(is_orbit[place])
-        some = {n: axes[n][i] for n, i in at.items() if n in study.spec.model}
-        omega = axes["omega"][at["omega"]] if "omega" in at else None
-        yield (
-            at,
-            numbers,
-            Scene(
-                model=study.model.along(along, some),
-                point=point,
-                omega=omega,
-                window=window,
-                table=table,
-                attractors=tuple(_attractors(study, attractors.isel(at), along, numbers)),
-            ),
+        numbers = np.argwhere(kind[place] == ResponseClass.PERIODIC)
+        some = {name: axes[name][i] for name, i in at.items() if name in study.spec.model}
+        scene = Scene(
+            point=point,
+            system=study.model.along(along, some),
+            window=window,
+            table=table,
+            attractors=tuple(_attractors(attractors.isel(at), along, numbers)),
         )
+        yield _Part(at=at, numbers=numbers, scene=scene, found=Followed(Status.OK))
 
 
-def _attractors(
-    study: Study, here: xr.Dataset, along: str, numbers: NDArray[np.intp]
-) -> Iterator[Attractor]:
-    """The periodic attractors of a scene, by their number along the parameter and in its scene."""
-    names = [name for name in ("section_x", "section_v", "section_z") if name in here]
-    here = here[[*names, "period_multiple", *(["period"] if "period" in here else [])]].load()
+def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iterator[Attractor]:
+    """The periodic attractors of a scene."""
+    sections = [name for name in ("section_x", "section_v", "section_z") if name in here]
+    names = [name for name in (*sections, "period_multiple", "period") if name in here]
+    here = here[names].load()
     for i, k in numbers.tolist():
         one = here.isel({along: i, ATTRACTOR: k})
-        parts = [one[name].transpose(SECTION_POINT, ...).values for name in names]
-        section = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+        columns = [one[name].transpose(SECTION_POINT, ...).values for name in sections]
+        section = np.concatenate([each.reshape(len(each), -1) for each in columns], axis=1)
         yield Attractor(
-            value=study.grid.axes[along][i],
+            value=float(one[along]),
             section=section[np.isfinite(section).all(axis=1)],
             period=float(one.get("period", np.nan)),
             multiple=int(one["period_multiple"]),
         )
 
 
-def _assembled(
-    study: Study, where: list[tuple[Places, NDArray[np.intp]]], found: list[Followed]
-) -> xr.Dataset:
+def _assembled(study: Study, parts: list[_Part]) -> xr.Dataset:
     """One dataset of the branches of all scenes."""
-    table = study.spec.branches
+    table, grid = study.spec.branches, study.grid
     assert table is not None
-    scenes, numbers = [at for at, _ in where], np.concatenate([_NONE, *(n for _, n in where)])
-    parts, lies_on, sizes, lost, n_branches = [], [np.zeros(0, int)], [], [], 0
-    for one, (_, some) in zip(found, where, strict=True):
-        on, size = np.full(len(some), -1), 0
-        if (part := one.branches) is not None:
-            size, on = part.sizes[BRANCH], part["attractor_on_branch"].values
-            part[BRANCH] = part[BRANCH] + n_branches
-            parent = part["parent"]
-            parent[:] = np.where(parent < 0, -1, parent + n_branches)
-            parts.append(part.drop_dims(ATTRACTOR))
-        lost.append(0 if part is None else part.attrs["n_lost"])
-        lies_on.append(np.where(on < 0, -1, on + n_branches))
-        sizes.append(size)
-        n_branches += size
-    made = _joined(parts)
-    described = coordinates(study.grid.dims, study.structure)
-
-    def of_scenes(dim: str, which: NDArray[np.intp], prefix: str) -> Iterator[tuple[str, Any]]:
-        """Coordinates that say in which scenes the entries of a dimension are."""
-        values = study.grid.coordinates()
-        for name, (along, variable) in described.items():
-            if len(along) == 1 and along[0] in (scenes[0] if scenes else ()):
-                at = np.array([place[along[0]] for place in scenes])[which]
-                yield prefix + name, (dim, values[name][at], variable.attributes)
-
-    every = np.arange(len(scenes))
-    made = made.assign_coords(
-        {
-            **dict(of_scenes(BRANCH, np.repeat(every, sizes), "")),
-            **dict(of_scenes(SCENE, every, "scene_")),
-            **dict(
-                of_scenes(ATTRACTOR, np.repeat(every, [len(n) for _, n in where]), "attractor_")
-            ),
-            f"attractor_{table.along}": (
-                ATTRACTOR,
-                np.asarray(study.grid.axes[table.along])[numbers[:, 0]],
-                described[table.along][1].attributes,
-            ),
-        }
+    columns: dict[str, list[Any]] = {name: [] for name in OF_STUDY}
+    several: list[xr.Dataset] = []
+    of_branch: list[Mapping[str, int]] = []
+    of_attractor: list[Mapping[str, int]] = []
+    for part in parts:
+        n, before = len(part.numbers), len(of_branch)
+        on = np.full(n, -1)
+        if (found := part.found.branches) is not None:
+            on = found["attractor_on_branch"].values
+            size, parent = found.sizes[BRANCH], found["parent"]
+            parent[:] = np.where(parent < 0, -1, parent + before)
+            several.append(found.drop_dims(ATTRACTOR).drop_vars(BRANCH))
+            columns["n_lost"] += size * [found.attrs["n_lost"]]
+            of_branch += size * [part.at]
+        columns["attractor_on_branch"] += np.where(on < 0, -1, on + before).tolist()
+        columns["attractor_number"] += part.numbers[:, 1].tolist()
+        columns["attractor_status"] += n * [part.found.status]
+        columns["attractor_message"] += n * [part.found.message]
+        of_attractor += [{**part.at, table.along: i} for i in part.numbers[:, 0].tolist()]
+    matches, of_match = compared(
+        [(part.at, part.found.branches) for part in parts], grid.representations, table.along
     )
-    columns = {
-        "branch_scene": (BRANCH, np.repeat(every, sizes)),
-        "attractor_number": (ATTRACTOR, numbers[:, 1]),
-        "attractor_on_branch": (ATTRACTOR, np.concatenate(lies_on)),
-        "scene_status": (SCENE, [int(one.status) for one in found]),
-        "scene_message": (SCENE, np.array([one.message for one in found], str)),
-        "scene_n_lost": (SCENE, lost),
-    }
-    for name, (dim, values) in columns.items():
-        form = TABLES[name]
-        made[name] = (dim, np.asarray(values, form.dtype), form.attributes)
-    made = made.merge(special_points(made, table.along), combine_attrs="override")
-    axis = study.grid.axes[table.along]
+    made = _joined(several).merge(matches)
+    for name, (dim, form) in OF_STUDY.items():
+        made[name] = (dim, np.array(columns[name], form.dtype), form.attributes)
+    described, values = coordinates(grid.dims, grid.structure), grid.coordinates()
+    places = (BRANCH, "", of_branch), (ATTRACTOR, "attractor_", of_attractor)
+    for dim, prefix, where in (*places, (MATCH, "match_", of_match)):
+        for name, (over, variable) in described.items():
+            if where and {*over} <= {*where[0]}:
+                at = [place[over[0]] for place in where]
+                made.coords[prefix + name] = (dim, values[name][at], variable.attributes)
+    made.coords[BRANCH] = np.arange(made.sizes[BRANCH])
+    made.coords.update({name: list(of) for name, of in grid.parts.items() if name in made.dims})
+    axis = grid.axes[table.along]
     settings = {"rtol": DEFAULT_RTOL, "atol": DEFAULT_ATOL, **table.model_dump(exclude_none=True)}
     return made.assign_attrs(
         **study.attributes,
@@ -231,11 +211,12 @@ def _assembled(
     )
 
 
-def _joined(parts: list[xr.Dataset]) -> xr.Dataset:
+def _joined(several: list[xr.Dataset]) -> xr.Dataset:
     """Branches one after the other; missing values behind the ends of shorter ones."""
-    if not parts:
-        return xr.Dataset(coords={BRANCH: np.zeros(0, int)})
+    if not several:
+        return xr.Dataset({"stable": ((BRANCH, "step"), np.zeros((0, 0), np.int8))})
     missing = {name: each.missing for name, each in (VARIABLES | OF_BRANCH).items()}
-    fill = {name: missing.get(str(name), np.nan) for name in parts[0].data_vars}
-    made = xr.concat(parts, BRANCH, join="outer", fill_value=fill, combine_attrs="override")
-    return made.astype({name: parts[0][name].dtype for name in fill}).drop_attrs(deep=False)
+    first = several[0]
+    fill = {name: missing.get(str(name), np.nan) for name in first.data_vars}
+    made = xr.concat(several, BRANCH, join="outer", fill_value=fill, combine_attrs="override")
+    return made.astype({name: first[name].dtype for name in fill}).drop_attrs(deep=False)

@@ -32,7 +32,7 @@ _STATIONARY = 0.2  # of the way: a parameter that changes less over two steps is
 _ASIDE = 0.5  # correction over step
 _EDGE = 1e-12  # of a window, within which its end is reached
 # Change of multipliers in a step, but not where they change ever so fast, as beside a graze.
-_CHANGE, _FAST = 0.4, 1e-4
+_CHANGE, _INNER, _FAST = 0.4, 0.7, 1e-4
 # Distances at which a branch is sought again behind a kink, and where it is no longer there.
 _BEHIND, _ASTRAY = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3), 3.0
 
@@ -251,8 +251,12 @@ def reversed_orbit(orbit: Orbit) -> Orbit:
 
 
 def _change(before: NDArray[np.complex128], after: NDArray[np.complex128]) -> float:
-    """Largest distance of a multiplier from the nearest one before, relative where it is large."""
-    if not len(before):
+    """Largest distance of a multiplier from the nearest one before, relative where it is large.
+
+    Zero far inside the unit circle: there multipliers may turn quickly, as of a fast oscillation
+    within a long period, and nothing happens.
+    """
+    if max(np.abs(before).max(initial=0.0), np.abs(after).max(initial=0.0)) < _INNER:
         return 0.0
     apart = np.abs(after[:, None] - before[None, :]).min(axis=1)
     return float((apart / (1.0 + np.abs(after))).max())

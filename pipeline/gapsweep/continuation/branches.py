@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 _OFF_TURNING = 0.137  # of a period: orbits that start at a maximum are moved off it
 _SAME = 1e-6  # orbits that are nearer, as a share of their size, are the same
-_HALVES = 1e-3  # of a state: beside a pitchfork, halves of a period are this much alike
+_HALVES = 1e-2  # of a state: beside a pitchfork, halves of a period are this much alike
 _PITCHFORK = (Special.FOLD, Special.BRANCH_POINT)
 _SHORTEST = 4  # orbits of a branch that leaves another one
 _AT_ONCE = 1e-9  # grazes that are nearer in scaled unknowns are one

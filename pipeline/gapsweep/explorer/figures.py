@@ -98,7 +98,8 @@ class Figures:
             [guide(shown, side) for shown, side in (*across, (self.history, "width"))]
             for _ in range(2)
         ]
-        self.response.add_tools(HoverTool(tooltips=_TIPS))
+        dots = [one for one in self.response.renderers if one.data_source is not self._branches]
+        self.response.add_tools(HoverTool(tooltips=_TIPS, renderers=dots))
 
     def _of_motions(self) -> dict[str, figure]:
         names = ("phase", "section", "history", "spectrum")

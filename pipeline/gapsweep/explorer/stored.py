@@ -13,7 +13,7 @@ from gapsweep.explorer.question import not_computed, of_study, refuse_systems
 from gapsweep.model.labels import law_of
 from gapsweep.model.oscillator import OSCILLATOR
 from gapsweep.report import branches
-from gapsweep.stages import RESPONSES, is_of_run
+from gapsweep.stages import BRANCHES, RESPONSES, is_of_run
 from gapsweep.store import netcdf
 from gapsweep.study.schema import written
 from gapsweep.study.study import Study
@@ -38,7 +38,7 @@ class Stored:
 
     def __init__(self, folder: Path) -> None:
         self._dataset = netcdf.read(folder / RESPONSES)
-        path = folder / "branches.nc"
+        path = folder / BRANCHES
         self._branches = netcdf.read(path) if path.exists() and is_of_run(path) else None
         tables = _tables(self._dataset)
         refuse_systems(tables, folder)

@@ -37,6 +37,8 @@ _MOST_NAMES = 8  # branches in a legend
 _FONT = 8.0  # points
 _LETTERS = 2.1, 1.1  # width and height of a symbol of two letters, in sizes of its font
 _WAYS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0)])
+_MOST_SYMBOLS = 100  # special points of a figure, beyond which markers must do
+_CELL = 0.3  # of a symbol's size: a third of what it hides
 _FINE = 8  # places on a step of a branch that a symbol should not hide
 
 
@@ -150,8 +152,11 @@ def draw(
             axes.plot(*line.T, dashes, color=own, label=f"_{told or BRANCH} {word}", **style)
     for told, own in {told: own for own, told in look if told}.items():
         axes.plot([], [], "-", color=own, label=told, **style)
-    if (branches["stable"] == 0).any():
-        axes.plot([], [], "--", color=shade or _COLOURS[-1], label="unstable", **style)
+    dashed = [line for line in axes.lines if str(line.get_label()) == f"_{BRANCH} unstable"]
+    if shade and dashed:  # one of them in a legend
+        dashed[0].set_label(f"{BRANCH} unstable")
+    elif (branches["stable"] == 0).any():
+        axes.plot([], [], "--", color=_COLOURS[-1], label="unstable", **style)
     x, y, special = of_orbits(branches, along, heights[0], "special")
     for kind, (marker, word) in KINDS.items():
         if (special == kind).any():
@@ -213,20 +218,28 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
     """
     x, y, special = of_orbits(branches, along, height, "special")
     there = np.isfinite(x) & np.isfinite(y)
-    if not (special[there] > 0).any():
+    if not 0 < (special[there] > 0).sum() <= _MOST_SYMBOLS:
         return
     axes.autoscale_view()
     at = axes.transData.transform(np.stack([x, y], axis=2).reshape(-1, 2)).reshape(*x.shape, 2)
     parts = np.linspace(0.0, 1.0, _FINE, endpoint=False)[:, None, None, None]
-    places = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
-    places = np.concatenate([places, *[at[special > 0]] * _FINE])
+    covered = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
+    covered = np.concatenate([covered, *[at[special > 0]] * _FINE])
     size = _FONT * axes.figure.dpi / 72.0 * np.array(_LETTERS)
+    low, high = np.array(axes.bbox.min) - 2.0 * size, np.array(axes.bbox.max) + 2.0 * size
+    covered = covered[((covered > low) & (covered < high)).all(axis=1)]
+    cells = np.ceil((high - low) / (_CELL * size)).astype(int)
+    # How much lies in each cell of a grid as fine as a part of a symbol.
+    crowd = np.zeros(cells)
+    np.add.at(crowd, tuple(((covered - low) / (high - low) * cells).astype(int).T), 1.0)
+    crowd = np.lib.stride_tricks.sliding_window_view(np.pad(crowd, 1), (3, 3)).sum(axis=(2, 3))
     taken = np.empty((0, 2))
     for kind in sorted(KINDS, key=lambda kind: int((special == kind).sum())):
         for branch, step in np.argwhere(there & (special == kind)):
             centres = at[branch, step] + 0.5 * _WAYS * size
             is_free = axes.bbox.padded(-0.5 * size[1]).contains
-            hidden = (np.abs(centres[:, None] - places) < 0.45 * size).all(axis=2).sum(axis=1)
+            cell = np.clip(((centres - low) / (high - low) * cells).astype(int), 0, cells - 1)
+            hidden = crowd[tuple(cell.T)]
             overlaps = (np.abs(centres[:, None] - taken) < size).all(axis=2).any(axis=1)
             overlaps |= [not is_free(*centre) for centre in centres]
             if overlaps.all():

@@ -68,7 +68,7 @@ def overview(
     agreement: xr.Dataset | None,
     timing: xr.Dataset,
     attractors: xr.Dataset | None,
-    branches: xr.Dataset | None,
+    branches: xr.Dataset | None = None,
 ) -> Part:
     """What stands in the report in place of its scenes.
 

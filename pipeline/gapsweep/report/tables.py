@@ -159,7 +159,7 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     labels = np.broadcast_to(part.coords.get(REPRESENTATION, ""), len(x)).astype(str)
     peaks: dict[tuple[int, int, str, float], set[str]] = {}
     is_listed = np.full(labels.shape, True)
-    if "match_scene" in found and EXACT in labels:
+    if "match_representation" in found and EXACT in labels:
         is_listed = labels == EXACT
     for i, k in np.argwhere((special > 0) & is_listed[:, None]):
         point = special[i, k], multiple[i, k], labels[i], float(f"{x[i, k]:.7g}")
@@ -172,11 +172,10 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     axes = [of_axis(part[name]) for name in (along, "x_max")]
     if rows:
         yield _cut("Special points of the branches", [*head, *axes], rows)
-    if "match_scene" not in found:
+    if "match_representation" not in found:
         return
-    inside = in_scene(found, here, "scene", "scene_")[found["match_scene"].values]
-    matches = found.isel(match=inside)
-    laws = found["scene_representation"].values[matches["match_scene"].values]
+    matches = found.isel(match=in_scene(found, here, "match", "match_"))
+    laws = matches["match_representation"].values
     columns = [matches[f"match_{name}"].values for name in ("kind", "period_multiple")]
     columns += [drawn(matches[f"match_{name}"]) for name in ("exact", "law", "difference")]
     rows = [

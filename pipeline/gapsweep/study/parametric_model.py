@@ -46,8 +46,14 @@ class AlongParameter:
     def __signature__(self) -> Signature:
         return Signature([Parameter(self.name, Parameter.KEYWORD_ONLY)])
 
-    def __call__(self, **given: float) -> Model:
+    def __call__(self, **given: float) -> System:
         return self.make({**self.values, **given})
+
+    @property
+    def identity(self) -> list[Any]:
+        """All that it depends on, for JSON."""
+        own = self.make.own
+        return [self.make.table.model_dump(), own and own.key, dict(self.values), self.name]
 
 
 @dataclass(frozen=True)
@@ -219,10 +225,10 @@ class ParametricModel:
             )
         return made
 
-    def along(self, name: str, some: Mapping[str, float]) -> Model | AlongParameter:
-        """What branches along a parameter are of, where other parameters have some values."""
+    def along(self, name: str, some: Mapping[str, float]) -> AlongParameter | None:
+        """The system as a function of one parameter, where others have some values."""
         if self.is_oscillator or name not in self.spec.model:
-            return self.at(some)
+            return None
         values = {**self.spec.model, **some}
         assert isinstance(self._make, Maker)
         return AlongParameter(self._make, {n: canonical(x) for n, x in values.items()}, name)
