@@ -476,6 +476,39 @@ def test_the_asymmetric_cycle_of_the_typical_section_leaves_the_symmetric_one():
     assert not unexplained(branch)
 
 
+def growth(speed):
+    """The eigenvalue [1/s] of the typical section without the flap's spring that grows fastest."""
+    system = SYSTEMS.typical_section(speed)
+    n, lags = system.n, system.lags
+    inverse = np.linalg.inv(system.mass)
+    rates = np.block(
+        [
+            [np.zeros((n, n)), np.eye(n), np.zeros((n, lags.of_lags.shape[0]))],
+            [-inverse @ system.stiffness, -inverse @ system.damping, -inverse @ lags.force],
+            [lags.of_place, lags.of_speed, lags.of_lags],
+        ]
+    )
+    values = np.linalg.eigvals(rates)
+    return values[values.real.argmax()]
+
+
+def test_cycles_within_the_freeplay_have_the_flutter_speed_of_a_loose_flap():
+    law = SYSTEMS.typical_section_law()
+    start = gs.respond(SYSTEMS.typical_section(8.0), law, q_0=[0.01, 0.0, 0.0])
+    ds = gs.branches(SYSTEMS.typical_section, law, "speed", (2.0, 9.0), at=8.0, start=start)
+    branch = rows(ds, 0)
+    is_within = (branch["x_max"].values[:, 2] < law.gap.j_2) & (kinds(branch) == "none")
+    assert is_within.sum() >= 5
+    flutter_speed = brentq(lambda speed: growth(speed).real, 6.0, 7.5, xtol=1e-13)
+    speeds, periods = (branch[name].values[is_within] for name in ("speed", "period"))
+    assert_allclose(speeds, flutter_speed, rtol=1e-9)
+    assert_allclose(periods, TURN / abs(growth(flutter_speed).imag), rtol=1e-9)
+    assert (branch["n_contacts"].values[is_within] == 0).all()
+    (graze,) = (i for kind, i in special_points(branch) if kind == "grazing")
+    assert branch["speed"].values[graze] == pytest.approx(flutter_speed, rel=1e-9)
+    assert branch["x_max"].values[graze, 2] == pytest.approx(law.gap.j_2, rel=1e-9)
+
+
 # --- Smooth approximations ----------------------------------------------------------------------
 
 
