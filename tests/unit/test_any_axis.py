@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from tests.made import chaotic, datasets, failed, periodic, tables
+from tests.made import branches, chaotic, datasets, failed, periodic, tables
 from tests.swept import over_forcing, over_walls
 
 from gapsweep.analysis.agreement import agreement
@@ -166,6 +166,23 @@ def test_one_parameter_alone_is_a_bifurcation_diagram(forced):
         (panel,) = (axes for axes in figure.figure.axes if axes.get_visible())
         assert panel.get_xlabel() == "forcing amplitude [N]"
     assert sorted(set(figures[0].figure.axes[0].lines[2].get_xdata())) == list(FORCING)
+
+
+def test_branches_along_a_parameter_lie_in_its_figures_and_have_a_table(forced):
+    """Of the representation that is drawn, and only where they are along the axis."""
+    files = [ds.isel(omega=[0]) for ds in forced]
+    labels = files[0]["representation"].values[[0, 0]]
+    found = branches([[1, 1, 0, 0]] * 2, [[0, 1, 0, 0]] * 2, representation=labels)
+    found = found.rename(omega="forcing").assign_attrs(along="forcing")
+    found["forcing"][:] = found["forcing"] - 4.0
+    part = overview(files[0], None, timing(files[0]), files[1], found)
+    has_lines = ["dashed where unstable" in figure.caption for figure in part.figures]
+    assert has_lines == [True, True, False, False]
+    titles = [table.title for table in part.tables]
+    assert "Special points of the branches" in titles
+    for other in (found.assign_attrs(along="x_max"), None):
+        part = overview(files[0], None, timing(files[0]), files[1], other)
+        assert [table.title for table in part.tables] == titles[:-1]
 
 
 def test_many_starts_at_one_place_are_a_map_of_the_starts(tmp_path):

@@ -17,10 +17,11 @@ from gapsweep.integrate.simulate import prepared
 
 Array = NDArray[np.float64]
 
-_OFF_TURNING = 0.137  # of a period: orbits that start at a maximum are moved off it
+_OFF_TURNING = 0.137  # of a period: orbits start off turning points, which would come and go
 _SAME = 1e-6  # orbits that are nearer, as a share of their size, are the same
 _HALVES = 1e-2  # of a state: beside a pitchfork, halves of a period are this much alike
 _PITCHFORK = (Special.FOLD, Special.BRANCH_POINT)
+_ROUNDING = 1e-12  # of parameter values
 _SHORTEST = 4  # orbits of a branch that leaves another one
 _AT_ONCE = 1e-9  # grazes that are nearer in scaled unknowns are one
 _WINDOW = -1  # kind of the crossing that is the window's end
@@ -142,9 +143,7 @@ class Branches:
         models = equations.family.models(equations.windows, places)
         multiple = np.array([each.multiple for each in attractors])
         if equations.has_period:
-            moved = 0.0 if equations.family.is_conservative else _OFF_TURNING
-            if moved:
-                states = _ends(models, equations.solver, states, moved * period)
+            states = _ends(models, equations.solver, states, _OFF_TURNING * period)
             rate = 2.0 * np.pi / period
         else:
             period, rate = np.ones(n), 2.0 * np.pi * models.omega
@@ -390,18 +389,17 @@ class Branches:
     def _find(self, attractors: Sequence[Attractor], first: int = 0) -> None:
         """Look for the branches that attractors lie on, from a number on."""
         tasks = []
-        for attractor in attractors:
-            for number in range(first, len(self.found)):
-                branch = self.found[number]
-                if branch.orbits[0].period_multiple != attractor.multiple and not (
-                    self.equations.has_period
-                ):
-                    continue
-                for before, after in zip(branch.orbits, branch.orbits[1:], strict=False):
-                    a, b = self._value(before), self._value(after)
-                    if min(a, b) - 1e-12 <= attractor.value <= max(a, b) + 1e-12:
-                        share = (attractor.value - a) / (b - a) if b != a else 0.0
-                        tasks.append((attractor, number, before, after, share))
+        for number in range(first, len(self.found)):
+            orbits = self.found[number].orbits
+            values = np.array([self._value(orbit) for orbit in orbits])
+            low, high = np.sort([values[:-1], values[1:]], axis=0)
+            for attractor in attractors:
+                alike = orbits[0].period_multiple == attractor.multiple or self.equations.has_period
+                there = (low - _ROUNDING <= attractor.value) & (attractor.value <= high + _ROUNDING)
+                for i in np.flatnonzero(there & alike).tolist():
+                    part = attractor.value - values[i], values[i + 1] - values[i]
+                    share = part[0] / part[1] if part[1] else 0.0
+                    tasks.append((attractor, number, orbits[i], orbits[i + 1], share))
         if not tasks:
             return
         guess, direction, references = [], [], []
@@ -419,10 +417,10 @@ class Branches:
                 reference.rate = self.equations.rates(reference.y, before.unknowns[None, :])
             references.append(reference)
         reference = Reference.joined(references)
-        orbits, _ = self.continuation.corrector.orbits(
+        nearby, _ = self.continuation.corrector.orbits(
             np.array(guess), np.array(direction), reference, np.full(len(tasks), 0.2)
         )
-        for (attractor, number, *_), orbit in zip(tasks, orbits, strict=True):
+        for (attractor, number, *_), orbit in zip(tasks, nearby, strict=True):
             if orbit is None or attractor.branch >= 0:
                 continue
             section = attractor.section

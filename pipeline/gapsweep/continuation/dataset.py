@@ -8,6 +8,7 @@ from gapsweep.continuation.branches import Branch, Branches
 from gapsweep.continuation.family import AMPLITUDE
 from gapsweep.continuation.orbits import Orbit
 from gapsweep.continuation.special import Special
+from gapsweep.model.oscillator import Oscillator
 from gapsweep.variables import COORDINATE, PARTS, Variable
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def dataset(found: Branches) -> "xr.Dataset":
         name: Variable("f8", _UNITS.get(name, ""), f"{name} along the branch") for name in names
     }
     table = swept | VARIABLES
-    is_system = equations.first_gap > 0
+    is_system = not isinstance(family.model, Oscillator) and equations.first_gap > 0
     data: dict[str, Any] = {}
     for name, variable in table.items():
         dims = tuple(d for d in variable.dims if d != COORDINATE or model.n > 1)

@@ -89,6 +89,7 @@ def overview(
     others = {REPRESENTATION, _START, *axes, *few}
     is_part = any(size > 1 for dim, size in asked.sizes.items() if dim not in others)
     of_all = ", of all else at one value, in place of figures of each scene" if is_part else ""
+    is_one_line = len(axes) == 1 and not few and not is_part
     sentence = (
         f"{n_scenes} scene{'s' * (n_scenes > 1)} with {int(n_points.sum())} sweep points"
         f"{': pictures over ' * bool(names)}{both}{each}{of_all}. "
@@ -105,7 +106,7 @@ def overview(
         [sentence],
         [
             *scene_tables(agreement, timing, labels, over, _apart(asked, n_scenes)),
-            *(special_points(branches, responses, axes[0]) if n_scenes == 1 and axes else []),
+            *(special_points(branches, responses, axes[0]) if is_one_line else []),
         ],
         (
             figure

@@ -184,7 +184,7 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     ]
     if rows:
         title = f"Special points against those of the exact law, {of_axis(part[along])}"
-        yield _cut(title, [*head, "Exact law", "Representation", "Difference"], rows)
+        yield _cut(title, [*head, "Exact law", "Approximation", "Difference"], rows)
 
 
 def _kind(kind: float) -> str:
