@@ -364,7 +364,8 @@ def test_the_backbone_of_duffing_has_elliptic_periods():
     a = branch["amplitude"].values
     assert_allclose([a.min(), a.max()], [0.1, 3.0], rtol=1e-9)
     periods = 4.0 * ellipk(a**2 / (2.0 * (1.0 + a**2))) / np.sqrt(1.0 + a**2)
-    assert_allclose(branch["period"].values, periods, rtol=1e-10)
+    # Newton's method ends at steps of 1e-10 of the unknowns.
+    assert_allclose(branch["period"].values, periods, rtol=1e-9)
     ends = branch["period"].values[[a.argmin(), a.argmax()]]
     assert_allclose(ends, [6.259762302133, 2.294401860614], rtol=1e-10)
     middle = rows(gs.branches(model, NO_CONTACT, "amplitude", (0.5, 1.0)), 0)
@@ -649,6 +650,13 @@ def test_a_parameter_that_a_system_lacks_is_named_with_the_remedy():
 
 
 # --- Known defects ------------------------------------------------------------------------------
+
+
+@pytest.mark.xfail(strict=True, reason="a start on the window's edge goes on beyond it by a step")
+def test_free_motions_stay_within_their_window():
+    model = gs.Oscillator(zeta=0.0, omega_n=RATE, mass=1.0, alpha=1.0, forcing=0.0)
+    ds = gs.branches(model, NO_CONTACT, "amplitude", (0.5, 1.0))
+    assert float(ds["amplitude"].min()) >= 0.5 * (1.0 - 1e-9)
 
 
 def drawn(number, seed=3, max_steps=250):
