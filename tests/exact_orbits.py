@@ -6,7 +6,7 @@ Shared by `tests/physics/test_branches.py` and `benchmarks/branches.py`.
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -80,10 +80,14 @@ class Exact:
         Returns the equations and the forcing frequency [Hz] for a parameter value.
     multiple : int
         Forcing periods in one response period; 0: nothing forces the system.
+    is_halved : bool
+        Whether orbits are symmetric: after half a period the state has the other sign. Symmetry
+        breaks where a multiplier of that half is -1, which is called a period doubling here.
     """
 
     system: Callable[[float], tuple[exact.System, float]]
     multiple: int
+    is_halved: bool = False
 
     def motion(self, unknowns: np.ndarray) -> exact.Motion:
         free = int(self.multiple == 0)
@@ -91,7 +95,11 @@ class Exact:
         system, omega = self.system(unknowns[end])
         period = unknowns[-1] if free else self.multiple / omega
         state, n = unknowns[:end], system.n
-        return exact.motion(system, omega, state[:n], state[n : 2 * n], state[2 * n :], period)
+        period *= 0.5 if self.is_halved else 1.0
+        end = exact.motion(system, omega, state[:n], state[n : 2 * n], state[2 * n :], period)
+        if not self.is_halved:
+            return end
+        return replace(end, q=-end.q, v=-end.v, z=-end.z, monodromy=-end.monodromy)
 
     def orbit(self, guess: np.ndarray, normals: np.ndarray) -> Point:
         """The orbit on the planes through a guess with some normals, by Newton's method.
@@ -122,7 +130,7 @@ class Exact:
         size = np.maximum(np.abs(before), np.abs(after)) ** 2 + 1e-300
         normals = ((after - before) / size)[None, :]
         if not self.multiple:  # of a cycle: where its phase is that of the chord
-            rate = (self.motion_shortly_after(before) - before[: len(before) - 2]) / size[:-2]
+            rate = (self.shortly_after(before) - before[:-2]) / size[:-2]
             normals = np.vstack([normals, np.append(rate, [0.0, 0.0])])
         normals /= np.sqrt((normals**2).sum(axis=1))[:, None]
 
@@ -136,18 +144,28 @@ class Exact:
             if kind == "grazing":  # how near the turning point is, on which side of the wall
                 sign = 1.0 if point.n_crossings == n_crossings else -1.0
                 return sign * min(point.clearance, abs(before[0]))
+            if kind == "fold" and not self.multiple:
+                return _fold_of_cycles(point.monodromy)
             return _TESTS[kind](point.monodromy)
 
         return orbit(brentq(value, 0.0, 1.0, xtol=1e-11))
 
-    def motion_shortly_after(self, unknowns: np.ndarray) -> np.ndarray:
-        shorter = unknowns.copy()
-        shorter[-1] *= 1e-4
-        return self.motion(shorter).state
+    def shortly_after(self, unknowns: np.ndarray) -> np.ndarray:
+        """State after a small part of the period."""
+        return (
+            replace(self, is_halved=False)
+            .motion(unknowns * [*np.ones(len(unknowns) - 1), 1e-4])
+            .state
+        )
 
 
 def _fold(monodromy: np.ndarray) -> float:
     return float(np.linalg.det(monodromy - np.eye(len(monodromy))))
+
+
+def _fold_of_cycles(monodromy: np.ndarray) -> float:
+    """Product of 1 - μ of all multipliers but the one along the cycle."""
+    return float(np.polyval(np.polyder(np.poly(monodromy)), 1.0))
 
 
 def _doubling(monodromy: np.ndarray) -> float:
@@ -323,6 +341,24 @@ def trilinear_cases(n: int, seed: int) -> Iterator[tuple[gs.Oscillator, gs.Piece
         )
 
 
+def is_trilinear(branch: xr.Dataset) -> np.ndarray:
+    """Which orbits of a branch are symmetric and touch either wall once in a forcing period."""
+    x_max, x_min = branch["x_max"].values, branch["x_min"].values
+    is_once = (branch["n_contacts"].values == 4) & (branch["period_multiple"].values == 1)
+    return is_once & (np.abs(x_max + x_min) < 1e-7 * x_max)
+
+
+def trilinear_error(
+    model: gs.Oscillator, law: gs.Piecewise, branch: xr.Dataset, step: int
+) -> float:
+    """Relative error of an orbit's start state and largest displacement."""
+    state, omega = branch["start_state"].values[step], float(branch["omega"][step])
+    truth, x_max, _ = trilinear(model, law, omega, trilinear_guess(model, law, omega, state))
+    size = x_max * np.array([1.0, TURN * omega])
+    errors = np.append((state - truth) / size, branch["x_max"].values[step] / x_max - 1.0)
+    return float(np.abs(errors).max())
+
+
 # --- Invariants ---------------------------------------------------------------------------------
 
 
@@ -351,28 +387,50 @@ def unexplained(branch: xr.Dataset) -> list[str]:
     names, mu = kinds(branch), multipliers(branch)
     n_contacts = branch["n_contacts"].values
     value = branch[branch.attrs["along"]].values
+    at_minus_one = np.abs(mu + 1.0).min(axis=1) < np.abs(mu - 1.0).min(axis=1)
+    is_real = np.abs(mu.imag) < 1e-9
+    above = (is_real & (mu.real > 1.0)).sum(axis=1)
+    below = (is_real & (mu.real < -1.0)).sum(axis=1)
+    outside = (np.abs(mu) > 1.0).sum(axis=1)
     found, ordinary = [], np.flatnonzero(names == "none")
-    for a, b in itertools.pairwise(ordinary):
-        between = list(names[a + 1 : b])
-
-        def count(kind, between=between):
-            return sum(each in kind for each in between)
-
-        where = f"{value[a]:.9g} to {value[b]:.9g}"
-        real = [np.abs(mu[i].imag) < 1e-9 for i in (a, b)]
-        above = [
-            int((mu[i].real[is_real] > 1.0).sum()) for i, is_real in zip((a, b), real, strict=True)
-        ]
-        below = [
-            int((mu[i].real[is_real] < -1.0).sum()) for i, is_real in zip((a, b), real, strict=True)
-        ]
-        if (above[1] - above[0] - count(("fold", "branch_point", "symmetry_breaking"))) % 2:
-            found.append(f"{where}: {above} multipliers above 1, {between}")
-        if (below[1] - below[0] - count(("period_doubling",))) % 2:
-            found.append(f"{where}: {below} multipliers below -1, {between}")
-        unstable = [int((np.abs(mu[i]) > 1.0).sum()) for i in (a, b)]
-        if unstable[0] != unstable[1] and not set(between) - {"grazing"}:
-            found.append(f"{where}: {unstable} multipliers outside the unit circle, {between}")
-        if n_contacts[a] != n_contacts[b] and "grazing" not in between:
-            found.append(f"{where}: {n_contacts[a]} to {n_contacts[b]} wall crossings, {between}")
+    for a, b in itertools.pairwise(ordinary.tolist()):
+        here = slice(a + 1, b)
+        is_flip = (names[here] == "period_doubling") & at_minus_one[here]
+        is_unit = np.isin(names[here], ("fold", "branch_point", "symmetry_breaking"))
+        # Where branches of half the period cross, a multiplier of the double period is 1.
+        is_unit |= (names[here] == "period_doubling") & ~is_flip
+        changes = {
+            "multipliers above 1": (above[b] - above[a] - is_unit.sum()) % 2,
+            "multipliers below -1": (below[b] - below[a] - is_flip.sum()) % 2,
+            "unstable multipliers": outside[a] != outside[b] and not set(names[here]) - {"grazing"},
+            "wall crossings": n_contacts[a] != n_contacts[b] and "grazing" not in names[here],
+        }
+        where = f"{value[a]:.9g} to {value[b]:.9g}, {names[here].tolist()}"
+        found += [f"{what}: {where}" for what, is_wrong in changes.items() if is_wrong]
     return found
+
+
+def largest_step(branch: xr.Dataset) -> float:
+    """Largest change of parameter or state from one orbit to the next, as a part of its range."""
+    along = branch[branch.attrs["along"]].values
+    low, high = branch.attrs["between"]
+    state = branch["start_state"].values
+    steps = [np.abs(np.diff(along)).max() / (high - low)]
+    if "omega" in (branch.attrs["along"],) or "forcing_frequency" in branch.attrs:
+        steps.append((np.abs(np.diff(state, axis=0)) / np.abs(state).max(axis=0)).max())
+    return float(max(steps))
+
+
+def return_error(model: gs.Oscillator, law: gs.Piecewise, branch: xr.Dataset, step: int) -> float:
+    """How far an orbit is from itself after one period, relative to its size.
+
+    Divided by the norm of its monodromy matrix: errors of the start state grow by that.
+    """
+    row = branch.isel(step=step)
+    omega, state = float(row["omega"]), row["start_state"].values
+    run = gs.simulate(
+        model, law, omega, *state, t_end=float(row["period"]), rtol=1e-12, atol=1e-16, tangent=True
+    )
+    unit = float(row["x_max"]) * np.array([1.0, TURN * omega])
+    growth = np.linalg.norm(run.monodromy * unit[None, :] / unit[:, None], 2)
+    return float((np.abs([run.x_end, run.v_end] - state) / unit).max() / max(1.0, growth))

@@ -1,23 +1,37 @@
 """Branches of periodic orbits against closed forms, harmonic balance and exact propagation."""
 
+import itertools
+import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
+from scipy.special import ellipk
 from tests.exact_orbits import (
     TURN,
     Exact,
+    drawn_branches,
     exact_system,
+    is_trilinear,
+    kinds,
+    largest_step,
     located,
     multipliers,
+    return_error,
     rows,
     special_points,
     trilinear,
+    trilinear_cases,
+    trilinear_error,
     trilinear_guess,
     unexplained,
+    unknowns,
 )
+from tests.random_scenes import random_cases
 
 import gapsweep as gs
 
@@ -174,3 +188,516 @@ def test_special_points_are_where_exact_propagation_has_them(name, branch):
             expected = {"fold": mu - 1.0, "period_doubling": mu + 1.0, "torus": np.abs(mu) - 1.0}
             assert np.abs(expected[kind]).min() <= 1e-8, (kind, where * TURN, mu)
     assert not unexplained(found)
+
+
+# --- Closed forms and harmonic balance ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("zeta", [0.02, 0.3])
+def test_a_linear_oscillator_follows_its_closed_form(zeta):
+    model = gs.Oscillator(zeta=zeta, omega_n=5.0, mass=2.0, alpha=0.0, forcing=3.0)
+    branch = rows(gs.branches(model, NO_CONTACT, "omega", (1.0, 20.0)), 0)
+    assert not special_points(branch)
+    assert (branch["stable"] == 1).all()
+    w_n, w = TURN * 5.0, TURN * branch["omega"].values
+    z = 3.0 / (2.0 * (w_n**2 - w**2 + 2j * zeta * w_n * w))
+    assert_allclose(branch["amplitude"].values, np.abs(z), rtol=1e-9)
+    states = np.array([z.real, -w * z.imag]).T
+    assert_allclose(branch["start_state"].values, states, atol=1e-9 * np.abs(states).max())
+    roots = w_n * (-zeta + 1j * math.sqrt(1.0 - zeta**2))
+    expected = np.exp(roots * TURN / w)
+    mu = multipliers(branch)
+    apart = np.minimum(np.abs(mu[:, 0] - expected), np.abs(mu[:, 0] - expected.conj()))
+    assert apart.max() < 1e-8
+    assert_allclose(np.prod(mu, axis=1).real, np.abs(expected) ** 2, atol=1e-9)
+
+
+class HarmonicBalance:
+    """Forced orbits of x'' + c x' + x + x³ = F cos w t as Fourier series with odd harmonics."""
+
+    def __init__(self, c, F, n=40, n_times=512):
+        self.c, self.F, self.k = c, F, np.arange(1, 2 * n, 2)
+        t = TURN * np.arange(n_times) / n_times
+        self.basis = np.concatenate([np.cos(np.outer(t, self.k)), np.sin(np.outer(t, self.k))], 1)
+
+    def residual(self, u):
+        """Residual and its derivatives by coefficients and frequency."""
+        a, w, n = u[:-1], u[-1], len(self.k)
+        x = self.basis @ a
+        linear, by_w = np.zeros((2, 2 * n, 2 * n))
+        for i, k in enumerate(self.k):
+            block = np.ix_([i, n + i], [i, n + i])
+            linear[block] = [
+                [1 - (k * w) ** 2, self.c * k * w],
+                [-self.c * k * w, 1 - (k * w) ** 2],
+            ]
+            by_w[block] = [[-2 * k * k * w, self.c * k], [-self.c * k, -2 * k * k * w]]
+        project = 2.0 / len(x) * self.basis.T
+        load = np.zeros(2 * n)
+        load[0] = self.F
+        found = linear @ a + project @ x**3 - load
+        return found, np.column_stack(
+            [linear + project @ (3.0 * x[:, None] ** 2 * self.basis), by_w @ a]
+        )
+
+    def on_plane(self, guess, normal):
+        """Orbit on a plane through a guess, and the frequency's component of its tangent."""
+        u = guess.copy()
+        for _ in range(12):
+            residual, jacobian = self.residual(u)
+            matrix = np.vstack([jacobian, normal])
+            u = u - np.linalg.solve(matrix, np.append(residual, normal @ (u - guess)))
+        tangent = np.linalg.solve(matrix, np.append(np.zeros(len(u) - 1), 1.0))
+        return u, tangent[-1]
+
+    def guess(self, state, w):
+        """Coefficients of a motion over one period."""
+        period, n = TURN / w, len(self.basis)
+        run = solve_ivp(
+            lambda t, y: [y[1], self.F * math.cos(w * t) - self.c * y[1] - y[0] - y[0] ** 3],
+            (0.0, period),
+            state,
+            t_eval=period * np.arange(n) / n,
+            rtol=1e-8,
+            atol=1e-10,
+        )
+        return np.append(2.0 / n * self.basis.T @ run.y[0], w)
+
+    def fold(self, before, after):
+        normal = (after - before) / np.sqrt(((after - before) ** 2).sum())
+
+        def slope(s):
+            return self.on_plane(before + s * (after - before), normal)[1]
+
+        s = brentq(slope, 0.0, 1.0, xtol=1e-12)
+        return self.on_plane(before + s * (after - before), normal)[0]
+
+
+def test_folds_of_duffing_without_contact_are_those_of_harmonic_balance():
+    c, F = 0.1, 0.5
+    model = gs.Oscillator(zeta=c / 2.0, omega_n=RATE, mass=1.0, alpha=1.0, forcing=F)
+    ds = gs.branches(model, NO_CONTACT, "omega", (0.8 * RATE, 4.0 * RATE), at=RATE)
+    branch = rows(ds, 0)
+    points = special_points(branch)
+    assert [kind for kind, _ in points] == ["fold", "fold"]
+    balance = HarmonicBalance(c, F)
+    states, omega = branch["start_state"].values, branch["omega"].values
+    for _, i in points:
+        before, after = (balance.guess(states[j], omega[j] * TURN) for j in (i - 1, i + 1))
+        truth = balance.fold(before, after)
+        assert np.abs(truth[len(balance.k) - 1]) < 1e-12  # the series has converged
+        assert omega[i] * TURN == pytest.approx(truth[-1], rel=1e-9)
+        assert branch["x_max"].values[i] == pytest.approx(
+            (balance.basis @ truth[:-1]).max(), rel=1e-3
+        )
+        assert np.abs(multipliers(branch)[i] - 1.0).min() <= 1e-8
+
+
+def half_period(model, y, omega):
+    """Minus the state after half a forcing period, and its derivatives, by DOP853.
+
+    States in static deflections of the spring and in those times the forcing's rate.
+    """
+    m, w = model.mass, TURN * omega
+    k = m * (TURN * model.omega_n) ** 2
+    c, x_0 = 2.0 * model.zeta * math.sqrt(k * m), model.forcing / k
+
+    def rates(t, u):
+        x, v = x_0 * u[0], x_0 * w * u[1]
+        force = model.forcing * math.cos(w * t) - c * v - k * x - model.alpha * x**3
+        tangent = u[2:].reshape(2, 2)
+        slope = -(k + 3.0 * model.alpha * x**2) / (m * w) * tangent[0] - c / m * tangent[1]
+        return np.concatenate([[w * u[1], force / (m * x_0 * w)], w * tangent[1], slope])
+
+    run = solve_ivp(
+        rates,
+        (0.0, 0.5 / omega),
+        [*y, 1.0, 0.0, 0.0, 1.0],
+        method="DOP853",
+        rtol=1e-11,
+        atol=1e-13,
+    )
+    return -run.y[:2, -1], -run.y[2:, -1].reshape(2, 2)
+
+
+def broken_symmetry(model, state, omega):
+    """Frequency at which minus the motion over half a period has a multiplier -1."""
+    x_0 = model.forcing / (model.mass * (TURN * model.omega_n) ** 2)
+    start = np.array([state[0], state[1] / (TURN * omega)]) / x_0
+
+    def value(omega):
+        y, step = start, np.inf
+        while np.abs(step).max() > 1e-10:
+            end, tangent = half_period(model, y, omega)
+            step = -np.linalg.solve(tangent - np.eye(2), end - y)
+            y = y + step
+        return np.linalg.det(tangent + np.eye(2))
+
+    return brentq(value, (1.0 - 2e-4) * omega, (1.0 + 2e-4) * omega, xtol=1e-13 * omega)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "zeta"),
+    [
+        (5.0, 0.05),
+        pytest.param(
+            20.0,
+            0.03,
+            marks=pytest.mark.xfail(strict=True, reason="located to 1e-5 where the branch is bent"),
+        ),
+    ],
+)
+def test_symmetry_of_duffing_breaks_where_half_a_period_says(alpha, zeta):
+    model = gs.Oscillator(zeta=zeta, omega_n=RATE, mass=1.0, alpha=alpha, forcing=1.0)
+    window = 0.2 * RATE, 1.5 * RATE
+    branch = rows(gs.branches(model, NO_CONTACT, "omega", window, at=0.85 * RATE), 0)
+    steps = [i for kind, i in special_points(branch) if kind == "symmetry_breaking"]
+    assert len(steps) >= 2
+    for step in steps:
+        found, state = float(branch["omega"][step]), branch["start_state"].values[step]
+        assert found == pytest.approx(broken_symmetry(model, state, found), rel=1e-6)
+
+
+def test_the_backbone_of_duffing_has_elliptic_periods():
+    model = gs.Oscillator(zeta=0.0, omega_n=RATE, mass=1.0, alpha=1.0, forcing=0.0)
+    branch = rows(gs.branches(model, NO_CONTACT, "amplitude", (0.1, 3.0)), 0)
+    a = branch["amplitude"].values
+    assert_allclose([a.min(), a.max()], [0.1, 3.0], rtol=1e-9)
+    periods = 4.0 * ellipk(a**2 / (2.0 * (1.0 + a**2))) / np.sqrt(1.0 + a**2)
+    # Newton's method ends at steps of 1e-10 of the unknowns.
+    assert_allclose(branch["period"].values, periods, rtol=1e-9)
+    ends = branch["period"].values[[a.argmin(), a.argmax()]]
+    assert_allclose(ends, [6.259762302133, 2.294401860614], rtol=1e-10)
+    middle = rows(gs.branches(model, NO_CONTACT, "amplitude", (0.5, 1.0)), 0)
+    assert middle["period"].values.min() == pytest.approx(4.768022029102, rel=1e-10)
+    assert (branch["stable"] == 1).all()
+
+
+@pytest.mark.parametrize("ratio", [0.5, 8.0])
+def test_free_periods_of_a_bilinear_oscillator_are_the_mean_of_both_springs(ratio):
+    model = gs.Oscillator(zeta=0.0, omega_n=RATE, mass=1.0, alpha=0.0, forcing=0.0)
+    law = gs.Piecewise(ratio, gs.Gap(0.0, 0.0), K_ratio=0.0)
+    branch = rows(gs.branches(model, law, "amplitude", (0.1, 10.0)), 0)
+    expected = math.pi * (1.0 + 1.0 / math.sqrt(1.0 + ratio))
+    assert_allclose(branch["period"].values, expected, rtol=1e-9)
+    share = -branch["x_min"].values / branch["x_max"].values
+    assert_allclose(share, math.sqrt(1.0 + ratio), rtol=1e-9)
+    half_range = 0.5 * (1.0 + share) * branch["x_max"].values
+    assert_allclose(branch["amplitude"].values, half_range, rtol=1e-12)
+
+
+def test_symmetric_orbits_between_walls_solve_four_equations_in_closed_form():
+    n_compared = 0
+    for model, law, omega in trilinear_cases(16, 5):
+        window = 0.98 * omega, 1.02 * omega
+        ds = gs.branches(model, law, "omega", window, at=omega, max_steps=10)
+        for number in ds["branch"].values:
+            branch = rows(ds, number)
+            is_wanted = is_trilinear(branch)
+            steps = np.flatnonzero(is_wanted)[:: max(1, int(is_wanted.sum()) - 1)]
+            for step in steps:
+                assert trilinear_error(model, law, branch, step) < 1e-8
+            n_compared += bool(len(steps))
+    assert n_compared >= 12
+
+
+# --- Self-excited and two-well systems ----------------------------------------------------------
+
+
+def two_well(load=0.7):
+    """Schoukens and Pintelon, exercise 79: y'' + y' - 10 y + 100 y³ = load cos 3.5 t."""
+    return gs.System(
+        mass=[[1.0]],
+        damping=[[1.0]],
+        stiffness=[[-10.0]],
+        cubic=[gs.Cubic(along=[1.0], alpha=100.0)],
+        forcing=[gs.Harmonic(amplitude=[load])],
+    )
+
+
+def test_doublings_of_a_two_well_oscillator_in_its_load():
+    ds = gs.branches(
+        two_well, {}, "load", (0.6, 0.9), at=0.67, omega=3.5 * RATE, starts=[[0.2, -0.2]], follow=2
+    )
+    assert ds["period_multiple"].values[:, 0].tolist() == [1, 2, 4]
+    assert ds["parent"].values.tolist() == [-1, 0, 1]
+    doublings = []
+    for number in range(2):
+        branch = rows(ds, number)
+        (step,) = (i for kind, i in special_points(branch) if kind == "period_doubling" and i > 0)
+        doublings.append(float(branch["load"][step]))
+        assert np.abs(multipliers(branch)[step] + 1.0).min() <= 1e-8
+        child = rows(ds, number + 1)
+        assert child["load"].values[0] == pytest.approx(doublings[-1], rel=1e-9)
+        assert child["stable"].values[2:5].all()
+    assert 0.70 < doublings[0] < 0.81
+    assert 0.81 < doublings[1] < 0.82
+    # On either side, motions settle on so many periods.
+    for at, below, above in zip(doublings, (1, 2), (2, 4), strict=True):
+        for load, multiple in ((at - 3e-4, below), (at + 3e-4, above)):
+            found = gs.respond(two_well(load), {}, 3.5 * RATE, q_0=[0.2], v_0=[-0.2])
+            assert found.period_multiple == multiple
+
+
+CONNER = "conner-scaled"
+
+
+def section(speed):
+    return SYSTEMS.typical_section(speed, copy=CONNER)
+
+
+@cache
+def flutter():
+    law, speed = SYSTEMS.typical_section_law(copy=CONNER), 12.36842
+    start = gs.respond(section(speed), law, q_0=[0.01, 0.0, 0.0])
+    return gs.branches(section, law, "speed", (9.0, 13.0), at=speed, start=start, max_steps=60)
+
+
+def test_the_asymmetric_cycle_of_the_typical_section_leaves_the_symmetric_one():
+    ds, law = flutter(), SYSTEMS.typical_section_law(copy=CONNER)
+    branch = rows(ds, 0)
+    flap = np.degrees([branch["x_min"].values[:, 2], branch["x_max"].values[:, 2]])
+    start = int(np.abs(branch["speed"].values - 12.36842).argmin())
+    assert 1.0 / branch["period"].values[start] == pytest.approx(5.1001, abs=5e-4)
+    assert_allclose(flap[:, start], [-2.462, 3.429], atol=1e-3)
+    orbits = Exact(lambda speed: (exact_system(section(speed), law), 1.0), 0)
+    (step,) = (i for kind, i in special_points(branch) if kind == "symmetry_breaking")
+    assert_allclose(flap[0, step], -flap[1, step], rtol=1e-3)
+    # Symmetry breaks where minus the motion over half a period has a multiplier -1.
+    near = unknowns(branch, step)
+    aside = np.array([*np.ones(len(near) - 2), 1.001, 1.0])
+    truth = replace(orbits, is_halved=True).crossing(near / aside, near * aside, "period_doubling")
+    assert branch["speed"].values[step] == pytest.approx(truth.unknowns[-2], rel=1e-8)
+    # Beyond it come the same special points as before it, of the mirror images.
+    for kind in ("torus", "fold", "period_doubling"):
+        i = next(i for each, i in special_points(branch) if each == kind and i > step)
+        found = located(branch, i, orbits)
+        assert branch["speed"].values[i] == pytest.approx(found.unknowns[-2], rel=1e-9)
+        assert branch["period"].values[i] == pytest.approx(found.unknowns[-1], rel=1e-9)
+    assert not unexplained(branch)
+
+
+def growth(speed):
+    """The eigenvalue [1/s] of the typical section without the flap's spring that grows fastest."""
+    system = SYSTEMS.typical_section(speed)
+    n, lags = system.n, system.lags
+    inverse = np.linalg.inv(system.mass)
+    rates = np.block(
+        [
+            [np.zeros((n, n)), np.eye(n), np.zeros((n, lags.of_lags.shape[0]))],
+            [-inverse @ system.stiffness, -inverse @ system.damping, -inverse @ lags.force],
+            [lags.of_place, lags.of_speed, lags.of_lags],
+        ]
+    )
+    values = np.linalg.eigvals(rates)
+    return values[values.real.argmax()]
+
+
+def test_cycles_within_the_freeplay_have_the_flutter_speed_of_a_loose_flap():
+    law = SYSTEMS.typical_section_law()
+    start = gs.respond(SYSTEMS.typical_section(8.0), law, q_0=[0.01, 0.0, 0.0])
+    ds = gs.branches(SYSTEMS.typical_section, law, "speed", (2.0, 9.0), at=8.0, start=start)
+    branch = rows(ds, 0)
+    is_within = (branch["x_max"].values[:, 2] < law.gap.j_2) & (kinds(branch) == "none")
+    assert is_within.sum() >= 5
+    flutter_speed = brentq(lambda speed: growth(speed).real, 6.0, 7.5, xtol=1e-13)
+    speeds, periods = (branch[name].values[is_within] for name in ("speed", "period"))
+    assert_allclose(speeds, flutter_speed, rtol=1e-9)
+    assert_allclose(periods, TURN / abs(growth(flutter_speed).imag), rtol=1e-9)
+    assert (branch["n_contacts"].values[is_within] == 0).all()
+    (graze,) = (i for kind, i in special_points(branch) if kind == "grazing")
+    assert branch["speed"].values[graze] == pytest.approx(flutter_speed, rel=1e-9)
+    assert branch["x_max"].values[graze, 2] == pytest.approx(law.gap.j_2, rel=1e-9)
+
+
+# --- Smooth approximations ----------------------------------------------------------------------
+
+
+def special_frequencies(model, law, window, at, kind):
+    low, high = window
+    branch = rows(gs.branches(model, law, "omega", (low, high), at=at), 0)
+    steps = [i for each, i in special_points(branch) if each == kind]
+    return branch["omega"].values[steps]
+
+
+@pytest.mark.parametrize(
+    ("model", "law", "window", "at", "kind", "decades"),
+    [
+        (PYVIB, PYVIB_LAW, (0.9 * RATE, 1.9 * RATE), 1.2 * RATE, "fold", (3, 4, 5)),
+        (
+            gs.Oscillator(),
+            gs.Piecewise(1.4e4, gs.Gap(0.0, 0.8e-3)),
+            (6.2, 7.4),
+            6.3,
+            "period_doubling",
+            (4, 5, 6),
+        ),
+    ],
+    ids=["folds", "doublings"],
+)
+def test_special_points_of_tanh_converge_to_those_of_exact_contact(
+    model, law, window, at, kind, decades
+):
+    exact = special_frequencies(model, law, window, at, kind)
+    assert len(exact) == 2
+    errors = []
+    for decade in decades:
+        smooth = gs.Tanh(law.K_c, law.gap, epsilon=10.0**decade)
+        errors.append(np.abs(special_frequencies(model, smooth, window, at, kind) / exact - 1.0))
+    errors = np.array(errors)
+    # The force differs by the layer's area, 1 / epsilon²: a tenth of its width, a hundredth of it.
+    ratios = errors[:-1] / errors[1:]
+    assert (ratios > 20.0).all(), errors
+    assert (errors[-1] < 1e-6).all(), errors
+
+
+# --- Invariants ---------------------------------------------------------------------------------
+
+
+TURNS_BACK = 17  # of the drawn scenes, see the known defects below
+
+
+def test_drawn_branches_hold_periodic_orbits_without_jumps():
+    n_branches = n_points = n_stable = 0
+    for number, (case, ds) in enumerate(drawn_branches(25, seed=3, max_steps=60)):
+        if number == TURNS_BACK:
+            continue
+        assert (ds["attractor_on_branch"] >= 0).all()
+        for which in ds["branch"].values:
+            branch = rows(ds, which)
+            n_branches += 1
+            assert not unexplained(branch), case
+            assert largest_step(branch) <= 0.2
+            for step in range(0, branch.sizes["step"], 6):
+                assert return_error(case.oscillator, case.law, branch, step) < 1e-9, case
+            for kind, step in special_points(branch):
+                one = {"fold": 1.0, "symmetry_breaking": 1.0, "period_doubling": -1.0}.get(kind)
+                if one is not None and not beside_a_graze(branch, step):
+                    n_points += 1
+                    assert np.abs(multipliers(branch)[step] - one).min() <= 1e-6, (case, kind)
+            # The attractor that it started from is stable, and motions stay on stable orbits.
+            here = np.isclose(branch["omega"].values, case.omega, rtol=1e-9)
+            assert (branch["stable"].values[here] == 1).any(), case
+            stable = np.flatnonzero((branch["stable"] == 1) & (kinds(branch) == "none"))
+            for step in stable[[0, len(stable) // 2]]:
+                row = branch.isel(step=step)
+                if np.abs(multipliers(branch)[step]).max() > 0.99:
+                    continue
+                n_stable += 1
+                response = gs.respond(
+                    case.oscillator, case.law, float(row["omega"]), *row["start_state"].values
+                )
+                assert response.period_multiple == int(row["period_multiple"]), case
+                assert response.x_max == pytest.approx(float(row["x_max"]), rel=1e-6), case
+    assert n_branches >= 22
+    assert n_points >= 5
+    assert n_stable >= 20
+
+
+def beside_a_graze(branch, step):
+    """Whether a graze is so near that multipliers change at once there."""
+    omega, names = branch["omega"].values, kinds(branch)
+    grazes = omega[names == "grazing"]
+    return bool((np.abs(grazes / omega[step] - 1.0) < 1e-8).any())
+
+
+# --- Errors -------------------------------------------------------------------------------------
+
+SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"along": "stiffness"}, "parameter 'stiffness': must be one of omega, .*zeta.*function"),
+        ({"along": "epsilon"}, "parameter 'epsilon': must be one of omega, "),
+        ({"between": (12.0, 6.0)}, r"between = \(12.0, 6.0\): must be ascending, as \(6, 12\)"),
+        ({"between": (0.0, 6.0)}, "between of omega = 0: must be > 0"),
+        ({"between": (6.0, math.inf)}, "between of omega = inf: must be finite"),
+        ({"between": 6.0}, r"between = 6.0: must be the two ends of omega, as between=\(1.0"),
+        ({"at": 13.0}, r"at = 13.0: must lie within between = \(6, 12\)"),
+        ({"along": "zeta", "between": (-0.5, 0.5), "omega": 9.0}, "zeta = -0.5: must be >= 0"),
+        ({"along": "forcing", "between": (1.0, 2.0)}, "omega: missing; this model is forced"),
+        (
+            {"at": 8.0, "start": [10.0, 0.0]},
+            "start: .* no periodic orbit near it at omega = 8; settle",
+        ),
+        ({"at": 8.0, "start": [1.0, 2.0, 3.0]}, r"start = \[.*\]: must be a state of 2 numbers"),
+        ({"start": [0.0, 0.0]}, "at: missing; give the value of omega of the start"),
+        ({"at": 8.0, "starts": [1.0, 2.0, 3.0]}, "starts: must be states of 2 numbers"),
+        ({"along": "located", "between": (0.0, 1.0), "omega": 9.0}, "parameter 'located': must be"),
+        ({"omega": 3.0}, "omega = 3.0: is the parameter; leave it out"),
+        ({"at": 8.0, "follow": -1}, r"follow = -1: must be a whole number in 0..10"),
+        ({"at": 8.0, "max_steps": 1}, r"max_steps = 1: must be a whole number in 2..100000"),
+        ({"along": "amplitude"}, "along = 'amplitude': .* forcing and damping must be 0"),
+    ],
+)
+def test_bad_input_gives_one_line(options, message):
+    given = {"between": (6.0, 12.0)} | options
+    with pytest.raises(gs.ModelError, match=message) as caught:
+        gs.branches(gs.Oscillator(), SOFT, **given)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_parameter_that_a_system_lacks_is_named_with_the_remedy():
+    law = SYSTEMS.typical_section_law()
+    message = "parameter 'speed': must be one of .* keywords of a function that returns it"
+    with pytest.raises(gs.ModelError, match=message):
+        gs.branches(SYSTEMS.typical_section(12.0), law, "speed", (2.0, 20.0))
+    message = "start: of a system that nothing forces, give a gapsweep.Response"
+    with pytest.raises(gs.ModelError, match=message):
+        gs.branches(SYSTEMS.typical_section, law, "speed", (2.0, 20.0), at=12.0, start=np.zeros(8))
+
+
+# --- Known defects ------------------------------------------------------------------------------
+
+
+@pytest.mark.xfail(strict=True, reason="a start on the window's edge goes on beyond it by a step")
+def test_free_motions_stay_within_their_window():
+    model = gs.Oscillator(zeta=0.0, omega_n=RATE, mass=1.0, alpha=1.0, forcing=0.0)
+    ds = gs.branches(model, NO_CONTACT, "amplitude", (0.5, 1.0))
+    assert float(ds["amplitude"].min()) >= 0.5 * (1.0 - 1e-9)
+
+
+def drawn(number, seed=3, max_steps=250):
+    """The branches of one of the drawn scenes."""
+    (case,) = itertools.islice(random_cases(number + 1, seed), number, None)
+    window = 0.7 * case.omega, 1.5 * case.omega
+    return gs.branches(
+        case.oscillator, case.law, between=window, at=case.omega, max_steps=max_steps
+    )
+
+
+@pytest.mark.xfail(strict=True, reason="a branch that turns back at a graze is taken to end there")
+def test_multipliers_are_one_where_the_branch_of_scene_17_ends():
+    branch = rows(drawn(TURNS_BACK), 0)
+    for kind, step in special_points(branch):
+        if kind in ("branch_point", "period_doubling") and not beside_a_graze(branch, step):
+            mu = multipliers(branch)[step]
+            assert min(np.abs(mu - 1.0).min(), np.abs(mu + 1.0).min()) < 1e-3
+
+
+@pytest.mark.xfail(strict=True, reason="grazes of slowly forced orbits with 130 contacts are lost")
+def test_no_graze_of_many_contacts_is_lost():
+    ds = drawn(193)
+    assert not unexplained(rows(ds, 0))
+    assert ds.attrs["n_lost"] == 0
+
+
+@pytest.mark.xfail(strict=True, reason="a start is taken to have one forcing period")
+def test_a_state_of_an_orbit_of_three_periods_starts_its_branch():
+    branch = rows(forced("soft impact"), 0)
+    row = branch.isel(step=int(np.flatnonzero(branch["stable"].values == 1)[5]))
+    at, model, law = float(row["omega"]), *FORCED["soft impact"][:2]
+    window = 0.99 * at, 1.01 * at
+    ds = gs.branches(
+        model, law, "omega", window, at=at, start=row["start_state"].values, max_steps=5
+    )
+    assert ds["period_multiple"].values[0, 0] == 3
+
+
+@pytest.mark.parametrize("at", [[], "x"])
+@pytest.mark.xfail(strict=True, raises=(IndexError, ValueError), reason="a bare numpy error")
+def test_at_without_numbers_gives_one_line(at):
+    with pytest.raises(gs.ModelError):
+        gs.branches(gs.Oscillator(), SOFT, "omega", (6.0, 12.0), at=at)

@@ -1,0 +1,143 @@
+"""Cost and correctness of branches of periodic orbits.
+
+    python benchmarks/branches.py [--scenes 200] [--trilinear 50] [--seed 3] [--steps 250]
+
+1. Orbits with multipliers per second of processor time at rtol 1e-9, of an isolated branch and of
+   branches that are followed together.
+2. Processor time of the frequency response of the hard contact 0/0.8 mm, 1 to 30 Hz.
+3. Drawn scenes with and without walls (`tests/random_scenes.py`): what no special point explains,
+   orbits that do not return to themselves, multipliers at folds, doublings and crossings.
+4. Symmetric orbits between walls against the solution of four equations in closed form.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from tests.exact_orbits import (
+    drawn_branches,
+    is_trilinear,
+    kinds,
+    multipliers,
+    return_error,
+    rows,
+    special_points,
+    trilinear_cases,
+    trilinear_error,
+    unexplained,
+)
+
+import gapsweep as gs
+
+ENDS = ("none", "window", "closed", "branch_point", "max_steps", "step_too_small")
+HARD = gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3))
+SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+
+
+def timed(call: Callable[[], Any]) -> tuple[float, Any]:
+    begin = time.process_time()
+    found = call()
+    return time.process_time() - begin, found
+
+
+def row(what: str, asked: str, measured: str) -> None:
+    print(f"{what:58s} {asked:>16s}  {measured}", flush=True)
+
+
+def rate(law: gs.Piecewise, at: float, n_starts: int) -> str:
+    starts = np.random.default_rng(0).uniform(-2e-3, 2e-3, (n_starts, 2)) * [1.0, 50.0]
+    given = {"at": at, "starts": starts, "rtol": 1e-9, "atol": 1e-13}
+
+    def call() -> Any:
+        return gs.branches(gs.Oscillator(), law, "omega", (1.0, 30.0), **given)
+
+    call()  # loads machine code
+    seconds, ds = timed(call)
+    n_orbits = int(ds["n_orbits"].sum())
+    return f"{n_orbits / seconds:.0f} (of {n_orbits} on {ds.sizes['branch']} branches)"
+
+
+def response() -> str:
+    seconds, ds = timed(lambda: gs.branches(gs.Oscillator(), HARD, "omega", (1.0, 30.0)))
+    n_orbits, n_lost = int(ds["n_orbits"].sum()), ds.attrs["n_lost"]
+    of = f"{n_orbits} orbits on {ds.sizes['branch']} branches, {n_lost} points lost"
+    return f"{seconds:.1f} s ({of})"
+
+
+def scenes(n: int, seed: int, max_steps: int) -> None:
+    begin = time.process_time()
+    n_orbits, missed, not_closed, off = 0, [], [], []
+    ends = dict.fromkeys(ENDS, 0)
+    n_special = 0
+    for number, (case, ds) in enumerate(drawn_branches(n, seed, max_steps)):
+        for which in ds["branch"].values:
+            branch = rows(ds, which)
+            n_orbits += branch.sizes["step"]
+            for name in ("begins", "ends"):
+                ends[ENDS[int(ds[name][which])]] += 1
+            missed += [f"scene {number}, {each}" for each in unexplained(branch)]
+            for step in range(0, branch.sizes["step"], 10):
+                error = return_error(case.oscillator, case.law, branch, step)
+                if error > 1e-9:
+                    not_closed.append(f"scene {number}, step {step}: {error:.1e}")
+            for kind, step in special_points(branch):
+                mu = multipliers(branch)[step]
+                if kind in ("grazing", "torus"):
+                    continue
+                n_special += 1
+                # Orbits of the double period have a multiplier 1 where half of it crosses.
+                ones = (1.0, -1.0) if kind == "period_doubling" else (1.0,)
+                error = min(float(np.abs(mu - one).min()) for one in ones)
+                if error > 1e-8:
+                    names, omega = kinds(branch), branch["omega"].values
+                    near = np.abs(omega[names == "grazing"] / omega[step] - 1.0)
+                    beside = ", beside a graze" if near.min(initial=1.0) < 1e-8 else ""
+                    off.append(f"scene {number}, {kind} {omega[step]:.9g}: {error:.1e}{beside}")
+    row(f"{n} drawn scenes, {n_orbits} orbits: jumps, missed points", "0", str(len(missed)))
+    row("  orbits that do not return within 1e-9", "0", str(len(not_closed)))
+    row(f"  multipliers of {n_special} points off by more than 1e-8", "0", str(len(off)))
+    for each in missed + not_closed + off:
+        print(f"    {each}")
+    print(f"    ends: {ends}; {time.process_time() - begin:.0f} s")
+
+
+def trilinear(n: int, seed: int) -> None:
+    errors: list[float] = []
+    for model, law, omega in trilinear_cases(2 * n, seed):
+        if len(errors) == n:
+            break
+        window = 0.98 * omega, 1.02 * omega
+        ds = gs.branches(model, law, "omega", window, at=omega, max_steps=10)
+        for number in ds["branch"].values:
+            branch = rows(ds, number)
+            steps = np.flatnonzero(is_trilinear(branch) & (kinds(branch) == "none"))
+            if len(steps):
+                errors.append(max(trilinear_error(model, law, branch, i) for i in steps))
+    worst = f"{max(errors):.1e} (median {np.median(errors):.1e})"
+    row(f"{len(errors)} trilinear orbits: largest error", "1e-8", worst)
+
+
+def main(n_scenes: int, n_trilinear: int, seed: int, max_steps: int) -> None:
+    row("", "asked", "measured")
+    row("orbits per second, isolated branch, soft contact", ">= 2000", rate(SOFT, 8.0, 1))
+    row("orbits per second, branches together, hard contact", ">= 2000", rate(HARD, 12.0, 64))
+    row("response of hard contact, 1 to 30 Hz, processor time", "<= 10 s", response())
+    trilinear(n_trilinear, seed)
+    scenes(n_scenes, seed, max_steps)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--trilinear", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=250)
+    given = parser.parse_args()
+    main(given.scenes, given.trilinear, given.seed, given.steps)
