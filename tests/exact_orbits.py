@@ -366,16 +366,9 @@ def drawn_branches(n: int, seed: int, max_steps: int) -> Iterator[tuple[object, 
     """Branches of random oscillators between walls about their forcing frequency."""
     for case in random_cases(n, seed):
         window = 0.7 * case.omega, 1.5 * case.omega
-        yield (
-            case,
-            gs.branches(
-                case.oscillator,
-                case.law,
-                between=window,
-                at=case.omega,
-                max_steps=max_steps,
-            ),
-        )
+        about = {"between": window, "at": case.omega, "max_steps": max_steps}
+        if gs.respond(case.oscillator, case.law, case.omega).period_multiple:
+            yield case, gs.branches(case.oscillator, case.law, **about)
 
 
 def unexplained(branch: xr.Dataset) -> list[str]:

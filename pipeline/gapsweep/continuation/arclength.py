@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gapsweep.continuation.locate import Step
 from gapsweep.continuation.newton import Corrector
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
+from gapsweep.continuation.special import crossing_test
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -28,6 +29,7 @@ _FIRST, SMALLEST, _LARGEST = 1e-3, 1e-9, 0.03
 _GROWS, _FEW_STEPS = 2.0, 4
 _TURN, _SLIGHT_TURN = 0.3, 0.1  # of the tangent in a step [rad]
 _MET = 1e-5, 1e-7  # of the size: halves of orbits that differ, and that do not
+_NEAR_ONE = 0.02  # a multiplier of an orbit near which branches may cross
 _STATIONARY = 0.2  # of the way: a parameter that changes less over two steps is at a fold
 _ASIDE = 0.5  # correction over step
 _EDGE = 1e-12  # of a window, within which its end is reached
@@ -149,8 +151,8 @@ class Continuation:
         met = zip(before.unlike, orbit.unlike, strict=True)
         if any(one > _MET[0] and other < _MET[1] for one, other in met):  # on the other branch
             return math.inf, False
-        # Grazes leave the determinant's sign: it was found behind one where the branch turns back.
-        if before.branching * orbit.branching < 0.0 and before.n_contacts != orbit.n_contacts:
+        # Behind a graze at which the branch turns back the way is another one.
+        if before.branching * orbit.branching < 0.0 and not _may_cross((before, orbit)):
             return math.inf, False
         turn = math.acos(min(1.0, max(-1.0, float(before.tangent @ orbit.tangent))))
         if turn > _TURN:
@@ -215,7 +217,8 @@ class Continuation:
         crosses = any(a.branching * b.branching < 0.0 for a, b in steps)
         places = [self.equations.window_places(orbit)[0] for orbit in orbits]
         way = float(np.sqrt(((orbits[-1].unknowns - orbits[0].unknowns) ** 2).sum()))
-        return folds and crosses and max(places) - min(places) <= _STATIONARY * way
+        is_still = max(places) - min(places) <= _STATIONARY * way
+        return folds and crosses and is_still and _may_cross(orbits)
 
     def _is_closed(self, first: Orbit, before: Orbit, last: Orbit) -> bool:
         """Whether the first orbit lies between the last two."""
@@ -234,6 +237,13 @@ class Continuation:
             return False
         aside = (c - a) - along * float((c - a) @ along) / length
         return float(np.sqrt(aside @ aside)) <= 0.1 * math.sqrt(length)
+
+
+def _may_cross(orbits: Sequence[Orbit]) -> bool:
+    """Whether branches may cross between orbits: a multiplier passes 1 there, or comes near it."""
+    sides = [crossing_test(orbit) for orbit in orbits]
+    nearest = min(np.abs(orbit.multipliers - 1.0).min(initial=np.inf) for orbit in orbits)
+    return min(sides) < 0.0 < max(sides) or bool(nearest < _NEAR_ONE)
 
 
 def _bend(orbits: list[Orbit]) -> Array:

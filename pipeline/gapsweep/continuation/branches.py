@@ -10,7 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
 from gapsweep.continuation.locate import Step, crossing, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference, integrated, swing
-from gapsweep.continuation.special import Crossing, Special, crossing_test, crossings, is_torus
+from gapsweep.continuation.special import (
+    Crossing,
+    Special,
+    crossing_test,
+    crossings,
+    doubling,
+    is_torus,
+)
 from gapsweep.integrate.motion import Events
 from gapsweep.integrate.problem import Solver
 
@@ -21,6 +28,7 @@ _SAME = 1e-6  # orbits that are nearer, as a share of their size, are the same
 _HALVES = 1e-2  # of a state: beside a pitchfork, halves of a period are this much alike
 _PITCHFORK = (Special.FOLD, Special.BRANCH_POINT)
 _ROUNDING = 1e-12  # of parameter values
+_ON_EITHER_SIDE = 1e-6, 1e-5, 1e-4, 1e-3  # of a window, about a doubling
 _SHORTEST = 4  # orbits of a branch that leaves another one
 _AT_ONCE = 1e-9  # grazes that are nearer in scaled unknowns are one
 _WINDOW = -1  # kind of the crossing that is the window's end
@@ -201,8 +209,10 @@ class Branches:
 
         There the equations are regular; along the branch that ends they are twice singular.
         """
+        if end.special == Special.PERIOD_DOUBLING:
+            return self._refined_doubling(branch, end)
         beside = self._beside(branch, end)
-        if end.special == Special.PERIOD_DOUBLING or beside is None:
+        if beside is None:
             return end
         first, reference = beside
         back = reversed_orbit(first)
@@ -219,6 +229,33 @@ class Branches:
         if found is None:
             return end
         return replace(found, special=int(self._crossing(found)), tangent=end.tangent)
+
+    def _refined_doubling(self, branch: Branch, end: Orbit) -> Orbit:
+        """The end of a branch of doubled period, located on the branch of half the period."""
+        equations, corrector = self.equations, self.continuation.corrector
+        half, unknowns = branch.reference.take(np.zeros(1, int)), np.tile(end.unknowns, (2, 1))
+        half.multiple = np.maximum(half.multiple // 2, 1)
+        if equations.has_period:
+            unknowns[:, equations.n_states] *= 0.5
+            half.y, half.rate = (
+                end.state[None, :],
+                equations.rates(end.state[None, :], unknowns[:1]),
+            )
+        along = np.tile(np.eye(unknowns.shape[1])[-1], (2, 1))
+        for apart in _ON_EITHER_SIDE:
+            sides = unknowns.copy()
+            sides[:, -1] = np.clip(sides[:, -1] + np.array([-apart, apart]), 0.0, 1.0)
+            (low, high), _ = corrector.orbits(
+                sides, along, half.take(np.zeros(2, int)), np.full(2, 0.1)
+            )
+            if low is None or high is None or doubling(low) * doubling(high) >= 0.0:
+                continue
+            (point,) = roots(corrector, [Step(low, high, half)], [doubling])
+            if point is not None:
+                orbit = replace(point[1], special=int(Special.PERIOD_DOUBLING))
+                start = self._switched(replace(branch, reference=half), orbit)
+                return end if start is None else replace(start[0], tangent=end.tangent)
+        return end
 
     def _beside(self, branch: Branch, orbit: Orbit) -> tuple[Orbit, Reference] | None:
         """The first orbit beside a crossing on the other branch."""
@@ -265,7 +302,10 @@ class Branches:
                         break
                 ends = [orbit for _, kind, orbit in points if kind == _WINDOW]
                 orbits += self._points(points)
-                orbits += ends or [after]
+                # A branch that starts at an end of its window goes no farther.
+                is_last = half.end == "window" and self.equations.family.is_conservative
+                is_last &= i == len(half.orbits) - 2
+                orbits += ends if is_last else [after]
             rows.append(orbits)
         return rows
 
@@ -434,15 +474,18 @@ class Branches:
 
 
 def _events(models: Any, solver: Solver, states: Array, t_end: ArrayLike) -> Events:
-    events: Events = _run(models, solver, states, t_end, 0.0).events()
+    events: Events = motions(models, solver, states, t_end, 0.0).events()
     return events
 
 
 def _ends(models: Any, solver: Solver, states: Array, t_end: ArrayLike) -> Array:
     """States after some time [s]."""
-    return np.asarray(_run(models, solver, states, t_end, np.inf).state)
+    return np.asarray(motions(models, solver, states, t_end, np.inf).state)
 
 
-def _run(models: Any, solver: Solver, states: Array, t_end: ArrayLike, record_from: float) -> Any:
+def motions(
+    models: Any, solver: Solver, states: Array, t_end: ArrayLike, record_from: float
+) -> Any:
+    """Motions from states over some time [s], recorded from a time on."""
     ends, begin = np.asarray(t_end, float), np.full(len(states), record_from)
     return integrated(models, solver, states, ends, begin, tangent=False)

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.continuation.branches import Attractor, Branches
+from gapsweep.continuation.branches import Attractor, Branches, motions
 from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.orbits import OrbitEquations
@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 DEFAULT_RTOL, DEFAULT_ATOL = 1e-11, 1e-14
 _VALUES = 8  # of the parameter, at which attractors are sought
+_CLOSE = 1e-3  # a motion that comes back so near, as a share of its size, closes
 _AWAY = 2.0  # starts beyond the walls, as parts of their distance
 
 
@@ -92,7 +93,8 @@ def branches(
     ['none', 'fold']
     """
     window = Window.of(along, between)
-    values = {along: window.low} if at is None else {along: float(np.ravel(at)[0])}
+    places = None if at is None else _inside(window, at)
+    values = {along: places[0] if places else window.low}
     if omega is not None:
         if along == "omega":
             raise ModelError(f"omega = {omega!r}: is the parameter; leave it out")
@@ -101,7 +103,12 @@ def branches(
     solver = Solver.of("compiled", rtol, atol)
     equations = OrbitEquations(family, (window,), solver)
     found = Branches(equations=equations, max_steps=whole("max_steps", max_steps, 2, 100_000))
-    found.add(_attractors(equations, at, start, starts))
+    found.add(_attractors(equations, places, start, starts))
+    if not found.attractors:
+        raise ModelError(
+            "starts: no motion settles on a periodic orbit; give other starts, values at of "
+            f"{along}, or a start near an orbit"
+        )
     if start is not None and not found.found:
         raise ModelError(
             f"start: Newton's method finds no periodic orbit near it at {along} = "
@@ -114,7 +121,7 @@ def branches(
 
 def _attractors(
     equations: OrbitEquations,
-    at: ArrayLike | None,
+    at: list[float] | None,
     start: Response | ArrayLike | None,
     starts: ArrayLike | None,
 ) -> list[Attractor]:
@@ -125,11 +132,11 @@ def _attractors(
             raise ModelError("start: several responses; give one, as from gs.respond at one omega")
         if start.response_class != ResponseClass.PERIODIC:
             raise ModelError("start: the response is not periodic; give one that is")
-        if at is None:
-            at = start.inputs.get("omega") if window.name == "omega" else None
+        if at is None and window.name == "omega":
+            at = _inside(window, start.inputs["omega"])
         if at is None:
             raise ModelError(f"at: missing; give the value of {window.name} of the response")
-        return [_attractor(start, _inside(window, at)[0], n_states)]
+        return [_attractor(start, at[0], n_states)]
     if start is not None:
         state = _numbers("start", start)
         if len(state) != n_states:
@@ -140,15 +147,13 @@ def _attractors(
             raise ModelError("start: of a system that nothing forces, give a gapsweep.Response")
         if at is None:
             raise ModelError(f"at: missing; give the value of {window.name} of the start")
-        value = _inside(window, at)[0]
-        return [Attractor(value=value, section=state[None, :], period=np.nan, multiple=1)]
+        multiple = _periods(equations, at[0], state)
+        return [Attractor(value=at[0], section=state[None, :], period=np.nan, multiple=multiple)]
     if equations.family.is_conservative:
         state = np.zeros(n_states)
-        state[0] = window.low
+        state[0] = at[0] if at else window.low
         return [_free(equations, state)]
-    values = np.asarray(
-        window.value((np.arange(_VALUES) + 0.5) / _VALUES) if at is None else _inside(window, at)
-    )
+    values = np.asarray(at or window.value((np.arange(_VALUES) + 0.5) / _VALUES))
     states = _states(equations, starts)
     return settled(equations, np.repeat(values, len(states)), np.tile(states, (len(values), 1)))
 
@@ -183,10 +188,22 @@ def _attractor(response: Response, value: float, n_states: int) -> Attractor:
     return Attractor(value=value, section=section, period=period, multiple=multiple)
 
 
+def _periods(equations: OrbitEquations, value: float, state: Array) -> int:
+    """Forcing periods after which a motion first comes back near its start; 1 if it does not."""
+    windows = equations.windows
+    models = equations.family.models(windows, np.asarray(windows[0].place([[value]])))
+    t_end = Steady().max_period_multiple / models.omega
+    section = motions(models, equations.solver, state[None, :], t_end, 0.0).events().section
+    apart = np.abs(section - state).max(axis=1) / np.abs(state).max(initial=1e-300)
+    return 1 + int(np.argmax(apart <= _CLOSE))
+
+
 def _free(equations: OrbitEquations, state: Array) -> Attractor:
     """A free motion from rest, up to the next maximum of its first coordinate."""
     model, laws = equations.family.example, equations.family.laws_at({})
     law = dict(zip(model.contacts, laws, strict=True))
+    if not state[0]:
+        raise ModelError("start: its first coordinate must not be 0: it is the amplitude")
     n, slowest = model.n, model.slowest or model.fastest
     if not slowest:
         raise ModelError("start: no spring gives this System a time of its own; give a Response")

@@ -19,8 +19,9 @@ from gapsweep.continuation.orbits import Orbit, Reference
 Array = NDArray[np.float64]
 Value = Callable[[Orbit], float]
 
-# Of a step: to which roots are located; distance of the orbits about a crossing, in unknowns.
-_LOCATED, _AROUND = 1e-13, 1e-3
+_LOCATED = 1e-13  # of a step, to which roots are
+# Distances of the orbits about a crossing, in unknowns, and when two of them give the same.
+_AROUND, _AGREES = (1e-3, 3e-4, 1e-4, 3e-5, 1e-5), 1e-9
 _NEAREST = 0.125  # the same as a part of a step
 _ON = 1e-13
 
@@ -112,32 +113,38 @@ def crossing(corrector: Corrector, step: Step, value: Value) -> Orbit | None:
     ends, f = [0.0, 1.0], [value(step.before), value(step.after)]
     if f[0] * f[1] >= 0.0:
         return None
-    apart = min(_AROUND / step.size, _NEAREST)
-    while ends[1] - ends[0] > 8.0 * apart:
-        middle = 0.5 * (ends[0] + ends[1])
-        (orbit,) = orbits_at(corrector, [step], [middle])
-        if orbit is None:
-            return None
-        side = 0 if value(orbit) * f[0] > 0.0 else 1
-        ends[side], f[side] = middle, value(orbit)
-    s = (ends[0] * f[1] - ends[1] * f[0]) / (f[1] - f[0]) + apart * np.array([-3, -1, 1, 3])
-    found = [orbit for orbit in orbits_at(corrector, [step] * 4, s) if orbit is not None]
-    if len(found) < len(s):
-        return None
-    at = float(_lagrange(np.array([value(orbit) for orbit in found]), s, 0.0))
-    if abs(at - s.mean()) > 3.0 * apart:
-        return None
-    u, t = (
-        _lagrange(s, np.array([getattr(orbit, name) for orbit in found]), at)[None, :]
-        for name in ("unknowns", "tangent")
-    )
-    equations = corrector.equations.evaluate(u, step.reference)
-    if not equations.is_ok[0]:
-        return None
-    there: list[Orbit] = corrector.equations.orbits(
-        u, t, step.reference, equations, np.zeros(1, np.intp)
-    )
-    return there[0]
+    found, before = None, np.inf
+    for distance in _AROUND:
+        apart = min(distance / step.size, _NEAREST)
+        while ends[1] - ends[0] > 8.0 * apart:
+            middle = 0.5 * (ends[0] + ends[1])
+            (orbit,) = orbits_at(corrector, [step], [middle])
+            if orbit is None:
+                return found
+            side = 0 if value(orbit) * f[0] > 0.0 else 1
+            ends[side], f[side] = middle, value(orbit)
+        guess = (ends[0] * f[1] - ends[1] * f[0]) / (f[1] - f[0])
+        s = guess + apart * np.array([-3, -1, 1, 3])
+        orbits = [orbit for orbit in orbits_at(corrector, [step] * 4, s) if orbit is not None]
+        values = np.array([value(orbit) for orbit in orbits])
+        if len(orbits) < len(s) or not (np.diff(values) * (f[1] - f[0]) > 0.0).all():
+            return found
+        at = float(_lagrange(values, s, 0.0))
+        if abs(at - guess) > 3.0 * apart:
+            return found
+        u, t = (
+            _lagrange(s, np.array([getattr(orbit, name) for orbit in orbits]), at)[None, :]
+            for name in ("unknowns", "tangent")
+        )
+        equations = corrector.equations.evaluate(u, step.reference)
+        if equations.is_ok[0]:
+            (found,) = corrector.equations.orbits(
+                u, t, step.reference, equations, np.zeros(1, np.intp)
+            )
+        if abs(at - before) * step.size <= _AGREES:
+            break
+        before = at
+    return found
 
 
 def _lagrange(x: Array, values: Array, at: float) -> Any:
