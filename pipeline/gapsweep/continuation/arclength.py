@@ -33,7 +33,7 @@ _NEAR_ONE = 0.02  # a multiplier of an orbit near which branches may cross
 _STATIONARY = 0.2  # of the way: a parameter that changes less over two steps is at a fold
 _ASIDE = 0.5  # correction over step
 _EDGE = 1e-12  # of a window, within which its end is reached
-# Change of multipliers in a step, but not where they change ever so fast, as beside a graze.
+# Change of multipliers in a step, but not where they jump, as near a graze.
 _CHANGE, _INNER, _FAST = 0.4, 0.7, 1e-4
 # Distances at which a branch is sought again behind a kink, and where it is no longer there.
 _BEHIND, _ASTRAY = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3), 3.0
@@ -201,6 +201,9 @@ class Continuation:
             return "window"
         if self._is_pitchfork(half.orbits[-3:]):
             return "branch_point"
+        n = len(last.state)
+        if self.equations.has_period and before.unknowns[:n] @ last.unknowns[:n] < 0.0:
+            return "equilibrium"  # it passed through: behind it lie the same orbits
         if len(half.orbits) > 5 and self._is_closed(first, before, last):
             return "closed"
         return "max_steps" if len(half.orbits) > self.max_steps else ""

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 _OFF_TURNING = 0.137  # of a period: orbits start off turning points, which would come and go
 _SAME = 1e-6  # orbits that are nearer, as a share of their size, are the same
-_HALVES = 1e-2  # of a state: beside a pitchfork, halves of a period are this much alike
+_HALVES = 1e-2  # of a state: near a pitchfork, halves of a period are this much alike
 _PITCHFORK = (Special.FOLD, Special.BRANCH_POINT)
 _ROUNDING = 1e-12  # of parameter values
 _ON_EITHER_SIDE = 1e-6, 1e-5, 1e-4, 1e-3  # of a window, about a doubling
@@ -211,10 +211,10 @@ class Branches:
         """
         if end.special == Special.PERIOD_DOUBLING:
             return self._refined_doubling(branch, end)
-        beside = self._beside(branch, end)
-        if beside is None:
+        start = self._first_across(branch, end)
+        if start is None:
             return end
-        first, reference = beside
+        first, reference = start
         back = reversed_orbit(first)
         step = 2.0 * float(np.sqrt(((first.unknowns - end.unknowns) ** 2).sum()))
         (last,), _ = self.continuation.corrector.orbits(
@@ -257,8 +257,8 @@ class Branches:
                 return end if start is None else replace(start[0], tangent=end.tangent)
         return end
 
-    def _beside(self, branch: Branch, orbit: Orbit) -> tuple[Orbit, Reference] | None:
-        """The first orbit beside a crossing on the other branch."""
+    def _first_across(self, branch: Branch, orbit: Orbit) -> tuple[Orbit, Reference] | None:
+        """The first orbit of the branch that crosses, next to the crossing."""
         start = self._switched(branch, orbit)
         if start is None:
             return None
@@ -317,7 +317,7 @@ class Branches:
                 break
             if kind == Special.BRANCH_POINT:
                 kind = self._crossing(orbit)
-            # Symmetric orbits touch both walls at once.
+            # Symmetric orbits touch both walls together.
             same = kind == Special.GRAZING and found and found[-1].special == kind
             if same and np.abs(found[-1].unknowns - orbit.unknowns).max() <= _AT_ONCE:
                 continue
@@ -356,7 +356,7 @@ class Branches:
                 if orbit.special not in kinds or is_parent or is_halved:
                     continue
                 # A branch that ends here meets another one, which goes through.
-                start = (self._beside if is_end else self._switched)(branch, orbit)
+                start = (self._first_across if is_end else self._switched)(branch, orbit)
                 if start is None:
                     self.n_lost += 1
                     continue

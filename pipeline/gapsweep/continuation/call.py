@@ -144,7 +144,7 @@ def _attractors(
         if equations.family.is_conservative:
             return [_free(equations, state)]
         if equations.has_period:
-            raise ModelError("start: of a system that nothing forces, give a gapsweep.Response")
+            raise ModelError("start: an unforced system needs a gapsweep.Response")
         if at is None:
             raise ModelError(f"at: missing; give the value of {window.name} of the start")
         multiple = _periods(equations, at[0], state)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 BRANCH, STEP, STATE, MULTIPLIER, ATTRACTOR = "branch", "step", "state", "multiplier", "attractor"
 _POINT = (BRANCH, STEP)
-_ENDS = ("none", "window", "closed", "branch_point", "max_steps", "step_too_small")
+_ENDS = ("none", "window", "closed", "branch_point", "max_steps", "step_too_small", "equilibrium")
 END_FLAGS = tuple((name, i) for i, name in enumerate(_ENDS))
 SPECIAL_FLAGS = tuple((kind.name.lower(), int(kind)) for kind in Special)
 _STATUS = (("ok", 0), ("not_requested", 1))

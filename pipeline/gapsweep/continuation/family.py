@@ -112,11 +112,11 @@ class Family:
             raise ModelError(f"law: of {list(self.law)}: must name {list(self.example.contacts)}")
         is_forced = self.example.is_forced
         if "omega" in self.names and not is_forced:
-            raise ModelError("along = 'omega': nothing forces this System; name another parameter")
+            raise ModelError("along = 'omega': this System is not forced; name another parameter")
         if AMPLITUDE in self.names:
             self._check_free()
         elif "omega" not in self.names and (self.omega is None) == is_forced:
-            said = "missing; this model is forced" if is_forced else "nothing forces this System"
+            said = "missing; this model is forced" if is_forced else "this System is not forced"
             raise ModelError(f"omega: {said}")
 
     def _check(self, name: str) -> None:

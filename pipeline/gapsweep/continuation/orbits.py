@@ -1,10 +1,10 @@
 """Periodic orbits as zeros of equations: residuals, derivatives, and what the orbits are.
 
-Unknowns of an orbit are its initial state y, its period T where nothing forces it, and the
+Unknowns of an orbit are its initial state y, its period T where it is not forced, and the
 parameters p::
 
     φ(T, y, p) - y = 0                        one equation for each component of the state
-    f · (y - y_ref) = 0                       where nothing forces it: it starts near y_ref
+    f · (y - y_ref) = 0                       not forced: it starts near y_ref
 
 φ is the motion's end and f the derivative of y_ref by time. Both are divided by the size of the
 state. Derivatives of φ by y are the monodromy matrix, by T the motion's rate, by the parameters
