@@ -638,12 +638,12 @@ def test_a_parameter_that_a_system_lacks_is_named_with_the_remedy():
     message = "parameter 'speed': must be one of .* keywords of a function that returns it"
     with pytest.raises(gs.ModelError, match=message):
         gs.branches(SYSTEMS.typical_section(12.0), law, "speed", (2.0, 20.0))
-    message = "start: of a system that nothing forces, give a gapsweep.Response"
+    message = "start: an unforced system needs a gapsweep.Response"
     with pytest.raises(gs.ModelError, match=message):
         gs.branches(SYSTEMS.typical_section, law, "speed", (2.0, 20.0), at=12.0, start=np.zeros(8))
 
 
-# --- Known defects ------------------------------------------------------------------------------
+# --- Mended defects ------------------------------------------------------------------------------
 
 
 def test_free_motions_stay_within_their_window():

@@ -29,6 +29,7 @@ _HALVES = 1e-2  # of a state: near a pitchfork, halves of a period are this much
 _PITCHFORK = (Special.FOLD, Special.BRANCH_POINT)
 _ROUNDING = 1e-12  # of parameter values
 _ON_EITHER_SIDE = 1e-6, 1e-5, 1e-4, 1e-3  # of a window, about a doubling
+_DIRECTIONS, _CLEAR = 12, 1e-3  # in which, and how far from a crossing, orbits are sought
 _SHORTEST = 4  # orbits of a branch that leaves another one
 _AT_ONCE = 1e-9  # grazes that are nearer in scaled unknowns are one
 _WINDOW = -1  # kind of the crossing that is the window's end
@@ -211,22 +212,9 @@ class Branches:
         """
         if end.special == Special.PERIOD_DOUBLING:
             return self._refined_doubling(branch, end)
-        start = self._first_across(branch, end)
-        if start is None:
-            return end
-        first, reference = start
-        back = reversed_orbit(first)
-        step = 2.0 * float(np.sqrt(((first.unknowns - end.unknowns) ** 2).sum()))
-        (last,), _ = self.continuation.corrector.orbits(
-            (back.unknowns + step * back.tangent)[None, :],
-            back.tangent[None, :],
-            reference,
-            np.array([step]),
-        )
-        if last is None or last.branching * back.branching > 0.0:
-            return end
-        found = crossing(self.continuation.corrector, Step(back, last, reference), crossing_test)
-        if found is None:
+        step = self._across(branch, end)
+        found = step and crossing(self.continuation.corrector, step, crossing_test)
+        if not found:
             return end
         return replace(found, special=int(self._crossing(found)), tangent=end.tangent)
 
@@ -257,14 +245,37 @@ class Branches:
                 return end if start is None else replace(start[0], tangent=end.tangent)
         return end
 
-    def _first_across(self, branch: Branch, orbit: Orbit) -> tuple[Orbit, Reference] | None:
-        """The first orbit of the branch that crosses, next to the crossing."""
-        start = self._switched(branch, orbit)
-        if start is None:
+    def _across(self, branch: Branch, end: Orbit) -> Step | None:
+        """A step of the branch that goes through the end of another one.
+
+        The equations have two null vectors there. Of the directions between them it is one in which
+        orbits on both sides lie on different sides of the crossing.
+        """
+        unknowns = end.unknowns[None, :]
+        reference = branch.reference.take(np.zeros(1, int))
+        if self.equations.has_period:
+            reference.y = end.state[None, :]
+            reference.rate = self.equations.rates(reference.y, unknowns)
+        found = self.equations.evaluate(unknowns, reference)
+        if not found.is_ok[0]:
             return None
-        first, reference = start
-        (half,) = Continuation(self.equations, 1).follow([first], reference)
-        return (half.orbits[1], half.references[0]) if len(half.orbits) > 1 else None
+        plane = np.linalg.svd(found.jacobian[0])[2][-2:]
+        angles = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        ways = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ plane
+        both = np.concatenate([-ways, ways])
+        orbits, _ = self.continuation.corrector.orbits(
+            unknowns + _CLEAR * both,
+            both,
+            reference.take(np.zeros(len(both), int)),
+            np.full(len(both), _CLEAR),
+        )
+        steps = [
+            Step(reversed_orbit(low), high, reference)
+            for low, high in zip(orbits[:_DIRECTIONS], orbits[_DIRECTIONS:], strict=True)
+            if low and high and crossing_test(low) * crossing_test(high) < 0.0
+        ]
+        # Along the branch that ends the parameter changes with the square of the distance.
+        return max(steps, key=lambda step: abs(float(step.chord[-1])), default=None)
 
     def with_special_points(self, halves: Sequence[Half]) -> list[list[Orbit]]:
         """The orbits of halves, special points and ends of the window among them."""
@@ -356,7 +367,9 @@ class Branches:
                 if orbit.special not in kinds or is_parent or is_halved:
                     continue
                 # A branch that ends here meets another one, which goes through.
-                start = (self._first_across if is_end else self._switched)(branch, orbit)
+                start = self._switched(branch, orbit)
+                if is_end and (step := self._across(branch, orbit)):
+                    start = step.after, step.reference
                 if start is None:
                     self.n_lost += 1
                     continue
