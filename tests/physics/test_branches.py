@@ -34,6 +34,7 @@ from tests.exact_orbits import (
 from tests.random_scenes import random_cases
 
 import gapsweep as gs
+from gapsweep.model.system import first_order
 
 RATE = 1.0 / TURN  # Hz at 1 rad/s
 NO_CONTACT = gs.Piecewise(0.0, gs.Gap(1.0, 1.0))
@@ -693,6 +694,27 @@ def test_a_state_of_an_orbit_of_three_periods_starts_its_branch():
 def test_at_without_numbers_gives_one_line(at):
     with pytest.raises(gs.ModelError):
         gs.branches(gs.Oscillator(), SOFT, "omega", (6.0, 12.0), at=at)
+
+
+def test_far_from_the_freeplay_cycles_approach_the_linear_flutter_speed():
+    """There an eigenvalue of the section with the flap on its spring crosses the axis."""
+    law = SYSTEMS.typical_section_law()
+
+    def growth(speed):
+        system = SYSTEMS.typical_section(speed)
+        matrix, spring = first_order(system), np.diag([0.0, 0.0, law.K_c])
+        matrix[3:6, :3] -= np.linalg.solve(system.mass, spring)
+        return np.linalg.eigvals(matrix).real.max()
+
+    flutter = brentq(growth, 22.0, 26.0, xtol=1e-10)
+    start = gs.respond(SYSTEMS.typical_section(12.0), law, q_0=[0.01, 0.0, 0.0])
+    ds = gs.branches(
+        SYSTEMS.typical_section, law, "speed", (9.0, 24.5), at=12.0, start=start, follow=1
+    )
+    flap = ds["x_max"].sel(coordinate="beta") / SYSTEMS.FREEPLAY
+    far = ds["speed"].values[(flap > 1000.0).values]
+    assert far.size > 10
+    assert_allclose(far, flutter, rtol=1e-4)
 
 
 # --- Curves of special points -------------------------------------------------------------------

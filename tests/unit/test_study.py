@@ -541,5 +541,5 @@ def test_branches_along_what_a_contact_has_of_its_own_are_refused():
         ],
         "branches": {"along": "K_c"},
     }
-    with pytest.raises(gs.StudyError, match="a contact has one of its own"):
+    with pytest.raises(gs.StudyError, match="sets it for one contact alone"):
         gs.Study.from_dict(tables)

@@ -206,7 +206,7 @@ def _free(equations: OrbitEquations, state: Array) -> Attractor:
         raise ModelError("start: its first coordinate must not be 0: it is the amplitude")
     n, slowest = model.n, model.slowest or model.fastest
     if not slowest:
-        raise ModelError("start: no spring gives this System a time of its own; give a Response")
+        raise ModelError("start: this System has no natural frequency; give a Response")
     run = simulate(
         model,
         law,

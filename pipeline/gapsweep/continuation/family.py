@@ -96,7 +96,7 @@ class Family:
         ``"omega"``, ``"amplitude"`` (of free motions), a field of the oscillator or of the laws
         (``"K_c"``, ``"j_1"``, ``"gap"`` for both walls alike), or a keyword of the callable.
     values : mapping of str to float
-        Of the parameters where nothing else is given: the model of messages and of the kind.
+        Default values of the parameters; the model with them is `example`.
     """
 
     model: Model | Callable[..., Model]
@@ -140,7 +140,7 @@ class Family:
         allowed = ", ".join(dict.fromkeys(["omega", AMPLITUDE, *known, *_GAP]))
         raise ModelError(
             f"parameter {name!r}: must be one of {allowed}; parameters of a System are keywords "
-            "of a function that returns it, given in its place"
+            "of a function that returns it: pass that function as the model"
         )
 
     def _check_free(self) -> None:

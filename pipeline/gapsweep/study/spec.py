@@ -203,7 +203,7 @@ class BranchesTable(Table):
             yield f"branches.along = {self.along!r}: must be a swept number of the study: {swept}"
         name = "gap" if self.along in ("j_1", "j_2") else self.along
         if any(getattr(contact, name, None) is not None for contact in contacts.values()):
-            yield f"branches.along = {self.along!r}: a contact has one of its own in [contact]"
+            yield f"branches.along = {self.along!r}: [contact] sets it for one contact alone"
         if not any(map(is_followed, axes["representation"])):
             yield "branches: no representation of the study is followed: add 'piecewise'"
 
