@@ -221,14 +221,10 @@ class Branches:
     def _refined_doubling(self, branch: Branch, end: Orbit) -> Orbit:
         """The end of a branch of doubled period, located on the branch of half the period."""
         equations, corrector = self.equations, self.continuation.corrector
-        half, unknowns = branch.reference.take(np.zeros(1, int)), np.tile(end.unknowns, (2, 1))
+        half, unknowns = self._reference(branch, end), np.tile(end.unknowns, (2, 1))
         half.multiple = np.maximum(half.multiple // 2, 1)
         if equations.has_period:
             unknowns[:, equations.n_states] *= 0.5
-            half.y, half.rate = (
-                end.state[None, :],
-                equations.rates(end.state[None, :], unknowns[:1]),
-            )
         along = np.tile(np.eye(unknowns.shape[1])[-1], (2, 1))
         for apart in _ON_EITHER_SIDE:
             sides = unknowns.copy()
@@ -251,11 +247,7 @@ class Branches:
         The equations have two null vectors there. Of the directions between them it is one in which
         orbits on both sides lie on different sides of the crossing.
         """
-        unknowns = end.unknowns[None, :]
-        reference = branch.reference.take(np.zeros(1, int))
-        if self.equations.has_period:
-            reference.y = end.state[None, :]
-            reference.rate = self.equations.rates(reference.y, unknowns)
+        unknowns, reference = end.unknowns[None, :], self._reference(branch, end)
         found = self.equations.evaluate(unknowns, reference)
         if not found.is_ok[0]:
             return None
@@ -384,12 +376,8 @@ class Branches:
 
     def _switched(self, branch: Branch, orbit: Orbit) -> tuple[Orbit, Reference] | None:
         """The first orbit of a branch that crosses another one, its tangent along it."""
-        equations, reference = self.equations, branch.reference
+        equations, reference = self.equations, self._reference(branch, orbit)
         unknowns = orbit.unknowns[None, :].copy()
-        reference = reference.take(np.zeros(1, int))
-        reference.y, reference.rate = orbit.state[None, :].copy(), np.zeros((1, equations.n_states))
-        if equations.has_period:
-            reference.rate = equations.rates(reference.y, unknowns)
         size, n = reference.size[0], equations.n_states
         if orbit.special == Special.PERIOD_DOUBLING:
             reference.multiple = 2 * reference.multiple
@@ -404,10 +392,8 @@ class Branches:
         else:
             found = equations.evaluate(unknowns, reference)
             both = np.linalg.svd(found.jacobian[0])[2][-2:]
-            along = both.T @ (both @ orbit.tangent)
-            along = both[0] - (both[0] @ orbit.tangent) * orbit.tangent
-            other = both[1] - (both[1] @ orbit.tangent) * orbit.tangent
-            along = max(along, other, key=lambda each: float(each @ each))
+            across = both - (both @ orbit.tangent)[:, None] * orbit.tangent
+            along = max(across, key=lambda each: float(each @ each))
         along = along / np.sqrt(along @ along)
         found = equations.evaluate(unknowns, reference)
         if not found.is_ok[0]:
@@ -417,16 +403,23 @@ class Branches:
         )
         return replace(first, special=orbit.special), reference
 
+    def _reference(self, branch: Branch, orbit: Orbit) -> Reference:
+        """With which orbits near one of a branch are sought."""
+        reference = branch.reference.take(np.zeros(1, int))
+        if self.equations.has_period:
+            reference.y = orbit.state[None, :]
+            reference.rate = self.equations.rates(reference.y, orbit.unknowns[None, :])
+        return reference
+
     def _is_known(self, branch: Branch) -> bool:
         """Whether another branch holds the middle of this one."""
         middle = branch.orbits[len(branch.orbits) // 2]
         attractor = Attractor(
             value=self.window.value(self._place(middle)),
-            section=middle.state[None, :],
+            section=self._whole_section(middle),
             period=middle.period,
             multiple=middle.period_multiple,
         )
-        attractor.section = self._whole_section(middle)
         self._find([attractor])
         return attractor.branch >= 0
 
@@ -463,11 +456,7 @@ class Branches:
             along = np.zeros(len(u))
             along[0 if self.equations.family.is_conservative else -1] = 1.0
             direction.append(along)
-            reference = self.found[number].reference.take(np.zeros(1, int))
-            reference.y = before.state[None, :]
-            if self.equations.has_period:
-                reference.rate = self.equations.rates(reference.y, before.unknowns[None, :])
-            references.append(reference)
+            references.append(self._reference(self.found[number], before))
         reference = Reference.joined(references)
         nearby, _ = self.continuation.corrector.orbits(
             np.array(guess), np.array(direction), reference, np.full(len(tasks), 0.2)
