@@ -59,11 +59,11 @@ def report(folder: Path, study: Path | None) -> int:
       gapsweep report data/runs/quick
       gapsweep report data/runs/paper --study paper/study.toml
     """
-    from gapsweep import make
+    from gapsweep import pipeline
     from gapsweep.console import busy
 
     with busy("making the report"):
-        shown = make.report(folder, options.loaded(study, None) if study else None)
+        shown = pipeline.report(folder, options.loaded(study, None) if study else None)
     click.echo(f"report: {shown}")
     return FINISHED
 
@@ -83,12 +83,12 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
       gapsweep claims data/runs/paper
       gapsweep claims data/runs/paper --study paper/study.toml
     """
-    from gapsweep import own_code
+    from gapsweep import pipeline
     from gapsweep.console import busy, print_table
-    from gapsweep.stages import CLAIMS
+    from gapsweep.run_folder import CLAIMS
 
     with busy("deciding the claims"):
-        decided = own_code.claims(folder, options.loaded(study, None) if study else None)
+        decided = pipeline.claims(folder, options.loaded(study, None) if study else None)
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED
