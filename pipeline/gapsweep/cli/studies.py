@@ -5,6 +5,7 @@ What computes takes seconds to import: each command imports what it needs.
 
 import json
 from collections.abc import Mapping
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +90,7 @@ def plan(
     """
     from gapsweep import pipeline
     from gapsweep.analysis.walls import bounded
-    from gapsweep.console import duration, print_table
+    from gapsweep.console import print_table
 
     loaded = options.loaded(study, engine)
     with options.at_work() as observer:
@@ -110,7 +111,8 @@ def plan(
     for name, value in numbers.items():
         click.echo(f"{name:>8}  {value}")
     unknown = "unknown, for nothing like it is stored"
-    click.echo(f"expected  {unknown if expected is None else f'{duration(expected)} (h:mm:ss)'}")
+    time = unknown if expected is None else f"{timedelta(seconds=round(expected))} (h:mm:ss)"
+    click.echo(f"expected  {time}")
     states = {file: f"to be made: {why}" if why else "up to date" for file, why in stages.items()}
     click.echo()
     print_table(("file", "state"), states.items())
