@@ -9,7 +9,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,17 +57,19 @@ def check_owner(study: Study, folder: Path) -> None:
     Raises
     ------
     StoreError
-        If its run or one of its datasets is that of a study with another name.
+        If its run, or one of its datasets where no run is, has a study of another name.
     """
-    files = (folder / name for name in (RESPONSES, WORK_PRECISION, STABILITY))
-    owners = {str(netcdf.attributes(file).get("study", study.name)) for file in files}
-    with suppress(StoreError):  # no run yet, or its state is damaged
-        owners.add(str(RunState.read(folder).study))
-    for owner in owners - {study.name}:
-        raise StoreError(
-            f"{folder}: holds the files of study {owner!r}, this one is {study.name!r}: choose "
-            "another folder with --out, or delete this one"
-        )
+    try:
+        owners = [str(RunState.read(folder).study)]
+    except StoreError:  # no run yet, or its state is damaged
+        files = (folder / name for name in (RESPONSES, WORK_PRECISION, STABILITY))
+        owners = [str(netcdf.attributes(file).get("study", study.name)) for file in files]
+    for owner in owners:
+        if owner != study.name:
+            raise StoreError(
+                f"{folder}: holds the files of study {owner!r}, this one is {study.name!r}: choose "
+                "another folder with --out, or delete this one"
+            )
 
 
 def check_writable(folder: Path, other: str = "another folder with --out") -> None:

@@ -265,11 +265,13 @@ def opened(folder: Path, names: Iterable[str]) -> "Iterator[dict[str, xr.Dataset
     What is not there is left out, and what another study has left in the folder.
     """
     with ExitStack() as files:
-        yield {
-            name.removesuffix(".nc"): files.enter_context(netcdf.read(folder / name, lazy=True))
-            for name in names
-            if name.endswith(".nc") and (folder / name).exists() and is_of_run(folder / name)
-        }
+        found = {}
+        for path in (folder / name for name in names if name.endswith(".nc")):
+            if path.exists():
+                dataset = files.enter_context(netcdf.read(path, lazy=True))
+                if is_of_run(path):
+                    found[path.stem] = dataset
+        yield found
 
 
 def write_page(folder: Path) -> Path:
