@@ -182,6 +182,7 @@ def carry_out(
     check_writable(folder)
     check_owner(study, folder)
     planned = plan(study, path, retry_failed=retry_failed, timeout=timeout, on_progress=on_progress)
+    stages = stages_of(study)
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
     say = partial(tell, on_progress, Progress(planned.n_points, planned.n_hits))
@@ -206,7 +207,6 @@ def carry_out(
             batch=batch,
         )
         recorder.write()
-        stages = stages_of(study)
         run = RunContext(
             folder,
             study,
