@@ -25,7 +25,7 @@ from rich.table import Column, Table
 
 from gapsweep.execution.progress import OnProgress, Progress
 
-_SOON_SECONDS, _LINE_SECONDS = 1.0, 10.0
+_SOON_SECONDS, _LINE_SECONDS = 3.0, 10.0
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
