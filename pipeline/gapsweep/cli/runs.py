@@ -15,7 +15,7 @@ from gapsweep.cli.options import FINISHED
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @options.as_json
 def status(folder: Path, as_json: bool) -> int:
-    """Tell how a run is doing, or how it ended, from any shell.
+    """Show how a run is doing, or how it ended, from any shell.
 
     Files that are no longer as the run wrote them are named, as far as 100 MB are read.
 
@@ -37,7 +37,8 @@ def status(folder: Path, as_json: bool) -> int:
         f"{state.hits + state.computed} of {state.points} points: {state.hits} from the cache, "
         f"{state.computed} computed, {state.failed} failed"
     )
-    click.echo(f"started {state.started}, last heard of {state.updated}, on {state.host}")
+    click.echo(f"started {state.started} on {state.host}")
+    click.echo(f"updated {state.updated}")
     if damaged:
         click.echo(f"damaged or absent: {options.first(damaged)}; run again to make them anew")
     if unread:
