@@ -17,8 +17,8 @@ from gapsweep.status import Status
 if TYPE_CHECKING:
     from gapsweep.analysis.basins import basins
     from gapsweep.analysis.force_error import static_error
-    from gapsweep.continuation.call import branches
     from gapsweep.continuation.curves import special_curve
+    from gapsweep.continuation.follow import branches
     from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -49,7 +49,7 @@ _ON_DEMAND = {
     "UserLaw": "model.user_law",
     "Study": "study.study",
     "basins": "analysis.basins",
-    "branches": "continuation.call",
+    "branches": "continuation.follow",
     "explore": "explorer.widget",
     "open": "store.netcdf",
     "plot": "report.motion",

@@ -265,7 +265,7 @@ def test_laws_are_compared_coordinate_by_coordinate(made):
 
 
 def test_query_has_a_column_for_every_coordinate(made, capsys):
-    from gapsweep.cli.table import Form, written
+    from gapsweep.cli.query_output import Form, written
 
     study, _folder, responses = made
     written(at(responses).expand_dims(["representation", "K_c", "gap"]), Form("csv"), None)

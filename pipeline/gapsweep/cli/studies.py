@@ -168,7 +168,7 @@ def query(
           --to nc --output exact.nc
     """
     from gapsweep import pipeline
-    from gapsweep.cli.table import Form, check_output, written
+    from gapsweep.cli.query_output import Form, check_output, written
 
     shown = Form.of(form, columns, digits, output)
     if output is not None:
