@@ -140,8 +140,8 @@ def finding(found: Sequence[Contact], machine: str) -> str:
         "times as stiff as the spring), a tanh law of suitable sharpness is accurate enough in "
         f"{count('tanh')} of {len(found)} pairs of stiffness and gap, a polynomial or rational fit "
         f"in {count('poly', 'ratpoly')}. Accurate smooth laws take {min(costs):.0f} to "
-        f"{max(costs):.0f} times the processor time of the exact law ({machine}). So take the exact "
-        "law where contacts can be located; [all verdicts and costs](docs/answer.md).\n"
+        f"{max(costs):.0f} times the processor time of the exact law ({machine}). So take the "
+        "exact law where contacts can be located; [all verdicts and costs](docs/answer.md).\n"
     )
 
 
