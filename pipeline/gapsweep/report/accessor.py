@@ -16,7 +16,7 @@ from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, contacts, drawing, dynamics, maps
 from gapsweep.report import branches as of_branches
 from gapsweep.report.drawing import labels_of
-from gapsweep.report.dynamics import CURVES
+from gapsweep.report.dynamics import CURVES, WORDS
 from gapsweep.report.labelled import axes_of, axis_of, finished, scene_along, titled
 from gapsweep.report.scales import axis_label
 from gapsweep.report.selection import missing_variable, scene
@@ -107,8 +107,7 @@ class GapsweepAccessor:
         drawing.curves(axes, shown[variable], along, kinds)
         if kinds is not None:
             backdrop.unresolved(axes, shown, along)
-        words = variable if variable == "amplitude" else ""
-        axes.set_ylabel(axis_label(shown[variable], words))
+        axes.set_ylabel(axis_label(shown[variable], WORDS.get(variable, "")))
         if not (shown[variable] < 0.0).any():
             axes.set_ylim(bottom=0)
         return finished(axes, shown, along)

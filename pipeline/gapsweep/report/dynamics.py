@@ -30,6 +30,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 CURVES = ("representation", START)
+# Labels of vertical axes that are shorter than long names.
+WORDS = {
+    "amplitude": "amplitude",
+    "force_max": "largest contact force",
+    "contact_share": "share of time in contact",
+    "contact_x_max": "peak relative displacement",
+    "contact_x_min": "trough relative displacement",
+    "extrema": "steady extrema",
+    "section_x": "section displacement",
+    "section_v": "section velocity",
+    "contact_section_x": "relative displacement",
+    "contact_section_v": "relative velocity",
+}
 _HISTORY, _BIN = "history", "frequency_bin"
 _ERRORS = 3.0  # standard errors of an exponent, beyond which its sign counts as certain
 _FEW = 500  # section points, which larger dots show
@@ -83,7 +96,7 @@ def bifurcation(
         backdrop.walls(axes, shown, along)
     if not is_section:
         of_branches.behind(axes, branches, shown, along, ("x_max", "x_min"))
-    words = "" if is_section else "steady extrema"
+    words = WORDS.get(variable, "")
     return dots(axes, shown, variable, along, axis_label(shown[variable], words))
 
 
@@ -196,7 +209,8 @@ def poincare(
             rasterized=True,
         )
         axes.plot([], [], ".", color=colour(name), label=name)
-    axes.set(xlabel=axis_label(shown[pair[0]]), ylabel=axis_label(shown[pair[1]]))
+    labels = [axis_label(shown[name], WORDS[name]) for name in pair]
+    axes.set(xlabel=labels[0], ylabel=labels[1])
     return titled(axes, shown)
 
 
