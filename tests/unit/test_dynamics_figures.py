@@ -23,11 +23,16 @@ PERIODS = [0, 1, 3, 2, 1]
 
 
 @pytest.fixture(scope="module")
-def responses(tmp_path_factory):
+def files(tmp_path_factory):
     study = tables(["piecewise"], OMEGA)
     study["sweep"][0]["K_c"] = [1.4e6]
     folder = tmp_path_factory.mktemp("made")
-    return datasets(folder, study, lambda _, omega, __: gs.respond(OSCILLATOR, LAW, omega))[0]
+    return datasets(folder, study, lambda _, omega, __: gs.respond(OSCILLATOR, LAW, omega))
+
+
+@pytest.fixture(scope="module")
+def responses(files):
+    return files[0]
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +140,30 @@ def test_a_section_has_as_many_points_as_asked_for_or_one_for_each_period(respon
     x, _ = three.lines[0].get_data()
     assert_allclose(np.sort(x), np.sort(1e3 * responses["section_x"].sel(omega=11.0).squeeze()[:3]))
     assert ax.get_title(loc="left").endswith("omega = 6 Hz")
+
+
+def test_an_attractor_has_the_section_of_the_responses_that_end_on_it(files, ax):
+    responses, attractors = files
+    attractors.isel(attractor=0).gapsweep.poincare(omega=11.0, ax=ax)
+    x = responses["section_x"].sel(omega=11.0).squeeze()[:3]
+    assert_allclose(np.sort(ax.lines[0].get_xdata()), np.sort(1e3 * x), rtol=1e-6)
+    with pytest.raises(gs.DatasetError, match=r"attractor: .* room for one .*isel\(attractor=0\)"):
+        attractors.isel(attractor=[0, 0]).gapsweep.poincare(omega=11.0)
+
+
+def test_the_mean_displacement_of_a_loaded_oscillator_is_in_no_spectrum(tmp_path, ax):
+    """In a linear spring within a wide gap: only the forcing is left."""
+    model = gs.Oscillator(alpha=0.0, mean_load=100.0)
+    block = {"representation": "piecewise", "K_c": 1.4e4, "gap": [1.0, 1.0], "omega": [7.0]}
+    table = {"oscillator": {"alpha": 0.0, "mean_load": 100.0}, "sweep": [block]}
+    ds = made(tmp_path, table, model, gs.Piecewise(1.4e4, gs.Gap(1.0, 1.0)))
+    assert ds["x_min"].item() > 10.0 * ds["amplitude"].item()
+    ds.gapsweep.waterfall(ax=ax)
+    ((frequency, height),) = ridges(ax)
+    assert np.abs(frequency[height > 0.0] - 7.0).max() < 1.01 * 7.0 / 60
+    assert float(ax.texts[1].get_text().split()[0]) == pytest.approx(
+        1e3 * ds["amplitude"].item(), rel=0.05
+    )
 
 
 def ridges(axes):

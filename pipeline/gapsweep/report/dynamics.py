@@ -227,7 +227,8 @@ def waterfall(
 
     Of ``histories.nc`` the stored spectra. Of ``responses.nc`` each response is simulated for 60
     forcing periods from its first section point on, 256 samples a period, Hann window. Heights are
-    logarithmic over three decades, as the bar at the right says; what is less is flat.
+    logarithmic over three decades, as the bar at the right says; what is less is flat. The mean
+    displacement is left out.
 
     Parameters
     ----------
@@ -293,7 +294,8 @@ def _stored_spectra(
 def _ridges(axes: "Axes", places: xr.DataArray, rows: _Rows, unit: tuple[float, str]) -> None:
     """Lines of amplitudes on a logarithmic scale, each in front of the one above it."""
     at = drawn(places)
-    rows = sorted(rows, key=lambda row: float(at[row[0]]))
+    # Without the mean, which a Hann window has in the first two bins.
+    rows = [(n, f[2:], a[2:]) for n, f, a in sorted(rows, key=lambda row: float(at[row[0]]))]
     largest = max(float(amplitude.max()) for _, _, amplitude in rows)
     floor = largest * 10.0**-_DECADES or 1.0
     highest = max(f[a > _WORTH * largest].max(initial=0.0) for _, f, a in rows) or rows[0][1][-1]

@@ -245,7 +245,7 @@ def _hatch(axes: "Axes", shown: Picture) -> None:
         ends = (edges(drawn(each), log=is_log(each)) for each in (shown.x, shown.y))
         is_other = shown.kind != shown.names.index(_FAILED)
         cells = np.ma.masked_array(np.ones(is_other.shape), is_other)
-        look: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.0}
+        look: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.0, "rasterized": True}
         axes.pcolor(*ends, cells, cmap=ListedColormap(["none"]), hatch=_HATCH, **look)
 
 
