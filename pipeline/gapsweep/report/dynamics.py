@@ -146,17 +146,12 @@ def lyapunov(
             here = ((kind == ResponseClass.PERIODIC) == is_periodic) & np.isfinite(value)
             here &= kind != ResponseClass.UNRESOLVED
             shade = colour(name) if is_periodic or len(labels) > 1 else NOT_PERIODIC
-            axes.errorbar(
-                x[here],
-                value[here],
-                None if is_periodic else _ERRORS * np.nan_to_num(error[here]),
-                color=shade,
-                fmt=".",
-                markerfacecolor=face or shade,
-                markersize=4 if is_periodic else 6,
-                elinewidth=0.8,
-                label=(name if is_periodic else f"{name}, not periodic") if here.any() else None,
-            )
+            bars = None if is_periodic else _ERRORS * np.nan_to_num(error[here])
+            look: dict[str, Any] = {"markersize": 4 if is_periodic else 6, "elinewidth": 0.8}
+            look |= {"color": shade, "markerfacecolor": face or shade}
+            if here.any():
+                look["label"] = name if is_periodic else f"{name}, not periodic"
+            axes.errorbar(x[here], value[here], bars, fmt=".", **look)
     backdrop.unresolved(axes, shown, along)
     axes.set_ylabel(axis_label(shown["lyapunov"]))
     return finished(axes, shown, along)
@@ -198,16 +193,9 @@ def poincare(
         name, direction = labels_of(shown)[at[0]], weights(run, shown, variable)
         n = direction.size
         x, v = run.section[:, :n] @ direction, run.section[:, n : 2 * n] @ direction
-        size = 1.5 if len(x) > _FEW else 5.0
-        axes.plot(
-            factors[0] * x,
-            factors[1] * v,
-            ".",
-            color=colour(name),
-            markersize=size,
-            markeredgewidth=0.0,
-            rasterized=True,
-        )
+        look: dict[str, Any] = {"markersize": 1.5 if len(x) > _FEW else 5.0, "markeredgewidth": 0.0}
+        (cloud,) = axes.plot(factors[0] * x, factors[1] * v, ".", color=colour(name), **look)
+        cloud.set_rasterized(True)
         axes.plot([], [], ".", color=colour(name), label=name)
     labels = [axis_label(shown[name], WORDS[name]) for name in pair]
     axes.set(xlabel=labels[0], ylabel=labels[1])
@@ -244,22 +232,28 @@ def waterfall(
         Selection by coordinate: of all but `along` one value must be left.
     """
     along = axis_of(dataset, along, wanted)
+    rows: _Rows = []
     if "spectrum" in dataset:
-        variable = "spectrum"
-        shown, rows = _stored_spectra(dataset, along, wanted)
+        variable, shown = "spectrum", _histories(dataset, along, wanted)
+        pair = (shown[name].transpose(_HISTORY, _BIN).values for name in ("frequency", variable))
+        for number, (frequency, amplitude) in enumerate(zip(*pair, strict=True)):
+            there = np.isfinite(amplitude)
+            rows.append((number, frequency[there], amplitude[there]))
     else:
         shown = scene_along(dataset, along, {variable: (along, SECTION_POINT)}, wanted)
-        rows = []
+        n = N_PERIODS * SAMPLES_PER_PERIOD
         for at, run in motions(dataset, (along,), wanted, N_PERIODS, once=False):
-            n = N_PERIODS * SAMPLES_PER_PERIOD
-            x = run.sample(run.t_end * np.arange(n) / n)[0].reshape(n, -1) @ weights(
-                run, shown, variable
-            )
+            q = run.sample(run.t_end * np.arange(n) / n)[0].reshape(n, -1)
+            x = q @ weights(run, shown, variable)
             rows.append((at[0], np.fft.rfftfreq(n, run.t_end / n), spectrum(x)))
+    # Without the mean, which a Hann window has in the first two bins.
+    rows = [(at, f[2:], a[2:]) for at, f, a in rows if a.size]
     if not rows:
         raise DatasetError(f"{variable}: no motion here has a spectrum; all of them failed")
     axes = axes_of(ax)
     _ridges(axes, shown[along], rows, shown_unit(shown[variable]))
+    if _HISTORY in shown.dims:
+        shown = shown.isel({_HISTORY: 0}).drop_vars(along)
     return titled(axes, shown)
 
 
@@ -267,9 +261,7 @@ def waterfall(
 _Rows = list[tuple[int, Array, Array]]
 
 
-def _stored_spectra(
-    dataset: xr.Dataset, along: str, wanted: Mapping[str, Any]
-) -> tuple[xr.Dataset, _Rows]:
+def _histories(dataset: xr.Dataset, along: str, wanted: Mapping[str, Any]) -> xr.Dataset:
     """Spectra of ``histories.nc``, of which only one parameter may vary."""
     shown = scene(dataset, {"spectrum": (_HISTORY, _BIN)}, wanted)
     if along not in shown.coords or _HISTORY not in shown[along].dims:
@@ -277,25 +269,15 @@ def _stored_spectra(
     for name in places(shown):
         values = np.unique(shown[name].values)
         if name != along and len(values) > 1:
-            raise DatasetError(
-                f"{name}: this plot has room for one value and the histories have "
-                f"{listed(values)}; choose: {name}={values[0].item()!r}"
-            )
-        if name != along:
-            shown = shown.assign_coords({name: ((), values[0], shown[name].attrs)})
-    rows = []
-    for number in range(shown.sizes[_HISTORY]):
-        f, amplitude = (shown[x].isel({_HISTORY: number}).values for x in ("frequency", "spectrum"))
-        there = np.isfinite(amplitude)
-        rows += [(number, f[there], amplitude[there])] if there.any() else []
-    return shown, rows
+            said = f"{name}: this plot has room for one value and the histories have"
+            raise DatasetError(f"{said} {listed(values)}; choose: {name}={values[0].item()!r}")
+    return shown
 
 
 def _ridges(axes: "Axes", places: xr.DataArray, rows: _Rows, unit: tuple[float, str]) -> None:
     """Lines of amplitudes on a logarithmic scale, each in front of the one above it."""
     at = drawn(places)
-    # Without the mean, which a Hann window has in the first two bins.
-    rows = [(n, f[2:], a[2:]) for n, f, a in sorted(rows, key=lambda row: float(at[row[0]]))]
+    rows = sorted(rows, key=lambda row: float(at[row[0]]))
     largest = max(float(amplitude.max()) for _, _, amplitude in rows)
     floor = largest * 10.0**-_DECADES or 1.0
     highest = max(f[a > _WORTH * largest].max(initial=0.0) for _, f, a in rows) or rows[0][1][-1]
@@ -307,15 +289,9 @@ def _ridges(axes: "Axes", places: xr.DataArray, rows: _Rows, unit: tuple[float, 
         axes.fill_between(frequency[here], row, row + height, color=ground, zorder=order)
         axes.plot(frequency[here], row + height, color="black", linewidth=0.7, zorder=order)
     if places.name == "omega":
-        axes.plot(
-            [at[n] for n, _, _ in rows],
-            range(len(rows)),
-            "--",
-            color="#D55E00",
-            zorder=4,
-            linewidth=1.0,
-            label="forcing frequency",
-        )
+        forcing = [at[n] for n, _, _ in rows]
+        look: dict[str, Any] = {"color": "#D55E00", "linewidth": 1.0, "zorder": 4}
+        axes.plot(forcing, range(len(rows)), "--", label="forcing frequency", **look)
     ticks = np.unique(np.linspace(0, len(rows) - 1, _MOST_TICKS).round().astype(int))
     axes.set_yticks(ticks, [f"{at[rows[i][0]]:.4g}" for i in ticks])
     axes.set(xlabel="frequency [Hz]", ylabel=axis_label(places))
