@@ -353,6 +353,15 @@ def test_what_cannot_be_drawn_is_refused_with_a_remedy(responses, tmp_path):
         "omega: .* room for one value .* omega=6": lambda: responses.gapsweep.poincare(),
         "omega: no coordinate .* drop=True": lambda: dropped.gapsweep.poincare(),
         "omega = 9.0: not in this dataset": lambda: responses.gapsweep.poincare(omega=9.0),
+        "variable = 'x_max': must be section_x or contact_section_x": lambda: (
+            responses.gapsweep.poincare("x_max", omega=6.0)
+        ),
+        "variable = 'force_max': must be section_x": lambda: responses.gapsweep.waterfall(
+            "force_max"
+        ),
+        "contact_section_x: no variable": lambda: responses.gapsweep.poincare(
+            "contact_section_x", omega=6.0
+        ),
         "force_max: no variable": lambda: responses[["x_max"]].gapsweep.impacts(),
         "x_min: no variable": lambda: responses[["x_max"]].gapsweep.contact_map(),
         "section_x: no variable": lambda: responses[["period_multiple"]].gapsweep.poincare(),

@@ -21,6 +21,7 @@ from gapsweep.study.selection import listed, positions
 from gapsweep.study.study import Study
 from gapsweep.variables import SECTION_POINT
 
+DISPLACEMENTS = ("section_x", "contact_section_x")
 _WITHIN = {"section_x": COORDINATE, "section_v": COORDINATE, "section_z": LAG}
 
 
@@ -91,7 +92,15 @@ def motions(
 
 
 def weights(run: Trajectory, shown: xr.Dataset, variable: str) -> Array:
-    """Weights of the coordinates, shape (n,), in the displacement that a variable holds."""
+    """Weights of the coordinates, shape (n,), in the displacement that a variable holds.
+
+    Raises
+    ------
+    DatasetError
+        If it holds no displacement of a section.
+    """
+    if variable not in DISPLACEMENTS:
+        raise DatasetError(f"variable = {variable!r}: must be {' or '.join(DISPLACEMENTS)}")
     if not isinstance(run, SystemTrajectory):
         return np.ones(1)
     if variable.startswith(CONTACT):

@@ -185,7 +185,7 @@ def poincare(
     **wanted
         Selection by coordinate: all but `representation` must have one value.
     """
-    pair = variable, f"{variable.removesuffix('_x')}_v"
+    pair = variable, variable.replace("section_x", "section_v")
     shown = scene(dataset, dict.fromkeys(pair, ("representation", SECTION_POINT)), wanted)
     axes = axes_of(ax)
     factors = [shown_unit(shown[name])[0] for name in pair]
@@ -197,7 +197,7 @@ def poincare(
         (cloud,) = axes.plot(factors[0] * x, factors[1] * v, ".", color=colour(name), **look)
         cloud.set_rasterized(True)
         axes.plot([], [], ".", color=colour(name), label=name)
-    labels = [axis_label(shown[name], WORDS[name]) for name in pair]
+    labels = [axis_label(shown[name], WORDS.get(name, "")) for name in pair]
     axes.set(xlabel=labels[0], ylabel=labels[1])
     return titled(axes, shown)
 
