@@ -3,10 +3,12 @@
 python -m docs.pictures [data/runs/paper data/runs/work-precision data/runs/two-masses]
 """
 
-import os
 import re
+import shutil
 import sys
+from contextlib import chdir
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import matplotlib
 import numpy as np
@@ -35,9 +37,11 @@ SCENES = ["soft-sym-9", "soft-asym-9", "hard-sym-9", "hard-asym-9"]
 def gallery() -> None:
     """Those of the gallery, by its own lines."""
     page = (IMAGES.parent / "gallery.md").read_text()
-    os.chdir(IMAGES)
     matplotlib.use("Agg")
-    exec("".join(re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)), {})
+    with TemporaryDirectory() as folder, chdir(folder):  # queries leave a cache there
+        exec("".join(re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)), {})
+        for picture in Path().glob("*.png"):
+            shutil.copy(picture, IMAGES)
 
 
 def hero() -> None:

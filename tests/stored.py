@@ -52,7 +52,7 @@ def commit(cache, study, answer, host="here"):
         answers = [answer(dict(zip(grid.dims, place, strict=True))) for place in at]
         kept = [i for i, one in enumerate(answers) if one is not None]
         here = rows[kept]
-        responses = Responses.of([answers[i] for i in kept])
+        responses = Responses.of([answers[i] for i in kept], study.structure)
         previous = planned.previous(here)
         for row, has_ended in enumerate(np.isfinite(responses.ends).all(axis=1)[:-1]):
             if not has_ended and previous[row + 1] == planned.keys[here[row]]:

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.stored import all_keys
 
 import gapsweep as gs
-from gapsweep.analysis.histories import SAMPLES_PER_PERIOD, histories, sampled, spectrum
+from gapsweep.analysis.histories import histories, sampled
+from gapsweep.analysis.spectra import SAMPLES_PER_PERIOD, spectrum
 from gapsweep.stages import SETTINGS, STAGES
 from gapsweep.status import Status
 from gapsweep.store import netcdf

@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.floors import floor_labels
-from gapsweep.analysis.histories import SAMPLES_PER_PERIOD
+from gapsweep.analysis.spectra import SAMPLES_PER_PERIOD
 from gapsweep.analysis.verdicts import NotInRunError, Number, Run, mean, ratio_of_sums, share
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
