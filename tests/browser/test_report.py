@@ -146,19 +146,37 @@ DRAWN = """Promise.all([...document.images].filter(i => i.offsetHeight).map(asyn
 }))"""
 
 
-def test_every_figure_is_drawn_once_and_has_words(debugger, page):
+def test_every_picture_is_drawn_and_has_words(debugger, page):
+    sections = sorted((page.parent / "figures").glob("section-*.html"))
+    assert len(sections) >= 2
     for size in ((1280, 800), (390, 844)):
-        (sizes, n_figures, words), _ = ask(
-            debugger,
-            page,
-            DRAWN,
-            "[...document.querySelectorAll('figure:has(img)')].filter(f => f.offsetHeight).length",
-            "[...document.images].map(i => i.alt)",
-            size=size,
-        )
-        assert len(sizes) == n_figures >= 2
-        assert min(sizes) > 100.0
-        assert all(words)
+        n_pictures = []
+        for each in (page, *sections):
+            (sizes, words), _ = ask(
+                debugger, each, DRAWN, "[...document.images].map(i => i.alt)", size=size
+            )
+            assert min(sizes, default=100.0) > 80.0
+            assert all(words)
+            n_pictures.append(len(sizes))
+        assert n_pictures[0] == 1 + sum(n_pictures[1:])  # the first figure and those of sections
+
+
+CONTENTS = """
+(() => {
+  document.getElementById("provenance").scrollIntoView();
+  const nav = document.querySelector("nav").getBoundingClientRect();
+  const main = document.querySelector("main").getBoundingClientRect();
+  return [nav.top, nav.right <= main.left, document.documentElement.scrollHeight];
+})()
+"""
+
+
+def test_contents_stay_in_sight_beside_the_text_or_above_it(debugger, page):
+    for width, is_beside in ((1280, True), (920, True), (860, False), (390, False)):
+        ((top, found, height),), _ = ask(debugger, page, CONTENTS, size=(width, 800))
+        assert top == 0.0
+        assert found == is_beside
+        assert height < 6000 or width < 900
 
 
 def test_the_filter_shows_what_fits(debugger, page):
@@ -181,8 +199,9 @@ def test_the_filter_shows_what_fits(debugger, page):
 
 
 def test_nothing_is_wider_than_a_phone(debugger, page):
-    (width,), _ = ask(debugger, page, "document.documentElement.scrollWidth", size=(380, 800))
-    assert width <= 380
+    for each in (page, *(page.parent / "figures").glob("section-*.html")):
+        (width,), _ = ask(debugger, each, "document.documentElement.scrollWidth", size=(380, 800))
+        assert width <= 380
 
 
 def test_the_answer_and_a_figure_are_on_the_first_screen(debugger, page):
@@ -354,7 +373,7 @@ def test_the_wheel_zooms_arrows_move_and_a_double_click_resets(debugger, hero):
 
 
 def test_every_figure_draws_its_data(debugger, page):
-    pages = sorted((page.parent / "figures").glob("*.html"))
+    pages = sorted((page.parent / "figures").glob("figure-*.html"))
     assert len(pages) > 10
     for each in pages:
         (inks,), events = ask(debugger, each, INK)
