@@ -417,6 +417,6 @@ def test_overlapping_intervals_and_floors_name_none(responses):
 
 def test_prices_are_counted_by_what_is_beyond_doubt(responses):
     laws = [judged("poly-13", "no", 0.5), judged("tanh-1e4"), judged("arctan-1e4", price=1.05)]
-    assert "Of 3 pairs of contact and approximation 1 cost more" in found_in(
+    assert "Of 3 pairs of contact and approximation, 1 cost more" in found_in(
         responses, contact(*laws)
     )

@@ -1,4 +1,4 @@
-"""The HTML report: one self-contained file, built from the NetCDF datasets of a run."""
+"""The HTML report of a run: ``index.html``, and next to it its figures and long sections."""
 
 import base64
 import hashlib
@@ -29,17 +29,15 @@ from gapsweep.report.answer import (
     in_words,
     times,
 )
-from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
+from gapsweep.report.backdrop import said_of_walls
 from gapsweep.report.bench import bench_parts
-from gapsweep.report.branches import said as said_of_branches
-from gapsweep.report.drawing import labels_of, said_of_marks, said_of_peaks
-from gapsweep.report.figures import attractors as attractor_panels
-from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
+from gapsweep.report.drawing import labels_of, said_of_marks
+from gapsweep.report.figures import beside_exact, by_contact
 from gapsweep.report.findings import findings, outcomes, said_of_far_walls
 from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.model import model
-from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
+from gapsweep.report.overview import along_axis, is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import HERO, Figured, Part, for_page, pictured, rendered, shown
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import named, plain
@@ -288,7 +286,10 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     laws = {o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in _telling(contact)}
     if scene is None or not laws:
         return None
-    said = f"Peaks at {contact.place}, laws on the exact one's larger dots, from the same starts"
+    said = (
+        f"Peak displacement at {contact.place}: contact laws (coloured) over the exact law (larger "
+        "dots), for the same initial conditions"
+    )
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
         looks = f"{said_of_walls(scene, of_peaks=True)}{said_of_marks(figure)}"
@@ -411,7 +412,7 @@ def _at_one_frequency(scenes: Scenes, columns: Sequence[At], omega: str) -> Part
         f"{name} ({names[: i + 1].count(name)})" if names.count(name) > 1 else name
         for i, name in enumerate(names)
     ]
-    caption = "Peak displacement of the steady response from every start."
+    caption = "Peak displacement of the steady response, one dot per initial condition."
     figure = Figured(by_contact(dict(zip(told, peaks, strict=True))), caption, f"Peaks at {omega}")
     return Part("contacts", f"All contacts at {omega}", [], (), [figure])
 
@@ -433,24 +434,11 @@ def _scene_figures(
             yield from maps_of([(one, "attractor"), (one, "x_max")], plane, f"{label}, {where}")
         return
     found = _attractors(attractors, scene, at)
-    if found is None:  # curves of many starts would cross between attractors
-        caption = "Amplitude (half the range) of the steady response; broken where it jumps."
-        yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
-    yield Figured(
-        bifurcation(scene, continued=branches),
-        f"All steady zero-velocity displacements{said_of_starts(scene)}."
-        f"{said_of_bands(scene)}{said_of_missing(scene)}{said_of_walls(scene)}"
-        f"{said_of_branches(branches, scene, 'omega')}",
-        f"Bifurcation diagram, {title}",
-    )
-    if found is not None:
-        yield Figured(
-            attractor_panels(found, continued=branches),
-            f"Peak displacement of every attractor that the starts reach{_where_few(found, scene)}."
-            f"{said_of_peaks(found)}{said_of_walls(scene, of_peaks=True)}"
-            f"{said_of_branches(branches, scene, 'omega')}",
-            f"Attractors and their basins, {title}",
-        )
+    yield from along_axis(
+        scene, found, branches, "omega", title, has_curve=found is None,
+        of_starts=said_of_starts(scene),
+        of_attractors="" if found is None else _where_few(found, scene),
+    )  # fmt: skip
 
 
 def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.Dataset | None:
@@ -472,7 +460,7 @@ def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
     omega = found["omega"].values
     if omega.size > min(_FEW, scene.sizes["omega"] - 1):
         return ""
-    return f", swept from several at {', '.join(map(plain, omega))} Hz only"
+    return f" (from several initial conditions at {', '.join(map(plain, omega))} Hz only)"
 
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
