@@ -68,7 +68,6 @@ def test_dimensions_keep_the_order_of_the_responses(forced):
     compared = agreement(*forced)
     assert compared["amplitude_error"].dims == forced[0]["status"].dims
     assert compared["n_attractors"].dims == ("representation", "K_c", "gap", "omega", "forcing")
-    assert compared["n_jumps"].dims[-2:] == ("forcing", "initial_condition")
     assert compared["recall_pooled_floor"].dims == ("K_c", "gap", "forcing", "regime")
     assert timing(forced[0])["nfev_mean"].dims == ("representation", "K_c", "gap", "forcing")
     assert compared["forcing"].values.tolist() == list(FORCING)

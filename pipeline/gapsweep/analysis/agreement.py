@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.curves import curve_metrics
+from gapsweep.analysis.curves import jump_shifts
 from gapsweep.analysis.floors import floor_labels
 from gapsweep.analysis.grid import (
     REPRESENTATION,
@@ -134,12 +134,11 @@ def _compared(
 ) -> Iterator[tuple[str, Any]]:
     """All variables of one slab, floors apart."""
     found = matching(ours, exact, width, symmetric=symmetric)
-    values, curves = curve_metrics(ours, exact, 0.5 * width)
+    values = {"jump_shift": jump_shifts(ours, exact, 0.5 * width)}
     values |= start_metrics(ours, exact, 0.5 * width)
     values |= set_metrics(found, ours, exact, 0.5 * width)
     values |= basin_metrics(found, ours, exact)
     yield from values.items()
-    yield from curves.items()
     yield from summaries(ours, exact, values)
 
 

@@ -79,30 +79,12 @@ def shifts(ours: Jumps, theirs: Jumps) -> Array:
     return shift
 
 
-def largest_jump(found: Jumps) -> float:
-    """Frequency of the largest jump [Hz], NaN if there is none."""
-    return float(found.omega[np.argmax(np.abs(found.step))]) if len(found.step) else float("nan")
-
-
-def curve_metrics(
-    ours: Slab, theirs: Slab, half_gap: float
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Shifts at the exact jumps, and the number and the largest of the jumps of every curve.
-
-    Returns
-    -------
-    points : dict of str to ndarray, shape (n_omega, n_starts)
-    curves : dict of str to ndarray, shape (n_starts,)
-    """
-    shape = ours.requested.shape
-    shift, largest = np.full(shape, np.nan), np.full((2, shape[1]), np.nan)
-    n_jumps = np.zeros(shape[1])
+def jump_shifts(ours: Slab, theirs: Slab, half_gap: float) -> Array:
+    """Shifts [Hz] at the exact jumps, shape (n_omega, n_starts); NaN elsewhere."""
+    shift = np.full(ours.requested.shape, np.nan)
     common = ours.requested & theirs.requested
     for start in np.flatnonzero(common.any(axis=0)).tolist():
         along = np.flatnonzero(common[:, start])
         own, exact = (jumps(slab, start, along, half_gap) for slab in (ours, theirs))
-        largest[:, start] = largest_jump(own), largest_jump(exact)
         shift[exact.at, start] = shifts(own, exact)
-        n_jumps[start] = len(own.omega)
-    curves = {"largest_jump": largest[0], "largest_jump_shift": largest[0] - largest[1]}
-    return {"jump_shift": shift}, curves | {"n_jumps": n_jumps}
+    return shift

@@ -16,7 +16,6 @@ from gapsweep.study.schema import POINT_DIMS
 
 SCENE = POINT_DIMS[:3]
 FREQUENCY = POINT_DIMS[:4]
-CURVE = (*SCENE, POINT_DIMS[4])
 REGIME, BOUND = "regime", "bound"
 POOLED = (*SCENE, REGIME)
 REGIMES = ("all", "periodic", "chaotic")
@@ -96,20 +95,20 @@ METRICS: dict[str, Metric] = {
         "mean of |A - A_exact| / max(A_exact, G/2) over all pairs of the one-to-one assignment of "
         "attractors (see n_attractors_matched), close or not",
     ),
-    "jump_shift": _error(
+    "jump_shift": Metric(
         "A5", POINT_DIMS, "Hz", "shift of a jump, at the frequency below the exact jump",
         "omega of the jump - omega of the exact one; a jump: neighbours on a curve, both periodic, "
         f"|dA| >= {JUMP} max(A, G/2) and > {STEEPER:g} times the steps before and after; matched "
-        f"one to one with the same direction within {WINDOW:g} Hz, NaN if with none",
+        f"one to one with the same direction within {WINDOW:g} Hz, NaN if with none", dtype="f4",
     ),
     "class_agreement": _share(
         "A9", POINT_DIMS, "same class of response",
         f"1 if both are the same of {', '.join(CLASSES)}; else 0; its mean is the raw accuracy",
     ),
-    "attractor_distance": _error(
+    "attractor_distance": Metric(
         "A10", FREQUENCY, "m", "distance of paired attractors",
         "mean over all pairs of the one-to-one assignment, close or not, of the Hausdorff distance "
-        f"of the sections; for two chaotic ones of its {CLOUD_SHARE:g} quantile",
+        f"of the sections; for two chaotic ones of its {CLOUD_SHARE:g} quantile", dtype="f4",
     ),
     "n_attractors": _count(
         "A10", FREQUENCY, "attractors found",
@@ -171,15 +170,6 @@ METRICS: dict[str, Metric] = {
     "n_contacts_per_period": _pooled(
         "A14", "1", "crossings per forcing period", "sum of n_contacts / sum of omega t_simulated"
     ),
-    "largest_jump": Metric(
-        "A5", CURVE, "Hz", "frequency of the largest jump of a curve",
-        "omega of the jump (see jump_shift) with the largest |dA|",
-    ),
-    "largest_jump_shift": Metric(
-        "A5", CURVE, "Hz", "shift of the largest jump of a curve",
-        "largest_jump - that of the exact law", worst="max",
-    ),
-    "n_jumps": _count("A5", CURVE, "jumps along a curve", "see jump_shift"),
     "n_points": _count("all", POOLED, "sweep points", "asked for"),
     "n_compared": _count("all", POOLED, "sweep points compared", "with both responses"),
     "n_unresolved": _count("all", POOLED, "sweep points unresolved", "of class unresolved"),
@@ -216,7 +206,7 @@ def _with_companions(name: str, metric: Metric) -> Iterator[tuple[str, Metric]]:
             f"NaN for fewer than {FEWEST_BLOCKS} blocks (of a 95th percentile: 20)",
         )
         yield f"{name}_ci", interval
-    if metric.worst and metric.dims in (POOLED, CURVE):
+    if metric.worst and metric.dims == POOLED:
         floor = replace(
             metric,
             dims=metric.dims[1:],
