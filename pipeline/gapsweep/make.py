@@ -176,11 +176,11 @@ def _analysed(
     """The dataset of an analysis stage."""
     from gapsweep.analysis.advice import advice
     from gapsweep.analysis.agreement import agreement
+    from gapsweep.analysis.bench.stability import stability
+    from gapsweep.analysis.bench.work_precision import work_precision
     from gapsweep.analysis.histories import histories
-    from gapsweep.analysis.stability import stability
     from gapsweep.analysis.static import static
     from gapsweep.analysis.timing import timing
-    from gapsweep.analysis.work_precision import work_precision
 
     if stage.file == STATIC:
         # What a user's law may do, it does on workers.

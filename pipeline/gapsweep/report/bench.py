@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.pareto import TARGETS, corners
-from gapsweep.analysis.stability import Outcome
+from gapsweep.analysis.bench.judge import CellOutcome
+from gapsweep.analysis.bench.pareto import TARGETS, corners
 from gapsweep.model.labels import EXACT, law_of
 from gapsweep.report.bench_figures import (
     STATUS_LETTERS,
@@ -22,6 +22,12 @@ from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.scales import plain
 from gapsweep.status import Status
 
+_NAMED = (
+    CellOutcome.MODEL_ERROR,
+    CellOutcome.FAILED,
+    CellOutcome.UNDECIDED,
+    CellOutcome.SILENT_WRONG,
+)
 # Errors from here on are those that a chart is looked at for.
 _USEFUL = 1e-2
 
@@ -205,15 +211,15 @@ def _atlas_conclusions(stability: xr.Dataset) -> Conclusions:
     for name, where in (("tight", tight), ("loose", ~tight & stability["rtol"].notnull())):
         counts = {
             o.name.lower(): int(((outcome == o) & where).sum())
-            for o in Outcome
-            if o is not Outcome.NOT_REQUESTED
+            for o in CellOutcome
+            if o is not CellOutcome.NOT_REQUESTED
         }
         numbers[name] = counts
         said = ", ".join(f"{n} {label.replace('_', ' ')}" for label, n in counts.items())
         sentences.append(f"Runs at {name} tolerances: {said}.")
     silent = [
         {"scene": str(scene), "method": str(method), "rtol": float(rtol)}
-        for scene, method, rtol in _where(stability, Outcome.SILENT_WRONG)
+        for scene, method, rtol in _where(stability, CellOutcome.SILENT_WRONG)
     ]
     numbers["silent_wrong"] = silent
     if silent:
@@ -222,7 +228,7 @@ def _atlas_conclusions(stability: xr.Dataset) -> Conclusions:
     return Conclusions(sentences, numbers)
 
 
-def _where(stability: xr.Dataset, outcome: Outcome) -> Iterator[tuple[str, str, float]]:
+def _where(stability: xr.Dataset, outcome: CellOutcome) -> Iterator[tuple[str, str, float]]:
     for s, m, r in np.argwhere(stability["outcome"].values == outcome):
         yield (
             stability["scene"].values[s],
@@ -245,7 +251,7 @@ def _stability_part(stability: xr.Dataset) -> Part:
             f"Failure atlas, {'tight' if tight else 'loose'} tolerances",
         )
         for tight in (True, False)
-        if worst(stability, tight=tight).max() > Outcome.NOT_REQUESTED
+        if worst(stability, tight=tight).max() > CellOutcome.NOT_REQUESTED
     ]
     return Part(
         "stability",
@@ -262,17 +268,14 @@ def _scene_table(stability: xr.Dataset) -> Table:
     rows = []
     for scene in stability["scene"].values.tolist():
         here, one = outcome.sel(scene=scene), stability.sel(scene=scene)
-        named = [
-            ", ".join(here["method"].values[here.values == o].tolist()) or "–"
-            for o in (Outcome.MODEL_ERROR, Outcome.FAILED, Outcome.UNDECIDED, Outcome.SILENT_WRONG)
-        ]
+        named = [", ".join(here["method"].values[here.values == o].tolist()) or "–" for o in _NAMED]
         rows.append(
             [
                 scene,
                 str(one["expected"].item()),
                 f"{one['stiffness_ratio'].item():.3g}",
                 f"{one['growth'].values[0]:.2g}",
-                str(int(np.sum(here.values == Outcome.RIGHT))),
+                str(int(np.sum(here.values == CellOutcome.RIGHT))),
                 *named,
             ]
         )

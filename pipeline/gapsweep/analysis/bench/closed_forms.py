@@ -8,43 +8,43 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gapsweep.analysis.arrays import Array
-from gapsweep.analysis.scenes import Scene
-from gapsweep.analysis.truth import Motion
+from gapsweep.analysis.bench.references import ScenarioRun
+from gapsweep.analysis.bench.scenarios import Scenario
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import linear_stiffness, panels, search_points
 from gapsweep.status import Status
 
 
-def plain_duffing(scene: Scene) -> Scene:
-    """The scene without walls: contact that is always engaged is one more linear spring."""
-    o = scene.oscillator
-    added = scene.K_c if scene.gap.j_1 == scene.gap.j_2 == 0.0 else 0.0
+def plain_duffing(scenario: Scenario) -> Scenario:
+    """The scenario without walls: contact that is always engaged is one more linear spring."""
+    o = scenario.oscillator
+    added = scenario.K_c if scenario.gap.j_1 == scenario.gap.j_2 == 0.0 else 0.0
     omega_n = math.sqrt((linear_stiffness(o) + added) / o.mass) / (2.0 * math.pi)
     zeta = o.zeta * o.omega_n / omega_n
-    return replace(scene, K_c=0.0, oscillator=replace(o, omega_n=omega_n, zeta=zeta))
+    return replace(scenario, K_c=0.0, oscillator=replace(o, omega_n=omega_n, zeta=zeta))
 
 
-def closed_form(scene: Scene) -> Motion:
-    """Motion of the linear oscillator (``alpha = 0``) without walls, at its period ends."""
-    o = plain_duffing(scene).oscillator
-    w_n, w, decay = o.omega_n_rad, 2.0 * math.pi * scene.omega, o.decay_rate
+def closed_form(scenario: Scenario) -> ScenarioRun:
+    """ScenarioRun of the linear oscillator (``alpha = 0``) without walls, at its period ends."""
+    o = plain_duffing(scenario).oscillator
+    w_n, w, decay = o.omega_n_rad, 2.0 * math.pi * scenario.omega, o.decay_rate
     steady = (o.forcing / o.mass) / complex(w_n**2 - w**2, 2.0 * decay * w)
-    t = np.arange(1, scene.n_periods + 1) / scene.omega
+    t = np.arange(1, scenario.n_periods + 1) / scenario.omega
     # x(t) = Re[steady e^{iwt} + c e^{st}], s = -decay + i w_d
     w_d = math.sqrt(w_n**2 - decay**2)
-    x, v = scene.x_0 - steady.real, scene.v_0 - (1j * w * steady).real
+    x, v = scenario.x_0 - steady.real, scenario.v_0 - (1j * w * steady).real
     c = complex(x, -(v + decay * x) / w_d)
     s = complex(-decay, w_d)
     free = c * np.exp(s * t)
     section = np.stack([steady.real + free.real, (1j * w * steady).real + (s * free).real], axis=1)
     reach = abs(steady) + abs(c)
-    return Motion(status=Status.OK, section=section, t_contacts=np.empty(0), reach=reach)
+    return ScenarioRun(status=Status.OK, section=section, t_contacts=np.empty(0), reach=reach)
 
 
-def energy_drift(scene: Scene, law: ContactLaw) -> Callable[[Array], Array]:
+def energy_drift(scenario: Scenario, law: ContactLaw) -> Callable[[Array], Array]:
     """Relative change of energy since the start, as a function of states, shape (n, 2)."""
-    o = scene.oscillator
-    start = np.array([[scene.x_0, scene.v_0]])
+    o = scenario.oscillator
+    start = np.array([[scenario.x_0, scenario.v_0]])
 
     def energy(states: Array) -> Array:
         x, v = states.T

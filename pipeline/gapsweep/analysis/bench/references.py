@@ -1,9 +1,9 @@
-"""Motions of benchmark scenes, and what they are measured against.
+"""Motions of benchmark scenarios, and the independent solutions that runs are compared with.
 
 Every law is solved tightly by two engines that share no line of their stepping: the compiled one
 (Taylor series or DOP853 in lanes) and scipy's DOP853, restarted at every contact of the exact law.
-A method is measured against the one that is not its own; how far the two are apart says what
-can be measured at all.
+A method is compared with the solution of the other engine. The distance of the two solutions is
+the smallest error that can be measured.
 """
 
 import math
@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from gapsweep.analysis.arrays import Array
-from gapsweep.analysis.scenes import Scene, law_or_none
+from gapsweep.analysis.bench.scenarios import Scenario, law_or_none
 from gapsweep.integrate.problem import SMALLEST_RTOL, Solver
 from gapsweep.integrate.simulate import simulate
 from gapsweep.model.contact import ContactLaw, Piecewise
@@ -23,13 +23,13 @@ TIGHT = {
     for engine in ("compiled", "scipy")
 }
 _OTHER = {"compiled": "scipy", "scipy": "compiled"}
-# Disturbances that have grown more than this leave a motion no meaning: three Lyapunov times.
+# Largest growth of a disturbance at which motions are still compared: three Lyapunov times.
 LARGEST_GROWTH = math.exp(3.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
-    """What is kept of one motion.
+class ScenarioRun:
+    """One motion at its period ends, with its contact times and counts.
 
     Attributes
     ----------
@@ -53,25 +53,28 @@ class Motion:
     nfev: int = 0
 
 
-NONE = Motion(
+NONE = ScenarioRun(
     status=Status.MODEL_INVALID, section=np.empty((0, 2)), t_contacts=np.empty(0), reach=math.nan
 )
 
 
-def motion(scene: Scene, law: ContactLaw | None, solver: Solver, later: int = 0) -> Motion:
-    """A scene's motion, started a whole number of forcing periods later if asked.
+def motion(
+    scenario: Scenario, law: ContactLaw | None, solver: Solver, later: int = 0
+) -> ScenarioRun:
+    """The motion of a scenario, begun `later` forcing periods after time zero.
 
-    A fit that has been left is `out_of_fit_range`, as it is in a sweep, but for one at a pole.
+    A motion that leaves the range of a fit is `out_of_fit_range`, as in a sweep; at a pole it is
+    `model_invalid`.
     """
     if law is None:
         return NONE
-    t_0, t_end = later / scene.omega, (later + scene.n_periods) / scene.omega
+    t_0, t_end = later / scenario.omega, (later + scenario.n_periods) / scenario.omega
     run = simulate(
-        scene.oscillator,
+        scenario.oscillator,
         law,
-        scene.omega,
-        scene.x_0,
-        scene.v_0,
+        scenario.omega,
+        scenario.x_0,
+        scenario.v_0,
         t_0=t_0,
         t_end=t_end,
         **asdict(solver),
@@ -79,13 +82,13 @@ def motion(scene: Scene, law: ContactLaw | None, solver: Solver, later: int = 0)
     section = run.section
     if run.status is Status.OK:
         # The last period end is the end, however t_end was rounded.
-        section = np.vstack([section[: scene.n_periods - 1], (run.x_end, run.v_end)])
-    places = [scene.x_0, run.x_end, *run.extrema, *section[:, 0]]
+        section = np.vstack([section[: scenario.n_periods - 1], (run.x_end, run.v_end)])
+    places = [scenario.x_0, run.x_end, *run.extrema, *section[:, 0]]
     at_pole = run.status is Status.MODEL_INVALID
     low, high = law.valid_range
     is_inside = low <= np.min(places) and np.max(places) <= high  # NaN is not
     left = (math.isfinite(low) or math.isfinite(high)) and not is_inside
-    return Motion(
+    return ScenarioRun(
         status=Status.OUT_OF_FIT_RANGE if left and not at_pole else run.status,
         section=section,
         t_contacts=run.t_contacts - t_0,
@@ -105,21 +108,21 @@ class Scale:
     speed: float
 
 
-def gap_scale(scene: Scene, reach: float) -> Scale:
+def gap_scale(scenario: Scenario, reach: float) -> Scale:
     """The width of the gap and that times the forcing's angular frequency; see docs/bench.md."""
-    length = scene.gap.j_1 + scene.gap.j_2 or reach
-    return Scale(length=length, speed=2.0 * math.pi * scene.omega * length)
+    length = scenario.gap.j_1 + scenario.gap.j_2 or reach
+    return Scale(length=length, speed=2.0 * math.pi * scenario.omega * length)
 
 
-def reach_scale(scene: Scene, run: Motion) -> Scale:
+def reach_scale(scenario: Scenario, run: ScenarioRun) -> Scale:
     """The size of the motion itself, also where the gap is nothing and the forcing slow."""
-    omega_rad = max(2.0 * math.pi * scene.omega, scene.oscillator.omega_n_rad)
+    omega_rad = max(2.0 * math.pi * scenario.omega, scenario.oscillator.omega_n_rad)
     # Stiff contact turns the mass round faster than either frequency.
-    seen = np.max(np.abs([scene.v_0, *run.section[:, 1]]))
+    seen = np.max(np.abs([scenario.v_0, *run.section[:, 1]]))
     return Scale(length=run.reach, speed=max(omega_rad * run.reach, float(seen)))
 
 
-def distance(one: Motion, other: Motion, scale: Scale) -> float:
+def distance(one: ScenarioRun, other: ScenarioRun, scale: Scale) -> float:
     """Largest difference of two motions at period ends [-]; NaN unless both went all the way."""
     if one.status is not Status.OK or other.status is not Status.OK:
         return math.nan
@@ -127,7 +130,7 @@ def distance(one: Motion, other: Motion, scale: Scale) -> float:
     return float(np.max(apart))
 
 
-def event_time_distance(one: Motion, other: Motion) -> float:
+def event_time_distance(one: ScenarioRun, other: ScenarioRun) -> float:
     """Largest difference of contact times [s]; NaN if the contacts are not as many."""
     if one.t_contacts.size != other.t_contacts.size or not one.t_contacts.size:
         return math.nan
@@ -135,15 +138,15 @@ def event_time_distance(one: Motion, other: Motion) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class References:
     """Two independent tight solutions of one law; `distance` relates them [-]."""
 
-    compiled: Motion
-    scipy: Motion
+    compiled: ScenarioRun
+    scipy: ScenarioRun
 
-    def for_engine(self, engine: str) -> Motion:
+    def for_engine(self, engine: str) -> ScenarioRun:
         """The solution that an engine is measured against: the other engine's."""
-        found: Motion = getattr(self, _OTHER[engine])
+        found: ScenarioRun = getattr(self, _OTHER[engine])
         return found
 
     @property
@@ -154,45 +157,47 @@ class Truth:
         return distance(self.compiled, self.scipy, scale)
 
 
-def truth(scene: Scene, representation: str) -> Truth:
-    """Both tight solutions of a law in a scene."""
-    law = law_or_none(scene, representation)
-    return Truth(motion(scene, law, TIGHT["compiled"]), motion(scene, law, TIGHT["scipy"]))
+def references(scenario: Scenario, representation: str) -> References:
+    """Both tight solutions of a law in a scenario."""
+    law = law_or_none(scenario, representation)
+    return References(*(motion(scenario, law, TIGHT[name]) for name in ("compiled", "scipy")))
 
 
 def _looser(solver: Solver) -> list[Solver]:
-    """Ten and a hundred times looser: once could agree by chance."""
+    """Tolerances ten and a hundred times looser: a single one could agree by chance."""
     return [replace(solver, rtol=f * solver.rtol, atol=f * solver.atol) for f in (10.0, 100.0)]
 
 
-def settled(scene: Scene, representation: str, found: Truth, scale: Scale, promise: float) -> Truth:
-    """The truth that is left if only one of two solutions that disagree agrees with itself.
+def settled(
+    scenario: Scenario, representation: str, found: References, scale: Scale, promise: float
+) -> References:
+    """The references, or of two that disagree the one that converges, for both engines.
 
-    Steps of a plain solver may pass over a thin layer, or not: scipy's do near grazing. Such a
-    solution changes with its tolerance; what does not is then the truth for all. Two that both
-    agree with themselves contradict each other, and nothing is settled.
+    Steps without event location may pass over a thin layer, as scipy's do near grazing; such a
+    solution changes with its tolerance. If both solutions converge, they contradict each other,
+    and both are kept.
 
     Parameters
     ----------
     promise : float
-        Distance [-] that the references may have.
+        Largest distance [-] of references that agree.
     """
     if not found.distance(scale) > promise:
         return found
-    law = law_or_none(scene, representation)
+    law = law_or_none(scenario, representation)
     is_steady = [
         all(
-            distance(motion(scene, law, solver), getattr(found, name), scale) <= promise
+            distance(motion(scenario, law, solver), getattr(found, name), scale) <= promise
             for solver in _looser(TIGHT[name])
         )
         for name in ("compiled", "scipy")
     ]
     if is_steady == [True, False]:
-        return Truth(found.compiled, found.compiled)
-    return Truth(found.scipy, found.scipy) if is_steady == [False, True] else found
+        return References(found.compiled, found.compiled)
+    return References(found.scipy, found.scipy) if is_steady == [False, True] else found
 
 
-def growth(scene: Scene, law: ContactLaw, section: Array) -> Array:
+def growth(scenario: Scenario, law: ContactLaw, section: Array) -> Array:
     """Largest factor by which a disturbance of the start has grown, per period end.
 
     Parameters
@@ -206,21 +211,21 @@ def growth(scene: Scene, law: ContactLaw, section: Array) -> Array:
         The largest so far, 1 or more; in states scaled by the forcing's angular frequency, or
         the oscillator's if that is higher.
     """
-    starts = np.vstack([[scene.x_0, scene.v_0], section[:-1]])
-    omega = np.full(len(starts), scene.omega)
+    starts = np.vstack([[scenario.x_0, scenario.v_0], section[:-1]])
+    omega = np.full(len(starts), scenario.omega)
     located = isinstance(law, Piecewise)
     run = simulate(
-        scene.oscillator,
-        Piecewise(scene.K_c, scene.gap) if located else law,
+        scenario.oscillator,
+        Piecewise(scenario.K_c, scenario.gap) if located else law,
         omega,
         starts[:, 0],
         starts[:, 1],
-        t_end=1.0 / scene.omega,
+        t_end=1.0 / scenario.omega,
         rtol=1e-9,
         atol=1e-12,
         tangent=True,
     )
-    omega_rad = max(2.0 * math.pi * scene.omega, scene.oscillator.omega_n_rad)
+    omega_rad = max(2.0 * math.pi * scenario.omega, scenario.oscillator.omega_n_rad)
     scaled = run.monodromy * np.array([[1.0, omega_rad], [1.0 / omega_rad, 1.0]])
     whole, found = np.eye(2), [1.0]
     for one in scaled:

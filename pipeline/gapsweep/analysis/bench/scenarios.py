@@ -1,4 +1,4 @@
-"""The scenes and methods of a study's ``[bench]``, as values to compute with."""
+"""The scenarios and methods of a study's ``[bench]``, as values to compute with."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -24,7 +24,7 @@ _GAP = COORDINATES["gap"][1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class Scenario:
     """One motion that every method is asked for.
 
     Attributes
@@ -69,7 +69,7 @@ class Scene:
         Raises
         ------
         ModelError
-            If it cannot be built for this scene.
+            If it cannot be built for this scenario.
         """
         if representation in self.own:
             return self.own[representation].law(self.K_c, self.gap)
@@ -93,19 +93,19 @@ class Method:
         return EXACT if self.representation == "piecewise-noevents" else self.representation
 
 
-def scenes(study: Study, *, with_answer: bool) -> list[Scene]:
-    """The scenes of a study whose right answer is stated, or those in which it is not."""
+def scenarios(study: Study, *, with_answer: bool) -> list[Scenario]:
+    """The scenarios of a study whose right answer is stated, or those in which it is not."""
     bench = study.spec.bench
     tables = bench.scene if bench else []
     wanted = [table for table in tables if (table.expected is not None) == with_answer]
-    return [_scene(study, table) for table in wanted]
+    return [_scenario(study, table) for table in wanted]
 
 
-def _scene(study: Study, table: SceneTable) -> Scene:
+def _scenario(study: Study, table: SceneTable) -> Scenario:
     assert study.spec.bench is not None
     x_0, v_0 = table.start
     j_1, j_2 = table.gap
-    return Scene(
+    return Scenario(
         name=table.name,
         oscillator=Oscillator(**table.merged(study.spec.oscillator).model_dump()),
         K_c=canonical(table.K_c),
@@ -141,29 +141,29 @@ def methods(study: Study) -> list[Method]:
     ]
 
 
-def law_or_none(scene: Scene, representation: str) -> ContactLaw | None:
-    """The law, None if there is none in this scene."""
+def law_or_none(scenario: Scenario, representation: str) -> ContactLaw | None:
+    """The law, None if there is none in this scenario."""
     try:
-        return scene.law(representation)
+        return scenario.law(representation)
     except ModelError:
         return None
 
 
-def coordinates(scenes: Sequence[Scene], methods: Sequence[Method]) -> dict[str, Any]:
-    """Coordinates that every dataset over scenes and methods has."""
-    gaps = [scene.gap for scene in scenes]
+def coordinates(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> dict[str, Any]:
+    """Coordinates that every dataset over scenarios and methods has."""
+    gaps = [scenario.gap for scenario in scenarios]
     columns = {
-        "K_c": [scene.K_c for scene in scenes],
+        "K_c": [scenario.K_c for scenario in scenarios],
         "j_1": [gap.j_1 for gap in gaps],
         "j_2": [gap.j_2 for gap in gaps],
-        "omega": [scene.omega for scene in scenes],
-        "x_0": [scene.x_0 for scene in scenes],
-        "v_0": [scene.v_0 for scene in scenes],
+        "omega": [scenario.omega for scenario in scenarios],
+        "x_0": [scenario.x_0 for scenario in scenarios],
+        "v_0": [scenario.v_0 for scenario in scenarios],
     }
-    named = {"units": "1", "long_name": "name of the scene"}
+    named = {"units": "1", "long_name": "name of the scenario"}
     label = {"units": "1", "long_name": "representation, with its solver protocol"}
     return {
-        "scene": ("scene", [scene.name for scene in scenes], named),
+        "scene": ("scene", [scenario.name for scenario in scenarios], named),
         "method": ("method", [method.label for method in methods], label),
         "gap": ("scene", [gap.label for gap in gaps], _GAP.attributes),
         **{name: ("scene", columns[name], COORDS[name].attributes) for name in COORDS},

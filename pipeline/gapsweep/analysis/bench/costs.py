@@ -1,4 +1,4 @@
-"""What a method costs: processor time of calls that advance a scene and its neighbours."""
+"""What a method costs: processor time of calls that advance a scenario and its neighbours."""
 
 import time
 from dataclasses import dataclass
@@ -6,18 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from gapsweep.analysis.arrays import Array
-from gapsweep.analysis.scenes import Scene, law_or_none
+from gapsweep.analysis.bench.scenarios import Scenario, law_or_none
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
 
-# The frequencies of the lanes that advance beside a scene, relative to it and to each other.
+# The frequencies of the lanes that advance beside a scenario, relative to it and to each other.
 _NEIGHBOUR = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class Timed:
-    """A call that is timed: neighbouring frequencies of a scene, solved together."""
+    """A call that is timed: neighbouring frequencies of a scenario, solved together."""
 
     integrate: Integrate
     problems: Problems
@@ -34,26 +34,26 @@ class Timed:
         return time.process_time() - begin
 
 
-def timed(scene: Scene, law: ContactLaw, solver: Solver, n_lanes: int) -> Timed:
-    """A scene and its neighbours in frequency, prepared."""
-    omega: Array = scene.omega * (1.0 + _NEIGHBOUR * np.arange(n_lanes, dtype=np.float64))
-    models = Models.of([scene.oscillator] * n_lanes, [(law,)] * n_lanes, omega)
+def timed(scenario: Scenario, law: ContactLaw, solver: Solver, n_lanes: int) -> Timed:
+    """A scenario and its neighbours in frequency, prepared."""
+    omega: Array = scenario.omega * (1.0 + _NEIGHBOUR * np.arange(n_lanes, dtype=np.float64))
+    models = Models.of([scenario.oscillator] * n_lanes, [(law,)] * n_lanes, omega)
     problems = Problems(
         which=np.arange(n_lanes),
-        start=np.full((n_lanes, 2), (scene.x_0, scene.v_0)),
+        start=np.full((n_lanes, 2), (scenario.x_0, scenario.v_0)),
         t_0=np.zeros(n_lanes),
-        t_end=scene.n_periods / omega,
+        t_end=scenario.n_periods / omega,
         record_from=np.full(n_lanes, np.inf),
     )
     return Timed(prepared(models, solver), problems)
 
 
 def cost(
-    scene: Scene, representation: str, solver: Solver, n_lanes: int
+    scenario: Scenario, representation: str, solver: Solver, n_lanes: int
 ) -> tuple[float, float] | None:
     """Processor time and simulated time [s] of one call; None if there is no such law."""
-    law = law_or_none(scene, representation)
+    law = law_or_none(scenario, representation)
     if law is None:
         return None
-    call = timed(scene, law, solver, n_lanes)
+    call = timed(scenario, law, solver, n_lanes)
     return call.seconds(), call.simulated
