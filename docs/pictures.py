@@ -15,7 +15,7 @@ from workflows.paper.paper_figures import start_scan
 from workflows.paper.refined import starts
 
 import gapsweep as gs
-from gapsweep.analysis.verdicts import Run
+from gapsweep.analysis.claims import Run
 from gapsweep.report.style import MATPLOTLIB
 
 IMAGES = Path(__file__).parent / "images"

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gapsweep import own_code
-from gapsweep.analysis.walls import wrong_tables
+from gapsweep.analysis.unit_check import wrong_tables
 from gapsweep.errors import StoreError, StudyError
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import Plan
@@ -131,7 +131,7 @@ def update(
         elif stage.file == REPORT:
             _report(folder)
         elif stage.file == BRANCHES:
-            from gapsweep.analysis.branches import branches
+            from gapsweep.analysis.datasets.branches_file import branches
 
             with netcdf.read(folder / ATTRACTORS, lazy=True) as attractors:
                 made = branches(study, attractors, cache, connect, timeout, say)
@@ -174,13 +174,13 @@ def _analysed(
     say: Callable[[str], None] | None,
 ) -> "xr.Dataset":
     """The dataset of an analysis stage."""
-    from gapsweep.analysis.advice import advice
-    from gapsweep.analysis.agreement import agreement
+    from gapsweep.analysis.agreement.comparison import agreement
     from gapsweep.analysis.bench.stability import stability
     from gapsweep.analysis.bench.work_precision import work_precision
-    from gapsweep.analysis.histories import histories
-    from gapsweep.analysis.static import static
-    from gapsweep.analysis.timing import timing
+    from gapsweep.analysis.datasets.histories import histories
+    from gapsweep.analysis.datasets.recommendations import advice
+    from gapsweep.analysis.datasets.static import static
+    from gapsweep.analysis.datasets.timing import timing
 
     if stage.file == STATIC:
         # What a user's law may do, it does on workers.

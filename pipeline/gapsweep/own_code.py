@@ -32,7 +32,7 @@ from gapsweep.user_code.snapshot import Snapshot
 if TYPE_CHECKING:
     import xarray as xr
 
-    from gapsweep.analysis.verdicts import Claim, Run
+    from gapsweep.analysis.claims import Claim, Run
 
 
 def own_dataset(file: str, make: Callable[[Study], Any], study: Study) -> "xr.Dataset":
@@ -66,7 +66,7 @@ def check_modules(study: Study) -> None:
 
 def _stated(code: Snapshot) -> "list[Claim]":
     """The claims that a module states."""
-    from gapsweep.analysis.verdicts import stated
+    from gapsweep.analysis.claims import stated
 
     try:
         return stated(vars(load_module(code)))
@@ -131,7 +131,7 @@ def own_stage(file: str, study: Study, folder: Path) -> tuple[Stage, Study, Path
 @contextmanager
 def _read(stage: Stage, folder: Path) -> "Iterator[Run]":
     """The datasets that a stage reads, those that are there."""
-    from gapsweep.analysis.verdicts import Run
+    from gapsweep.analysis.claims import Run
 
     with ExitStack() as opened:
         yield Run(
@@ -147,7 +147,7 @@ def _read(stage: Stage, folder: Path) -> "Iterator[Run]":
 
 def decide(stage: Stage, study: Study, folder: Path, now: MadeFrom) -> dict[str, Any]:
     """Decide the claims of a study and write ``claims.json``."""
-    from gapsweep.analysis.verdicts import counted
+    from gapsweep.analysis.claims import counted
 
     code, path = study.claims_code, study.claims_module
     assert code is not None

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.walls import never_reached
+from gapsweep.analysis.unit_check import never_reached
 from gapsweep.console import progress_bar
 from gapsweep.errors import StoreError
 from gapsweep.execution.assemble import attributes_of, fill

@@ -18,9 +18,9 @@ from tests.unit.test_report import HOSTILE, decided
 from tornado.websocket import websocket_connect
 from workflows.paper.figures import sections
 
-from gapsweep.analysis.agreement import agreement
-from gapsweep.analysis.timing import timing
-from gapsweep.analysis.verdicts import Run
+from gapsweep.analysis.agreement.comparison import agreement
+from gapsweep.analysis.claims import Run
+from gapsweep.analysis.datasets.timing import timing
 from gapsweep.report.html import write_report
 from gapsweep.report.parts import Figured, Part, rendered
 from gapsweep.report.tables import VERDICTS

@@ -260,7 +260,7 @@ def test_temporary_files_of_the_dead_are_removed_and_no_others(finished):
 
 def test_claims_wait_for_whoever_writes_into_the_folder(finished):
     (finished / "claims.py").write_text(
-        "from gapsweep.analysis.verdicts import Number, Test, claim\n"
+        "from gapsweep.analysis.claims import Number, Test, claim\n"
         "@claim(1, 'here', 'Something.', 'It is.')\n"
         "def something(run):\n"
         "    mean = Number(float(run['responses']['x_max'].mean()))\n"

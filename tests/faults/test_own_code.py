@@ -11,7 +11,7 @@ import gapsweep as gs
 from gapsweep import workflow
 from gapsweep.analysis.bench.stability import stability
 from gapsweep.analysis.bench.work_precision import work_precision
-from gapsweep.analysis.histories import histories
+from gapsweep.analysis.datasets.histories import histories
 from gapsweep.execution import try_out
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.made import chaotic, datasets, failed, periodic, tables, unresolved
 
 from gapsweep import ResponseClass, Status
-from gapsweep.analysis.agreement import _width, agreement
-from gapsweep.analysis.metrics import METRICS, REGIMES, variables
+from gapsweep.analysis.agreement.comparison import _width, agreement
+from gapsweep.analysis.agreement.metrics import METRICS, REGIMES, variables
 from gapsweep.store import netcdf
 
 LABELS = ["piecewise", "piecewise@half", "piecewise@jitter", "tanh-1e4", "tanh-1e4@paper"]

@@ -6,10 +6,10 @@ import xarray as xr
 from tests.made import branches, chaotic, datasets, failed, periodic, tables
 from tests.swept import over_forcing, over_walls
 
-from gapsweep.analysis.agreement import agreement
-from gapsweep.analysis.grid import over, scene_dims
-from gapsweep.analysis.timing import timing
-from gapsweep.analysis.verdicts import NotInRunError, Run
+from gapsweep.analysis.agreement.comparison import agreement
+from gapsweep.analysis.claims import NotInRunError, Run
+from gapsweep.analysis.datasets.timing import timing
+from gapsweep.analysis.dimensions import over, scene_dims
 from gapsweep.report.answer import contacts, in_words
 from gapsweep.report.html import _at_one_frequency, write_report
 from gapsweep.report.overview import is_wide, overview

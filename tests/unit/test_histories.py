@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.stored import all_keys
 
 import gapsweep as gs
-from gapsweep.analysis.histories import SAMPLES_PER_PERIOD, histories, sampled, spectrum
+from gapsweep.analysis.datasets.histories import SAMPLES_PER_PERIOD, histories, sampled, spectrum
 from gapsweep.stages import POINTS, STAGES, STUDY, made_from
 from gapsweep.status import Status
 from gapsweep.store import netcdf

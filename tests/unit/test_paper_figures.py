@@ -24,9 +24,9 @@ from workflows.paper.static_figures import (
 )
 
 import gapsweep as gs
-from gapsweep.analysis import static as static_part
-from gapsweep.analysis.histories import N_PERIODS, SAMPLES_PER_PERIOD, histories
-from gapsweep.analysis.verdicts import Run
+from gapsweep.analysis.claims import Run
+from gapsweep.analysis.datasets import static as static_part
+from gapsweep.analysis.datasets.histories import N_PERIODS, SAMPLES_PER_PERIOD, histories
 from gapsweep.report.figures import bifurcation
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import is_picture

@@ -88,7 +88,7 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import lookup
-    from gapsweep.analysis.walls import bounded
+    from gapsweep.analysis.unit_check import bounded
     from gapsweep.console import duration, print_table
     from gapsweep.folder import run_folder
 
@@ -249,7 +249,7 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
     Example:
       gapsweep advise quick.toml --error 1e-2
     """
-    from gapsweep.analysis.advice import advice, sentences
+    from gapsweep.analysis.datasets.recommendations import advice, sentences
     from gapsweep.console import print_table, print_text
 
     loaded = options.loaded(study, None)

@@ -15,9 +15,8 @@ import numpy as np
 import xarray as xr
 from markupsafe import Markup
 
-from gapsweep.analysis.grid import At, scene_dims
-from gapsweep.analysis.grid import scenes as all_scenes
-from gapsweep.analysis.systems import in_metres
+from gapsweep.analysis.dimensions import At, in_metres, scene_dims
+from gapsweep.analysis.dimensions import scenes as all_scenes
 from gapsweep.errors import StoreError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import (

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from gapsweep.analysis.arrays import Array
-from gapsweep.analysis.histories import spectrum
+from gapsweep.analysis.datasets.histories import spectrum
+from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import ModelError
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw

@@ -24,7 +24,7 @@ from gapsweep.analysis.bench.scenarios import (
     law_or_none,
     tolerances,
 )
-from gapsweep.analysis.force_error import in_gap
+from gapsweep.analysis.datasets.contact_errors import in_gap
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope

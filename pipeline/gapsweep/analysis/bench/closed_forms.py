@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.bench.references import ScenarioRun
 from gapsweep.analysis.bench.scenarios import Scenario
+from gapsweep.analysis.dimensions import Array
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import linear_stiffness, panels, search_points
 from gapsweep.status import Status

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.bench.scenarios import Scenario, law_or_none
+from gapsweep.analysis.dimensions import Array
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw

@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.bench.scenarios import Scenario, law_or_none
+from gapsweep.analysis.dimensions import Array
 from gapsweep.integrate.problem import SMALLEST_RTOL, Solver
 from gapsweep.integrate.simulate import simulate
 from gapsweep.model.contact import ContactLaw, Piecewise

@@ -18,7 +18,6 @@ from typing import Any, TypeVar
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.arrays import Array
 from gapsweep.analysis.bench.cells import (
     CELL,
     Say,
@@ -38,6 +37,7 @@ from gapsweep.analysis.bench.scenarios import (
     methods,
     scenarios,
 )
+from gapsweep.analysis.dimensions import Array
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver

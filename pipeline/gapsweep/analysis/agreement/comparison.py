@@ -2,7 +2,7 @@
 
 Every representation, exact ones with other solver settings included, is compared with the one
 labelled ``piecewise``: start by start, attractor by attractor, and summed up per scene. What
-each variable means stands in `gapsweep.analysis.metrics`.
+each variable means stands in `gapsweep.analysis.agreement.metrics`.
 """
 
 import json
@@ -13,25 +13,28 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.curves import jump_shifts
-from gapsweep.analysis.floors import floor_labels
-from gapsweep.analysis.grid import (
+from gapsweep.analysis.agreement.attractor_sets import basin_metrics, matching, set_metrics
+from gapsweep.analysis.agreement.jumps import jump_shifts
+from gapsweep.analysis.agreement.law_tables import LawTable, law_table
+from gapsweep.analysis.agreement.metrics import BOUND, BOUNDS, REGIME, REGIMES, variables
+from gapsweep.analysis.agreement.pointwise import start_metrics
+from gapsweep.analysis.agreement.pooling import summaries
+from gapsweep.analysis.agreement.self_agreement import floor_labels
+from gapsweep.analysis.dimensions import (
     REPRESENTATION,
     SWEPT,
     At,
+    by_coordinate,
     cells,
+    in_metres,
     of_study,
     over,
     point_dims,
     scene_dims,
     scenes,
+    section_rate,
+    with_rate,
 )
-from gapsweep.analysis.metrics import BOUND, BOUNDS, REGIME, REGIMES, variables
-from gapsweep.analysis.sets import basin_metrics, matching, set_metrics
-from gapsweep.analysis.slab import Slab, slab
-from gapsweep.analysis.starts import start_metrics
-from gapsweep.analysis.summary import summaries
-from gapsweep.analysis.systems import by_coordinate, in_metres, section_rate, with_rate
 from gapsweep.model.labels import EXACT, law_of
 from gapsweep.response.thresholds import DEVIATIONS
 from gapsweep.status import Status
@@ -50,12 +53,12 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
     Parameters
     ----------
     responses, attractors : Dataset
-        As stored in ``responses.nc`` and ``attractors.nc``; read slab by slab.
+        As stored in ``responses.nc`` and ``attractors.nc``; read scene by scene.
 
     Returns
     -------
     Dataset
-        The variables of `gapsweep.analysis.metrics.variables`.
+        The variables of `gapsweep.analysis.agreement.metrics.variables`.
     """
     swept = responses["representation"].values.tolist()
     return _agreement(responses, attractors) if EXACT in swept else None
@@ -93,7 +96,7 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
         swept = np.flatnonzero(requested.isel(at)).tolist()
         if not swept:
             continue
-        exact = slab(responses, attractors, {**at, REPRESENTATION: labels.index(EXACT)})
+        exact = law_table(responses, attractors, {**at, REPRESENTATION: labels.index(EXACT)})
         walls = responses[[name for name in _WALLS if name in responses.coords]]
         walls = walls.isel(at, missing_dims="ignore")
         width, is_symmetric = _width(0.0, exact), False
@@ -104,7 +107,7 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
             width = _width(j_1 + j_2, exact)
         for r in swept:
             here = {**at, REPRESENTATION: r}
-            ours = exact if labels[r] == EXACT else slab(responses, attractors, here)
+            ours = exact if labels[r] == EXACT else law_table(responses, attractors, here)
             # Infinity and NaN are what comes of a response that ran away, or of none.
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 symmetric = is_symmetric and law_of(labels[r]) not in uneven
@@ -114,7 +117,7 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
     return _dataset(tables, responses, floors)
 
 
-def _width(gap: float, exact: Slab) -> float:
+def _width(gap: float, exact: LawTable) -> float:
     """Scale of lengths [m]: the width of the gap, but no more than the largest range of a motion.
 
     For a wall that nothing comes near to says nothing of errors. Where there is no gap, the median
@@ -130,9 +133,9 @@ def _width(gap: float, exact: Slab) -> float:
 
 
 def _compared(
-    ours: Slab, exact: Slab, width: float, *, symmetric: bool
+    ours: LawTable, exact: LawTable, width: float, *, symmetric: bool
 ) -> Iterator[tuple[str, Any]]:
-    """All variables of one slab, floors apart."""
+    """All variables of one table, floors apart."""
     found = matching(ours, exact, width, symmetric=symmetric)
     values = {"jump_shift": jump_shifts(ours, exact, 0.5 * width)}
     values |= start_metrics(ours, exact, 0.5 * width)

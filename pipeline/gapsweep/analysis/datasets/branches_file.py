@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.branch_agreement import MATCH, compared
+from gapsweep.analysis.agreement.branch_agreement import MATCH, compared
 from gapsweep.continuation.branches import Attractor
 from gapsweep.continuation.call import DEFAULT_ATOL, DEFAULT_RTOL
 from gapsweep.continuation.dataset import ATTRACTOR, BRANCH, OF_BRANCH, VARIABLES

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gapsweep.analysis.floors import floor_labels
+from gapsweep.analysis.agreement.self_agreement import floor_labels
 
 LABEL = "piecewise@other"
 

@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.analysis.selection import selected
+from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.status import Status
 

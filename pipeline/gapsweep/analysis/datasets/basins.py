@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from gapsweep.analysis.arrays import Array
+from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import ModelError
 from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver

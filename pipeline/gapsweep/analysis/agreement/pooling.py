@@ -9,24 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from gapsweep.analysis.arrays import Array, Bools, Ints
-from gapsweep.analysis.bootstrap import blocks, pooled, quantiles
-from gapsweep.analysis.classes import FAILED, UNRESOLVED
-from gapsweep.analysis.metrics import METRICS
-from gapsweep.analysis.slab import Slab
-from gapsweep.analysis.starts import cost_sums
+from gapsweep.analysis.agreement.bootstrap import blocks, pooled, quantiles
+from gapsweep.analysis.agreement.law_tables import FAILED, UNRESOLVED, LawTable
+from gapsweep.analysis.agreement.metrics import METRICS
+from gapsweep.analysis.agreement.pointwise import cost_sums
+from gapsweep.analysis.dimensions import Array, Bools, Ints
 
 Summaries = Iterator[tuple[str, Any]]
 
 _QUANTILES = {"median": 0.5, "p95": 0.95}
 
 
-def summaries(ours: Slab, exact: Slab, values: dict[str, Array]) -> Summaries:
-    """Pooled variables of one slab.
+def summaries(ours: LawTable, exact: LawTable, values: dict[str, Array]) -> Summaries:
+    """Pooled variables of one table.
 
     Parameters
     ----------
-    ours, exact : Slab
+    ours, exact : LawTable
     values : dict of str to ndarray, shape (n_omega, n_starts) or (n_omega,)
         The point-wise and frequency-wise metrics.
     """
@@ -43,11 +42,11 @@ def summaries(ours: Slab, exact: Slab, values: dict[str, Array]) -> Summaries:
     yield from _counts(ours, exact, regimes[2])
 
 
-def _regimes_of_points(exact: Slab) -> list[Bools]:
+def _regimes_of_points(exact: LawTable) -> list[Bools]:
     return [np.ones_like(exact.requested), exact.periodic, exact.chaotic]
 
 
-def _regimes_of_frequencies(ours: Slab, exact: Slab) -> list[Bools]:
+def _regimes_of_frequencies(ours: LawTable, exact: LawTable) -> list[Bools]:
     common = ours.requested & exact.requested
     periodic = np.asarray(common.any(axis=1) & (exact.periodic | ~common).all(axis=1))
     return [np.ones_like(periodic), periodic, np.asarray((exact.chaotic & common).any(axis=1))]
@@ -87,7 +86,7 @@ def _set_ratios(values: dict[str, Array], regimes: list[Bools], block: Ints) -> 
         yield from _pooled(name, np.stack([top, bottom], axis=-1), regimes, block)
 
 
-def _counts(ours: Slab, exact: Slab, regimes: list[Bools]) -> Summaries:
+def _counts(ours: LawTable, exact: LawTable, regimes: list[Bools]) -> Summaries:
     counted = {
         "n_points": ours.requested,
         "n_compared": ours.exists & exact.exists,

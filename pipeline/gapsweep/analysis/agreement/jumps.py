@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gapsweep.analysis.arrays import Array, Ints
-from gapsweep.analysis.matching import matches_on_line
-from gapsweep.analysis.slab import Slab
+from gapsweep.analysis.agreement.law_tables import LawTable
+from gapsweep.analysis.agreement.matching import matches_on_line
+from gapsweep.analysis.dimensions import Array, Ints
 
 # A jump is at least this share of the larger amplitude (or of half the gap) ...
 JUMP = 0.02
@@ -39,9 +39,9 @@ class Jumps:
     step: Array
 
 
-def jumps(slab: Slab, start: int, along: Ints, half_gap: float) -> Jumps:
+def jumps(table: LawTable, start: int, along: Ints, half_gap: float) -> Jumps:
     """Jumps in amplitude between periodic responses at neighbours of the frequencies `along`."""
-    amplitude = np.where(slab.periodic, slab.amplitude, np.nan)[along, start]
+    amplitude = np.where(table.periodic, table.amplitude, np.nan)[along, start]
     steps = np.diff(amplitude)
     size = np.abs(steps)
     scale = np.maximum(np.maximum(amplitude[1:], amplitude[:-1]), half_gap)
@@ -50,7 +50,7 @@ def jumps(slab: Slab, start: int, along: Ints, half_gap: float) -> Jumps:
     # Comparisons with NaN are false: no jump next to a response that is not periodic.
     chosen = np.flatnonzero((size >= JUMP * scale) & (size > STEEPER * beside))
     below, above = along[chosen], along[chosen + 1]
-    return Jumps(below, 0.5 * (slab.omega[below] + slab.omega[above]), steps[chosen])
+    return Jumps(below, 0.5 * (table.omega[below] + table.omega[above]), steps[chosen])
 
 
 def breaks(curve: Array) -> Ints:
@@ -79,12 +79,12 @@ def shifts(ours: Jumps, theirs: Jumps) -> Array:
     return shift
 
 
-def jump_shifts(ours: Slab, theirs: Slab, half_gap: float) -> Array:
+def jump_shifts(ours: LawTable, theirs: LawTable, half_gap: float) -> Array:
     """Shifts [Hz] at the exact jumps, shape (n_omega, n_starts); NaN elsewhere."""
     shift = np.full(ours.requested.shape, np.nan)
     common = ours.requested & theirs.requested
     for start in np.flatnonzero(common.any(axis=0)).tolist():
         along = np.flatnonzero(common[:, start])
-        own, exact = (jumps(slab, start, along, half_gap) for slab in (ours, theirs))
+        own, exact = (jumps(table, start, along, half_gap) for table in (ours, theirs))
         shift[exact.at, start] = shifts(own, exact)
     return shift

@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 from tests.made import datasets, failed, periodic, tables
 
-from gapsweep.analysis.bootstrap import ratio
-from gapsweep.analysis.slab import slab
-from gapsweep.analysis.starts import cost_sums, start_metrics
+from gapsweep.analysis.agreement.bootstrap import ratio
+from gapsweep.analysis.agreement.law_tables import law_table
+from gapsweep.analysis.agreement.pointwise import cost_sums, start_metrics
 
 G = 0.8e-3
 W = 7.0
@@ -21,7 +21,7 @@ def slabs(tmp_path):
         answers = {"piecewise": exact, "tanh-1e4": ours}
         study = tables(answers, [W], gap=(0.0, G), starts=len(exact))
         files = datasets(tmp_path, study, lambda label, _, i: answers[label][i])
-        return [slab(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0)]
+        return [law_table(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0)]
 
     return pair
 

@@ -6,12 +6,34 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.arrays import Array, Bools, Ints
-from gapsweep.analysis.classes import CHAOTIC, NONE, class_numbers
-from gapsweep.analysis.grid import At
+from gapsweep.analysis.dimensions import Array, At, Bools, Ints
 from gapsweep.response.attractors import NONE as NO_ATTRACTOR
+from gapsweep.response.result import ResponseClass as R
 from gapsweep.status import Status
 from gapsweep.study.points import FIXED
+
+_LONGEST = 8
+CLASSES = (
+    *(f"P{n}" for n in range(1, _LONGEST + 1)),
+    f"P>{_LONGEST}",
+    "chaotic",
+    "quasiperiodic",  # of systems, as what follows
+    "equilibrium",
+    "unresolved",
+    "failed",
+)
+CHAOTIC, UNRESOLVED, FAILED = (CLASSES.index(n) for n in ("chaotic", "unresolved", "failed"))
+_NAMED = {kind: CLASSES.index(kind.name.lower()) for kind in R if kind != R.PERIODIC}
+NONE = -1
+
+
+def class_numbers(requested: Bools, response_class: Ints, period_multiple: Ints) -> Ints:
+    """Number in `CLASSES` of every response; `NONE` where nothing was asked for."""
+    periodic = np.minimum(period_multiple, _LONGEST + 1) - 1
+    which = [response_class == kind for kind in (R.PERIODIC, *_NAMED)]
+    numbers = np.select(which, [periodic, *_NAMED.values()], FAILED)
+    return np.where(requested, numbers, NONE)
+
 
 _KINDS = ("status", "response_class", "period_multiple")
 _FIELDS = (
@@ -24,7 +46,7 @@ _FOUND_FLOATS = ("x_max", "x_min", *_SECTION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class AttractorTable:
     """The attractors of every frequency, padded to the largest number of them.
 
     Attributes
@@ -54,7 +76,7 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Slab:
+class LawTable:
     """Responses over frequency and start, and the attractors they are on.
 
     Attributes
@@ -66,7 +88,7 @@ class Slab:
     requested : ndarray of bool, shape (n_omega, n_starts)
         Which cells are sweep points. The shape of all that follow, but for a last dimension.
     class_number : ndarray of int
-        Position in `gapsweep.analysis.classes.CLASSES`, -1 where nothing was asked for.
+        Position in `CLASSES`, -1 where nothing was asked for.
     attractor : ndarray of int
     amplitude : ndarray
         [m]; NaN where there is no response.
@@ -76,7 +98,7 @@ class Slab:
         What scatters section points [m].
     host, cpu_time, n_contacts, t_simulated : ndarray
         As in ``responses.nc``.
-    found : Found
+    found : AttractorTable
     """
 
     omega: Array
@@ -91,7 +113,7 @@ class Slab:
     cpu_time: Array
     n_contacts: Ints
     t_simulated: Array
-    found: Found
+    found: AttractorTable
 
     @property
     def exists(self) -> Bools:
@@ -107,8 +129,8 @@ class Slab:
         return np.asarray(self.class_number == CHAOTIC)
 
 
-def slab(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> Slab:
-    """Read one slab.
+def law_table(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> LawTable:
+    """Read one table.
 
     Parameters
     ----------
@@ -119,7 +141,7 @@ def slab(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> Slab:
     """
     here = _read(responses, (*_KINDS, *_FIELDS), at)
     requested = here["status"] != Status.NOT_REQUESTED
-    return Slab(
+    return LawTable(
         omega=responses["omega"].values,
         fixed=responses["start"].values == FIXED,
         requested=requested,
@@ -129,12 +151,12 @@ def slab(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> Slab:
     )
 
 
-def _found(attractors: xr.Dataset, at: At, responses: dict[str, Any]) -> Found:
+def _found(attractors: xr.Dataset, at: At, responses: dict[str, Any]) -> AttractorTable:
     here = _read(attractors, ("n_attractors", *_FOUND_INTEGERS, *_FOUND_FLOATS), at)
     noise = np.zeros(here["x_max"].shape)
     w, s = np.nonzero(responses["attractor"] != NO_ATTRACTOR)
     np.fmax.at(noise, (w, responses["attractor"][w, s]), responses["noise"][w, s])
-    return Found(
+    return AttractorTable(
         noise=noise,
         n=here["n_attractors"],
         amplitude=0.5 * (here["x_max"] - here["x_min"]),

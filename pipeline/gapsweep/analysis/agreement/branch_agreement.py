@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.arrays import Array
-from gapsweep.analysis.matching import assignment
+from gapsweep.analysis.agreement.matching import assignment
+from gapsweep.analysis.dimensions import Array
 from gapsweep.continuation.dataset import SPECIAL_FLAGS
 from gapsweep.model.labels import EXACT
 from gapsweep.variables import Variable

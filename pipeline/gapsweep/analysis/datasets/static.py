@@ -16,9 +16,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.arrays import Array
-from gapsweep.analysis.force_error import error_of_parts, in_gap, largest_in_gap, static_error
-from gapsweep.analysis.thresholds import tanh_threshold
+from gapsweep.analysis.datasets.contact_errors import (
+    error_of_parts,
+    in_gap,
+    largest_in_gap,
+    static_error,
+    tanh_threshold,
+)
+from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope

@@ -7,10 +7,10 @@ of the metrics there; A1 to A3 compare forces and need no responses.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from gapsweep.analysis.bootstrap import BLOCK, FEWEST_BLOCKS, LEVEL, N_DRAWS
-from gapsweep.analysis.classes import CLASSES
-from gapsweep.analysis.curves import JUMP, STEEPER, WINDOW
-from gapsweep.analysis.sets import CLOSE
+from gapsweep.analysis.agreement.attractor_sets import CLOSE
+from gapsweep.analysis.agreement.bootstrap import BLOCK, FEWEST_BLOCKS, LEVEL, N_DRAWS
+from gapsweep.analysis.agreement.jumps import JUMP, STEEPER, WINDOW
+from gapsweep.analysis.agreement.law_tables import CLASSES
 from gapsweep.response.section import CLOUD_CLOSE, CLOUD_SHARE
 from gapsweep.study.schema import POINT_DIMS
 

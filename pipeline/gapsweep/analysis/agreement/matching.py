@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from gapsweep.analysis.arrays import Array, Ints
+from gapsweep.analysis.dimensions import Array, Ints
 
 _LARGEST = 1e12
 

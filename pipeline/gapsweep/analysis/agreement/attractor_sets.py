@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gapsweep.analysis.arrays import Array, Bools, Ints
-from gapsweep.analysis.distances import hausdorff_in_plane, hausdorff_on_line
-from gapsweep.analysis.matching import assignment
-from gapsweep.analysis.slab import Found, Slab
+from gapsweep.analysis.agreement.distances import hausdorff_in_plane, hausdorff_on_line
+from gapsweep.analysis.agreement.law_tables import AttractorTable, LawTable
+from gapsweep.analysis.agreement.matching import assignment
+from gapsweep.analysis.dimensions import Array, Bools, Ints
 from gapsweep.response.attractors import NONE
 from gapsweep.response.result import ResponseClass
 from gapsweep.response.section import CLOUD_CLOSE, CLOUD_SHARE
@@ -61,19 +61,19 @@ class Matching:
     partner: Ints
 
 
-def matching(ours: Slab, theirs: Slab, width: float, *, symmetric: bool) -> Matching:
+def matching(ours: LawTable, theirs: LawTable, width: float, *, symmetric: bool) -> Matching:
     """Match the attractors of a representation with the exact ones.
 
     Parameters
     ----------
-    ours, theirs : Slab
+    ours, theirs : LawTable
     width : float
         Width of the gap [m], the scale of distances.
     symmetric : bool
         Whether the gap is.
     """
     common = ours.requested & theirs.requested
-    classes = [_mirror_classes(slab.found) for slab in (ours, theirs)]
+    classes = [_mirror_classes(table.found) for table in (ours, theirs)]
     present = [_present(*of, common) for of in zip((ours, theirs), classes, strict=True)]
     cost, distance = _costs(ours, theirs, classes, present, width, symmetric=symmetric)
     partner = np.full(classes[0].shape, NONE)
@@ -98,7 +98,7 @@ def matching(ours: Slab, theirs: Slab, width: float, *, symmetric: bool) -> Matc
     )
 
 
-def _mirror_classes(found: Found) -> Ints:
+def _mirror_classes(found: AttractorTable) -> Ints:
     """For every attractor the smallest number among itself and its images."""
     classes = np.broadcast_to(np.arange(found.size), found.mirror_of.shape).copy()
     w, a = np.nonzero(found.mirror_of != NONE)
@@ -109,17 +109,17 @@ def _mirror_classes(found: Found) -> Ints:
     return classes
 
 
-def _present(slab: Slab, classes: Ints, common: Bools) -> Bools:
+def _present(table: LawTable, classes: Ints, common: Bools) -> Bools:
     """Which classes some common start ends on."""
     present = np.zeros(classes.shape, dtype=bool)
-    w, s = np.nonzero(common & (slab.attractor != NONE))
-    present[w, classes[w, slab.attractor[w, s]]] = True
+    w, s = np.nonzero(common & (table.attractor != NONE))
+    present[w, classes[w, table.attractor[w, s]]] = True
     return present
 
 
 def _costs(
-    ours: Slab,
-    theirs: Slab,
+    ours: LawTable,
+    theirs: LawTable,
     classes: list[Ints],
     present: list[Bools],
     width: float,
@@ -128,8 +128,8 @@ def _costs(
 ) -> tuple[Array, Array]:
     """Distances of classes in tolerances and in metres, the smallest of their members'."""
     members = [
-        np.take_along_axis(some, own, axis=1) & (np.arange(own.shape[1]) < slab.found.n[:, None])
-        for slab, own, some in zip((ours, theirs), classes, present, strict=True)
+        np.take_along_axis(some, own, axis=1) & (np.arange(own.shape[1]) < table.found.n[:, None])
+        for table, own, some in zip((ours, theirs), classes, present, strict=True)
     ]
     w, a, b = np.nonzero(members[0][:, :, None] & members[1][:, None, :])
     distance, tolerance = _section_distance(ours.found, theirs.found, (w, a, b), width)
@@ -145,7 +145,7 @@ def _costs(
 
 
 def _section_distance(
-    ours: Found, theirs: Found, at: tuple[Ints, Ints, Ints], width: float
+    ours: AttractorTable, theirs: AttractorTable, at: tuple[Ints, Ints, Ints], width: float
 ) -> tuple[Array, Array]:
     """Distance of the sections of pairs of attractors, and what is close for them [m]."""
     w, a, b = at
@@ -166,7 +166,7 @@ def _section_distance(
     return distance, tolerance
 
 
-def _image_distance(ours: Slab, theirs: Slab, at: tuple[Ints, Ints, Ints]) -> Array:
+def _image_distance(ours: LawTable, theirs: LawTable, at: tuple[Ints, Ints, Ints]) -> Array:
     """Distance to the mirror image by extrema, where neither side found the image; else NaN."""
     w, a, b = at
     lone = np.flatnonzero(
@@ -176,15 +176,17 @@ def _image_distance(ours: Slab, theirs: Slab, at: tuple[Ints, Ints, Ints]) -> Ar
         & (ours.found.period_multiple[w, a] == theirs.found.period_multiple[w, b])
     )
     extrema, exact = (
-        slab.extrema[w[lone], np.argmax(slab.attractor[w[lone]] == of[lone, None], axis=1)]
-        for slab, of in ((ours, a), (theirs, b))
+        table.extrema[w[lone], np.argmax(table.attractor[w[lone]] == of[lone, None], axis=1)]
+        for table, of in ((ours, a), (theirs, b))
     )
     distance = np.full(len(w), np.nan)
     distance[lone] = hausdorff_on_line(extrema, -exact)
     return distance
 
 
-def set_metrics(found: Matching, ours: Slab, theirs: Slab, half_gap: float) -> dict[str, Array]:
+def set_metrics(
+    found: Matching, ours: LawTable, theirs: LawTable, half_gap: float
+) -> dict[str, Array]:
     """Metrics of the attractor sets at every frequency (A4, A10)."""
     w, a, b = found.pairs.T
     amplitude, exact = ours.found.amplitude[w, a], theirs.found.amplitude[w, b]
@@ -209,7 +211,7 @@ def _mean_at(w: Ints, values: Array, size: int) -> Array:
         return np.asarray(np.bincount(w, values, size) / np.bincount(w, minlength=size))
 
 
-def basin_metrics(found: Matching, ours: Slab, theirs: Slab) -> dict[str, Array]:
+def basin_metrics(found: Matching, ours: LawTable, theirs: LawTable) -> dict[str, Array]:
     """Which starts end on the matching attractor, and how far basin shares differ (A11, A12).
 
     Returns
@@ -240,7 +242,7 @@ def basin_metrics(found: Matching, ours: Slab, theirs: Slab) -> dict[str, Array]
     }
 
 
-def _labels(found: Matching, ours: Slab, theirs: Slab) -> tuple[Ints, Ints]:
+def _labels(found: Matching, ours: LawTable, theirs: LawTable) -> tuple[Ints, Ints]:
     """Attractor of every start, by the number of the exact one; unmatched ones have their own."""
     w = np.arange(len(ours.omega))[:, None]
     own = found.own_class[w, np.maximum(ours.attractor, 0)]

@@ -5,14 +5,14 @@ import pytest
 from numpy.testing import assert_allclose
 from tests.made import chaotic, datasets, failed, periodic, tables, unresolved
 
-from gapsweep.analysis.sets import (
+from gapsweep.analysis.agreement.attractor_sets import (
     CLOSE,
     _mirror_classes,
     basin_metrics,
     matching,
     set_metrics,
 )
-from gapsweep.analysis.slab import Found, slab
+from gapsweep.analysis.agreement.law_tables import AttractorTable, law_table
 
 G = 0.8e-3
 W = 7.0
@@ -26,7 +26,7 @@ def compare(tmp_path):
         answers = {"piecewise": exact, "tanh-1e4": ours}
         study = tables(answers, [W], gap=gap, starts=len(exact) - len(sweeps), sweeps=sweeps)
         files = datasets(tmp_path, study, lambda label, _, i: answers[label][i])
-        slabs = [slab(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0)]
+        slabs = [law_table(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0)]
         found = matching(*slabs, G, symmetric=gap[0] == gap[1])
         found_metrics = set_metrics(found, *slabs, G / 2) | basin_metrics(found, *slabs)
         return {name: values.ravel().tolist() for name, values in found_metrics.items()}
@@ -132,7 +132,7 @@ def test_sets_come_from_the_starts_that_both_were_asked_for(tmp_path):
     study = tables(["piecewise"], [W], gap=(0.0, G), starts=3)
     study["sweep"] += tables(["tanh-1e4"], [W], gap=(0.0, G), starts=1)["sweep"]
     files = datasets(tmp_path, study, lambda label, _, i: (A, B, C)[i])
-    ours, exact = (slab(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0))
+    ours, exact = (law_table(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0))
     found = matching(ours, exact, G, symmetric=False)
     assert [found.n[0], found.n_exact[0], found.n_matched[0]] == [1, 1, 1]
 
@@ -163,7 +163,7 @@ def test_mirror_images_are_one_where_the_gap_is_symmetric(compare, ours, exact):
 @pytest.mark.parametrize("mirror_of", [[1, 0], [1, 1], [0, 0], [1, -1], [-1, 0]])
 def test_images_are_one_whichever_of_them_names_the_other(mirror_of):
     none = np.zeros((1, 2))
-    found = Found(
+    found = AttractorTable(
         n=np.array([2]), response_class=none, period_multiple=none, amplitude=none,
         mirror_of=np.array([mirror_of]), section=none, noise=none,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from gapsweep.analysis.arrays import Array, Ints
+from gapsweep.analysis.dimensions import Array, Ints
 
 # Numbers in one temporary array: small enough to stay in cache.
 _BATCH = 2**19

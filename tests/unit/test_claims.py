@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from gapsweep.analysis.verdicts import (
+from gapsweep.analysis.claims import (
     CONFIRMED,
     PARTLY,
     REFUTED,

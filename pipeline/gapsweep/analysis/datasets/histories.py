@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.arrays import Array
+from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import ModelError
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from gapsweep.analysis.arrays import Array
-from gapsweep.analysis.classes import NONE as NO_CLASS
-from gapsweep.analysis.slab import Slab
+from gapsweep.analysis.agreement.law_tables import NONE as NO_CLASS
+from gapsweep.analysis.agreement.law_tables import LawTable
+from gapsweep.analysis.dimensions import Array
 from gapsweep.response.attractors import NONE
 
 
-def start_metrics(ours: Slab, theirs: Slab, half_gap: float) -> dict[str, Array]:
+def start_metrics(ours: LawTable, theirs: LawTable, half_gap: float) -> dict[str, Array]:
     """Metrics of every sweep point, shape (n_omega, n_starts); NaN where nothing is compared."""
     both = ours.exists & theirs.exists
     asked = (ours.class_number != NO_CLASS) & (theirs.class_number != NO_CLASS)
@@ -20,7 +20,7 @@ def start_metrics(ours: Slab, theirs: Slab, half_gap: float) -> dict[str, Array]
     }
 
 
-def cost_sums(ours: Slab, theirs: Slab) -> dict[str, Array]:
+def cost_sums(ours: LawTable, theirs: LawTable) -> dict[str, Array]:
     """Numerators and denominators of cost ratios, shape (n_omega, n_starts, 2 or 4).
 
     Four for a ratio of ratios: ours and the exact law's. Zero where a response is missing, and
@@ -30,7 +30,7 @@ def cost_sums(ours: Slab, theirs: Slab) -> dict[str, Array]:
     # The points of a sweep wait for each other: their time is that of calls with few motions.
     timed = both & (ours.host == theirs.host) & (ours.host != NONE)
     timed &= ours.fixed | ~ours.fixed.any()
-    periods, their_periods = (slab.t_simulated * slab.omega[:, None] for slab in (ours, theirs))
+    periods, their_periods = (table.t_simulated * table.omega[:, None] for table in (ours, theirs))
     times = [ours.cpu_time, periods, theirs.cpu_time, their_periods]
     contacts = [ours.n_contacts, periods]
     return {

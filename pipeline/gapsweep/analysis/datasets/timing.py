@@ -4,11 +4,13 @@ Processor times of different machines are never mixed: the machine that computed
 points of a study is the one reported, the others' points are only counted.
 """
 
+import warnings
+
 import numpy as np
 import xarray as xr
+from scipy.special import stdtrit
 
-from gapsweep.analysis.grid import of_study, swept
-from gapsweep.analysis.statistics import mean, quantile
+from gapsweep.analysis.dimensions import Array, of_study, swept
 from gapsweep.status import Status
 
 COSTS = {
@@ -51,3 +53,39 @@ def _busiest(host: xr.DataArray) -> int:
     """Index of the machine with the most points; -1 if there is none."""
     known = host.values[host.values >= 0]
     return int(np.bincount(known).argmax()) if known.size else -1
+
+
+def quantile(values: xr.DataArray, q: float) -> xr.DataArray:
+    """Quantile over frequencies and starts; NaN entries do not count."""
+    with warnings.catch_warnings():
+        # numpy warns where no entry is left: NaN is what we want there.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return values.quantile(q, swept(values)).drop_vars("quantile")
+
+
+def mean(values: xr.DataArray) -> xr.DataArray:
+    """Mean over frequencies and starts; NaN entries do not count."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return values.mean(swept(values))
+
+
+def repeatability(ratios: Array) -> float:
+    """How far the ratio of equal quantities is from 1 by chance, in 95 % of cases, as a logarithm.
+
+    Parameters
+    ----------
+    ratios : ndarray
+        As measured; NaN if none was.
+    """
+    known = np.log(ratios[np.isfinite(ratios) & (ratios > 0.0)])
+    if not known.size:
+        return np.nan
+    return float(stdtrit(known.size, 0.975) * np.sqrt(np.mean(known**2)))
+
+
+def widened(ratio: float, interval: Array, noise: float) -> tuple[float, float]:
+    """The interval of a ratio and its `repeatability`, both in quadrature."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        below, above = np.exp(np.hypot(np.log(ratio / np.asarray(interval)), noise))
+        return float(ratio / below), float(ratio * above)

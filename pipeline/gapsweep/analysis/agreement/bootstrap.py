@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.analysis.arrays import Array, Ints
+from gapsweep.analysis.dimensions import Array, Ints
 
 BLOCK = 0.5
 N_DRAWS = 200

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 from tests.made import chaotic, datasets, failed, periodic, tables
 
-from gapsweep.analysis.curves import WINDOW, breaks, jump_shifts, jumps
-from gapsweep.analysis.slab import slab
+from gapsweep.analysis.agreement.jumps import WINDOW, breaks, jump_shifts, jumps
+from gapsweep.analysis.agreement.law_tables import law_table
 
 OMEGA = np.round(np.arange(5.0, 9.0, 0.1), 12)
 HALF_GAP = 0.4e-3
@@ -20,7 +20,7 @@ def curve(tmp_path):
         answers = {"piecewise": exact, "tanh-1e4": ours or exact}
         study = tables(answers, OMEGA)
         files = datasets(tmp_path, study, lambda label, omega, _: answers[label](omega))
-        return [slab(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0)]
+        return [law_table(*files, {"representation": r, "K_c": 0, "gap": 0}) for r in (1, 0)]
 
     return slabs
 
