@@ -20,8 +20,8 @@ from gapsweep.analysis.bench.stability import stability
 from gapsweep.integrate import compiled
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.equilibria import equilibria, linear_stiffness
-from gapsweep.report.bench import bench_parts, conclusions
 from gapsweep.report.bench_figures import atlas, worst
+from gapsweep.report.benchmarks import bench_parts, conclusions
 from gapsweep.status import Status
 
 WORKFLOW = Path(__file__).parents[2] / "workflows" / "stability.toml"

@@ -303,7 +303,7 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
       gapsweep bench study.toml
     """
     from gapsweep import make
-    from gapsweep.report.bench import conclusions
+    from gapsweep.report.benchmarks import conclusions
     from gapsweep.stages import REPORT
     from gapsweep.store import netcdf
 

@@ -30,7 +30,7 @@ from gapsweep.report.answer import (
     times,
 )
 from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
-from gapsweep.report.bench import bench_parts
+from gapsweep.report.benchmarks import bench_parts
 from gapsweep.report.branches import said as said_of_branches
 from gapsweep.report.drawing import labels_of, said_of_marks, said_of_peaks
 from gapsweep.report.figures import attractors as attractor_panels

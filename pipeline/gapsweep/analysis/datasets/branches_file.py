@@ -49,7 +49,7 @@ OF_STUDY = {
 
 
 @dataclass(slots=True, kw_only=True)
-class _Part:
+class _SceneBranches:
     """A scene of a study.
 
     Attributes
@@ -115,7 +115,7 @@ def branches(
     return _assembled(study, parts)
 
 
-def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_Part]:
+def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
     """The scenes of a study."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
@@ -143,7 +143,7 @@ def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_Part]:
             table=table,
             attractors=tuple(_attractors(attractors.isel(at), along, numbers)),
         )
-        yield _Part(at=at, numbers=numbers, scene=scene, found=Followed(Status.OK))
+        yield _SceneBranches(at=at, numbers=numbers, scene=scene, found=Followed(Status.OK))
 
 
 def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iterator[Attractor]:
@@ -163,7 +163,7 @@ def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iter
         )
 
 
-def _assembled(study: Study, parts: list[_Part]) -> xr.Dataset:
+def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
     """One dataset of the branches of all scenes."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
