@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import gapsweep as gs
-from gapsweep.analysis.verdicts import VERDICTS, Run
+from gapsweep.analysis.claims import VERDICTS, Run
 from gapsweep.report.answer import SIGNS, Contact, contacts, in_words, times
 from gapsweep.report.scales import plain
 from gapsweep.report.tables import percent

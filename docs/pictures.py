@@ -1,6 +1,7 @@
 """The pictures of the README and the pages: of the gallery, and from finished runs.
 
-python -m docs.pictures [data/runs/paper data/runs/work-precision data/runs/two-masses]
+python -m docs.pictures [data/runs/paper data/runs/work-precision data/runs/two-masses
+                        data/runs/stability]
 """
 
 import re
@@ -18,7 +19,8 @@ from workflows.paper.paper_figures import start_scan
 from workflows.paper.refined import starts
 
 import gapsweep as gs
-from gapsweep.analysis.verdicts import Run
+from gapsweep.analysis.claims import Run
+from gapsweep.report.bench_figures import atlas
 from gapsweep.report.style import MATPLOTLIB
 
 IMAGES = Path(__file__).parent / "images"
@@ -96,6 +98,12 @@ def work_precision(folder: Path) -> None:
     figure.savefig(IMAGES / "work_precision.png", dpi=110)
 
 
+def failures(folder: Path) -> None:
+    """Outcomes of every method on every hard scenario, at tight tolerances."""
+    with gs.open(folder / "stability.nc") as ds:
+        atlas(ds, tight=True).savefig(IMAGES / "failures.png", dpi=100)
+
+
 def two_masses(folder: Path) -> None:
     """Steady extrema of both masses, swept upwards."""
     figure = Figure(figsize=(9.5, 5.6))
@@ -112,7 +120,9 @@ def two_masses(folder: Path) -> None:
 
 if __name__ == "__main__":
     with matplotlib.rc_context(MATPLOTLIB):
-        for draw, folder in zip((peaks, work_precision, two_masses), sys.argv[1:], strict=False):
+        for draw, folder in zip(
+            (peaks, work_precision, two_masses, failures), sys.argv[1:], strict=False
+        ):
             draw(Path(folder).absolute())
         hero()
         start()

@@ -4,9 +4,11 @@ from collections.abc import Iterable, Iterator
 
 import click
 
-from gapsweep.analysis import branch_agreement, branches, histories, static
-from gapsweep.analysis.metrics import variables
-from gapsweep.analysis.timing import COSTS
+from gapsweep.analysis.agreement.comparison import branch_agreement
+from gapsweep.analysis.agreement.metrics import variables
+from gapsweep.analysis.datasets import branches_file as branches
+from gapsweep.analysis.datasets import histories, static
+from gapsweep.analysis.datasets.timing import COSTS
 from gapsweep.cli.main import commands
 from gapsweep.continuation import dataset as continued
 from gapsweep.response.result import CLASS_FLAGS, KIND_FLAGS

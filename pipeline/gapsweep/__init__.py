@@ -15,8 +15,8 @@ from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.status import Status
 
 if TYPE_CHECKING:
-    from gapsweep.analysis.basins import basins
-    from gapsweep.analysis.force_error import static_error
+    from gapsweep.analysis.datasets.basins import basins
+    from gapsweep.analysis.datasets.contact_errors import static_error
     from gapsweep.continuation.curves import special_curve
     from gapsweep.continuation.follow import branches
     from gapsweep.explorer.widget import explore
@@ -48,7 +48,7 @@ _ON_DEMAND = {
     "ForceTable": "model.table",
     "UserLaw": "model.user_law",
     "Study": "study.study",
-    "basins": "analysis.basins",
+    "basins": "analysis.datasets.basins",
     "branches": "continuation.follow",
     "explore": "explorer.widget",
     "open": "store.netcdf",
@@ -56,7 +56,7 @@ _ON_DEMAND = {
     "respond": "response.respond",
     "simulate": "integrate.simulate",
     "special_curve": "continuation.curves",
-    "static_error": "analysis.force_error",
+    "static_error": "analysis.datasets.contact_errors",
     "systems": "model.systems",
 }
 # Names that stand for a module, not for something in it.

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.walls import never_reached, wrong_tables
+from gapsweep.analysis.unit_check import never_reached, wrong_tables
 from gapsweep.console import progress_bar
 from gapsweep.errors import StoreError, StudyError
 from gapsweep.execution.assemble import attributes_of, fill

@@ -339,39 +339,39 @@ def _responses(run: RunContext) -> None:
 
 
 def _static(run: RunContext) -> "xr.Dataset":
-    from gapsweep.analysis.static import static
+    from gapsweep.analysis.datasets.static import static
 
     return static(run.study, with_own_laws=False)  # users' laws are called on workers only
 
 
 def _agreement(run: RunContext) -> "Content":
-    from gapsweep.analysis.agreement import agreement
+    from gapsweep.analysis.agreement.comparison import agreement
 
     with run.datasets() as found:
         return agreement(**found)
 
 
 def _timing(run: RunContext) -> "xr.Dataset":
-    from gapsweep.analysis.timing import timing
+    from gapsweep.analysis.datasets.timing import timing
 
     with run.datasets() as found:
         return timing(**found)
 
 
 def _histories(run: RunContext) -> "Content":
-    from gapsweep.analysis.histories import histories
+    from gapsweep.analysis.datasets.histories import histories
 
     return histories(run.study, timeout=run.timeout)
 
 
 def _advice(run: RunContext) -> "xr.Dataset":
-    from gapsweep.analysis.advice import advice
+    from gapsweep.analysis.datasets.recommendations import advice
 
     return advice(run.study)
 
 
 def _branches(run: RunContext) -> "xr.Dataset":
-    from gapsweep.analysis.branches import branches
+    from gapsweep.analysis.datasets.branches_file import branches
 
     assert run.connect is not None
     with run.datasets() as found:
@@ -385,13 +385,13 @@ def _claims(run: RunContext) -> dict[str, Any]:
 
 
 def _work_precision(run: RunContext) -> "Content":
-    from gapsweep.analysis.work_precision import work_precision
+    from gapsweep.analysis.bench.work_precision import work_precision
 
     return work_precision(run.study, say=run.say, timeout=run.timeout)
 
 
 def _stability(run: RunContext) -> "Content":
-    from gapsweep.analysis.stability import stability
+    from gapsweep.analysis.bench.stability import stability
 
     return stability(run.study, say=run.say, timeout=run.timeout)
 

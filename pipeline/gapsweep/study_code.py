@@ -20,7 +20,7 @@ from gapsweep.user_code.snapshot import Snapshot
 if TYPE_CHECKING:
     import xarray as xr
 
-    from gapsweep.analysis.verdicts import Claim, Run
+    from gapsweep.analysis.claims import Claim, Run
 
 
 def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
@@ -94,7 +94,7 @@ def make_dataset(study: Study, file: str, function: Callable[[Study], Any]) -> "
 
 def decide_claims(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[str, Any]:
     """The verdicts on a study's claims, from the datasets of its run by their names."""
-    from gapsweep.analysis.verdicts import Run, counted
+    from gapsweep.analysis.claims import Run, counted
 
     code, path = study.claims_code, study.claims_module
     assert code is not None
@@ -108,7 +108,7 @@ def decide_claims(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[st
 
 def draw_sections(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[str, Any]:
     """A study's own sections of the report, from the datasets of its run by their names."""
-    from gapsweep.analysis.verdicts import Run
+    from gapsweep.analysis.claims import Run
     from gapsweep.report.parts import rendered
 
     code, path = study.report_code, study.report_module
@@ -131,7 +131,7 @@ def _as_json(study: Study, table: str, path: Path, found: dict[str, Any]) -> dic
 
 def _claims_in(code: Snapshot) -> "list[Claim]":
     """The claims that a module states."""
-    from gapsweep.analysis.verdicts import stated
+    from gapsweep.analysis.claims import stated
 
     try:
         return stated(vars(load_module(code)))

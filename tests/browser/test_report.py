@@ -14,9 +14,9 @@ from tests.unit.test_paper_figures import LIMITS, STRONG, WEAK, responses_of
 from tests.unit.test_report import HOSTILE, decided
 from workflows.paper.figures import sections
 
-from gapsweep.analysis.agreement import agreement
-from gapsweep.analysis.timing import timing
-from gapsweep.analysis.verdicts import Run
+from gapsweep.analysis.agreement.comparison import agreement
+from gapsweep.analysis.claims import Run
+from gapsweep.analysis.datasets.timing import timing
 from gapsweep.report.html import write_report
 from gapsweep.report.parts import Figured, Part, rendered
 from gapsweep.report.tables import VERDICTS

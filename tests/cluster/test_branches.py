@@ -16,7 +16,7 @@ from tests.calls import Deadly
 
 import gapsweep as gs
 from gapsweep import pipeline
-from gapsweep.analysis import branches as branches_of_study
+from gapsweep.analysis.datasets import branches_file as branches_of_study
 from gapsweep.continuation.orbits import integrated
 from gapsweep.execution import branch_tasks
 from gapsweep.integrate.problem import Models, Solver

@@ -36,7 +36,7 @@ def widths(study):
     return xr.Dataset({"width": ("gap", [gap.width for gap in study.grid.gaps])})
 """
 CLAIMS_PY = """
-from gapsweep.analysis.verdicts import Number, Test, claim
+from gapsweep.analysis.claims import Number, Test, claim
 from .widths import widths
 
 DATASETS = {"widths": widths}

@@ -277,7 +277,7 @@ def test_query_has_a_column_for_every_coordinate(made, capsys):
 def test_what_needs_one_displacement_is_left_out_with_a_word(made):
     study, folder, _ = made
     assert not (folder / "out" / "static.nc").exists()
-    from gapsweep.analysis.advice import advice
+    from gapsweep.analysis.datasets.recommendations import advice
 
     with pytest.raises(gs.StudyError, match="advice rests on bounds for an oscillator"):
         advice(study)

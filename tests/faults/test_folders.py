@@ -260,7 +260,7 @@ def test_temporary_files_of_the_dead_are_removed_and_no_others(finished):
 
 def test_claims_wait_for_whoever_writes_into_the_folder(finished):
     (finished / "claims.py").write_text(
-        "from gapsweep.analysis.verdicts import Number, Test, claim\n"
+        "from gapsweep.analysis.claims import Number, Test, claim\n"
         "@claim(1, 'here', 'Something.', 'It is.')\n"
         "def something(run):\n"
         "    mean = Number(float(run['responses']['x_max'].mean()))\n"
@@ -337,7 +337,7 @@ def test_benchmarks_name_what_they_were_made_from_before_they_began(tables, tmp_
     order = []
     monkeypatch.setattr(stages.Stage, "made_from", lambda *_: order.append("made from") or {})
     monkeypatch.setattr(stages, "write", lambda *_: order.append("written"))
-    analysis = "gapsweep.analysis.work_precision.work_precision"
+    analysis = "gapsweep.analysis.bench.work_precision.work_precision"
     monkeypatch.setattr(analysis, lambda *_, **__: order.append("analysis") or {})
     pipeline.bench(gs.Study.from_dict(tables), tmp_path)
     assert order == ["made from", "analysis", "written"]

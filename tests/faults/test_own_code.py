@@ -9,9 +9,9 @@ import pytest
 
 import gapsweep as gs
 from gapsweep import pipeline
-from gapsweep.analysis.histories import histories
-from gapsweep.analysis.stability import stability
-from gapsweep.analysis.work_precision import work_precision
+from gapsweep.analysis.bench.stability import stability
+from gapsweep.analysis.bench.work_precision import work_precision
+from gapsweep.analysis.datasets.histories import histories
 from gapsweep.execution import try_out
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache

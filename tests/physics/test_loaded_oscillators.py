@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import gapsweep as gs
-from gapsweep.analysis.static import static
+from gapsweep.analysis.datasets.static import static
 from gapsweep.execution.layout import Layout
 from gapsweep.execution.task import Tile, respond_to
 from gapsweep.model.equilibria import equilibria

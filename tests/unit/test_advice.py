@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from tests.stored import point
 
 import gapsweep as gs
-from gapsweep.analysis.advice import advice, sentences
+from gapsweep.analysis.datasets.recommendations import advice, sentences
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
 from gapsweep.study.least_model import Model, advise, approximation, approximations
 

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from tests.made import chaotic, datasets, datasets_by_place, failed, periodic, tables, unresolved
 
-from gapsweep.analysis.agreement import agreement
-from gapsweep.analysis.statistics import repeatability, widened
+from gapsweep.analysis.agreement.comparison import agreement
+from gapsweep.analysis.datasets.timing import repeatability, widened
 from gapsweep.report.answer import (
     COLUMNS,
     Contact,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gapsweep import ResponseClass
-from gapsweep.analysis.classes import CLASSES, NONE, class_numbers
+from gapsweep.analysis.agreement.law_tables import CLASSES, NONE, class_numbers
 
 
 @pytest.mark.parametrize(

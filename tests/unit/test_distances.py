@@ -7,7 +7,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.testing import assert_allclose
 from scipy.spatial.distance import directed_hausdorff
 
-from gapsweep.analysis.distances import hausdorff_in_plane, hausdorff_on_line
+from gapsweep.analysis.agreement.distances import hausdorff_in_plane, hausdorff_on_line
 
 finite = st.floats(-1e3, 1e3).map(lambda x: round(x, 6))
 samples = st.lists(finite, min_size=1, max_size=9).map(np.array)
@@ -95,5 +95,5 @@ def test_many_rows_are_worked_off_in_batches(monkeypatch):
     rng = np.random.default_rng(1)
     a, b = rng.normal(size=(2, 50, 7, 2))
     whole = hausdorff_in_plane(a, b)
-    monkeypatch.setattr("gapsweep.analysis.distances._BATCH", 100)
+    monkeypatch.setattr("gapsweep.analysis.agreement.distances._BATCH", 100)
     assert hausdorff_in_plane(a, b).tolist() == whole.tolist()

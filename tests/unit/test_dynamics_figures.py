@@ -11,7 +11,7 @@ from tests.made import datasets, datasets_by_place, tables
 
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
-from gapsweep.analysis.histories import histories
+from gapsweep.analysis.datasets.histories import histories
 from gapsweep.report.maps import picture
 from gapsweep.report.style import NOT_PERIODIC
 

@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
 import gapsweep as gs
-from gapsweep.analysis.scenes import Scene as BenchScene
-from gapsweep.analysis.truth import motion
+from gapsweep.analysis.bench.references import motion
+from gapsweep.analysis.bench.scenarios import Scenario
 from gapsweep.execution.assemble import attributes_of
 from gapsweep.execution.layout import Layout
 from gapsweep.integrate.problem import Solver
@@ -230,7 +230,7 @@ def test_the_largest_force_is_that_of_a_fine_grid(forces):
 @pytest.mark.parametrize(("x_0", "is_ok"), [(-2.5e-3, True), (1.9e-3, True), (2.1e-3, False)])
 def test_a_benchmark_knows_both_ends_of_a_table(x_0, is_ok):
     table = gs.ForceTable([-1.0, -0.4e-3, 0.4e-3, 2.0e-3], [0.0, 0.0, 0.0, 24.5])
-    scene = BenchScene(
+    scene = Scenario(
         name="stop", oscillator=gs.Oscillator(forcing=0.0), K_c=1.0, gap=GAP, omega=9.0,
         x_0=x_0, v_0=0.0, n_periods=1, expected=None, fit_range=4e-3, without=(),
     )  # fmt: skip

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.stored import all_keys
 
 import gapsweep as gs
-from gapsweep.analysis.histories import histories, sampled
+from gapsweep.analysis.datasets.histories import histories, sampled
 from gapsweep.analysis.spectra import SAMPLES_PER_PERIOD, spectrum
 from gapsweep.stages import SETTINGS, STAGES
 from gapsweep.status import Status

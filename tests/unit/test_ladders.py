@@ -10,8 +10,8 @@ from scipy.special import lambertw
 from workflows.paper import ladders as ladder
 
 import gapsweep as gs
-from gapsweep.analysis import thresholds
-from gapsweep.analysis.force_error import error_of_parts, largest_in_gap
+from gapsweep.analysis.datasets import contact_errors as thresholds
+from gapsweep.analysis.datasets.contact_errors import error_of_parts, largest_in_gap
 from gapsweep.model.equilibria import equilibria
 
 RANGE = 4e-3

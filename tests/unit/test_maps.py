@@ -18,7 +18,7 @@ from tests.swept import over_forcing, over_walls
 
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
-from gapsweep.analysis.agreement import agreement
+from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.mesh import edges, mesh
 from gapsweep.report.scales import is_log

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.testing import assert_allclose
 
-from gapsweep.analysis.matching import assignment, matches_on_line
+from gapsweep.analysis.agreement.matching import assignment, matches_on_line
 
 LIMIT = 1.0
 costs = hnp.arrays(

@@ -16,7 +16,7 @@ from workflows.paper.measures import named, ranges
 from workflows.paper.refined import BASINS, CLOUD, MOTIONS, WINDOWS
 from workflows.paper.scenes import EXACT, STARTS, TANGENTS, WEAK
 
-from gapsweep.analysis.verdicts import NotInRunError, Number, Run, stated
+from gapsweep.analysis.claims import NotInRunError, Number, Run, stated
 from gapsweep.study.study import Study
 
 EXACT_LAWS = (EXACT, f"{EXACT}@half", f"{EXACT}@jitter")

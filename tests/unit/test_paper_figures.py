@@ -24,10 +24,10 @@ from workflows.paper.static_figures import (
 )
 
 import gapsweep as gs
-from gapsweep.analysis import static as static_part
-from gapsweep.analysis.histories import histories
+from gapsweep.analysis.claims import Run
+from gapsweep.analysis.datasets import static as static_part
+from gapsweep.analysis.datasets.histories import histories
 from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD
-from gapsweep.analysis.verdicts import Run
 from gapsweep.report.figures import bifurcation
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import is_picture

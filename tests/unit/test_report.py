@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from tests.made import branches, chaotic, datasets, datasets_by_place, failed, periodic, tables
 from tests.unit.test_system_tables import TWO_MASSES
 
-from gapsweep.analysis.agreement import agreement
-from gapsweep.analysis.timing import timing
+from gapsweep.analysis.agreement.comparison import agreement
+from gapsweep.analysis.datasets.timing import timing
 from gapsweep.errors import StoreError
 from gapsweep.model.labels import FAMILIES, contact_law
 from gapsweep.model.oscillator import Gap

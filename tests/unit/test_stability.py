@@ -10,21 +10,18 @@ from scipy.optimize import brentq
 from tests.figure_texts import overlaps
 
 import gapsweep as gs
-from gapsweep.analysis import stability as module
-from gapsweep.analysis.closed_forms import closed_form, contact_energy, energy_drift
-from gapsweep.analysis.scenes import scenes
-from gapsweep.analysis.stability import (
-    Outcome,
-    judge,
-    observed,
-    stability,
-)
-from gapsweep.analysis.truth import motion
+from gapsweep.analysis.bench import cells
+from gapsweep.analysis.bench.closed_forms import closed_form, contact_energy, energy_drift
+from gapsweep.analysis.bench.judge import CellOutcome as Outcome
+from gapsweep.analysis.bench.judge import judge, observed
+from gapsweep.analysis.bench.references import motion
+from gapsweep.analysis.bench.scenarios import scenarios
+from gapsweep.analysis.bench.stability import stability
 from gapsweep.integrate import compiled
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.equilibria import equilibria, linear_stiffness
-from gapsweep.report.bench import bench_parts, conclusions
 from gapsweep.report.bench_figures import atlas, worst
+from gapsweep.report.benchmarks import bench_parts, conclusions
 from gapsweep.status import Status
 
 WORKFLOW = Path(__file__).parents[2] / "workflows" / "stability.toml"
@@ -51,7 +48,7 @@ def study_of(*tables, labels=("piecewise",), **more):
 
 
 def scene_of(**changes):
-    return scenes(study_of(HARD | changes), with_answer=True)[0]
+    return scenarios(study_of(HARD | changes), with_answer=True)[0]
 
 
 def outcomes(*tables, labels=("piecewise",)):
@@ -84,7 +81,7 @@ def test_method_with_a_wrong_force_is_silent_and_wrong(expected, monkeypatch):
 
     table = HARD | {"expected": expected, "omega": 8.0}
     assert outcomes(table).max() == Outcome.RIGHT
-    monkeypatch.setattr(module, "law_or_none", broken)
+    monkeypatch.setattr(cells, "law_or_none", broken)
     found = stability(study_of(table))
     # A tolerance of a hundredth excuses it, finer ones do not.
     assert found["outcome"].values[0, 0, 1:].tolist() == [Outcome.SILENT_WRONG] * 2
@@ -101,7 +98,7 @@ def test_energy_that_leaks_is_silent_and_wrong(monkeypatch):
         leaking = replace(scene.oscillator, zeta=1e-4)
         return motion(replace(scene, oscillator=leaking), law, solver)
 
-    monkeypatch.setattr(module, "observed", damped)
+    monkeypatch.setattr(cells, "observed", damped)
     assert outcomes(table)[0, 0, 1:].tolist() == [Outcome.SILENT_WRONG] * 2
 
 
@@ -304,7 +301,7 @@ def test_report_lists_scenes_and_laws(mixed):
 
 def test_the_workflow_has_the_hard_scenes():
     study = gs.Study.load(WORKFLOW)
-    found = scenes(study, with_answer=True)
+    found = scenarios(study, with_answer=True)
     assert len(found) == len(study.spec.bench.scene)
     assert max(scene.K_c for scene in found) == 1e9
     assert {scene.expected for scene in found} == {

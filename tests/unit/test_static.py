@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from tests import strategies as own
 
 import gapsweep as gs
-from gapsweep.analysis.static import displacements, static
+from gapsweep.analysis.datasets.static import displacements, static
 from gapsweep.model.equilibria import linear_stiffness
 from gapsweep.store import netcdf
 

@@ -181,7 +181,7 @@ def test_fit_range_changes_only_the_keys_of_fits(tables):
     [
         ("model/contact.py", {"numerics", "data", "package"}),
         ("study/points.py", {"numerics", "data", "package"}),
-        ("analysis/agreement.py", {"data", "package"}),
+        ("analysis/claims.py", {"data", "package"}),
         ("report/templates/report.html", {"package"}),
     ],
 )

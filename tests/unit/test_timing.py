@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 from numpy.testing import assert_allclose
 
-from gapsweep.analysis.timing import timing
+from gapsweep.analysis.datasets.timing import timing
 from gapsweep.study.schema import POINT_DIMS
 
 

@@ -9,9 +9,9 @@ from tests import strategies as own
 from tests.stored import all_keys
 
 import gapsweep as gs
-from gapsweep.analysis.advice import advice, sentences
-from gapsweep.analysis.static import static
-from gapsweep.analysis.thresholds import predicted_threshold, tanh_threshold
+from gapsweep.analysis.datasets.contact_errors import predicted_threshold, tanh_threshold
+from gapsweep.analysis.datasets.recommendations import advice, sentences
+from gapsweep.analysis.datasets.static import static
 from gapsweep.execution.layout import Layout
 from gapsweep.model.equilibria import equilibria
 from gapsweep.model.fit import Fit

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from gapsweep.analysis.verdicts import Number, Run
+from gapsweep.analysis.claims import Number, Run
 from gapsweep.report.tables import number
 
 from .language import SETTINGS, At, Quantity

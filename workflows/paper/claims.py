@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.verdicts import NotInRunError, Number, share
+from gapsweep.analysis.claims import NotInRunError, Number, share
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 

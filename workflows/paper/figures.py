@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from gapsweep.analysis.verdicts import NotInRunError, Run
+from gapsweep.analysis.claims import NotInRunError, Run
 from gapsweep.model.labels import law_of
 from gapsweep.report.drawing import labels_of, said_of_marks
 from gapsweep.report.parts import Figured, Part, Table

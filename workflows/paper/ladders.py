@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from gapsweep.analysis.force_error import in_gap, largest_in_gap, static_error
+from gapsweep.analysis.datasets.contact_errors import in_gap, largest_in_gap, static_error
 from gapsweep.errors import ModelError
 from gapsweep.model.fit import N_FIT_POINTS, goodness, unit_force
 from gapsweep.model.labels import contact_law

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
-from gapsweep.analysis.verdicts import Claim, Found, NotInRunError, Number, Run, Test, verdict
+from gapsweep.analysis.claims import Claim, Found, NotInRunError, Number, Run, Test, verdict
 
 SETTINGS: dict[str, dict[str, str]] = {
     "start": {"+0.4 mm": "start at +0.4 mm", "rest": "start at rest"},

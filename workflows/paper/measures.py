@@ -15,9 +15,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.floors import floor_labels
+from gapsweep.analysis.agreement.self_agreement import floor_labels
+from gapsweep.analysis.claims import NotInRunError, Number, Run, mean, ratio_of_sums, share
 from gapsweep.analysis.spectra import SAMPLES_PER_PERIOD
-from gapsweep.analysis.verdicts import NotInRunError, Number, Run, mean, ratio_of_sums, share
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gapsweep.analysis.arrays import Array
+from gapsweep.analysis.dimensions import Array
 
 N_PERIODS = 60  # forcing periods of a spectrum: 2² · 3 · 5
 SAMPLES_PER_PERIOD = 256

@@ -89,7 +89,7 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import pipeline
-    from gapsweep.analysis.walls import bounded
+    from gapsweep.analysis.unit_check import bounded
     from gapsweep.console import print_table
 
     loaded = options.loaded(study, engine)
@@ -249,7 +249,7 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
     Example:
       gapsweep advise quick.toml --error 1e-2
     """
-    from gapsweep.analysis.advice import advice, sentences
+    from gapsweep.analysis.datasets.recommendations import advice, sentences
     from gapsweep.console import print_table, print_text
 
     loaded = options.loaded(study, None)
@@ -303,7 +303,7 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
       gapsweep bench study.toml
     """
     from gapsweep import pipeline
-    from gapsweep.report.bench import conclusions
+    from gapsweep.report.benchmarks import conclusions
     from gapsweep.run_folder import REPORT
     from gapsweep.store import netcdf
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 
 import xarray as xr
 
-from gapsweep.analysis.selection import selected
+from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, contacts, drawing, dynamics, maps
 from gapsweep.report import branches as of_branches

@@ -32,8 +32,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.grid import At, scene_dims, scenes
-from gapsweep.analysis.statistics import repeatability, widened
+from gapsweep.analysis.datasets.timing import repeatability, widened
+from gapsweep.analysis.dimensions import At, scene_dims, scenes
 from gapsweep.model.labels import AUTO
 from gapsweep.report.scales import Told, plain
 from gapsweep.report.selection import anchor_of, beside, gap_label

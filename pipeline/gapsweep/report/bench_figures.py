@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from gapsweep.analysis.stability import Outcome
+from gapsweep.analysis.bench.judge import CellOutcome
 from gapsweep.report.style import by_colour, colour, lines
 from gapsweep.status import Status
 
@@ -19,21 +19,21 @@ _MARKERS = ("o", "s", "^", "D", "v")
 _ERRORS = (1e-14, 1e2)
 # From best to worst: what a cell of the atlas shows is the worst of its runs.
 _SEVERITY = (
-    Outcome.NOT_REQUESTED,
-    Outcome.RIGHT,
-    Outcome.MODEL_ERROR,
-    Outcome.UNDECIDED,
-    Outcome.FAILED,
-    Outcome.SILENT_WRONG,
+    CellOutcome.NOT_REQUESTED,
+    CellOutcome.RIGHT,
+    CellOutcome.MODEL_ERROR,
+    CellOutcome.UNDECIDED,
+    CellOutcome.FAILED,
+    CellOutcome.SILENT_WRONG,
 )
-_RANK = np.array([_SEVERITY.index(outcome) for outcome in Outcome])
+_RANK = np.array([_SEVERITY.index(outcome) for outcome in CellOutcome])
 _SHADES = ("#ffffff", "#cfe8dc", "#f3d08a", "#d5d5d5", "#9fd0f0", "#D55E00")
 _LETTERS = {
-    Outcome.NOT_REQUESTED: "",
-    Outcome.RIGHT: "R",
-    Outcome.MODEL_ERROR: "M",
-    Outcome.UNDECIDED: "?",
-    Outcome.SILENT_WRONG: "!",
+    CellOutcome.NOT_REQUESTED: "",
+    CellOutcome.RIGHT: "R",
+    CellOutcome.MODEL_ERROR: "M",
+    CellOutcome.UNDECIDED: "?",
+    CellOutcome.SILENT_WRONG: "!",
 }
 STATUS_LETTERS = {
     "out of fit range": "O",
@@ -41,6 +41,9 @@ STATUS_LETTERS = {
     "model invalid": "P",
     "step underflow": "U",
     "chatter": "C",
+    "timed out": "T",
+    "killed": "K",
+    "error": "E",
 }
 _QUANTITIES = {
     "trajectory_error": "error at period ends",
@@ -182,7 +185,7 @@ def worst(stability: xr.Dataset, *, tight: bool) -> xr.DataArray:
     """Worst outcome over the tight or the loose rungs, over scene and method."""
     ranked = stability["outcome"].transpose("scene", "method", "tolerance")
     counts = _in_range(stability, tight=tight).transpose("method", "tolerance").values
-    ranks = np.where(counts, _RANK[ranked.values - min(Outcome)], 0).max(axis=-1)
+    ranks = np.where(counts, _RANK[ranked.values - min(CellOutcome)], 0).max(axis=-1)
     found: xr.DataArray = ranked.isel(tolerance=0).copy(data=np.array(_SEVERITY)[ranks])
     return found
 
@@ -193,15 +196,15 @@ def atlas(stability: xr.Dataset, *, tight: bool) -> Figure:
     n_scenes, n_methods = outcome.shape
     figure = Figure(figsize=(_WIDTH, 1.6 + 0.24 * n_scenes), layout="constrained")
     axes = figure.subplots()
-    ranks = _RANK[outcome.values - min(Outcome)]
+    ranks = _RANK[outcome.values - min(CellOutcome)]
     axes.imshow(ranks, cmap=ListedColormap(_SHADES), vmin=0, vmax=len(_SHADES) - 1, aspect="auto")
     chosen = _in_range(stability, tight=tight)
     for s in range(n_scenes):
         for m in range(n_methods):
-            what = Outcome(outcome.values[s, m])
+            what = CellOutcome(outcome.values[s, m])
             status = stability["status"].where(chosen, 0).isel(scene=s).isel(method=m).max()
-            letter = _letter(int(status)) if what is Outcome.FAILED else _LETTERS[what]
-            bold = "bold" if what is Outcome.SILENT_WRONG else "normal"
+            letter = _letter(int(status)) if what is CellOutcome.FAILED else _LETTERS[what]
+            bold = "bold" if what is CellOutcome.SILENT_WRONG else "normal"
             axes.text(m, s, letter, ha="center", va="center", fontsize=8, fontweight=bold)
     axes.set_xticks(range(n_methods), outcome["method"].values.tolist(), rotation=60, ha="left",
                     rotation_mode="anchor", fontsize=8)  # fmt: skip

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.arrays import Array
-from gapsweep.analysis.selection import selected
+from gapsweep.analysis.dimensions import Array, selected
 from gapsweep.errors import DatasetError
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.report import maps

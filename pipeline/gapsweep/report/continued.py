@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.arrays import Array
+from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import DatasetError
 from gapsweep.execution.task import models_of
 from gapsweep.integrate.problem import Models, Solver

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.curves import breaks
+from gapsweep.analysis.agreement.jumps import breaks
 from gapsweep.model.labels import EXACT
 from gapsweep.report.mesh import mesh
 from gapsweep.report.scales import drawn, factor, shown_unit

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.arrays import Array
+from gapsweep.analysis.dimensions import Array
 from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, spectrum
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, drawing

@@ -8,9 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.grid import REPRESENTATION
-from gapsweep.analysis.systems import in_metres
-from gapsweep.analysis.walls import never_reached
+from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
+from gapsweep.analysis.unit_check import never_reached
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact, Judged, how_many
 from gapsweep.report.drawing import labels_of

@@ -14,9 +14,8 @@ import numpy as np
 import xarray as xr
 from markupsafe import Markup
 
-from gapsweep.analysis.grid import At, scene_dims
-from gapsweep.analysis.grid import scenes as all_scenes
-from gapsweep.analysis.systems import in_metres
+from gapsweep.analysis.dimensions import At, in_metres, scene_dims
+from gapsweep.analysis.dimensions import scenes as all_scenes
 from gapsweep.errors import StoreError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import (
@@ -30,7 +29,7 @@ from gapsweep.report.answer import (
     times,
 )
 from gapsweep.report.backdrop import said_of_walls
-from gapsweep.report.bench import bench_parts
+from gapsweep.report.benchmarks import bench_parts
 from gapsweep.report.drawing import labels_of, said_of_marks
 from gapsweep.report.figures import beside_exact, by_contact
 from gapsweep.report.findings import findings, outcomes, said_of_far_walls

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.selection import selected
+from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import maps
 from gapsweep.report.scales import axis_label, drawn, is_log, named

@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.classes import CHAOTIC, CLASSES, class_numbers
-from gapsweep.analysis.selection import selected
+from gapsweep.analysis.agreement.law_tables import CHAOTIC, CLASSES, class_numbers
+from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.mesh import edges, mesh
@@ -78,7 +78,7 @@ def picture(
         Numeric dimensions, or ``x_0`` and ``v_0`` of starts that form a full grid; `y` is the
         longest other numeric dimension if None.
     wanted : mapping
-        As for `gapsweep.analysis.selection.selected`; one value must be left of all others.
+        As for `gapsweep.analysis.dimensions.selected`; one value must be left of all others.
 
     Raises
     ------

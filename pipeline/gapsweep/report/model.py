@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.systems import in_metres
+from gapsweep.analysis.dimensions import in_metres
 from gapsweep.model.labels import AUTO, family, is_fitted, law_of
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.scales import plain, shortened

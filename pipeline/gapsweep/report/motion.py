@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from gapsweep.analysis.arrays import Array
+from gapsweep.analysis.dimensions import Array
 from gapsweep.analysis.spectra import spectrum
 from gapsweep.errors import ModelError
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory

@@ -10,8 +10,16 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.grid import REPRESENTATION, SWEPT, At, scene_dims, scenes, swept
-from gapsweep.analysis.systems import by_coordinate, in_metres
+from gapsweep.analysis.dimensions import (
+    REPRESENTATION,
+    SWEPT,
+    At,
+    by_coordinate,
+    in_metres,
+    scene_dims,
+    scenes,
+    swept,
+)
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.grid import At
+from gapsweep.analysis.dimensions import At
 from gapsweep.report.drawing import labels_of
 from gapsweep.status import Status
 from gapsweep.study.axis_selection import positions

@@ -5,7 +5,7 @@ from typing import Any
 
 import xarray as xr
 
-from gapsweep.analysis.selection import selected
+from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.model.oscillator import OSCILLATOR, Gap
 from gapsweep.report.scales import shortened

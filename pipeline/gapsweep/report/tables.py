@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.grid import At, scene_dims
-from gapsweep.analysis.metrics import BOUND
-from gapsweep.analysis.systems import by_coordinate
+from gapsweep.analysis.agreement.metrics import BOUND
+from gapsweep.analysis.dimensions import At, by_coordinate, scene_dims
 from gapsweep.continuation.special import Special
 from gapsweep.model.labels import EXACT
 from gapsweep.report.branches import KINDS, REPRESENTATION, in_scene, of_orbits, of_scene

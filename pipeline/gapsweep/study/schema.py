@@ -155,5 +155,5 @@ TAKEN = {
     *("begins", "ends", "parent", "start_state"),
     # of agreement.nc and timing.nc
     *("regime", "bound", "f1", "precision", "recall"),
-    *("n_points", "n_compared", "n_failed", "n_unresolved", "n_jumps"),
+    *("n_points", "n_compared", "n_failed", "n_unresolved"),
 }

@@ -1,0 +1,1 @@
+"""Agreement of representations with the exact law: metrics A4 to A14."""

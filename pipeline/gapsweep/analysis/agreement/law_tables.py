@@ -1,0 +1,176 @@
+"""One representation in one scene: its stored results as plain arrays."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.analysis.dimensions import Array, At, Bools, Ints
+from gapsweep.response.attractors import NONE as NO_ATTRACTOR
+from gapsweep.response.result import ResponseClass as R
+from gapsweep.status import Status
+from gapsweep.study.points import FIXED
+
+_LONGEST = 8
+CLASSES = (
+    *(f"P{n}" for n in range(1, _LONGEST + 1)),
+    f"P>{_LONGEST}",
+    "chaotic",
+    "quasiperiodic",  # of systems, as what follows
+    "equilibrium",
+    "unresolved",
+    "failed",
+)
+CHAOTIC, UNRESOLVED, FAILED = (CLASSES.index(n) for n in ("chaotic", "unresolved", "failed"))
+_NAMED = {kind: CLASSES.index(kind.name.lower()) for kind in R if kind != R.PERIODIC}
+NONE = -1
+
+
+def class_numbers(requested: Bools, response_class: Ints, period_multiple: Ints) -> Ints:
+    """Number in `CLASSES` of every response; `NONE` where nothing was asked for."""
+    periodic = np.minimum(period_multiple, _LONGEST + 1) - 1
+    which = [response_class == kind for kind in (R.PERIODIC, *_NAMED)]
+    numbers = np.select(which, [periodic, *_NAMED.values()], FAILED)
+    return np.where(requested, numbers, NONE)
+
+
+_KINDS = ("status", "response_class", "period_multiple")
+_FIELDS = (
+    *("attractor", "amplitude", "extrema", "noise"),
+    *("host", "cpu_time", "n_contacts", "t_simulated"),
+)
+_SECTION = ("section_x", "section_v")
+_FOUND_INTEGERS = ("response_class", "period_multiple", "mirror_of")
+_FOUND_FLOATS = ("x_max", "x_min", *_SECTION)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttractorTable:
+    """The attractors of every frequency, padded to the largest number of them.
+
+    Attributes
+    ----------
+    n : ndarray of int, shape (n_omega,)
+    response_class, period_multiple, mirror_of : ndarray of int, shape (n_omega, n_attractors)
+    amplitude : ndarray, shape (n_omega, n_attractors)
+        Half the range [m].
+    section : ndarray, shape (n_omega, n_attractors, n_points, 2)
+        Stroboscopic section ``(x, v / (2π ω))`` [m].
+    noise : ndarray, shape (n_omega, n_attractors)
+        The largest of the responses on it [m].
+    """
+
+    n: Ints
+    response_class: Ints
+    period_multiple: Ints
+    mirror_of: Ints
+    amplitude: Array
+    section: Array
+    noise: Array
+
+    @property
+    def size(self) -> int:
+        """The largest number of attractors."""
+        return int(self.amplitude.shape[1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LawTable:
+    """Responses over frequency and start, and the attractors they are on.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (n_omega,)
+        Forcing frequency [Hz].
+    fixed : ndarray of bool, shape (n_starts,)
+        Which starts are fixed states; the others are sweeps.
+    requested : ndarray of bool, shape (n_omega, n_starts)
+        Which cells are sweep points. The shape of all that follow, but for a last dimension.
+    class_number : ndarray of int
+        Position in `CLASSES`, -1 where nothing was asked for.
+    attractor : ndarray of int
+    amplitude : ndarray
+        [m]; NaN where there is no response.
+    extrema : ndarray, shape (..., n_extrema)
+        [m], NaN-padded.
+    noise : ndarray
+        What scatters section points [m].
+    host, cpu_time, n_contacts, t_simulated : ndarray
+        As in ``responses.nc``.
+    found : AttractorTable
+    """
+
+    omega: Array
+    fixed: Bools
+    requested: Bools
+    class_number: Ints
+    attractor: Ints
+    amplitude: Array
+    extrema: Array
+    noise: Array
+    host: Ints
+    cpu_time: Array
+    n_contacts: Ints
+    t_simulated: Array
+    found: AttractorTable
+
+    @property
+    def exists(self) -> Bools:
+        """Where there is a response, resolved or not."""
+        return np.asarray(self.requested & np.isfinite(self.amplitude))
+
+    @property
+    def periodic(self) -> Bools:
+        return np.asarray((self.class_number != NONE) & (self.class_number < CHAOTIC))
+
+    @property
+    def chaotic(self) -> Bools:
+        return np.asarray(self.class_number == CHAOTIC)
+
+
+def law_table(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> LawTable:
+    """Read one table.
+
+    Parameters
+    ----------
+    responses, attractors : Dataset
+        As stored in ``responses.nc`` and ``attractors.nc``.
+    at : mapping of str to int
+        Position along the representation and every dimension of scenes.
+    """
+    here = _read(responses, (*_KINDS, *_FIELDS), at)
+    requested = here["status"] != Status.NOT_REQUESTED
+    return LawTable(
+        omega=responses["omega"].values,
+        fixed=responses["start"].values == FIXED,
+        requested=requested,
+        class_number=class_numbers(requested, here["response_class"], here["period_multiple"]),
+        found=_found(attractors, at, here),
+        **{name: here[name] for name in _FIELDS},
+    )
+
+
+def _found(attractors: xr.Dataset, at: At, responses: dict[str, Any]) -> AttractorTable:
+    here = _read(attractors, ("n_attractors", *_FOUND_INTEGERS, *_FOUND_FLOATS), at)
+    noise = np.zeros(here["x_max"].shape)
+    w, s = np.nonzero(responses["attractor"] != NO_ATTRACTOR)
+    np.fmax.at(noise, (w, responses["attractor"][w, s]), responses["noise"][w, s])
+    return AttractorTable(
+        noise=noise,
+        n=here["n_attractors"],
+        amplitude=0.5 * (here["x_max"] - here["x_min"]),
+        section=_section(here, attractors["omega"].values),
+        **{name: here[name] for name in _FOUND_INTEGERS},
+    )
+
+
+def _read(dataset: xr.Dataset, names: tuple[str, ...], at: At) -> dict[str, Any]:
+    """Some variables of one representation and scene, small integers widened."""
+    here = {name: dataset.variables[name].isel(at).values for name in names}
+    return {n: v.astype(np.int64) if v.dtype.kind == "i" else v for n, v in here.items()}
+
+
+def _section(here: dict[str, Any], omega: Array) -> Array:
+    speed = 2.0 * np.pi * omega.reshape(-1, 1, 1)
+    return np.stack([here["section_x"], here["section_v"] / speed], axis=-1)

@@ -1,0 +1,1 @@
+"""Benchmarks: methods on scenarios, against independent references."""

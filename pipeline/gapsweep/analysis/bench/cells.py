@@ -1,0 +1,240 @@
+"""The table of cells: every method with every tolerance on every scenario.
+
+A cell holds the errors, the counts and the outcome of one run. `work_precision` and `stability`
+write parts of this table.
+"""
+
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import replace
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.analysis.bench.judge import CellOutcome, Judge, judge, observed
+from gapsweep.analysis.bench.scenarios import (
+    Method,
+    Scenario,
+    coordinates,
+    law_or_none,
+    tolerances,
+)
+from gapsweep.analysis.datasets.contact_errors import in_gap
+from gapsweep.execution.isolated import CallError, Isolated
+from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
+from gapsweep.model.labels import EXACT
+from gapsweep.model.oscillator import Oscillator
+from gapsweep.status import Status
+from gapsweep.variables import STATUS_FLAGS, Described, Variable, empty, with_attributes
+
+Say = Callable[[str], None]
+CELL, PAIR, SCENE = ("scene", "method", "tolerance"), ("scene", "method"), ("scene",)
+OUTCOME_FLAGS = tuple((outcome.name.lower(), int(outcome)) for outcome in CellOutcome)
+VARIABLES: Described = {
+    "outcome": (
+        CELL,
+        Variable("i1", "1", "outcome of the run", CellOutcome.NOT_REQUESTED, OUTCOME_FLAGS),
+    ),
+    "status": (
+        CELL,
+        Variable("i1", "1", "status of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
+    ),
+    "solver_error": (CELL, Variable("f8", "1", "deviation from the same law's reference")),
+    "total_error": (CELL, Variable("f8", "1", "deviation from the exact law's reference")),
+    "allowed_error": (CELL, Variable("f8", "1", "largest solver error that is not wrong")),
+    "bounded_error": (
+        CELL,
+        Variable("f8", "1", "total_error, or the largest it can be where it is not measurable"),
+    ),
+    "at_reference_floor": (
+        CELL,
+        Variable("i1", "1", "whether total_error is too small to be measured", 0),
+    ),
+    "event_time_error": (CELL, Variable("f8", "s", "largest deviation of a contact time")),
+    "nfev": (CELL, Variable("i8", "1", "right-hand sides evaluated", 0)),
+    "n_steps": (CELL, Variable("i8", "1", "accepted steps", 0)),
+    "n_rejected": (CELL, Variable("i8", "1", "rejected steps", 0)),
+    "n_contacts": (CELL, Variable("i8", "1", "wall crossings, in and out", 0)),
+    "layer_over_step": (
+        CELL,
+        Variable("f8", "1", "thickness of the smoothing layer over the mean length of a step"),
+    ),
+    "model_error": (
+        PAIR,
+        Variable("f8", "1", "largest deviation of the law's reference from the exact law's"),
+    ),
+    "reference_distance": (
+        PAIR,
+        Variable("f8", "1", "distance of two independent tight solutions of the law"),
+    ),
+    "growth": (PAIR, Variable("f8", "1", "largest growth of a disturbance of the initial state")),
+    "n_wells": (PAIR, Variable("i4", "1", "stable equilibria of the law", 0)),
+    "in_gap_frequency": (
+        PAIR,
+        Variable("f8", "Hz", "frequency of small motions amid the gap, NaN if unstable"),
+    ),
+    "n_wells_exact": (SCENE, Variable("i4", "1", "stable equilibria of the exact law", 0)),
+    "stiffness_ratio": (
+        SCENE,
+        Variable("f8", "1", "stiffness in contact over that in the gap"),
+    ),
+    "n_periods": (SCENE, Variable("i4", "1", "forcing periods that are compared", 0)),
+}
+
+
+def sizes(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> dict[str, int]:
+    """Sizes of the dimensions of a table."""
+    longest = max(len(method.rungs) for method in methods)
+    return {"scene": len(scenarios), "method": len(methods), "tolerance": longest}
+
+
+def cell_table(
+    scenarios: Sequence[Scenario],
+    methods: Sequence[Method],
+    timeout: float,
+    say: Say | None = None,
+) -> dict[str, Any]:
+    """Arrays of `VARIABLES`, every cell computed.
+
+    Several scenarios are computed in as many processes as there are processors; a single one in
+    this process, user laws excepted.
+
+    Parameters
+    ----------
+    scenarios, methods : sequence
+    timeout : float
+        Processor time [s] of a scenario, and of a user law in a scenario. Cells that take longer
+        have the status `timed_out`.
+    say : callable, optional
+        Called with a line of text before each scenario.
+    """
+    arrays = empty(VARIABLES, sizes(scenarios, methods))
+    arrays["n_periods"][:] = [scenario.n_periods for scenario in scenarios]
+    tasks = [
+        (s, scenario, some)
+        for s, scenario in enumerate(scenarios)
+        for some in _groups(scenario, methods)
+    ]
+    is_alone = len(scenarios) == 1
+    computed = _computed(tasks, timeout, is_alone, say)
+    for (s, _, some), found in zip(tasks, computed, strict=True):
+        if isinstance(found, Status):
+            lost = {"status": found, "outcome": CellOutcome.FAILED}
+            found = [(m, r, lost) for m, method in some.items() for r in range(len(method.rungs))]
+        for m, r, values in found:
+            for name, value in values.items():
+                arrays[name][(s, m, r)[: arrays[name].ndim]] = value
+    return arrays
+
+
+def cell_dataset(
+    variables: Sequence[str],
+    arrays: dict[str, Any],
+    scenarios: Sequence[Scenario],
+    methods: Sequence[Method],
+    attributes: dict[str, Any],
+    more: Described | None = None,
+) -> xr.Dataset:
+    """The dataset of some variables of a table, and of `more` variables."""
+    table = {**{name: VARIABLES[name] for name in variables}, **(more or {})}
+    coords = coordinates(scenarios, methods) | tolerances(methods)
+    return xr.Dataset(with_attributes(table, arrays), coords, attributes)
+
+
+Group = dict[int, Method]
+Task = tuple[int, Scenario, Group]
+Cells = list[tuple[int, int, dict[str, Any]]]
+
+
+def is_of_user(method: Method) -> bool:
+    return ":" in method.representation
+
+
+def _groups(scenario: Scenario, methods: Sequence[Method]) -> Iterator[Group]:
+    """Methods of a scenario that share references in one process; every user law is alone."""
+    asked = {m: method for m, method in enumerate(methods) if method.label not in scenario.without}
+    ours = {m: method for m, method in asked.items() if not is_of_user(method)}
+    yield from [ours] * bool(ours)
+    yield from ({m: method} for m, method in asked.items() if m not in ours)
+
+
+def _computed(
+    tasks: Sequence[Task], timeout: float, is_alone: bool, say: Say | None
+) -> Iterator[Cells | Status]:
+    """Cells of every task in their order; the status of a process that returned nothing."""
+    n_processes = min(len(tasks), os.cpu_count() or 1)
+    idle: SimpleQueue[Isolated] = SimpleQueue()
+
+    def call(task: Task) -> Cells | Status:
+        _, scenario, group = task
+        if say is not None:
+            say(f"benchmark: scenario {scenario.name}, {len(group)} methods")
+        if is_alone and not any(map(is_of_user, group.values())):
+            return scenario_cells(scenario, group)
+        process = idle.get()
+        try:
+            return process(scenario_cells, scenario, group)
+        except CallError as lost:
+            return lost.status
+        finally:
+            idle.put(process)
+
+    with ExitStack() as stack:
+        threads = stack.enter_context(ThreadPoolExecutor(n_processes))
+        stack.callback(threads.shutdown, wait=False, cancel_futures=True)
+        for _ in range(n_processes):
+            idle.put(stack.enter_context(Isolated(timeout)))
+        yield from threads.map(call, tasks)
+
+
+def scenario_cells(scenario: Scenario, group: Group) -> Cells:
+    """Values of all cells of some methods in one scenario, by method and rung."""
+    judges: dict[str, Judge] = {EXACT: judge(scenario, EXACT, None)}
+    found: Cells = []
+    for m, method in group.items():
+        if method.own not in judges:
+            judges[method.own] = judge(scenario, method.own, judges[EXACT])
+        own = judges[method.own]
+        law = law_or_none(scenario, method.representation)
+        is_located = isinstance(law, Piecewise) and law.located
+        predicted = predictors(scenario, law) if scenario.expected else {}
+        for r, solver in enumerate(method.rungs):
+            run = observed(scenario, law, solver)
+            values = own.verdict(run, solver) | predicted
+            if not is_located:
+                values["event_time_error"] = math.nan
+            values["layer_over_step"] = (math.nan if law is None else law.layer) / (
+                own.step_length(run)
+            )
+            found.append((m, r, values))
+    return found
+
+
+def predictors(scenario: Scenario, law: ContactLaw | None) -> dict[str, Any]:
+    """Static equilibria, in-gap frequency and stiffness ratio, which need no integration."""
+    exact = equilibria(scenario.oscillator, scenario.law(EXACT), scenario.fit_range)
+    k = linear_stiffness(scenario.oscillator)
+    found: dict[str, Any] = {
+        "n_wells_exact": int(np.sum(exact.stable)),
+        "stiffness_ratio": (k + scenario.K_c) / k,
+    }
+    if law is None:
+        return found
+    balance = equilibria(scenario.oscillator, law, scenario.fit_range)
+    return found | {
+        "n_wells": int(np.sum(balance.stable)),
+        "in_gap_frequency": _in_gap_frequency(scenario.oscillator, law, scenario.fit_range),
+    }
+
+
+def _in_gap_frequency(oscillator: Oscillator, law: ContactLaw, x_max: float) -> float:
+    low, high = in_gap(law.gap, x_max)
+    plain = replace(oscillator, alpha=0.0)
+    stiffness = float(restoring_slope(plain, law, 0.5 * (low + high)))
+    return math.sqrt(stiffness / oscillator.mass) / (2.0 * math.pi) if stiffness > 0 else math.nan

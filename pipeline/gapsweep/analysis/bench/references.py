@@ -1,0 +1,234 @@
+"""Motions of benchmark scenarios, and the independent solutions that runs are compared with.
+
+Every law is solved tightly by two engines that share no line of their stepping: the compiled one
+(Taylor series or DOP853 in lanes) and scipy's DOP853, restarted at every contact of the exact law.
+A method is compared with the solution of the other engine. The distance of the two solutions is
+the smallest error that can be measured.
+"""
+
+import math
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from gapsweep.analysis.bench.scenarios import Scenario, law_or_none
+from gapsweep.analysis.dimensions import Array
+from gapsweep.integrate.problem import SMALLEST_RTOL, Solver
+from gapsweep.integrate.simulate import simulate
+from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.status import Status
+
+TIGHT = {
+    engine: Solver(engine=engine, rtol=SMALLEST_RTOL, atol=1e-3 * SMALLEST_RTOL)
+    for engine in ("compiled", "scipy")
+}
+_OTHER = {"compiled": "scipy", "scipy": "compiled"}
+# Largest growth of a disturbance at which motions are still compared: three Lyapunov times.
+LARGEST_GROWTH = math.exp(3.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScenarioRun:
+    """One motion at its period ends, with its contact times and counts.
+
+    Attributes
+    ----------
+    status : Status
+    section : ndarray, shape (n, 2)
+        ``(x, v)`` at the ends of the forcing periods that it lasted [m], [m/s].
+    t_contacts : ndarray
+        Times of its wall crossings since its start [s].
+    reach : float
+        Largest displacement [m], of both signs.
+    n_contacts, n_steps, n_rejected, nfev : int
+    """
+
+    status: Status
+    section: Array
+    t_contacts: Array
+    reach: float
+    n_contacts: int = 0
+    n_steps: int = 0
+    n_rejected: int = 0
+    nfev: int = 0
+
+
+NONE = ScenarioRun(
+    status=Status.MODEL_INVALID, section=np.empty((0, 2)), t_contacts=np.empty(0), reach=math.nan
+)
+
+
+def motion(
+    scenario: Scenario, law: ContactLaw | None, solver: Solver, later: int = 0
+) -> ScenarioRun:
+    """The motion of a scenario, begun `later` forcing periods after time zero.
+
+    A motion that leaves the range of a fit is `out_of_fit_range`, as in a sweep; at a pole it is
+    `model_invalid`.
+    """
+    if law is None:
+        return NONE
+    t_0, t_end = later / scenario.omega, (later + scenario.n_periods) / scenario.omega
+    run = simulate(
+        scenario.oscillator,
+        law,
+        scenario.omega,
+        scenario.x_0,
+        scenario.v_0,
+        t_0=t_0,
+        t_end=t_end,
+        **asdict(solver),
+    )
+    section = run.section
+    if run.status is Status.OK:
+        # The last period end is the end, however t_end was rounded.
+        section = np.vstack([section[: scenario.n_periods - 1], (run.x_end, run.v_end)])
+    places = [scenario.x_0, run.x_end, *run.extrema, *section[:, 0]]
+    at_pole = run.status is Status.MODEL_INVALID
+    low, high = law.valid_range
+    is_inside = low <= np.min(places) and np.max(places) <= high  # NaN is not
+    left = (math.isfinite(low) or math.isfinite(high)) and not is_inside
+    return ScenarioRun(
+        status=Status.OUT_OF_FIT_RANGE if left and not at_pole else run.status,
+        section=section,
+        t_contacts=run.t_contacts - t_0,
+        reach=float(np.max(np.abs(places))),
+        n_contacts=int(run.n_contacts),
+        n_steps=int(run.n_steps),
+        n_rejected=int(run.n_rejected),
+        nfev=int(run.nfev),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scale:
+    """What a difference of states is divided by: a length [m] and a speed [m/s]."""
+
+    length: float
+    speed: float
+
+
+def gap_scale(scenario: Scenario, reach: float) -> Scale:
+    """The width of the gap and that times the forcing's angular frequency; see docs/bench.md."""
+    length = scenario.gap.j_1 + scenario.gap.j_2 or reach
+    return Scale(length=length, speed=2.0 * math.pi * scenario.omega * length)
+
+
+def reach_scale(scenario: Scenario, run: ScenarioRun) -> Scale:
+    """The size of the motion itself, also where the gap is nothing and the forcing slow."""
+    omega_rad = max(2.0 * math.pi * scenario.omega, scenario.oscillator.omega_n_rad)
+    # Stiff contact turns the mass round faster than either frequency.
+    seen = np.max(np.abs([scenario.v_0, *run.section[:, 1]]))
+    return Scale(length=run.reach, speed=max(omega_rad * run.reach, float(seen)))
+
+
+def distance(one: ScenarioRun, other: ScenarioRun, scale: Scale) -> float:
+    """Largest difference of two motions at period ends [-]; NaN unless both went all the way."""
+    if one.status is not Status.OK or other.status is not Status.OK:
+        return math.nan
+    apart = np.abs(one.section - other.section) / (scale.length, scale.speed)
+    return float(np.max(apart))
+
+
+def event_time_distance(one: ScenarioRun, other: ScenarioRun) -> float:
+    """Largest difference of contact times [s]; NaN if the contacts are not as many."""
+    if one.t_contacts.size != other.t_contacts.size or not one.t_contacts.size:
+        return math.nan
+    return float(np.max(np.abs(one.t_contacts - other.t_contacts)))
+
+
+@dataclass(frozen=True, slots=True)
+class References:
+    """Two independent tight solutions of one law; `distance` relates them [-]."""
+
+    compiled: ScenarioRun
+    scipy: ScenarioRun
+
+    def for_engine(self, engine: str) -> ScenarioRun:
+        """The solution that an engine is measured against: the other engine's."""
+        found: ScenarioRun = getattr(self, _OTHER[engine])
+        return found
+
+    @property
+    def reach(self) -> float:
+        return self.compiled.reach
+
+    def distance(self, scale: Scale) -> float:
+        return distance(self.compiled, self.scipy, scale)
+
+
+def references(scenario: Scenario, representation: str) -> References:
+    """Both tight solutions of a law in a scenario."""
+    law = law_or_none(scenario, representation)
+    return References(*(motion(scenario, law, TIGHT[name]) for name in ("compiled", "scipy")))
+
+
+def _looser(solver: Solver) -> list[Solver]:
+    """Tolerances ten and a hundred times looser: a single one could agree by chance."""
+    return [replace(solver, rtol=f * solver.rtol, atol=f * solver.atol) for f in (10.0, 100.0)]
+
+
+def settled(
+    scenario: Scenario, representation: str, found: References, scale: Scale, promise: float
+) -> References:
+    """The references, or of two that disagree the one that converges, for both engines.
+
+    Steps without event location may pass over a thin layer, as scipy's do near grazing; such a
+    solution changes with its tolerance. If both solutions converge, they contradict each other,
+    and both are kept.
+
+    Parameters
+    ----------
+    promise : float
+        Largest distance [-] of references that agree.
+    """
+    if not found.distance(scale) > promise:
+        return found
+    law = law_or_none(scenario, representation)
+    is_steady = [
+        all(
+            distance(motion(scenario, law, solver), getattr(found, name), scale) <= promise
+            for solver in _looser(TIGHT[name])
+        )
+        for name in ("compiled", "scipy")
+    ]
+    if is_steady == [True, False]:
+        return References(found.compiled, found.compiled)
+    return References(found.scipy, found.scipy) if is_steady == [False, True] else found
+
+
+def growth(scenario: Scenario, law: ContactLaw, section: Array) -> Array:
+    """Largest factor by which a disturbance of the start has grown, per period end.
+
+    Parameters
+    ----------
+    section : ndarray, shape (n, 2)
+        The motion's period ends, from which every period starts in a lane of its own.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        The largest so far, 1 or more; in states scaled by the forcing's angular frequency, or
+        the oscillator's if that is higher.
+    """
+    starts = np.vstack([[scenario.x_0, scenario.v_0], section[:-1]])
+    omega = np.full(len(starts), scenario.omega)
+    located = isinstance(law, Piecewise)
+    run = simulate(
+        scenario.oscillator,
+        Piecewise(scenario.K_c, scenario.gap) if located else law,
+        omega,
+        starts[:, 0],
+        starts[:, 1],
+        t_end=1.0 / scenario.omega,
+        rtol=1e-9,
+        atol=1e-12,
+        tangent=True,
+    )
+    omega_rad = max(2.0 * math.pi * scenario.omega, scenario.oscillator.omega_n_rad)
+    scaled = run.monodromy * np.array([[1.0, omega_rad], [1.0 / omega_rad, 1.0]])
+    whole, found = np.eye(2), [1.0]
+    for one in scaled:
+        whole = one @ whole
+        found.append(float(np.linalg.norm(whole, 2)) if np.all(np.isfinite(whole)) else math.inf)
+    return np.maximum.accumulate(np.array(found))[1:]

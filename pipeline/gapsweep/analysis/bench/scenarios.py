@@ -1,0 +1,184 @@
+"""The scenarios and methods of a study's ``[bench]``, as values to compute with."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from gapsweep.errors import ModelError
+from gapsweep.integrate.problem import Solver
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.labels import EXACT, contact_law, law_of
+from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.own_law import OwnLaw
+from gapsweep.study.bench_tables import BenchSceneTable
+from gapsweep.study.points import canonical
+from gapsweep.study.schema import COORDINATES
+from gapsweep.study.study import Study
+from gapsweep.variables import Variable
+
+COORDS = {name: COORDINATES[name][1] for name in ("K_c", "j_1", "j_2", "omega", "x_0", "v_0")}
+_GAP = COORDINATES["gap"][1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """One motion that every method is asked for.
+
+    Attributes
+    ----------
+    name : str
+    oscillator : Oscillator
+    K_c : float
+        Contact stiffness [N/m].
+    gap : Gap
+    omega : float
+        Forcing frequency [Hz].
+    x_0, v_0 : float
+        Start [m], [m/s].
+    n_periods : int
+        Forcing periods that it is followed.
+    expected : str or None
+        By what a right answer is known; None for work-precision.
+    fit_range : float
+        Half-width of the range of fits [m].
+    without : tuple of str
+        Labels of methods that are not asked for.
+    own : mapping of str to OwnLaw
+        The user's own laws by label.
+    """
+
+    name: str
+    oscillator: Oscillator
+    K_c: float
+    gap: Gap
+    omega: float
+    x_0: float
+    v_0: float
+    n_periods: int
+    expected: str | None
+    fit_range: float
+    without: tuple[str, ...]
+    own: Mapping[str, OwnLaw] = field(default_factory=dict, compare=False)
+
+    def law(self, representation: str) -> ContactLaw:
+        """The contact law of a label without protocol.
+
+        Raises
+        ------
+        ModelError
+            If it cannot be built for this scenario.
+        """
+        if representation in self.own:
+            return self.own[representation].law(self.K_c, self.gap)
+        return contact_law(representation, self.K_c, self.gap, self.fit_range)
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A representation and its solver at every rung of a ladder of tolerances."""
+
+    label: str
+    rungs: tuple[Solver, ...]
+
+    @property
+    def representation(self) -> str:
+        return law_of(self.label)
+
+    @property
+    def own(self) -> str:
+        """The law that it solves: not locating contacts leaves the law what it is."""
+        return EXACT if self.representation == "piecewise-noevents" else self.representation
+
+
+def scenarios(study: Study, *, with_answer: bool) -> list[Scenario]:
+    """The scenarios of a study whose right answer is stated, or those in which it is not."""
+    bench = study.spec.bench
+    tables = bench.scene if bench else []
+    wanted = [table for table in tables if (table.expected is not None) == with_answer]
+    return [_scenario(study, table) for table in wanted]
+
+
+def _scenario(study: Study, table: BenchSceneTable) -> Scenario:
+    assert study.spec.bench is not None
+    x_0, v_0 = table.start
+    j_1, j_2 = table.gap
+    return Scenario(
+        name=table.name,
+        oscillator=Oscillator(**table.merged(study.spec.oscillator).model_dump()),
+        K_c=canonical(table.K_c),
+        gap=Gap(canonical(j_1), canonical(j_2)),
+        omega=canonical(table.omega),
+        x_0=x_0,
+        v_0=v_0,
+        n_periods=table.horizon or study.spec.bench.horizon,
+        expected=table.expected,
+        fit_range=study.spec.fit.range,
+        without=tuple(table.without),
+        own=dict(_own_laws(study)),
+    )
+
+
+def _own_laws(study: Study) -> Iterator[tuple[str, OwnLaw]]:
+    """The user's own laws that can be read, by label."""
+    for label in study.own_laws:
+        with suppress(ModelError):
+            if (own := study.own_law(label)) is not None:
+                yield label, own
+
+
+def methods(study: Study) -> list[Method]:
+    """The methods of a study, each with its solvers from the loosest tolerance on."""
+    tables = study.spec.bench.method if study.spec.bench else []
+    return [
+        Method(
+            table.label,
+            tuple(replace(study.solver(table.label), rtol=r, atol=a) for r, a in table.rungs),
+        )
+        for table in tables
+    ]
+
+
+def law_or_none(scenario: Scenario, representation: str) -> ContactLaw | None:
+    """The law, None if there is none in this scenario."""
+    try:
+        return scenario.law(representation)
+    except ModelError:
+        return None
+
+
+def coordinates(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> dict[str, Any]:
+    """Coordinates that every dataset over scenarios and methods has."""
+    gaps = [scenario.gap for scenario in scenarios]
+    columns = {
+        "K_c": [scenario.K_c for scenario in scenarios],
+        "j_1": [gap.j_1 for gap in gaps],
+        "j_2": [gap.j_2 for gap in gaps],
+        "omega": [scenario.omega for scenario in scenarios],
+        "x_0": [scenario.x_0 for scenario in scenarios],
+        "v_0": [scenario.v_0 for scenario in scenarios],
+    }
+    named = {"units": "1", "long_name": "name of the scenario"}
+    label = {"units": "1", "long_name": "representation, with its solver protocol"}
+    return {
+        "scene": ("scene", [scenario.name for scenario in scenarios], named),
+        "method": ("method", [method.label for method in methods], label),
+        "gap": ("scene", [gap.label for gap in gaps], _GAP.attributes),
+        **{name: ("scene", columns[name], COORDS[name].attributes) for name in COORDS},
+    }
+
+
+def tolerances(methods: Sequence[Method]) -> dict[str, Any]:
+    """Tolerances of all rungs, NaN where a method's ladder has ended."""
+    n_rungs = max(len(method.rungs) for method in methods)
+    found = {}
+    for name, units in (("rtol", "1"), ("atol", "m")):
+        values = np.full((len(methods), n_rungs), np.nan)
+        for m, method in enumerate(methods):
+            values[m, : len(method.rungs)] = [getattr(solver, name) for solver in method.rungs]
+        kind = "relative" if name == "rtol" else "absolute"
+        attributes = Variable("f8", units, f"{kind} tolerance asked for").attributes
+        found[name] = (("method", "tolerance"), values, attributes)
+    return found

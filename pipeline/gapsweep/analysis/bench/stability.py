@@ -1,0 +1,52 @@
+"""The failure atlas ``stability.nc``: all methods on hard scenarios whose right answer is known.
+
+Definitions: docs/bench.md.
+"""
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.analysis.bench.cells import Say, cell_dataset, cell_table
+from gapsweep.analysis.bench.judge import WRONG, CellOutcome
+from gapsweep.analysis.bench.scenarios import methods, scenarios, tolerances
+from gapsweep.execution.progress import DEFAULT_TIMEOUT
+from gapsweep.study.study import Study
+
+# Tolerances from which on a silent wrong answer is a fault.
+TIGHT_RTOL = 1e-6
+VARIABLES = (
+    *("outcome", "status", "solver_error", "total_error", "allowed_error", "n_contacts"),
+    *("n_steps", "layer_over_step", "reference_distance", "growth", "n_wells", "n_wells_exact"),
+    *("in_gap_frequency", "stiffness_ratio", "n_periods"),
+)
+
+
+def stability(
+    study: Study, say: Say | None = None, timeout: float = DEFAULT_TIMEOUT
+) -> xr.Dataset | None:
+    """Outcomes of every method on every scenario whose right answer is stated.
+
+    Parameters
+    ----------
+    study : Study
+    say, timeout
+        As for `gapsweep.analysis.bench.cells.cell_table`.
+
+    Returns
+    -------
+    Dataset
+        Over `scene`, `method` and `tolerance` (the rung of a method's ladder), `expected` over
+        `scene`; None if the study has no such scenario. Attribute `n_silent_wrong` counts those
+        at rtol 1e-6 or tighter.
+    """
+    found, ladder = scenarios(study, with_answer=True), methods(study)
+    if not found:
+        return None
+    arrays = cell_table(found, ladder, timeout, say)
+    _, rtol, _ = tolerances(ladder)["rtol"]
+    silent = (arrays["outcome"] == CellOutcome.SILENT_WRONG) & (rtol <= TIGHT_RTOL * (1.0 + 1e-12))
+    counted = {"n_silent_wrong": int(np.sum(silent)), "tight_rtol": TIGHT_RTOL, "wrong": WRONG}
+    atlas = cell_dataset(VARIABLES, arrays, found, ladder, study.attributes | counted)
+    stated = [scenario.expected for scenario in found]
+    attributes = {"units": "1", "long_name": "known right answer"}
+    return atlas.assign_coords(expected=("scene", stated, attributes))

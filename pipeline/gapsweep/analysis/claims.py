@@ -1,0 +1,425 @@
+"""Claims about the results of a run, and how their tests become verdicts.
+
+A claim is a function of a `Run`: it returns its tests and one sentence that says what was found. A
+test compares one number with a threshold and is decided by nothing else; the number carries its own
+floor, what rounding or sampling alone can do to it. A number within its floor of the threshold
+leaves the test open.
+"""
+
+import math
+import operator
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from numbers import Real
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from gapsweep.analysis.dimensions import selected
+from gapsweep.errors import DatasetError
+from gapsweep.status import Status
+
+CONFIRMED, REFUTED, PARTLY, UNDECIDABLE = "confirmed", "refuted", "partly", "undecidable"
+VERDICTS = (CONFIRMED, REFUTED, PARTLY, UNDECIDABLE)
+
+_HOLDS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
+_RESPONSES = "responses"
+Floats = NDArray[np.float64]
+
+
+class NotInRunError(Exception):
+    """What a claim needs and the run has not: it leaves the claim undecidable."""
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number and what may be in doubt about it.
+
+    Attributes
+    ----------
+    value : float
+        NaN: there is none, and no test of it is decided.
+    floor : float
+        What rounding or sampling alone can do to it.
+    n : int
+        How many values it condenses.
+    each, of : ndarray, optional
+        The values of a mean, NaN where there is none, and what each is of, such as its frequency.
+        Two means over the same points are compared in pairs, over those that both have.
+    """
+
+    value: float
+    floor: float = 0.0
+    n: int = 1
+    each: Floats | None = field(default=None, compare=False, repr=False)
+    of: Floats | None = field(default=None, compare=False, repr=False)
+
+    def __sub__(self, other: "Number") -> "Number":
+        if pairs := self._pairs(other):
+            return mean(pairs[0] - pairs[1])
+        floor = math.hypot(self.floor, other.floor)
+        return Number(self.value - other.value, floor, self.n + other.n)
+
+    def __truediv__(self, other: "Number") -> "Number":
+        """The ratio of two numbers that are not negative; NaN if the other is 0."""
+        pairs = self._pairs(other)
+        values = (self.value, other.value) if pairs is None else pairs
+        above, below = (float(np.mean(value)) for value in values)
+        n = self.n + other.n if pairs is None else pairs[0].size
+        if not below:
+            return Number(math.nan, 0.0, n)
+        value = above / below
+        if pairs is None:
+            return Number(value, math.hypot(self.floor, value * other.floor) / below, n)
+        return Number(value, _spread(pairs[0] - value * pairs[1]) / below, n)
+
+    def _pairs(self, other: "Number") -> tuple[Floats, Floats] | None:
+        """The values at the points that both have; None if they are not of the same points."""
+        if self.each is None or other.each is None or self.each.shape != other.each.shape:
+            return None
+        if self.of is None or other.of is None or not np.array_equal(self.of, other.of):
+            return None
+        both = np.isfinite(self.each) & np.isfinite(other.each)
+        if not both.any():
+            raise NotInRunError("two laws have no point in common there")
+        return self.each[both], other.each[both]
+
+    def __str__(self) -> str:
+        return f"{self.value:.3g}"
+
+
+def mean(values: ArrayLike, of: ArrayLike | None = None) -> Number:
+    """Mean of values between -1 and 1, such as shares, or of differences of such values.
+
+    Its floor is two standard errors, one more squared deviation of 1 being assumed, so that none
+    or all of a few are not taken for certain: more than a regular grid of frequencies has.
+
+    Parameters
+    ----------
+    values : array_like
+        NaN: none there.
+    of : array_like, optional
+        What each value is of; None takes the coordinate ``omega`` of `values`, if it has one.
+    """
+    of = getattr(values, "omega", None) if of is None else of
+    each = np.ravel(np.asarray(values, dtype=float))
+    found = each[np.isfinite(each)]
+    if not found.size:
+        raise NotInRunError("nothing was asked for there")
+    value = float(found.mean())
+    points = None if of is None else np.ravel(np.asarray(of))
+    return Number(value, _spread(found - value), found.size, each, points)
+
+
+def _spread(deviations: Floats) -> float:
+    """Two standard errors of a mean, given what its values deviate by."""
+    return 2.0 * math.sqrt(float(np.sum(deviations**2)) + 1.0) / deviations.size
+
+
+def share(hits: ArrayLike, of: ArrayLike | None = None) -> Number:
+    """Share of what was looked at that fulfils a condition, as a `mean`; NaN is not known."""
+    of = getattr(hits, "omega", None) if of is None else of
+    each = np.asarray(hits, dtype=float)
+    return mean(np.where(np.isnan(each), each, each != 0.0), of)
+
+
+def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:
+    """Ratio of two costs over the same points; its floor: two standard errors by the jackknife."""
+    above, below = (np.ravel(np.asarray(v, dtype=float)) for v in (numerators, denominators))
+    both = np.isfinite(above) & np.isfinite(below)
+    above, below = above[both], below[both]
+    if not below.sum() > 0.0:
+        raise NotInRunError("no costs there")
+    value, n = float(above.sum() / below.sum()), below.size
+    spread = 0.0
+    if n > 1:
+        without = (above.sum() - above) / (below.sum() - below)
+        spread = 2.0 * math.sqrt((n - 1) / n * float(np.sum((without - without.mean()) ** 2)))
+    return Number(value, spread, n)
+
+
+@dataclass(frozen=True, slots=True)
+class Test:
+    """One decision: the number stands in relation `op` to the threshold.
+
+    Attributes
+    ----------
+    says : str
+        What is compared, in a few words.
+    """
+
+    __test__ = False  # no test of pytest's
+
+    says: str
+    number: Number
+    op: str
+    threshold: float
+
+    def __post_init__(self) -> None:
+        _check_texts("a test", says=self.says)
+        if not isinstance(self.number, Number):
+            raise TypeError(f"a test: number: must be a Number, not {self.number!r:.40}")
+        if self.op not in _HOLDS:
+            raise ValueError(f"a test: op: must be one of {', '.join(_HOLDS)}, not {self.op!r:.40}")
+        if not isinstance(self.threshold, Real):
+            raise TypeError(f"a test: threshold: must be a number, not {self.threshold!r:.40}")
+
+    @property
+    def holds(self) -> bool | None:
+        """None: open, since there is no number, or the threshold lies within its floor."""
+        number, margin = self.number, abs(self.number.value - self.threshold)
+        if math.isnan(margin) or (number.floor and not number.floor < margin):
+            return None
+        return bool(_HOLDS[self.op](number.value, self.threshold))
+
+
+Found = tuple[list[Test], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A statement, and the function that finds the tests which decide it.
+
+    Attributes
+    ----------
+    id : int
+    place : str
+        Figure, table or section of what is restated.
+    text : str
+        The claim in our own words.
+    why : str
+        The sentence or figure it rests on, and why these tests and thresholds decide it.
+    find : callable
+        From a `Run` to its tests and a sentence. No tests: the sentence says what is not stated.
+    """
+
+    id: int
+    place: str
+    text: str
+    why: str
+    find: Callable[["Run"], Found]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.id, int) or isinstance(self.id, bool) or self.id < 1:
+            raise ValueError(f"claim {self.id!r:.40}: id: must be a whole number from 1")
+        _check_texts(f"claim {self.id}", place=self.place, text=self.text, why=self.why)
+
+    def decided(self, run: "Run") -> dict[str, Any]:
+        """The claim with its verdict, as it stands in ``claims.json``."""
+        try:
+            tests, sentence = _checked(self.find(run))
+        except NotInRunError as missing:
+            tests, sentence = [], f"Not decided: {missing}."
+        found = verdict(test.holds for test in tests)
+        if unsettled := [test.says for test in tests if test.holds is None]:
+            more = f" and {len(unsettled) - 3} more" if len(unsettled) > 3 else ""
+            sentence += f" Open (no number, or within its floor): {'; '.join(unsettled[:3])}{more}."
+        return {
+            "id": self.id,
+            "place": self.place,
+            "claim": self.text,
+            "verdict": found,
+            "sentence": sentence,
+            "why": self.why,
+            "tests": [_as_json(test) for test in tests],
+        }
+
+
+def _checked(found: Any) -> Found:
+    """What a claim's function has returned.
+
+    Raises
+    ------
+    TypeError
+        If that is not what it must be.
+    """
+    if not (
+        isinstance(found, tuple)
+        and len(found) == 2
+        and isinstance(found[0], list)
+        and all(isinstance(test, Test) for test in found[0])
+    ):
+        raise TypeError(f"must return a list of tests and a sentence, not {found!r:.40}")
+    _check_texts("what it returns", sentence=found[1])
+    return found
+
+
+def _check_texts(whose: str, **texts: Any) -> None:
+    for name, text in texts.items():
+        if not isinstance(text, str):
+            raise TypeError(f"{whose}: {name}: must be text, not {text!r:.40}")
+        if found := _UNPRINTABLE.search(text):
+            raise ValueError(f"{whose}: {name}: must be one printable line, without {found[0]!r}")
+
+
+def stated(names: Mapping[str, Any]) -> list[Claim]:
+    """The claims among the names of a module, in the order of their ids.
+
+    Raises
+    ------
+    ValueError
+        If there are none, or two have one id.
+    """
+    found = list(
+        {id(value): value for value in names.values() if isinstance(value, Claim)}.values()
+    )
+    twice = [str(n) for n, count in Counter(one.id for one in found).items() if count > 1]
+    if not found:
+        raise ValueError("no claims: a claim is a function under @claim, see docs/claims.md")
+    if twice:
+        raise ValueError(f"claim {', '.join(twice)}: stated more than once; number them apart")
+    return sorted(found, key=lambda one: one.id)
+
+
+def claim(id: int, place: str, text: str, why: str) -> Callable[[Callable[["Run"], Found]], Claim]:
+    """Make a claim of the function below it."""
+    return lambda find: Claim(id, place, text, why, find)
+
+
+def verdict(holds: Iterable[bool | None]) -> str:
+    """All tests hold: confirmed; none of the decided: refuted; else partly.
+
+    Undecidable if there are none, or fewer than half are decided, unless these disagree.
+    """
+    outcomes = list(holds)
+    decided = {outcome for outcome in outcomes if outcome is not None}
+    if not decided or (len(decided) == 1 and 2 * outcomes.count(None) > len(outcomes)):
+        return UNDECIDABLE
+    if True not in decided:
+        return REFUTED
+    return CONFIRMED if all(outcomes) else PARTLY
+
+
+def counted(decided: list[dict[str, Any]]) -> dict[str, Any]:
+    """Decided claims and how many have each verdict, fit for JSON."""
+    counts = Counter(entry["verdict"] for entry in decided)
+    return {"counts": {name: counts[name] for name in VERDICTS}, "claims": decided}
+
+
+def _as_json(test: Test) -> dict[str, Any]:
+    number = test.number
+    return {
+        "says": test.says,
+        "value": _finite(number.value),
+        "floor": _finite(number.floor),
+        "op": test.op,
+        "threshold": _finite(test.threshold),
+        "holds": test.holds,
+        "n": int(number.n),
+    }
+
+
+def _finite(number: float) -> float | None:
+    return float(number) if math.isfinite(number) else None
+
+
+@dataclass(frozen=True)
+class Run:
+    """The datasets of a run, read where they are needed and only once.
+
+    Attributes
+    ----------
+    datasets : mapping of str to Dataset
+        By file name without its suffix.
+    """
+
+    datasets: Mapping[str, xr.Dataset]
+    _read: dict[Any, xr.Dataset] = field(default_factory=dict, repr=False)
+
+    def __getitem__(self, name: str) -> xr.Dataset:
+        if name not in self.datasets:
+            raise NotInRunError(f"the run has no {name}.nc")
+        return self.datasets[name]
+
+    def select(self, name: str, *names: str, **at: Any) -> xr.Dataset:
+        """Part of a dataset by coordinates, in memory; some variables, or all.
+
+        Equal is what `gapsweep.study.axis_selection` takes for equal.
+
+        Raises
+        ------
+        NotInRunError
+            If the run has no such dataset, variables or labels.
+        """
+        key = (name, *names, *sorted(at.items()))
+        if key not in self._read:
+            dataset = self[name]
+            if missing := [one for one in names if one not in dataset.variables]:
+                raise NotInRunError(f"{name}.nc has no {', '.join(missing)}")
+            try:
+                found = dataset[list(names)] if names else dataset
+                self._read[key] = selected(found, at).load()
+            except DatasetError:
+                where = ", ".join(f"{dim} {label}" for dim, label in at.items())
+                raise NotInRunError(f"{name}.nc has nothing at {where}") from None
+        return self._read[key]
+
+    def scene(
+        self, name: str, representation: str, K_c: float, gap: str | None, *names: str, **at: Any
+    ) -> xr.Dataset:
+        """Some variables (`names`) of one representation in one scene of a dataset (`name`).
+
+        Where the study sweeps wall distances, `gap` is None and ``j_1=``, ``j_2=`` [m] are given;
+        likewise every other parameter that it sweeps, as ``forcing=3.0``.
+        """
+        walls = {} if gap is None else {"gap": gap}
+        here = {"representation": representation, "K_c": K_c, **walls, **at}
+        return self.select(name, *names, **here)
+
+    @cached_property
+    def starts(self) -> dict[str, Any]:
+        """Which starts are ``rest``, ``scattered`` (fixed, not from rest), or a sweep."""
+        responses = self[_RESPONSES]
+        kind = responses["start"].values.astype(str)
+        fixed = kind == "fixed"
+        rest = fixed & (responses["x_0"].values == 0.0) & (responses["v_0"].values == 0.0)
+        sweeps = {name: kind == name for name in ("sweep_up", "sweep_down")}
+        return {"rest": rest, "scattered": fixed & ~rest, "any": np.ones_like(fixed), **sweeps}
+
+    def points(
+        self,
+        representation: str,
+        K_c: float,
+        gap: str | None,
+        *names: str,
+        band: tuple[float, float] = (0.0, math.inf),
+        start: str | NDArray[np.bool_] = "rest",
+        data: str = _RESPONSES,
+        **at: Any,
+    ) -> xr.Dataset:
+        """Sweep points that were asked for, one after another (dimension ``point``).
+
+        Parameters
+        ----------
+        names : str
+            Variables over frequency and start.
+        band : tuple of float
+            Closed interval of frequencies [Hz].
+        start : str or ndarray of bool
+            A key of `starts`, or which initial conditions.
+        **at
+            Values of the other parameters that the study sweeps, as for `scene`.
+
+        Raises
+        ------
+        NotInRunError
+            If none was asked for.
+        """
+        scene = (representation, K_c, gap)
+        starts = self.starts[start] if isinstance(start, str) else start
+        key = (data, *scene, *names, band, starts.tobytes(), *sorted(at.items()))
+        if key not in self._read:
+            status = self.scene(_RESPONSES, *scene, "status", **at)["status"]
+            found = self.scene(data, *scene, *names, **at).assign(asked=status)
+            found = found.sel(omega=slice(*band)).isel(initial_condition=starts)
+            found = found.stack(point=("omega", "initial_condition"), create_index=False)
+            self._read[key] = found.isel(point=found["asked"].values != Status.NOT_REQUESTED)
+        if not self._read[key].sizes["point"]:
+            raise NotInRunError(f"no points of {representation} at {K_c:g} N/m, {gap} mm")
+        return self._read[key]

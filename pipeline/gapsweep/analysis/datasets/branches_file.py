@@ -1,0 +1,222 @@
+"""Branches of periodic orbits in all scenes of a study: ``branches.nc``.
+
+A scene is all that is swept but the parameter of the branches and the initial states. Its branches
+start from its periodic attractors. They are stored next to the cache by content, one file a scene,
+so that a run that was interrupted computes only the scenes that it lacks.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.analysis.agreement.branch_agreement import MATCH, compared
+from gapsweep.continuation.branches import Attractor
+from gapsweep.continuation.dataset import ATTRACTOR, BRANCH, OF_BRANCH, VARIABLES
+from gapsweep.continuation.family import Window
+from gapsweep.continuation.follow import DEFAULT_ATOL, DEFAULT_RTOL
+from gapsweep.errors import StoreError
+from gapsweep.execution.branch_tasks import BranchScene, Followed, followed
+from gapsweep.response.result import ResponseClass
+from gapsweep.status import Status
+from gapsweep.store import netcdf
+from gapsweep.study.grid import START
+from gapsweep.study.schema import coordinates
+from gapsweep.study.spec import is_followed
+from gapsweep.study.study import Study
+from gapsweep.user_code.package_digest import numerics_fingerprint
+from gapsweep.variables import SECTION_POINT, STATUS_FLAGS, Variable
+
+FOLDER = "branches"
+OF_STUDY = {
+    "n_lost": (BRANCH, Variable("i4", "1", "orbits and special points not found in the scene")),
+    "attractor_on_branch": (
+        ATTRACTOR,
+        Variable("i4", "1", "branch that the attractor lies on, -1: none"),
+    ),
+    "attractor_number": (ATTRACTOR, Variable("i4", "1", "number of the attractor in its scene")),
+    "attractor_status": (
+        ATTRACTOR,
+        Variable("i1", "1", "outcome of the scene of the attractor", flags=STATUS_FLAGS),
+    ),
+    "attractor_message": (ATTRACTOR, Variable("str", "1", "why the scene has no branches")),
+}
+
+
+@dataclass(slots=True, kw_only=True)
+class _SceneBranches:
+    """A scene of a study.
+
+    Attributes
+    ----------
+    at : mapping of str to int
+        Its place on the axes.
+    numbers : ndarray of int, shape (n_attractors, 2)
+        Of its periodic attractors: along the parameter, and in ``attractors.nc``.
+    scene : BranchScene
+    found : Followed
+    """
+
+    at: Mapping[str, int]
+    numbers: NDArray[np.intp]
+    scene: BranchScene
+    found: Followed
+
+
+def branches(
+    study: Study,
+    attractors: xr.Dataset,
+    cache: Path,
+    connect: Callable[[], AbstractContextManager[Any]],
+    timeout: float,
+    say: Callable[[str], None],
+) -> xr.Dataset:
+    """Branches of all scenes of a study.
+
+    Parameters
+    ----------
+    study : Study
+        With a table ``[branches]``.
+    attractors : Dataset
+        ``attractors.nc`` of the study.
+    cache : Path
+        Folder of the cache.
+    connect : callable
+        Starts or joins a cluster; called if scenes are missing.
+    timeout : float
+        Time [s] that a scene with user code may take.
+    say : callable
+        Called with the progress.
+    """
+    parts = [part for part in _parts(study, attractors) if part.scene.attractors]
+    missing = []
+    for part in parts:
+        # In a folder for each scene: SHA256SUMS has one writer.
+        path = cache / FOLDER / part.scene.key / "scene.nc"
+        with suppress(StoreError):
+            part.found = Followed(Status.OK, branches=netcdf.read(path))
+        if part.found.branches is None:
+            missing.append((part, path))
+    if missing:
+        with connect() as client:
+            tasks = [part.scene for part, _ in missing]
+            arriving = followed(tasks, client, timeout, lambda: say("waiting for workers"))
+            for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
+                part, path = missing[number]
+                part.found = found
+                if found.branches is not None:
+                    netcdf.write(found.branches, path, {})
+                say(f"making branches.nc, {n_done} of {len(parts)} scenes")
+    return _assembled(study, parts)
+
+
+def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
+    """The scenes of a study."""
+    table, grid = study.spec.branches, study.grid
+    assert table is not None
+    along, axes = table.along, grid.axes
+    dims = [name for name in grid.dims if name not in (along, START)]
+    window = Window.of(along, (min(axes[along]), max(axes[along])))
+    order = [grid.dims.index(name) for name in (*dims, along, START)]
+    requested = grid.requested.transpose(order)
+    kind = attractors["response_class"].transpose(*dims, along, ATTRACTOR).values
+    for place in np.ndindex(*requested.shape[:-2]):
+        at = dict(zip(dims, place, strict=True))
+        if not is_followed(axes["representation"][at["representation"]]):
+            continue
+        if not requested[place].any():
+            continue
+        cell = at | dict(zip((along, START), np.argwhere(requested[place])[0], strict=True))
+        flat = np.ravel_multi_index([cell[name] for name in grid.dims], grid.shape)
+        ((_, point),) = study.points(np.array([flat]))
+        numbers = np.argwhere(kind[place] == ResponseClass.PERIODIC)
+        some = {name: axes[name][i] for name, i in at.items() if name in study.spec.model}
+        scene = BranchScene(
+            point=point,
+            system=study.model.along(along, some),
+            window=window,
+            table=table,
+            attractors=tuple(_attractors(attractors.isel(at), along, numbers)),
+        )
+        yield _SceneBranches(at=at, numbers=numbers, scene=scene, found=Followed(Status.OK))
+
+
+def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iterator[Attractor]:
+    """The periodic attractors of a scene."""
+    sections = [name for name in ("section_x", "section_v", "section_z") if name in here]
+    names = [name for name in (*sections, "period_multiple", "period") if name in here]
+    here = here[names].load()
+    for i, k in numbers.tolist():
+        one = here.isel({along: i, ATTRACTOR: k})
+        columns = [one[name].transpose(SECTION_POINT, ...).values for name in sections]
+        section = np.concatenate([each.reshape(len(each), -1) for each in columns], axis=1)
+        yield Attractor(
+            value=float(one[along]),
+            section=section[np.isfinite(section).all(axis=1)],
+            period=float(one.get("period", np.nan)),
+            multiple=int(one["period_multiple"]),
+        )
+
+
+def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
+    """One dataset of the branches of all scenes."""
+    table, grid = study.spec.branches, study.grid
+    assert table is not None
+    columns: dict[str, list[Any]] = {name: [] for name in OF_STUDY}
+    several: list[xr.Dataset] = []
+    of_branch: list[Mapping[str, int]] = []
+    of_attractor: list[Mapping[str, int]] = []
+    for part in parts:
+        n, before = len(part.numbers), len(of_branch)
+        on = np.full(n, -1)
+        if (found := part.found.branches) is not None:
+            on = found["attractor_on_branch"].values
+            size, parent = found.sizes[BRANCH], found["parent"]
+            parent[:] = np.where(parent < 0, -1, parent + before)
+            several.append(found.drop_dims(ATTRACTOR).drop_vars(BRANCH))
+            columns["n_lost"] += size * [found.attrs["n_lost"]]
+            of_branch += size * [part.at]
+        columns["attractor_on_branch"] += np.where(on < 0, -1, on + before).tolist()
+        columns["attractor_number"] += part.numbers[:, 1].tolist()
+        columns["attractor_status"] += n * [part.found.status]
+        columns["attractor_message"] += n * [part.found.message]
+        of_attractor += [{**part.at, table.along: i} for i in part.numbers[:, 0].tolist()]
+    matches, of_match = compared(
+        [(part.at, part.found.branches) for part in parts], grid.representations, table.along
+    )
+    made = _joined(several).merge(matches)
+    for name, (dim, form) in OF_STUDY.items():
+        made[name] = (dim, np.array(columns[name], form.dtype), form.attributes)
+    described, values = coordinates(grid.dims, grid.structure), grid.coordinates()
+    places = (BRANCH, "", of_branch), (ATTRACTOR, "attractor_", of_attractor)
+    for dim, prefix, where in (*places, (MATCH, "match_", of_match)):
+        for name, (over, variable) in described.items():
+            if where and {*over} <= {*where[0]}:
+                at = [place[over[0]] for place in where]
+                made.coords[prefix + name] = (dim, values[name][at], variable.attributes)
+    made.coords[BRANCH] = np.arange(made.sizes[BRANCH])
+    made.coords.update({name: list(of) for name, of in grid.parts.items() if name in made.dims})
+    axis = grid.axes[table.along]
+    settings = {"rtol": DEFAULT_RTOL, "atol": DEFAULT_ATOL, **table.model_dump(exclude_none=True)}
+    return made.assign_attrs(
+        **study.attributes,
+        numerics_fingerprint=numerics_fingerprint(),
+        between=[min(axis), max(axis)],
+        **settings,
+    )
+
+
+def _joined(several: list[xr.Dataset]) -> xr.Dataset:
+    """Branches one after the other; missing values behind the ends of shorter ones."""
+    if not several:
+        return xr.Dataset({"stable": ((BRANCH, "step"), np.zeros((0, 0), np.int8))})
+    missing = {name: each.missing for name, each in (VARIABLES | OF_BRANCH).items()}
+    first = several[0]
+    fill = {name: missing.get(str(name), np.nan) for name in first.data_vars}
+    made = xr.concat(several, BRANCH, join="outer", fill_value=fill, combine_attrs="override")
+    return made.astype({name: first[name].dtype for name in fill}).drop_attrs(deep=False)

@@ -1,0 +1,257 @@
+"""Time histories and amplitude spectra of the motions that a study asks to keep.
+
+Every motion is stored twice, its first and its last forcing periods, sampled at equal phases of
+the forcing. The spectrum is that of the last ones: a Hann window over whole forcing periods,
+scaled so that a sinusoid on a bin shows its amplitude. Their number has many divisors, so that
+the harmonics of period-2 to period-6 motions, too, lie on bins.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.analysis.dimensions import Array
+from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, spectrum
+from gapsweep.errors import ModelError
+from gapsweep.execution.isolated import CallError, Isolated
+from gapsweep.execution.progress import DEFAULT_TIMEOUT
+from gapsweep.integrate.problem import Solver
+from gapsweep.integrate.simulate import simulate
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.labels import contact_law, law_of
+from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.own_law import OwnLaw
+from gapsweep.response.section import period_multiple, scaled, unit_of
+from gapsweep.status import Status
+from gapsweep.study.points import canonical
+from gapsweep.study.schema import COORDINATES
+from gapsweep.study.spec import HistoryTable
+from gapsweep.study.study import Study
+from gapsweep.user_code.package_digest import numerics_fingerprint
+from gapsweep.variables import STATUS_FLAGS, Variable, empty, with_attributes
+
+PARTS = ("start", "steady")
+# Section points closer than this share of the reach are taken for one.
+_SAME_POINT = 1e-4
+
+_DIMS = ("history", "representation")
+_SCENE = ("K_c", "gap", "j_1", "j_2", "omega", "x_0", "v_0")
+SCENE = {
+    **{name: COORDINATES[name][1] for name in _SCENE},
+    "t_end": Variable("f8", "s", "end of the motion"),
+    "n_periods": Variable("i4", "1", "forcing periods kept at either end", 0),
+}
+VARIABLES = {
+    "x": ((*_DIMS, "part", "sample"), Variable("f8", "m", "displacement")),
+    "v": ((*_DIMS, "part", "sample"), Variable("f8", "m s-1", "velocity")),
+    "spectrum": (
+        (*_DIMS, "frequency_bin"),
+        Variable("f8", "m", "amplitude spectrum of the steady displacement"),
+    ),
+    "period_multiple": (
+        _DIMS,
+        Variable("i4", "1", "forcing periods after which the steady part repeats, 0: none", 0),
+    ),
+    "status": (
+        _DIMS,
+        Variable("i1", "1", "outcome of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
+    ),
+}
+AXES = {
+    "t": (("history", "part", "sample"), Variable("f8", "s", "time")),
+    "frequency": (("history", "frequency_bin"), Variable("f8", "Hz", "frequency of the spectrum")),
+}
+_WINDOW = "Hann over whole forcing periods, scaled so that a sinusoid on a bin shows its amplitude"
+
+
+def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | None:
+    """Time histories and spectra of a study's ``[[history]]`` tables; None if it has none.
+
+    Parameters
+    ----------
+    study : Study
+    timeout : float
+        Time [s] that a motion with a law of the user's own may take; it is alone in a process.
+
+    Returns
+    -------
+    Dataset
+        Over `history` (the tables in their order) and `representation` (the union of theirs;
+        what a table does not ask for is `not_requested`). `x` and `v` over `part` (``start``,
+        ``steady``) and `sample`, at times `t`; `spectrum` over `frequency_bin`, at `frequency`.
+        Padded with NaN where a motion is shorter than `N_PERIODS` or has failed.
+    """
+    tables = study.spec.history
+    if not tables:
+        return None
+    labels = list(dict.fromkeys(label for table in tables for label in table.representation))
+    n_samples = N_PERIODS * SAMPLES_PER_PERIOD
+    sizes = {
+        "history": len(tables),
+        "representation": len(labels),
+        "part": len(PARTS),
+        "sample": n_samples,
+        "frequency_bin": n_samples // 2 + 1,
+    }
+    arrays = empty(VARIABLES | AXES, sizes)
+    with Isolated(timeout) as alone:
+        for h, table in enumerate(tables):
+            t, frequency = sampled(table.omega, table.t_end)
+            arrays["t"][h, :, : t.shape[1]] = t
+            arrays["frequency"][h, : frequency.size] = frequency
+            for label in table.representation:
+                for name, value in _history(study, table, label, alone).items():
+                    here = arrays[name][h, labels.index(label), ...]
+                    here[_leading(value)] = value
+    coords = {
+        "representation": ("representation", labels, COORDINATES["representation"][1].attributes),
+        "part": ("part", list(PARTS), {"units": "1", "long_name": "first or last periods"}),
+        **{
+            name: ("history", [_scene(study, table)[name] for table in tables], attributes)
+            for name, attributes in _described(study).items()
+        },
+        **with_attributes(AXES, arrays),
+    }
+    variables = with_attributes(VARIABLES, arrays)
+    variables["spectrum"][2]["window"] = _WINDOW
+    attributes = {
+        **study.attributes,
+        "numerics_fingerprint": numerics_fingerprint(),
+    }
+    return xr.Dataset(variables, coords, attributes)
+
+
+def sampled(omega: float, t_end: float) -> tuple[Array, Array]:
+    """Times [s], shape (2, n), of the first and last periods, and frequencies [Hz] of the bins."""
+    whole = _whole_periods(omega, t_end)
+    n_periods = min(N_PERIODS, whole)
+    n = n_periods * SAMPLES_PER_PERIOD
+    phase = np.arange(n) / SAMPLES_PER_PERIOD
+    t = np.array([phase, phase + (whole - n_periods)]) / omega
+    frequency = np.arange(n // 2 + 1, dtype=np.float64) * np.float64(omega / n_periods)
+    return t, frequency
+
+
+def _leading(value: Any) -> Any:
+    """Where a value lies in an array that is padded along its last axis."""
+    return (..., slice(np.shape(value)[-1])) if np.ndim(value) else ...
+
+
+def _whole_periods(omega: float, t_end: float) -> int:
+    return int(t_end * omega + 1e-9)
+
+
+def _described(study: Study) -> dict[str, dict[str, Any]]:
+    """Attributes of the coordinates of histories, of numbers of the oscillator if they differ."""
+    given = {x for table in study.spec.history for x in (*table.parameter, *table.model_fields_set)}
+    others = [x for x in (*study.spec.model, "K_ratio") if x in given.union(study.grid.axes)]
+    described = SCENE | {name: COORDINATES[name][1] for name in others}
+    return {name: variable.attributes for name, variable in described.items()}
+
+
+def _scene(study: Study, table: HistoryTable) -> dict[str, Any]:
+    """The coordinates of a history."""
+    gap = _gap(table)
+    return study.setting(table) | {
+        "K_c": table.K_c,
+        "gap": gap.label,
+        "j_1": gap.j_1,
+        "j_2": gap.j_2,
+        "omega": table.omega,
+        "x_0": table.start[0],
+        "v_0": table.start[1],
+        "t_end": table.t_end,
+        "n_periods": min(N_PERIODS, _whole_periods(table.omega, table.t_end)),
+    }
+
+
+def _gap(table: HistoryTable) -> Gap:
+    j_1, j_2 = table.gap
+    return Gap(canonical(j_1), canonical(j_2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Asked:
+    """One motion: all that it depends on."""
+
+    oscillator: Oscillator
+    representation: str
+    own: OwnLaw | None
+    K_c: float
+    K_ratio: float
+    gap: Gap
+    omega: float
+    t_end: float
+    start: tuple[float, float]
+    fit_range: float
+    solver: Solver
+
+
+def _asked(study: Study, table: HistoryTable, label: str) -> _Asked:
+    x_0, v_0 = table.start
+    numbers = study.setting(table)
+    K_ratio = numbers.pop("K_ratio")
+    return _Asked(
+        oscillator=Oscillator(**numbers),
+        representation=law_of(label),
+        own=study.own_law(label),
+        K_c=table.K_c,
+        K_ratio=K_ratio,
+        gap=_gap(table),
+        omega=table.omega,
+        t_end=table.t_end,
+        start=(x_0 + study.start_jitter(label), v_0),
+        fit_range=study.spec.fit.range,
+        solver=study.solver(label),
+    )
+
+
+def _history(study: Study, table: HistoryTable, label: str, alone: Isolated) -> Mapping[str, Any]:
+    """The variables of one motion; its status alone if it has failed."""
+    try:
+        asked = _asked(study, table, label)
+        return _motion(asked) if asked.own is None else alone(_motion, asked)
+    except ModelError:
+        return {"status": Status.MODEL_INVALID}
+    except CallError as lost:
+        return {"status": lost.status}
+
+
+def _law(asked: _Asked) -> ContactLaw:
+    if asked.own is not None:
+        return asked.own.law(asked.K_c, asked.gap, asked.K_ratio)
+    walls = asked.K_c, asked.gap, asked.fit_range
+    return contact_law(asked.representation, *walls, K_ratio=asked.K_ratio)
+
+
+def _motion(asked: _Asked) -> Mapping[str, Any]:
+    t, _ = sampled(asked.omega, asked.t_end)
+    try:
+        motion = simulate(
+            asked.oscillator,
+            _law(asked),
+            asked.omega,
+            *asked.start,
+            t_end=_whole_periods(asked.omega, asked.t_end) / asked.omega,
+            dense_output=True,
+            **asdict(asked.solver),
+        )
+    except ModelError:
+        return {"status": Status.MODEL_INVALID}
+    if motion.t_end < t.max():
+        return {"status": motion.status}
+    x, v = motion.sample(t)
+    steady = np.transpose([x[-1], v[-1]])[::SAMPLES_PER_PERIOD]
+    same = _SAME_POINT * float(np.max(np.abs(x[-1])))
+    return {
+        "x": x,
+        "v": v,
+        "spectrum": spectrum(x[-1]),
+        "period_multiple": period_multiple(
+            scaled(steady, unit_of(asked.omega)), same, len(steady) // 2
+        ),
+        "status": motion.status,
+    }

@@ -1,0 +1,296 @@
+"""The static part of a study: what its contact laws are worth before anything is integrated.
+
+For every representation, stiffness and gap, and whatever else of the spring, the mass and the walls
+is swept: force curve and force error (A1 of the metrics), frequency of small motions in the gap
+(A2), static equilibria and their barriers (A3); and for every contact the sharpness from which tanh
+has no false equilibrium.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.analysis.datasets.contact_errors import (
+    error_of_parts,
+    in_gap,
+    largest_in_gap,
+    static_error,
+    tanh_threshold,
+)
+from gapsweep.analysis.dimensions import Array
+from gapsweep.errors import ModelError
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
+from gapsweep.model.labels import AUTO, law_of
+from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.study.schema import COORDINATES
+from gapsweep.study.study import Study
+from gapsweep.user_code.package_digest import numerics_fingerprint
+from gapsweep.variables import Variable
+
+Values = dict[str, Any]
+
+EQUILIBRIUM = "equilibrium"
+# What is no wall's: force curves do not depend on it.
+_SPRING = ("omega_n", "mass", "alpha", "mean_load")
+_N_UNIFORM = 801
+# Distances from a wall [m]: from the layer of tanh-1e9 on, 6 per decade.
+_FINEST, _N_PER_DECADE = 1e-10, 6
+
+CURVES = {
+    "force": Variable("f8", "N", "contact force on the mass"),
+    "force_error": Variable("f8", "N", "contact force minus that of the exact law"),
+}
+SCENE_VARIABLES = {
+    "rmse": Variable("f8", "N", "RMS force error over the fit range"),
+    "r_squared": Variable("f8", "1", "coefficient of determination of the force over that range"),
+    "fit_rmse": Variable("f8", "N", "RMS force error of a fit on the points it was made on"),
+    "rmse_in_gap": Variable("f8", "N", "RMS force error in the gap"),
+    "rmse_outside": Variable("f8", "N", "RMS force error outside the gap"),
+    "in_gap_force": Variable("f8", "N", "largest force between the walls"),
+    "force_at_zero": Variable("f8", "N", "contact force at x = 0"),
+    "in_gap_frequency": Variable("f8", "Hz", "frequency of small motions amid the gap"),
+    "in_gap_frequency_error": Variable("f8", "1", "in_gap_frequency over omega_n, minus 1"),
+    "frequency_at_zero": Variable("f8", "Hz", "frequency by the slope of the law at x = 0"),
+    "frequency_at_zero_error": Variable("f8", "1", "frequency_at_zero over omega_n, minus 1"),
+    "n_equilibria": Variable("i4", "1", "number of static equilibria in the fit range", 0),
+    "n_wells": Variable("i4", "1", "number of stable static equilibria", 0),
+    "lowest_barrier": Variable("f8", "J", "least energy that leaves a static well"),
+    "refusal": Variable("str", "1", "why the law cannot be used, empty if it can"),
+}
+FORCED_VARIABLES = {
+    "in_gap_force_ratio": Variable("f8", "1", "largest force between the walls over the forcing"),
+}
+_STABILITY = (("none", -1), ("unstable", 0), ("stable", 1))
+CONTACT_VARIABLES = {
+    "tanh_threshold": Variable(
+        "f8", "m-1", "sharpness above which tanh has no false well, NaN if none is known"
+    ),
+}
+LIST_VARIABLES = {
+    "equilibrium_x": Variable("f8", "m", "positions of the static equilibria"),
+    "equilibrium_stable": Variable("i1", "1", "stability of the equilibria", -1, _STABILITY),
+    "equilibrium_energy": Variable("f8", "J", "potential energy there, zero at x = 0"),
+    "equilibrium_frequency": Variable("f8", "Hz", "frequency of small motions in each well"),
+    "equilibrium_barrier": Variable("f8", "J", "energy that leaves each well"),
+}
+
+
+def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
+    """Force, errors, frequencies and equilibria over representation, K_c, gap and what is swept.
+
+    A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
+
+    Parameters
+    ----------
+    study : Study
+        Labels lose their protocol here, and each is there once.
+    with_own_laws : bool
+        Whether to evaluate laws of the user's own here, in this process, which they could hang
+        or end; they are refused otherwise.
+
+    Returns
+    -------
+    Dataset
+        With title, study, study_json as attributes.
+    """
+    grid, x_max = study.grid, study.spec.fit.range
+    labels = tuple(dict.fromkeys(law_of(r) for r in grid.representations if r != AUTO))
+    x = displacements(grid.gaps, x_max)
+    swept = {name: grid.axes[name] for name in grid.scene_dims if name in (*_SPRING, "K_ratio")}
+    axes: dict[str, Sequence[Any]] = {"K_c": grid.K_c, "gap": grid.gaps, **swept}
+    settings = [dict(zip(axes, each, strict=True)) for each in product(*axes.values())]
+    models = [_model(study.oscillator, setting) for setting in settings]
+    sizes = {"representation": len(labels), **{dim: len(axis) for dim, axis in axes.items()}}
+
+    @cache
+    def of_walls(label: str, *walls: Any) -> Values:
+        if ":" in label and not with_own_laws:
+            return {"refusal": "a law of the user's own: not evaluated here"}
+        return _unless_refused(label, _of_walls, x, study, label, *walls)
+
+    of_all = [
+        _unless_refused(label, _of_spring, oscillator, of_walls(label, *walls), x_max)
+        for label in labels
+        for oscillator, *walls in models
+    ]
+    springs = {name: axis for name, axis in axes.items() if name in _SPRING}
+    is_first = [all(each[n] == axis[0] for n, axis in springs.items()) for each in settings]
+    of_first = [one for one, first in zip(of_all, is_first * len(labels), strict=True) if first]
+    of_walls_alone = {dim: size for dim, size in sizes.items() if dim not in springs}
+    longest = max([1, *(values.get("n_equilibria", 0) for values in of_all)])
+    variables: dict[str, Any] = {}
+    for table, values, over in (
+        (SCENE_VARIABLES, of_all, sizes),
+        (CURVES, of_first, of_walls_alone | {"x": x.size}),
+        (LIST_VARIABLES, of_all, sizes | {EQUILIBRIUM: longest}),
+    ):
+        for name, variable in table.items():
+            filled = _filled(variable, name, values, over)
+            variables[name] = (tuple(over), filled, variable.attributes)
+    thresholds = [
+        tanh_threshold(oscillator, K_c, gap, x_max, K_ratio)
+        for oscillator, K_c, gap, K_ratio in models
+    ]
+    described = CONTACT_VARIABLES["tanh_threshold"].attributes
+    shape = [len(axis) for axis in axes.values()]
+    variables["tanh_threshold"] = (tuple(axes), np.reshape(thresholds, shape), described)
+    coords = _coordinates(labels, axes)
+    coords["x"] = ("x", x, {"units": "m", "long_name": "displacement"})
+    attributes = {
+        **study.attributes,
+        "numerics_fingerprint": numerics_fingerprint(),
+        "fit_range": x_max,
+    }
+    return _beside_the_forcing(xr.Dataset(variables, coords, attributes), study)
+
+
+def _model(
+    oscillator: Oscillator, setting: Mapping[str, Any]
+) -> tuple[Oscillator, *tuple[Any, ...]]:
+    """The oscillator of a setting, its stiffness, gap and ratio of the walls' stiffnesses."""
+    spring = {name: setting[name] for name in _SPRING if name in setting}
+    walls = setting["K_c"], setting["gap"], setting.get("K_ratio", 1.0)
+    return replace(oscillator, **spring), *walls
+
+
+def _beside_the_forcing(dataset: xr.Dataset, study: Study) -> xr.Dataset:
+    """Add the forcing, an axis where it is swept, and forces between the walls as shares of it."""
+    dims, described = COORDINATES["forcing"]
+    swept = study.grid.axes.get("forcing")
+    if swept is None:
+        dataset["forcing"] = (), study.oscillator.forcing, described.attributes
+    else:
+        dataset = dataset.assign_coords(forcing=(dims, list(swept), described.attributes))
+    forcing = abs(dataset["forcing"])
+    ratio = (dataset["in_gap_force"] / forcing).where(forcing > 0.0)
+    ((name, variable),) = FORCED_VARIABLES.items()
+    return dataset.assign({name: ratio.assign_attrs(variable.attributes)})
+
+
+def _coordinates(labels: Sequence[str], axes: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
+    values: dict[str, list[Any]] = {
+        "representation": list(labels),
+        **{name: list(axis) for name, axis in axes.items()},
+        "gap": [gap.label for gap in axes["gap"]],
+        "j_1": [gap.j_1 for gap in axes["gap"]],
+        "j_2": [gap.j_2 for gap in axes["gap"]],
+    }
+    return {
+        name: (COORDINATES[name][0], axis, COORDINATES[name][1].attributes)
+        for name, axis in values.items()
+    }
+
+
+def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
+    """Common grid [m] of the force curves: uniform over ``±x_max``, graded to every wall."""
+    walls = np.unique([wall for gap in gaps for wall in (-gap.j_1, gap.j_2)])
+    n = max(2, round(_N_PER_DECADE * np.log10(2.0 * x_max / _FINEST)))
+    steps = np.geomspace(_FINEST, 2.0 * x_max, n)
+    near = np.add.outer(walls, np.concatenate([-steps, [0.0], steps])).ravel()
+    points = np.concatenate([np.linspace(-x_max, x_max, _N_UNIFORM), near])
+    return np.unique(points[np.abs(points) <= x_max])
+
+
+def _unless_refused(label: str, measured: Callable[..., Values], *given: Any) -> Values:
+    """What is measured of a law, or why it is refused."""
+    try:
+        return measured(*given)
+    except ModelError as error:
+        return {"refusal": str(error)}
+    except Exception as error:  # raised by the user's own law, which is then told as refused
+        if ":" not in label:
+            raise
+        return {"refusal": f"{type(error).__name__}: {error}"}
+
+
+def _of_walls(x: Array, study: Study, label: str, K_c: float, gap: Gap, K_ratio: float) -> Values:
+    """A law and what depends on nothing else."""
+    law, x_max = study.law(label, K_c, gap, K_ratio), study.spec.fit.range
+    force = law.force(x)
+    return {
+        "law": law,
+        "force": force,
+        "force_error": force - law.exact.force(x),
+        "in_gap_force": largest_in_gap(law, x_max),
+        "force_at_zero": float(law.force(0.0)),
+        **_errors(law, x_max),
+    }
+
+
+def _of_spring(oscillator: Oscillator, of_walls: Values, x_max: float) -> Values:
+    """With what a law does to an oscillator."""
+    if "law" not in of_walls:
+        return of_walls
+    law = of_walls["law"]
+    return of_walls | _in_gap(oscillator, law, x_max) | _wells(oscillator, law, x_max)
+
+
+def _errors(law: ContactLaw, x_max: float) -> Values:
+    rmse, r_squared = static_error(law, x_max)
+    within, rest = error_of_parts(law, x_max)
+    return {
+        "rmse": rmse,
+        "r_squared": r_squared,
+        "fit_rmse": getattr(law, "rmse", np.nan),
+        "rmse_in_gap": within,
+        "rmse_outside": rest,
+    }
+
+
+def _in_gap(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
+    """A2. The cubic spring is left out, so that the exact law has omega_n everywhere."""
+    values = {}
+    low, high = in_gap(law.gap, x_max)
+    middle = 0.5 * (low + high) if high > low else np.nan
+    for name, x in (("in_gap_frequency", middle), ("frequency_at_zero", 0.0)):
+        stiffness = linear_stiffness(oscillator) + float(law.derivative(x))
+        values[name] = float(_frequency(oscillator, np.array(stiffness)))
+        exact = oscillator.omega_n or np.nan
+        values[f"{name}_error"] = values[name] / exact - 1.0
+    return values
+
+
+def _wells(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
+    """A3."""
+    found = equilibria(oscillator, law, x_max)
+    slope = restoring_slope(oscillator, law, found.x)
+    barriers = found.barrier[np.isfinite(found.barrier)]
+    return {
+        "n_equilibria": found.x.size,
+        "n_wells": int(found.stable.sum()),
+        "lowest_barrier": float(np.min(barriers)) if barriers.size else np.nan,
+        "equilibrium_x": found.x,
+        "equilibrium_stable": found.stable,
+        "equilibrium_energy": found.energy,
+        "equilibrium_frequency": np.where(found.stable, _frequency(oscillator, slope), np.nan),
+        "equilibrium_barrier": found.barrier,
+    }
+
+
+def _frequency(oscillator: Oscillator, stiffness: Array) -> Array:
+    """Natural frequency [Hz] of the mass on a spring; NaN if the spring pushes outwards."""
+    real = np.where(stiffness >= 0.0, stiffness, np.nan)
+    return np.asarray(np.sqrt(real / oscillator.mass) / (2.0 * np.pi))
+
+
+def _filled(
+    variable: Variable, name: str, found: Sequence[Values], over: Mapping[str, int]
+) -> NDArray[Any]:
+    """The values of all settings in one array, padded with the value for missing ones."""
+    shape = tuple(over.values())
+    if variable.dtype == "str":
+        return np.reshape(np.array([values.get(name, "") for values in found], dtype=str), shape)
+    array = np.full(shape, variable.missing, dtype=variable.dtype)
+    rows = array.reshape(len(found), -1)
+    for row, values in zip(rows, found, strict=True):
+        if name in values:
+            value = np.atleast_1d(values[name])
+            row[: value.size] = value
+    return array

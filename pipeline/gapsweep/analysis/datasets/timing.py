@@ -1,0 +1,91 @@
+"""What each representation costs, from the costs stored with its points.
+
+Processor times of different machines are never mixed: the machine that computed most
+points of a study is the one reported, the others' points are only counted.
+"""
+
+import warnings
+
+import numpy as np
+import xarray as xr
+from scipy.special import stdtrit
+
+from gapsweep.analysis.dimensions import Array, of_study, swept
+from gapsweep.status import Status
+
+COSTS = {
+    "cpu_time": ("s", "processor time per point"),
+    "nfev": ("1", "right-hand sides per point"),
+    "n_steps": ("1", "accepted steps per point"),
+    "n_rejected": ("1", "rejected steps per point"),
+    "n_contacts": ("1", "wall crossings per point"),
+}
+
+
+def timing(responses: xr.Dataset) -> xr.Dataset:
+    """Mean and median cost per point of every representation and scene.
+
+    Parameters
+    ----------
+    responses : Dataset
+        As stored in ``responses.nc``.
+    """
+    host = responses["host"]
+    requested = responses["status"] != Status.NOT_REQUESTED
+    chosen = _busiest(host)
+    measured = requested & (host == chosen)
+    variables = {}
+    for name, (units, long_name) in COSTS.items():
+        values = responses[name].where(measured)
+        for statistic, value in (("mean", mean(values)), ("median", quantile(values, 0.5))):
+            attributes = {"units": units, "long_name": f"{long_name}, {statistic}"}
+            variables[f"{name}_{statistic}"] = value.assign_attrs(attributes)
+    for name, where in (("n_points", measured), ("n_points_elsewhere", requested & ~measured)):
+        count = where.sum(swept(where)).astype("i4").drop_attrs(deep=False)
+        long_name = "sweep points measured" if name == "n_points" else "points of other machines"
+        variables[name] = count.assign_attrs(units="1", long_name=long_name)
+    names = str(host.attrs.get("flag_meanings", "")).split()
+    chosen_name = names[chosen] if 0 <= chosen < len(names) else ""
+    return xr.Dataset(variables).assign_attrs(of_study(responses), measured_on=chosen_name)
+
+
+def _busiest(host: xr.DataArray) -> int:
+    """Index of the machine with the most points; -1 if there is none."""
+    known = host.values[host.values >= 0]
+    return int(np.bincount(known).argmax()) if known.size else -1
+
+
+def quantile(values: xr.DataArray, q: float) -> xr.DataArray:
+    """Quantile over frequencies and starts; NaN entries do not count."""
+    with warnings.catch_warnings():
+        # numpy warns where no entry is left: NaN is what we want there.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return values.quantile(q, swept(values)).drop_vars("quantile")
+
+
+def mean(values: xr.DataArray) -> xr.DataArray:
+    """Mean over frequencies and starts; NaN entries do not count."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return values.mean(swept(values))
+
+
+def repeatability(ratios: Array) -> float:
+    """How far the ratio of equal quantities is from 1 by chance, in 95 % of cases, as a logarithm.
+
+    Parameters
+    ----------
+    ratios : ndarray
+        As measured; NaN if none was.
+    """
+    known = np.log(ratios[np.isfinite(ratios) & (ratios > 0.0)])
+    if not known.size:
+        return np.nan
+    return float(stdtrit(known.size, 0.975) * np.sqrt(np.mean(known**2)))
+
+
+def widened(ratio: float, interval: Array, noise: float) -> tuple[float, float]:
+    """The interval of a ratio and its `repeatability`, both in quadrature."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        below, above = np.exp(np.hypot(np.log(ratio / np.asarray(interval)), noise))
+        return float(ratio / below), float(ratio * above)

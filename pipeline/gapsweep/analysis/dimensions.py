@@ -1,0 +1,151 @@
+"""Dimensions of the datasets of a run, and selections along them.
+
+A scene has one stiffness, one gap and one value of every further parameter: the dimensions of
+scenes are all but representation, frequency and initial condition.
+"""
+
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gapsweep.errors import DatasetError
+from gapsweep.study.axis_selection import is_several, positions
+from gapsweep.study.grid import COORDINATE, START
+from gapsweep.study.schema import POINT_DIMS
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+REPRESENTATION, SWEPT = "representation", ("omega", "initial_condition")
+
+At = Mapping[str, int]
+# What a dataset says of the study, and of the code behind its points.
+_OF_STUDY = (
+    "title", "study", "study_json", "system_json", "creator_name", "license",
+    "numerics_fingerprint",
+)  # fmt: skip
+
+
+def of_study(responses: xr.Dataset) -> dict[str, Any]:
+    """Attributes that a dataset made from responses has from them."""
+    return {name: responses.attrs[name] for name in _OF_STUDY if name in responses.attrs}
+
+
+def swept(values: xr.DataArray) -> list[str]:
+    """The dimensions that are swept in a scene: nothing that is not forced has frequencies."""
+    return [dim for dim in SWEPT if dim in values.dims]
+
+
+def point_dims(responses: xr.Dataset) -> tuple[str, ...]:
+    """Dimensions of a sweep point, in the order of the file."""
+    return tuple(str(dim) for dim in responses["status"].dims)
+
+
+def scene_dims(dims: Iterable[Hashable]) -> list[str]:
+    """Those among a sweep point's dimensions that are of scenes, in their order."""
+    return [str(dim) for dim in dims if dim not in (REPRESENTATION, *SWEPT)]
+
+
+def over(dims: tuple[str, ...], of_points: tuple[str, ...]) -> tuple[str, ...]:
+    """Dimensions of a metric in a study, from those in a study of stiffness and gap alone.
+
+    Parameters
+    ----------
+    dims : tuple of str
+        Some of `POINT_DIMS`, and dimensions of the metric's own.
+    of_points : tuple of str
+        As from `point_dims`.
+    """
+    left_out = {REPRESENTATION, *SWEPT} - set(dims)
+    own = (dim for dim in dims if dim not in POINT_DIMS)
+    return (*(dim for dim in of_points if dim not in left_out), *own)
+
+
+def scenes(dataset: xr.Dataset, dims: Iterable[str]) -> Iterator[dict[str, int]]:
+    """Every position along some dimensions, the last one fastest."""
+    names = list(dims)
+    for position in np.ndindex(*(dataset.sizes[name] for name in names)):
+        yield dict(zip(names, position, strict=True))
+
+
+def cells(dims: Iterable[str], at: At) -> tuple[int | slice, ...]:
+    """Where in an array over the dimensions the values at a position lie."""
+    return tuple(at.get(dim, slice(None)) for dim in dims)
+
+
+def in_metres(responses: xr.Dataset) -> bool:
+    """Whether displacements are known to be in metres, and so to be comparable with the gap.
+
+    Coordinates of systems are in a unit of the user's, and a contact feels a combination of them.
+    """
+    return responses["x_max"].attrs.get("units") == "m"
+
+
+def by_coordinate(dataset: xr.Dataset) -> Iterator[tuple[xr.Dataset, str]]:
+    """A dataset coordinate by coordinate, and the words that name each in a caption."""
+    if COORDINATE not in dataset.dims:
+        yield dataset, ""
+        return
+    for i, name in enumerate(dataset[COORDINATE].values.tolist()):
+        yield dataset.isel({COORDINATE: i}), f", {name}"
+
+
+def with_rate(dataset: xr.Dataset, rate: float) -> xr.Dataset:
+    """A dataset of unforced responses with a dimension `omega` of one frequency.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        ``responses.nc`` or ``attractors.nc``.
+    rate : float
+        Section points per second [Hz].
+    """
+    at = list(dataset["response_class"].dims)
+    axis = at.index(START) if START in at else len(at) - 1
+    return dataset.assign(
+        {
+            name: variable.expand_dims(omega=[rate], axis=axis)
+            for name, variable in dataset.data_vars.items()
+            if {*at[:axis]} <= {*variable.dims}
+        }
+    )
+
+
+def section_rate(responses: xr.Dataset) -> float:
+    """How often per second unforced periodic responses pass their section."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rates = responses["period_multiple"].values / responses["period"].values
+    known = rates[np.isfinite(rates)]
+    return float(np.median(known)) if known.size else 1.0
+
+
+def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
+    """A selection by any coordinate of one dimension.
+
+    A value of a dimension's own coordinate reduces it to a scalar; lists, slices (both ends
+    included) and other coordinates (``start="sweep_up"``) keep the dimension. What is equal, see
+    `gapsweep.study.axis_selection`.
+
+    Raises
+    ------
+    DatasetError
+        If a name is no coordinate or nothing has the value.
+    """
+    for name, value in wanted.items():
+        if name not in dataset.coords:
+            known = ", ".join(str(coordinate) for coordinate in dataset.coords)
+            raise DatasetError(f"{name}: no coordinate of this dataset; it has {known}")
+        coordinate = dataset[name]
+        try:
+            where = positions(name, coordinate.values, value)
+        except ValueError as error:
+            raise DatasetError(str(error)) from None
+        if coordinate.ndim:
+            (dim,) = coordinate.dims
+            is_one = name == dim and not is_several(value)
+            dataset = dataset.isel({dim: int(where[0]) if is_one else where})
+    return dataset

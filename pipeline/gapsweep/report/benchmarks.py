@@ -1,0 +1,315 @@
+"""What the report and the command line say about benchmarks, from the two datasets alone."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.analysis.bench.judge import CellOutcome
+from gapsweep.analysis.bench.pareto import TARGETS, corners
+from gapsweep.model.labels import EXACT, law_of
+from gapsweep.report.bench_figures import (
+    STATUS_LETTERS,
+    atlas,
+    tolerance_figure,
+    work_precision_figure,
+    worst,
+)
+from gapsweep.report.parts import Figured, Part, Table
+from gapsweep.report.scales import plain
+from gapsweep.status import Status
+
+_NAMED = (
+    CellOutcome.MODEL_ERROR,
+    CellOutcome.FAILED,
+    CellOutcome.UNDECIDED,
+    CellOutcome.SILENT_WRONG,
+)
+# Errors from here on are those that a chart is looked at for.
+_USEFUL = 1e-2
+
+
+@dataclass(frozen=True, slots=True)
+class Conclusions:
+    """A dataset in sentences, and the numbers behind them."""
+
+    sentences: list[str]
+    numbers: dict[str, Any]
+
+
+def bench_parts(work_precision: xr.Dataset | None, stability: xr.Dataset | None) -> Iterator[Part]:
+    """Sections on the datasets that there are."""
+    if work_precision is not None:
+        yield _work_precision_part(work_precision.load())
+    if stability is not None:
+        yield _stability_part(stability.load())
+
+
+def conclusions(dataset: xr.Dataset) -> Conclusions:
+    """What a dataset of ``gapsweep bench`` says."""
+    dataset = dataset.load()
+    return _atlas_conclusions(dataset) if "outcome" in dataset else _front_conclusions(dataset)
+
+
+# ---- Work-precision -------------------------------------------------------------------------
+
+
+def _is_exact(label: str) -> bool:
+    """Whether a method is labelled as the exact law, whatever its solver makes of contacts."""
+    return law_of(label) == EXACT
+
+
+def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
+    """Scenes in which another method is on the front at an error of 1e-2 or below, and which."""
+    shown = bench["on_front"].astype(bool) & (bench["total_error"] <= _USEFUL)
+    found = {}
+    for scene in bench["scene"].values.tolist():
+        there = shown.sel(scene=scene).any("tolerance")
+        others = [m for m in bench["method"].values[there.values].tolist()]
+        others = [m for m in others if not _is_exact(m)]
+        if others:
+            found[scene] = others
+    return found
+
+
+def _front_conclusions(bench: xr.Dataset) -> Conclusions:
+    exceptions, rows = beaten(bench), _cheapest(bench)
+    sentences = [*_on_front(bench, exceptions), *map(_price, rows)]
+    return Conclusions(sentences, {"cheapest": rows, "not_exact_on_front": exceptions})
+
+
+def _on_front(bench: xr.Dataset, exceptions: dict[str, list[str]]) -> list[str]:
+    """What is on the front, and what failed."""
+    n = bench.sizes["scene"]
+    sentences = [
+        f"Exact with located contacts makes the whole front at errors of 1e-2 and below in "
+        f"{n - len(exceptions)} of {n} scenes."
+    ]
+    sentences += [
+        f"In {scene}, {', '.join(others)} {'is' if len(others) == 1 else 'are'} on it too."
+        for scene, others in exceptions.items()
+    ]
+    failed = _failures(bench)
+    if failed:
+        sentences.append(f"Failed runs: {failed}.")
+    return sentences
+
+
+def _price(row: Mapping[str, Any]) -> str:
+    """The cheapest method of a corner at a target error."""
+    corner = f"K_c = {plain(row['K_c'])} N/m, {row['gap']} mm, error {row['error']:.0e}"
+    if not row["method"]:
+        return f"{corner}: no method"
+    runner_up = f"; next {row['next']} at {row['ratio']:.2g} times the cost" if row["next"] else ""
+    seconds = f"{1e6 * row['cpu_time']:.3g} µs per simulated second"
+    return f"{corner}: {row['method']}, {seconds}{runner_up}"
+
+
+def _failures(bench: xr.Dataset) -> str:
+    """Numbers of failed runs by method and status."""
+    counts = []
+    for label in bench["method"].values.tolist():
+        status = bench["status"].sel({"method": label}).values
+        for each in Status:
+            count = int(np.sum(status == each))
+            if count and each not in (Status.OK, Status.NOT_REQUESTED):
+                counts.append(f"{label} {each.label.replace('_', ' ')} {count}")
+    return ", ".join(counts)
+
+
+def _cheapest(bench: xr.Dataset) -> list[dict[str, Any]]:
+    """Cheapest method of every corner at every target error, and the best of another law."""
+    rows = []
+    for target in TARGETS:
+        for K_c, gap, cost in corners(bench, target):
+            ranked = cost.to_series().dropna().sort_values()
+            best = str(ranked.index[0]) if len(ranked) else ""
+            rivals = [m for m in ranked.index if law_of(m) != law_of(best)]
+            rows.append(
+                {
+                    "K_c": K_c,
+                    "gap": gap,
+                    "error": target,
+                    "method": best,
+                    "cpu_time": float(ranked.iloc[0]) if best else None,
+                    "next": str(rivals[0]) if rivals else "",
+                    "ratio": float(ranked[rivals[0]] / ranked.iloc[0]) if rivals else None,
+                }
+            )
+    return rows
+
+
+def _cheapest_table(bench: xr.Dataset) -> Table:
+    cells: dict[tuple[float, str], dict[float, str]] = {}
+    for row in _cheapest(bench):
+        text = "none"
+        if row["method"]:
+            text = f"{row['method']} {1e6 * row['cpu_time']:.3g} µs"
+            text += f" ({row['next']} {row['ratio']:.2g}×)" if row["next"] else " (no other law)"
+        cells.setdefault((row["K_c"], row["gap"]), {})[row["error"]] = text
+    return Table(
+        "Cheapest method per simulated second (next law and its factor)",
+        ["K_c [N/m], gap [mm]", *(f"error {target:.0e}" for target in TARGETS)],
+        [
+            [f"{plain(K_c)}, {gap}", *(by_target[target] for target in TARGETS)]
+            for (K_c, gap), by_target in cells.items()
+        ],
+    )
+
+
+def _work_precision_part(bench: xr.Dataset) -> Part:
+    figures = [
+        Figured(
+            work_precision_figure(bench.isel(scene=bench["K_c"].values == K_c)),
+            f"K_c = {plain(K_c)} N/m. Error against the exact law and processor time per simulated "
+            "second, every point a tolerance. Filled and ringed: on the front, nothing is both "
+            "cheaper and closer. Ticks at the bottom: model error of each law, which no tolerance "
+            "betters. Crosses on the right: runs that failed. Bars: quartiles. Points closer to "
+            "the truth than ten distances of the two references are left out.",
+            f"Work-precision diagrams, K_c = {plain(K_c)} N/m",
+        )
+        for K_c in np.unique(bench["K_c"].values).tolist()
+    ]
+    figures.append(
+        Figured(
+            tolerance_figure(bench),
+            "Tolerance asked for and error got against the same law's own solution, medians over "
+            "the scenes: displacement and velocity at period ends, contact times, steady "
+            "amplitude. Dashed: error equal to tolerance.",
+            "Tolerance asked for and error got",
+        )
+    )
+    machine = (
+        f"Measured on {bench.attrs['processor']} ({bench.attrs['machine']}), "
+        f"load {bench.attrs['load_average']:.2g} from elsewhere; "
+        f"{int(bench['n_lanes'].max())} points per compiled call, one for scipy; medians of up to "
+        f"{bench.attrs['n_repeats']} rounds, methods in turns. First calls, which compile or load "
+        f"code, took up to {float(bench['first_call_time'].max()):.2g} s and are left out."
+    )
+    return Part(
+        "work-precision",
+        "Work and precision",
+        [*_on_front(bench, beaten(bench)), machine],
+        [_cheapest_table(bench)],
+        figures,
+    )
+
+
+# ---- Stability --------------------------------------------------------------------------------
+
+
+def _atlas_conclusions(stability: xr.Dataset) -> Conclusions:
+    outcome, tight = stability["outcome"], stability["rtol"] <= stability.attrs["tight_rtol"] * 1.01
+    numbers: dict[str, Any] = {"n_silent_wrong": int(stability.attrs["n_silent_wrong"])}
+    sentences = [
+        f"Silent wrong answers at rtol {stability.attrs['tight_rtol']:g} or tighter: "
+        f"{numbers['n_silent_wrong']}."
+    ]
+    for name, where in (("tight", tight), ("loose", ~tight & stability["rtol"].notnull())):
+        counts = {
+            o.name.lower(): int(((outcome == o) & where).sum())
+            for o in CellOutcome
+            if o is not CellOutcome.NOT_REQUESTED
+        }
+        numbers[name] = counts
+        said = ", ".join(f"{n} {label.replace('_', ' ')}" for label, n in counts.items())
+        sentences.append(f"Runs at {name} tolerances: {said}.")
+    silent = [
+        {"scene": str(scene), "method": str(method), "rtol": float(rtol)}
+        for scene, method, rtol in _where(stability, CellOutcome.SILENT_WRONG)
+    ]
+    numbers["silent_wrong"] = silent
+    if silent:
+        listed = "; ".join(f"{w['scene']} {w['method']} {w['rtol']:.0e}" for w in silent)
+        sentences.append(f"Silent and wrong: {listed}.")
+    return Conclusions(sentences, numbers)
+
+
+def _where(stability: xr.Dataset, outcome: CellOutcome) -> Iterator[tuple[str, str, float]]:
+    for s, m, r in np.argwhere(stability["outcome"].values == outcome):
+        yield (
+            stability["scene"].values[s],
+            stability["method"].values[m],
+            stability["rtol"].values[m, r],
+        )
+
+
+def _stability_part(stability: xr.Dataset) -> Part:
+    letters = ", ".join(f"{letter} {name}" for name, letter in STATUS_LETTERS.items())
+    legend = (
+        "R right; M its own law is solved, but its answer is not the exact one; ? wrong by no more "
+        "than its tolerance grown by the motion, or the references disagree; ! wrong and says ok. "
+        f"Ended with a status: {letters}. A cell shows the worst outcome of its tolerances."
+    )
+    figures = [
+        Figured(
+            atlas(stability, tight=tight),
+            ("Tolerances of 1e-6 and tighter. " if tight else "Looser tolerances. ") + legend,
+            f"Failure atlas, {'tight' if tight else 'loose'} tolerances",
+        )
+        for tight in (True, False)
+        if worst(stability, tight=tight).max() > CellOutcome.NOT_REQUESTED
+    ]
+    return Part(
+        "stability",
+        "Stability where methods fail",
+        _atlas_conclusions(stability).sentences,
+        [_scene_table(stability), _law_table(stability)],
+        figures,
+    )
+
+
+def _scene_table(stability: xr.Dataset) -> Table:
+    """What came of all methods on each scene at tight tolerances."""
+    outcome = worst(stability, tight=True)
+    rows = []
+    for scene in stability["scene"].values.tolist():
+        here, one = outcome.sel(scene=scene), stability.sel(scene=scene)
+        named = [", ".join(here["method"].values[here.values == o].tolist()) or "–" for o in _NAMED]
+        rows.append(
+            [
+                scene,
+                str(one["expected"].item()),
+                f"{one['stiffness_ratio'].item():.3g}",
+                f"{one['growth'].values[0]:.2g}",
+                str(int(np.sum(here.values == CellOutcome.RIGHT))),
+                *named,
+            ]
+        )
+    header = ["Scene", "Known by", "Stiffness ratio", "Growth", "Right"]
+    return Table(
+        "Outcomes at tolerances of 1e-6 and tighter",
+        [*header, "Model error", "Failed", "Undecided", "Silent wrong"],
+        rows,
+    )
+
+
+def _law_table(stability: xr.Dataset) -> Table:
+    """What could have been known of each law without integrating, over all scenes."""
+    rows = []
+    for label in stability["method"].values.tolist():
+        one = stability.sel({"method": label})
+        more = one["n_wells"] > one["n_wells_exact"]
+        frequency = one["in_gap_frequency"].values
+        layer = one["layer_over_step"].values
+        rows.append(
+            [
+                label,
+                f"{int(more.sum())} of {one.sizes['scene']}",
+                _range(frequency),
+                _range(layer),
+            ]
+        )
+    header = ["Method", "Scenes with false wells", "In-gap frequency [Hz]", "Layer / step"]
+    return Table("Known before integrating", header, rows)
+
+
+def _range(values: Any) -> str:
+    finite = np.asarray(values)[np.isfinite(values)]
+    if not finite.size:
+        return "–"
+    low, high = float(finite.min()), float(finite.max())
+    return f"{low:.3g}" if math.isclose(low, high, rel_tol=1e-3) else f"{low:.2g} to {high:.2g}"
