@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 
 import click
 
-from gapsweep.analysis.agreement.comparison import branch_agreement
+from gapsweep.analysis.agreement import branch_agreement
 from gapsweep.analysis.agreement.metrics import variables
 from gapsweep.analysis.datasets import branches_file as branches
 from gapsweep.analysis.datasets import histories, static
