@@ -20,6 +20,7 @@ PYTHON = [code for kind, code in BLOCKS if kind == "python"]
 PRINTED = {0: ["ok 1"], 1: ["(64,)"], 2: ["contacts of the flap"]}
 
 
+@pytest.mark.packaging
 @pytest.mark.parametrize("number", range(len(PYTHON)))
 def test_every_python_block_is_a_script(number, tmp_path):
     """Saved to a file and run with plain ``python``, in a folder with the studies of a clone."""
