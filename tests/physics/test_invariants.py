@@ -564,6 +564,8 @@ def test_records_are_as_good_as_motions_that_end_there(name):
             expected = end.copy()
             expected[i % n], expected[n + i % n] = value, 0.0
             assert case.error(end, expected) < within
+    for t, point in zip(run.t_section[:3], run.section[:3], strict=True):
+        assert case.error(state(case.run(t_end=t, **given)), point) < within
     contacts = zip(lists(run.t_contacts), case.equation.directions, case.laws, strict=True)
     for times, b, law in contacts:
         for t in times[1:4]:
