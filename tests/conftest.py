@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from distributed import Client
 from hypothesis import settings
 
 from gapsweep.execution.cluster import cluster
+from tests.commands import on_a_cluster
 
 settings.register_profile("quick", max_examples=25, deadline=None)
 settings.register_profile("thorough", max_examples=500, deadline=None)
@@ -29,6 +30,12 @@ def client() -> Iterator[Client]:
     """Two worker processes of one thread each, shared by the whole test run."""
     with cluster(workers=2) as client:
         yield client
+
+
+@pytest.fixture(scope="session")
+def run_command(client: Client) -> Callable[..., Any]:
+    """``gapsweep`` in this process, on the shared cluster: see `tests.commands`."""
+    return on_a_cluster(client)
 
 
 @pytest.fixture

@@ -107,7 +107,7 @@ def test_orbits_of_coupled_masses_are_where_brute_force_settles(kind):
     law = {name: kind(each.K_c, each.gap) for name, each in laws.items()}
     omega, n_checked = np.linspace(1.0, 8.0, 25), 0
     found = gs.respond(system, law, omega)
-    settled = gs.simulate(system, law, omega, t_end=300.0)
+    settled = gs.simulate(system, law, omega, t_end=150.0)
     for k in np.flatnonzero(found.response_class == gs.ResponseClass.PERIODIC):
         last = settled.section[k][-1 - int(found.period_multiple[k]) :]
         if np.abs(last[-1] - last[0]).max() > 1e-7 * (1.0 - found.multiplier_abs[k]):
