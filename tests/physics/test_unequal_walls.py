@@ -30,19 +30,6 @@ def test_a_bilinear_spring_swings_in_two_half_periods(K_ratio, engine):
     assert run.n_contacts == (12 if K_ratio else 6)
 
 
-@pytest.mark.parametrize("label", LABELS)
-def test_equal_walls_move_as_walls_of_no_ratio(label):
-    scene = gs.Oscillator(), 9.0
-    laws = [gs.contact_law(label, 1.4e4, GAP), gs.contact_law(label, 1.4e4, GAP, K_ratio=1.0)]
-    runs = [gs.simulate(scene[0], law, scene[1], t_end=1.0) for law in laws]
-    assert laws[0] == laws[1]
-    assert (runs[0].x_end, runs[0].v_end, runs[0].nfev) == (
-        runs[1].x_end,
-        runs[1].v_end,
-        runs[1].nfev,
-    )
-
-
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 @pytest.mark.parametrize("label", LABELS)
 def test_a_wall_without_stiffness_is_none(label, engine):
