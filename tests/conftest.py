@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Callable, Iterator
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,18 @@ from tests.commands import on_a_cluster
 settings.register_profile("quick", max_examples=25, deadline=None)
 settings.register_profile("thorough", max_examples=500, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files whose tests wait for other processes, in turn with files that compute themselves."""
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    waiting = [path for path in files if path.parent.name in ("cluster", "faults")]
+    computing = [path for path in files if path not in waiting]
+    in_turn = chain.from_iterable(zip_longest(waiting, computing))
+    items[:] = [item for path in in_turn if path for item in files[path]]
+
 
 GOLDEN = Path(__file__).parents[1] / "data" / "golden"
 

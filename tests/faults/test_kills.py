@@ -73,7 +73,7 @@ def same(a, b):
 
 
 @pytest.mark.parametrize(
-    ("n_points", "n_kills"), [(60, 3), pytest.param(2000, 50, marks=pytest.mark.slow)]
+    ("n_points", "n_kills"), [(40, 3), pytest.param(2000, 50, marks=pytest.mark.slow)]
 )
 def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
     (tmp_path / "storm.toml").write_text(study_text(n_points))

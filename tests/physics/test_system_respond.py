@@ -276,7 +276,7 @@ def whirling(growth, driven=1.3):
     return system, gs.Piecewise(1.0, gs.Gap(1e5, 1e5)), w, math.sqrt(w * w - 1.0)
 
 
-@pytest.mark.parametrize(("growth", "q"), [(0.01, 0.8), (0.0015, 1e-3), (0.001, 0.02)])
+@pytest.mark.parametrize(("growth", "q"), [(0.0015, 1e-3), (0.001, 0.02)])
 def test_a_torus_that_is_settled_on_slowly_is_read_off_its_end(growth, q):
     """Damping says that this takes 20 s; towards the torus it takes up to 1e5."""
     system, law, w, amplitude = whirling(growth)
