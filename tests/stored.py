@@ -97,6 +97,14 @@ def stored(study, cache):
     return {tuple(p): by_key[k] for p, k in zip(places, keys, strict=True) if k in by_key}
 
 
+def n_stored(path):
+    """Points of a cache, which need not be there yet."""
+    if not path.exists():
+        return 0
+    with Cache(path, read_only=True) as cache:
+        return cache.n_points
+
+
 def messages(study, cache):
     """What is said of each point of a study, by place."""
     return {place: one.message for place, one in stored(study, cache).items()}

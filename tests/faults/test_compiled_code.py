@@ -12,6 +12,8 @@ import pytest
 
 import gapsweep
 
+pytestmark = pytest.mark.packaging
+
 SOURCES = Path(gapsweep.__file__).parent
 RUN = """
 import gapsweep as gs
