@@ -12,7 +12,7 @@ from distributed import LocalCluster
 from tests.stored import commit, messages, point, stored, tile_rows
 
 import gapsweep as gs
-from gapsweep import lookup
+from gapsweep import pipeline
 from gapsweep.execution import execute
 from gapsweep.execution.cluster import cluster
 from gapsweep.execution.plan import plan
@@ -125,7 +125,7 @@ def test_refined_grid_computes_only_the_new_points(tables, client, tmp_path):
     counts = []
     for n in (3, 5, 9):
         tables["sweep"][0]["omega"] = {"start": 10.0, "stop": 12.0, "num": n}
-        plan = lookup.plan(gs.Study.from_dict(tables), tmp_path / "out-cache")
+        plan = pipeline.plan(gs.Study.from_dict(tables), tmp_path / "out-cache")
         counts.append((plan.n_missing, plan.n_hits))
         run(tables, client, tmp_path)
     assert counts == [(3, 0), (2, 3), (4, 5)]
@@ -178,9 +178,9 @@ def test_what_started_elsewhere_counts_no_more_once_the_failure_is_repaired(
     first = tables | {"sweep": [block | {"omega": block["omega"][:1]}]}
     options = {"cache": tmp_path / "out-cache", "retry_failed": True}
     gs.run(gs.Study.from_dict(first), client, out=tmp_path / "first", **options).close()
-    assert lookup.plan(study, tmp_path / "out-cache").n_missing == 2
+    assert pipeline.plan(study, tmp_path / "out-cache").n_missing == 2
     xr.testing.assert_equal(run(tables, client, tmp_path)["x_max"], calm["x_max"])
-    assert lookup.plan(study, tmp_path / "out-cache").n_missing == 0
+    assert pipeline.plan(study, tmp_path / "out-cache").n_missing == 0
 
 
 def test_long_sweep_in_parts_equals_one_in_a_piece(tables, client, tmp_path):
@@ -217,7 +217,7 @@ def test_failed_points_are_computed_again_only_on_request(tables, client, tmp_pa
     tables["solver"] = {"engine": "scipy"}  # nothing to compile
     run(tables, client, tmp_path)
     study = gs.Study.from_dict(tables)
-    again = [lookup.plan(study, tmp_path / "out-cache", retry_failed=r) for r in (False, True)]
+    again = [pipeline.plan(study, tmp_path / "out-cache", retry_failed=r) for r in (False, True)]
     assert [p.n_missing for p in again] == [0, 1]
     assert again[0].n_failed == 1
 

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from tests.stored import damaged_row
 
 import gapsweep as gs
-from gapsweep import make, workflow
+from gapsweep import pipeline, stages
 from gapsweep.cli.main import commands
 from gapsweep.execution.portions import SWEEP_PART
 from gapsweep.explorer.widget import explore_path
@@ -75,13 +75,13 @@ def test_status_knows_a_run_of_which_everything_is_stored(finished, monkeypatch)
     (finished / "out" / "run.json").unlink()
     seen = []
 
-    def update(study, folder, given, **how):
+    def make_files(*_, **__):
         seen.append(json.loads(gapsweep(finished, "status", "out", "--json").stdout))
 
-    monkeypatch.setattr(workflow, "update", update)
+    monkeypatch.setattr(pipeline, "make_files", make_files)
     study = gs.Study.load(finished / "tiny.toml")
-    workflow.carry_out(study, out=finished / "out", cache=finished / "c-cache")
-    assert [(one["state"], one["hits"]) for one in seen] == [("running", 40)]
+    pipeline.carry_out(study, out=finished / "out", cache=finished / "c-cache")
+    assert [(one["state"], one["hits"]) for one in seen] == [("running", 40)] * 2
 
 
 def test_repairs_are_told(finished):
@@ -184,7 +184,7 @@ def test_datasets_of_other_contents_are_one_line(finished, tmp_path, what):
     """Of another version, or made by somebody else."""
     out = shutil.copytree(finished / "out", tmp_path / "out")
     forged(out, "responses.nc", FORGED[what])
-    pages = [make.report]
+    pages = [pipeline.report]
     if what.startswith("a study"):
         pages.append(lambda folder: explore_path(folder, 0))
     for show in pages:
@@ -335,10 +335,11 @@ def test_benchmarks_name_what_they_were_made_from_before_they_began(tables, tmp_
         "method": [{"label": "piecewise", "rtol": [1e-4]}],
     }
     order = []
-    monkeypatch.setattr(make, "made_from", lambda *given: order.append("made from") or {})
-    monkeypatch.setattr(make, "_analysed", lambda *given: order.append("analysis"))
-    monkeypatch.setattr(make.netcdf, "write", lambda *given: order.append("written"))
-    make.bench(gs.Study.from_dict(tables), tmp_path)
+    monkeypatch.setattr(stages.Stage, "made_from", lambda *_: order.append("made from") or {})
+    monkeypatch.setattr(stages, "write", lambda *_: order.append("written"))
+    analysis = "gapsweep.analysis.work_precision.work_precision"
+    monkeypatch.setattr(analysis, lambda *_, **__: order.append("analysis") or {})
+    pipeline.bench(gs.Study.from_dict(tables), tmp_path)
     assert order == ["made from", "analysis", "written"]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import gapsweep as gs
-from gapsweep import workflow
+from gapsweep import pipeline
 from gapsweep.analysis.histories import histories
 from gapsweep.analysis.stability import stability
 from gapsweep.analysis.work_precision import work_precision
@@ -181,14 +181,14 @@ def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
     asked = {"cache": tmp_path / "c-cache", "on_progress": tell}
     advice = "when called at x = 0: took longer than 2 s; --timeout gives it up to 60 s"
     with pytest.raises(gs.StudyError, match=advice):
-        workflow.carry_out(loaded, out=tmp_path / "out", timeout=2.0, **asked)
+        pipeline.carry_out(loaded, out=tmp_path / "out", timeout=2.0, **asked)
     assert told == [
         "the law 'endless:law' is imported, for 2 s at most",
         "the law 'endless:law' is called at x = 0, for 2 s at most",
     ]
     monkeypatch.setattr(try_out, "_LONGEST", 1.5)
     with pytest.raises(gs.StudyError, match=r"took longer than 1\.5 s") as refused:
-        workflow.query(loaded, **asked)
+        pipeline.query(loaded, **asked)
     assert "--timeout" not in str(refused.value), "no longer time is to be had"
     assert told[-1] == "the law 'endless:law' is called at x = 0, for 1.5 s at most"
 

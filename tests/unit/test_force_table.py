@@ -18,7 +18,7 @@ from gapsweep.analysis.truth import motion
 from gapsweep.execution.assemble import attributes_of
 from gapsweep.execution.layout import Layout
 from gapsweep.integrate.problem import Solver
-from gapsweep.lookup import plan
+from gapsweep.pipeline import plan
 from gapsweep.response.loads import largest_forces
 
 X = (-3e-3, -1e-3, -0.4e-3, 0.4e-3, 1e-3, 2e-3)

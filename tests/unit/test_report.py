@@ -32,7 +32,7 @@ from gapsweep.report.pictures import is_picture, pictures
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import Told
 from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent, special_points
-from gapsweep.stages import is_of_run
+from gapsweep.run_folder import is_of_run
 from gapsweep.status import Status
 from gapsweep.store.artefact import SUMS, sha256
 from gapsweep.study.study import Study

@@ -6,7 +6,7 @@ from typing import Any
 import xarray as xr
 
 from gapsweep.errors import DatasetError
-from gapsweep.study.selection import is_several, positions
+from gapsweep.study.axis_selection import is_several, positions
 
 
 def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
@@ -14,7 +14,7 @@ def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
 
     A value of a dimension's own coordinate reduces it to a scalar; lists, slices (both ends
     included) and other coordinates (``start="sweep_up"``) keep the dimension. What is equal, see
-    `gapsweep.study.selection`.
+    `gapsweep.study.axis_selection`.
 
     Raises
     ------

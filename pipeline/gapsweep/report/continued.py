@@ -16,8 +16,8 @@ from gapsweep.integrate.simulate import simulate
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.system import System
 from gapsweep.report.selection import scene
+from gapsweep.study.axis_selection import listed, positions
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Grid
-from gapsweep.study.selection import listed, positions
 from gapsweep.study.study import Study
 from gapsweep.variables import SECTION_POINT
 

@@ -22,8 +22,8 @@ from gapsweep.report.scales import axis_label, drawn, shown_unit
 from gapsweep.report.selection import places, scene
 from gapsweep.report.style import NOT_PERIODIC, colour
 from gapsweep.response.result import ResponseClass
+from gapsweep.study.axis_selection import listed
 from gapsweep.study.grid import START
-from gapsweep.study.selection import listed
 from gapsweep.variables import EXTREMUM, SECTION_POINT
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.study.axis_selection import is_numeric
 from gapsweep.study.grid import CONTACT, COORDINATE
 from gapsweep.study.schema import PARAMETER, parts_of, written
-from gapsweep.study.selection import is_numeric
 
 _WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
 _APART = 1.05  # of values that are multiples: those closer are as even on a linear axis

@@ -9,9 +9,9 @@ from gapsweep.analysis.selection import selected
 from gapsweep.errors import DatasetError
 from gapsweep.model.oscillator import OSCILLATOR, Gap
 from gapsweep.report.scales import shortened
+from gapsweep.study.axis_selection import listed
 from gapsweep.study.grid import START
 from gapsweep.study.schema import PARAMETER
-from gapsweep.study.selection import listed
 
 _SHOWN_NAMES = 6
 _PLACE = ("K_c", "gap", "j_1", "j_2", "omega", *OSCILLATOR, "K_ratio")
