@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from gapsweep.analysis.agreement.bootstrap import blocks, pooled, quantiles, ratio
 from gapsweep.analysis.agreement import bootstrap
+from gapsweep.analysis.agreement.bootstrap import blocks, pooled, quantiles, ratio
 
 Q = (0.5, 0.95)
 

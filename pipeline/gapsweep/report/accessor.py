@@ -256,13 +256,8 @@ class GapsweepAccessor:
         if "regime" in self._dataset[variable].dims:
             wanted = {"regime": "all", **wanted}
         if along in self._dataset[variable].dims:
-            shown = scene_along(self._dataset, along, {variable: CURVES}, wanted)
-            axes = axes_of(ax)
-            drawing.curves(axes, shown[variable], along)
-            axes.set_ylabel(axis_label(shown[variable]))
-            return finished(axes, shown, along)
-        value = _numbers(self._dataset, variable, ("representation",), wanted)
-        assert value is not None
+            return self.frequency_response(variable, along=along, ax=ax, **wanted)
+        value = scene(self._dataset, {variable: ("representation",)}, wanted)[variable]
         reference = self._dataset.attrs.get("reference")
         others = value["representation"].values != reference
         if not others.any():
