@@ -120,9 +120,8 @@ def two_masses(folder: Path) -> None:
 
 if __name__ == "__main__":
     with matplotlib.rc_context(MATPLOTLIB):
-        for draw, folder in zip(
-            (peaks, work_precision, two_masses, failures), sys.argv[1:], strict=False
-        ):
+        drawn = peaks, work_precision, two_masses, failures
+        for draw, folder in zip(drawn, sys.argv[1:], strict=False):
             draw(Path(folder).absolute())
         hero()
         start()

@@ -124,7 +124,8 @@ class Judge:
         """Mean displacement in a step [m]."""
         if not run.n_steps:
             return math.nan
-        return self.scale.speed * self.scenario.n_periods / self.scenario.omega / run.n_steps
+        period = self.scenario.n_periods / self.scenario.omega
+        return self.scale.speed * period / run.n_steps
 
     @property
     def _is_energy(self) -> bool:

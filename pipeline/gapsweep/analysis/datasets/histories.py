@@ -6,8 +6,9 @@ scaled so that a sinusoid on a bin shows its amplitude. Their number has many di
 the harmonics of period-2 to period-6 motions, too, lie on bins.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,7 @@ from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.simulate import simulate
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.labels import contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
-from gapsweep.model.own_law import OwnLaw
 from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
 from gapsweep.study.points import canonical
@@ -74,7 +73,7 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
     ----------
     study : Study
     timeout : float
-        Time [s] that a motion with a law of the user's own may take; it is alone in a process.
+        Processor time [s] of a motion with a user law, which runs in a separate process.
 
     Returns
     -------
@@ -97,13 +96,13 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
         "frequency_bin": n_samples // 2 + 1,
     }
     arrays = empty(VARIABLES | AXES, sizes)
-    with Isolated(timeout) as alone:
+    with Isolated(timeout) as process:
         for h, table in enumerate(tables):
             t, frequency = sampled(table.omega, table.t_end)
             arrays["t"][h, :, : t.shape[1]] = t
             arrays["frequency"][h, : frequency.size] = frequency
             for label in table.representation:
-                for name, value in _history(study, table, label, alone).items():
+                for name, value in _history(study, table, label, process).items():
                     here = arrays[name][h, labels.index(label), ...]
                     here[_leading(value)] = value
     coords = {
@@ -173,71 +172,40 @@ def _gap(table: HistoryTable) -> Gap:
     return Gap(canonical(j_1), canonical(j_2))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Asked:
-    """One motion: all that it depends on."""
-
-    oscillator: Oscillator
-    representation: str
-    own: OwnLaw | None
-    K_c: float
-    K_ratio: float
-    gap: Gap
-    omega: float
-    t_end: float
-    start: tuple[float, float]
-    fit_range: float
-    solver: Solver
-
-
-def _asked(study: Study, table: HistoryTable, label: str) -> _Asked:
-    x_0, v_0 = table.start
-    numbers = study.setting(table)
-    K_ratio = numbers.pop("K_ratio")
-    return _Asked(
-        oscillator=Oscillator(**numbers),
-        representation=law_of(label),
-        own=study.own_law(label),
-        K_c=table.K_c,
-        K_ratio=K_ratio,
-        gap=_gap(table),
-        omega=table.omega,
-        t_end=table.t_end,
-        start=(x_0 + study.start_jitter(label), v_0),
-        fit_range=study.spec.fit.range,
-        solver=study.solver(label),
-    )
-
-
-def _history(study: Study, table: HistoryTable, label: str, alone: Isolated) -> Mapping[str, Any]:
+def _history(study: Study, table: HistoryTable, label: str, process: Isolated) -> dict[str, Any]:
     """The variables of one motion; its status alone if it has failed."""
+    x_0, v_0 = table.start
     try:
-        asked = _asked(study, table, label)
-        return _motion(asked) if asked.own is None else alone(_motion, asked)
+        numbers, own = study.setting(table), study.own_law(label)
+        walls = table.K_c, _gap(table), numbers.pop("K_ratio")
+        law = partial(own.law, *walls) if own else partial(study.law, label, *walls)
+        start = x_0 + study.start_jitter(label), v_0
+        motion = law, Oscillator(**numbers), table.omega, table.t_end, start, study.solver(label)
+        return process(_motion, *motion) if own else _motion(*motion)
     except ModelError:
         return {"status": Status.MODEL_INVALID}
     except CallError as lost:
         return {"status": lost.status}
 
 
-def _law(asked: _Asked) -> ContactLaw:
-    if asked.own is not None:
-        return asked.own.law(asked.K_c, asked.gap, asked.K_ratio)
-    walls = asked.K_c, asked.gap, asked.fit_range
-    return contact_law(asked.representation, *walls, K_ratio=asked.K_ratio)
-
-
-def _motion(asked: _Asked) -> Mapping[str, Any]:
-    t, _ = sampled(asked.omega, asked.t_end)
+def _motion(
+    law: Callable[[], ContactLaw],
+    oscillator: Oscillator,
+    omega: float,
+    t_end: float,
+    start: tuple[float, float],
+    solver: Solver,
+) -> dict[str, Any]:
+    t, _ = sampled(omega, t_end)
     try:
         motion = simulate(
-            asked.oscillator,
-            _law(asked),
-            asked.omega,
-            *asked.start,
-            t_end=_whole_periods(asked.omega, asked.t_end) / asked.omega,
+            oscillator,
+            law(),
+            omega,
+            *start,
+            t_end=_whole_periods(omega, t_end) / omega,
             dense_output=True,
-            **asdict(asked.solver),
+            **asdict(solver),
         )
     except ModelError:
         return {"status": Status.MODEL_INVALID}
@@ -250,8 +218,6 @@ def _motion(asked: _Asked) -> Mapping[str, Any]:
         "x": x,
         "v": v,
         "spectrum": spectrum(x[-1]),
-        "period_multiple": period_multiple(
-            scaled(steady, unit_of(asked.omega)), same, len(steady) // 2
-        ),
+        "period_multiple": period_multiple(scaled(steady, unit_of(omega)), same, len(steady) // 2),
         "status": motion.status,
     }
