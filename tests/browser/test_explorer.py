@@ -199,6 +199,21 @@ def test_nothing_is_wider_than_the_window(debugger, width):
     assert page <= width
 
 
+def test_on_a_phone_sliders_stay_above_the_figures(debugger):
+    async def scroll(opened):
+        await opened.ask("scrollTo(0, 800)")
+        return await opened.ask("""(() => {
+          const views = [...Bokeh.index.all_views()];
+          const side = views.find(v => v.model.name === "side").el.getBoundingClientRect();
+          return [side.top, side.bottom, side.width];
+        })()""")
+
+    top, bottom, width = browse(debugger, gs.explore(), scroll, size=(390, 844), is_phone=True)
+    assert top == 0.0
+    assert bottom < 0.5 * 844
+    assert width > 350
+
+
 def test_a_map_over_another_number_is_not_shown_under_its_name(debugger):
     async def change(opened):
         await opened.until(f"{source('map 0 peaks')}.image?.[0]?.shape[0] === 40")
