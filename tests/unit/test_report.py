@@ -50,7 +50,6 @@ from gapsweep.study.study import Study
 LABELS = ("piecewise", "piecewise@half", "tanh-1e4", "poly-13")
 OMEGA = (1.0, 2.0, 3.0, 4.0)
 HALF = {"protocol": {"half": {"rtol": 5e-10}}}
-RECORDED = "5e1f" * 16
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(2)</script>'
 
 
@@ -814,16 +813,19 @@ def test_percent():
         # Scenes of a benchmark are changed without a new sweep.
         ({"study": "other"}, "2026-03-01T00:00:00+00:00", True),
         ({"responses.nc": "other"}, "2026-03-01T00:00:00+00:00", False),
-        ({"responses.nc": RECORDED}, "2026-01-01T00:00:00+00:00", True),
+        ({"responses.nc": "recorded"}, "2026-01-01T00:00:00+00:00", True),
         ({}, "2026-01-01T00:00:00+00:00", False),
     ],
 )
 def test_a_file_counts_with_its_responses_or_its_study(tmp_path, made_from, created, is_shown):
-    texts = {"responses.nc": ({"study": "this"}, "2026-02-01T00:00:00+00:00")}
-    for name, (inputs, when) in {**texts, "bench.nc": (made_from, created)}.items():
+    def write(name, inputs, when):
         attributes = {"made_from": json.dumps(inputs), "created": when}
         xr.Dataset(attrs=attributes).to_netcdf(tmp_path / name)
-    (tmp_path / SUMS).write_text(f"{RECORDED}  responses.nc\n")
+
+    write("responses.nc", {"study": "this"}, "2026-02-01T00:00:00+00:00")
+    recorded = sha256(tmp_path / "responses.nc")
+    (tmp_path / SUMS).write_text(f"{recorded}  responses.nc\n")
+    write("bench.nc", {k: v.replace("recorded", recorded) for k, v in made_from.items()}, created)
     assert is_of_run(tmp_path / "bench.nc") == is_shown
 
 
