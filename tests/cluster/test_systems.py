@@ -231,7 +231,9 @@ def test_nothing_is_computed_twice_and_all_is_sound(made):
 
 def test_the_report_shows_every_coordinate(made):
     study, folder, _ = made
-    page = (folder / "out" / "report" / "index.html").read_text()
+    report = folder / "out" / "report"
+    pages = [report / "index.html", *report.glob("figures/section-*.html")]
+    page = "".join(path.read_text() for path in pages)
     for name in study.grid.parts.get("coordinate", ()):
         assert f", {name}" in page
     assert "walls within the axis" in page or study.name != "gears"

@@ -270,7 +270,7 @@ def test_the_settling_time_that_is_stated_is_the_one_that_is_used(zeta):
     oscillator = gs.Oscillator(zeta=zeta, alpha=0.0)
     given = shown.settled(oscillator).t_max * oscillator.settling_rate
     assert decay_times(oscillator) == pytest.approx(given)
-    (stated,) = re.findall(r"given ([0-9.]+) of 13 decay times", legend(of_model(oscillator), ()))
+    (stated,) = re.findall(r"([0-9.]+) of the 13 decay times", legend(of_model(oscillator), ()))
     assert float(stated) == pytest.approx(given, rel=0.05)
 
 
@@ -580,7 +580,7 @@ def test_a_study_of_systems_is_refused_before_its_code_is_looked_for(tmp_path, c
     for path in (tmp_path / "moved.toml", run):
         assert exit_code(["explore", str(path), "--no-browser"]) == 1
         said = capsys.readouterr().err
-        assert f"error: {path}: a study of systems: explore shows oscillators" in said
+        assert f"error: {path}: a study of systems, and explore takes oscillators only" in said
         assert "report of 'gapsweep run'" in said
 
 

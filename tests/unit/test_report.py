@@ -908,7 +908,6 @@ def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):
     files = datasets(tmp_path, study, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
     compared = agreement(*files)
     (part,) = sections(files[0], compared, timing(files[0]), files[1])
-    assert any(
-        "several initial conditions at 2 Hz only" in figured.caption for figured in part.figures
-    )
+    captions = " ".join(figured.caption for figured in part.figures)
+    assert "several initial conditions at 2 Hz only" in captions
     assert head(files[0], compared)["starts"] == ["1–2"]

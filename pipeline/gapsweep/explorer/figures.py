@@ -21,8 +21,7 @@ from gapsweep.explorer.answers import (
     Points,
     decay_times,
 )
-from gapsweep.explorer.canvas import blank, guide
-from gapsweep.explorer.planes import Planes
+from gapsweep.explorer.planes import Planes, blank, guide
 from gapsweep.explorer.question import MAX_APPROXIMATIONS, Question
 from gapsweep.model.labels import EXACT
 from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, colour, lines
@@ -205,8 +204,8 @@ def legend(question: Question, motions: Iterable[Motion]) -> str:
     marks = (
         "● from rest&ensp;△ exact law, sweep up&ensp;▽ sweep down&ensp;"
         f'<b style="color:{NOT_PERIODIC}">●</b> not periodic (dots of approximations: pale)&ensp;'
-        f'<b style="color:{NOT_SETTLED}">●</b> not settled (transients are given '
-        f"{given:.2g} of {DECAY_TIMES:g} decay times)&ensp;┈ walls"
+        f'<b style="color:{NOT_SETTLED}">●</b> not settled (settling time: {given:.2g} of the '
+        f"{DECAY_TIMES:g} decay times that a transient needs)&ensp;┈ walls"
     )
     return f'{laws}<br><span style="color:#555">{marks}</span>'
 

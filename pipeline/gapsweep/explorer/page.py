@@ -53,9 +53,9 @@ _SIDE = 300  # pixels
 _FRAME = 60  # ms in which a browser draws one figure, before others keep it busy
 _WARMING = "Compiling the engine: the first time takes up to a minute …"
 _NOTE = (
-    f"{N_OMEGA} frequencies, every response from rest, then sweeps of the exact law; "
-    "compiled engine, rtol 1e-6, atol 1e-9 m at most. <code>gapsweep run</code> waits for what is "
-    "not settled here. Click a dot, a start or a place in the map to look at its motion."
+    f"{N_OMEGA} frequencies, every response from rest, then sweeps of the exact law; compiled "
+    "engine, rtol 1e-6, atol 1e-9 m at most. <code>gapsweep run</code> continues motions that have "
+    "not settled here. Click a dot, an initial condition or a place in the map to see its motion."
 )
 # Hues survive the turn that makes black white: the figures of a light page, in the dark.
 _STYLE = """
@@ -149,7 +149,7 @@ class Page:
         )  # fmt: skip
         self._band.on_change("value", self._moved)
         self._laws = TextInput(
-            title=f"Beside the exact law (up to {MAX_APPROXIMATIONS})", name="approximations",
+            title=f"Approximations (up to {MAX_APPROXIMATIONS})", name="approximations",
             value=", ".join(question.approximations), placeholder="tanh-1e4, poly-13, ratpoly-5/3",
             width=_SIDE,
         )  # fmt: skip
@@ -159,7 +159,7 @@ class Page:
             options=[(name, dial.title) for name, dial in self._dials.items() if name != "omega"],
         )  # fmt: skip
         self._over.on_change("value", self._moved)
-        self._from_rest = Button(label="Look at the motion from rest", width=_SIDE)
+        self._from_rest = Button(label="Show the motion from rest", width=_SIDE)
         self._from_rest.on_click(lambda: self._ask(start=(0.0, 0.0)))
         self._status = Div(text=_WARMING, name="status", stylesheets=[_WORDS], width=_SIDE)
         self._legend = Div(
@@ -191,7 +191,7 @@ class Page:
 
     def _scene_choice(self, stored: Stored) -> Select:
         self._scene = Select(
-            title="Scene of the run (squares are its points)", name="scene",
+            title="Parameter set of the run (squares: its points)", name="scene",
             options=list(stored.scenes),
             value=next(iter(stored.scenes)), width=_SIDE,
         )  # fmt: skip

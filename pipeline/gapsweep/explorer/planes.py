@@ -13,11 +13,11 @@ from bokeh.models import (
     LinearColorMapper,
     Range1d,
     SingleIntervalTicker,
+    Span,
 )
 from bokeh.plotting import figure
 
 from gapsweep.explorer.answers import BASINS, DECAY_TIMES, MAP, Plane, decay_times
-from gapsweep.explorer.canvas import blank, guide
 from gapsweep.explorer.question import Dial, Question, numbers
 from gapsweep.model.labels import EXACT
 from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, sequence
@@ -28,6 +28,7 @@ _SHADES = 64
 _ROWS = 8  # computed between two looks: the browser takes longer to draw than one is computed
 _FAILED = "#555555"
 _IMAGE = ("image", "x", "y", "dw", "dh")
+_TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 
 
 class Planes:
@@ -146,3 +147,24 @@ def _plane(
     tips = [("peak", "@image{0.0000} mm")]
     shown.add_tools(HoverTool(tooltips=tips, renderers=shown.renderers[:1]))
     return shown, tuple(sources)
+
+
+def blank(x: str, y: str, height: int, *, min_width: int = 250, **how: Any) -> figure:
+    """An empty figure with these labels."""
+    made = figure(
+        height=height, sizing_mode="stretch_width", tools=_TOOLS, active_drag=None,
+        x_axis_label=x, y_axis_label=y, output_backend="canvas", min_width=min_width, **how,
+    )  # fmt: skip
+    made.toolbar.logo = None
+    made.toolbar.autohide = True
+    made.outline_line_color = None
+    made.grid.grid_line_color = "#dddddd"
+    made.axis.axis_label_text_font_style = "normal"
+    return made
+
+
+def guide(shown: figure, dimension: str, dash: str = "dotted") -> Span:
+    """A grey line through the whole figure."""
+    span = Span(dimension=dimension, line_color="#888888", line_dash=dash)
+    shown.add_layout(span)
+    return span

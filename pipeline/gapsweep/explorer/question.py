@@ -179,7 +179,7 @@ _DIALS: dict[str, tuple[str, str, float, float, float, float]] = {
     "j_1": ("Lower wall −j₁", "mm", 1e-3, 0.0, 3.0, 2e-3),
     "j_2": ("Upper wall j₂", "mm", 1e-3, 0.0, 3.0, 2e-3),
     "K_ratio": ("Stiffness of lower over upper wall", "", 1.0, 0.0, 2.0, 2.0),
-    "omega": ("Frequency looked at ω", "Hz", 1.0, 0.0, 0.0, 0.0),
+    "omega": ("Frequency of the motion ω", "Hz", 1.0, 0.0, 0.0, 0.0),
     "forcing": ("Forcing p", "N", 1.0, 0.0, 5.0, 1.0),
     "zeta": ("Damping ratio ζ", "", 1.0, 0.05, 10.0, 0.1),
     "omega_n": ("Natural frequency ω_n", "Hz", 1.0, 0.2, 4.0, 0.0),
@@ -288,9 +288,9 @@ def refuse_systems(tables: Mapping[str, Any], source: object) -> None:
     """
     if tables.get("system") is not None:
         raise ModelError(
-            f"{source}: a study of systems: explore shows oscillators; a system is shown by the "
-            "report of 'gapsweep run', by ds.gapsweep.bifurcation() and map() of gapsweep.open, "
-            "and its motions by gapsweep.respond and simulate"
+            f"{source}: a study of systems, and explore takes oscillators only; for systems use "
+            "the report of 'gapsweep run', ds.gapsweep.bifurcation() and map() of gapsweep.open, "
+            "gapsweep.respond and gapsweep.simulate"
         )
 
 
