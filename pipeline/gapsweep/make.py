@@ -217,7 +217,7 @@ def bench(
 ) -> list[Path]:
     """Measure a study's ``[bench]`` afresh; its report follows if there is one.
 
-    Laws of the user's own have a process for themselves, all others this one.
+    Costs are measured in this process; user laws run in separate ones.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def bench(
     say : callable, optional
         Told what is measured next.
     timeout : float
-        Time [s] that a call of a law of the user's own may take.
+        Processor time [s] of a scene, and of a call of a user law.
 
     Returns
     -------
