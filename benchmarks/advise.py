@@ -22,7 +22,7 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Steady
 from gapsweep.response.scene import Scene
-from gapsweep.study.advice import Model, advise
+from gapsweep.study.least_model import Model, advise
 
 REFERENCE_RTOL = 1e-11
 COPIES = 16

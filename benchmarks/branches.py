@@ -36,9 +36,9 @@ from tests.exact_orbits import (
 
 import gapsweep as gs
 from gapsweep.continuation.branches import Branches
-from gapsweep.continuation.call import settled
 from gapsweep.continuation.dataset import END_FLAGS
 from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.follow import settled
 from gapsweep.continuation.orbits import OrbitEquations
 from gapsweep.integrate.problem import Solver
 

@@ -74,7 +74,7 @@ def child(folder: Path, what: str) -> None:
     import numpy as np
 
     import gapsweep as gs
-    from gapsweep import workflow
+    from gapsweep import pipeline
     from gapsweep.store.cache import Cache
 
     study, cache = gs.Study.load(folder / "million.toml"), folder / "cache"
@@ -116,9 +116,9 @@ def child(folder: Path, what: str) -> None:
 
         with cluster(WORKERS) as client:
             client.run(do_nothing)
-            workflow.carry_out(study, client, out=folder / "out", cache=cache, on_progress=watch)
+            pipeline.carry_out(study, client, out=folder / "out", cache=cache, on_progress=watch)
     else:
-        workflow.carry_out(
+        pipeline.carry_out(
             study, out=folder / "out", cache=cache, workers=WORKERS, on_progress=watch
         )
     end = time.time()

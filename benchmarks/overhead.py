@@ -38,13 +38,13 @@ def child(folder: str) -> None:
     """One run in which every response is the same; prints what it took."""
     begin = float(sys.argv[3])
     import gapsweep as gs
-    from gapsweep import workflow
+    from gapsweep import pipeline
     from gapsweep.execution.cluster import cluster
 
     study = gs.Study.load(Path(folder) / "noop.toml")
     with cluster(2) as client:
         client.run(do_nothing)
-        workflow.carry_out(study, client, out=Path(folder) / "out", cache=Path(folder) / "cache")
+        pipeline.carry_out(study, client, out=Path(folder) / "out", cache=Path(folder) / "cache")
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(json.dumps({"seconds": time.time() - begin, "peak_mb": peak}))
 

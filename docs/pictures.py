@@ -4,12 +4,15 @@ python -m docs.pictures [data/runs/paper data/runs/work-precision data/runs/two-
                         data/runs/stability]
 """
 
-import os
 import re
+import shutil
 import sys
+from contextlib import chdir
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 from workflows.paper.figures import figures
 from workflows.paper.paper_figures import start_scan
@@ -36,9 +39,39 @@ SCENES = ["soft-sym-9", "soft-asym-9", "hard-sym-9", "hard-asym-9"]
 def gallery() -> None:
     """Those of the gallery, by its own lines."""
     page = (IMAGES.parent / "gallery.md").read_text()
-    os.chdir(IMAGES)
     matplotlib.use("Agg")
-    exec("".join(re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)), {})
+    with TemporaryDirectory() as folder, chdir(folder):  # queries leave a cache there
+        exec("".join(re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)), {})
+        for picture in Path().glob("*.png"):
+            shutil.copy(picture, IMAGES)
+
+
+def hero() -> None:
+    """Steady states of a loose joint over frequency, and basins where several coexist."""
+    joint = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, alpha=7e8, forcing=4.0)
+    gap = gs.Gap(0.4e-3, 0.4e-3)
+    laws = {
+        "exact contact": gs.Piecewise(1.4e4, gap),
+        "tanh, ε = 5000 /m": gs.Tanh(1.4e4, gap, 5e3),
+    }
+    frequency = np.linspace(3.0, 16.0, 261)
+    x, v = np.meshgrid(np.linspace(-3e-3, 3e-3, 4), np.linspace(-0.2, 0.2, 3))
+    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(2, 1))
+    for (name, law), colour, size in zip(
+        laws.items(), ("k", "tab:orange"), (5.0, 2.0), strict=True
+    ):
+        steady = gs.respond(joint, law, frequency[:, None], x.ravel(), v.ravel())
+        left.plot(frequency, 1e3 * steady.x_max, ".", color=colour, markersize=size)
+        left.plot([], [], ".", color=colour, markersize=8, label=name)
+    left.set(xlabel="forcing frequency [Hz]", ylabel="peak displacement [mm]")
+    left.legend(loc="upper left", frameon=False)
+    edges = np.linspace(-4e-3, 4e-3, 120), np.linspace(-0.3, 0.3, 120)
+    basins = gs.basins(joint, laws["exact contact"], 12.0, x=edges[0], v=edges[1])
+    basins.gapsweep.map("attractor", x="x_0", y="v_0", ax=right)
+    left.set_title("steady states from 12 initial conditions", loc="left", fontsize=10)
+    right.set_title("basins of the exact law at 12 Hz", loc="left", fontsize=10)
+    figure.savefig(IMAGES / "hero.png", dpi=110)
 
 
 def start() -> None:
@@ -90,5 +123,6 @@ if __name__ == "__main__":
         drawn = peaks, work_precision, two_masses, failures
         for draw, folder in zip(drawn, sys.argv[1:], strict=False):
             draw(Path(folder).absolute())
+        hero()
         start()
     gallery()

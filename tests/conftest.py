@@ -2,7 +2,8 @@
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,23 @@ from distributed import Client
 from hypothesis import settings
 
 from gapsweep.execution.cluster import cluster
+from tests.commands import on_a_cluster
 
 settings.register_profile("quick", max_examples=25, deadline=None)
 settings.register_profile("thorough", max_examples=500, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files whose tests wait for other processes, in turn with files that compute themselves."""
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    waiting = [path for path in files if path.parent.name in ("cluster", "faults")]
+    computing = [path for path in files if path not in waiting]
+    in_turn = chain.from_iterable(zip_longest(waiting, computing))
+    items[:] = [item for path in in_turn if path for item in files[path]]
+
 
 GOLDEN = Path(__file__).parents[1] / "data" / "golden"
 
@@ -29,6 +43,12 @@ def client() -> Iterator[Client]:
     """Two worker processes of one thread each, shared by the whole test run."""
     with cluster(workers=2) as client:
         yield client
+
+
+@pytest.fixture(scope="session")
+def run_command(client: Client) -> Callable[..., Any]:
+    """``gapsweep`` in this process, on the shared cluster: see `tests.commands`."""
+    return on_a_cluster(client)
 
 
 @pytest.fixture

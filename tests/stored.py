@@ -52,7 +52,7 @@ def commit(cache, study, answer, host="here"):
         answers = [answer(dict(zip(grid.dims, place, strict=True))) for place in at]
         kept = [i for i, one in enumerate(answers) if one is not None]
         here = rows[kept]
-        responses = Responses.of([answers[i] for i in kept])
+        responses = Responses.of([answers[i] for i in kept], study.structure)
         previous = planned.previous(here)
         for row, has_ended in enumerate(np.isfinite(responses.ends).all(axis=1)[:-1]):
             if not has_ended and previous[row + 1] == planned.keys[here[row]]:
@@ -95,6 +95,14 @@ def stored(study, cache):
     places = np.transpose(np.unravel_index(planned.cells, study.grid.shape)).tolist()
     keys = planned.keys.tolist()
     return {tuple(p): by_key[k] for p, k in zip(places, keys, strict=True) if k in by_key}
+
+
+def n_stored(path):
+    """Points of a cache, which need not be there yet."""
+    if not path.exists():
+        return 0
+    with Cache(path, read_only=True) as cache:
+        return cache.n_points
 
 
 def messages(study, cache):

@@ -7,6 +7,8 @@ import pytest
 
 import gapsweep as gs
 
+pytestmark = pytest.mark.packaging
+
 # What needs none: errors are raised by others.
 NAMES = [name for name in gs.__all__ if not name.endswith("Error") and name != "systems"]
 PUBLISHED = [name for name in dir(gs.systems) if not name.startswith("_") and name.islower()]

@@ -22,13 +22,10 @@ LAYERS = (
     {"execution"},
     {"analysis"},
     {"report"},
-    {"stages", "console"},
-    {"explorer"},
-    {"folder"},
-    {"own_code"},
-    {"make"},
-    {"lookup"},
-    {"workflow"},
+    {"run_folder", "console"},
+    {"explorer", "study_code"},
+    {"stages"},
+    {"pipeline"},
     {"cli", "__init__"},
 )
 FENCES = {
@@ -36,14 +33,14 @@ FENCES = {
     "numba": {"model", "integrate", "response"},
     "xarray": {
         *("variables", "continuation", "store", "analysis", "report"),
-        *("own_code", "make", "workflow", "cli", "explorer"),
+        *("run_folder", "study_code", "stages", "pipeline", "cli", "explorer"),
     },
     "pandas": set(),
     "netCDF4": {"store", "execution"},
     "psutil": {"store", "execution"},
     "filelock": {"integrate"},
     "dask": {"execution", "store"},
-    "distributed": {"execution", "workflow"},
+    "distributed": {"execution", "pipeline"},
     "matplotlib": {"report"},
     "bokeh": {"explorer"},
     "tornado": {"explorer"},
@@ -97,7 +94,7 @@ def test_modules_import_only_what_stands_below_them(path):
             assert target == here or level(target) < level(here) or name == "gapsweep.__version__"
             # Only the whole path may put off what a run with nothing to do never needs, and the
             # explorer what needs an extra; the one call for all engines loads the one asked for.
-            late = here in ("own_code", "make", "workflow", "cli", "explorer")
+            late = here in ("study_code", "stages", "pipeline", "cli", "explorer")
             late |= path.relative_to(PACKAGE).as_posix() == "integrate/simulate.py"
             assert at_top or late, f"{name} is imported inside a function"
         elif library in FENCES:

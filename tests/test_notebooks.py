@@ -8,6 +8,8 @@ jupytext = pytest.importorskip("jupytext")
 nbclient = pytest.importorskip("nbclient")
 nbformat = pytest.importorskip("nbformat")
 
+pytestmark = pytest.mark.packaging
+
 FOLDER = Path(__file__).parents[1] / "workflows" / "notebooks"
 # What must be read in the outputs, and how many figures must be drawn.
 PROMISES = {

@@ -47,6 +47,7 @@ def test_hostile_texts_are_escaped_in_the_report(tables, client, tmp_path):
     tables["study"]["title"] = hostile
     tables["sweep"][0]["representation"] = ["piecewise", "tests.laws:raising"]
     tables["sweep"][0]["omega"] = [7.0]
+    tables["solver"] = {"engine": "scipy"}  # nothing to compile
     study = gapsweep.Study.from_dict(tables)
     gapsweep.run(study, client, out=tmp_path / "out", cache=tmp_path / "c-cache").close()
     page = (tmp_path / "out" / "report" / "index.html").read_text()

@@ -17,8 +17,8 @@ from gapsweep.status import Status
 if TYPE_CHECKING:
     from gapsweep.analysis.datasets.basins import basins
     from gapsweep.analysis.datasets.contact_errors import static_error
-    from gapsweep.continuation.call import branches
     from gapsweep.continuation.curves import special_curve
+    from gapsweep.continuation.follow import branches
     from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
     from gapsweep.model.table import ForceTable
     from gapsweep.model.user_law import UserLaw
+    from gapsweep.pipeline import query, run
     from gapsweep.report.motion import plot
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
     from gapsweep.store.netcdf import read as open
     from gapsweep.study.study import Study
-    from gapsweep.workflow import query, run
 
 # numba, Dask, xarray and matplotlib take seconds to import: each comes with what needs it.
 _ON_DEMAND = {
@@ -44,12 +44,12 @@ _ON_DEMAND = {
     **dict.fromkeys(("Arctan", "ContactLaw", "LogArctan", "Piecewise", "Tanh"), "model.contact"),
     **dict.fromkeys(("Cubic", "Harmonic", "Lags", "Modulation", "System"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
-    **dict.fromkeys(("query", "run"), "workflow"),
+    **dict.fromkeys(("query", "run"), "pipeline"),
     "ForceTable": "model.table",
     "UserLaw": "model.user_law",
     "Study": "study.study",
     "basins": "analysis.datasets.basins",
-    "branches": "continuation.call",
+    "branches": "continuation.follow",
     "explore": "explorer.widget",
     "open": "store.netcdf",
     "plot": "report.motion",

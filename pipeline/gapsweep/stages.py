@@ -1,44 +1,132 @@
-"""The stages after the cache: which file each one makes, from what, and whether it must.
+"""The files of a run in the order in which they are made: from what, how, and for which studies.
 
-A file says in `made_from` what it was made from: the digests of its inputs and of the code. A
-stage runs only if its file is absent or damaged, or if one of these is no longer the same.
+A file is made only if it is absent or damaged, or if one of its inputs or the code has changed.
+numba, xarray and matplotlib are imported by the stages that need them: a run that finds everything
+up to date ends before they would be loaded.
 """
 
+import gc
 import hashlib
-import html
-import json
-import re
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from types import FunctionType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from gapsweep.errors import ModelError, StudyError
+from gapsweep.errors import ModelError, StoreError, StudyError
+from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import Plan
+from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.model.labels import AUTO, EXACT
-from gapsweep.store.artefact import digests, is_intact, sha256
+from gapsweep.run_folder import (
+    ADVICE,
+    AGREEMENT,
+    ATTRACTORS,
+    BRANCHES,
+    CLAIMS,
+    DAMAGED,
+    HISTORIES,
+    REPORT,
+    RESPONSES,
+    SECTIONS,
+    STABILITY,
+    STATIC,
+    STUDY,
+    TIMING,
+    WORK_PRECISION,
+    MadeFrom,
+    as_text,
+    is_of_run,
+    read_json,
+    reason_to_make,
+    write,
+)
+from gapsweep.status import Status
+from gapsweep.store import netcdf
+from gapsweep.store.artefact import digests, reading
 from gapsweep.store.cache import Cache
-from gapsweep.store.netcdf import attributes
 from gapsweep.study.study import Study
-from gapsweep.user_code.load import inner_name, load_module
+from gapsweep.study_code import (
+    dataset_key,
+    decide_claims,
+    draw_sections,
+    make_dataset,
+    own_datasets,
+)
 from gapsweep.user_code.package_digest import data_fingerprint, package_fingerprint
 from gapsweep.user_code.snapshot import Snapshot
 
-RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
-STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
-HISTORIES, ADVICE, CLAIMS = "histories.nc", "advice.nc", "claims.json"
-BRANCHES = "branches.nc"
-WORK_PRECISION, STABILITY = "work_precision.nc", "stability.nc"
-SECTIONS = "sections.json"
-REPORT = "report/index.html"
+if TYPE_CHECKING:
+    import xarray as xr
 
-MadeFrom = Mapping[str, str]
+    Content = xr.Dataset | dict[str, Any] | None
 
-DAMAGED = "damaged"  # why a stage runs whose file is not as it was written
-_META = r'<meta name="gapsweep-made-from" content="([^"]*)">'
+_MANY = 100_000  # points, whose datasets hold so much memory that a collection is worth its time
+
+
+def _ignore(stage: str) -> None:
+    """Say nothing of a stage."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunContext:
+    """What the stages of a run are made with.
+
+    Attributes
+    ----------
+    folder : Path
+        Of the run.
+    study : Study
+    points : tuple of (Plan, Cache), optional
+        The sweep points and where they are stored, for stages that read them.
+    cache : Path
+        Folder of the cache.
+    connect : callable, optional
+        Starts or joins a cluster, for branches that are not stored.
+    timeout : float
+        Time [s] that a motion with a user's law may take.
+    say : callable
+        Called with what is done next.
+    inputs : tuple of str
+        Files of the run that the present stage is made from.
+    made_from : str
+        Of the file of the present stage, as JSON.
+    digests : dict of str to str
+        Digests of the sources, once they are known.
+    """
+
+    folder: Path
+    study: Study
+    points: tuple[Plan, Cache] | None = None
+    cache: Path = Path()
+    connect: Callable[[], AbstractContextManager[Any]] | None = None
+    timeout: float = DEFAULT_TIMEOUT
+    say: Callable[[str], None] = _ignore
+    inputs: tuple[str, ...] = ()
+    made_from: str = ""
+    digests: dict[str, str] = field(default_factory=dict)
+
+    def digest(self, source: "Source") -> str:
+        """The digest of a source, computed once in a run."""
+        if source.name not in self.digests:
+            self.digests[source.name] = source.digest(self)
+        return self.digests[source.name]
+
+    @contextmanager
+    def datasets(self) -> "Iterator[dict[str, xr.Dataset]]":
+        """The datasets among the inputs of the present stage, as `opened` returns them."""
+        with opened(self.folder, self.inputs) as found:
+            yield found
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """An input that is no file of the run, and how its digest is computed."""
+
+    name: str
+    digest: Callable[[RunContext], str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,253 +138,354 @@ class Stage:
     file : str
         Its path in the run's folder.
     inputs : tuple of str
-        What it is made from: files of the run, `STUDY`, `POINTS`, or code beside the study.
+        Files of the run that it is made from.
+    sources : tuple of Source
+        What else it is made from.
+    make : callable
+        Makes it; returns what is to be written, or None if it has written the file.
+    applies : callable
+        Whether a study has such a file.
+    failures : tuple of (str, Status), optional
+        The variable in it that holds statuses of motions, and the first one that is a failure.
+    is_drawn : bool
+        Whether it depends on code that draws, too.
     """
 
     file: str
     inputs: tuple[str, ...]
+    sources: tuple[Source, ...]
+    make: Callable[[RunContext], "Content"]
+    applies: Callable[[Study], bool] = lambda study: True
+    failures: tuple[str, Status] | None = None
+    is_drawn: bool = False
+
+    def made_from(self, folder: Path, run: RunContext | None = None) -> MadeFrom:
+        """What the file would be made from now, if the files it is made from are up to date.
+
+        Parameters
+        ----------
+        folder : Path
+            Of the run.
+        run : RunContext, optional
+            Where the digests of sources come from; a page has none.
+        """
+        found = {"code": package_fingerprint() if self.is_drawn else data_fingerprint()}
+        for name in self.inputs:
+            found[name] = " ".join(digests(folder / name)) or "absent"
+        for source in self.sources:
+            assert run is not None, "only the page has no sources"
+            found[source.name] = run.digest(source)
+        return found
+
+    def failed_motions(self, folder: Path) -> dict[str, int]:
+        """Number of motions in the file per status that says that they failed."""
+        if self.failures is None:
+            return {}
+        variable, first = self.failures
+        found = netcdf.values(folder / self.file, variable)
+        counts = {
+            status.label: int((found == status).sum()) for status in Status if status >= first
+        }
+        return {label: n for label, n in counts.items() if n}
 
 
-# What is no file of the run: the settings of the study, its results in the cache, code beside it.
-STUDY, POINTS = "study", "sweep points"
-CLAIMS_MODULE, REPORT_MODULE = "claims module", "report module"
-# What claims and sections read, apart from the datasets that the study makes itself.
-_READ = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, BRANCHES)
+def make_files(
+    stages: Iterable[Stage], run: RunContext, *, n_points: int = 0, retry_failed: bool = False
+) -> None:
+    """Make the files of some stages that are not up to date.
 
-STAGES = (
-    Stage(RESPONSES, (STUDY, POINTS)),
-    Stage(ATTRACTORS, (STUDY, POINTS)),
-    Stage(STATIC, (STUDY,)),
-    Stage(AGREEMENT, (RESPONSES, ATTRACTORS)),
-    Stage(TIMING, (RESPONSES,)),
-    Stage(HISTORIES, (STUDY,)),
-    Stage(ADVICE, (STUDY,)),
-    Stage(BRANCHES, (STUDY, ATTRACTORS)),
-    Stage(CLAIMS, (CLAIMS_MODULE, *_READ)),
-    Stage(WORK_PRECISION, (STUDY,)),
-    Stage(STABILITY, (STUDY,)),
-    Stage(SECTIONS, (REPORT_MODULE, *_READ)),
-    Stage(
-        REPORT,
-        (
-            RESPONSES,
-            ATTRACTORS,
-            STATIC,
-            AGREEMENT,
-            TIMING,
-            ADVICE,
-            BRANCHES,
-            CLAIMS,
-            SECTIONS,
-            WORK_PRECISION,
-            STABILITY,
-        ),
-    ),
-)
-
-
-def _own_dataset(file: str) -> Stage:
-    """The stage of a dataset that a claims module makes."""
-    return Stage(file, (STUDY, _code_of(file)))
-
-
-def _code_of(file: str) -> str:
-    return f"code of {file}"
-
-
-def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
-    """What a study's claims module makes beside its claims: functions by the file they make.
-
-    Raises
-    ------
-    StudyError
-        If the module cannot be imported, or its ``DATASETS`` are not what they must be.
+    Parameters
+    ----------
+    n_points : int
+        Of the study.
+    retry_failed : bool
+        Whether files with failed motions are made again.
     """
-    path = study.claims_module
-    if path is None:
-        return {}
-    assert study.claims_code is not None
-    given = getattr(load_module(study.claims_code), "DATASETS", {})
-    if not isinstance(given, Mapping):
-        raise StudyError([f"{path}: DATASETS: must be a dict from names to functions of the study"])
-    taken = {stage.file for stage in STAGES}
-    for name, function in given.items():
-        where = f"{path}: DATASETS: {name!r}"
-        if not isinstance(name, str) or not re.fullmatch("[a-z_]+", name):
-            raise StudyError([f"{where}: a name must be of the letters a to z and _"])
-        if {f"{name}.nc", f"{name}.json"} & taken:
-            raise StudyError([f"{where}: a file of gapsweep's own; choose another name"])
-        if not callable(function):
-            raise StudyError([f"{where}: must be a function of the study, not {function!r:.40}"])
-    return {f"{name}.nc": function for name, function in given.items()}
+    for stage in stages:
+        path, now = run.folder / stage.file, stage.made_from(run.folder, run)
+        reason = reason_to_make(path, now)
+        if reason == DAMAGED:
+            warnings.warn(
+                f"{path}: damaged or changed since it was written, made again", stacklevel=3
+            )
+        if reason or (retry_failed and stage.failed_motions(run.folder)):
+            run.say(f"making {stage.file}")
+            make_file(stage, run)
+            if n_points > _MANY:
+                gc.collect()  # what refers to itself would hold its memory into the next stage
+
+
+def make_file(stage: Stage, run: RunContext) -> None:
+    """Make the file of a stage."""
+    made_from = as_text(stage.made_from(run.folder, run))
+    content = stage.make(replace(run, inputs=stage.inputs, made_from=made_from))
+    if content is not None:
+        write(run.folder / stage.file, content, made_from)
 
 
 def stages_of(study: Study) -> list[Stage]:
-    """The stages of a study.
-
-    Without the exact law there is nothing to agree with, and nothing that could if it is alone;
-    without claims nothing to decide. Motions are kept and branches followed only where some are
-    asked for, and advice where ``auto`` took it. Scenes of a benchmark whose right answer is stated
-    make one file, the others another. Datasets of the study's own come before what reads them.
-    """
-    labels, bench = study.grid.representations, study.spec.bench
-    stated = [scene.expected is not None for scene in bench.scene] if bench else []
-    left_out = {
-        STATIC: labels == (AUTO,) or not study.model.is_oscillator,  # it is of one displacement
-        AGREEMENT: EXACT not in labels or len(labels) == 1,
-        ADVICE: AUTO not in labels,
-        HISTORIES: not study.spec.history,
-        BRANCHES: study.spec.branches is None,
-        WORK_PRECISION: all(stated),
-        STABILITY: not any(stated),
-        CLAIMS: study.claims_module is None,
-        SECTIONS: study.report_module is None,
-    }
-    own = tuple(own_datasets(study))
-    stages: list[Stage] = []
-    for stage in STAGES:
-        if stage.file in (CLAIMS, SECTIONS):
-            # What another study has left in the folder is not read.
-            there = tuple(name for name in stage.inputs if not left_out.get(name))
-            stage = replace(stage, inputs=there + own)
+    """The stages of a study, with those of its own datasets before what reads them."""
+    own = _own_stages(study)
+    found: list[Stage] = []
+    for stage in (stage for stage in STAGES if stage.applies(study)):
         if stage.file == CLAIMS:
-            stages += map(_own_dataset, own)
-        if not left_out.get(stage.file):
-            stages.append(stage)
-    return stages
-
-
-def sources(study: Study, plan: Plan, cache: Cache) -> MadeFrom:
-    """Digests of what is no file of the run: settings of a study, rows in the cache, own code."""
-    digest = hashlib.sha256()
-    digest.update(plan.keys.data)
-    for part in cache.checksums(plan.keys):
-        digest.update(part)
-    return {**study_source(study), POINTS: digest.hexdigest(), **module_sources(study)}
-
-
-def study_source(study: Study) -> MadeFrom:
-    """Digest of the settings of a study, and of the user's own laws in it."""
-    said = study.json + _own_laws(study) + study.model.json
-    return {STUDY: hashlib.sha256(said.encode()).hexdigest()}
-
-
-def module_sources(study: Study) -> MadeFrom:
-    """Digests of the code beside a study: an edit there makes what it decides or draws stale.
-
-    Raises
-    ------
-    StudyError
-        If it cannot be read or imported.
-    """
-    modules = {CLAIMS_MODULE: study.claims_code, REPORT_MODULE: study.report_code}
-    found = {name: code.key for name, code in modules.items() if code is not None}
-    for file, function in own_datasets(study).items():
-        assert study.claims_code is not None, "datasets come from there"
-        found[_code_of(file)] = _key_of(function, study.claims_code)
+            found += own
+        if stage.file in (CLAIMS, SECTIONS):
+            stage = replace(stage, inputs=(*stage.inputs, *(each.file for each in own)))
+        found.append(stage)
     return found
 
 
-def _key_of(function: Any, code: Snapshot) -> str:
-    """Key of the code of a callable that a module names.
+def _own_stages(study: Study) -> list[Stage]:
+    """The stages of the datasets that a study's claims module makes."""
+    taken = {stage.file.partition(".")[0] for stage in STAGES}
+    stages = []
+    for file, function in own_datasets(study).items():
+        name = file.removesuffix(".nc")
+        if name in taken:
+            where = f"{study.claims_module}: DATASETS: {name!r}"
+            raise StudyError([f"{where}: a file of gapsweep's own; choose another name"])
+        code = Source(f"code of {file}", partial(_own_code, function))
+        stages.append(Stage(file, (), (SETTINGS, code), partial(_own_dataset, file, function)))
+    return stages
 
-    A function of another module depends on that module alone: the rest of the code may be edited.
-    Everything else, such as a closure, depends on all of the code.
+
+def _own_code(function: Callable[[Study], Any], run: RunContext) -> str:
+    return dataset_key(run.study, function)
+
+
+def _own_dataset(file: str, function: Callable[[Study], Any], run: RunContext) -> "xr.Dataset":
+    return make_dataset(run.study, file, function)
+
+
+@contextmanager
+def opened(folder: Path, names: Iterable[str]) -> "Iterator[dict[str, xr.Dataset]]":
+    """The datasets among some files of a run, by their names without suffix.
+
+    What is not there is left out, and what another study has left in the folder.
     """
-    name = getattr(function, "__qualname__", "")
-    module = sys.modules.get(getattr(function, "__module__", None) or "")
-    if isinstance(function, FunctionType) and vars(module).get(name) is function:
-        assert module is not None
-        if (inner := inner_name(module.__name__, code)) is not None:
-            return f"{name} {code.part(inner).key}"
-    return code.key
+    with ExitStack() as files:
+        found = {}
+        for path in (folder / name for name in names if name.endswith(".nc")):
+            if path.exists():
+                dataset = files.enter_context(netcdf.read(path, lazy=True))
+                if is_of_run(path):
+                    found[path.stem] = dataset
+        yield found
 
 
-def _own_laws(study: Study) -> str:
-    """Code of the user's own laws outside of sweeps; that of sweeps is in their keys."""
-    codes = []
-    labels = [r for table in study.spec.history for r in table.representation]
+def write_page(folder: Path) -> Path:
+    """Write the report of a run from the files in its folder; no code there is executed."""
+    from gapsweep.report.html import write_report
+
+    page = folder / REPORT
+    if page.parent.is_symlink():
+        raise StoreError(f"{page.parent}: a symbolic link, which could lead anywhere: remove it")
+    with reading(folder), opened(folder, PAGE.inputs) as found:
+        responses, timing = found.pop("responses"), found.pop("timing")
+        return write_report(
+            page,
+            responses,
+            found.pop("agreement", None),
+            timing,
+            **found,
+            claims=read_json(folder / CLAIMS),
+            own_parts=(read_json(folder / SECTIONS) or {}).get("sections", ()),
+            made_from=as_text(PAGE.made_from(folder)),
+        )
+
+
+def _points_digest(run: RunContext) -> str:
+    """Digest of the keys and of the stored results of a study's sweep points."""
+    assert run.points is not None, "stages that read points are made with them"
+    plan, cache = run.points
+    digest = hashlib.sha256(plan.keys.data)
+    for part in cache.checksums(plan.keys):
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def _settings_digest(run: RunContext) -> str:
+    """Digest of the settings of a study, and of the user's laws outside of its sweeps.
+
+    Those of sweeps are in the keys of their points.
+    """
+    study, codes = run.study, []
+    labels = [label for table in study.spec.history for label in table.representation]
     labels += [method.label for method in study.spec.bench.method] if study.spec.bench else []
     for label in labels:
         # A law that cannot be imported is a matter of its motion's status.
         with suppress(ModelError):
             if (own := study.own_law(label)) is not None:
                 codes.append(own.key)
-    return "".join(codes)
+    return hashlib.sha256("".join([study.json, *codes, study.model.json]).encode()).hexdigest()
 
 
-def made_from(stage: Stage, folder: Path, sources: MadeFrom) -> MadeFrom:
-    """What a stage's file would be made from now.
-
-    Parameters
-    ----------
-    stage : Stage
-    folder : Path
-        Of the run; the files of earlier stages are up to date there.
-    sources : mapping
-        Digests of the inputs that are no files, as from the function `sources`.
-    """
-    inputs = {
-        name: sources.get(name) or " ".join(digests(folder / name)) or "absent"
-        for name in stage.inputs
-    }
-    is_drawn = stage.file in (SECTIONS, REPORT)
-    return {"code": package_fingerprint() if is_drawn else data_fingerprint(), **inputs}
+def _code_key(code: Snapshot | None) -> str:
+    assert code is not None, "the stage does not apply without a module"
+    return code.key
 
 
-def reason_to_run(stage: Stage, folder: Path, now: MadeFrom) -> str | None:
-    """Why a stage must run; None if its file is up to date."""
-    path = folder / stage.file
-    if not path.exists():
-        return "absent"
-    intact = is_intact(path)
-    if not intact:
-        return DAMAGED if intact is False else "no SHA-256 of it is recorded"
-    before = _recorded(path)
-    if not before:
-        return "not known what it was made from"
-    changed = [name for name in {**now, **before} if now.get(name) != before.get(name)]
-    if changed:
-        return f"{', '.join(changed)} changed"
-    lost = next((each for each in _beside(path) if not (each.exists() and is_intact(each))), None)
-    return f"{lost.relative_to(folder)} absent or damaged" if lost else None
+SETTINGS, POINTS = Source(STUDY, _settings_digest), Source("sweep points", _points_digest)
+CLAIMS_MODULE = Source("claims module", lambda run: _code_key(run.study.claims_code))
+REPORT_MODULE = Source("report module", lambda run: _code_key(run.study.report_code))
 
 
-def _beside(path: Path) -> Iterator[Path]:
-    """The files in folders of its own that a page leads to."""
-    if path.suffix == ".html":
-        page = path.read_text(encoding="utf-8", errors="replace")
-        for name in dict.fromkeys(re.findall(r'href="(\w+/[\w.-]+)"', page)):
-            yield path.parent / name
+def _responses(run: RunContext) -> None:
+    """Export both files from the cache, as attractors are grouped on the way."""
+    assert run.points is not None
+    files = run.folder / RESPONSES, run.folder / ATTRACTORS
+    export(run.study, *run.points, *files, made_from=run.made_from)
 
 
-def is_of_run(path: Path) -> bool:
-    """Whether a file rests on the responses beside it, or on the settings of their study.
+def _static(run: RunContext) -> "xr.Dataset":
+    from gapsweep.analysis.datasets.static import static
 
-    Another study of the same name may have left it there. What is measured after the responses
-    counts too: scenes of a benchmark are changed without a new sweep.
-    """
-    responses, before = path.with_name(RESPONSES), _recorded(path)
-    if RESPONSES in before:
-        present = digests(responses) or [sha256(responses)]  # SHA256SUMS may not have come along
-        return before[RESPONSES] == " ".join(present)
-    ours, theirs = (attributes(file).get("created", "") for file in (path, responses))
-    return ours >= theirs or before.get(STUDY) == _recorded(responses).get(STUDY)
+    return static(run.study, with_own_laws=False)  # users' laws are called on workers only
 
 
-def as_text(made_from: MadeFrom) -> str:
-    """What a file was made from, for its attribute or meta element."""
-    return json.dumps(dict(made_from), sort_keys=True)
+def _agreement(run: RunContext) -> "Content":
+    from gapsweep.analysis.agreement.comparison import agreement
+
+    with run.datasets() as found:
+        return agreement(**found)
 
 
-def _recorded(path: Path) -> MadeFrom:
-    """What a file says it was made from; nothing if it cannot be made out."""
-    try:
-        if path.suffix == ".nc":
-            return dict(json.loads(attributes(path).get("made_from", "{}")))
-        if path.suffix == ".json":
-            return dict(json.loads(path.read_text(encoding="utf-8"))["made_from"])
-        found = re.search(_META, path.read_text(encoding="utf-8", errors="replace"))
-        return dict(json.loads(html.unescape(found[1]))) if found else {}
-    except (OSError, ValueError, TypeError, KeyError):
-        return {}
+def _timing(run: RunContext) -> "xr.Dataset":
+    from gapsweep.analysis.datasets.timing import timing
+
+    with run.datasets() as found:
+        return timing(**found)
+
+
+def _histories(run: RunContext) -> "Content":
+    from gapsweep.analysis.datasets.histories import histories
+
+    return histories(run.study, timeout=run.timeout)
+
+
+def _advice(run: RunContext) -> "xr.Dataset":
+    from gapsweep.analysis.datasets.recommendations import advice
+
+    return advice(run.study)
+
+
+def _branches(run: RunContext) -> "xr.Dataset":
+    from gapsweep.analysis.datasets.branches_file import branches
+
+    assert run.connect is not None
+    with run.datasets() as found:
+        attractors = found["attractors"]
+        return branches(run.study, attractors, run.cache, run.connect, run.timeout, run.say)
+
+
+def _claims(run: RunContext) -> dict[str, Any]:
+    with run.datasets() as found:
+        return decide_claims(run.study, found)
+
+
+def _work_precision(run: RunContext) -> "Content":
+    from gapsweep.analysis.bench.work_precision import work_precision
+
+    return work_precision(run.study, say=run.say, timeout=run.timeout)
+
+
+def _stability(run: RunContext) -> "Content":
+    from gapsweep.analysis.bench.stability import stability
+
+    return stability(run.study, say=run.say, timeout=run.timeout)
+
+
+def _sections(run: RunContext) -> dict[str, Any]:
+    with run.datasets() as found:
+        return draw_sections(run.study, found)
+
+
+def _report(run: RunContext) -> None:
+    write_page(run.folder)
+
+
+def _has_contacts_to_fit(study: Study) -> bool:
+    """Whether there are laws of one displacement other than what ``auto`` takes."""
+    return study.model.is_oscillator and study.grid.representations != (AUTO,)
+
+
+def _compares(study: Study) -> bool:
+    """Whether there is the exact law, and something to compare it with."""
+    return EXACT in study.grid.representations and len(study.grid.representations) > 1
+
+
+def _bench_scenes(study: Study) -> list[bool]:
+    """Of every benchmark scene, whether its right answer is stated."""
+    scenes = study.spec.bench.scene if study.spec.bench else []
+    return [scene.expected is not None for scene in scenes]
+
+
+_DATASETS = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, BRANCHES)
+PAGE = Stage(
+    REPORT,
+    (
+        *(RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, ADVICE, BRANCHES),
+        *(CLAIMS, SECTIONS, WORK_PRECISION, STABILITY),
+    ),
+    (),
+    _report,
+    is_drawn=True,
+)
+STAGES = (
+    Stage(RESPONSES, (), (SETTINGS, POINTS), _responses),
+    Stage(ATTRACTORS, (), (SETTINGS, POINTS), _responses),
+    Stage(STATIC, (), (SETTINGS,), _static, _has_contacts_to_fit),
+    Stage(AGREEMENT, (RESPONSES, ATTRACTORS), (), _agreement, _compares),
+    Stage(TIMING, (RESPONSES,), (), _timing),
+    Stage(
+        HISTORIES,
+        (),
+        (SETTINGS,),
+        _histories,
+        lambda study: bool(study.spec.history),
+        failures=("status", Status.DIVERGED),
+    ),
+    Stage(ADVICE, (), (SETTINGS,), _advice, lambda study: AUTO in study.grid.representations),
+    Stage(
+        BRANCHES,
+        (ATTRACTORS,),
+        (SETTINGS,),
+        _branches,
+        lambda study: study.spec.branches is not None,
+        failures=("attractor_status", Status.DIVERGED),
+    ),
+    Stage(
+        CLAIMS,
+        _DATASETS,
+        (CLAIMS_MODULE,),
+        _claims,
+        lambda study: study.claims_module is not None,
+    ),
+    # That methods fail there is a result; only users' code can fail in another way.
+    Stage(
+        WORK_PRECISION,
+        (),
+        (SETTINGS,),
+        _work_precision,
+        lambda study: not all(_bench_scenes(study)),
+        failures=("status", Status.TIMED_OUT),
+    ),
+    Stage(
+        STABILITY,
+        (),
+        (SETTINGS,),
+        _stability,
+        lambda study: any(_bench_scenes(study)),
+        failures=("status", Status.TIMED_OUT),
+    ),
+    Stage(
+        SECTIONS,
+        _DATASETS,
+        (REPORT_MODULE,),
+        _sections,
+        lambda study: study.report_module is not None,
+        is_drawn=True,
+    ),
+    PAGE,
+)

@@ -4,16 +4,12 @@ Run with ``pytest -m browser``; needs Chromium.
 """
 
 import asyncio
-import json
 import re
-from contextlib import asynccontextmanager
 
 import numpy as np
 import pytest
-from tests.browser.test_report import debugger  # noqa: F401  (a fixture)
+from tests.browser.tab import tab
 from tests.made import datasets, periodic, tables
-from tornado.httpclient import AsyncHTTPClient, HTTPRequest
-from tornado.websocket import websocket_connect
 
 import gapsweep as gs
 from gapsweep.explorer.answers import from_rest
@@ -21,68 +17,7 @@ from gapsweep.explorer.question import EXACT, asked, numbers, of_model
 from gapsweep.explorer.widget import explore_path
 
 pytestmark = pytest.mark.browser
-SOON = 25.0  # seconds, compilation included
 MODEL = "Bokeh.documents[0].get_model_by_name({name!r})"
-
-
-class Tab:
-    """A page of a running Chromium."""
-
-    def __init__(self, socket):
-        self._socket, self._number, self.problems = socket, 0, []
-
-    async def call(self, method, **parameters):
-        self._number += 1
-        await self._socket.write_message(
-            json.dumps({"id": self._number, "method": method, "params": parameters})
-        )
-        while True:
-            message = json.loads(await asyncio.wait_for(self._socket.read_message(), SOON))
-            if message.get("id") == self._number:
-                return message.get("result", message)
-            entry = message["params"]
-            if message["method"] == "Runtime.exceptionThrown" or entry.get("type") == "error":
-                self.problems.append(entry)
-
-    async def ask(self, expression):
-        found = await self.call("Runtime.evaluate", expression=expression, returnByValue=True)
-        assert "exceptionDetails" not in found, found
-        return found["result"].get("value")
-
-    async def until(self, expression):
-        """The first value that is true."""
-        async with asyncio.timeout(SOON):
-            while not (value := await self.ask(expression)):
-                await asyncio.sleep(0.02)
-        return value
-
-    async def mouse(self, kind, x, y):
-        held = {"button": "left", "buttons": 1, "clickCount": 1}
-        await self.call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=x, y=y, **held)
-
-
-@asynccontextmanager
-async def tab(address, url, size=(1280, 900), is_phone=False):
-    new = HTTPRequest(f"http://{address}/json/new?about:blank", method="PUT", body=b"")
-    target = json.loads((await AsyncHTTPClient().fetch(new)).body)
-    socket = await websocket_connect(target["webSocketDebuggerUrl"], max_message_size=2**28)
-    opened = Tab(socket)
-    for domain in ("Page", "Runtime"):
-        await opened.call(f"{domain}.enable")
-    width, height = size
-    await opened.call(
-        "Emulation.setDeviceMetricsOverride",
-        width=width, height=height, deviceScaleFactor=1, mobile=is_phone,
-    )  # fmt: skip
-    await opened.call("Page.navigate", url=url)
-    await opened.until(
-        f"window.Bokeh?.documents?.[0] && {source(EXACT_CURVE)}.omega.length === 200"
-    )
-    await opened.until(f"{source('response 0 sweep down')}.omega.length === 200")
-    yield opened
-    assert opened.problems == []
-    await opened.call("Page.close")
-    socket.close()
 
 
 EXACT_CURVE = "response 0 from rest"
@@ -121,6 +56,10 @@ def browse(address, page, steps, **how):
 
     async def run():
         async with tab(address, page.url, **how) as opened:
+            await opened.until(
+                f"window.Bokeh?.documents?.[0] && {source(EXACT_CURVE)}.omega.length === 200"
+            )
+            await opened.until(f"{source('response 0 sweep down')}.omega.length === 200")
             return await steps(opened)
 
     try:
@@ -129,7 +68,7 @@ def browse(address, page, steps, **how):
         page.stop()
 
 
-def test_the_response_follows_a_slider_that_is_dragged(debugger):  # noqa: F811
+def test_the_response_follows_a_slider_that_is_dragged(debugger):
     async def drag(opened):
         await opened.ask(WATCH.format(slider=model("forcing"), curve=model(EXACT_CURVE)))
         x, y = await opened.ask(HANDLE.format(name="forcing"))
@@ -157,7 +96,7 @@ def test_the_response_follows_a_slider_that_is_dragged(debugger):  # noqa: F811
     np.testing.assert_allclose(x_max, 1e3 * from_rest(here, EXACT).x_max, rtol=1e-12)
 
 
-def test_a_click_on_a_response_shows_its_motion(debugger):  # noqa: F811
+def test_a_click_on_a_response_shows_its_motion(debugger):
     place = """(() => {{
       const source = {curve}, view = [...Bokeh.index.all_views()].find(
         v => v.model.type === 'Figure' && v.model.title.text === 'Frequency response');
@@ -188,7 +127,7 @@ PLACE = """(() => {{
 }})()"""
 
 
-def test_clicks_on_basins_and_map_show_the_motion_from_there(debugger):  # noqa: F811
+def test_clicks_on_basins_and_map_show_the_motion_from_there(debugger):
     async def click(opened, title, x, y):
         for kind in ("Pressed", "Released"):
             await opened.mouse(kind, *await opened.ask(PLACE.format(title=title, x=x, y=y)))
@@ -213,7 +152,7 @@ def test_clicks_on_basins_and_map_show_the_motion_from_there(debugger):  # noqa:
     assert K_c == pytest.approx(5.0, abs=0.05)  # the slider moves along the logarithm
 
 
-def test_a_law_that_is_unknown_is_a_word_not_a_traceback(debugger):  # noqa: F811
+def test_a_law_that_is_unknown_is_a_word_not_a_traceback(debugger):
     async def type_in(opened):
         await opened.ask(f"{model('approximations')}.value = 'tangent'")
         await opened.until(f"{model('status')}.text.includes('unknown representation')")
@@ -224,7 +163,7 @@ def test_a_law_that_is_unknown_is_a_word_not_a_traceback(debugger):  # noqa: F81
     assert "tanh-1e5" in browse(debugger, gs.explore(approximations=()), type_in)
 
 
-def test_a_click_on_a_stored_point_opens_it(debugger, tmp_path):  # noqa: F811
+def test_a_click_on_a_stored_point_opens_it(debugger, tmp_path):
     study = tables(("piecewise", "tanh-1e4"), (5.0, 6.0, 7.0))
     for made in datasets(tmp_path, study, lambda _, omega, __: periodic([(5e-3, 0.0)], omega)):
         made.close()
@@ -250,7 +189,7 @@ def test_a_click_on_a_stored_point_opens_it(debugger, tmp_path):  # noqa: F811
 
 
 @pytest.mark.parametrize("width", [390, 900, 1280])
-def test_nothing_is_wider_than_the_window(debugger, width):  # noqa: F811
+def test_nothing_is_wider_than_the_window(debugger, width):
     async def measure(opened):
         return await opened.ask("[innerWidth, document.documentElement.scrollWidth]")
 
@@ -260,7 +199,22 @@ def test_nothing_is_wider_than_the_window(debugger, width):  # noqa: F811
     assert page <= width
 
 
-def test_a_map_over_another_number_is_not_shown_under_its_name(debugger):  # noqa: F811
+def test_on_a_phone_sliders_stay_above_the_figures(debugger):
+    async def scroll(opened):
+        await opened.ask("scrollTo(0, 800)")
+        return await opened.ask("""(() => {
+          const views = [...Bokeh.index.all_views()];
+          const side = views.find(v => v.model.name === "side").el.getBoundingClientRect();
+          return [side.top, side.bottom, side.width];
+        })()""")
+
+    top, bottom, width = browse(debugger, gs.explore(), scroll, size=(390, 844), is_phone=True)
+    assert top == 0.0
+    assert bottom < 0.5 * 844
+    assert width > 350
+
+
+def test_a_map_over_another_number_is_not_shown_under_its_name(debugger):
     async def change(opened):
         await opened.until(f"{source('map 0 peaks')}.image?.[0]?.shape[0] === 40")
         await opened.ask(f"{model('over')}.value = 'alpha'")

@@ -15,7 +15,7 @@ import xarray as xr
 from tests.calls import Deadly
 
 import gapsweep as gs
-from gapsweep import lookup
+from gapsweep import pipeline
 from gapsweep.analysis.datasets import branches_file as branches_of_study
 from gapsweep.continuation.orbits import integrated
 from gapsweep.execution import branch_tasks
@@ -162,8 +162,8 @@ def test_a_second_run_makes_nothing_and_a_new_folder_takes_all_from_the_cache(
 ):
     study = gs.Study.from_dict(tables())
     before = (folder / "out" / "branches.nc").stat().st_mtime_ns
-    planned = lookup.plan(study, folder / "c")
-    assert not any(lookup.stage_reasons(study, planned, folder / "out", folder / "c").values())
+    planned = pipeline.plan(study, folder / "c")
+    assert not any(pipeline.stage_reasons(study, planned, folder / "out", folder / "c").values())
     monkeypatch.setattr(branches_of_study, "followed", None)
     gs.run(study, client, out=folder / "out", cache=folder / "c").close()
     assert (folder / "out" / "branches.nc").stat().st_mtime_ns == before

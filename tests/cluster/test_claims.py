@@ -8,9 +8,9 @@ import shutil
 import pytest
 
 import gapsweep as gs
-from gapsweep import lookup
+from gapsweep import pipeline
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
-from gapsweep.stages import AGREEMENT, CLAIMS, REPORT, SECTIONS
+from gapsweep.run_folder import AGREEMENT, CLAIMS, REPORT, SECTIONS
 
 STUDY = """
 [study]
@@ -108,7 +108,7 @@ def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
 
     def reasons():
         fresh = gs.Study.of(study)
-        found = lookup.stage_reasons(fresh, lookup.plan(fresh, cache), out, cache)
+        found = pipeline.stage_reasons(fresh, pipeline.plan(fresh, cache), out, cache)
         return {file: reason for file, reason in found.items() if reason}
 
     decided = again()

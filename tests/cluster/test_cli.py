@@ -13,7 +13,7 @@ import time
 
 import psutil
 import pytest
-from tests.stored import damaged_row
+from tests.stored import damaged_row, n_stored
 
 # A stage and its time, told of what takes longer than a moment.
 PROGRESS = re.compile(r", \d+:\d\d:\d\d$")
@@ -32,12 +32,17 @@ max_period_multiple = 8
 """
 
 
-def gapsweep(folder, *arguments):
+def in_a_process(folder, *arguments):
     environment = {k: v for k, v in os.environ.items() if k != "GAPSWEEP_CACHE"}
     command = [sys.executable, "-c", "from gapsweep.cli import main; main()", *arguments]
     return subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120
     )
+
+
+@pytest.fixture(scope="session")
+def gapsweep(run_command):
+    return run_command
 
 
 @pytest.fixture
@@ -50,7 +55,7 @@ def folder(tmp_path):
 def finished_once(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished")
     (folder / "tiny.toml").write_text(QUICK)
-    done = gapsweep(folder, "run", "tiny.toml")
+    done = in_a_process(folder, "run", "tiny.toml")
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("4 points: 0 from the cache, 4 computed\n")
     return folder
@@ -84,34 +89,34 @@ def test_run_writes_datasets_and_report(finished):
     assert [url for url in outside if "w3.org" not in url] == []
 
 
-def plan(folder, *arguments):
+def planned(gapsweep, folder, *arguments):
     return json.loads(gapsweep(folder, "plan", *arguments, "--json").stdout)
 
 
 COUNTS = ("points", "hits", "missing", "failed")
 
 
-def test_plan_counts_hits_and_missing_points(finished):
+def test_plan_counts_hits_and_missing_points(gapsweep, finished):
     text = (finished / "tiny.toml").read_text()
     (finished / "more.toml").write_text(text.replace("20.0]", "20.0, 25.0]"))
-    numbers = plan(finished, "more.toml")
+    numbers = planned(gapsweep, finished, "more.toml")
     assert numbers["expected_s"] > 0
     assert [numbers[name] for name in COUNTS] == [6, 4, 2, 0]
     assert set(numbers["stages"].values()) == {"sweep points are missing"}
 
 
-def test_plan_without_a_cache_creates_none(folder):
-    numbers = plan(folder, "tiny.toml")
+def test_plan_without_a_cache_creates_none(gapsweep, folder):
+    numbers = planned(gapsweep, folder, "tiny.toml")
     assert [numbers[name] for name in COUNTS] == [4, 0, 4, 0]
     assert numbers["expected_s"] is None
     assert not (folder / "data").exists()
 
 
-def test_plan_says_why_a_stage_would_run(finished):
+def test_plan_says_why_a_stage_would_run(gapsweep, finished):
     run = finished / "data" / "runs" / "tiny"
-    assert set(plan(finished, "tiny.toml")["stages"].values()) == {None}
+    assert set(planned(gapsweep, finished, "tiny.toml")["stages"].values()) == {None}
     (run / "timing.nc").unlink()
-    assert plan(finished, "tiny.toml")["stages"] == {
+    assert planned(gapsweep, finished, "tiny.toml")["stages"] == {
         "responses.nc": None,
         "attractors.nc": None,
         "static.nc": None,
@@ -121,7 +126,7 @@ def test_plan_says_why_a_stage_would_run(finished):
     }
     text = (finished / "tiny.toml").read_text()
     (finished / "tiny.toml").write_text(text.replace('"tiny"', '"tiny"\ntitle = "Other"'))
-    stages = plan(finished, "tiny.toml")["stages"]
+    stages = planned(gapsweep, finished, "tiny.toml")["stages"]
     assert stages["responses.nc"] == "study changed"
     assert stages["agreement.nc"] == "responses.nc, attractors.nc made anew"
     assert stages["static.nc"] == "study changed"
@@ -131,12 +136,12 @@ def test_finished_run_makes_nothing_again(finished):
     found = (finished / "data" / "runs").rglob("*")
     files = [p for p in found if p.is_file() and p.name != "run.json"]
     before = {p: p.stat().st_mtime_ns for p in files}
-    done = gapsweep(finished, "run", "tiny.toml")
+    done = in_a_process(finished, "run", "tiny.toml")
     assert done.stdout.startswith("4 points: 4 from the cache, 0 computed\n")
     assert {p: p.stat().st_mtime_ns for p in files} == before
 
 
-def test_status_tells_how_a_run_ended(finished):
+def test_status_tells_how_a_run_ended(gapsweep, finished):
     state = json.loads(gapsweep(finished, "status", "data/runs/tiny", "--json").stdout)
     assert {name: state[name] for name in ("state", "points", "hits", "computed", "failed")} == {
         "state": "finished", "points": 4, "hits": 0, "computed": 4, "failed": 0
@@ -147,7 +152,7 @@ def test_status_tells_how_a_run_ended(finished):
     assert "damaged" not in said
 
 
-def test_status_of_a_run_that_goes_on_says_nothing_of_its_files(finished, tmp_path):
+def test_status_of_a_run_that_goes_on_says_nothing_of_its_files(gapsweep, finished, tmp_path):
     state = json.loads((finished / "data/runs/tiny/run.json").read_text())
     state |= {"state": "running", "pid": os.getpid()}
     state |= {"process_started": psutil.Process().create_time()}
@@ -156,7 +161,7 @@ def test_status_of_a_run_that_goes_on_says_nothing_of_its_files(finished, tmp_pa
     assert (told["damaged"], told["not_checked"]) == (None, None)
 
 
-def test_status_names_what_is_no_longer_as_written(finished, tmp_path):
+def test_status_names_what_is_no_longer_as_written(gapsweep, finished, tmp_path):
     """And waits for no pipe; a list that was cut names what it still holds."""
     shutil.copytree(finished / "data/runs/tiny", tmp_path / "run")
     (tmp_path / "run/static.nc").write_bytes(b"other")
@@ -168,7 +173,7 @@ def test_status_names_what_is_no_longer_as_written(finished, tmp_path):
     assert told["damaged"] == ["static.nc", "timing.nc"]
 
 
-def test_query_prints_what_was_selected_and_computes_only_the_rest(finished):
+def test_query_prints_what_was_selected_and_computes_only_the_rest(gapsweep, finished):
     text = (finished / "tiny.toml").read_text()
     (finished / "more.toml").write_text(text.replace("20.0]", "20.0, 25.0]"))
     done = gapsweep(finished, "query", "more.toml", "--sel", "omega=12:20", "--to", "csv")
@@ -182,10 +187,10 @@ def test_query_prints_what_was_selected_and_computes_only_the_rest(finished):
     done = gapsweep(finished, "query", "more.toml", *one)
     assert done.stderr.endswith("1 points, 0 from the cache\n")
     assert json.loads(done.stdout)["omega"] == 25.0
-    assert plan(finished, "more.toml")["missing"] == 1
+    assert planned(gapsweep, finished, "more.toml")["missing"] == 1
 
 
-def test_query_prints_the_columns_and_digits_asked_for(finished):
+def test_query_prints_the_columns_and_digits_asked_for(gapsweep, finished):
     given = ("--sel", "representation=piecewise", "--columns", "x_max,status", "--digits", "3")
     rows = list(
         csv.DictReader(io.StringIO(gapsweep(finished, "query", "tiny.toml", *given).stdout))
@@ -202,7 +207,7 @@ def test_query_prints_the_columns_and_digits_asked_for(finished):
     assert "--to csv all" in shown.stderr
 
 
-def test_query_says_how_to_have_other_columns_to_one_who_names_none(finished):
+def test_query_says_how_to_have_other_columns_to_one_who_names_none(gapsweep, finished):
     whole = gapsweep(finished, "query", "tiny.toml")
     header = whole.stdout.splitlines()[0].split(",")
     assert {"x_max", "x_min", "amplitude", "lyapunov", "n_steps"} <= {*header}
@@ -212,7 +217,7 @@ def test_query_says_how_to_have_other_columns_to_one_who_names_none(finished):
     assert "--to" not in asked.stderr
 
 
-def test_explain_names_the_field_that_differs(finished):
+def test_explain_names_the_field_that_differs(gapsweep, finished):
     text = (finished / "tiny.toml").read_text()
     (finished / "more.toml").write_text(text.replace("20.0]", "20.0, 25.0]"))
     found = gapsweep(finished, "explain", "more.toml", "--sel", "representation=piecewise").stdout
@@ -220,7 +225,7 @@ def test_explain_names_the_field_that_differs(finished):
     assert "omega = 25 Hz, initial_condition 0: missing\n  omega: asked 25.0, nearest" in found
 
 
-def test_cache_commands(finished):
+def test_cache_commands(gapsweep, finished):
     info = json.loads(gapsweep(finished, "cache", "info", "--json").stdout)
     assert (info["points"], info["current"], info["status"]) == (4, 4, {"ok": 4})
     done = gapsweep(finished, "cache", "verify")
@@ -236,7 +241,7 @@ def test_cache_commands(finished):
     assert gapsweep(finished, "cache", "verify", *copy).returncode == 0
 
 
-def test_report_is_rebuilt_from_the_datasets_alone(finished):
+def test_report_is_rebuilt_from_the_datasets_alone(gapsweep, finished):
     run = finished / "data" / "runs" / "tiny"
     before = (run / "report" / "index.html").read_text()
     (run / "report" / "index.html").unlink()
@@ -245,7 +250,7 @@ def test_report_is_rebuilt_from_the_datasets_alone(finished):
     assert (run / "report" / "index.html").read_text() == before
 
 
-def test_failed_points_end_with_their_own_exit_code(folder):
+def test_failed_points_end_with_their_own_exit_code(gapsweep, folder):
     (folder / "springs.py").write_text("def bad(x):\n    return 1.0 if x == 0 else 1 / 0\n")
     text = QUICK.replace('"tanh-1e4"', '"springs:bad"')
     (folder / "tiny.toml").write_text(text + '[solver]\nengine = "scipy"\n')
@@ -267,7 +272,7 @@ def test_failed_points_end_with_their_own_exit_code(folder):
         (("n_periods", "periods"), "steady.periods = 16: unknown key"),
     ],
 )
-def test_bad_study_is_one_clear_line(folder, change, message):
+def test_bad_study_is_one_clear_line(gapsweep, folder, change, message):
     (folder / "tiny.toml").write_text(QUICK.replace(*change))
     done = gapsweep(folder, "run", "tiny.toml")
     assert done.returncode == 1
@@ -301,7 +306,7 @@ def test_bad_study_is_one_clear_line(folder, change, message):
         (("run", "tiny.toml", "--out", "/proc/out"), "name another folder with --out"),
     ],
 )
-def test_impossible_request_is_one_clear_line(folder, arguments, message):
+def test_impossible_request_is_one_clear_line(gapsweep, folder, arguments, message):
     done = gapsweep(folder, *arguments)
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stderr
@@ -318,7 +323,7 @@ def test_impossible_request_is_one_clear_line(folder, arguments, message):
         ("zeta = 0.03", "zeta = 3"),  # in percent
     ],
 )
-def test_a_wall_that_is_never_reached_is_noticed(folder, right, wrong):
+def test_a_wall_that_is_never_reached_is_noticed(gapsweep, folder, right, wrong):
     """By plan, before anything is computed, and in the last line of run."""
     linear = "[oscillator]\nzeta = 0.03\nalpha = 0.0\n[[sweep]]"
     text = QUICK.replace("[[sweep]]", linear).replace(right, wrong)
@@ -339,16 +344,16 @@ def test_a_wall_that_is_never_reached_is_noticed(folder, right, wrong):
     assert page.index("The wall is never reached") < page.index("cannot be judged")
 
 
-def test_a_wall_that_is_reached_is_no_matter(finished_once):
+def test_a_wall_that_is_reached_is_no_matter(gapsweep, finished_once):
     done = gapsweep(finished_once, "run", "tiny.toml")
     assert "never reached" not in done.stdout + done.stderr
     assert json.loads(gapsweep(finished_once, "plan", "tiny.toml", "--json").stdout)["walls"] == ""
 
 
 def test_wrong_command_line_is_clicks_own(folder):
-    assert gapsweep(folder, "run").returncode == 2
-    assert gapsweep(folder, "run", "tiny.toml", "--workers", "0").returncode == 2
-    assert gapsweep(folder, "--help").returncode == 0
+    assert in_a_process(folder, "run").returncode == 2
+    assert in_a_process(folder, "run", "tiny.toml", "--workers", "0").returncode == 2
+    assert in_a_process(folder, "--help").returncode == 0
 
 
 # As a script starts what ends with &: Ctrl-C is ignored.
@@ -364,7 +369,7 @@ IN_BACKGROUND = "sh", "-c", 'trap "" INT; exec "$@"', "sh"
         (signal.SIGHUP, os.killpg, ()),
     ],
 )
-def test_a_signal_stops_a_run_cleanly_and_the_next_run_resumes(folder, number, send, prefix):
+def test_a_signal_stops_a_run_and_the_next_one_resumes(gapsweep, folder, number, send, prefix):
     process = slow_run(folder, *prefix)
     workers = psutil.Process(process.pid).children(recursive=True)
     send(process.pid, number)
@@ -383,7 +388,7 @@ def test_nohup_keeps_a_run_going(folder):
     try:
         reached = stored_points(folder)
         os.killpg(process.pid, signal.SIGHUP)
-        wait_for_points(folder, reached + 20)
+        wait_for_points(folder, reached + 4)
         assert process.poll() is None
     finally:
         os.killpg(process.pid, signal.SIGTERM)
@@ -411,11 +416,8 @@ def wait_until(is_so, seconds):
     deadline = time.monotonic() + seconds
     while not is_so():
         assert time.monotonic() < deadline
-        time.sleep(0.1)
+        time.sleep(0.02)
 
 
 def stored_points(folder):
-    try:
-        return plan(folder, "tiny.toml")["hits"]
-    except json.JSONDecodeError:
-        return 0
+    return n_stored(folder / "data" / "cache")

@@ -20,10 +20,10 @@ import psutil
 import pytest
 import xarray as xr
 from distributed import Client, LocalCluster
+from tests.stored import n_stored
 
 import gapsweep as gs
 from gapsweep.execution.cluster import cluster
-from gapsweep.store.cache import Cache
 
 SOURCES = Path(gs.__file__).parent
 ROOT = Path(__file__).parents[2]
@@ -82,10 +82,7 @@ def run(tables, folder, address, **options):
 
 
 def stored(folder):
-    if not (folder / "c-cache").exists():
-        return 0
-    with Cache(folder / "c-cache") as cache:
-        return sum(slab.n_points for _, slab in cache.slabs())
+    return n_stored(folder / "c-cache")
 
 
 @pytest.fixture

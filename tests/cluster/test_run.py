@@ -8,11 +8,10 @@ import time
 
 import pytest
 import xarray as xr
-from distributed import LocalCluster
 from tests.stored import commit, messages, point, stored, tile_rows
 
 import gapsweep as gs
-from gapsweep import lookup
+from gapsweep import pipeline
 from gapsweep.execution import execute
 from gapsweep.execution.cluster import cluster
 from gapsweep.execution.plan import plan
@@ -120,17 +119,6 @@ def test_second_run_computes_nothing_and_starts_no_cluster(tables, client, tmp_p
     xr.testing.assert_identical(first.drop_attrs(), second.drop_attrs())
 
 
-def test_refined_grid_computes_only_the_new_points(tables, client, tmp_path):
-    tables["sweep"][0]["representation"] = ["piecewise"]
-    counts = []
-    for n in (3, 5, 9):
-        tables["sweep"][0]["omega"] = {"start": 10.0, "stop": 12.0, "num": n}
-        plan = lookup.plan(gs.Study.from_dict(tables), tmp_path / "out-cache")
-        counts.append((plan.n_missing, plan.n_hits))
-        run(tables, client, tmp_path)
-    assert counts == [(3, 0), (2, 3), (4, 5)]
-
-
 def test_upward_sweep_stays_on_the_upper_branch(tables, client, tmp_path):
     block = tables["sweep"][0] | {"representation": ["piecewise"], "omega": [9.0, 10.0, 11.0]}
     tables["sweep"] = [block, block | {"initial_condition": "sweep_up"}]
@@ -178,9 +166,9 @@ def test_what_started_elsewhere_counts_no_more_once_the_failure_is_repaired(
     first = tables | {"sweep": [block | {"omega": block["omega"][:1]}]}
     options = {"cache": tmp_path / "out-cache", "retry_failed": True}
     gs.run(gs.Study.from_dict(first), client, out=tmp_path / "first", **options).close()
-    assert lookup.plan(study, tmp_path / "out-cache").n_missing == 2
+    assert pipeline.plan(study, tmp_path / "out-cache").n_missing == 2
     xr.testing.assert_equal(run(tables, client, tmp_path)["x_max"], calm["x_max"])
-    assert lookup.plan(study, tmp_path / "out-cache").n_missing == 0
+    assert pipeline.plan(study, tmp_path / "out-cache").n_missing == 0
 
 
 def test_long_sweep_in_parts_equals_one_in_a_piece(tables, client, tmp_path):
@@ -202,32 +190,6 @@ def test_law_that_raises_is_a_result_with_its_message(tables, client, tmp_path):
         assert messages(study, cache)[1, 0, 0, 0, 0] == "ArithmeticError: no force here"
 
 
-def test_law_that_kills_its_worker_spares_all_other_points(tables, tmp_path):
-    label = "tests.laws:killing"
-    tables["sweep"][0] |= {"representation": ["piecewise", label], "omega": [7.0, 12.0]}
-    tables["solver"] = {"engine": "scipy"}  # only plain Python can kill its process
-    with cluster(workers=2) as fragile:
-        status = run(tables, fragile, tmp_path, batch=4)["status"]
-    assert set(status.sel(representation="piecewise").values.ravel().tolist()) == {gs.Status.OK}
-    assert set(status.sel(representation=label).values.ravel().tolist()) == {gs.Status.KILLED}
-
-
-def test_failed_points_are_computed_again_only_on_request(tables, client, tmp_path):
-    tables["sweep"][0] |= {"representation": ["tests.laws:raising"], "omega": [7.0]}
-    tables["solver"] = {"engine": "scipy"}  # nothing to compile
-    run(tables, client, tmp_path)
-    study = gs.Study.from_dict(tables)
-    again = [lookup.plan(study, tmp_path / "out-cache", retry_failed=r) for r in (False, True)]
-    assert [p.n_missing for p in again] == [0, 1]
-    assert again[0].n_failed == 1
-
-
-def test_a_cluster_started_elsewhere_is_used(tables, tmp_path):
-    with LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as other:
-        ds = run(tables, None, tmp_path, scheduler=other.scheduler_address)
-    assert (ds["status"] == gs.Status.OK).all()
-
-
 def test_no_worker_is_left_behind(tables, tmp_path):
     with cluster(workers=2) as own:
         pids = list(own.run(os.getpid).values())
@@ -235,20 +197,6 @@ def test_no_worker_is_left_behind(tables, tmp_path):
     while any(os.path.exists(f"/proc/{pid}") for pid in pids):
         assert time.monotonic() < deadline, "worker processes outlived their cluster"
         time.sleep(0.05)
-
-
-def test_histories_are_kept_and_made_once(tables, client, tmp_path):
-    labels = ["piecewise", "tanh-1e6"]
-    scene = {"K_c": 1.4e6, "gap": [0.0, 8e-4], "omega": 11.0, "t_end": 2.0}
-    asked = tables | {"history": [scene | {"representation": labels}]}
-    run(asked, client, tmp_path)
-    file = tmp_path / "out" / "histories.nc"
-    with gs.open(file) as kept:
-        assert kept["representation"].values.tolist() == labels
-        assert not kept["status"].any()
-    made = file.stat().st_mtime_ns
-    run(asked, client, tmp_path)
-    assert file.stat().st_mtime_ns == made
 
 
 _HOLDER = """

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.stored import stored
 
 import gapsweep as gs
-from gapsweep import lookup, workflow
+from gapsweep import pipeline
 from gapsweep.execution import task
 from gapsweep.execution.execute import execute
 from gapsweep.execution.plan import plan
@@ -30,12 +30,12 @@ def files(folder):
 def run_twice(study, client, folder):
     """The first outcome; the second run must find everything."""
     where = {"out": folder / "out", "cache": folder / "c-cache"}
-    first = workflow.carry_out(study, client, **where)
+    first = pipeline.carry_out(study, client, **where)
     made = files(folder / "out")
-    planned = lookup.plan(study, where["cache"])
+    planned = pipeline.plan(study, where["cache"])
     assert planned.n_missing == 0
-    assert not any(lookup.stage_reasons(study, planned, *where.values()).values())
-    again = workflow.carry_out(study, client, **where)
+    assert not any(pipeline.stage_reasons(study, planned, *where.values()).values())
+    again = pipeline.carry_out(study, client, **where)
     assert (again.progress.n_hits, again.progress.n_computed) == (planned.n_points, 0)
     assert again.failures == first.failures
     assert files(folder / "out") == made

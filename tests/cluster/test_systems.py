@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 from tests.unit.test_system_tables import SECTION, TWO_MASSES, changed
 
 import gapsweep as gs
-from gapsweep import lookup
+from gapsweep import pipeline
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import plan
 from gapsweep.response.result import ResponseClass
@@ -223,7 +223,7 @@ def test_a_sweep_goes_on_from_state_to_state(made):
 
 def test_nothing_is_computed_twice_and_all_is_sound(made):
     study, folder, _ = made
-    planned = lookup.plan(study, folder / "c-cache")
+    planned = pipeline.plan(study, folder / "c-cache")
     assert planned.n_missing == 0
     with Cache(folder / "c-cache") as store:
         assert verify(store).is_sound
@@ -265,7 +265,7 @@ def test_laws_are_compared_coordinate_by_coordinate(made):
 
 
 def test_query_has_a_column_for_every_coordinate(made, capsys):
-    from gapsweep.cli.table import Form, written
+    from gapsweep.cli.query_output import Form, written
 
     study, _folder, responses = made
     written(at(responses).expand_dims(["representation", "K_c", "gap"]), Form("csv"), None)

@@ -12,6 +12,8 @@ import pytest
 
 import gapsweep
 
+pytestmark = pytest.mark.packaging
+
 SOURCES = Path(gapsweep.__file__).parent
 RUN = """
 import gapsweep as gs
@@ -21,7 +23,7 @@ x, _ = run.sample(0.5)
 print(run.x_end.hex(), run.n_contacts, float(x).hex())
 """
 COUNTED = """
-from gapsweep.integrate.stepping import loop, sample, starts
+from gapsweep.integrate.stepping import loop, sample, start_rows
 used = loop.advance, sample.sample_steps, starts.set_starts
 print(sum(sum(each.stats.cache_misses.values()) for each in used))
 """

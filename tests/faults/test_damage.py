@@ -10,7 +10,7 @@ import xarray as xr
 from tests.stored import damaged_row, keys, made
 
 import gapsweep as gs
-from gapsweep import make
+from gapsweep import pipeline
 from gapsweep.store import maintenance
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
@@ -223,7 +223,7 @@ def test_damaged_dataset_is_refused(sound, tmp_path, n_flips, n_truncations):
     run = shutil.copytree(folder / "out", tmp_path / "out")
     for what, data in damages(run / "responses.nc", n_flips, n_truncations, seed=2):
         (run / "responses.nc").write_bytes(data)
-        for use in (read_peaks, make.report):
+        for use in (read_peaks, pipeline.report):
             with pytest.raises(gs.StoreError, match=r"responses.nc: damaged .* SHA256SUMS"):
                 print(what, use(run))
 

@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import netCDF4
@@ -16,7 +17,7 @@ from click.testing import CliRunner
 from tests.stored import damaged_row
 
 import gapsweep as gs
-from gapsweep import make, workflow
+from gapsweep import pipeline, stages
 from gapsweep.cli.main import commands
 from gapsweep.execution.portions import SWEEP_PART
 from gapsweep.explorer.widget import explore_path
@@ -41,16 +42,13 @@ max_period_multiple = 8
 """
 
 
-def gapsweep(folder, *arguments):
-    environment = os.environ | {"GAPSWEEP_CACHE": "c-cache"}
-    return subprocess.run(
-        [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
-        timeout=100,
-    )  # fmt: skip
+@pytest.fixture(scope="session")
+def gapsweep(run_command):
+    return partial(run_command, cache="c-cache")
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
+def finished(gapsweep, tmp_path_factory):
     """A run whose study names every point under two labels; the tests go on with it."""
     folder = tmp_path_factory.mktemp("finished")
     (folder / "tiny.toml").write_text(STUDY)
@@ -60,7 +58,7 @@ def finished(tmp_path_factory):
     return folder
 
 
-def test_another_study_is_refused_in_a_folder_that_is_taken(finished):
+def test_another_study_is_refused_in_a_folder_that_is_taken(gapsweep, finished):
     other = STUDY.replace('"tiny"', '"other"')
     (finished / "other.toml").write_text(other)
     before = (finished / "out" / "responses.nc").read_bytes()
@@ -71,20 +69,20 @@ def test_another_study_is_refused_in_a_folder_that_is_taken(finished):
     assert (finished / "out" / "responses.nc").read_bytes() == before
 
 
-def test_status_knows_a_run_of_which_everything_is_stored(finished, monkeypatch):
+def test_status_knows_a_run_of_which_everything_is_stored(gapsweep, finished, monkeypatch):
     (finished / "out" / "run.json").unlink()
     seen = []
 
-    def update(study, folder, given, **how):
+    def make_files(*_, **__):
         seen.append(json.loads(gapsweep(finished, "status", "out", "--json").stdout))
 
-    monkeypatch.setattr(workflow, "update", update)
+    monkeypatch.setattr(pipeline, "make_files", make_files)
     study = gs.Study.load(finished / "tiny.toml")
-    workflow.carry_out(study, out=finished / "out", cache=finished / "c-cache")
-    assert [(one["state"], one["hits"]) for one in seen] == [("running", 40)]
+    pipeline.carry_out(study, out=finished / "out", cache=finished / "c-cache")
+    assert [(one["state"], one["hits"]) for one in seen] == [("running", 40)] * 2
 
 
-def test_repairs_are_told(finished):
+def test_repairs_are_told(gapsweep, finished):
     page = finished / "out" / "report" / "index.html"
     whole = page.read_text()
     page.write_text(whole.replace("median", "MEDIAN"))
@@ -99,7 +97,7 @@ def test_repairs_are_told(finished):
     assert "MEDIAN" not in page.read_text()
 
 
-def test_lost_and_damaged_figures_are_made_again(finished):
+def test_lost_and_damaged_figures_are_made_again(gapsweep, finished):
     figures = finished / "out" / "report" / "figures"
     whole = {file.name: file.read_bytes() for file in figures.iterdir()}
     lost, damaged = (next(figures.glob(f"*.{kind}")) for kind in ("svg", "html"))
@@ -112,7 +110,7 @@ def test_lost_and_damaged_figures_are_made_again(finished):
     assert {file.name: file.read_bytes() for file in figures.iterdir()} == whole
 
 
-def test_what_stands_in_the_place_of_a_file_is_one_line(finished, tmp_path):
+def test_what_stands_in_the_place_of_a_file_is_one_line(gapsweep, finished, tmp_path):
     out = shutil.copytree(finished / "out", tmp_path / "out")
     command = ("run", "tiny.toml", "--out", os.fspath(out))
     for name in ("SHA256SUMS", "report/figures/SHA256SUMS", "static.nc"):
@@ -128,7 +126,7 @@ def test_what_stands_in_the_place_of_a_file_is_one_line(finished, tmp_path):
         assert gapsweep(finished, *command).returncode == 0
 
 
-def test_a_link_to_nowhere_is_one_line(finished, tmp_path):
+def test_a_link_to_nowhere_is_one_line(gapsweep, finished, tmp_path):
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere" / "else")
     done = gapsweep(tmp_path, "run", os.fspath(finished / "tiny.toml"), "--out", "dangling")
     assert done.returncode == 1
@@ -136,7 +134,7 @@ def test_a_link_to_nowhere_is_one_line(finished, tmp_path):
     assert "dangling: is a link to nothing" in done.stderr.splitlines()[-1]
 
 
-def test_a_claims_file_that_is_a_link_is_one_line(tmp_path):
+def test_a_claims_file_that_is_a_link_is_one_line(gapsweep, tmp_path):
     (tmp_path / "tiny.toml").write_text(STUDY.replace("num = 20", "num = 1"))
     (tmp_path / "c-cache").mkdir()
     (tmp_path / "c-cache" / "claims").symlink_to(tmp_path / "nowhere")
@@ -148,7 +146,7 @@ def test_a_claims_file_that_is_a_link_is_one_line(tmp_path):
 
 
 @pytest.mark.parametrize("command", ["run", "plan", "report", "status"])
-def test_a_folder_whose_name_is_no_utf_8_is_one_line(finished, tmp_path, command):
+def test_a_folder_whose_name_is_no_utf_8_is_one_line(gapsweep, finished, tmp_path, command):
     folder = os.fsdecode(os.fsencode(tmp_path) + b"/o\xff")
     shutil.copytree(finished / "out", folder)
     others = ["tiny.toml", "--out"] if command in ("run", "plan") else []
@@ -184,7 +182,7 @@ def test_datasets_of_other_contents_are_one_line(finished, tmp_path, what):
     """Of another version, or made by somebody else."""
     out = shutil.copytree(finished / "out", tmp_path / "out")
     forged(out, "responses.nc", FORGED[what])
-    pages = [make.report]
+    pages = [pipeline.report]
     if what.startswith("a study"):
         pages.append(lambda folder: explore_path(folder, 0))
     for show in pages:
@@ -195,7 +193,7 @@ def test_datasets_of_other_contents_are_one_line(finished, tmp_path, what):
 
 
 @pytest.mark.parametrize("place", ["/proc/nowhere/c-cache", "dangling/c-cache"])
-def test_a_cache_where_nothing_can_be_written_waits_for_no_workers(finished, tmp_path, place):
+def test_a_cache_that_cannot_be_written_waits_for_no_workers(gapsweep, finished, tmp_path, place):
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
     study = os.fspath(finished / "tiny.toml")
     done = gapsweep(tmp_path, "run", study, "--out", "out", "--cache", place)
@@ -206,7 +204,7 @@ def test_a_cache_where_nothing_can_be_written_waits_for_no_workers(finished, tmp
 
 
 @pytest.mark.parametrize("said", ["x{", "[]", "3"])
-def test_damaged_settings_of_a_dataset_are_made_again(finished, tmp_path, said):
+def test_damaged_settings_of_a_dataset_are_made_again(gapsweep, finished, tmp_path, said):
     out = shutil.copytree(finished / "out", tmp_path / "out")
     with netCDF4.Dataset(out / "responses.nc", "a") as dataset:
         dataset.study_json = said
@@ -216,7 +214,7 @@ def test_damaged_settings_of_a_dataset_are_made_again(finished, tmp_path, said):
         assert json.loads(dataset.study_json)["study"]["name"] == "tiny"
 
 
-def test_one_lost_row_of_a_sweep_is_one_point_to_compute(finished):
+def test_one_lost_row_of_a_sweep_is_one_point_to_compute(gapsweep, finished):
     path = finished / "c-cache"
     n_lost = 2 * damaged_row(path)
     assert 0 < n_lost <= 2 * SWEEP_PART
@@ -242,7 +240,7 @@ with replacing(Path(sys.argv[1])) as temporary:
 """
 
 
-def test_temporary_files_of_the_dead_are_removed_and_no_others(finished):
+def test_temporary_files_of_the_dead_are_removed_and_no_others(gapsweep, finished):
     responses = finished / "out" / "responses.nc"
     command = [sys.executable, "-c", LEFT, str(responses)]
     with subprocess.Popen(
@@ -271,9 +269,11 @@ def test_claims_wait_for_whoever_writes_into_the_folder(finished):
     with alone_in(finished / "out"):
         with (finished / "stderr").open("w") as stderr:
             waiting = subprocess.Popen(command, cwd=finished, stderr=stderr)
-        with pytest.raises(subprocess.TimeoutExpired):
-            waiting.wait(10)
-        assert "out: waiting for" in (finished / "stderr").read_text()
+        deadline = time.monotonic() + 60
+        while "out: waiting for" not in (finished / "stderr").read_text():
+            assert waiting.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
         assert not (finished / "out" / "claims.json").exists()
     assert waiting.wait(60) == 0, (finished / "stderr").read_text()
     assert (finished / "out" / "claims.json").exists()
@@ -282,7 +282,7 @@ def test_claims_wait_for_whoever_writes_into_the_folder(finished):
 SLOW = STUDY.replace("[steady]", '[solver]\nengine = "scipy"\nrtol = 1e-7\natol = 1e-10\n[steady]')
 
 
-def test_two_runs_in_one_folder_tell_of_one_that_goes_on(tmp_path):
+def test_two_runs_in_one_folder_tell_of_one_that_goes_on(gapsweep, tmp_path):
     (tmp_path / "long.toml").write_text(SLOW.replace("num = 20", "num = 999"))
     (tmp_path / "short.toml").write_text(STUDY.replace("num = 20", "num = 1"))
     command = [COMMAND, "run", "long.toml", "--out", "out", "--cache", "l-cache"]
@@ -335,10 +335,11 @@ def test_benchmarks_name_what_they_were_made_from_before_they_began(tables, tmp_
         "method": [{"label": "piecewise", "rtol": [1e-4]}],
     }
     order = []
-    monkeypatch.setattr(make, "made_from", lambda *given: order.append("made from") or {})
-    monkeypatch.setattr(make, "_analysed", lambda *given: order.append("analysis"))
-    monkeypatch.setattr(make.netcdf, "write", lambda *given: order.append("written"))
-    make.bench(gs.Study.from_dict(tables), tmp_path)
+    monkeypatch.setattr(stages.Stage, "made_from", lambda *_: order.append("made from") or {})
+    monkeypatch.setattr(stages, "write", lambda *_: order.append("written"))
+    analysis = "gapsweep.analysis.bench.work_precision.work_precision"
+    monkeypatch.setattr(analysis, lambda *_, **__: order.append("analysis") or {})
+    pipeline.bench(gs.Study.from_dict(tables), tmp_path)
     assert order == ["made from", "analysis", "written"]
 
 

@@ -9,6 +9,7 @@ import re
 import resource
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -33,7 +34,7 @@ max_period_multiple = 8
 RUN = "from gapsweep.cli import main; main()"
 
 
-def run(folder, *options, room=None):
+def limited_run(folder, *options, room):
     def limited():
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
 
@@ -42,8 +43,13 @@ def run(folder, *options, room=None):
     return subprocess.run(
         [sys.executable, "-c", RUN, "run", "full.toml", "--cache", "cache", "--out", *options],
         cwd=folder, env=environment, capture_output=True, text=True, timeout=300,
-        preexec_fn=limited if room else None,
+        preexec_fn=limited,
     )  # fmt: skip
+
+
+@pytest.fixture
+def run(run_command, folder):
+    return partial(run_command, folder, "run", "full.toml", "--cache", "cache", "--out")
 
 
 @pytest.fixture
@@ -59,11 +65,11 @@ def one_error(done):
     return error
 
 
-def test_full_disk_while_committing(folder):
+def test_full_disk_while_committing(run, folder):
     (folder / "full.toml").write_text(STUDY.replace("num = 1201", "num = 13"))
-    assert run(folder, "few").returncode == 0
+    assert run("few").returncode == 0
     (folder / "full.toml").write_text(STUDY)
-    error = one_error(run(folder, "out", "--batch", "600", room=40_000))
+    error = one_error(limited_run(folder, "out", "--batch", "600", room=40_000))
     assert "cannot be written: " in error
     assert "make room" in error
     with Cache(folder / "cache") as cache:
@@ -72,22 +78,22 @@ def test_full_disk_while_committing(folder):
     assert 13 <= kept.n_points < 1201
     assert not list((folder / "cache").glob(".*"))
     assert not (folder / "out" / "responses.nc").exists()
-    done = run(folder, "out")
+    done = run("out")
     assert done.stdout.startswith(
         f"1201 points: {kept.n_points} from the cache, {1201 - kept.n_points} computed"
     )
 
 
-def test_full_disk_while_exporting(folder):
-    whole = run(folder, "whole")
+def test_full_disk_while_exporting(run, folder):
+    whole = run("whole")
     assert whole.returncode == 0, whole.stderr
     size = (folder / "whole" / "responses.nc").stat().st_size
-    error = one_error(run(folder, "out", room=size // 2))
+    error = one_error(limited_run(folder, "out", room=size // 2))
     # Both are written side by side: either may be the first without room.
     assert re.search(r"(responses|attractors)\.nc: cannot be written", error)
     assert "make room" in error
     assert [p.name for p in (folder / "out").iterdir() if p.name != "run.json"] == []
-    done = run(folder, "out")
+    done = run("out")
     assert (done.returncode, done.stdout.split("\n")[0]) == (
         0, "1201 points: 1201 from the cache, 0 computed"
     )  # fmt: skip

@@ -13,6 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 import xarray as xr
+from tests.stored import n_stored
 
 import gapsweep as gs
 from gapsweep.store.cache import Cache
@@ -62,13 +63,6 @@ def finish(process):
     return out
 
 
-def stored(path):
-    if not path.exists():
-        return 0
-    with Cache(path, read_only=True) as cache:
-        return cache.n_points
-
-
 def same(a, b):
     with gs.open(a) as first, gs.open(b) as second:
         drop = [name for name in ("cpu_time",) if name in first]
@@ -79,7 +73,7 @@ def same(a, b):
 
 
 @pytest.mark.parametrize(
-    ("n_points", "n_kills"), [(60, 3), pytest.param(2000, 50, marks=pytest.mark.slow)]
+    ("n_points", "n_kills"), [(40, 3), pytest.param(2000, 50, marks=pytest.mark.slow)]
 )
 def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
     (tmp_path / "storm.toml").write_text(study_text(n_points))
@@ -91,14 +85,14 @@ def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
         process = start(tmp_path, "storm-cache", "storm", "--batch", str(BATCH))
         # Kill at a random moment of the work, not of the start-up.
         wanted = done + generator.randrange(1, max(2, 2 * (n_points - done) // n_kills))
-        while stored(cache) < wanted and process.poll() is None:
+        while n_stored(cache) < wanted and process.poll() is None:
             time.sleep(0.02)
         time.sleep(generator.uniform(0.0, 0.5))
         with suppress(ProcessLookupError):  # it may have finished just before
             os.killpg(process.pid, signal.SIGKILL)  # the driver and its workers
         process.communicate()
         n_killed += process.returncode == -signal.SIGKILL
-        before, done = done, stored(cache)
+        before, done = done, n_stored(cache)
         assert done >= before, "stored points are kept"
     assert n_killed > n_kills // 2, "most kills met a run at work"
     last = finish(start(tmp_path, "storm-cache", "storm"))
@@ -136,7 +130,7 @@ def test_a_worker_killed_while_the_cluster_starts_costs_one_line_at_most(tmp_pat
 def test_a_killed_run_leaves_no_process_and_its_status_says_so(tmp_path):
     (tmp_path / "storm.toml").write_text(study_text(400, settle_tol="1e-6"))
     process = start(tmp_path, "cache", "out", "--batch", "2")
-    while stored(tmp_path / "cache") < 4:
+    while n_stored(tmp_path / "cache") < 4:
         assert process.poll() is None
         time.sleep(0.05)
     assert status(tmp_path)["state"] == "running"
@@ -157,7 +151,7 @@ def status(folder):
 
 
 @pytest.mark.parametrize("locks", ["locks", "no locks"])
-@pytest.mark.parametrize("n_points", [200, pytest.param(800, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n_points", [120, pytest.param(800, marks=pytest.mark.slow)])
 def test_two_runs_on_one_cache_share_the_work(tmp_path, n_points, locks):
     """Without locks, as on two hosts, they may compute a point twice."""
     (tmp_path / "storm.toml").write_text(study_text(n_points))

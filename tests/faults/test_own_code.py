@@ -3,16 +3,16 @@
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 import gapsweep as gs
-from gapsweep import workflow
-from gapsweep.analysis.bench.stability import stability
+from gapsweep import pipeline
 from gapsweep.analysis.bench.work_precision import work_precision
 from gapsweep.analysis.datasets.histories import histories
-from gapsweep.execution import try_out
+from gapsweep.execution import isolated, try_out
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import contents_of
@@ -42,7 +42,12 @@ def labels(*names):
     return [f"tests.laws:{name}" for name in names]
 
 
-def gapsweep(folder, *arguments, seconds=100):
+@pytest.fixture(scope="session")
+def gapsweep(run_command):
+    return partial(run_command, cache="c-cache")
+
+
+def in_a_process(folder, *arguments, seconds=100):
     """The installed command, as a user types it."""
     path = os.pathsep.join(map(str, [SOURCES.parent, ROOT]))
     environment = os.environ | {"PYTHONPATH": path, "GAPSWEEP_CACHE": "c-cache"}
@@ -62,7 +67,7 @@ def errors(done):
     return [line for line in done.stderr.splitlines() if not line.startswith(waiting)]
 
 
-def test_a_law_that_exits_fails_its_own_points_only(tmp_path):
+def test_a_law_that_exits_fails_its_own_points_only(gapsweep, tmp_path):
     study(tmp_path, SWEEP, "piecewise", *labels("exiting", "stopping"))
     done = gapsweep(tmp_path, "run", "own.toml", "--out", "out")
     assert done.returncode == 3, done.stderr
@@ -78,7 +83,7 @@ def test_a_law_that_exits_fails_its_own_points_only(tmp_path):
     )  # fmt: skip
 
 
-def test_a_law_that_exits_when_imported_is_one_line(tmp_path):
+def test_a_law_that_exits_when_imported_is_one_line(gapsweep, tmp_path):
     (tmp_path / "gone.py").write_text("raise SystemExit('bye')")
     study(tmp_path, SWEEP, "gone:law")
     done = gapsweep(tmp_path, "run", "own.toml", "--out", "out")
@@ -108,14 +113,14 @@ def test_code_that_changes_the_current_folder_takes_no_file_with_it(tmp_path):
     (tmp_path / "sections.py").write_text(GOES + "def sections(run):\n    return []\n")
     study(tmp_path, SWEEP + '[report]\nmodule = "sections.py"\n', "goes:law")
     for n_computed in (1, 0):
-        done = gapsweep(tmp_path, "run", "own.toml")
+        done = in_a_process(tmp_path, "run", "own.toml")
         assert done.returncode == 0, done.stderr
         assert f", {n_computed} computed" in done.stdout
         assert (tmp_path / done.stdout.split("report: ")[1].strip()).is_file()
     there = {path.name for path in (tmp_path / "data" / "runs" / "own").iterdir()}
     assert {"run.json", "responses.nc", "sections.json"} <= there
-    assert "missing  0" in gapsweep(tmp_path, "plan", "own.toml").stdout
-    done = gapsweep(tmp_path, "query", "own.toml", "--to", "nc", "--output", "q.nc")
+    assert "missing  0" in in_a_process(tmp_path, "plan", "own.toml").stdout
+    done = in_a_process(tmp_path, "query", "own.toml", "--to", "nc", "--output", "q.nc")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "q.nc").is_file()
     assert (tmp_path / "c-cache").is_dir()
@@ -129,7 +134,7 @@ def test_a_system_whose_module_changes_the_current_folder_takes_no_file_with_it(
         '[study]\nname = "own"\n[system]\nfunction = "goes:make"\n[[sweep]]\n'
         'representation = "piecewise"\nK_c = 10.0\ngap = [1.0, 1.0]\nomega = [1.0]\n'
     )
-    done = gapsweep(tmp_path, "run", "own.toml")
+    done = in_a_process(tmp_path, "run", "own.toml")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "data" / "runs" / "own" / "run.json").is_file()
     assert not list((tmp_path / "sub").iterdir())
@@ -150,7 +155,7 @@ FATAL = [
 
 
 @pytest.mark.parametrize(("code", "reason"), FATAL)
-def test_a_law_that_would_end_the_client_is_one_line(tmp_path, code, reason):
+def test_a_law_that_would_end_the_client_is_one_line(gapsweep, tmp_path, code, reason):
     (tmp_path / "fatal.py").write_text(code)
     study(tmp_path, SWEEP, "fatal:law")
     for command in (["plan"], ["run", "--out", "out"]):
@@ -160,7 +165,7 @@ def test_a_law_that_would_end_the_client_is_one_line(tmp_path, code, reason):
         assert line.endswith(f"own.toml: the law 'fatal:law', when {reason}")
 
 
-def test_benchmarks_too_try_laws_out_elsewhere(tmp_path):
+def test_benchmarks_too_try_laws_out_elsewhere(gapsweep, tmp_path):
     (tmp_path / "fatal.py").write_text(AT_ZERO.format("os._exit(7)"))
     method = '[[bench.method]]\nlabel = "fatal:law"\nrtol = [1e-4]\n'
     study(tmp_path, SWEEP.replace("{laws}", '["piecewise"]') + BENCH + method)
@@ -181,14 +186,14 @@ def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
     asked = {"cache": tmp_path / "c-cache", "on_progress": tell}
     advice = "when called at x = 0: took longer than 2 s; --timeout gives it up to 60 s"
     with pytest.raises(gs.StudyError, match=advice):
-        workflow.carry_out(loaded, out=tmp_path / "out", timeout=2.0, **asked)
+        pipeline.carry_out(loaded, out=tmp_path / "out", timeout=2.0, **asked)
     assert told == [
         "the law 'endless:law' is imported, for 2 s at most",
         "the law 'endless:law' is called at x = 0, for 2 s at most",
     ]
     monkeypatch.setattr(try_out, "_LONGEST", 1.5)
     with pytest.raises(gs.StudyError, match=r"took longer than 1\.5 s") as refused:
-        workflow.query(loaded, **asked)
+        pipeline.query(loaded, **asked)
     assert "--timeout" not in str(refused.value), "no longer time is to be had"
     assert told[-1] == "the law 'endless:law' is called at x = 0, for 1.5 s at most"
 
@@ -211,7 +216,8 @@ t_end = 2.0
 """
 
 
-def test_histories_survive_any_law_and_say_what_failed(tmp_path):
+def test_histories_survive_any_law_and_say_what_failed(gapsweep, tmp_path, monkeypatch):
+    monkeypatch.setattr(isolated, "_IDLE", 0.3)  # of the time that has passed: seen sooner
     text = SWEEP.replace("{laws}", '["piecewise"]') + HISTORY
     study(tmp_path, text, *labels(*POISONS))
     done = gapsweep(tmp_path, "run", "own.toml", "--out", "out", "--timeout", "3")
@@ -249,12 +255,12 @@ rtol = [1e-4]
 """
 
 
-def test_benchmarks_survive_any_law_and_say_what_failed(tmp_path):
+def test_benchmarks_survive_any_law_and_say_what_failed(gapsweep, tmp_path):
     poisons = labels("leaving", "spinning")
     methods = [f'[[bench.method]]\nlabel = "{label}"\nrtol = [1e-4]\n' for label in poisons]
     study(tmp_path, SWEEP.replace("{laws}", '["piecewise"]') + BENCH + "".join(methods))
     # To refuse to compile a law takes processor time, too: two seconds where others run beside.
-    done = gapsweep(tmp_path, "bench", "own.toml", "--out", "out", "--timeout", "8")
+    done = gapsweep(tmp_path, "bench", "own.toml", "--out", "out", "--timeout", "5")
     assert done.returncode == 3, done.stderr
     # What is stated is also judged by the compiled engine, which takes no law that exits.
     for file, leaving, counts in (
@@ -268,7 +274,7 @@ def test_benchmarks_survive_any_law_and_say_what_failed(tmp_path):
         assert status == [Status.OK, leaving, Status.TIMED_OUT]
 
 
-@pytest.mark.parametrize("what", ["history", "measured", "stated"])
+@pytest.mark.parametrize("what", [histories, work_precision])
 def test_motions_run_the_code_that_the_study_has_read(tmp_path, what):
     """An edit after the study has read the law waits for the next run."""
     law = tmp_path / "edited.py"
@@ -278,5 +284,4 @@ def test_motions_run_the_code_that_the_study_has_read(tmp_path, what):
     loaded = gs.Study.load(tmp_path / "own.toml")
     loaded.own_law("edited:law")
     law.write_text("raise SystemExit\n")
-    stages = {"history": histories, "measured": work_precision, "stated": stability}
-    assert (stages[what](loaded)["status"] == gs.Status.OK).all()
+    assert (what(loaded)["status"] == gs.Status.OK).all()

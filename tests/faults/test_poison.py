@@ -66,7 +66,7 @@ def test_poison_points_get_their_own_status_and_all_others_complete(poisoned, tm
 
 
 def test_hanging_point_in_a_sweep_does_not_end_the_sweep(poisoned, tmp_path):
-    block = poisoned["sweep"][0] | {"representation": [f"{LAWS}:hanging"], "omega": [12.0, 14.0]}
+    block = poisoned["sweep"][0] | {"representation": [f"{LAWS}:spinning"], "omega": [12.0, 14.0]}
     poisoned["sweep"] = [block | {"initial_condition": "sweep_up"}]
     with cluster(workers=1) as fragile:
         ds = run(poisoned, tmp_path, fragile, timeout=2.0)
@@ -83,11 +83,11 @@ def test_in_process_workers_never_end_their_process(tables, tmp_path):
 
 
 @pytest.mark.parametrize("n_kills", [2, pytest.param(12, marks=pytest.mark.slow)])
-def test_killed_workers_cost_no_point_and_blame_none(tables, tmp_path, n_kills):
+def test_killed_workers_cost_no_point_and_blame_none(client, tables, tmp_path, n_kills):
     tables["sweep"][0] |= {"representation": ["piecewise"]}
     tables["sweep"][0]["omega"] = {"start": 6.0, "stop": 30.0, "num": 20 * n_kills}
     tables["solver"] = {"engine": "scipy"}
-    quiet = run(tables, tmp_path / "quiet", None)
+    quiet = run(tables, tmp_path / "quiet", client)
     with cluster(workers=2) as fragile:
         ended = threading.Event()
         kills = threading.Thread(target=kill_workers, args=(fragile, n_kills, ended))

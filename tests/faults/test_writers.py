@@ -53,7 +53,7 @@ def held(path, names):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("n_kills", [12, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n_kills", [6, pytest.param(100, marks=pytest.mark.slow)])
 def test_a_kill_at_any_moment_loses_nothing_that_was_stored(tmp_path, n_kills):
     generator, said, n_met = random.Random(1), set(), 0
     for kill in range(n_kills):

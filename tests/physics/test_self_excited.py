@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Models, Solver
@@ -35,46 +34,6 @@ def fluttering(circulation=25.0, loss=0.3, order=(0, 1)):
     )
 
 
-def by_scipy(system, law, state, t_end):
-    """The motion by an integrator of its own, tight enough not to see kinks."""
-    along, n = np.array([*system.contacts.values()]), system.n
-
-    def f(t, y):
-        q, v = y[:n], y[n:]
-        force = system.damping @ v + system.stiffness @ q
-        for each in system.cubic:
-            force = force + each.alpha * (each.along @ q) ** 3 * each.along
-        return np.concatenate(
-            [v, -np.linalg.solve(system.mass, force + along.T @ law.force(along @ q))]
-        )
-
-    return solve_ivp(
-        f,
-        (0.0, t_end),
-        state,
-        method="DOP853",
-        rtol=1e-11,
-        atol=1e-13,
-        max_step=2e-3,
-        dense_output=True,
-    )
-
-
-def test_a_limit_cycle_is_where_another_integrator_goes():
-    system = fluttering()
-    found = gs.respond(system, LAW, q_0=[1e-3, 0.0])
-    assert found.response_class == PERIODIC
-    state = np.concatenate([found.x_end, found.v_end])
-    run = by_scipy(system, LAW, state, found.period)
-    assert_allclose(run.y[:, -1], state, atol=1e-7)
-    path = run.sol(np.linspace(0.0, found.period, 20001))[:2]
-    assert_allclose(found.x_max, path.max(axis=1), atol=1e-8)
-    assert_allclose(found.x_min, path.min(axis=1), atol=1e-8)
-    assert_allclose(found.force_max, [np.abs(LAW.force(path[0])).max()], rtol=1e-5)
-    beyond = (path[0] > LAW.gap.j_2) | (path[0] < -LAW.gap.j_1)
-    assert_allclose(found.contact_share, [beyond.mean()], atol=1e-3)
-
-
 @pytest.mark.parametrize("rtol", [1e-3, 1e-4])
 def test_a_loose_solver_tells_a_limit_cycle_from_rest(rtol):
     start = {"q_0": [0.1, -0.1]}  # from far away: the cycle is small beside it
@@ -90,35 +49,6 @@ def test_a_loose_solver_tells_a_limit_cycle_from_rest(rtol):
     found = gs.respond(held, LAW, q_0=[1e-2, -1e-2], rtol=rtol)
     assert found.response_class == gs.ResponseClass.EQUILIBRIUM
     assert found.lyapunov == pytest.approx(-0.15)  # half of the damping
-
-
-def test_the_first_coordinate_has_as_many_maxima_as_the_multiple_says():
-    system = fluttering()
-    found = gs.respond(system, LAW, q_0=[1e-3, 0.0])
-    state = np.concatenate([found.x_end, found.v_end])
-    velocity = by_scipy(system, LAW, state, found.period).sol(
-        np.linspace(1e-6, found.period, 20001)
-    )[2]
-    n_maxima = np.sum((velocity[:-1] > 0.0) & (velocity[1:] <= 0.0))
-    assert abs(n_maxima - found.period_multiple) <= 1  # one may lie on the end
-    assert found.n_extrema[0] % 2 == 0
-
-
-def test_multipliers_are_those_of_the_return_map():
-    system = fluttering()
-    found = gs.respond(system, LAW, q_0=[1e-3, 0.0], rtol=1e-12, atol=1e-15)
-    multipliers = np.reshape(found.multipliers, (-1, 2)) @ [1.0, 1j]
-    assert multipliers.shape == (3,), "without that along the motion"
-    rate = np.trace(np.linalg.solve(system.mass, system.damping))
-    assert_allclose(np.prod(multipliers).real, math.exp(-rate * found.period), rtol=1e-6)
-    # From beside the orbit, returns come nearer by the largest of them.
-    state = np.concatenate([found.x_end, found.v_end])
-    beside = gs.simulate(
-        system, LAW, q_0=state[:2] * 1.001, v_0=state[2:], t_end=40 * found.period,
-        rtol=1e-12, atol=1e-15,
-    )  # fmt: skip
-    far = np.abs(beside.section[:: found.period_multiple] - state).max(axis=1)
-    assert_allclose((far[20] / far[5]) ** (1 / 15), found.multiplier_abs, rtol=2e-2)
 
 
 @pytest.mark.parametrize(
@@ -148,16 +78,6 @@ def test_the_order_of_coordinates_changes_the_section_alone():
     assert_allclose(first.x_max, second.x_max[::-1], rtol=1e-7)
     assert_allclose(first.force_max, second.force_max, rtol=1e-7)
     assert_allclose(first.multiplier_abs, second.multiplier_abs, rtol=1e-5)
-
-
-def test_scipy_finds_the_same_cycle():
-    system = fluttering()
-    exact = gs.respond(system, LAW, q_0=[1e-3, 0.0])
-    start = {"q_0": exact.x_end, "v_0": exact.v_end}
-    other = gs.respond(system, LAW, **start, engine="scipy", rtol=1e-7, atol=1e-10)
-    assert other.response_class == PERIODIC
-    assert_allclose(other.period, exact.period, rtol=1e-4)
-    assert_allclose(other.x_max, exact.x_max, rtol=1e-4)
 
 
 def test_what_loses_more_than_it_gains_comes_to_rest():
@@ -260,15 +180,6 @@ def test_on_top_of_a_hill_nothing_is_steady():
     found = gs.respond(fluttering(), LAW)
     assert found.response_class == gs.ResponseClass.UNRESOLVED
     assert found.lyapunov > 0.0
-
-
-def test_company_changes_no_bit():
-    q = np.array([[1e-3, 0.0], [0.01, 0.005], [0.0, 0.02]])
-    together = gs.respond(fluttering(), LAW, q_0=q)
-    for k in range(3):
-        alone = gs.respond(fluttering(), LAW, q_0=q[k])
-        assert alone.period == together.period[k]
-        assert np.array_equal(alone.x_max, together.x_max[k])
 
 
 # --- where the first coordinate says nothing -----------------------------------------------------

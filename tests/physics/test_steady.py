@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.labels import LABELS
 from tests.oracles import orbit_distance
 from tests.section_points import parts
 from tests.stored import tile_rows
@@ -69,28 +68,6 @@ def test_basins_are_drawn_with_a_name_for_every_attractor():
     assert np.array_equal(mesh.get_array(), found["attractor"].values)
     names = [tick.get_text() for tick in bar.get_yticklabels()]
     assert [name.split(",")[0] for name in names] == ["P1", "P3"]
-
-
-@pytest.mark.parametrize("label", LABELS)
-@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC])
-def test_multipliers_are_those_of_the_tangent_along_the_orbit(label, gap):
-    oscillator, law = gs.Oscillator(), gs.contact_law(label, SOFT, gap)
-    for omega in (9.0, 20.0):
-        response = gs.respond(oscillator, law, omega, rtol=1e-11, atol=1e-14)
-        assert response.response_class is gs.ResponseClass.PERIODIC
-        first, second = np.array(response.multipliers).view(complex)
-        duration = response.period_multiple / omega
-        located = gs.contact_law(label.removesuffix("-noevents"), SOFT, gap)
-        run = gs.simulate(
-            oscillator, located, omega, response.x_end, response.v_end,
-            t_end=duration, rtol=1e-11, atol=1e-14, tangent=True,
-        )  # fmt: skip
-        shrinkage = math.exp(-2.0 * oscillator.decay_rate * duration)
-        assert_allclose(np.linalg.det(run.monodromy), shrinkage, rtol=1e-4)
-        assert_allclose(first + second, np.trace(run.monodromy), rtol=1e-4)
-        assert_allclose(first * second, shrinkage, rtol=1e-12)
-        assert response.multiplier_abs == abs(first) < 1.0
-        assert_allclose(response.lyapunov, math.log(abs(first)) / duration)
 
 
 def test_chaos_has_a_positive_exponent():

@@ -10,6 +10,8 @@ from tests.random_systems import LAGS, random_case
 
 import gapsweep as gs
 
+HARD = gs.Piecewise(2e3, gs.Gap(4e-4, 4e-4))
+
 
 def solvable(n, n_contacts, count, **options):
     """Random cases that are not too chaotic for an end state to mean something."""
@@ -195,3 +197,39 @@ def test_walls_at_one_place_are_passed_at_once_and_no_step_underflows():
     )
     assert (run.status == gs.Status.OK).all()
     assert run.n_contacts.mean() == pytest.approx(tight.n_contacts.mean(), rel=2e-3)
+
+
+# ---------------------------------------------------------------- contacts that are not located
+
+
+def two_masses():
+    """Each with a stop, and nothing between them."""
+    return gs.System(
+        mass=np.diag([3.0, 2.0]),
+        stiffness=np.diag([3e3, 4e3]),
+        damping=np.diag([5.0, 8.0]),
+        contacts={"stop": [1.0, 0.0], "wall": [0.0, 1.0]},
+        forcing=[gs.Harmonic(amplitude=[4.0, 6.0])],
+    )
+
+
+def test_a_table_that_one_contact_leaves_is_named_by_the_status():
+    table = gs.ForceTable((-4e-3, -4e-4, 4e-4, 4e-3), (-60.0, 0.0, 0.0, 50.0))
+    laws = {"stop": gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), 1e4), "wall": table}
+    runs = [
+        gs.simulate(two_masses(), laws, 5.0, q_0=[3e-4, x], t_end=0.05).status for x in (3e-3, 5e-3)
+    ]
+    assert runs == [gs.Status.OK, gs.Status.OUT_OF_FIT_RANGE]
+
+
+@pytest.mark.parametrize(
+    ("law", "options", "named"),
+    [
+        ({"stop": HARD, "wall": gs.Tanh(2e3, HARD.gap, 1e4)}, {}, "all"),
+        (HARD, {"restart": True}, "restart"),
+        (HARD, {"controller": "ode45"}, "ode45"),
+    ],
+)
+def test_what_has_no_compiled_steps_is_refused(law, options, named):
+    with pytest.raises(gs.ModelError, match=named):
+        gs.simulate(two_masses(), law, 3.0, t_end=1.0, **options)

@@ -2,11 +2,11 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp, trapezoid
 
 import gapsweep as gs
 from gapsweep.integrate.stepping import batch
@@ -68,25 +68,6 @@ def two_equal_machines():
     )  # fmt: skip
 
 
-def test_a_system_of_one_coordinate_responds_as_its_oscillator():
-    oscillator, law, omega = gs.Oscillator(), LAWS[0], np.linspace(4.0, 30.0, 60)
-    same = gs.respond(joined(oscillator), law, omega, q_0=[1e-4])
-    # From where it ends: which attractor a start is led to, rounding may decide, and when transient
-    # chaos is over.
-    one = gs.respond(oscillator, law, omega, same.x_end, same.v_end)
-    periodic = same.response_class == gs.ResponseClass.PERIODIC
-    assert periodic.sum() > 40
-    assert (one.response_class[periodic] == gs.ResponseClass.PERIODIC).all()
-    assert (one.response_class != same.response_class).sum() <= 2
-    assert np.array_equal(one.period_multiple[periodic], same.period_multiple[periodic])
-    for name in ("x_max", "x_min", "force_max"):
-        found = getattr(same, name)
-        assert_allclose(found[periodic], getattr(one, name)[periodic], rtol=1e-6)
-    found = same.contact_share
-    assert_allclose(found[periodic], one.contact_share[periodic], atol=1e-6)
-    assert_allclose(same.multiplier_abs[periodic], one.multiplier_abs[periodic], atol=1e-6)
-
-
 def test_uncoupled_oscillators_respond_each_as_alone():
     omega = np.linspace(4.0, 14.0, 30)
     together = gs.respond(
@@ -120,105 +101,21 @@ def test_other_coordinates_change_no_answer():
     assert_allclose(turned.multiplier_abs[periodic], plain.multiplier_abs[periodic], atol=1e-5)
 
 
-def test_orbits_of_coupled_masses_are_where_brute_force_settles():
-    system, law = coupled()
-    omega = np.linspace(1.0, 8.0, 25)
+@pytest.mark.parametrize("kind", [gs.Piecewise, partial(gs.Tanh, epsilon=3e3)])
+def test_orbits_of_coupled_masses_are_where_brute_force_settles(kind):
+    system, laws = coupled()
+    law = {name: kind(each.K_c, each.gap) for name, each in laws.items()}
+    omega, n_checked = np.linspace(1.0, 8.0, 25), 0
     found = gs.respond(system, law, omega)
-    n_checked = 0
+    settled = gs.simulate(system, law, omega, t_end=150.0)
     for k in np.flatnonzero(found.response_class == gs.ResponseClass.PERIODIC):
-        n = int(found.period_multiple[k])
-        settled = gs.simulate(system, law, omega[k], t_end=600.0 / omega[k])
-        run = gs.simulate(
-            system,
-            law,
-            omega[k],
-            q_0=settled.q_end,
-            v_0=settled.v_end,
-            t_end=n / omega[k],
-            dense_output=True,
-        )
-        q = run.sample(t := np.linspace(0.0, n / omega[k], 20001))[0]
-        if np.abs(q[-1] - q[0]).max() > 1e-7 * (1.0 - found.multiplier_abs[k]):
+        last = settled.section[k][-1 - int(found.period_multiple[k]) :]
+        if np.abs(last[-1] - last[0]).max() > 1e-7 * (1.0 - found.multiplier_abs[k]):
             continue  # settles later than that: the orbit is as many returns away as it shrinks
         n_checked += 1
-        assert_allclose(found.x_max[k], q.max(axis=0), atol=1e-7)
-        assert_allclose(found.x_min[k], q.min(axis=0), atol=1e-7)
-        gaps = q @ np.array([*system.contacts.values()]).T
-        for i, each in enumerate(law.values()):
-            assert_allclose(found.force_max[k, i], np.abs(each.force(gaps[:, i])).max(), rtol=1e-4)
-            beyond = (gaps[:, i] > each.gap.j_2) | (gaps[:, i] < -each.gap.j_1)
-            share = trapezoid(beyond.astype(float), t) / t[-1]
-            assert_allclose(found.contact_share[k, i], share, atol=2e-3)
-        # No orbit can do without the energy that damping takes.
         states = np.reshape(found.section[k], (-1, 4))
-        assert np.abs(states - np.concatenate([run.q_end, run.v_end])).max(axis=1).min() < 1e-5
+        assert np.abs(states - last[-1]).max(axis=1).min() < 1e-6
     assert n_checked > 10
-
-
-def extremes_at_contacts(system, laws, omega, start, n):
-    """Peaks and troughs of b · q over n periods by scipy, at the roots of b · v."""
-    along, w = system.directions, 2.0 * math.pi * omega
-
-    def rates(t, y):
-        q, v = np.split(y, 2)
-        load = sum(
-            each.amplitude * math.cos(each.k * w * t + each.phase) for each in system.forcing
-        )
-        contact = [law.force(x) for law, x in zip(laws, along @ q, strict=True)]
-        forces = load - system.damping @ v - system.stiffness @ q - along.T @ contact
-        return np.concatenate([v, np.linalg.solve(system.mass, forces)])
-
-    turns = [lambda t, y, b=b: b @ y[len(b) :] for b in along]
-    run = solve_ivp(
-        rates, (0.0, n / omega), start, "DOP853", events=turns, rtol=1e-11, atol=1e-13,
-        max_step=0.005 / omega,
-    )  # fmt: skip
-    assert_allclose(run.y[:, -1], start, atol=1e-6 * np.abs(start).max())
-    places = [y[:, : len(b)] @ b for y, b in zip(run.y_events, along, strict=True)]
-    return [each.max() for each in places], [each.min() for each in places]
-
-
-def test_peaks_and_troughs_at_contacts_are_those_of_another_integration():
-    machine, laws = coupled()
-    published = gs.systems.two_masses(), (gs.systems.two_masses_law(),)
-    tight = {"rtol": 1e-11, "atol": 1e-13}
-    for system, law, omega, q_0 in (
-        (machine, (*laws.values(),), 3.5, [0.0, 0.0]),
-        (machine, (*laws.values(),), 2.2, [0.0, 0.0]),
-        (*published, 0.635 / (2.0 * math.pi), [0.95, 0.6]),
-    ):
-        by_name = dict(zip(system.contacts, law, strict=True))
-        found = gs.respond(system, by_name, omega, q_0=q_0, **tight)
-        assert found.response_class == gs.ResponseClass.PERIODIC
-        assert np.any(found.contact_share > 0.0)
-        start = np.reshape(found.section, (-1, 2 * system.n))[0]
-        peaks, troughs = extremes_at_contacts(system, law, omega, start, found.period_multiple)
-        assert_allclose(np.ravel(found.contact_x_max), peaks, rtol=1e-6)
-        assert_allclose(np.ravel(found.contact_x_min), troughs, rtol=1e-6)
-
-
-def test_the_multipliers_shrink_volumes_as_damping_does():
-    system, law = coupled()
-    omega = np.linspace(1.0, 8.0, 25)
-    found = gs.respond(system, law, omega)
-    rate = np.trace(np.linalg.solve(system.mass, system.damping))
-    for k in np.flatnonzero(found.response_class == gs.ResponseClass.PERIODIC):
-        multipliers = np.reshape(found.multipliers[k], (-1, 2)) @ [1.0, 1j]
-        assert np.all(np.diff(np.abs(multipliers)) <= 1e-12), "largest first"
-        shrinkage = math.exp(-rate * found.period_multiple[k] / omega[k])
-        assert_allclose(np.prod(multipliers), shrinkage, rtol=1e-5, atol=1e-12)
-
-
-def test_scipy_finds_the_same_response():
-    system, law = coupled()
-    exact = gs.respond(system, law, 3.5)
-    assert exact.response_class == gs.ResponseClass.PERIODIC
-    start = {"q_0": exact.x_end, "v_0": exact.v_end}
-    other = gs.respond(system, law, 3.5, **start, engine="scipy", rtol=1e-7, atol=1e-10)
-    assert other.response_class == gs.ResponseClass.PERIODIC
-    assert exact.period_multiple == other.period_multiple
-    for name in ("x_max", "x_min", "force_max", "contact_share"):
-        assert_allclose(getattr(exact, name), getattr(other, name), rtol=1e-3)
 
 
 def test_a_linear_system_responds_as_its_transfer_function():
@@ -234,36 +131,6 @@ def test_a_linear_system_responds_as_its_transfer_function():
     amplitude = np.abs(np.linalg.solve(transfer, [3.0, 1.0]))
     assert_allclose(found.x_max, amplitude, rtol=1e-7)
     assert found.force_max.shape == found.contact_share.shape == (0,)
-
-
-def test_lags_are_part_of_the_state():
-    system = gs.System(
-        mass=[[1.0]],
-        damping=[[0.5]],
-        stiffness=[[400.0]],
-        contacts={"stop": [1.0]},
-        forcing=[gs.Harmonic(amplitude=[2.0])],
-        lags=gs.Lags([[30.0]], [[0.0]], [[1.0]], [[-8.0]]),
-    )
-    law, omega = gs.Piecewise(3e3, gs.Gap(1e-3, 1e-3)), np.linspace(1.0, 8.0, 10)
-    found = gs.respond(system, law, omega)
-    orbits = np.flatnonzero(found.response_class == gs.ResponseClass.PERIODIC)
-    assert len(orbits) > 4
-    for k in orbits:
-        q, v, z = np.reshape(found.section[k], (-1, 3))[-1]
-        t_end = found.period_multiple[k] / omega[k]
-        end = gs.simulate(system, law, omega[k], q_0=[q], v_0=[v], z_0=[z], t_end=t_end)
-        assert_allclose([*end.q_end, *end.v_end, *end.z_end], [q, v, z], rtol=1e-6, atol=1e-9)
-
-
-def test_company_changes_no_bit():
-    system, law = coupled()
-    omega = np.linspace(1.0, 8.0, 11)
-    together = gs.respond(system, law, omega)
-    for k in (0, 4, 10):
-        alone = gs.respond(system, law, omega[k])
-        assert np.array_equal(alone.x_max, together.x_max[k])
-        assert alone.multipliers == tuple(together.multipliers[k])
 
 
 @pytest.mark.parametrize(
@@ -409,7 +276,7 @@ def whirling(growth, driven=1.3):
     return system, gs.Piecewise(1.0, gs.Gap(1e5, 1e5)), w, math.sqrt(w * w - 1.0)
 
 
-@pytest.mark.parametrize(("growth", "q"), [(0.01, 0.8), (0.0015, 1e-3), (0.001, 0.02)])
+@pytest.mark.parametrize(("growth", "q"), [(0.0015, 1e-3), (0.001, 0.02)])
 def test_a_torus_that_is_settled_on_slowly_is_read_off_its_end(growth, q):
     """Damping says that this takes 20 s; towards the torus it takes up to 1e5."""
     system, law, w, amplitude = whirling(growth)

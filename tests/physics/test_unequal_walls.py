@@ -8,9 +8,6 @@ from numpy.testing import assert_allclose
 from tests.labels import LABELS
 
 import gapsweep as gs
-from gapsweep.integrate.problem import Solver
-from gapsweep.response.respond import respond_all
-from gapsweep.response.scene import Scene
 
 GAP = gs.Gap(0.2e-3, 0.5e-3)
 SYMMETRIC, CLOSED = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.0)
@@ -31,34 +28,6 @@ def test_a_bilinear_spring_swings_in_two_half_periods(K_ratio, engine):
     assert_allclose(run.extrema.min(), -x_0 * math.sqrt(above / below), rtol=1e-9)
     # Each wall is passed twice in each period, both in one place; one without stiffness is none.
     assert run.n_contacts == (12 if K_ratio else 6)
-
-
-@pytest.mark.parametrize("label", LABELS)
-def test_equal_walls_move_as_walls_of_no_ratio(label):
-    scene = gs.Oscillator(), 9.0
-    laws = [gs.contact_law(label, 1.4e4, GAP), gs.contact_law(label, 1.4e4, GAP, K_ratio=1.0)]
-    runs = [gs.simulate(scene[0], law, scene[1], t_end=1.0) for law in laws]
-    assert laws[0] == laws[1]
-    assert (runs[0].x_end, runs[0].v_end, runs[0].nfev) == (
-        runs[1].x_end,
-        runs[1].v_end,
-        runs[1].nfev,
-    )
-
-
-@pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", *LABELS[4:]])
-def test_a_response_is_the_same_alone_and_in_company_of_other_ratios(label):
-    scenes = [
-        Scene(oscillator=gs.Oscillator(), law=law, omega=omega, solver=Solver.of())
-        for K_ratio in (1.0, 0.2, 0.0, 5.0)
-        for omega in (7.0, 11.0)
-        for law in [gs.contact_law(label, 1.4e4, GAP, K_ratio=K_ratio)]
-    ]
-    together = respond_all(scenes, np.zeros((len(scenes), 2)), gs.Steady())
-    for i, scene in enumerate(scenes):
-        alone = gs.respond(scene.oscillator, scene.law, scene.omega)
-        for name in ("x_max", "x_min", "force_max", "contact_share", "nfev", "lyapunov"):
-            assert together.columns[name][i] == getattr(alone, name), (scene.law, name)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
@@ -102,16 +71,6 @@ def test_walls_without_stiffness_are_never_touched(law, engine):
     assert (found.x_max > 2.0 * SYMMETRIC.j_2).all()
     assert not found.n_contacts.any()
     assert not found.contact_share.any()
-
-
-@pytest.mark.parametrize("K_ratio", [0.2, 5.0])
-def test_multipliers_shrink_areas_as_damping_does(K_ratio):
-    o, law = gs.Oscillator(), gs.Piecewise(1.4e4, GAP, K_ratio=K_ratio)
-    response = gs.respond(o, law, 9.0)
-    duration = response.period_multiple / 9.0
-    (a, b), (c, d) = np.reshape(response.multipliers, (2, 2))  # real and imaginary parts
-    product = complex(a, b) * complex(c, d)
-    assert_allclose(product, math.exp(-2.0 * o.decay_rate * duration), rtol=1e-6)
 
 
 def test_basins_say_between_which_walls():

@@ -15,7 +15,7 @@ from tests.stored import point
 import gapsweep as gs
 from gapsweep.analysis.datasets.recommendations import advice, sentences
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
-from gapsweep.study.advice import Model, advise, approximation, approximations
+from gapsweep.study.least_model import Model, advise, approximation, approximations
 
 GAP = gs.Gap(0.4e-3, 0.4e-3)
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tests.stored import KIND, keys, made
 
 import gapsweep as gs
-from gapsweep import lookup
+from gapsweep import pipeline
 from gapsweep.cli.main import commands
 from gapsweep.response.result import Responses
 from gapsweep.store import maintenance
@@ -181,7 +181,7 @@ def test_what_is_no_folder_is_refused_in_one_line(tmp_path, tables, make):
     path = tmp_path / "cache.sqlite"
     make(path)
     study = gs.Study.from_dict(tables)
-    for use in (Cache, lambda p: lookup.plan(study, p), lambda p: gs.query(study, cache=p)):
+    for use in (Cache, lambda p: pipeline.plan(study, p), lambda p: gs.query(study, cache=p)):
         with pytest.raises(gs.StoreError, match=r"cache\.sqlite: .*name a folder") as told:
             use(path)
         assert "\n" not in str(told.value)

@@ -18,7 +18,7 @@ from gapsweep.analysis.bench.scenarios import Scenario
 from gapsweep.execution.assemble import attributes_of
 from gapsweep.execution.layout import Layout
 from gapsweep.integrate.problem import Solver
-from gapsweep.lookup import plan
+from gapsweep.pipeline import plan
 from gapsweep.response.loads import largest_forces
 
 X = (-3e-3, -1e-3, -0.4e-3, 0.4e-3, 1e-3, 2e-3)
@@ -284,13 +284,13 @@ def test_a_table_in_another_unit_than_the_gap_is_warned_of(tables, bench, factor
 
 
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
-def test_a_study_of_a_table_has_the_numbers_of_respond(tables, bench, tmp_path, engine):
+def test_a_study_of_a_table_has_the_numbers_of_respond(client, tables, bench, tmp_path, engine):
     tables["sweep"][0] |= {"representation": ["bench_spring:spring"], "omega": [12.0, 20.0]}
     tables["oscillator"], tables["solver"] = {"zeta": 0.3}, {"engine": engine}
     study, steady = gs.Study.from_dict(tables), gs.Steady(**tables["steady"])
 
     def asked():
-        found = gs.query(study, cache=tmp_path / "c-cache")
+        found = gs.query(study, client, cache=tmp_path / "c-cache")
         return found.attrs["n_hits"], found["x_max"].values.ravel()
 
     def expected(forces):

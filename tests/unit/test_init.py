@@ -7,7 +7,7 @@ import pytest
 import gapsweep as gs
 from gapsweep.cli.init import STUDIES
 from gapsweep.cli.main import exit_code
-from gapsweep.own_code import check_modules
+from gapsweep.study_code import check_modules
 
 
 @pytest.fixture(autouse=True)

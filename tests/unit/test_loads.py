@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp
 
 import gapsweep as gs
 from gapsweep.model.fitted import RationalPolynomial
@@ -80,39 +79,6 @@ def test_a_failed_point_has_neither():
     assert response.status is gs.Status.DIVERGED
     assert math.isnan(response.force_max)
     assert math.isnan(response.contact_share)
-
-
-SCENES = [
-    (gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3)), 7.0),
-    (gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3)), 21.75),
-    (gs.Piecewise(1.4e4, SYMMETRIC), 3.0),
-    (gs.Tanh(1.4e4, ASYMMETRIC, 1e4), 7.0),
-    (gs.LogArctan(1.4e4, ASYMMETRIC, 1e5), 9.0),
-    (gs.Polynomial(1.4e4, SYMMETRIC, degree=13), 4.0),
-]
-
-
-@pytest.mark.parametrize(("law", "omega"), SCENES)
-def test_against_a_motion_that_scipy_samples(law, omega):
-    o = gs.Oscillator()
-    response = gs.respond(o, law, omega, **TIGHT)
-    assert response.response_class is gs.ResponseClass.PERIODIC
-    omega_rad, end = 2.0 * math.pi * omega, response.period_multiple / omega
-
-    def rhs(t, y):
-        x, v = y
-        springs = o.omega_n_rad**2 * x + o.alpha / o.mass * x**3 + float(law.force(x)) / o.mass
-        return v, o.forcing / o.mass * math.cos(omega_rad * t) - 2.0 * o.decay_rate * v - springs
-
-    t = (np.arange(40_000) + 0.5) / 40_000 * end
-    start = response.x_end, response.v_end
-    x, _ = solve_ivp(
-        rhs, (0.0, end), start, "DOP853", t, rtol=1e-10, atol=1e-13, max_step=end / 400
-    ).y
-    assert_allclose(response.force_max, np.abs(law.force(x)).max(), rtol=1e-5)
-    outside = (x < -law.gap.j_1) | (x > law.gap.j_2)
-    assert 0.0 < np.mean(outside) < 1.0
-    assert_allclose(response.contact_share, np.mean(outside), atol=2e-4)
 
 
 @pytest.mark.parametrize("located", [True, False])

@@ -10,6 +10,8 @@ from llvmlite.binding import get_host_cpu_features
 
 from gapsweep.integrate import jit
 
+pytestmark = pytest.mark.packaging
+
 KERNEL = """
 from gapsweep.integrate.jit import entry
 @entry

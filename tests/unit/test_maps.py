@@ -66,6 +66,17 @@ def colours(axes, x, y):
     return seen[seen.shape[0] - 1 - at[:, 1], at[:, 0]]
 
 
+def is_hatched(axes, x, y):
+    """Whether white lines cross the colour of failures around a place."""
+    axes.figure.canvas.draw()
+    seen = np.asarray(axes.figure.canvas.buffer_rgba()) / 255.0
+    column, row = axes.transData.transform((x, y)).astype(int)
+    row = seen.shape[0] - 1 - row
+    around = seen[row - 8 : row + 9, column - 8 : column + 9].reshape(-1, 4)
+    face = np.isclose(around, to_rgba(CLASS_COLOURS["failed"]), atol=0.01).all(axis=1)
+    return face.any() and around.min(axis=1).max() > 0.6
+
+
 def key(axes):
     legend = axes.get_legend()
     return [text.get_text() for text in legend.get_texts()] if legend else []
@@ -73,10 +84,11 @@ def key(axes):
 
 def test_every_class_has_its_colour_where_it_is(made, ax):
     one = {"representation": "piecewise", "K_c": 1e4}
-    assert made[0].gapsweep.map(y="forcing", ax=ax, **one) is ax
-    x, y = np.meshgrid(OMEGA, FORCING)
-    shades = [CLASS_COLOURS[name] for name in ("periodic", "chaotic", "unresolved", "failed")]
+    assert made[0].gapsweep.map("response_class", y="forcing", ax=ax, **one) is ax
+    x, y = np.meshgrid(OMEGA[:3], FORCING)
+    shades = [CLASS_COLOURS[name] for name in ("periodic", "chaotic", "unresolved")]
     assert_allclose(colours(ax, x, y), [to_rgba(shade) for shade in shades * 3], atol=0.01)
+    assert all(is_hatched(ax, 8.0, forcing) for forcing in FORCING)
     assert key(ax) == ["periodic", "chaotic", "unresolved", "failed"]
     assert (ax.get_xscale(), ax.get_yscale()) == ("linear", "log")
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("forcing frequency [Hz]", "forcing amplitude [N]")
@@ -105,7 +117,7 @@ def test_numbers_have_a_colour_bar_with_a_unit(made, ax):
 
 def test_what_was_not_asked_for_is_blank_and_said_to_be(made, ax):
     wanted = {"representation": "tanh-1e4", "forcing": 10.0}
-    made[0].gapsweep.map(y="K_c", ax=ax, **wanted)
+    made[0].gapsweep.map("response_class", y="K_c", ax=ax, **wanted)
     seen = colours(ax, [5.0, 5.0], [1e4, 1e5])
     assert_allclose(seen, [NO_COLOUR, to_rgba(CLASS_COLOURS["periodic"])], atol=0.01)
     assert key(ax)[-1] == "blank: not requested"
@@ -268,13 +280,14 @@ def test_starts_of_a_full_grid_are_a_map(tmp_path, ax):
     responses.gapsweep.map("amplitude", x="x_0", y="v_0", ax=ax)
     seen = colours(ax, [-1.0, -1.0, 1.0], [-100.0, 0.0, 0.0])
     low, high = (mpl.colormaps["viridis"](place) for place in (0.0, 1.0))
-    assert_allclose(seen, [to_rgba(CLASS_COLOURS["failed"]), low, high], atol=0.02)
+    assert_allclose(seen[1:], [low, high], atol=0.02)
+    assert is_hatched(ax, -1.0, -100.0)
     assert (ax.get_xlabel(), ax.get_ylabel()) == (
         "initial displacement [mm]",
         "initial velocity [mm/s]",
     )
     with pytest.raises(gs.DatasetError, match="the 11 fixed starts are no full grid"):
-        starts(tmp_path, 4, 3, lost=1).gapsweep.map(x="x_0", y="v_0", ax=ax)
+        starts(tmp_path, 4, 3, lost=1).gapsweep.map("response_class", x="x_0", y="v_0", ax=ax)
 
 
 @pytest.mark.parametrize(("lost", "n_images"), [(0, 1), (1, 0)])

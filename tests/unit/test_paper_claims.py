@@ -288,6 +288,7 @@ def outcomes(study):
     return {(id, i): seen for id, known in found.items() for i, seen in known.items()}
 
 
+@pytest.mark.packaging
 @pytest.mark.filterwarnings("ignore")
 def test_no_test_of_a_claim_is_vacuous_or_impossible(outcomes):
     one_way = {key: seen for key, seen in outcomes.items() if not {True, False} <= seen[1]}

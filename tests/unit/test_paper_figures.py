@@ -26,7 +26,8 @@ from workflows.paper.static_figures import (
 import gapsweep as gs
 from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets import static as static_part
-from gapsweep.analysis.datasets.histories import N_PERIODS, SAMPLES_PER_PERIOD, histories
+from gapsweep.analysis.datasets.histories import histories
+from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD
 from gapsweep.report.figures import bifurcation
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import is_picture
@@ -338,6 +339,7 @@ def test_a_scan_finds_rest_without_period_3_and_the_released_mass_with_it_in_the
     assert_allclose(sorted(everywhere[:, 1]), sorted(100.0 * found["inside"].values.ravel()))
 
 
+@pytest.mark.packaging
 def test_figure_2c_has_both_stiffnesses_and_figure_5_its_ladders():
     study = gs.Study.from_dict({"study": {"name": "forces"}, "sweep": [SOFT_SWEEP]})
     static = static_part.static(study).sel(gap="0.4/0.4")

@@ -25,14 +25,24 @@ from gapsweep.report import model as model_module
 from gapsweep.report.answer import Contact, Judged, contacts
 from gapsweep.report.findings import findings
 from gapsweep.report.heat import heads, heat, swept_columns
-from gapsweep.report.html import _place, write_report
+from gapsweep.report.html import (
+    _environment,
+    _files,
+    _place,
+    _telling,
+    _write,
+    head,
+    sections,
+    write_report,
+)
 from gapsweep.report.model import model
-from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered
+from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered, shown
 from gapsweep.report.pictures import is_picture, pictures
+from gapsweep.report.points import as_csv
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import Told
 from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent, special_points
-from gapsweep.stages import is_of_run
+from gapsweep.run_folder import is_of_run
 from gapsweep.status import Status
 from gapsweep.store.artefact import SUMS, sha256
 from gapsweep.study.study import Study
@@ -108,18 +118,18 @@ def test_no_law_is_judged_by_a_wall_that_the_exact_law_never_touches(
     """As where gaps are meant in millimetres; one touch at one frequency is enough."""
     responses, attractors = touching(tmp_path, gaps)
     compared = agreement(responses, attractors)
-    found = contacts(compared)
-    assert [bool(contact.laws) for contact in found] == [gap < 1e-3 for gap in gaps]
-    sentences = findings(responses, found, None)
-    page = write_report(tmp_path / "index.html", responses, compared, timing(responses)).read_text()
-    headline = page[page.index('class="answer">') :].partition("</p>")[0]
+    top = head(responses, compared)
+    assert [bool(contact.laws) for contact in top["contacts"]] == [gap < 1e-3 for gap in gaps]
     for part in said:
-        assert part in headline
-        assert part in sentences[0]
-    assert ("never reached" in page) == bool(said)
-    assert ("cannot be judged" in page) == bool(said)
-    assert len(re.findall('<td class="error[^>]*><a', page)) == 2 * n_judged
-    assert "adequate" not in headline or n_judged
+        assert part in top["far"]
+        assert part in top["findings"][0]
+    texts = " ".join([top["far"], *top["findings"], *top["headline"], *top["answer"]])
+    assert ("never reached" in texts) == bool(said)
+    assert ("cannot be judged" in texts) == bool(said)
+    assert [sum(map(bool, row.cells["error"])) for row in top["heat"]] == [n_judged] * len(
+        top["heat"]
+    )
+    assert "adequate" not in top["headline"][0] or n_judged
     own = in_own_units(responses)
     assert "never reached" not in " ".join(findings(own, [], None))
 
@@ -130,9 +140,8 @@ def test_several_attractors_are_told(tmp_path):
 
     responses, attractors = datasets(tmp_path, tables(LABELS, OMEGA, starts=2, **HALF), answer)
     said = findings(responses, [], None, attractors=attractors)
-    assert said[1:] == [
-        "piecewise has several attractors in 2 of 4 scenes and frequencies, at most 2."
-    ]
+    assert len(said) == 2
+    assert re.findall("[0-9]+", said[1]) == ["2", "4", "2"]
 
 
 @pytest.mark.parametrize(("starts", "some"), [(1, ""), (2, " from some start")])
@@ -258,37 +267,103 @@ NAMED = [
 ]
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("report")
-    study = tables(LABELS[:1], OMEGA)
-    study["solver"] = {"engine": "compiled", "rtol": 1e-9}
-    study["study"] = {"name": "made", "title": HOSTILE + "\u202eright to left" + "x" * 9000}
-    responses, attractors = datasets(folder, study, amplitudes(EQUAL))
+THRESHOLDS = xr.Dataset(
+    {"tanh_threshold": (("K_c", "gap"), [[72488.0]])}, {"K_c": [1.4e4], "gap": ["0.4/0.4"]}
+)
+
+
+def written(folder, responses, attractors, own_parts):
     return write_report(
         folder / "report" / "index.html",
         responses,
         agreement(responses, attractors),
         timing(responses),
+        static=THRESHOLDS,
         claims=decided(),
-        own_parts=[PART, *NAMED],
+        own_parts=own_parts,
         made_from=HOSTILE,
     )
 
 
-def test_a_studys_own_answer_is_what_the_report_begins_with(tmp_path):
-    study = tables(["piecewise", "tanh-1e4"], OMEGA)
-    responses, attractors = datasets(tmp_path, study, amplitudes(EQUAL))
-    files = responses, agreement(responses, attractors), timing(responses)
-    first = {}
-    for name, sentences in {"own": [HOSTILE, "second"], "none": []}.items():
-        answer = [{**PART, "anchor": "own-answer", "sentences": sentences}]
-        written = write_report(tmp_path / name / "index.html", *files, own_parts=answer)
-        first[name] = written.read_text().partition('class="answer">')[2]
-    assert "<img" not in first["own"].partition("</p>")[0]
-    assert first["own"].partition("</p>")[2].strip().startswith("<p>second</p>")
-    assert "Take the exact law" in first["none"][:200]
-    assert "Take the exact law" in first["own"]  # among the rules
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Datasets of a run, with texts that try to become markup."""
+    study = tables(LABELS, OMEGA, **HALF)
+    study["solver"] = {"engine": "compiled", "rtol": 1e-9}
+    study["study"] = {"name": "made", "title": HOSTILE + "\u202eright to left" + "x" * 9000}
+    return datasets(tmp_path_factory.mktemp("run"), study, amplitudes(EQUAL))
+
+
+@pytest.fixture(scope="module")
+def page(run, tmp_path_factory):
+    answer = {**PART, "anchor": "own-answer", "sentences": [HOSTILE, "second"]}
+    return written(tmp_path_factory.mktemp("report"), *run, [answer, PART, *NAMED])
+
+
+@pytest.fixture(scope="module")
+def long_page(run, tmp_path_factory):
+    """A report of many figures, in a folder with files of an earlier report and of the user."""
+    folder = tmp_path_factory.mktemp("long")
+    figures = folder / "report" / "figures"
+    figures.mkdir(parents=True)
+    for name in (*EARLIER, "figure-notes.txt", "notes.svg"):
+        (figures / name).touch()
+    (figures / "figure-folder.svg").mkdir()
+    (folder / "mine.svg").touch()
+    (figures / "figure-linked.svg").symlink_to(folder / "mine.svg")
+    many = NAMED[0] | {"anchor": "own-many", "figures": 3 * NAMED[0]["figures"]}
+    return written(folder, *run, [*NAMED, PART, many])
+
+
+EARLIER = ("figure-2b-9.svg", "figure-old.html", "section-old.html")
+NOT_OURS = {"figure-notes.txt", "notes.svg", "figure-folder.svg", "figure-linked.svg"}
+
+
+def links(path):
+    """Files and ids that a page links to; an address without a file is of the page itself."""
+    for link in re.findall(r'href="([^"]*)"', path.read_text()):
+        place, _, anchor = link.partition("?")[0].partition("#")
+        if not place.startswith(("data:", "http")):
+            yield (path.parent / place).resolve() if place else path, anchor
+
+
+def test_every_link_of_a_long_report_leads_to_what_is_there(long_page):
+    figures = long_page.parent / "figures"
+    pages = [long_page, *figures.glob("section-*.html"), *figures.glob("figure-*.html")]
+    assert len(pages) > len(NAMED) + 3
+    for path in pages:
+        for target, anchor in links(path):
+            assert target.is_file(), (path.name, target)
+            assert not anchor or f'id="{anchor}"' in target.read_text(), (path.name, anchor)
+    reached = {target for path in pages for target, _ in links(path)}
+    ours = {path for path in figures.iterdir() if path.name not in NOT_OURS | {SUMS}}
+    assert ours <= reached
+    own = {path.name for path in figures.glob("figure-2*")}
+    assert not own & set(EARLIER)
+    assert {line.split()[1] for line in (figures / SUMS).read_text().splitlines()} == {
+        path.name for path in ours
+    }
+    assert {path.name for path in figures.iterdir()} >= NOT_OURS
+
+
+def test_a_long_report_has_each_section_on_a_page_of_its_own(long_page, page):
+    text = long_page.read_text()
+    assert len(re.findall("<figcaption>", text)) == 1  # of the first figure
+    assert text.count("<img") == 1 + 4 + 12 + 2
+    cells = re.findall(r'<td class="error[^>]*><a href="([^"]*)"', text)
+    assert cells == ["figures/section-scene-0-0.html"] * 2
+    part = (long_page.parent / "figures" / "section-scene-0-0.html").read_text()
+    assert len(re.findall("<figcaption>", part)) == 2
+    assert "Agreement with the exact law" in part
+    assert "Agreement with the exact law" not in text
+    assert not list(page.parent.glob("figures/section-*"))
+
+
+def test_the_studys_own_answer_comes_before_that_of_the_rules(page):
+    first = page.read_text().partition('class="answer">')[2]
+    assert "<img" not in first.partition("</p>")[0]
+    assert first.partition("</p>")[2].strip().startswith("<p>second</p>")
+    assert "Take the exact law" in first.partition("<details>")[2]
 
 
 def test_hostile_texts_stay_texts(page):
@@ -299,44 +374,30 @@ def test_hostile_texts_stay_texts(page):
     assert "&lt;script&gt;alert(2)" in text
 
 
-def test_data_of_a_figure_cannot_end_their_element(tmp_path):
+def test_data_of_a_figure_cannot_end_their_element():
     figure = Figure()
     figure.subplots().plot([1.0], [1.0], label=HOSTILE)
     figure.axes[0].set_title("</script>", loc="left")
-    drawn_once = pictured(Figured(figure, HOSTILE, HOSTILE))
-    study = tables(LABELS[:1], OMEGA)
-    responses, attractors = datasets(tmp_path, study, amplitudes(EQUAL))
-    parts = [{**PART, "anchor": "part", "figures": [drawn_once]}]
-    files = responses, agreement(responses, attractors), timing(responses)
-    write_report(tmp_path / "report" / "index.html", *files, own_parts=parts)
-    (found,) = (tmp_path / "report" / "figures").glob("figure-part.html")
-    text = found.read_text()
+    drawn = shown(pictured(Figured(figure, HOSTILE, HOSTILE))) | {"id": "figure-part"}
+    text = _files(_environment(), drawn, "")["figure-part.html"].decode()
     assert text.count("</script>") == 2
     assert "<img src=x" not in text
     assert r"\u003c/script>" in text
 
 
-def test_the_answer_comes_first_in_words_and_as_a_map(tmp_path):
-    responses, compared = made(tmp_path, EQUAL)
-    static = xr.Dataset(
-        {"tanh_threshold": (("K_c", "gap"), [[72488.0]])}, {"K_c": [1.4e4], "gap": ["0.4/0.4"]}
-    )
-    path = write_report(
-        tmp_path / "page" / "index.html", responses, compared, timing(responses), static=static
-    )
-    text = path.read_text()
-    order = ["<main", 'id="answer"', 'class="heat"', 'id="figure-hero"', 'id="figures"']
-    places = [text.index(part) for part in (*order, 'id="tables"', 'id="provenance"')]
+def test_the_answer_comes_first_in_words_and_as_a_map(page):
+    text = page.read_text()
+    order = ["<main", 'id="answer"', 'class="heat"', 'id="figure-hero"', 'id="results"']
+    places = [text.index(part) for part in (*order, 'id="claims"', 'id="provenance"')]
     assert places == sorted(places)
     first = text[places[1] : text.index("<details>")]
-    assert "Take the exact law" in first
     cells = re.findall(
         r'<td class="error[^>]*><a href="#(.*?)" title="(.*?)"[^>]*>(.*?)</a>', first
     )
-    (anchor, said, shown), (_, _, poly) = cells
-    assert f'<section id="{anchor}">' in text
+    (anchor, said, tanh), (_, _, poly) = cells
+    assert anchor == "scene-0-0"
     assert said.startswith("tanh-1e4 ±, 14000 N/m, 0.4/0.4 mm: use; 95 % of amplitudes within 2 %")
-    assert [re.sub("<[^>]+>", "", cell) for cell in (shown, poly)] == ["✓2", "✗30"]
+    assert [re.sub("<[^>]+>", "", cell) for cell in (tanh, poly)] == ["✓2", "✗30"]
     assert "one well: ε &gt; 72000" in text
     assert "exact against exact" in text[text.index("<details>") :]
 
@@ -463,32 +524,29 @@ def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
     assert "j₁ 0.4 mm, j₂ 0.4, 0.8 mm" in dict(model(responses))["Numbers"]
 
 
-def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst(tmp_path):
-    responses, compared = made(tmp_path, EQUAL)
-    pages = []
-    for laws in (LABELS, LABELS[:3]):
-        part = responses.sel(representation=list(laws)), compared.sel(representation=list(laws))
-        path = tmp_path / str(len(laws)) / "index.html"
-        pages.append(write_report(path, *part, timing(part[0])).read_text())
-    shown = [
-        unquote(re.search(r'id="figure-hero".*?<img src="([^"]*)"', p, re.S)[1]) for p in pages
-    ]
-    assert [">tanh-1e4: use ±<" in one for one in shown] == [True, True]
-    assert [">poly-13: no ±<" in one for one in shown] == [True, False]
+def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst():
+    use, better, no = ("use", 0.02, 1.0, 1.0), ("use", 0.01, 1.0, 2.0), ("no", 0.3, 0.5, 1.0)
+    both = _telling(contact({"tanh-1e4": use, "tanh-1e6": better, "poly-13": no}))
+    assert [one.verdict for one in both] == ["use", "no"]
+    alike = _telling(contact({"tanh-1e4": use, "tanh-1e6": better}))
+    assert [one.law for one in alike] == ["tanh-1e6", "tanh-1e4"]
+
+
+def numbers_of(part):
+    """Rows of all figures of a section."""
+    for figured in part.figures:
+        lines = as_csv(figured.figure).splitlines()
+        yield from csv.DictReader(line for line in lines if line[0] != "#")
 
 
 def test_contacts_at_one_frequency_share_a_figure(tmp_path):
     study = tables(LABELS, [9.0], **HALF)
     study["sweep"][0]["gap"] = [[0.4e-3, 0.4e-3], [0.0, 0.8e-3]]
-    responses, attractors = datasets(tmp_path, study, amplitudes(EQUAL))
-    compared = agreement(responses, attractors)
-    path = tmp_path / "page" / "index.html"
-    text = write_report(path, responses, compared, timing(responses)).read_text()
-    assert re.findall(r'<figure id="([^"]*)"', text) == ["figure-contacts"]
-    assert text.count("<caption>Agreement with the exact law") == 2
-    lines = (path.parent / "figures" / "figure-contacts.csv").read_text().splitlines()
-    rows = [row for row in csv.DictReader(line for line in lines if line[0] != "#")]
-    shown = {(row["series"], row["x"]): float(row["y"]) for row in rows}
+    files = datasets(tmp_path, study, amplitudes(EQUAL))
+    joint, *scenes = sections(files[0], agreement(*files), timing(files[0]), files[1])
+    assert [list(part.figures) for part in scenes] == [[], []]
+    assert [len(part.tables) for part in scenes] == [2, 2]
+    shown = {(row["series"], row["x"]): float(row["y"]) for row in numbers_of(joint)}
     gaps = ("gap 0.4/0.4 mm", "gap 0/0.8 mm")
     laws = [label for label in LABELS if "@" not in label]
     assert shown == {(law, gap): EQUAL[law] for law in laws for gap in gaps}
@@ -504,17 +562,19 @@ def test_tables_of_a_section_of_the_studys_own_are_before_its_figures(page):
     text = page.read_text()
     section = re.search(r'<section id="own-table-3">.*?</section>', text, re.S)[0]
     assert section.index("<table") < section.index("<figure")
+    scene = re.search(r'<section id="scene-0-0">.*?</section>', text, re.S)[0]
+    assert scene.index("<figure") < scene.index("<table")
     assert text.count("The paper&#39;s Table 3</h3>") == 1
-    for anchor in re.findall(r'href="#([^"]+-tables)"', text):
-        assert f'id="{anchor}"' in text
 
 
-def test_claims_lead_to_what_they_are_about(page):
-    text = page.read_text()
-    links = re.findall(r'<a href="#([^"]+)">See (.*?)</a>', text)
-    assert links == [("figure-1", "Fig. 1"), ("figure-2a", "Fig. 2"), ("own-table-3", "Table 3")]
-    for anchor, _ in links:
-        assert f'id="{anchor}"' in text
+def test_claims_lead_to_what_they_are_about(page, long_page):
+    leads = [("figure-1", "Fig. 1"), ("figure-2a", "Fig. 2"), ("own-table-3", "Table 3")]
+    found = re.findall(r'<a href="#([^"]+)">See (.*?)</a>', page.read_text())
+    assert found == leads
+    folder = "figures/section-own-table-3.html"
+    places = [f"{folder}#figure-1", f"{folder}#figure-2a", folder]
+    found = re.findall(r'<a href="([^"]+)">See .*?</a>', long_page.read_text())
+    assert found == places
 
 
 def test_every_id_is_there_once_and_no_link_leads_nowhere(page):
@@ -565,45 +625,27 @@ def test_every_figure_lies_beside_the_page_as_files(page):
     assert is_picture((folder / "figure-scene-0-0.svg").read_text())
 
 
-def test_figures_that_a_report_no_longer_has_are_removed(tmp_path):
-    responses, compared = made(tmp_path, EQUAL)
-    given = responses, compared, timing(responses)
-    page = tmp_path / "report" / "index.html"
-    folder = write_report(page, *given, own_parts=NAMED).parent / "figures"
-    assert (folder / "figure-2b.svg").exists()
-    (folder / "figure-notes.txt").touch()
-    (folder / "notes.svg").touch()
-    (folder / "figure-folder.svg").mkdir()
-    (tmp_path / "mine.svg").touch()
-    (folder / "figure-linked.svg").symlink_to(tmp_path / "mine.svg")
-    not_ours = {"figure-notes.txt", "notes.svg", "figure-folder.svg", "figure-linked.svg"}
-    write_report(page, *given)
-    shown = set(re.findall(r'href="figures/([^"]*)"', page.read_text()))
-    assert {path.name for path in folder.iterdir()} == shown | not_ours | {SUMS}
-    assert {line.split()[1] for line in (folder / SUMS).read_text().splitlines()} == shown
-
-
 def test_no_two_figures_of_a_page_share_an_id():
     names = ["hero", "Fig. 7", "7", "x", "x", "x-2", "A" * 300, "A" * 299]
-    part = Part("own", "Own", [], (), [Figured(panelled(), "c", "d", name) for name in names])
-    (shown,) = for_page(rendered([part]), taken=["figure-hero"])
-    ids = [figure["id"] for figure in shown["figures"]]
+    figure = NAMED[0]["figures"][0]
+    part = PART | {"anchor": "own", "figures": [figure | {"name": name} for name in names]}
+    (made,) = for_page([part])
+    ids = [figure["id"] for figure in made["figures"]]
     assert len({*ids, "figure-hero"}) == len(names) + 1
     assert max(map(len, ids)) < 80
 
 
 def test_figures_are_not_written_where_a_link_leads(tmp_path):
-    responses, compared = made(tmp_path, EQUAL)
-    (tmp_path / "page").mkdir()
-    (tmp_path / "page" / "figures").symlink_to(tmp_path)
+    (tmp_path / "figures").symlink_to(tmp_path)
     with pytest.raises(StoreError, match="a symbolic link"):
-        write_report(tmp_path / "page" / "index.html", responses, compared, timing(responses))
+        _write(tmp_path / "figures", {"figure-a.svg": b""})
+    assert [path.name for path in tmp_path.iterdir()] == ["figures"]
 
 
 def test_the_page_says_how_it_was_made(page):
     text = page.read_text()
     assert "<dd>engine compiled, rtol 1e-9, atol 1e-12, controller native</dd>" in text
-    assert "0.0333 min for 4 sweep points" in text  # half a second each
+    assert "0.133 min for 16 sweep points" in text  # half a second each
     settings = re.search(r"<pre[^>]*>(.*?)</pre>", text, re.S)[1]
     assert Study.from_dict(json.loads(unescape(settings)))
 
@@ -793,51 +835,37 @@ def test_a_file_counts_where_no_digest_has_come_along(tmp_path):
     assert is_of_run(agreement)
 
 
-def pages_of_branches(folder, wanted, **coordinates):
-    """The report without branches, and with those of the coordinates; the texts of both pages."""
-    files = datasets(folder, wanted, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
-    stable = [[1, 1, 0, 0, 1], [1, 0, 0, -1, -1], [1, 1, 0, 0, 1]]
-    special = [[0, 1, 0, 6, 0], [0, 3, 0, 0, 0], [0, 1, 0, 0, 5]]
-    found = branches(stable, special, **coordinates)
-    found["omega"] -= 4.0 - 0.01 * (found["branch"] > 1)
-    texts = []
-    for given in (None, found):
-        path = write_report(
-            folder / f"page-{given is None}" / "index.html", files[0], agreement(*files),
-            timing(files[0]), attractors=files[1], branches=given,
-        )  # fmt: skip
-        texts.append(path.read_text())
-    figures = sorted((folder / "page-False" / "figures").glob("*.csv"))
-    return *texts, [figure.read_text() for figure in figures]
-
-
 def test_branches_lie_behind_the_attractors_with_their_special_points(tmp_path):
     """Of branch 1, of another stiffness, nothing is shown."""
-    labels = ["piecewise", "piecewise", "tanh-1e4"]
     wanted = tables(["piecewise", "tanh-1e4"], OMEGA, starts=2)
-    K_c, gap = [1.4e4, 1.0, 1.4e4], ["0.4/0.4"] * 3
-    without, text, figures = pages_of_branches(
-        tmp_path, wanted, representation=labels, K_c=K_c, gap=gap
-    )
-    said = "Lines: periodic orbits, dashed where unstable. LP: fold, SB: symmetry breaking, GR"
-    assert text.count(said) == 2  # figures
-    assert "periodic orbits, dashed" not in without
-    assert "Special points of the branches" not in without
-    table = text.partition("Special points of the branches")[2].partition("</table>")[0]
-    rows = [re.findall("<t[dh][^>]*>(.*?)</t[dh]>", row) for row in table.split("<tr>")[2:]]
-    assert [unescape(" | ".join(row)) for row in rows] == [
+    files = datasets(tmp_path, wanted, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
+    stable = [[1, 1, 0, 0, 1], [1, 0, 0, -1, -1], [1, 1, 0, 0, 1]]
+    special = [[0, 1, 0, 6, 0], [0, 3, 0, 0, 0], [0, 1, 0, 0, 5]]
+    found = branches(
+        stable, special, representation=["piecewise", "piecewise", "tanh-1e4"],
+        K_c=[1.4e4, 1.0, 1.4e4], gap=["0.4/0.4"] * 3,
+    )  # fmt: skip
+    found["omega"] -= 4.0 - 0.01 * (found["branch"] > 1)
+    given = files[0], agreement(*files), timing(files[0]), files[1]
+    (without,), (part,) = sections(*given), sections(*given, found)
+    titles = [table.title for table in part.tables]
+    assert titles[:-1] == [table.title for table in without.tables]
+    assert [" | ".join(row) for row in part.tables[-1].rows] == [
         "LP, fold | 1 | piecewise | 1.5 | 1",
         "LP, fold | 3 | tanh-1e4 | 1.51 | 21",
         "GR, graze | 3 | tanh-1e4 | 3.01 | 24",
         "SB, symmetry breaking | 1 | piecewise | 2.5 | 3",
     ]
-    both = [figure for figure in figures if "LP fold,point" in figure]
-    assert len(both) == 2
-    for figure in both:
-        assert "1,LP fold,point,1.5,1," in figure
-        assert "2,LP fold,point,1.51,21," in figure
-        assert "torus" not in figure
-        assert "Sacker" not in figure
+    assert not any("dashed where unstable" in figured.caption for figured in without.figures)
+    figures = [figured for figured in part.figures if "dashed where unstable" in figured.caption]
+    assert len(figures) == 2
+    for figured in figures:
+        assert "LP: fold, SB: symmetry breaking, GR" in figured.caption
+        numbers = as_csv(figured.figure)
+        assert "1,LP fold,point,1.5,1," in numbers
+        assert "2,LP fold,point,1.51,21," in numbers
+        assert "torus" not in numbers
+        assert "Sacker" not in numbers
 
 
 def test_special_points_are_compared_with_those_of_the_exact_law(tmp_path):
@@ -876,13 +904,9 @@ def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):
     study = tables(LABELS, OMEGA, starts=1, **HALF)
     study["sweep"].append(study["sweep"][0] | {"omega": [2.0], "initial_condition": [[2e-5, 0.0]]})
     files = datasets(tmp_path, study, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
-    path = write_report(
-        tmp_path / "page" / "index.html", files[0], agreement(*files), timing(files[0]),
-        attractors=files[1],
-    )  # fmt: skip
-    said = "every attractor that the starts reach, swept from several at 2 Hz only."
-    assert said in path.read_text()
-    # The map says so too, below its contact.
-    assert '<th scope="row">starts per frequency</th><td class="error first">1–2</td>' in (
-        path.read_text()
+    compared = agreement(*files)
+    (part,) = sections(files[0], compared, timing(files[0]), files[1])
+    assert any(
+        "several initial conditions at 2 Hz only" in figured.caption for figured in part.figures
     )
+    assert head(files[0], compared)["starts"] == ["1–2"]

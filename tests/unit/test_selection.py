@@ -9,8 +9,8 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gapsweep.study.axis_selection import is_several, listed, positions
 from gapsweep.study.points import canonical
-from gapsweep.study.selection import is_several, listed, positions
 
 LABELS = ["piecewise", "tanh-1e4", "tanh-1e4@paper", "mine:spring"]
 AXES = st.lists(st.floats(-1e6, 1e6).map(canonical), min_size=1, max_size=20, unique=True)

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from gapsweep.cli.main import FINISHED, exit_code
-from gapsweep.cli.table import Form, written
+from gapsweep.cli.query_output import Form, written
 from gapsweep.console import print_table, print_text
 from gapsweep.report.scales import shortened
 

@@ -32,12 +32,6 @@ def test_the_exact_force_is_that_of_either_wall(gap, x, K_ratio):
     assert law.derivative(x) == slope
 
 
-def test_the_exact_force_is_continuous_and_its_slope_jumps():
-    law = gs.Piecewise(SOFT, SYMMETRIC, K_ratio=0.2)
-    assert law.force([-0.4e-3, 0.4e-3]).tolist() == [0.0, 0.0]
-    assert law.derivative([-1e-3, 0.0, 1e-3]).tolist() == [0.2 * SOFT, 0.0, SOFT]
-
-
 @given(own.smooth_labels | own.fitted_labels, own.gaps, own.displacements, ratios)
 def test_derivative_is_the_slope_of_the_force(label, gap, x, K_ratio):
     law, h = gs.contact_law(label, SOFT, gap, K_ratio=K_ratio), 1e-9

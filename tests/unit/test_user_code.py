@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 import gapsweep as gs
-from gapsweep import own_code, stages
+from gapsweep import study_code
 from gapsweep.execution.plan import plan
 from gapsweep.model.own_law import OwnLaw
-from gapsweep.stages import CLAIMS, HISTORIES, RESPONSES, SECTIONS, stages_of
+from gapsweep.run_folder import CLAIMS, RESPONSES, SECTIONS
+from gapsweep.stages import RunContext, stages_of
 from gapsweep.user_code import load as loading
 from gapsweep.user_code.load import load, load_module
 from gapsweep.user_code.snapshot import Snapshot
@@ -257,21 +258,26 @@ def test_a_table_travels_as_its_numbers(tables, tmp_path):
     assert keys[0] == keys[1] != keys[2]
 
 
-@pytest.mark.parametrize("where", ["history", "bench"])
+@pytest.mark.parametrize("where", ["histories", "work_precision"])
 def test_a_law_outside_of_sweeps_is_what_its_dataset_is_made_from(tables, tmp_path, where):
     (tmp_path / "near.py").write_text(f"from helper import K\n{SPRING}")
     (tmp_path / "helper.py").write_text("K = 1.0\n")
     scene = {"K_c": 1.4e4, "gap": [4e-4, 4e-4], "omega": 11.0}
-    if where == "history":
+    if where == "histories":
         tables["history"] = [scene | {"representation": ["near:spring"], "t_end": 2.0}]
     else:
         method = {"label": "near:spring", "rtol": [1e-3]}
         tables["bench"] = {"scene": [{"name": "one"} | scene], "method": [method]}
     study = gs.Study.from_dict(tables, str(tmp_path / "study.toml"))
-    before = stages.study_source(study)
+    (stage,) = (s for s in stages_of(study) if s.file == f"{where}.nc")
+
+    def made_from(study):
+        return stage.made_from(tmp_path, RunContext(tmp_path, study))
+
+    before = made_from(study)
     replaced(tmp_path / "helper.py", "1.0", "2.0")
-    assert stages.study_source(study) == before
-    assert stages.study_source(gs.Study.of(study)) != before
+    assert made_from(study) == before
+    assert made_from(gs.Study.of(study)) != before
 
 
 # --- modules next to a study ---------------------------------------------------------------------
@@ -314,11 +320,17 @@ def test_a_dataset_depends_on_the_code_that_makes_it(tables, main, mine, edit, i
     main.write_text(f"{MAIN}\n\nREST = 1\nDATASETS = {{'mine': {mine}}}\n")
     given = tables | {"claims": {"module": "main.py"}}
     study = gs.Study.from_dict(given, str(main.with_name("study.toml")))
-    before = stages.module_sources(study)
+
+    def made_from(study):
+        run = RunContext(main.parent, study)
+        return {s.file: s.made_from(main.parent, run) for s in stages_of(study)[-3:-1]}
+
+    before = made_from(study)
     replaced(main.with_name(edit), "= 1", "= 2")
-    after = stages.module_sources(gs.Study.of(study))
-    assert (after["code of mine.nc"] != before["code of mine.nc"]) == is_other
-    assert after["claims module"] != before["claims module"]
+    after = made_from(gs.Study.of(study))
+    assert list(before) == ["mine.nc", CLAIMS]
+    assert (after["mine.nc"] != before["mine.nc"]) == is_other
+    assert after[CLAIMS] != before[CLAIMS]
 
 
 @pytest.mark.parametrize(
@@ -337,29 +349,26 @@ def test_broken_modules_are_one_line(tables, main, name, text, message):
     given = tables | {"claims": {"module": "main.py"}}
     study = gs.Study.from_dict(given, str(main.with_name("study.toml")))
     with pytest.raises(gs.StudyError) as refused:
-        own_code.check_modules(study)
+        study_code.check_modules(study)
     (line,) = refused.value.problems
     assert line.startswith(str(main.parent))
     assert message in line
     assert "\n" not in line
 
 
-def test_what_a_study_does_not_make_is_not_read(tables, main):
+def test_own_datasets_come_before_what_reads_them(tables, main):
     main.write_text("DATASETS = {'mine': len}\n")
     own = {"claims": {"module": "main.py"}, "report": {"module": "main.py"}}
-    motion = {"representation": "piecewise", "K_c": 1.0, "gap": [0.0, 0.0], "omega": 9.0}
-    for more, is_read in (({}, False), ({"history": [motion | {"t_end": 1.0}]}, True)):
-        study = gs.Study.from_dict(tables | own | more, str(main.with_name("study.toml")))
-        found = {s.file: s.inputs for s in stages_of(study)}
-        assert list(found).index("mine.nc") < list(found).index(CLAIMS)
-        for file in (CLAIMS, SECTIONS):
-            assert {RESPONSES, "mine.nc"} <= set(found[file])
-            assert (HISTORIES in found[file]) == is_read
+    study = gs.Study.from_dict(tables | own, str(main.with_name("study.toml")))
+    found = {s.file: s.inputs for s in stages_of(study)}
+    assert list(found).index("mine.nc") < list(found).index(CLAIMS)
+    for file in (CLAIMS, SECTIONS):
+        assert {RESPONSES, "mine.nc"} <= set(found[file])
 
 
 @pytest.mark.parametrize("name", ["paper/study.toml", "table2.toml"])
 def test_the_papers_own_code_is_sound(name):
-    own_code.check_modules(gs.Study.load(Path(__file__).parents[2] / "workflows" / name))
+    study_code.check_modules(gs.Study.load(Path(__file__).parents[2] / "workflows" / name))
 
 
 @pytest.mark.parametrize(

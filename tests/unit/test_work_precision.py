@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.figure_texts import overlaps
 
 import gapsweep as gs
-from gapsweep import lookup, make
+from gapsweep import pipeline
 from gapsweep.analysis.bench.pareto import cheapest, corners, on_front
 from gapsweep.analysis.bench.references import LARGEST_GROWTH, growth, motion
 from gapsweep.analysis.bench.scenarios import scenarios
@@ -233,7 +233,9 @@ def test_bench_measures_afresh_and_the_report_shows_it(tmp_path):
     study = gs.Study.load(path)
     created = [netcdf.attributes(out / name)["created"] for name in said if name.endswith(".nc")]
     assert len(created) == 2
-    stages = lookup.stage_reasons(study, lookup.plan(study, tmp_path / "c"), out, tmp_path / "c")
+    stages = pipeline.stage_reasons(
+        study, pipeline.plan(study, tmp_path / "c"), out, tmp_path / "c"
+    )
     assert {"work_precision.nc", "stability.nc"} <= set(stages)
     with netcdf.read(out / "work_precision.nc") as bench:
         assert all({"units", "long_name"} <= set(v.attrs) for v in bench.variables.values())
@@ -243,7 +245,7 @@ def test_bench_measures_afresh_and_the_report_shows_it(tmp_path):
 def test_study_without_benchmark_is_refused(tmp_path):
     plain = gs.Study.from_dict({"study": {"name": "plain"}, "sweep": [SWEEP]})
     with pytest.raises(gs.StudyError, match="bench: missing"):
-        make.bench(plain, tmp_path)
+        pipeline.bench(plain, tmp_path)
     assert work_precision(plain) is None
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.agreement.self_agreement import floor_labels
 from gapsweep.analysis.claims import NotInRunError, Number, Run, mean, ratio_of_sums, share
-from gapsweep.analysis.datasets.histories import SAMPLES_PER_PERIOD
+from gapsweep.analysis.spectra import SAMPLES_PER_PERIOD
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 

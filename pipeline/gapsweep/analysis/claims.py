@@ -340,7 +340,7 @@ class Run:
     def select(self, name: str, *names: str, **at: Any) -> xr.Dataset:
         """Part of a dataset by coordinates, in memory; some variables, or all.
 
-        Equal is what `gapsweep.study.selection` takes for equal.
+        Equal is what `gapsweep.study.axis_selection` takes for equal.
 
         Raises
         ------

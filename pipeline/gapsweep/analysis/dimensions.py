@@ -12,9 +12,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.errors import DatasetError
+from gapsweep.study.axis_selection import is_several, positions
 from gapsweep.study.grid import COORDINATE, START
 from gapsweep.study.schema import POINT_DIMS
-from gapsweep.study.selection import is_several, positions
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -128,7 +128,7 @@ def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
 
     A value of a dimension's own coordinate reduces it to a scalar; lists, slices (both ends
     included) and other coordinates (``start="sweep_up"``) keep the dimension. What is equal, see
-    `gapsweep.study.selection`.
+    `gapsweep.study.axis_selection`.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from gapsweep.cli import runs, studies
-from gapsweep.cli.cache import cache_commands
+from gapsweep.cli.cache_commands import cache_commands
 from gapsweep.cli.init import init
 from gapsweep.cli.options import FAULT, FINISHED, INTERRUPTED
 from gapsweep.errors import STOPPING, GapsweepError

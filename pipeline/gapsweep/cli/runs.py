@@ -15,7 +15,7 @@ from gapsweep.cli.options import FINISHED
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @options.as_json
 def status(folder: Path, as_json: bool) -> int:
-    """Tell how a run is doing, or how it ended, from any shell.
+    """Show how a run is doing, or how it ended, from any shell.
 
     Files that are no longer as the run wrote them are named, as far as 100 MB are read.
 
@@ -37,7 +37,8 @@ def status(folder: Path, as_json: bool) -> int:
         f"{state.hits + state.computed} of {state.points} points: {state.hits} from the cache, "
         f"{state.computed} computed, {state.failed} failed"
     )
-    click.echo(f"started {state.started}, last heard of {state.updated}, on {state.host}")
+    click.echo(f"started {state.started} on {state.host}")
+    click.echo(f"updated {state.updated}")
     if damaged:
         click.echo(f"damaged or absent: {options.first(damaged)}; run again to make them anew")
     if unread:
@@ -59,11 +60,11 @@ def report(folder: Path, study: Path | None) -> int:
       gapsweep report data/runs/quick
       gapsweep report data/runs/paper --study paper/study.toml
     """
-    from gapsweep import make
+    from gapsweep import pipeline
     from gapsweep.console import busy
 
     with busy("making the report"):
-        shown = make.report(folder, options.loaded(study, None) if study else None)
+        shown = pipeline.report(folder, options.loaded(study, None) if study else None)
     click.echo(f"report: {shown}")
     return FINISHED
 
@@ -83,12 +84,12 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
       gapsweep claims data/runs/paper
       gapsweep claims data/runs/paper --study paper/study.toml
     """
-    from gapsweep import own_code
+    from gapsweep import pipeline
     from gapsweep.console import busy, print_table
-    from gapsweep.stages import CLAIMS
+    from gapsweep.run_folder import CLAIMS
 
     with busy("deciding the claims"):
-        decided = own_code.claims(folder, options.loaded(study, None) if study else None)
+        decided = pipeline.claims(folder, options.loaded(study, None) if study else None)
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED

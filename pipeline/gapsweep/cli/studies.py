@@ -5,6 +5,7 @@ What computes takes seconds to import: each command imports what it needs.
 
 import json
 from collections.abc import Mapping
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +38,12 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
       gapsweep run quick.toml --out /tmp/quick --workers 4
       gapsweep run quick.toml --scheduler tcp://host:8786
     """
-    from gapsweep import workflow
-    from gapsweep.stages import REPORT, RESPONSES
+    from gapsweep import pipeline
+    from gapsweep.run_folder import REPORT, RESPONSES
 
     loaded = options.loaded(study, engine)
     with options.at_work() as observer:
-        outcome = workflow.carry_out(loaded, on_progress=observer, **how)
+        outcome = pipeline.carry_out(loaded, on_progress=observer, **how)
     done = outcome.progress
     shared = f", {done.n_shared} by another run" if done.n_shared else ""
     click.echo(
@@ -87,17 +88,15 @@ def plan(
       gapsweep plan quick.toml
       gapsweep plan quick.toml --json
     """
-    from gapsweep import lookup
+    from gapsweep import pipeline
     from gapsweep.analysis.unit_check import bounded
-    from gapsweep.console import duration, print_table
-    from gapsweep.folder import run_folder
+    from gapsweep.console import print_table
 
     loaded = options.loaded(study, engine)
-    cache, out = lookup.cache_path(cache), run_folder(loaded, out)
     with options.at_work() as observer:
-        planned = lookup.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
-        expected = lookup.expected_seconds(planned, cache, workers)
-        stages = lookup.stage_reasons(loaded, planned, out, cache)
+        planned = pipeline.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
+        expected = pipeline.expected_seconds(planned, cache, workers)
+        stages = pipeline.stage_reasons(loaded, planned, out, cache)
     walls = bounded(loaded) if loaded.spec.system is None else ""
     numbers = {
         "points": planned.n_points,
@@ -112,7 +111,8 @@ def plan(
     for name, value in numbers.items():
         click.echo(f"{name:>8}  {value}")
     unknown = "unknown, for nothing like it is stored"
-    click.echo(f"expected  {unknown if expected is None else f'{duration(expected)} (h:mm:ss)'}")
+    time = unknown if expected is None else f"{timedelta(seconds=round(expected))} (h:mm:ss)"
+    click.echo(f"expected  {time}")
     states = {file: f"to be made: {why}" if why else "up to date" for file, why in stages.items()}
     click.echo()
     print_table(("file", "state"), states.items())
@@ -167,8 +167,8 @@ def query(
       gapsweep query quick.toml --sel representation=piecewise \\
           --to nc --output exact.nc
     """
-    from gapsweep import workflow
-    from gapsweep.cli.table import Form, check_output, written
+    from gapsweep import pipeline
+    from gapsweep.cli.query_output import Form, check_output, written
 
     shown = Form.of(form, columns, digits, output)
     if output is not None:
@@ -177,7 +177,7 @@ def query(
     loaded = options.loaded(study, engine)
     shown.check(loaded)
     with options.at_work() as observer:
-        found = workflow.query(loaded, on_progress=observer, **how, **options.selected(wanted))
+        found = pipeline.query(loaded, on_progress=observer, **how, **options.selected(wanted))
     click.echo(
         f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True
     )
@@ -210,11 +210,11 @@ def explain(
     Example:
       gapsweep explain quick.toml --sel omega=10
     """
-    from gapsweep import lookup
+    from gapsweep import pipeline
 
     loaded = options.loaded(study, engine)
     with options.at_work() as observer:
-        points = lookup.explain(loaded, cache, limit + 1, observer, **options.selected(wanted))
+        points = pipeline.explain(loaded, cache, limit + 1, observer, **options.selected(wanted))
     for n, point in enumerate(points):
         if n == limit:
             click.echo(f"and more: --limit {10 * limit}")
@@ -302,16 +302,16 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
     Example:
       gapsweep bench study.toml
     """
-    from gapsweep import make
+    from gapsweep import pipeline
     from gapsweep.report.benchmarks import conclusions
-    from gapsweep.stages import REPORT
+    from gapsweep.run_folder import REPORT
     from gapsweep.store import netcdf
 
     loaded = options.loaded(study, None)
-    files = make.bench(loaded, out, lambda text: click.echo(text, err=True), timeout=timeout)
-    found, code = {}, FINISHED
-    for file in files:
-        if counts := make.failed_motions(file):
+    made = pipeline.bench(loaded, out, lambda text: click.echo(text, err=True), timeout=timeout)
+    files, found, code = list(made), {}, FINISHED
+    for file, counts in made.items():
+        if counts:
             _say_failed("motions", counts, file.name)
             code = SOME_FAILED
         with netcdf.read(file) as dataset:

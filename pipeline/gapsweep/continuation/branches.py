@@ -18,7 +18,7 @@ from gapsweep.continuation.special import (
     doubling,
     is_torus,
 )
-from gapsweep.integrate.motion import Events
+from gapsweep.integrate.motions import Events
 from gapsweep.integrate.problem import Solver
 
 Array = NDArray[np.float64]

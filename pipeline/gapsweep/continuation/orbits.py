@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation.family import Family, Window
-from gapsweep.integrate.motion import Motions, merged
+from gapsweep.integrate.motions import Motions, merged
 from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.oscillator import Oscillator

@@ -86,7 +86,7 @@ def fill(
         requested = numbers[piece] >= 0
         if not requested.any():
             continue
-        stored = _Stored(plan, cache, study, numbers[piece])
+        stored = _PieceResults(plan, cache, study, numbers[piece])
         units, directions = _sections(study, layout, piece, stored, requested)
         attractors, ids = _grouped(layout, piece, stored, units)
         of_scenes = _attractor_arrays(layout, attractors, requested.shape[:-1], directions)
@@ -132,7 +132,7 @@ def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.
     return np.where(grid.requested, number, np.int32(-1))
 
 
-class _Stored:
+class _PieceResults:
     """What the cache has of a piece, some of its starts at a time.
 
     It is asked more than once, to group the responses and to write them. Most pieces have but one
@@ -194,7 +194,7 @@ def _point_arrays(
 
 
 def _grouped(
-    layout: Layout, piece: Piece, stored: _Stored, units: NDArray[np.float64]
+    layout: Layout, piece: Piece, stored: _PieceResults, units: NDArray[np.float64]
 ) -> tuple[Attractors, NDArray[np.int32]]:
     """The attractors of the scenes of a piece, and the number of that of every point."""
     shape = tuple(part.stop - part.start for part in piece)
@@ -235,7 +235,7 @@ def _attractor_arrays(
 
 
 def _sections(
-    study: Study, layout: Layout, piece: Piece, stored: _Stored, requested: NDArray[np.bool_]
+    study: Study, layout: Layout, piece: Piece, stored: _PieceResults, requested: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """What the sections of the scenes of a piece are measured by, as `Study.sections`."""
     rates = np.full(requested.shape[:-1], np.nan)

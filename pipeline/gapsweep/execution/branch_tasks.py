@@ -16,9 +16,9 @@ from distributed import Client, as_completed, get_worker
 from distributed.scheduler import KilledWorker
 
 from gapsweep.continuation.branches import Attractor, Branches
-from gapsweep.continuation.call import DEFAULT_ATOL, DEFAULT_RTOL
 from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.follow import DEFAULT_ATOL, DEFAULT_RTOL
 from gapsweep.continuation.orbits import OrbitEquations
 from gapsweep.execution.cluster import check_workers
 from gapsweep.execution.execute import is_gone
@@ -35,7 +35,7 @@ from gapsweep.study.spec import BranchesTable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class BranchScene:
     """What the branches of one scene depend on.
 
     Attributes
@@ -81,7 +81,7 @@ class Followed:
     branches: Any = None
 
 
-def follow(scene: Scene) -> Any:
+def follow(scene: BranchScene) -> Any:
     """Dataset of the branches of a scene, as of `gapsweep.branches`; attractors in their order.
 
     Raises
@@ -123,7 +123,7 @@ def _law(
     return contact_law(label, K_c, gap, point.kind.fit_range, K_ratio=K_ratio)
 
 
-def _task(scene: Scene, timeout: float | None) -> Followed:
+def _task(scene: BranchScene, timeout: float | None) -> Followed:
     """Body of a Dask task; with a time limit [s] in an isolated process."""
     try:
         if timeout is None:
@@ -137,7 +137,7 @@ def _task(scene: Scene, timeout: float | None) -> Followed:
 
 
 def followed(
-    scenes: Sequence[Scene], client: Client, timeout: float, waiting: Callable[[], None]
+    scenes: Sequence[BranchScene], client: Client, timeout: float, waiting: Callable[[], None]
 ) -> Iterator[tuple[int, Followed]]:
     """Branches of scenes as they arrive, each with the number of its scene.
 

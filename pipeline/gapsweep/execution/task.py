@@ -250,7 +250,7 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
 
 def _together(points: Points, states: States) -> Responses:
     """Responses of independent points, all in one call."""
-    (rows, models), refused = _models(points)
+    (rows, models), refused = models_of(points)
     found = _answered(points.kind, models, _starts(points, states)[rows])
     if not refused:
         return found
@@ -268,7 +268,7 @@ def _starts(points: Points, states: States) -> States:
     return found
 
 
-def _models(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError]]:
+def models_of(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError]]:
     """The parameter sets of the points, with their rows; and by row why others have none."""
     kind = points.kind
     n, n_states = len(kind.contacts) * len(OF_CONTACT), kind.n_states
@@ -335,7 +335,7 @@ def _warm_up(kind: Kind, models: Models, start: States) -> None:
 def warm_up(tile: Tile) -> None:
     """Load or compile what the first point of a tile needs, before its time counts."""
     first = slice(1)
-    (rows, models), _ = _models(tile.points.take(first))
+    (rows, models), _ = models_of(tile.points.take(first))
     if rows.size:
         _warm_up(tile.points.kind, models, _starts(tile.points.take(first), tile.states[first])[0])
 

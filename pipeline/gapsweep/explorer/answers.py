@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.analysis.datasets.histories import spectrum
+from gapsweep.analysis.spectra import spectrum
 from gapsweep.explorer.question import Question
 from gapsweep.integrate.simulate import simulate
 from gapsweep.model.contact import ContactLaw

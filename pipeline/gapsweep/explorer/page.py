@@ -72,6 +72,11 @@ _TEMPLATE = (
     + """</style>{% endblock %}
 """
 )
+# On a narrow screen the sliders stay above the figures that follow them.
+_ABOVE = """@media (max-width: 700px) {
+  :host { position: sticky; top: 0; z-index: 9; min-width: 100%; max-height: 42vh;
+    overflow-y: auto; background: white; border-bottom: 1px solid #cccccc; }
+}"""
 _WORDS = ":host { font: 13px system-ui, sans-serif; line-height: 1.45; }"
 
 
@@ -171,7 +176,8 @@ class Page:
             scenes.append(Div(text=said, name="note", stylesheets=[_WORDS], width=_SIDE))
         side = column(
             head, self._status, *scenes, *self._sliders.values(), self._band, self._laws,
-            self._from_rest, self._over, note, width=_SIDE + 20, spacing=2,
+            self._from_rest, self._over, note, width=_SIDE + 20, spacing=2, name="side",
+            stylesheets=[_ABOVE],
         )  # fmt: skip
         shown = self._figures
         below = _side_by_side(shown.phase, shown.section, shown.spectrum)

@@ -13,7 +13,7 @@ from gapsweep.explorer.question import not_computed, of_study, refuse_systems
 from gapsweep.model.labels import law_of
 from gapsweep.model.oscillator import OSCILLATOR
 from gapsweep.report import branches
-from gapsweep.stages import BRANCHES, RESPONSES, is_of_run
+from gapsweep.run_folder import BRANCHES, RESPONSES, is_of_run
 from gapsweep.store import netcdf
 from gapsweep.study.schema import written
 from gapsweep.study.study import Study

@@ -11,13 +11,13 @@ from numba.core.types import Number
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import Events, Motions
+from gapsweep.integrate.motions import Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.runge_kutta import representations
-from gapsweep.integrate.runge_kutta.scenes import runge_kutta_scenes
+from gapsweep.integrate.runge_kutta.smooth_scenes import runge_kutta_scenes
 from gapsweep.integrate.stepping import batch, record
-from gapsweep.integrate.stepping.scenes import Scenes, scenes
-from gapsweep.integrate.stepping.systems import Walls, system_scenes
+from gapsweep.integrate.stepping.scene_table import SceneTable, scenes
+from gapsweep.integrate.stepping.system_rows import Walls, system_scenes
 from gapsweep.model.contact import (
     Arctan,
     ContactLaw,
@@ -151,7 +151,7 @@ def _given(problems: Problems) -> dict[str, Any]:
     }
 
 
-def _scenes(models: Models, solver: Solver, is_taylor: bool) -> Scenes:
+def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
     tolerances: dict[str, Any] = {"rtol": solver.rtol, "atol": solver.atol}
     walls = _walls(models)
     if _is_oscillator(models):

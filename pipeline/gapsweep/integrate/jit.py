@@ -38,7 +38,7 @@ from numba.extending import overload
 from gapsweep.integrate.problem import LOADING
 
 
-class _Part(JITCodeLibrary):
+class _InlinedCode(JITCodeLibrary):
     """Code that runs only as a part of other code, which is optimised with all its parts.
 
     numba optimises every function by itself as well and makes machine code of it, with all that
@@ -56,7 +56,7 @@ class _Part(JITCodeLibrary):
         return 0
 
     @property
-    def codegen(self) -> "_Part":
+    def codegen(self) -> "_InlinedCode":
         return self
 
     def set_env(self, _name: str, _environment: Any) -> None:
@@ -65,7 +65,7 @@ class _Part(JITCodeLibrary):
 
 class _PartCompiler(Compiler):
     def compile_extra(self, function: Callable[..., Any]) -> Any:
-        self.state.library = _Part(self.state.targetctx.codegen(), function.__qualname__)
+        self.state.library = _InlinedCode(self.state.targetctx.codegen(), function.__qualname__)
         return super().compile_extra(function)
 
 
@@ -135,7 +135,7 @@ class _Code:
                 temporary.unlink()
 
 
-class _Cache(FunctionCache):
+class _MachineCodeCache(FunctionCache):
     """The machine code of a function on disk; what came with the package stands first."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -195,7 +195,7 @@ def folder_of(level: str) -> str:
 def entry(function: Callable[..., Any]) -> Any:
     """Compile a function that Python calls, and keep the machine code on disk."""
     found = njit(nogil=True)(function)
-    found._cache = _Cache(function)
+    found._cache = _MachineCodeCache(function)
     found.compile = _by_one_process(function, found.compile)
     return counted(found)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import Motions
+from gapsweep.integrate.motions import Motions
 from gapsweep.model.contact import ContactLaw, Piecewise, Tanh, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import general_form

@@ -25,7 +25,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
-from gapsweep.integrate.motion import COUNTS, SCALARS, Events, Motions
+from gapsweep.integrate.motions import COUNTS, SCALARS, Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.reference_motion import (
     extrema_of,
@@ -39,7 +39,7 @@ from gapsweep.integrate.reference_motion import (
 )
 from gapsweep.integrate.reference_scenes import (
     Modes,
-    Scene,
+    ReferenceScene,
     State,
     scene_of,
 )
@@ -80,7 +80,7 @@ class _Record:
     pieces: list[PPoly] = field(default_factory=list)
     status: Status = Status.OK
 
-    def count(self, scene: Scene, nfev: int, n_steps: int) -> None:
+    def count(self, scene: ReferenceScene, nfev: int, n_steps: int) -> None:
         method = scene.method
         nfev -= n_steps * _DENSE_NFEV[method]  # of the output between steps
         self.nfev += nfev
@@ -95,7 +95,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     """
 
     def integrate(problems: Problems) -> Motions:
-        runs: list[_Run] = []
+        runs: list[_ReferenceMotion] = []
         for i in range(len(problems)):
             before = runs[-1] if problems.follows is not None and problems.follows[i] else None
             runs.append(_run(models, problems, i, solver, before))
@@ -124,7 +124,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Run:
+class _ReferenceMotion:
     """One finished motion; names as in `Motions`."""
 
     t: float
@@ -150,7 +150,7 @@ class _Run:
         return len(self.state)
 
 
-def _events(runs: Sequence[_Run]) -> Events:
+def _events(runs: Sequence[_ReferenceMotion]) -> Events:
     lists = {name: [getattr(run, name) for run in runs] for name in _EVENTS}
     return Events(
         **{name: np.concatenate(arrays) for name, arrays in lists.items()},
@@ -160,7 +160,9 @@ def _events(runs: Sequence[_Run]) -> Events:
     )
 
 
-def _run(models: Models, problems: Problems, i: int, solver: Solver, before: "_Run | None") -> _Run:
+def _run(
+    models: Models, problems: Problems, i: int, solver: Solver, before: "_ReferenceMotion | None"
+) -> _ReferenceMotion:
     """Problem i, from where the run before it ended, if it follows one."""
     if before and before.t < problems.t_end[i - 1]:
         cost: dict[str, Any] = dict.fromkeys(COUNTS, 0)
@@ -194,7 +196,7 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver, before: "_R
     is_late, contacts = t_extrema >= since, np.array(run.contacts).reshape(-1, 2)
     contacts = contacts[contacts[:, 0] >= since]
     t_section, section = section_of(motion, scene, since, t)
-    return _Run(
+    return _ReferenceMotion(
         t=t_end if run.status is Status.OK else t_0 + t,
         state=y[:n],
         status=_judged(run.status, scene, motion),
@@ -216,7 +218,7 @@ def _run(models: Models, problems: Problems, i: int, solver: Solver, before: "_R
     )
 
 
-def _judged(status: Status, scene: Scene, motion: PPoly) -> Status:
+def _judged(status: Status, scene: ReferenceScene, motion: PPoly) -> Status:
     """`status`, unless a gap has left the range of its law."""
     if status not in (Status.OK, Status.DIVERGED, Status.STEP_UNDERFLOW):
         return status
@@ -229,7 +231,7 @@ def _judged(status: Status, scene: Scene, motion: PPoly) -> Status:
     return status
 
 
-def _plain(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
+def _plain(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
     """One run without stops; wall crossings are read off the motion afterwards."""
     segment = _solve(scene, run, None, 0.0, y_0, t_end, None)
     for contact, law in enumerate(scene.laws):
@@ -241,7 +243,7 @@ def _plain(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[float,
     return segment.t, segment.y
 
 
-def _located(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
+def _located(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
     """Segments in one set of contact modes each, restarted at every contact."""
     t, y, modes, stalled = 0.0, y_0, scene.modes_at(y_0), 0
     on_wall = None
@@ -264,7 +266,7 @@ def _located(scene: Scene, run: _Record, y_0: State, t_end: float) -> tuple[floa
 
 
 def _solve(
-    scene: Scene,
+    scene: ReferenceScene,
     run: _Record,
     modes: Modes,
     t: float,
@@ -310,7 +312,7 @@ def _solve(
     return _Segment(float(solution.t[-1]), end, motion, hits[0] if hits else None)
 
 
-def _on_wall(scene: Scene, y: State, contact: int, wall: float) -> State:
+def _on_wall(scene: ReferenceScene, y: State, contact: int, wall: float) -> State:
     """The state, put onto the wall if that is one coordinate's."""
     return (wall, *y[1:]) if scene.n == 1 and scene.gap(contact, (1.0,)) == 1.0 else y
 
@@ -341,7 +343,7 @@ class _Stop:
 
 
 def _contact_event(
-    scene: Scene,
+    scene: ReferenceScene,
     modes: Modes,
     contact: int,
     side: int,
@@ -368,7 +370,9 @@ def _contact_event(
     return _Stop(event, direction=-sign)
 
 
-def _cut_at_missed_contact(scene: Scene, modes: tuple[int, ...], segment: _Segment) -> _Segment:
+def _cut_at_missed_contact(
+    scene: ReferenceScene, modes: tuple[int, ...], segment: _Segment
+) -> _Segment:
     """End a segment at the contact that two step ends straddle unseen, if there is one."""
     missed = []
     for contact, side in _exits(modes):
@@ -392,7 +396,12 @@ def _cut_at_missed_contact(scene: Scene, modes: tuple[int, ...], segment: _Segme
 
 
 def _cut(
-    scene: Scene, segment: _Segment, t_before: float, t_beyond: float, contact: int, wall: float
+    scene: ReferenceScene,
+    segment: _Segment,
+    t_before: float,
+    t_beyond: float,
+    contact: int,
+    wall: float,
 ) -> _Segment:
     def distance(t: float) -> float:
         return scene.gap(contact, segment.motion(t)) - wall

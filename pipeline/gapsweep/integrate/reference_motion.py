@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.integrate import OdeSolution
 from scipy.interpolate import PPoly
 
-from gapsweep.integrate.reference_scenes import OscillatorScene, Scene
+from gapsweep.integrate.reference_scenes import OscillatorScene, ReferenceScene
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ _TO_POWERS = np.linalg.inv(np.vander(_NODES, _DEGREE + 1))
 _STILL = 64.0 * np.finfo(float).eps  # of a state: a step that changes no more of it is straight
 
 
-def gap_of(scene: Scene, motion: PPoly, contact: int) -> PPoly:
+def gap_of(scene: ReferenceScene, motion: PPoly, contact: int) -> PPoly:
     """A contact's gap and its rate along a motion."""
     n, direction = scene.n, scene.directions[contact]
     parts = [motion.c[:, :, i * n : (i + 1) * n] @ direction for i in (0, 1)]
@@ -69,7 +69,7 @@ def roots(motion: PPoly, component: int, value: float) -> Array:
     return np.asarray(roots[after_start])
 
 
-def turning(scene: Scene, motion: PPoly) -> list[PPoly]:
+def turning(scene: ReferenceScene, motion: PPoly) -> list[PPoly]:
     """What extrema are recorded of, each with its rate: coordinates, a system's gaps."""
     n = scene.n
     coordinates = [
@@ -85,7 +85,9 @@ def extrema_of(motion: PPoly) -> tuple[Array, Array]:
     return t, motion(t)[:, 0] if t.size else t
 
 
-def section_of(motion: PPoly, scene: Scene, since: float, t_end: float) -> tuple[Array, Array]:
+def section_of(
+    motion: PPoly, scene: ReferenceScene, since: float, t_end: float
+) -> tuple[Array, Array]:
     """Times and states at every whole forcing period after the start, from the time `since` on.
 
     Where nothing forces the motion, at every maximum of the first coordinate.

@@ -24,7 +24,7 @@ Force = Callable[[float], float]
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class ReferenceScene:
     """One motion, in the units of the right-hand side (seconds, radians).
 
     A state is (q, v, z), then, with the tangent, the images of unit states.
@@ -117,12 +117,12 @@ class Scene:
         return free
 
 
-def scene_of(system: Any) -> type[Scene]:
+def scene_of(system: Any) -> type[ReferenceScene]:
     """The class of scene of a system."""
     return OscillatorScene if isinstance(system, Oscillator) else SystemScene
 
 
-class OscillatorScene(Scene):
+class OscillatorScene(ReferenceScene):
     """An oscillator: plain numbers, ten times as fast as arrays of one."""
 
     __slots__ = ()
@@ -164,7 +164,7 @@ class OscillatorScene(Scene):
         return with_tangent
 
 
-class SystemScene(Scene):
+class SystemScene(ReferenceScene):
     """A system, with arrays."""
 
     __slots__ = ()

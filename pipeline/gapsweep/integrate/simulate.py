@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import Motions, merged
+from gapsweep.integrate.motions import Motions, merged
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Integrate, Models, Problems, Solver
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw, checked_law

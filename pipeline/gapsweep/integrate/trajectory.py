@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import Counts, Events, Motions
+from gapsweep.integrate.motions import Counts, Events, Motions
 from gapsweep.model.system import System, floats
 from gapsweep.status import Status
 from gapsweep.variables import (

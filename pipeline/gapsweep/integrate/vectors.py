@@ -21,7 +21,7 @@ F64 = ir.DoubleType()
 I64 = ir.IntType(64)
 
 
-class _Lanes:
+class _LaneValues:
     """A value per lane, inside the function under construction."""
 
     __slots__ = ("builder", "value")
@@ -31,7 +31,7 @@ class _Lanes:
         self.value = value
 
 
-class Vec(_Lanes):
+class Vec(_LaneValues):
     """A double per lane."""
 
     __slots__ = ()
@@ -89,7 +89,7 @@ class Vec(_Lanes):
         return self._compare("==", other)
 
 
-class Mask(_Lanes):
+class Mask(_LaneValues):
     """A truth value per lane."""
 
     __slots__ = ()

@@ -4,35 +4,47 @@
 ``xarray.open_dataset``, ``import gapsweep.report.accessor`` once.
 """
 
-import textwrap
-from collections.abc import Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 
-import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
-from gapsweep.report import backdrop, drawing, maps
+from gapsweep.report import backdrop, contacts, drawing, dynamics, maps
 from gapsweep.report import branches as of_branches
 from gapsweep.report.drawing import labels_of
-from gapsweep.report.scales import axis_label, drawn, is_log, named
-from gapsweep.report.selection import missing_variable, places, scene
-from gapsweep.report.style import NOT_PERIODIC, colour
+from gapsweep.report.dynamics import CURVES, WORDS
+from gapsweep.report.labelled import axes_of, axis_of, finished, scene_along, titled
+from gapsweep.report.scales import axis_label
+from gapsweep.report.selection import missing_variable, scene
+from gapsweep.report.style import colour
 from gapsweep.report.summary import as_html, as_text
-from gapsweep.response.result import ResponseClass
-from gapsweep.study.grid import COORDINATE, START
+from gapsweep.study.grid import COORDINATE
 from gapsweep.variables import to_dataframe
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MANY_STARTS = 500  # from here on those that form a grid are a mesh
-_CURVES = ("representation", "initial_condition")
-_WIDTH = 90  # characters of a title that fit over axes of the usual size
-_COLUMN = 6  # entries of a legend in one column
 _RIM, _DOT = 5.0, 3.0  # points: of the law behind, of the one before it
+
+
+P = ParamSpec("P")
+
+
+def _figure(
+    draw: "Callable[Concatenate[xr.Dataset, P], Axes]",
+) -> "Callable[Concatenate[GapsweepAccessor, P], Axes]":
+    """A method that draws the accessor's dataset by a function of a dataset."""
+
+    @wraps(draw)
+    def method(self: "GapsweepAccessor", /, *args: P.args, **kwargs: P.kwargs) -> "Axes":
+        return draw(self._dataset, *args, **kwargs)
+
+    return method
 
 
 class GapsweepAccessor:
@@ -62,12 +74,22 @@ class GapsweepAccessor:
         return to_dataframe(self._dataset)
 
     def frequency_response(
-        self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
+        self,
+        variable: str = "amplitude",
+        *,
+        along: str | None = None,
+        ax: "Axes | None" = None,
+        **wanted: Any,
     ) -> "Axes":
-        """Amplitude over frequency, one curve per representation and start, broken at jumps.
+        """A number of every response over frequency, one curve per representation and start.
+
+        Curves are broken at jumps.
 
         Parameters
         ----------
+        variable : str
+            As ``"amplitude"``, ``"force_max"``, ``"contact_share"`` or, of systems,
+            ``"contact_x_max"``, the peak of the relative displacement at a contact.
         along : str, optional
             Numeric dimension of the horizontal axis; None: omega, or where there is none, as of
             systems that nothing forces, the only number that is swept.
@@ -75,62 +97,27 @@ class GapsweepAccessor:
             Drawn into; new ones if None.
         **wanted
             Selection by coordinate; one stiffness, one gap and one value of every other parameter
-            must be left.
+            must be left, of systems one `coordinate` or `contact`.
         """
-        along = self._axis(along, wanted)
-        names = ["amplitude", *({"response_class"} & set(self._dataset))]
-        shown = self._along(along, dict.fromkeys(names, _CURVES), wanted)
+        along = axis_of(self._dataset, along, wanted)
+        names = [variable, *({"response_class"} & set(self._dataset))]
+        shown = scene_along(self._dataset, along, dict.fromkeys(names, CURVES), wanted)
         kinds = shown.get("response_class")
-        axes = _axes(ax)
-        drawing.curves(axes, shown["amplitude"], along, kinds)
+        axes = axes_of(ax)
+        drawing.curves(axes, shown[variable], along, kinds)
         if kinds is not None:
             backdrop.unresolved(axes, shown, along)
-        axes.set_ylabel(axis_label(shown["amplitude"], "amplitude"))
-        axes.set_ylim(bottom=0)
-        return _finished(axes, shown, along)
+        axes.set_ylabel(axis_label(shown[variable], WORDS.get(variable, "")))
+        if not (shown[variable] < 0.0).any():
+            axes.set_ylim(bottom=0)
+        return finished(axes, shown, along)
 
-    def bifurcation(
-        self,
-        *,
-        along: str | None = None,
-        branches: xr.Dataset | None = None,
-        ax: "Axes | None" = None,
-        **wanted: Any,
-    ) -> "Axes":
-        """All steady extrema over frequency, from all starts.
-
-        What is unresolved has a pale band, and does not set the axis: it may be beyond.
-        One representation: its colour where the response is periodic, red where it is not.
-        Several: each in its colour.
-
-        Parameters
-        ----------
-        along, ax, **wanted
-            As for `frequency_response`.
-        branches : Dataset, optional
-            Periodic orbits continued along the same axis, as `gapsweep.branches` returns them: the
-            largest and smallest displacements of those of this scene are lines behind the extrema,
-            dashed where they are unstable, with their special points.
-        """
-        needed = {"extrema": (*_CURVES, "extremum"), "response_class": _CURVES}
-        along = self._axis(along, wanted)
-        shown = drawing.with_setting(self._along(along, needed, wanted), "extrema")
-        labels = labels_of(shown)
-        other = NOT_PERIODIC if len(labels) == 1 else None
-        if branches is not None and (its := of_branches.default_axis(branches)) != along:
-            raise DatasetError(f"branches: continued along {its}, and this plot is along {along}")
-        axes = _axes(ax)
-        backdrop.walls(axes, shown, along)
-        of_branches.behind(axes, branches, shown, along, ("x_max", "x_min"))
-        for label in labels:
-            drawing.extrema(axes, shown.sel(representation=label), along, other=other)
-            axes.plot([], [], ".", color=colour(label), label=label)
-        others = shown["extrema"].where(shown["response_class"] != ResponseClass.PERIODIC)
-        if other and others.notnull().any():
-            axes.plot([], [], ".", color=other, label="not periodic")
-        backdrop.unresolved(axes, shown, along)
-        axes.set_ylabel(axis_label(shown["extrema"], "steady extrema"))
-        return _finished(axes, shown, along)
+    bifurcation = _figure(dynamics.bifurcation)
+    lyapunov = _figure(dynamics.lyapunov)
+    poincare = _figure(dynamics.poincare)
+    waterfall = _figure(dynamics.waterfall)
+    impacts = _figure(contacts.impacts)
+    contact_map = _figure(contacts.contact_map)
 
     def branches(
         self,
@@ -161,13 +148,13 @@ class GapsweepAccessor:
         """
         along = along or of_branches.default_axis(self._dataset)
         shown = of_branches.shown(self._dataset, [along, y], wanted)
-        axes = _axes(ax)
+        axes = axes_of(ax)
         of_branches.draw(axes, shown, along, [y])
         for name, which in ((along, "x"), (y, "y")):
             axes.set(**{f"{which}label": of_branches.label(shown[name])})
             if of_branches.is_log(shown[name]):
                 axes.set(**{f"{which}scale": "log"})
-        _titled(axes, shown)
+        titled(axes, shown)
         of_branches.name_points(axes, shown, along, y)
         return axes
 
@@ -193,11 +180,11 @@ class GapsweepAccessor:
         along, ax, **wanted
             As for `frequency_response`.
         """
-        needed = {"x_max": _CURVES, "response_class": _CURVES}
-        along = self._axis(along, wanted)
-        both = self._along(along, needed, {**wanted, "representation": [a, b]})
+        needed = {"x_max": CURVES, "response_class": CURVES}
+        along = axis_of(self._dataset, along, wanted)
+        both = scene_along(self._dataset, along, needed, {**wanted, "representation": [a, b]})
         shown = drawing.with_setting(both, "x_max")
-        axes = _axes(ax)
+        axes = axes_of(ax)
         backdrop.walls(axes, shown, along, of_peaks=True)
         for label, size in ((a, _RIM), (b, _DOT)):
             one = selected(shown, {"representation": label})
@@ -205,7 +192,7 @@ class GapsweepAccessor:
             axes.plot([], [], "o", color=colour(label), markersize=size, label=label)
         backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
-        return _finished(axes, shown, along)
+        return finished(axes, shown, along)
 
     def attractors(
         self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
@@ -229,20 +216,20 @@ class GapsweepAccessor:
             if "attractor" in dataset:
                 return _starts(dataset, ax)
             raise DatasetError(missing_variable(dataset, "basin_share"))
-        along = self._axis(along, wanted)
+        along = axis_of(self._dataset, along, wanted)
         if dataset.sizes.get(along, 1) == 1:
             return _sections(dataset, ax)
         needed = dict.fromkeys(
             ("x_max", "basin_share", "response_class"), ("representation", "attractor")
         )
-        shown = self._along(along, needed, wanted)
-        axes = _axes(ax)
+        shown = scene_along(self._dataset, along, needed, wanted)
+        axes = axes_of(ax)
         backdrop.walls(axes, shown, along, of_peaks=True)
         for label in labels_of(shown):
             drawing.attractor_peaks(axes, shown.sel(representation=label), along)
             axes.plot([], [], "o", color=colour(label), markersize=4, label=label)
         axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
-        return _finished(axes, shown, along)
+        return finished(axes, shown, along)
 
     def agreement(
         self,
@@ -265,17 +252,12 @@ class GapsweepAccessor:
         """
         if variable not in self._dataset:
             raise DatasetError(missing_variable(self._dataset, variable) + _AGREEMENT)
-        along = self._axis(along, wanted)
+        along = axis_of(self._dataset, along, wanted)
         if "regime" in self._dataset[variable].dims:
             wanted = {"regime": "all", **wanted}
         if along in self._dataset[variable].dims:
-            shown = self._along(along, {variable: _CURVES}, wanted)
-            axes = _axes(ax)
-            drawing.curves(axes, shown[variable], along)
-            axes.set_ylabel(axis_label(shown[variable]))
-            return _finished(axes, shown, along)
-        value = _numbers(self._dataset, variable, ("representation",), wanted)
-        assert value is not None
+            return self.frequency_response(variable, along=along, ax=ax, **wanted)
+        value = scene(self._dataset, {variable: ("representation",)}, wanted)[variable]
         reference = self._dataset.attrs.get("reference")
         others = value["representation"].values != reference
         if not others.any():
@@ -284,14 +266,14 @@ class GapsweepAccessor:
         interval = _numbers(self._dataset, f"{variable}_ci", ("representation", "bound"), wanted)
         of_all = {name: what for name, what in wanted.items() if name != "representation"}
         floor = _numbers(self._dataset, f"{variable}_floor", (), of_all)
-        axes = _axes(ax)
+        axes = axes_of(ax)
         drawing.summary(axes, value, interval, floor)
         axes.set_xlabel(axis_label(value))
-        return _titled(axes, value.to_dataset(name=variable))
+        return titled(axes, value.to_dataset(name=variable))
 
     def map(
         self,
-        variable: str = "response_class",
+        variable: str = "period_multiple",
         x: str = "omega",
         y: str | None = None,
         *,
@@ -301,13 +283,14 @@ class GapsweepAccessor:
         """A variable over two swept numbers, a cell per point: a map.
 
         Classes, periods and other whole numbers have a colour each and a legend, numbers a colour
-        bar; what is unresolved or failed has its own colour whatever is shown. What was not
-        requested is blank.
+        bar; what is unresolved or failed has its own colour whatever is shown, failed cells are
+        hatched, too. What was not requested is blank.
 
         Parameters
         ----------
         variable : str
-            As ``"response_class"``, ``"period_multiple"`` or ``"amplitude"`` of ``responses.nc``,
+            As ``"period_multiple"``, the regimes P1, P2, ..., chaotic, quasiperiodic,
+            ``"response_class"``, ``"contact_share"`` or ``"amplitude"`` of ``responses.nc``,
             ``"n_attractors"`` of ``attractors.nc``, or a number of ``agreement.nc``.
         x, y : str
             Numeric dimensions; `y` is the longest other one if None. ``"x_0"`` and ``"v_0"`` for
@@ -319,9 +302,9 @@ class GapsweepAccessor:
         if variable in self._dataset and "regime" in self._dataset[variable].dims:
             wanted = {"regime": "all", **wanted}
         picture, shown = maps.picture(self._dataset, variable, x, y, wanted)
-        axes = _axes(ax)
+        axes = axes_of(ax)
         maps.draw(axes, picture)
-        return _titled(axes, shown)
+        return titled(axes, shown)
 
     def work_precision(self, *, ax: "Axes | None" = None, **wanted: Any) -> "Axes":
         """Cost of every method over its error, of one scene of ``work_precision.nc``.
@@ -339,75 +322,14 @@ class GapsweepAccessor:
         names = ("trajectory_error", "cpu_time", "model_error", "status", "on_front")
         needed = [name for name in names if name in names[:2] or name in self._dataset]
         shown = scene(self._dataset, dict.fromkeys(needed, ("method", "tolerance")), wanted)
-        axes = _axes(ax)
+        axes = axes_of(ax)
         drawing.work_precision(axes, shown)
         axes.set_xlabel(axis_label(shown["trajectory_error"]))
         axes.set_ylabel(axis_label(shown["cpu_time"]))
-        return _titled(axes, shown)
-
-    def _axis(self, along: str | None, wanted: dict[str, Any]) -> str:
-        """The horizontal axis: as it is given, or else omega or the only number that is swept."""
-        if along is not None or "omega" in self._dataset.coords:
-            return along or "omega"
-        swept = maps.numeric_axes(selected(self._dataset, wanted))
-        return swept[0] if len(swept) == 1 else "omega"
-
-    def _along(
-        self, along: str, variables: Mapping[str, tuple[str, ...]], wanted: dict[str, Any]
-    ) -> xr.Dataset:
-        """The variables that are drawn, over `along` and the other dimensions they need."""
-        if along not in self._dataset.coords:
-            swept = maps.numeric_axes(self._dataset)
-            remedy = "select without drop=True to keep it"
-            if swept:
-                remedy = f"it sweeps {', '.join(swept)}: choose, as along={swept[0]!r}"
-            said = f"{along}: no coordinate of this dataset, so nothing can be drawn along it"
-            raise DatasetError(f"{said}; {remedy}")
-        if self._dataset[along].dtype.kind not in "iuf":
-            raise DatasetError(f"{along}: holds text; draw along omega or K_c")
-        needed = {name: tuple(dict.fromkeys((along, *dims))) for name, dims in variables.items()}
-        return scene(self._dataset, needed, wanted)
+        return titled(axes, shown)
 
 
 _AGREEMENT = "; the metrics are in agreement.nc, which gs.open opens"
-
-
-def _axes(ax: "Axes | None") -> "Axes":
-    """The axes given, or new ones in the user's own style."""
-    if ax is not None:
-        return ax
-    import matplotlib.pyplot as plt
-
-    return plt.subplots(layout="constrained")[1]
-
-
-def _finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
-    axes.set_xlabel(axis_label(shown[along]))
-    # Also where nothing is drawn.
-    axes.update_datalim(np.column_stack([drawn(shown[along])] * 2), updatey=False)
-    axes.autoscale_view()
-    if is_log(shown[along]):
-        axes.set_xscale("log")
-    return _titled(axes, shown)
-
-
-def _titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
-    """Say what is what, and what the plot shows one value of."""
-    if axes.get_legend() is None and axes.get_legend_handles_labels()[0]:
-        n = len(axes.get_legend_handles_labels()[0])
-        axes.legend(fontsize=8, ncols=2 if n > _COLUMN else 1)
-    names = ["scene", "representation", *places(shown), "regime", COORDINATE, START]
-    one = [named(shown[name]) for name in names if name in shown.coords and shown[name].size == 1]
-    if START in shown.coords and "start" in shown.coords and shown["start"].size == 1:
-        one[-1] += f" ({shown['start'].item()})"
-    words = textwrap.wrap(
-        ", ".join(each.replace(" ", "\u00a0") for each in one),
-        _WIDTH,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    axes.set_title("\n".join(words).replace("\u00a0", " "), fontsize=9, loc="left")
-    return axes
 
 
 def _numbers(
@@ -420,7 +342,7 @@ def _numbers(
 
 
 def _basins(found: xr.Dataset, ax: "Axes | None") -> "Axes":
-    axes = _axes(ax)
+    axes = axes_of(ax)
     drawing.basins(axes, found)
     return _plane(axes, found["x_0"], found["v_0"], found)
 
@@ -438,7 +360,7 @@ def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
     if shown.sizes["initial_condition"] > _MANY_STARTS:
         with suppress(DatasetError):  # no grid: a mark for each
             return _basins(maps.as_basins(shown), ax)
-    axes = _axes(ax)
+    axes = axes_of(ax)
     drawing.starts(axes, shown)
     return _plane(axes, shown["x_0"], shown["v_0"], shown)
 
@@ -451,7 +373,7 @@ def _sections(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
         "x_max": ("attractor",),
     }
     shown = scene(dataset, needed, {})
-    axes = _axes(ax)
+    axes = axes_of(ax)
     drawing.sections(axes, shown)
     return _plane(axes, shown["section_x"], shown["section_v"], shown)
 
@@ -459,7 +381,7 @@ def _sections(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
 def _plane(axes: "Axes", x: xr.DataArray, v: xr.DataArray, shown: xr.Dataset) -> "Axes":
     axes.set_xlabel(axis_label(x))
     axes.set_ylabel(axis_label(v))
-    return _titled(axes, shown)
+    return titled(axes, shown)
 
 
 # xarray's own register_dataset_accessor keeps the accessor in the dataset, so that both stay alive,

@@ -1,7 +1,7 @@
 """What stands behind the points of a figure, and what a caption says of it: walls, and bands."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,23 +55,6 @@ def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega", *, of_peaks: bo
             axes.add_artist(Line2D([0.0, 1.0], [float(height)] * 2, **across))
 
 
-def in_coordinate(directions: Mapping[str, Sequence[float]], number: int) -> dict[str, float]:
-    """Contacts that feel one coordinate alone, and what they feel of it: it times a factor.
-
-    Parameters
-    ----------
-    directions : mapping of str to sequence of float
-        Of every contact.
-    number : int
-        Of the coordinate.
-    """
-    return {
-        name: float(direction[number])
-        for name, direction in directions.items()
-        if np.count_nonzero(direction) == 1 and direction[number]
-    }
-
-
 def _walls(scene: xr.Dataset, along: str, of_peaks: bool) -> Iterator[NDArray[np.float64]]:
     """Heights at which walls are drawn: a number, or of those that move one for every place."""
     for factor, own in _contacts(scene):
@@ -108,8 +91,10 @@ def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
     if len(shown) > 1:
         return
     number = names.index(*shown)
-    for name, factor in in_coordinate(system["contacts"], number).items():
-        table = own.get(name, {})
+    for name, direction in system["contacts"].items():
+        factor, table = float(direction[number]), own.get(name, {})
+        if not factor or np.count_nonzero(direction) > 1:
+            continue  # it does not feel this coordinate alone
         gap = dict(zip(_WALLS, table.get("gap") or (), strict=False))
         ratio = table.get("K_ratio")
         yield factor, gap | ({} if ratio is None else {"K_ratio": ratio})

@@ -169,10 +169,9 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
     n = attractors["n_attractors"].sel(representation=label).values
     n_places, n_several = int((n > 0).sum()), int((n > 1).sum())
     if n_several:
-        kind = "scenes and frequencies" if "omega" in attractors.dims else "scenes"
-        found = " in which any was found" if (n == 0).any() else ""
-        places = f"{n_several} of {n_places} {kind}{found}"
-        yield f"{label} has several attractors in {places}, at most {n.max()}."
+        kind = "parameter sets and frequencies" if "omega" in attractors.dims else "parameter sets"
+        places = f"{n_several} of {n_places} {kind}"
+        yield f"{label} has coexisting attractors at {places} with a result (up to {n.max()})."
 
 
 def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
@@ -205,7 +204,7 @@ def _closest(found: Sequence[Contact]) -> Iterator[str]:
     undecided = counts.pop("", 0)
     if not counts:
         if several and all(_is_unknown(contact) for contact in several):
-            yield "Which approximation is closest is not decided: the frequencies are too few."
+            yield "Closest approximation: undecided, because there are too few frequencies."
         elif several:
             yield "In no contact is one approximation clearly closest in amplitude."
         return
@@ -243,17 +242,16 @@ def _prices(found: Sequence[Contact]) -> Iterator[str]:
     dearer, cheaper = sum(one.low > 1.0 for one in laws), sum(one.high < 1.0 for one in laws)
     if laws and all(np.isnan(one.low) for one in laws):
         yield (
-            "Which approximations cost more than the exact law is not decided: the study does not "
-            "sweep it twice, or has too few frequencies, so that nothing says how far prices "
-            "repeat. piecewise@half, with half = { rtol = 5e-10, atol = 5e-13 } in [protocol], "
-            "would."
+            "Cost relative to the exact law: undecided. Add piecewise@half and [protocol] half = "
+            "{ rtol = 5e-10, atol = 5e-13 } to the study, with enough frequencies, to measure the "
+            "repeatability of timings."
         )
     elif laws:
         pairs = f"{len(laws)} pair{'s' * (len(laws) > 1)}"
         yield (
-            f"Of {pairs} of contact and approximation {dearer} cost more processor time per "
-            f"forcing period than the exact law with this study's solver, {cheaper} less; "
-            f"{len(laws) - dearer - cheaper} cannot be told from it."
+            f"Of {pairs} of contact and approximation, {dearer} cost more CPU time per forcing "
+            f"period than the exact law with this study's solver, {cheaper} less; "
+            f"{len(laws) - dearer - cheaper} undecided."
         )
 
 

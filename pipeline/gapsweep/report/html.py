@@ -1,11 +1,10 @@
-"""The HTML report: one self-contained file, built from the NetCDF datasets of a run."""
+"""The HTML report of a run: ``index.html``, and next to it its figures and long sections."""
 
 import base64
 import hashlib
 import json
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -29,18 +28,16 @@ from gapsweep.report.answer import (
     in_words,
     times,
 )
-from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
+from gapsweep.report.backdrop import said_of_walls
 from gapsweep.report.benchmarks import bench_parts
-from gapsweep.report.branches import said as said_of_branches
-from gapsweep.report.drawing import labels_of, said_of_marks, said_of_peaks
-from gapsweep.report.figures import attractors as attractor_panels
-from gapsweep.report.figures import beside_exact, bifurcation, by_contact, frequency_response
+from gapsweep.report.drawing import labels_of, said_of_marks
+from gapsweep.report.figures import beside_exact, by_contact
 from gapsweep.report.findings import findings, outcomes, said_of_far_walls
 from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.model import model
-from gapsweep.report.overview import is_wide, maps_of, overview, plane_of
-from gapsweep.report.parts import Figured, Part, for_page, pictured, rendered
+from gapsweep.report.overview import along_axis, is_wide, maps_of, overview, plane_of
+from gapsweep.report.parts import HERO, Figured, Part, for_page, pictured, rendered, shown
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import named, plain
 from gapsweep.report.scenes import Scenes, said_of_starts, starts_of, swept
@@ -59,9 +56,10 @@ from gapsweep.status import Status
 from gapsweep.store.artefact import is_recorded, recording, remove
 
 ANSWER = "own-answer"  # the study's own part that the page begins with
-FIGURES = "figures"  # the folder of their files, beside the page
-# What stands there under such a name, reports have written.
-_FIGURE = re.compile(r"figure-[a-z0-9-]*\.(svg|csv|html)")
+FIGURES = "figures"  # the folder of figures and sections, next to the page
+# Files there with such a name were written by a report.
+_OURS = re.compile(r"(figure-[a-z0-9-]*\.(svg|csv)|(figure|section)-[a-z0-9-]*\.html)")
+MOST_FIGURES = 8  # on one page; with more figures every section has its own page
 _TEMPLATES = Path(__file__).parent / "templates"
 _FEW = 5  # frequencies, which a caption names
 
@@ -107,68 +105,115 @@ def write_report(
     made_from : str
         Kept in a meta element, so that the report is made again only if that changes.
     """
-    files = (responses, agreement, timing, attractors, branches)
-    ours = chain(
-        bench_parts(work_precision, stability),
-        [overview(*files)] if is_wide(responses) else _scenes(*files),
-    )
-    headline = [
-        line for part in own_parts if part["anchor"] == ANSWER for line in part["sentences"]
-    ]
-    own_parts = [part for part in own_parts if part["anchor"] != ANSWER]
-    parts = for_page([*own_parts, *rendered(ours)], taken=["figure-hero"])
-    # Its rules are those of one displacement between two walls.
-    is_judged = in_metres(responses)
-    found = contacts(agreement, static) if agreement is not None and is_judged else []
-    told = found[:MOST_CONTACTS]
-    hero = _hero(responses, told)
-    figures = [*([hero] if hero else []), *(one for part in parts for one in part["figures"])]
+    drawn = sections(responses, agreement, timing, attractors, branches, work_precision, stability)
+    own = [part for part in own_parts if part["anchor"] != ANSWER]
+    top = head(
+        responses, agreement, attractors=attractors, advice=advice, static=static, claims=claims,
+        own_answer=[line for part in own_parts if part not in own for line in part["sentences"]],
+    )  # fmt: skip
+    parts = for_page([*own, *rendered(drawn)], MOST_FIGURES, FIGURES)
+    hero = _hero(responses, top["contacts"])
     environment = _environment()
+    shared = {
+        "parts": [part | {"is_own": i < len(own)} for i, part in enumerate(parts)],
+        "measured_on": timing.attrs["measured_on"],
+        "is_compared": agreement is not None,
+        "has_protocols": any("@" in label for label in labels_of(responses)),
+    }
     page = environment.get_template("report.html").render(
-        title=responses.attrs["title"],
+        **shared,
+        **top,
         made_from=made_from,
-        study=responses.attrs["study"],
-        findings=findings(
-            responses, found, claims, advice, attractors=attractors, agreement=agreement
-        ),
-        contacts=told,
-        far=said_of_far_walls(responses) if is_judged else "",
-        headline=headline or in_words(found)[:1],
-        answer=in_words(found)[0 if headline else 1 :],
-        signs=SIGNS,
-        groups=GROUPS,
-        stiffnesses=heads(contact.K_c for contact in told),
-        gaps=heads((contact.K_c, contact.gap) for contact in told),
-        beside=swept_columns(told) if any(contact.swept for contact in told) else None,
-        is_many=len(told) > MANY,
-        has_own_starts=any(len({law.n_exact for law in one.laws}) > 1 for one in told),
-        heat=heat(told),
-        cut=f"The first {how_many(len(told), found)}. " if len(found) > len(told) else "",
-        starts=[starts_of(responses, EXACT, one.at) for one in told],
-        anchors={part["anchor"] for part in parts},
-        own=[part["anchor"] for part in own_parts],
+        hrefs={part["anchor"]: part["href"] for part in parts},
         hero=hero,
-        folder=FIGURES,
+        folder=f"{FIGURES}/",
         claims=claims and {"counts": claims["counts"], "rows": _claims(claims, parts)},
-        verdicts=VERDICTS,
         scripts=[_script("figures"), *([_script("claims")] if claims else [])],
-        parts=parts,
-        measured_on=timing.attrs["measured_on"],
-        is_compared=agreement is not None,
-        has_protocols=any("@" in label for label in labels_of(responses)),
-        model=model(responses),
-        provenance=provenance(responses),
-        settings=_indented(responses.attrs["study_json"]),
-        version=json.loads(responses.attrs["versions"]).get("gapsweep", ""),
-        fingerprint=responses.attrs["numerics_fingerprint"],
     )
-    folder, written = path.parent / FIGURES, set[str]()
-    for figure in figures:
-        written |= _write_files(folder, figure, _page(environment, figure))
+    folder, written, home = path.parent / FIGURES, set[str](), f"../{path.name}"
+    if hero:
+        written |= _write(folder, _files(environment, hero, home))
+    for part in shared["parts"]:
+        for figure in part["figures"]:
+            written |= _write(folder, _files(environment, figure, part["file"] or home))
+        if part["file"]:
+            section = environment.get_template("section.html").render(
+                **shared,
+                part=part,
+                title=part["title"],
+                report=responses.attrs["title"],
+                scripts=[_script("figures")],
+            )
+            written |= _write(folder, {part["file"]: section.encode()})
     with recording(path, _is_ours) as temporary:
         temporary.write_text(page, encoding="utf-8")
     _remove_others(folder, written)
     return path
+
+
+def sections(
+    responses: xr.Dataset,
+    agreement: xr.Dataset | None,
+    timing: xr.Dataset,
+    attractors: xr.Dataset | None = None,
+    branches: xr.Dataset | None = None,
+    work_precision: xr.Dataset | None = None,
+    stability: xr.Dataset | None = None,
+) -> Iterator[Part]:
+    """The sections of a report, except those of the study; datasets as for `write_report`."""
+    files = (responses, agreement, timing, attractors, branches)
+    yield from bench_parts(work_precision, stability)
+    yield from [overview(*files)] if is_wide(responses) else _scenes(*files)
+
+
+def head(
+    responses: xr.Dataset,
+    agreement: xr.Dataset | None,
+    *,
+    attractors: xr.Dataset | None = None,
+    advice: xr.Dataset | None = None,
+    static: xr.Dataset | None = None,
+    claims: Mapping[str, Any] | None = None,
+    own_answer: Sequence[str] = (),
+) -> dict[str, Any]:
+    """The texts of a report that stand outside its sections, as its template names them.
+
+    Parameters
+    ----------
+    own_answer : sequence of str
+        Sentences of the study that come first; other parameters as for `write_report`.
+    """
+    # The rules of the answer are for one displacement between two walls.
+    is_judged = in_metres(responses)
+    found = contacts(agreement, static) if agreement is not None and is_judged else []
+    told, said = found[:MOST_CONTACTS], in_words(found)
+    return {
+        "title": responses.attrs["title"],
+        "study": responses.attrs["study"],
+        "findings": findings(
+            responses, found, claims, advice, attractors=attractors, agreement=agreement
+        ),
+        "contacts": told,
+        "far": said_of_far_walls(responses) if is_judged else "",
+        "headline": own_answer or said[:1],
+        "answer": said[0 if own_answer else 1 :],
+        "signs": SIGNS,
+        "groups": GROUPS,
+        "verdicts": VERDICTS,
+        "stiffnesses": heads(contact.K_c for contact in told),
+        "gaps": heads((contact.K_c, contact.gap) for contact in told),
+        "beside": swept_columns(told) if any(contact.swept for contact in told) else None,
+        "is_many": len(told) > MANY,
+        "has_own_starts": any(len({law.n_exact for law in one.laws}) > 1 for one in told),
+        "heat": heat(told),
+        "cut": f"The first {how_many(len(told), found)}. " if len(found) > len(told) else "",
+        "starts": [starts_of(responses, EXACT, one.at) for one in told],
+        "model": model(responses),
+        "provenance": provenance(responses),
+        "settings": _indented(responses.attrs["study_json"]),
+        "version": json.loads(responses.attrs["versions"]).get("gapsweep", ""),
+        "fingerprint": responses.attrs["numerics_fingerprint"],
+    }
 
 
 def _indented(document: str) -> str:
@@ -188,17 +233,22 @@ def _environment() -> jinja2.Environment:
     return found
 
 
-def _page(environment: jinja2.Environment, figure: Mapping[str, Any]) -> str:
-    """A page on which a figure is drawn from its data; empty if these are images."""
-    if not figure["data"]:
-        return ""
-    data = Markup(figure["data"].replace("<", "\\u003c"))  # so that no text in it ends the element
-    return environment.get_template("figure.html").render(
-        title=figure["name"] or figure["description"],
-        figure=figure,
-        data=data,
-        scripts=[_script("figure")],
-    )
+def _files(
+    environment: jinja2.Environment, figure: Mapping[str, Any], back: str
+) -> dict[str, bytes]:
+    """A figure as files by name; those with numbers have a page that draws them, too."""
+    files = {f"{figure['id']}.{kind}": data for kind, data in figure["files"].items()}
+    if figure["data"]:
+        page = environment.get_template("figure.html").render(
+            title=figure["name"] or figure["description"],
+            figure=figure,
+            # No text of the data may end their element.
+            data=Markup(figure["data"].replace("<", "\\u003c")),
+            back=back,
+            scripts=[_script("figure")],
+        )
+        files[f"{figure['id']}.html"] = page.encode()
+    return files
 
 
 def _script(name: str) -> Markup:
@@ -206,14 +256,12 @@ def _script(name: str) -> Markup:
     return Markup((_TEMPLATES / f"{name}.js").read_text(encoding="utf-8"))
 
 
-def _write_files(folder: Path, figure: Mapping[str, Any], page: str) -> set[str]:
-    """A figure as files beside the report; returns their names."""
+def _write(folder: Path, files: Mapping[str, bytes]) -> set[str]:
+    """Write files next to the report; returns their names."""
     if folder.is_symlink():
         raise StoreError(f"{folder}: a symbolic link, which could lead anywhere: remove it")
-    pages = {"html": page.encode()} if page else {}
-    files = {f"{figure['id']}.{kind}": data for kind, data in (figure["files"] | pages).items()}
     for name, data in files.items():
-        # In this folder all of such a name are ours, also where SHA256SUMS is lost.
+        # All files of such a name in this folder are ours, even if SHA256SUMS is lost.
         with recording(folder / name, lambda path: True) as temporary:
             temporary.write_bytes(data)
     return set(files)
@@ -224,7 +272,7 @@ def _remove_others(folder: Path, written: Collection[str]) -> None:
     if folder.is_symlink() or not folder.is_dir():
         return
     files = [path for path in folder.iterdir() if path.is_file() and not path.is_symlink()]
-    ours = {path.name for path in files if _FIGURE.fullmatch(path.name)}
+    ours = {path.name for path in files if _OURS.fullmatch(path.name)}
     remove(folder, ours - set(written))
 
 
@@ -237,13 +285,15 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     laws = {o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in _telling(contact)}
     if scene is None or not laws:
         return None
-    said = f"Peaks at {contact.place}, laws on the exact one's larger dots, from the same starts"
+    said = (
+        f"Peak displacement at {contact.place}: contact laws (coloured) over the exact law (larger "
+        "dots), for the same initial conditions"
+    )
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
         looks = f"{said_of_walls(scene, of_peaks=True)}{said_of_marks(figure)}"
         made = pictured(Figured(figure, f"{said}.{looks}", said))
-    (part,) = for_page([{"anchor": "hero", "figures": [made]}])
-    return dict(part["figures"][0])
+    return {**shown(made), "id": HERO}
 
 
 def _telling(contact: Contact) -> list[Judged]:
@@ -258,19 +308,19 @@ def _telling(contact: Contact) -> list[Judged]:
 
 
 def _claims(decided: Mapping[str, Any], parts: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """The claims, each with what of the page its place names."""
-    names = {f.get("name"): f["id"] for part in parts for f in reversed(part["figures"])}
+    """The claims, each with a link to the figure or section that its place names."""
+    names = {f.get("name"): f["href"] for part in parts[::-1] for f in part["figures"][::-1]}
     return [{**row, "leads_to": _place(row["place"], names, parts)} for row in claim_rows(decided)]
 
 
 def _place(place: str, names: Mapping[str, str], parts: Sequence[Mapping[str, Any]]) -> str:
-    """The id of the figure or section that a claim is about, the nearest by name; empty if none.
+    """Link to the figure or section that a claim is about, the nearest by name; empty if none.
 
     "Fig. 11ab" is about "Fig. 11" or "Fig. 11, their solver", "Fig. 2" about the first of "Fig. 2a"
     and "Fig. 2b".
     """
     near = [n for n in names if n and (_begins(place, n.split(",")[0]) or _begins(n, place))]
-    titled = [part["anchor"] for part in parts if part["title"].endswith(f" {place}")]
+    titled = [part["href"] for part in parts if part["title"].endswith(f" {place}")]
     return names[min(near, key=lambda n: n != place)] if near else next(iter(titled), "")
 
 
@@ -361,7 +411,7 @@ def _at_one_frequency(scenes: Scenes, columns: Sequence[At], omega: str) -> Part
         f"{name} ({names[: i + 1].count(name)})" if names.count(name) > 1 else name
         for i, name in enumerate(names)
     ]
-    caption = "Peak displacement of the steady response from every start."
+    caption = "Peak displacement of the steady response, one dot per initial condition."
     figure = Figured(by_contact(dict(zip(told, peaks, strict=True))), caption, f"Peaks at {omega}")
     return Part("contacts", f"All contacts at {omega}", [], (), [figure])
 
@@ -383,24 +433,11 @@ def _scene_figures(
             yield from maps_of([(one, "attractor"), (one, "x_max")], plane, f"{label}, {where}")
         return
     found = _attractors(attractors, scene, at)
-    if found is None:  # curves of many starts would cross between attractors
-        caption = "Amplitude (half the range) of the steady response; broken where it jumps."
-        yield Figured(frequency_response(scene), caption, f"Frequency response, {title}")
-    yield Figured(
-        bifurcation(scene, continued=branches),
-        f"All steady zero-velocity displacements{said_of_starts(scene)}."
-        f"{said_of_bands(scene)}{said_of_missing(scene)}{said_of_walls(scene)}"
-        f"{said_of_branches(branches, scene, 'omega')}",
-        f"Bifurcation diagram, {title}",
-    )
-    if found is not None:
-        yield Figured(
-            attractor_panels(found, continued=branches),
-            f"Peak displacement of every attractor that the starts reach{_where_few(found, scene)}."
-            f"{said_of_peaks(found)}{said_of_walls(scene, of_peaks=True)}"
-            f"{said_of_branches(branches, scene, 'omega')}",
-            f"Attractors and their basins, {title}",
-        )
+    yield from along_axis(
+        scene, found, branches, "omega", title, has_curve=found is None,
+        of_starts=said_of_starts(scene),
+        of_attractors="" if found is None else _where_few(found, scene),
+    )  # fmt: skip
 
 
 def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.Dataset | None:
@@ -422,7 +459,7 @@ def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
     omega = found["omega"].values
     if omega.size > min(_FEW, scene.sizes["omega"] - 1):
         return ""
-    return f", swept from several at {', '.join(map(plain, omega))} Hz only"
+    return f" (from several initial conditions at {', '.join(map(plain, omega))} Hz only)"
 
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:

@@ -13,8 +13,8 @@ from gapsweep.analysis.agreement.law_tables import CHAOTIC, CLASSES, class_numbe
 from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
-from gapsweep.report.mesh import mesh
-from gapsweep.report.scales import axis_label, drawn, is_crowded_low
+from gapsweep.report.mesh import edges, mesh
+from gapsweep.report.scales import axis_label, drawn, is_crowded_low, is_log
 from gapsweep.report.selection import missing_variable, scene
 from gapsweep.report.style import BLANK, CLASS_COLOURS, sequence
 from gapsweep.response.result import ResponseClass
@@ -29,7 +29,9 @@ _TAIL = 0.005  # share of the numbers at either end that may lie beyond the colo
 _ALIKE = 0.05  # of the peak: attractors of two laws that one would call the same in a diagram
 # Colours of attractors, which no order of lightness may seem to rank (Okabe & Ito, 2008).
 _NAMED = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#F0E442", "#999999")
-_NO_PICTURE = ("unresolved", "failed")
+_FAILED = "failed"
+_NO_PICTURE = ("unresolved", _FAILED)
+_HATCH = "////"
 
 
 @dataclass
@@ -225,6 +227,7 @@ def draw(axes: "Axes", shown: Picture) -> None:
         palette = np.rint(255 * to_rgba_array(shown.colours)).astype(np.uint8)
         rgba[shown.kind >= 0] = palette[shown.kind[shown.kind >= 0]]
     mesh(axes, shown.x, shown.y, rgba)
+    _hatch(axes, shown)
     axes.set_xlabel(axis_label(shown.x))
     axes.set_ylabel(axis_label(shown.y))
     is_blank = not (is_number | (shown.kind >= 0)).all()
@@ -232,6 +235,18 @@ def draw(axes: "Axes", shown: Picture) -> None:
     # A colour bar says itself what it is of.
     title = "" if is_number.any() else re.sub(", -?[0-9]+: none", "", axis_label(shown.numbers))
     _key(axes, names, shown.colours + [BLANK] * is_blank, title)
+
+
+def _hatch(axes: "Axes", shown: Picture) -> None:
+    """Hatch failed cells, which have no response of any colour."""
+    from matplotlib.colors import ListedColormap
+
+    if _FAILED in shown.names:
+        ends = (edges(drawn(each), log=is_log(each)) for each in (shown.x, shown.y))
+        is_other = shown.kind != shown.names.index(_FAILED)
+        cells = np.ma.masked_array(np.ones(is_other.shape), is_other)
+        look: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.0, "rasterized": True}
+        axes.pcolor(*ends, cells, cmap=ListedColormap(["none"]), hatch=_HATCH, **look)
 
 
 def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str) -> None:
@@ -242,11 +257,14 @@ def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str)
     if not names:
         return
     below = ScaledTranslation(0.0, -34.0 / 72.0, axes.figure.dpi_scale_trans)
+    patches = [
+        Patch(facecolor=shade, edgecolor="#888888", linewidth=0.4, label=name)
+        for name, shade in zip(names, colours, strict=True)
+    ]
+    if _FAILED in names:
+        patches[names.index(_FAILED)].set(hatch=_HATCH, edgecolor="white", linewidth=0.0)
     axes.legend(
-        handles=[
-            Patch(facecolor=shade, edgecolor="#888888", linewidth=0.4, label=name)
-            for name, shade in zip(names, colours, strict=True)
-        ],
+        handles=patches,
         loc="upper left",
         bbox_to_anchor=(0.0, 0.0),
         bbox_transform=axes.transAxes + below,
@@ -323,8 +341,10 @@ def _mark_whole_numbers(made: Picture, values: xr.DataArray) -> None:
         return
     # Those of attractors are names: one number has one colour in the maps of all laws.
     is_name = values.name == "attractor" and max(there, default=0) < len(_NAMED)
-    shades = [_NAMED[n] for n in there] if is_name else sequence(len(there))
-    for number, shade in zip(there, shades, strict=True):
+    several = sorted(known) or there  # a flag has one colour, whichever others there are
+    shades = dict(zip(several, sequence(len(several)), strict=True))
+    for number in there:
+        shade = _NAMED[number] if is_name else shades[number]
         name = known.get(number, str(number))
         made.mark(whole == number, name.replace("_", " "), CLASS_COLOURS.get(name, shade))
     made.numbers = made.numbers.where(False)

@@ -6,12 +6,11 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from gapsweep.analysis.datasets.histories import spectrum
 from gapsweep.analysis.dimensions import Array
+from gapsweep.analysis.spectra import spectrum
 from gapsweep.errors import ModelError
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw
-from gapsweep.report.backdrop import in_coordinate
 from gapsweep.report.style import CLASS_COLOURS, MATPLOTLIB, WALL
 
 _PER_PERIOD = 512  # samples: harmonics up to the 256th are told from each other
@@ -45,7 +44,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     run : Trajectory
         One motion, simulated with ``dense_output=True``.
     coordinate : str, optional
-        Of a system; its first one if None.
+        Of a system; its first one if None. The name of a contact: its relative displacement.
     start : float, optional
         Time [s] from which on it is shown, the last 256 periods at most; the middle of the run if
         None, so that what dies out at first is mostly left out. The history shows the last sixteen
@@ -72,7 +71,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     >>> len(figure.axes)
     4
     """
-    number, name, scale, unit = _quantity(run, coordinate)
+    along, name, scale, unit = _quantity(run, coordinate)
     start = 0.5 * (run.t_0 + run.t_end) if start is None else start
     if not run.t_0 <= start < run.t_end:
         raise ModelError(f"start = {start:g} s: must be within {run.t_0:g}..{run.t_end:g} s")
@@ -80,7 +79,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     per_period = max(_PER_PERIOD, _FEWEST // n_periods)
     back = np.arange(n_periods * per_period, 0, -1) / per_period
     t = np.maximum(run.t_end - period * back, run.t_0)
-    x, v = (scale * each.reshape(t.size, -1)[:, number] for each in run.sample(t)[:2])
+    x, v = (scale * each.reshape(t.size, -1) @ along for each in run.sample(t)[:2])
     at_end = t >= run.t_end - _N_PERIODS * period
     labels = f"{name}{unit}", f"velocity{unit.replace(']', '/s]')}"
     with rc_context(MATPLOTLIB):
@@ -91,7 +90,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
         history.set(xlabel="time [s]", ylabel=labels[0], title=f"Time history{ended}")
         phase.plot(x, v, color="black", linewidth=0.5)
         phase.set(xlabel=labels[0], ylabel=labels[1], title="Phase portrait")
-        section.plot(*_section(run, float(t[0]), number, scale), ".", color=_SECTION, markersize=4)
+        section.plot(*_section(run, float(t[0]), scale * along), ".", color=_SECTION, markersize=4)
         section.set(xlabel=labels[0], ylabel=labels[1], title=_SECTIONS[_is_forced(run)])
         for axes in (phase, section):
             axes.locator_params(nbins=5)
@@ -106,7 +105,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
         for axes in (history, phase, section):
             axes.autoscale_view()
             axes.autoscale(enable=False)  # walls set no axis: they may be far away
-        for wall in _walls(run, number):
+        for wall in _walls(run, along):
             history.axhline(scale * wall, **WALL)
             phase.axvline(scale * wall, **WALL)
             section.axvline(scale * wall, **WALL)
@@ -123,29 +122,34 @@ def _periods(run: Trajectory, start: float) -> tuple[float, int]:
     return period, min(int(shown / period + 1e-9), _MOST_PERIODS)
 
 
-def _quantity(run: Trajectory, coordinate: str | None) -> tuple[int, str, float, str]:
-    """Number and name of what is drawn, and the scale and unit in which it is."""
+def _quantity(run: Trajectory, coordinate: str | None) -> tuple[Array, str, float, str]:
+    """What is drawn as weights of the coordinates, its name, and its scale and unit."""
     if not isinstance(run, Trajectory) or run.shape:
         raise ModelError(f"run = {run!r:.80}: must be one motion, as gapsweep.simulate gives it")
     if not isinstance(run, SystemTrajectory):
         if coordinate is not None:
             raise ModelError(f"coordinate = {coordinate!r}: an oscillator has one: leave it out")
-        return 0, "displacement", _MM, " [mm]"
-    names = run.system.coordinates
-    if coordinate is not None and coordinate not in names:
-        raise ModelError(f"coordinate = {coordinate!r}: must be one of {', '.join(names)}")
+        return np.ones(1), "displacement", _MM, " [mm]"
+    own = dict(zip(run.system.coordinates, np.eye(run.system.n), strict=True))
+    known = {**run.system.contacts, **own}
+    name = run.system.coordinates[0] if coordinate is None else coordinate
+    if name not in known:
+        said = f"coordinates {', '.join(own)}, contacts {', '.join(run.system.contacts) or 'none'}"
+        raise ModelError(f"coordinate = {coordinate!r}: must be one of {said}")
     # Whether it is a length or an angle the user knows.
-    name = names[0] if coordinate is None else coordinate
-    return names.index(name), name, 1.0, ""
+    return np.asarray(known[name]), name, 1.0, ""
 
 
-def _walls(run: Trajectory, number: int) -> list[float]:
-    """Where the walls that one coordinate meets by itself stand, in its unit."""
+def _walls(run: Trajectory, along: Array) -> list[float]:
+    """Where the walls that a displacement meets by itself stand, in its unit."""
     if not isinstance(run, SystemTrajectory):
         return _both(1.0, run.laws[0])
-    laws = dict(zip(run.system.contacts, run.laws, strict=True))
-    felt = in_coordinate(run.system.contacts, number)
-    return [wall for name, factor in felt.items() for wall in _both(factor, laws[name])]
+    found = []
+    for direction, law in zip(run.system.directions, run.laws, strict=True):
+        factor = direction @ along / (along @ along)
+        if factor and np.allclose(direction, factor * along):
+            found += _both(float(factor), law)
+    return found
 
 
 def _both(factor: float, law: ContactLaw) -> list[float]:
@@ -158,8 +162,7 @@ def _is_forced(run: Trajectory) -> bool:
     return not isinstance(run, SystemTrajectory) or run.system.is_forced
 
 
-def _section(run: Trajectory, start: float, number: int, scale: float) -> tuple[Array, Array]:
+def _section(run: Trajectory, start: float, along: Array) -> tuple[Array, Array]:
     """Displacement and velocity at whole forcing periods from `start` on."""
-    n = run.system.n if isinstance(run, SystemTrajectory) else 1
-    shown = run.section[run.t_section >= start]
-    return scale * shown[:, number], scale * shown[:, n + number]
+    shown, n = run.section[run.t_section >= start], along.size
+    return shown[:, :n] @ along, shown[:, n : 2 * n] @ along

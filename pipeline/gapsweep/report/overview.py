@@ -40,6 +40,7 @@ _TOLD_APART = ("K_c", "gap")  # by these alone scenes have always had a figure e
 _START = SWEPT[1]
 _STATE = ("x_0", "v_0")
 _FEW_STARTS = 500
+_OF_ATTRACTORS = ("x_max", "basin_share", "response_class")
 _LEAST = 5  # values of an axis of a map; of fewer, each has curves of its own
 _NOISE = 1e-4  # of numbers, relative: colours of what differs by less would show nothing
 # What maps show, in the words of a caption.
@@ -198,7 +199,17 @@ def _figures(
         of_part = found
         if found is not None and suffix:
             of_part = found.sel({COORDINATE: part[COORDINATE].values})
-        yield from _curves(part, of_part, branches, axes[0], where + suffix, start, n_starts)
+        if of_part is not None:
+            of_part = of_part[list(_OF_ATTRACTORS)].load().expand_dims(REPRESENTATION)
+        names = ["amplitude", "extrema", "response_class"]
+        yield from along_axis(
+            part[names].load().expand_dims([REPRESENTATION, _START]),
+            of_part if n_starts > 1 else None,
+            branches,
+            axes[0],
+            where + suffix + start,
+            has_curve=n_starts == 1,
+        )
 
 
 def _said_of_start(here: xr.Dataset) -> str:
@@ -255,35 +266,50 @@ def _everywhere(one: Picture) -> str:
     return f"{number(scale * values.mean())} {unit}".strip() if is_even else ""
 
 
-def _curves(
-    here: xr.Dataset,
-    found: xr.Dataset | None,
+def along_axis(
+    scene: xr.Dataset,
+    attractors: xr.Dataset | None,
     branches: xr.Dataset | None,
     along: str,
     where: str,
-    start: str,
-    n_starts: int,
+    *,
+    has_curve: bool,
+    of_starts: str = "",
+    of_attractors: str = "",
 ) -> Iterator[Figured]:
-    """Diagrams over the only axis: of one start, and amplitudes or the attractors from all."""
-    shown = here[["extrema", "response_class"]].load().expand_dims([REPRESENTATION, _START])
+    """Figures over one axis: amplitude, extrema, attractors.
+
+    Parameters
+    ----------
+    scene : Dataset
+        Responses with dimensions representation, `along`, initial_condition.
+    attractors : Dataset or None
+        Their attractors, with dimensions representation, `along`, attractor; None draws none.
+    branches : Dataset or None
+        ``branches.nc``, drawn behind the others.
+    where : str
+        The parameters of the scene, in words.
+    has_curve : bool
+        Whether amplitudes are drawn: lines of several initial conditions cross between attractors.
+    of_starts, of_attractors : str
+        The initial conditions of the extrema and of the attractors, in words.
+    """
+    if has_curve:
+        caption = "Amplitude (half the range) of the steady response, broken at jumps"
+        figure = frequency_response(scene, along)
+        yield Figured(figure, f"{caption}: {where}.", f"Amplitude, {where}")
+    behind = said_of_branches(branches, scene, along)
     yield Figured(
-        bifurcation(shown, along, branches),
-        f"All steady zero-velocity displacements: {where}{start}."
-        f"{said_of_bands(shown)}{said_of_missing(shown)}{said_of_walls(shown, along)}"
-        f"{said_of_branches(branches, shown, along)}",
-        f"Bifurcation diagram, {where}{start}",
+        bifurcation(scene, along, branches),
+        f"Steady displacements at zero velocity{of_starts}: {where}.{said_of_bands(scene)}"
+        f"{said_of_missing(scene)}{said_of_walls(scene, along)}{behind}",
+        f"Bifurcation diagram, {where}",
     )
-    if n_starts == 1:
-        shown = here[["amplitude", "response_class"]].load().expand_dims([REPRESENTATION, _START])
-        caption = f"Amplitude (half the range) of the steady response, broken at jumps: {where}."
-        yield Figured(frequency_response(shown, along), caption, f"Response curve, {where}")
-    elif found is not None:
-        shown = found[["x_max", "basin_share", "response_class"]].load()
+    if attractors is not None:
         yield Figured(
-            attractors_figure(shown.expand_dims(REPRESENTATION), along, branches),
-            f"Peak displacement of every attractor: {where}.{said_of_peaks(shown)}"
-            f"{said_of_walls(shown, along, of_peaks=True)}"
-            f"{said_of_branches(branches, shown, along)}",
+            attractors_figure(attractors, along, branches),
+            f"Peak displacement of every attractor{of_attractors}: {where}."
+            f"{said_of_peaks(attractors)}{said_of_walls(scene, along, of_peaks=True)}{behind}",
             f"Attractors and their basins, {where}",
         )
 

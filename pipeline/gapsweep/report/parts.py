@@ -5,6 +5,7 @@ and pictures, fit for JSON: what is stored is shown later without running what m
 """
 
 import re
+import sys
 import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -25,7 +26,8 @@ from gapsweep.report.pictures import (
 )
 from gapsweep.report.style import MATPLOTLIB
 
-_LONGEST = 64  # characters of an id, which names files
+_LONGEST = 64  # characters of an id
+HERO = "figure-hero"  # id of the first figure of the report
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,26 +143,50 @@ def pictured(figured: Figured) -> dict[str, str]:
     return {**words, **pictures(figured.figure)}
 
 
-def for_page(parts: Iterable[Mapping[str, Any]], taken: Iterable[str] = ()) -> list[dict[str, Any]]:
-    """Parts that were stored, their figures with ids of their own and addresses of pictures.
+def for_page(
+    parts: Iterable[Mapping[str, Any]], most: int = sys.maxsize, folder: str = ""
+) -> list[dict[str, Any]]:
+    """Stored parts with ids, links and addresses of pictures.
 
     Parameters
     ----------
     parts : iterable of mapping
-    taken : iterable of str
-        Ids of the page's other figures.
+    most : int
+        Figures on one page; with more, every part has its own page in the folder.
+    folder : str
+
+    Returns
+    -------
+    list of dict
+        Every part also has the name of its page as ``file`` (empty: the report's page) and a link
+        to it from the report as ``href``; every figure has an ``id`` and a ``href``.
     """
-    made, used = [], set(taken)
+    made: list[dict[str, Any]] = []
+    used = {HERO}
     for part in parts:
         figures = [shown(each) for each in part["figures"] if _is_sound(each)]
         for figure in figures:
-            slug = re.sub("[^a-z0-9]+", "-", (figure.get("name") or part["anchor"]).lower())
-            plain = f"figure-{slug.removeprefix('fig-')[:_LONGEST]}"
-            others = (f"{plain}-{n}" for n in count(2))
-            figure["id"] = next(each for each in chain([plain], others) if each not in used)
-            used.add(figure["id"])
+            name = (figure.get("name") or part["anchor"]).removeprefix("Fig. ")
+            figure["id"] = _unused("figure", name, used)
         made.append({**part, "figures": figures})
+    is_long = sum(len(part["figures"]) for part in made) > most
+    for part in made:
+        part["file"] = f"{_unused('section', part['anchor'], used)}.html" if is_long else ""
+        page = f"{folder}/{part['file']}" if is_long else ""
+        part["href"] = page or f"#{part['anchor']}"
+        for figure in part["figures"]:
+            figure["href"] = f"{page}#{figure['id']}"
     return made
+
+
+def _unused(kind: str, name: str, used: set[str]) -> str:
+    """An id of letters, digits and hyphens that no other has, which names files."""
+    slug = f"{kind}-{re.sub('[^a-z0-9]+', '-', name.lower())[:_LONGEST]}"
+    found = next(
+        each for each in chain([slug], (f"{slug}-{n}" for n in count(2))) if each not in used
+    )
+    used.add(found)
+    return found
 
 
 def shown(figure: Mapping[str, str]) -> dict[str, Any]:

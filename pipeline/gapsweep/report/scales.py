@@ -10,9 +10,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.study.grid import COORDINATE
+from gapsweep.study.axis_selection import is_numeric
+from gapsweep.study.grid import CONTACT, COORDINATE
 from gapsweep.study.schema import PARAMETER, parts_of, written
-from gapsweep.study.selection import is_numeric
 
 _WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
 _APART = 1.05  # of values that are multiples: those closer are as even on a linear axis
@@ -38,11 +38,12 @@ def long_name(variable: xr.DataArray) -> str:
 def axis_label(variable: xr.DataArray, words: str = "") -> str:
     """The words, or else the variable's long name, and the unit in which it is drawn.
 
-    Of a system's one coordinate, its name before.
+    Of a system's one coordinate or contact, its name before.
     """
     words = words or long_name(variable)
-    if COORDINATE in variable.coords and parts_of(str(variable.name), [COORDINATE]):
-        words = f"{variable[COORDINATE].item()}: {words}"
+    for part in (COORDINATE, CONTACT):
+        if part in variable.coords and parts_of(str(variable.name), [part]):
+            words = f"{variable[part].item()}: {words}"
     unit = shown_unit(variable)[1]
     return f"{words} [{unit}]" if unit else words
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.dimensions import At
 from gapsweep.report.drawing import labels_of
 from gapsweep.status import Status
-from gapsweep.study.selection import positions
+from gapsweep.study.axis_selection import positions
 
 # What figures and sentences use.
 _SHOWN = (

@@ -9,9 +9,9 @@ from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.model.oscillator import OSCILLATOR, Gap
 from gapsweep.report.scales import shortened
+from gapsweep.study.axis_selection import listed
 from gapsweep.study.grid import START
 from gapsweep.study.schema import PARAMETER
-from gapsweep.study.selection import listed
 
 _SHOWN_NAMES = 6
 _PLACE = ("K_c", "gap", "j_1", "j_2", "omega", *OSCILLATOR, "K_ratio")
@@ -50,7 +50,7 @@ def scene(
     part = part.squeeze([dim for dim in part.dims if dim not in needed and part.sizes[dim] == 1])
     for dim in part.dims:
         if dim not in needed:
-            raise DatasetError(_too_many(part, str(dim)))
+            raise DatasetError(too_many(part, str(dim)))
     shown = xr.Dataset(
         {name: _over(part, name, dims) for name, dims in variables.items()}, attrs=part.attrs
     ).load()
@@ -71,7 +71,8 @@ def places(dataset: xr.Dataset) -> list[str]:
     # The label of a gap holds both distances.
     walls = ("j_1", "j_2") if "gap" in dataset.coords else ()
     ours = [name for name in _PLACE if name in dataset.coords and name not in walls]
-    return ours + [str(name) for name, held in dataset.coords.items() if _is_parameter(held)]
+    others = [str(name) for name, held in dataset.coords.items() if _is_parameter(held)]
+    return [*dict.fromkeys(ours + others)]
 
 
 def _is_parameter(coordinate: xr.DataArray) -> bool:
@@ -112,7 +113,8 @@ _FILES = {
 }
 
 
-def _too_many(part: xr.Dataset, dim: str) -> str:
+def too_many(part: xr.Dataset, dim: str) -> str:
+    """Why a dimension of several values cannot be drawn, and how one is chosen."""
     values = listed(part[dim].values) if dim in part.coords else f"0 to {part.sizes[dim] - 1}"
     one = part[dim].values.tolist()[0]
     example = f"{one:.12g}" if isinstance(one, float | int) else repr(str(one))

@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.report.selection import places
+from gapsweep.study.axis_selection import is_numeric, listed
 from gapsweep.study.schema import written
-from gapsweep.study.selection import is_numeric, listed
 from gapsweep.variables import STATUS_FLAGS
 
 _FEW = 6  # values that are named one by one

@@ -9,8 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.motion import VANISHED
-from gapsweep.response.call import Call
+from gapsweep.integrate.motions import VANISHED
 from gapsweep.response.classification import Classification, State
 from gapsweep.response.equilibrium import rates
 from gapsweep.response.loads import contact_shares, largest_forces
@@ -26,6 +25,7 @@ from gapsweep.response.result import (
 from gapsweep.response.section import period_multiple, reach_of
 from gapsweep.response.shooting import NewtonShooting
 from gapsweep.response.thresholds import SURE
+from gapsweep.response.window_call import Call
 from gapsweep.response.windows import RecordedWindows
 from gapsweep.status import Status
 

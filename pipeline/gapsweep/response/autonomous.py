@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.motion import Motions
+from gapsweep.integrate.motions import Motions
 from gapsweep.integrate.problem import Models, Solver
-from gapsweep.response.call import Call
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
 from gapsweep.response.equilibrium import Rates
 from gapsweep.response.section import norm, reach_of
 from gapsweep.response.thresholds import FARTHER, FIRST_WINDOW, PERSISTENCE, REST
+from gapsweep.response.window_call import Call
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.motion import COUNTS, Motions
+from gapsweep.integrate.motions import COUNTS, Motions
 from gapsweep.integrate.problem import (
     LOADING,
     Integrate,
@@ -25,8 +25,8 @@ from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import structure_of
-from gapsweep.response.call import Call, arrived
 from gapsweep.response.scene import Forces, located
+from gapsweep.response.window_call import Call, arrived
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.equilibria import search_points, sign_changes
 from gapsweep.model.user_law import UserLaw
-from gapsweep.response.call import Call
 from gapsweep.response.ensemble import Ensemble
+from gapsweep.response.window_call import Call
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.response import thresholds as limit
-from gapsweep.response.call import Call
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.section import norm
+from gapsweep.response.window_call import Call
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.motion import VANISHED
+from gapsweep.integrate.motions import VANISHED
 from gapsweep.response import thresholds as limit
-from gapsweep.response.call import Call
 from gapsweep.response.section import largest_parts, norm
+from gapsweep.response.window_call import Call
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]

@@ -5,12 +5,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.response.call import Call
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.loads import contact_shares
 from gapsweep.response.ragged import RaggedArrays, spans
 from gapsweep.response.section import reach_of
 from gapsweep.response.thresholds import DEVIATIONS
+from gapsweep.response.window_call import Call
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]

@@ -178,7 +178,9 @@ def _is_ours(path: Path) -> bool:
 
 
 def attributes(path: Path) -> dict[str, Any]:
-    """Attributes of a NetCDF file; none if it cannot be read."""
+    """Attributes of a NetCDF file; none if it is damaged or cannot be read."""
+    if is_intact(path) is False:  # the library can search in damaged files without end
+        return {}
     try:
         with netCDF4.Dataset(path) as dataset:
             return {name: dataset.getncattr(name) for name in dataset.ncattrs()}

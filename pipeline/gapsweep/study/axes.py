@@ -47,13 +47,13 @@ Pair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
 Value = TypeVar("Value", bound=float)
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of a study file: no unknown key, no conversion, nothing infinite."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
 
-class OscillatorTable(Table):
+class OscillatorTable(TomlTable):
     """The oscillator's numbers, each of which may be swept."""
 
     zeta: NonNegative = 0.03
@@ -75,7 +75,7 @@ def _canonical(label: str) -> str:
 Label = Annotated[str, AfterValidator(_canonical)]
 
 
-class _Grid(Table, Generic[Value]):
+class _RangeTable(TomlTable, Generic[Value]):
     start: Value
     stop: Value
 
@@ -84,7 +84,7 @@ class _Grid(Table, Generic[Value]):
         return self.stop - self.start
 
     @model_validator(mode="after")
-    def _ordered(self) -> "_Grid[Value]":
+    def _ordered(self) -> "_RangeTable[Value]":
         if self.span < 0.0:
             raise ValueError(f"stop {self.stop:g} must be >= start {self.start:g}")
         if not self.span <= _LARGEST:
@@ -92,7 +92,7 @@ class _Grid(Table, Generic[Value]):
         return self
 
 
-class StepGrid(_Grid[Value], Generic[Value]):
+class StepGrid(_RangeTable[Value], Generic[Value]):
     step: Annotated[float, Field(gt=0)]
 
     @property
@@ -105,7 +105,7 @@ class StepGrid(_Grid[Value], Generic[Value]):
         return [start + i * self.step for i in range(self.count)]
 
 
-class NumGrid(_Grid[Value], Generic[Value]):
+class NumGrid(_RangeTable[Value], Generic[Value]):
     num: Count
 
     @property
@@ -167,7 +167,7 @@ Pairs = Annotated[list[Pair], Field(min_length=1), BeforeValidator(_one_pair)]
 Ranges = Annotated[list[Range], Field(min_length=1), BeforeValidator(_one_pair)]
 
 
-class _Box(Table):
+class _Box(TomlTable):
     """A box of coordinates x and velocities v, a range for each; first-order states are zero."""
 
     x: Ranges

@@ -140,7 +140,7 @@ N_ATTRACTORS = Variable("i4", "1", "number of attractors found", 0)
 # What stands beside selections in calls: arguments of `query` and of the figures.
 OF_CALLS = {
     *("self", "study", "client", "cache", "workers", "scheduler", "on_progress"),
-    *("along", "ax", "variable", "x", "y"),
+    *("along", "ax", "variable", "x", "y", "n_points", "n_periods"),
 }
 # Names that a parameter of a system cannot have: they mean something else in files and selections.
 TAKEN = {

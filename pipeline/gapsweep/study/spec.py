@@ -25,7 +25,6 @@ from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
 from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.labels import AUTO
 from gapsweep.response.result import Steady
-from gapsweep.study.advice import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ERROR
 from gapsweep.study.axes import (
     MAX_POINTS,
     AnyAxis,
@@ -40,13 +39,14 @@ from gapsweep.study.axes import (
     PositiveAxis,
     Range,
     Starts,
-    Table,
+    TomlTable,
     count,
     n_starts,
     several,
 )
-from gapsweep.study.bench import BenchTable
+from gapsweep.study.bench_tables import BenchTable
 from gapsweep.study.grid import START, Axes
+from gapsweep.study.least_model import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ERROR
 from gapsweep.study.problems import EXAMPLES, problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
@@ -60,14 +60,14 @@ MAX_HISTORY_PERIODS = 10_000
 Text = Annotated[str, Field(max_length=10_000)]
 
 
-class StudyTable(Table):
+class StudyTable(TomlTable):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
     title: Text = ""
     creator: Text = ""
     license: Text = ""
 
 
-class SweepTable(Table):
+class SweepTable(TomlTable):
     """A block of points: every combination of its axes, parameters of the model among them."""
 
     representation: Annotated[list[Label], Field(min_length=1), BeforeValidator(several)]
@@ -104,7 +104,7 @@ class SweepTable(Table):
         return math.prod((*sizes, len(self.representation), n_gaps, n_all_starts))
 
 
-class SolverTable(Table):
+class SolverTable(TomlTable):
     """Solver settings; None means "as above" (protocol) or the engine's default."""
 
     engine: Literal["compiled", "scipy"] | None = None
@@ -118,7 +118,7 @@ class SolverTable(Table):
 _STEADY = Steady()
 
 
-class SteadyTable(Table):
+class SteadyTable(TomlTable):
     settle_tol: Annotated[float, Field(gt=0, le=0.1)] = _STEADY.settle_tol
     max_decay_times: Positive = _STEADY.max_decay_times
     max_periods: Annotated[int, Field(ge=1, le=10**7)] = _STEADY.max_periods
@@ -138,11 +138,11 @@ class SteadyTable(Table):
         return self
 
 
-class FitTable(Table):
+class FitTable(TomlTable):
     range: Positive = FIT_RANGE
 
 
-class HistoryTable(Table):
+class HistoryTable(TomlTable):
     """Motions to keep as time histories and spectra: one scene, one start.
 
     Numbers of the oscillator, and the ratio of the walls, that are left out are the study's.
@@ -168,7 +168,7 @@ class HistoryTable(Table):
         return self
 
 
-class AutoTable(Table):
+class AutoTable(TomlTable):
     """What representation "auto" and `gapsweep advise` have to meet."""
 
     error: Annotated[float, Field(ge=SMALLEST_ERROR, le=LARGEST_ERROR)] = DEFAULT_ERROR
@@ -180,13 +180,13 @@ def _python_file(path: str) -> str:
     return path
 
 
-class ModuleTable(Table):
+class ModuleTable(TomlTable):
     """Python beside the study: `module` is a path relative to the study file."""
 
     module: Annotated[str, AfterValidator(_python_file)]
 
 
-class BranchesTable(Table):
+class BranchesTable(TomlTable):
     """Presence asks for branches of periodic orbits, continued from the attractors."""
 
     along: str = "omega"
@@ -227,7 +227,7 @@ _NO_PARAMETERS = ("representation", "gap", START)
 _OF_OSCILLATORS = ("oscillator", "auto", "history", "bench")
 
 
-class StudySpec(Table):
+class StudySpec(TomlTable):
     study: StudyTable
     oscillator: OscillatorTable = OscillatorTable()
     system: SystemTable | None = None

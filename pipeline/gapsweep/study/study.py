@@ -22,14 +22,14 @@ from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
-from gapsweep.study.advice import Advice, advised
 from gapsweep.study.axes import MAX_POINTS, forms
+from gapsweep.study.axis_selection import listed, positions
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
 from gapsweep.study.history import setting, undecided
+from gapsweep.study.least_model import Advice, advised
 from gapsweep.study.parametric_model import ParametricModel
 from gapsweep.study.points import SWEEPS, Kind, Points
-from gapsweep.study.selection import listed, positions
 from gapsweep.study.spec import (
     HistoryTable,
     ModuleTable,

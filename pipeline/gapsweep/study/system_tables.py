@@ -14,7 +14,7 @@ from gapsweep.model import systems
 from gapsweep.model.labels import FUNCTION
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
-from gapsweep.study.axes import Label, NonNegative, Pair, Table
+from gapsweep.study.axes import Label, NonNegative, Pair, TomlTable
 from gapsweep.user_code.load import blame
 
 Vector = Annotated[list[float], Field(min_length=1)]
@@ -24,7 +24,7 @@ Matrix = Annotated[list[Vector], Field(min_length=1)]
 READY_MADE = tuple(name for name in systems.__all__ if f"{name}_law" in systems.__all__)
 
 
-class ScaledTable(Table):
+class ScaledTable(TomlTable):
     """A table whose strength may be multiplied by a parameter of the study."""
 
     scale: str | None = None
@@ -55,14 +55,14 @@ class ModulationTable(ScaledTable):
     phase: float = 0.0
 
 
-class LagsTable(Table):
+class LagsTable(TomlTable):
     force: Matrix
     of_speed: Matrix
     of_place: Matrix
     of_lags: Matrix
 
 
-class SystemTable(Table):
+class SystemTable(TomlTable):
     """`function`, a ready-made system or ``module:function``, or the arguments of a `System`."""
 
     function: str | None = None
@@ -99,7 +99,7 @@ class SystemTable(Table):
         return self
 
 
-class ContactTable(Table):
+class ContactTable(TomlTable):
     """What one contact has of its own; the sweep decides the rest."""
 
     representation: Label | None = None

@@ -112,7 +112,7 @@ class Snapshot:
         ModelError
             If it is not found, or a file of it cannot be read or is not Python.
         """
-        search = _Search(name.partition(".")[0], [*folders])
+        search = _ImportScan(name.partition(".")[0], [*folders])
         search.follow(name)
         if name not in search.modules:
             where = ", ".join(dict.fromkeys(map(str, search.folders)))
@@ -138,13 +138,13 @@ class Snapshot:
             If a file cannot be read or is not Python.
         """
         path = path.absolute()
-        name, search = f"{BESIDE}.{path.stem}", _Search(path.stem, [path.parent, *folders])
+        name, search = f"{BESIDE}.{path.stem}", _ImportScan(path.stem, [path.parent, *folders])
         search.add_folder(BESIDE, [path.parent])
         search.add(name, path, is_package=False)
         return cls(name, search.modules, search.versions)
 
 
-class _Search:
+class _ImportScan:
     """Follows import statements.
 
     Parameters

@@ -13,7 +13,7 @@ from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import EXACT, contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw
-from gapsweep.study.bench import SceneTable
+from gapsweep.study.bench_tables import BenchSceneTable
 from gapsweep.study.points import canonical
 from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study
@@ -101,7 +101,7 @@ def scenarios(study: Study, *, with_answer: bool) -> list[Scenario]:
     return [_scenario(study, table) for table in wanted]
 
 
-def _scenario(study: Study, table: SceneTable) -> Scenario:
+def _scenario(study: Study, table: BenchSceneTable) -> Scenario:
     assert study.spec.bench is not None
     x_0, v_0 = table.start
     j_1, j_2 = table.gap

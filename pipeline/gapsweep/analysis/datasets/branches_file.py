@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.agreement.branch_agreement import MATCH, compared
 from gapsweep.continuation.branches import Attractor
-from gapsweep.continuation.call import DEFAULT_ATOL, DEFAULT_RTOL
 from gapsweep.continuation.dataset import ATTRACTOR, BRANCH, OF_BRANCH, VARIABLES
 from gapsweep.continuation.family import Window
+from gapsweep.continuation.follow import DEFAULT_ATOL, DEFAULT_RTOL
 from gapsweep.errors import StoreError
-from gapsweep.execution.branch_tasks import Followed, Scene, followed
+from gapsweep.execution.branch_tasks import BranchScene, Followed, followed
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.store import netcdf
@@ -58,13 +58,13 @@ class _SceneBranches:
         Its place on the axes.
     numbers : ndarray of int, shape (n_attractors, 2)
         Of its periodic attractors: along the parameter, and in ``attractors.nc``.
-    scene : Scene
+    scene : BranchScene
     found : Followed
     """
 
     at: Mapping[str, int]
     numbers: NDArray[np.intp]
-    scene: Scene
+    scene: BranchScene
     found: Followed
 
 
@@ -136,7 +136,7 @@ def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
         ((_, point),) = study.points(np.array([flat]))
         numbers = np.argwhere(kind[place] == ResponseClass.PERIODIC)
         some = {name: axes[name][i] for name, i in at.items() if name in study.spec.model}
-        scene = Scene(
+        scene = BranchScene(
             point=point,
             system=study.model.along(along, some),
             window=window,

@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.dimensions import Array
+from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, spectrum
 from gapsweep.errors import ModelError
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
@@ -31,8 +32,6 @@ from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import STATUS_FLAGS, Variable, empty, with_attributes
 
-N_PERIODS = 60  # kept at either end: 2² · 3 · 5
-SAMPLES_PER_PERIOD = 256
 PARTS = ("start", "steady")
 # Section points closer than this share of the reach are taken for one.
 _SAME_POINT = 1e-4
@@ -133,21 +132,6 @@ def sampled(omega: float, t_end: float) -> tuple[Array, Array]:
     t = np.array([phase, phase + (whole - n_periods)]) / omega
     frequency = np.arange(n // 2 + 1, dtype=np.float64) * np.float64(omega / n_periods)
     return t, frequency
-
-
-def spectrum(x: Array) -> Array:
-    """Amplitudes of the bins 0 to n/2 of n equidistant samples, Hann window.
-
-    A sinusoid on a bin has its amplitude there and half of it in the two bins beside; a mean its
-    absolute value in bin 0.
-    """
-    n = x.size
-    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(n) / n)
-    amplitude: Array = 2.0 * np.abs(np.fft.rfft(window * x)) / window.sum()
-    amplitude[0] *= 0.5
-    if n % 2 == 0:
-        amplitude[-1] *= 0.5
-    return amplitude
 
 
 def _leading(value: Any) -> Any:

@@ -1,6 +1,6 @@
 """The least model that each scene of a study needs: ``advice.nc``.
 
-What the choice rests on stands in `gapsweep.study.advice`.
+What the choice rests on stands in `gapsweep.study.least_model`.
 """
 
 from collections.abc import Iterator
@@ -13,8 +13,8 @@ from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import Piecewise
 from gapsweep.model.labels import family, law_of
 from gapsweep.model.oscillator import Gap
-from gapsweep.study.advice import Approximation, Model, approximation, approximations
 from gapsweep.study.grid import START
+from gapsweep.study.least_model import Approximation, Model, approximation, approximations
 from gapsweep.study.schema import coordinates
 from gapsweep.study.study import Study
 from gapsweep.variables import Variable

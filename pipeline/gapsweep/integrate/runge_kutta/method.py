@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gapsweep.integrate.stepping.layout import Layout, aligned
+from gapsweep.integrate.stepping.row_layout import RowLayout, aligned
 
 from .parameters import N_PARAMETERS
 from .tableaux import Tableau
@@ -54,7 +54,13 @@ class RungeKutta(NamedTuple):
 
 
 def with_work_space(
-    at: Layout, method: RungeKutta, lanes: np.ndarray, *, tangent: bool, dense: bool, contacts: bool
+    at: RowLayout,
+    method: RungeKutta,
+    lanes: np.ndarray,
+    *,
+    tangent: bool,
+    dense: bool,
+    contacts: bool,
 ) -> RungeKutta:
     """A method for one run in these lanes."""
     law = lanes[at.law : at.law + at.blocks["law"]]

@@ -16,22 +16,22 @@ from gapsweep.integrate.runge_kutta.method import with_work_space
 from gapsweep.status import DIVERGED_AT, Status
 
 from . import record
-from .layout import LOADED, Layout, aligned
 from .loop import (
     BUDGET_SPENT,
     BUFFER_FULL,
     FINISHED,
     OK,
     RUNNING,
-    Run,
+    LoopState,
     advance,
     advance_users,
 )
 from .outcome import CLOCK_SLACK
 from .roots import work_space
+from .row_layout import LOADED, RowLayout, aligned
 from .sample import sample_steps
-from .scenes import Scenes, check, set_modes_on_walls
-from .starts import BACKWARD, NOT_FINITE, ON_WALL, set_starts
+from .scene_table import SceneTable, check, set_modes_on_walls
+from .start_rows import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class Batch:
 
     Attributes
     ----------
-    at : Layout
+    at : RowLayout
     state : ndarray, shape (n, n_states)
         (q, v, z) at the end; of a failed point, where it failed.
     t : ndarray
@@ -72,7 +72,7 @@ class Batch:
         Recorded steps (point, start, length, coefficients of q and z), sorted by point and time.
     """
 
-    at: Layout
+    at: RowLayout
     state: Array
     t: Array
     status: NDArray[np.int64]
@@ -119,7 +119,7 @@ class Batch:
 
 
 def run(
-    prepared: Scenes,
+    prepared: SceneTable,
     which: NDArray[np.intp],
     start: Array,
     t_0: Array,
@@ -138,7 +138,7 @@ def run(
 
     Parameters
     ----------
-    prepared : Scenes
+    prepared : SceneTable
     which : ndarray of int, shape (n,)
         Number of the scene of each point.
     start : ndarray, shape (n, n_states)
@@ -218,8 +218,8 @@ def run(
 
 
 def _drained(
-    layout: Layout,
-    at: Layout,
+    layout: RowLayout,
+    at: RowLayout,
     method: Any,
     lanes: Array,
     points: Array,
@@ -241,7 +241,7 @@ def _drained(
         capacities[record.SECTIONS] = int(sections[-1, 1])
     elif not at.is_taylor:  # then a step records no more than one
         points[:, at.h_max] = np.minimum(points[:, at.h_max], points[:, at.period])
-    run = Run(
+    run = LoopState(
         at=at.numbers,
         method=method,
         lanes=lanes,
@@ -279,14 +279,14 @@ def _drained(
     return logs
 
 
-def _log_columns(at: Layout) -> tuple[int, ...]:
+def _log_columns(at: RowLayout) -> tuple[int, ...]:
     """How wide the logs of `record` are."""
     turns, contacts = record.VALUE + 1, record.VALUE
     steps = record.DENSE_HEAD + (at.n + at.m) * at.n_terms
     return turns, contacts, record.STATE + at.n_states, steps
 
 
-def _section_rows(at: Layout, points: Array) -> NDArray[np.int64]:
+def _section_rows(at: RowLayout, points: Array) -> NDArray[np.int64]:
     """Where the rows of each forced motion's section points begin and end, shape (n, 2).
 
     None, and no place for any, if they are too many to be waited for, or nothing forces them.
@@ -320,7 +320,7 @@ def _by_point(pieces: list[Array], n_points: int) -> Array:
 
 
 def _outcome(
-    at: Layout,
+    at: RowLayout,
     points: Array,
     statuses: NDArray[np.int64],
     t_end: Array,
@@ -356,7 +356,7 @@ def _outcome(
     )
 
 
-def _counts(at: Layout, points: Array, n_stages: int) -> dict[str, NDArray[np.int64]]:
+def _counts(at: RowLayout, points: Array, n_stages: int) -> dict[str, NDArray[np.int64]]:
     """What motions passed and cost, by a method of so many stages (0: Taylor)."""
     n_steps = points[:, at.n_steps]
     n_rejected = points[:, at.n_rejected] if n_stages else np.zeros_like(n_steps)

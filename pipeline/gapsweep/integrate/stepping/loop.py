@@ -13,17 +13,17 @@ import numpy as np
 from numba import njit
 
 from gapsweep.integrate.jit import chosen_by_type, counted, entry, inlined, internal
-from gapsweep.integrate.runge_kutta.step import runge_kutta_step
-from gapsweep.integrate.taylor.step import taylor_step
+from gapsweep.integrate.runge_kutta.runge_kutta_step import runge_kutta_step
+from gapsweep.integrate.taylor.taylor_step import taylor_step
 from gapsweep.integrate.vectors import lowest_bit
 from gapsweep.status import Status
 
 from . import outcome
-from .outcome import MAX_HALVINGS, SHORT_STEP, Outcome
+from .outcome import MAX_HALVINGS, SHORT_STEP, StepOutcome
 from .passings import count_passings, record_passings
 from .record import has_room, load_series, record_steps
 from .roots import Work, first_exit, polynomial
-from .starts import follow
+from .start_rows import follow
 
 # outcomes, as plain numbers for compiled code
 RUNNING, OK, DIVERGED = -1, int(Status.OK), int(Status.DIVERGED)
@@ -303,18 +303,18 @@ def _finish(at, run, k, status, limits):
 
 
 class Taylor(NamedTuple):
-    """The method whose polynomials are Taylor series; a `Layout` says of which degree."""
+    """The method whose polynomials are Taylor series; a `RowLayout` says of which degree."""
 
     is_users: bool = False
 
 
-class Run(NamedTuple):
+class LoopState(NamedTuple):
     """All that the loop works on; it can stop at any step and go on when called again.
 
     Attributes
     ----------
     at : record
-        `Layout.numbers`.
+        `RowLayout.numbers`.
     method : Taylor or RungeKutta
     lanes : array, shape (n_rows, width)
         State of the points under way.
@@ -364,7 +364,7 @@ class Run(NamedTuple):
 
 
 def method_step(layout, method, lanes, coefficients, limits):
-    """Advance every lane by one step of a method: an `Outcome`."""
+    """Advance every lane by one step of a method: an `StepOutcome`."""
     raise NotImplementedError("compiled code only")
 
 
@@ -381,7 +381,7 @@ def _taylor(layout, method, lanes, coefficients, limits):
     rtol, _, x_bound, max_short = limits
     packed = taylor_step(layout, lanes, coefficients, rtol, x_bound, max_short)
     every, width = layout.all_lanes, layout.width
-    return Outcome(
+    return StepOutcome(
         packed & every,
         (packed >> width) & every,
         (packed >> 2 * width) & every,
@@ -395,8 +395,8 @@ def _advance(layout, run, limits, budget):
 
     Parameters
     ----------
-    layout : Layout
-    run : Run
+    layout : RowLayout
+    run : LoopState
     limits : tuple of float
         rtol, atol, x_bound [m], cap on successive short contact steps.
     budget : int

@@ -12,7 +12,7 @@ AT_NEW_STATE, AT_WALL, AT_START = 0.5, 1.0, 2.0
 STEP_UNDERFLOW, MODEL_INVALID, DIVERGED = -1.0, -2.0, -3.0
 
 
-class Outcome(NamedTuple):
+class StepOutcome(NamedTuple):
     """Bit i of each word answers for lane i.
 
     Attributes

@@ -25,7 +25,7 @@ from gapsweep.integrate.vectors import (
 
 from .outcome import CLOCK_SLACK
 from .roots import DOUBLE, SIMPLE, isolate, polynomial
-from .rows import Lanes, pointers
+from .rows import LaneRows, pointers
 from .turns import TOUCH, find_coordinate_turns, find_gap_turns
 
 MINIMUM, MAXIMUM, INFLECTION = 0, 1, 2
@@ -317,7 +317,7 @@ def find_passed(typingctx, at, lanes, among):
 
     def codegen(context, builder, signature, args):
         (pointer,) = pointers(context, builder, signature, args)
-        return _emit_passed(builder, Lanes(builder, pointer, at.layout), args[2])
+        return _emit_passed(builder, LaneRows(builder, pointer, at.layout), args[2])
 
     return signature, codegen
 

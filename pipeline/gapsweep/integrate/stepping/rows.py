@@ -6,7 +6,7 @@ from numba import types
 from gapsweep.integrate.vectors import I64, fma, load_row, store_row
 
 
-class Lanes:
+class LaneRows:
     """The rows of all lanes, by number or name; reads and writes are emitted where they stand."""
 
     def __init__(self, builder, pointer, layout):
@@ -24,7 +24,7 @@ class Lanes:
     def below(self, group, n_rows):
         """The rows from the first one of a group of rows on, the group known at run time."""
         first = self.builder.mul(group, ir.Constant(I64, n_rows * self.layout.width))
-        return Lanes(self.builder, self.builder.gep(self.pointer, [first]), self.layout)
+        return LaneRows(self.builder, self.builder.gep(self.pointer, [first]), self.layout)
 
     def rows(self, block):
         """All rows of a block."""

@@ -21,7 +21,7 @@ def sample_steps(at, steps, first, last, times):
     times : array, shape (n_points, n_t)
         Times [s], in any order.
     at : record
-        `Layout.numbers`.
+        `RowLayout.numbers`.
 
     Returns
     -------

@@ -11,7 +11,7 @@ from numba.extending import intrinsic
 
 from gapsweep.integrate.vectors import I64, absolute, copysign, is_nonzero, where
 
-from .rows import Lanes, dot, pointers, value_and_slope
+from .rows import LaneRows, dot, pointers, value_and_slope
 
 TOUCH = 1e-12  # of the velocity: a closer approach to zero is a touch, by the same measure
 _NEWTON_STEPS = 3
@@ -126,7 +126,7 @@ def _turns_of(speed):
 
         def codegen(context, builder, signature, args):
             state, kept = (
-                Lanes(builder, p, layout) for p in pointers(context, builder, signature, args)
+                LaneRows(builder, p, layout) for p in pointers(context, builder, signature, args)
             )
             number, series, among = args[3:]
             terms = kept.below(series, layout.n_terms)

@@ -218,7 +218,7 @@ class Equation:
         return total
 
 
-class Motion:
+class StepSeries:
     """Taylor coefficients of a step, lists from degree 0 on.
 
     Attributes

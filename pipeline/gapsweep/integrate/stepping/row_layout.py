@@ -1,10 +1,10 @@
-"""Layout of the lane-major arrays that the stepping code shares.
+"""RowLayout of the lane-major arrays that the stepping code shares.
 
 ``lanes`` has one row per quantity and one column per lane, so that a row is one vector load. How
-many rows there are depends on the system: a `Layout` names them. It is a compile-time value: its
+many rows there are depends on the system: a `RowLayout` names them. It is a compile-time value: its
 numbers are part of its numba type, so that a step is compiled once for every size of system,
 and a row's number is a constant in its code. What looks after single lanes takes the same numbers
-from a record (`Layout.numbers`) and is compiled once for all sizes.
+from a record (`RowLayout.numbers`) and is compiled once for all sizes.
 
 Clocks count forcing periods: a time is the pair (whole periods since the start of the point's
 first period, fraction of a period in [0, 1)). The fraction *is* the forcing phase, hence time and
@@ -36,7 +36,7 @@ from gapsweep.integrate.simd import WIDTH
 # Lanes of a table of so few scenes: a lone one takes half the time that it takes among idle lanes.
 NARROW = 4
 
-# Names of the blocks of rows and, by the counts of a `Layout`, how many rows each has.
+# Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
 _ONE = (
     # the clock, with the digits that its sum has lost; of the last step the length and beginning
     *("tau", "tau_low", "cycle", "step", "tau_0", "cycle_0"),
@@ -56,7 +56,7 @@ _ONE = (
 
 
 @dataclass(frozen=True)
-class Layout:
+class RowLayout:
     """Sizes of a system, and the first row of everything that is kept of a point.
 
     Attributes
@@ -116,12 +116,12 @@ class Layout:
         return 2 * self.n + self.m
 
     @cached_property
-    def of_motion(self) -> "Layout":
+    def of_motion(self) -> "RowLayout":
         """The same without the tangent, whose rows no other code looks at."""
         return known(replace(self, tangent=0))
 
     @cached_property
-    def of_tangent(self) -> "Layout":
+    def of_tangent(self) -> "RowLayout":
         """The same with the tangent."""
         return known(replace(self, tangent=1))
 
@@ -247,19 +247,19 @@ class Layout:
         return self.first[name]
 
 
-_KNOWN: dict[Layout, Layout] = {}
+_KNOWN: dict[RowLayout, RowLayout] = {}
 
 
-def known(layout: Layout) -> Layout:
+def known(layout: RowLayout) -> RowLayout:
     """The first of all layouts that equal this one: its rows are looked up once."""
     return _KNOWN.setdefault(layout, layout)
 
 
 # Layouts whose machine code this process has loaded.
-LOADED: set[Layout] = set()
+LOADED: set[RowLayout] = set()
 
 
-def of_width(n: int, layout: Layout) -> Layout:
+def of_width(n: int, layout: RowLayout) -> RowLayout:
     """A layout for n scenes: narrow for few, unless the code for many alone is loaded.
 
     To load or compile machine code takes longer than to move a thousand idle lanes, and lanes give
@@ -280,7 +280,7 @@ def aligned(*shape: int) -> NDArray[np.float64]:
 class LayoutType(types.Opaque):
     """numba's type of one layout: its numbers are constants of the code."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: RowLayout) -> None:
         self.layout = layout
         super().__init__(repr(layout))
 
@@ -291,8 +291,8 @@ register_model(LayoutType)(models.OpaqueModel)
 _typed = cache(LayoutType)  # every call from Python asks
 
 
-@typeof_impl.register(Layout)
-def _typeof(layout: Layout, context: Any) -> LayoutType:
+@typeof_impl.register(RowLayout)
+def _typeof(layout: RowLayout, context: Any) -> LayoutType:
     return _typed(layout)
 
 
@@ -307,7 +307,7 @@ class _Numbers(AttributeTemplate):
 
     def generic_resolve(self, typ: LayoutType, name: str) -> Any:
         found = getattr(typ.layout, name)
-        if isinstance(found, Layout):
+        if isinstance(found, RowLayout):
             return _typed(found)
         return types.int64 if isinstance(found, int) else None
 
@@ -315,6 +315,6 @@ class _Numbers(AttributeTemplate):
 @lower_getattr_generic(LayoutType)
 def _number(context: Any, builder: Any, typ: LayoutType, value: Any, name: str) -> Any:
     found = getattr(typ.layout, name)
-    if isinstance(found, Layout):
+    if isinstance(found, RowLayout):
         return context.get_dummy_value()
     return context.get_constant(types.int64, int(found))

@@ -25,7 +25,7 @@ def cache_commands() -> None:
 
 
 def _existing(cache: Path | None, *, read_only: bool = True) -> "Cache":
-    from gapsweep.lookup import cache_path
+    from gapsweep.run_folder import cache_path
     from gapsweep.store.cache import Cache
 
     path = cache_path(cache)

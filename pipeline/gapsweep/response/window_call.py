@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.motion import Events, Motions
+from gapsweep.integrate.motions import Events, Motions
 from gapsweep.response.section import norm, reach_of, scaled
 from gapsweep.status import Status
 

@@ -8,8 +8,16 @@ from numpy.typing import NDArray
 
 from gapsweep.model.system import System, fraction
 
-from .layout import Layout, known
-from .scenes import MIN_STEP, Scenes, check, check_tolerances, empty_table, order_for, set_clock
+from .row_layout import RowLayout, known
+from .scene_table import (
+    MIN_STEP,
+    SceneTable,
+    check,
+    check_tolerances,
+    empty_table,
+    order_for,
+    set_clock,
+)
 
 Array = NDArray[np.float64]
 # Writes the rows of one block.
@@ -39,11 +47,11 @@ class Walls:
     j_2: Array
 
 
-def layout_of(system: System) -> Layout:
+def layout_of(system: System) -> RowLayout:
     """The layout of a system's points."""
     terms = sum(map(len, system.modulation.values()))
     first = system.forcing[0] if len(system.forcing) == 1 else None
-    return Layout(
+    return RowLayout(
         n=system.n,
         m=system.n_lags,
         contacts=len(system.contacts),
@@ -64,7 +72,7 @@ def system_scenes(
     *,
     rtol: float,
     atol: float,
-) -> Scenes:
+) -> SceneTable:
     """Prepare points of systems; `batch.run` then starts them as often as wanted.
 
     Parameters
@@ -92,7 +100,7 @@ def system_scenes(
     blocks = at.lower, at.upper, at.lower_stiffness, at.upper_stiffness
     for block, values in zip(blocks, (-walls.j_1, walls.j_2, *stiffnesses), strict=True):
         table[block : block + at.contacts] = values.T
-    return Scenes(at, points, rtol, atol)
+    return SceneTable(at, points, rtol, atol)
 
 
 class _Linear:
@@ -131,7 +139,7 @@ class _Linear:
 
 
 def _fill(
-    at: Layout,
+    at: RowLayout,
     points: Array,
     here: NDArray[np.intp],
     linear: _Linear,
@@ -181,7 +189,7 @@ def _fill(
     points[here] = table.T
 
 
-def _put_loads(at: Layout, table: Array, put: Put, linear: _Linear) -> None:
+def _put_loads(at: RowLayout, table: Array, put: Put, linear: _Linear) -> None:
     """Forcing, periodic stiffness, and the speed that the forcing keeps up."""
     system = linear.system
     omega_rad, speed, push = table[at.omega_rad], np.zeros(table.shape[1]), []

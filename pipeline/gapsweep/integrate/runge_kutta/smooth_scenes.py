@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
-from gapsweep.integrate.stepping.layout import known
 from gapsweep.integrate.stepping.outcome import AT_START
-from gapsweep.integrate.stepping.scenes import Scenes
+from gapsweep.integrate.stepping.row_layout import known
+from gapsweep.integrate.stepping.scene_table import SceneTable
 
 from . import laws, parameters, tableaux
 from .laws import Law
@@ -23,13 +23,13 @@ _MIN_STEP = 1e-17  # of a period: stiff laws need far shorter steps than a Taylo
 
 
 def runge_kutta_scenes(
-    exact: Scenes, kernel_laws: Sequence[Law], mass: Array, *, controller: str, restart: bool
-) -> Scenes:
+    exact: SceneTable, kernel_laws: Sequence[Law], mass: Array, *, controller: str, restart: bool
+) -> SceneTable:
     """The same systems with other laws.
 
     Parameters
     ----------
-    exact : Scenes
+    exact : SceneTable
         n systems for the Taylor method: the equation of motion is the same.
     kernel_laws : sequence of Law
         Of every contact; its parameters may be arrays, shape (n,).

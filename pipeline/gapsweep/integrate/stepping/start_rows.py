@@ -29,11 +29,11 @@ def set_starts(
     Parameters
     ----------
     at : record
-        `Layout.numbers`.
+        `RowLayout.numbers`.
     points : array, shape (n + 1, n_rows)
         Receives the points, and the table's last row, the idle point, as its last one.
     table : array, shape (n_scenes + 1, n_rows)
-        Rows of `scenes.Scenes`.
+        Rows of `scenes.SceneTable`.
     which : int array, shape (n,)
         Number of the scene of each point.
     start : array, shape (n, n_states)

@@ -12,7 +12,7 @@ from gapsweep.study.axes import (
     Pair,
     Positive,
     Range,
-    Table,
+    TomlTable,
 )
 
 # Of a motion that is compared with its references.
@@ -22,7 +22,7 @@ MAX_BENCH_PERIODS = 100_000
 ATOL_PER_RTOL = 1e-3
 
 
-class SceneOscillatorTable(Table):
+class SceneOscillatorTable(TomlTable):
     """What a scene's oscillator has otherwise than the study's."""
 
     zeta: NonNegative | None = None
@@ -37,7 +37,7 @@ Periods = Annotated[int, Field(ge=1, le=MAX_BENCH_PERIODS)]
 Tolerance = Annotated[float, Field(ge=SMALLEST_RTOL, le=LARGEST_RTOL)]
 
 
-class SceneTable(Table):
+class BenchSceneTable(TomlTable):
     """One motion of a benchmark.
 
     `expected` says by what a right answer is known, `without` which methods it is too long for.
@@ -75,7 +75,7 @@ class SceneTable(Table):
         return found
 
 
-class MethodTable(Table):
+class MethodTable(TomlTable):
     """A representation with its solver, and the ladder of tolerances to climb."""
 
     label: Label
@@ -97,10 +97,10 @@ class MethodTable(Table):
         return list(zip(self.rtol, atol, strict=True))
 
 
-class BenchTable(Table):
+class BenchTable(TomlTable):
     """Presence asks for work-precision and stability: every method on every scene."""
 
-    scene: Annotated[list[SceneTable], Field(min_length=1)]
+    scene: Annotated[list[BenchSceneTable], Field(min_length=1)]
     method: Annotated[list[MethodTable], Field(min_length=1)]
     horizon: Periods = 10
     repeats: Annotated[int, Field(ge=1, le=1000)] = 5

@@ -1,7 +1,7 @@
 """One attempted Runge-Kutta step of all lanes: stages, error, step control, what needs attention.
 
 Everything here is branch-free over lanes. The outcome is one word of lane bits per question
-(`Outcome`); only lanes with a bit set are looked at one by one afterwards, with the polynomials
+(`StepOutcome`); only lanes with a bit set are looked at one by one afterwards, with the polynomials
 of the step as they are with those of a Taylor series.
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import inlined, internal
-from gapsweep.integrate.motion import VANISHED
+from gapsweep.integrate.motions import VANISHED
 from gapsweep.integrate.simd import fma, load, maximum, minimum, select, store
 from gapsweep.integrate.stepping.outcome import (
     AT_START,
@@ -20,11 +20,11 @@ from gapsweep.integrate.stepping.outcome import (
     DIVERGED,
     MODEL_INVALID,
     STEP_UNDERFLOW,
-    Outcome,
+    StepOutcome,
 )
 
 from . import laws, parameters, vecmath
-from .stages import polynomials, stage_derivative, stages, tangent_stages
+from .stage_values import polynomials, stage_derivative, stages, tangent_stages
 from .tableaux import E3, E5, OTHER_E5
 
 # Measured on the tanh law at 1e-3 to 1e-9: 0.9 and 6 reject a quarter of all attempts and cost a
@@ -245,7 +245,7 @@ def _first_beyond(hull, target, at_end):
     return select(is_met, first + (last - first) * (before / (before - beyond)), 2.0)
 
 
-class _Layers(NamedTuple):
+class _LayerCheck(NamedTuple):
     """What smoothing layers ask of a step."""
 
     cut: Any  # it jumps over one, and has to be repeated
@@ -284,7 +284,7 @@ def _layers(q, hull, v, accepted, before):
     limit = minimum(limit, simd.sqrt(half / maximum(2.0 * simd.absolute(hull.a_1), 1e-300)))
     limit = select(ends_inside & has_one, minimum(before.limit, limit), before.limit)
     leaves = accepted & starts_inside & ~ends_inside & has_one
-    return _Layers(before.cut | cut, part, before.leaves | leaves, limit)
+    return _LayerCheck(before.cut | cut, part, before.leaves | leaves, limit)
 
 
 @inlined
@@ -314,7 +314,7 @@ def _contacts(at, method, q, lane, accepted, h):
     """Look at the gap of every contact."""
     none = accepted & (h < 0.0)
     turns_back, miscounted, leaves_mode = none, none, none
-    layers = _Layers(none, simd.splat(1.0), none, simd.splat(np.inf))
+    layers = _LayerCheck(none, simd.splat(1.0), none, simd.splat(np.inf))
     for i in range(at.contacts):
         q_i, hull = q[i], _hull(at, lane, _gap(at, i), h)
         low, high = load(lane, at.lower + i), load(lane, at.upper + i)
@@ -497,7 +497,7 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
 
     Parameters
     ----------
-    at : Layout
+    at : RowLayout
         With the types of the laws it decides the specialisation.
     method : RungeKutta
     lane : ndarray, shape (n_rows, WIDTH)
@@ -509,7 +509,7 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
 
     Returns
     -------
-    Outcome
+    StepOutcome
     """
     rtol, atol, bound, _ = limits
     tableau, k, kinds, q = method.tableau, method.k, method.kinds, method.q
@@ -607,7 +607,7 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
     store(lane, at.cycle, select(commit, cycle_1, cycle))
     _add(lane, at.n_steps, commit)
     _add(lane, at.n_rejected, (~accepted & ~fresh) | layers.cut)
-    return Outcome(
+    return StepOutcome(
         simd.bits(unclear),
         simd.bits(ended),
         simd.bits(bad),

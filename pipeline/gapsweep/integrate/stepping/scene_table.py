@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .layout import Layout, of_width
 from .loop import Taylor
+from .row_layout import RowLayout, of_width
 
 Array = NDArray[np.float64]
 
@@ -35,12 +35,12 @@ _TAYLOR = Taylor()
 
 
 @dataclass(frozen=True, slots=True)
-class Scenes:
+class SceneTable:
     """Systems between walls as the kernel takes them: all of a point but its start and end.
 
     Attributes
     ----------
-    at : Layout
+    at : RowLayout
     table : ndarray, shape (n + 1, n_rows)
         Rows as the kernel reads them, the idle point last. ``at.floor`` holds the size of the
         motion that the forcing keeps up against all springs.
@@ -50,7 +50,7 @@ class Scenes:
         The latter without its work space.
     """
 
-    at: Layout
+    at: RowLayout
     table: Array
     rtol: float
     atol: float
@@ -72,7 +72,7 @@ def scenes(
     *,
     rtol: float,
     atol: float,
-) -> Scenes:
+) -> SceneTable:
     """Prepare oscillators; `run` then starts them as often as wanted.
 
     Parameters
@@ -96,7 +96,7 @@ def scenes(
     check(zeta=zeta, omega_n=omega_n, mass=mass, alpha=alpha, forcing=forcing, omega=omega)
     check(K_c=K_c, K_ratio=K_ratio, j_1=j_1, j_2=j_2)
     n_rad = 2 * np.pi * omega_n
-    at = of_width(len(zeta), Layout(order=order_for(rtol), is_tanh=epsilon is not None))
+    at = of_width(len(zeta), RowLayout(order=order_for(rtol), is_tanh=epsilon is not None))
     points, table = empty_table(at, len(zeta))
     table[at.stiffness], table[at.damping] = n_rad**2, 2 * zeta * n_rad
     table[at.cubic], table[at.push] = alpha / mass, forcing / mass
@@ -112,7 +112,7 @@ def scenes(
     table[at.rate] = np.sqrt(n_rad**2 + np.maximum(*stiffnesses)) + table[at.omega_rad]
     shortest = _MIN_STEP_IN_LAYERS if at.is_tanh else MIN_STEP
     table[at.min_step] = shortest / np.maximum(n_rad, table[at.omega_rad])
-    return Scenes(at, points, rtol, atol)
+    return SceneTable(at, points, rtol, atol)
 
 
 def check_tolerances(rtol: float, atol: float) -> None:
@@ -123,7 +123,7 @@ def check_tolerances(rtol: float, atol: float) -> None:
         raise ValueError(f"atol = {atol}: must be finite and >= 0")
 
 
-def empty_table(at: Layout, n: int) -> tuple[Array, Array]:
+def empty_table(at: RowLayout, n: int) -> tuple[Array, Array]:
     """A table of n scenes and the idle point; the same without that, as columns."""
     points = np.zeros((n + 1, at.n_rows))
     table = points[:-1].T
@@ -133,7 +133,7 @@ def empty_table(at: Layout, n: int) -> tuple[Array, Array]:
     return points, table
 
 
-def set_clock(at: Layout, table: Array, omega: Array) -> None:
+def set_clock(at: RowLayout, table: Array, omega: Array) -> None:
     """Forcing frequency [Hz] of every column."""
     table[at.omega], table[at.omega_rad], table[at.period] = omega, 2 * np.pi * omega, 1.0 / omega
 
@@ -156,7 +156,7 @@ def check(**values: Array) -> None:
             raise ValueError(f"{name} = {array[is_bad][0]}: must be {rule}")
 
 
-def _forced_size(at: Layout, table: Array, to_wall: Array, contact: Array) -> Array:
+def _forced_size(at: RowLayout, table: Array, to_wall: Array, contact: Array) -> Array:
     """Displacement [m] that the forcing keeps up against the springs, and a wall if it is met.
 
     The smoothing of a wall pushes too: without it a start at rest has no size, and no step.
@@ -171,7 +171,7 @@ def _forced_size(at: Layout, table: Array, to_wall: Array, contact: Array) -> Ar
     return np.asarray(free - beyond * (contact / (springs + contact)))
 
 
-def set_modes_on_walls(at: Layout, points: Array) -> None:
+def set_modes_on_walls(at: RowLayout, points: Array) -> None:
     """Contact modes of points that start on a wall.
 
     The first derivative of the gap that is not zero decides. None depends on that contact's mode as
@@ -198,7 +198,7 @@ def set_modes_on_walls(at: Layout, points: Array) -> None:
         mode[here] = (is_high[here] & (heading > 0.0)) * 1.0 - (is_low[here] & (heading < 0.0))
 
 
-def _slopes(at: Layout, points: Array, contact: int) -> Iterator[Array]:
+def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
     """Taylor coefficients of a contact's gap from the first on, that contact left out."""
 
     def matrix(name: str, *shape: int) -> Array:
@@ -270,7 +270,7 @@ def _cos_sin_of_period(tau: Array) -> tuple[Array, Array]:
     return z.real, z.imag
 
 
-def _set_idle(at: Layout, point: Array) -> None:
+def _set_idle(at: RowLayout, point: Array) -> None:
     """Rest without forcing, walls or end: what a lane does when no point waits for it."""
     point[[at.omega, at.period, at.floor, at.rate]] = 1.0
     point[at.lower : at.lower + at.contacts] = -1.0

@@ -1,14 +1,15 @@
-"""The whole path of a study: points, plan, responses, and then the files of the run.
+"""The calls on a study and on the folders of its runs.
 
-Each step reads what the one before it stored; `gapsweep.make` makes the files.
+A run goes from the sweep points over a plan to stored responses, and then from file to file; each
+step reads what the one before it stored.
 Dask, numba, xarray and matplotlib are imported by the steps that need them: a run that finds
 everything up to date ends before they would be loaded.
 """
 
 import os
 import warnings
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,25 +17,39 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.unit_check import never_reached
+from gapsweep.analysis.unit_check import never_reached, wrong_tables
 from gapsweep.console import progress_bar
-from gapsweep.errors import StoreError
+from gapsweep.errors import StoreError, StudyError
 from gapsweep.execution.assemble import attributes_of, fill
+from gapsweep.execution.explain import Explanation
+from gapsweep.execution.explain import explain as explanations
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.recorder import Recorder
-from gapsweep.folder import check_owner, check_writable, run_folder
-from gapsweep.lookup import cache_path, plan
-from gapsweep.make import failed_motions, try_out_own_laws, update, update_points
-from gapsweep.own_code import check_modules
-from gapsweep.stages import RESPONSES, stages_of
+from gapsweep.run_folder import (
+    CLAIMS,
+    RESPONSES,
+    SECTIONS,
+    STABILITY,
+    TIMING,
+    WORK_PRECISION,
+    cache_path,
+    check_owner,
+    check_writable,
+    locked_run,
+    read_json,
+    reason_to_make,
+    run_folder,
+)
+from gapsweep.stages import POINTS, RunContext, make_file, make_files, stages_of, write_page
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
 from gapsweep.store.cache import Cache
 from gapsweep.study.grid import Selection
 from gapsweep.study.study import Study
+from gapsweep.study_code import check_modules
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -158,15 +173,20 @@ def carry_out(
     on_progress: OnProgress | None = None,
     timeout: float = DEFAULT_TIMEOUT,
     retry_failed: bool = False,
-    **how: Any,
+    workers: int = 2,
+    scheduler: str | None = None,
+    batch: int | None = None,
 ) -> Outcome:
     """`run`, with the outcome instead of the dataset."""
     folder, path = run_folder(study, out), cache_path(cache)
     check_writable(folder)
     check_owner(study, folder)
     planned = plan(study, path, retry_failed=retry_failed, timeout=timeout, on_progress=on_progress)
+    stages = stages_of(study)
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
+    say = partial(tell, on_progress, Progress(planned.n_points, planned.n_hits))
+    connect = partial(_connected, client, workers, scheduler, say)
     with Recorder(folder, study, path, planned, on_progress) as recorder:
 
         def begin() -> None:
@@ -175,36 +195,251 @@ def carry_out(
                 check_owner(study, folder)
                 recorder.write()
 
-        how |= {"timeout": timeout, "retry_failed": retry_failed, "begin": begin}
-        progress = _computed(study, client, planned, path, recorder, **how)
-        say = partial(tell, recorder, progress)
+        progress = _computed(
+            study,
+            planned,
+            path,
+            recorder,
+            connect,
+            begin,
+            timeout=timeout,
+            retry_failed=retry_failed,
+            batch=batch,
+        )
         recorder.write()
+        run = RunContext(
+            folder,
+            study,
+            cache=path,
+            connect=connect,
+            timeout=timeout,
+            say=partial(tell, recorder, progress),
+        )
+        make = partial(make_files, n_points=progress.n_points, retry_failed=retry_failed)
         with alone_in(folder):
             check_owner(study, folder)
             with Cache(path, read_only=True) as store:
                 # Even if nothing was missing: rows may have been deleted meanwhile.
                 planned = _as_stored(planned, store)
-                given = update_points(study, planned, store, folder, say)
+                exports = [stage for stage in stages if POINTS in stage.sources]
+                make(exports, replace(run, points=(planned, store)))
             failures = _failures(planned)
             del planned, store  # a tenth of a gigabyte of keys at a million points
-            update(
-                study,
-                folder,
-                given,
-                n_points=progress.n_points,
-                cache=path,
-                connect=partial(_connected, client, how.get("workers", 2), how.get("scheduler")),
-                timeout=timeout,
-                retry_failed=retry_failed,
-                say=say,
-            )
+            make([stage for stage in stages if POINTS not in stage.sources], run)
     walls = ""
     if study.spec.system is None:
         values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
         walls = never_reached(values, grid.dims, grid.representations)
-    motions = {stage.file: failed_motions(folder / stage.file) for stage in stages_of(study)}
+    motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, walls)
+
+
+def plan(
+    study: Study,
+    cache: str | Path | None = None,
+    *,
+    selection: Selection | None = None,
+    retry_failed: bool = False,
+    timeout: float = DEFAULT_TIMEOUT,
+    on_progress: OnProgress | None = None,
+) -> Plan:
+    """Compare a study with a cache, without creating the cache or computing anything.
+
+    Raises
+    ------
+    StudyError
+        If a user's law ends its process or hangs where keys are made.
+    """
+    path, say = cache_path(cache), partial(tell, on_progress, Progress(0, 0))
+    _try_out_own_laws(study, timeout, say)
+    say("looking up what is stored")
+    if not path.exists():
+        return make_plan(study, selection=selection)
+    with Cache(path, read_only=True) as store:
+        return make_plan(study, store, selection=selection, retry_failed=retry_failed)
+
+
+def expected_seconds(plan: Plan, cache: str | Path | None, workers: int) -> float | None:
+    """Time the missing points will take [s], from stored costs; None if none are stored.
+
+    Points of the same representation set the price where there are any, else the mean.
+    """
+    path = cache_path(cache)
+    if not path.exists():
+        return None
+    with Cache(path, read_only=True) as store:
+        cost = store.seconds(plan.keys)
+    if np.isnan(cost).all():
+        return None
+    representation = plan.representation(np.arange(plan.n_points))
+    total = 0.0
+    for r in np.unique(representation[plan.is_missing]).tolist():
+        here = representation == r
+        known = cost[here & np.isfinite(cost)]
+        price = known.mean() if known.size else np.nanmean(cost)
+        total += price * np.sum(plan.is_missing & here)
+    return float(total) / workers
+
+
+def stage_reasons(
+    study: Study, plan: Plan, out: str | Path | None, cache: str | Path | None
+) -> dict[str, str | None]:
+    """Why the file of each stage would be made; None for those that are up to date."""
+    folder, path, stages = run_folder(study, out), cache_path(cache), stages_of(study)
+    if plan.n_missing or not path.exists():
+        return {stage.file: "sweep points are missing" for stage in stages}
+    reasons: dict[str, str | None] = {}
+    with Cache(path, read_only=True) as store:
+        run = RunContext(folder, study, points=(plan, store))
+        for stage in stages:
+            now = stage.made_from(folder, run)
+            made = ", ".join(name for name in stage.inputs if reasons.get(name))
+            reason = reason_to_make(folder / stage.file, now)
+            reasons[stage.file] = reason or (f"{made} made anew" if made else None)
+    return reasons
+
+
+def explain(
+    study: Study,
+    cache: str | Path | None,
+    limit: int,
+    on_progress: OnProgress | None = None,
+    /,
+    **wanted: Any,
+) -> list[Explanation]:
+    """Why the selected points, the first `limit` of them, are hits or misses."""
+    selection, path = study.select(**wanted), cache_path(cache)
+    planned = plan(study, path, selection=selection, on_progress=on_progress)
+    if not path.exists():
+        raise StoreError(f"{path}: no such folder, so every point is missing")
+    with Cache(path, read_only=True) as store:
+        return list(explanations(study, planned, store, limit))
+
+
+def report(folder: str | Path, study: Study | None = None) -> Path:
+    """Write ``report/index.html`` from the files of a run.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run; no file in it is ever executed.
+    study : Study, optional
+        Whose own sections are made first; None shows those that are stored.
+
+    Raises
+    ------
+    GapsweepError
+        If the folder holds no run, one of its files is damaged, or the study has no sections.
+    """
+    folder = Path(folder).absolute()
+    with locked_run(folder):
+        if study is not None:
+            _make_one(SECTIONS, Study.of(study), folder)
+        return write_page(folder)
+
+
+def claims(folder: str | Path, study: Study | None = None) -> dict[str, Any]:
+    """The verdicts of a run: those that are stored, or new ones by a study's claims module.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run; no file in it is ever executed. Datasets that are not there leave the claims
+        that need them undecidable.
+    study : Study, optional
+        Whose claims are decided and written to ``claims.json``; None reads what is there.
+
+    Returns
+    -------
+    dict
+        What ``claims.json`` holds.
+
+    Raises
+    ------
+    GapsweepError
+        If there are no responses or no claims, or a file is damaged.
+    """
+    folder = Path(folder).absolute()
+    with locked_run(folder):
+        if study is not None:
+            _make_one(CLAIMS, Study.of(study), folder)
+        decided = read_json(folder / CLAIMS)
+    if decided is None:
+        raise StoreError(
+            f"{folder / CLAIMS}: no verdicts on the responses of this run: "
+            f"'gapsweep claims {folder} --study FILE' decides the claims of a study"
+        )
+    return decided
+
+
+def _make_one(file: str, study: Study, folder: Path) -> None:
+    """Make one file that a study's own code makes, in a run that may be another study's."""
+    check_owner(study, folder)
+    stage = next((stage for stage in stages_of(study) if stage.file == file), None)
+    if stage is None:
+        table, name = ("claims", "claims.py") if file == CLAIMS else ("report", "figures.py")
+        example = f'[{table}] module = "{name}" names the Python file'
+        raise StudyError([f"{study.source}: {table}: missing; {example}"])
+    make_file(stage, RunContext(folder, study))
+
+
+def bench(
+    study: Study,
+    out: str | Path | None = None,
+    say: Callable[[str], None] | None = None,
+    *,
+    timeout: float = DEFAULT_TIMEOUT,
+) -> dict[Path, Mapping[str, int]]:
+    """Measure a study's ``[bench]`` again; its report follows if there is one.
+
+    Users' laws run in an isolated process, all others in this one.
+
+    Parameters
+    ----------
+    study : Study
+    out : path, optional
+        Output folder, ``data/runs/<study name>`` if None.
+    say : callable, optional
+        Called with what is measured next.
+    timeout : float
+        Time [s] that a call of a user's law may take.
+
+    Returns
+    -------
+    dict of Path to mapping
+        ``work_precision.nc`` and ``stability.nc``, those that the scenes ask for, with the number
+        of motions in each per status of users' code that failed.
+
+    Raises
+    ------
+    GapsweepError
+        If the study has no ``[bench]``, or the output folder cannot be used.
+    """
+    if study.spec.bench is None:
+        raise StudyError([f"{study.source}: bench: missing; it names scenes and methods"])
+    folder = run_folder(study, out)
+    check_writable(folder)
+    study, say = Study.of(study), say or (lambda _: None)
+    _try_out_own_laws(study, timeout, say)
+    stages = [one for one in stages_of(study) if one.file in (WORK_PRECISION, STABILITY)]
+    with alone_in(folder):
+        check_owner(study, folder)
+        for stage in stages:
+            make_file(stage, RunContext(folder, study, timeout=timeout, say=say))
+        if (folder / RESPONSES).exists() and (folder / TIMING).exists():
+            write_page(folder)
+    return {folder / stage.file: stage.failed_motions(folder) for stage in stages}
+
+
+def _try_out_own_laws(study: Study, timeout: float, say: Callable[[str], None]) -> None:
+    """Refuse users' laws that would end this process, or hang; warn of other units."""
+    if study.own_laws:
+        from gapsweep.execution.try_out import try_out
+
+        try_out(study, timeout, say)
+        for message in wrong_tables(study):
+            warnings.warn(message, stacklevel=3)
 
 
 def query(
@@ -255,7 +490,7 @@ def query(
     study = Study.of(study)
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
-        try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
+        _try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
         if path.exists():
             # One opening for both: to read what is stored of a million points takes .3 s.
             with Cache(path, read_only=True) as store:
@@ -265,9 +500,9 @@ def query(
                     return _exported(study, planned, store, selection, done)
         else:
             planned = make_plan(study, selection=selection)
-        progress = _computed(
-            study, client, planned, path, observer, workers=workers, scheduler=scheduler
-        )
+        say = partial(tell, observer, Progress(planned.n_points, planned.n_hits))
+        connect = partial(_connected, client, workers, scheduler, say)
+        progress = _computed(study, planned, path, observer, connect)
     with Cache(path, read_only=True) as store:
         return _exported(study, _as_stored(planned, store), store, selection, progress)
 
@@ -298,34 +533,27 @@ def _as_stored(planned: Plan, store: Cache) -> Plan:
 
 def _computed(
     study: Study,
-    client: "Client | None",
     planned: Plan,
     path: Path,
     on_progress: OnProgress | None,
-    *,
-    workers: int = 2,
-    scheduler: str | None = None,
-    begin: Callable[[], None] | None = None,
+    connect: "Callable[[], AbstractContextManager[Client]]",
+    begin: Callable[[], None] = lambda: None,
     **how: Any,
 ) -> Progress:
     """Compute what a plan misses; a cluster is started only if that is something.
 
     `begin` is called once it is there, before anything is computed.
     """
-    if not planned.n_missing:
-        if begin is not None:
-            begin()
-        return Progress(planned.n_points, planned.n_hits)
     before = Progress(planned.n_points, planned.n_hits)
+    if not planned.n_missing:
+        begin()
+        return before
     # Now, before anybody waits for workers.
     check_writable(path if path.exists() else path.parent, "a cache elsewhere with --cache")
-    if client is None:
-        tell(on_progress, before, f"joining {scheduler}" if scheduler else "starting the workers")
     from gapsweep.execution.execute import execute
 
-    with _connected(client, workers, scheduler) as connected:
-        if begin is not None:
-            begin()
+    with connect() as connected:
+        begin()
         with Cache(path) as store:
             try:
                 done = execute(study, planned, store, connected, on_progress=on_progress, **how)
@@ -333,18 +561,23 @@ def _computed(
                 tell(on_progress, before, "interrupted, stopping")
                 interrupt.add_note(f"{store.path} keeps what was computed: run again to resume")
                 raise
-        if client is None and not scheduler:
-            tell(on_progress, done, "stopping the workers")
+        tell(on_progress, done, "leaving the workers")
     return done
 
 
+@contextmanager
 def _connected(
-    client: "Client | None", workers: int, scheduler: str | None
-) -> "AbstractContextManager[Client]":
+    client: "Client | None", workers: int, scheduler: str | None, say: Callable[[str], None]
+) -> "Iterator[Client]":
     """The client of a call, or one of a cluster that is started or joined."""
+    if client is not None:
+        yield client
+        return
     from gapsweep.execution.cluster import cluster
 
-    return nullcontext(client) if client is not None else cluster(workers, scheduler)
+    say(f"joining {scheduler}" if scheduler else "starting the workers")
+    with cluster(workers, scheduler) as connected:
+        yield connected
 
 
 def _failures(planned: Plan) -> dict[str, int]:

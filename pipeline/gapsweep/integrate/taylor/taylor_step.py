@@ -20,9 +20,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from gapsweep.integrate.motion import VANISHED
+from gapsweep.integrate.motions import VANISHED
 from gapsweep.integrate.stepping.outcome import CLOCK_SLACK, MAX_HALVINGS, SHORT_STEP
-from gapsweep.integrate.stepping.rows import Lanes, dot, pointers, value_and_slope
+from gapsweep.integrate.stepping.rows import LaneRows, dot, pointers, value_and_slope
 from gapsweep.integrate.vectors import (
     I64,
     Vec,
@@ -38,7 +38,7 @@ from gapsweep.integrate.vectors import (
     where,
 )
 
-from .series import Equation, Modes, Motion, variation
+from .series import Equation, Modes, StepSeries, variation
 from .step_size import Sizes, step_size
 from .tanh import Layers, TanhMotion
 from .tanh import variation as tanh_variation
@@ -292,12 +292,12 @@ def _emit_step(builder, layout, arrays, scalars):
 
     One function: six parts in the order of the step, each of which uses what the ones before found.
     """
-    lanes, coefficients = (Lanes(builder, pointer, layout) for pointer in arrays)
+    lanes, coefficients = (LaneRows(builder, pointer, layout) for pointer in arrays)
     rtol, x_bound, max_short = (splat(builder, s, layout.width) for s in scalars)
 
     # 1. series and step size
     modes = Modes(lanes)
-    motion = (TanhMotion if layout.is_tanh else Motion)(lanes, modes, Equation(lanes, modes))
+    motion = (TanhMotion if layout.is_tanh else StepSeries)(lanes, modes, Equation(lanes, modes))
     kept = motion.q if layout.is_plain else motion.q + motion.z + motion.gaps
     for number, series in enumerate(kept):
         for n, term in enumerate(series):
@@ -378,7 +378,7 @@ def taylor_step(typingctx, at, lanes, coefficients, rtol, x_bound, max_short):
 
     Parameters
     ----------
-    at : Layout
+    at : RowLayout
     lanes : array, shape (at.n_rows, at.width)
         Parameters and state, updated in place.
     coefficients : array, shape (n * at.n_terms, at.width)

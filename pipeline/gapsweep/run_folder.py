@@ -1,0 +1,196 @@
+"""The folder of a run: its files, whose they are, and whether they are up to date.
+
+A file says in `made_from` what it was made from: the digests of its inputs and of the code.
+"""
+
+import html
+import json
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gapsweep.errors import StoreError
+from gapsweep.store import netcdf
+from gapsweep.store.artefact import alone_in, digests, is_intact, is_recorded, recording, sha256
+from gapsweep.store.state import NO_FOLDER, RunState
+from gapsweep.study.study import Study
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+RUNS, DEFAULT_CACHE = Path("data/runs"), Path("data/cache")
+
+RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
+STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
+HISTORIES, ADVICE, BRANCHES = "histories.nc", "advice.nc", "branches.nc"
+WORK_PRECISION, STABILITY = "work_precision.nc", "stability.nc"
+CLAIMS, SECTIONS = "claims.json", "sections.json"
+REPORT = "report/index.html"
+
+STUDY = "study"  # the input of `made_from` that stands for the study's settings
+DAMAGED = "damaged"  # the reason to make a file that is not as it was written
+_META = r'<meta name="gapsweep-made-from" content="([^"]*)">'
+
+MadeFrom = Mapping[str, str]
+
+
+def run_folder(study: Study, out: str | Path | None) -> Path:
+    """The folder of a run: the argument, else ``data/runs/<study name>``.
+
+    Absolute, as `cache_path`: the user's code may change the current folder.
+    """
+    return (Path(out) if out is not None else RUNS / study.name).absolute()
+
+
+def cache_path(cache: str | Path | None) -> Path:
+    """The folder of the cache: the argument, else ``GAPSWEEP_CACHE``, else ``data/cache``."""
+    return Path(cache or os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE).absolute()
+
+
+def check_owner(study: Study, folder: Path) -> None:
+    """Refuse a folder in which another study has left its files.
+
+    Raises
+    ------
+    StoreError
+        If its run, or one of its datasets where no run is, has a study of another name.
+    """
+    try:
+        owners = [str(RunState.read(folder).study)]
+    except StoreError:  # no run yet, or its state is damaged
+        files = (folder / name for name in (RESPONSES, WORK_PRECISION, STABILITY))
+        owners = [str(netcdf.attributes(file).get("study", study.name)) for file in files]
+    for owner in owners:
+        if owner != study.name:
+            raise StoreError(
+                f"{folder}: holds the files of study {owner!r}, this one is {study.name!r}: choose "
+                "another folder with --out, or delete this one"
+            )
+
+
+def check_writable(folder: Path, other: str = "another folder with --out") -> None:
+    """Fail before anything is computed if the results could not be stored.
+
+    Raises
+    ------
+    StoreError
+        If nothing can be written in a folder; `other` is what to name then.
+    """
+    if folder.is_symlink() and not folder.exists():
+        raise StoreError(f"{folder}: is a link to nothing; remove it, or name {other}")
+    existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    try:
+        str(folder).encode()  # netCDF takes no other names
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or f"not UTF-8: {error}"
+        raise StoreError(f"{folder}: cannot be written: {existing}: {why}; name {other}") from None
+
+
+@contextmanager
+def locked_run(folder: Path) -> Iterator[None]:
+    """Keep others from writing into the folder of a run.
+
+    Raises
+    ------
+    StoreError
+        If it holds none.
+    """
+    if folder.is_file():
+        raise StoreError(f"{folder}: {NO_FOLDER}")
+    if not (folder / RESPONSES).exists():
+        raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
+    with alone_in(folder):
+        yield
+
+
+def write(path: Path, content: "xr.Dataset | dict[str, Any]", made_from: str) -> None:
+    """Write a dataset as NetCDF, or a dict as JSON, with what it was made from."""
+    if not isinstance(content, dict):
+        netcdf.write(content, path, {"made_from": made_from})
+        return
+    whole: dict[str, Any] = {"made_from": json.loads(made_from), **netcdf.provenance(), **content}
+    with recording(path, is_recorded) as temporary:
+        text = json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False)
+        temporary.write_text(f"{text}\n", encoding="utf-8")
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Verdicts or sections of a run; None if there are none, or none of these responses.
+
+    Raises
+    ------
+    StoreError
+        If the file is damaged.
+    """
+    if not path.exists():
+        return None
+    if not (intact := is_intact(path)):
+        command = "claims" if path.name == CLAIMS else "report"
+        why = "damaged" if intact is False else "no SHA-256 of it is recorded in SHA256SUMS"
+        raise StoreError(
+            f"{path}: {why}; 'gapsweep {command} {path.parent} --study FILE' makes it again"
+        )
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return found if is_of_run(path) else None
+
+
+def as_text(made_from: MadeFrom) -> str:
+    """What a file was made from, for its attribute or meta element."""
+    return json.dumps(dict(made_from), sort_keys=True)
+
+
+def reason_to_make(path: Path, now: MadeFrom) -> str | None:
+    """Why a file must be made, from what it would be made from; None if it is up to date."""
+    if not path.exists():
+        return "absent"
+    if not (intact := is_intact(path)):
+        return DAMAGED if intact is False else "no SHA-256 of it is recorded"
+    before = _recorded(path)
+    if not before:
+        return "not known what it was made from"
+    changed = [name for name in {**now, **before} if now.get(name) != before.get(name)]
+    if changed:
+        return f"{', '.join(changed)} changed"
+    lost = next((each for each in _linked(path) if not (each.exists() and is_intact(each))), None)
+    return f"{lost.name} absent or damaged" if lost else None
+
+
+def _linked(path: Path) -> Iterator[Path]:
+    """The files in folders below a page that it links to."""
+    if path.suffix == ".html":
+        page = path.read_text(encoding="utf-8", errors="replace")
+        for name in dict.fromkeys(re.findall(r'href="(\w+/[\w.-]+)"', page)):
+            yield path.parent / name
+
+
+def is_of_run(path: Path) -> bool:
+    """Whether a file rests on the responses in its folder, or on the settings of their study.
+
+    Another study of the same name may have left it there. What is measured after the responses
+    counts too: scenes of a benchmark are changed without a new sweep.
+    """
+    responses, before = path.with_name(RESPONSES), _recorded(path)
+    if RESPONSES in before:
+        present = digests(responses) or [sha256(responses)]  # SHA256SUMS may not have come along
+        return before[RESPONSES] == " ".join(present)
+    ours, theirs = (netcdf.attributes(file).get("created", "") for file in (path, responses))
+    return ours >= theirs or before.get(STUDY) == _recorded(responses).get(STUDY)
+
+
+def _recorded(path: Path) -> MadeFrom:
+    """What a file says it was made from; nothing if it cannot be made out."""
+    try:
+        if path.suffix == ".nc":
+            return dict(json.loads(netcdf.attributes(path).get("made_from", "{}")))
+        if path.suffix == ".json":
+            return dict(json.loads(path.read_text(encoding="utf-8"))["made_from"])
+        found = re.search(_META, path.read_text(encoding="utf-8", errors="replace"))
+        return dict(json.loads(html.unescape(found[1]))) if found else {}
+    except (OSError, ValueError, TypeError, KeyError):
+        return {}

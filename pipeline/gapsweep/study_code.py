@@ -1,0 +1,148 @@
+"""What the Python files that a study names make of its run: datasets, verdicts, report sections.
+
+xarray and matplotlib are imported by what needs them: a run that finds everything up to date ends
+before they would be loaded.
+"""
+
+import json
+import re
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import FunctionType
+from typing import TYPE_CHECKING, Any
+
+from gapsweep.errors import StudyError
+from gapsweep.study.study import Study
+from gapsweep.user_code.load import inner_name, load_module, user_errors
+from gapsweep.user_code.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from gapsweep.analysis.claims import Claim, Run
+
+
+def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
+    """Functions in a study's claims module that make datasets, by the file of each.
+
+    Raises
+    ------
+    StudyError
+        If the module cannot be imported, or its ``DATASETS`` are not what they must be.
+    """
+    path = study.claims_module
+    if path is None:
+        return {}
+    assert study.claims_code is not None
+    found = getattr(load_module(study.claims_code), "DATASETS", {})
+    if not isinstance(found, Mapping):
+        raise StudyError([f"{path}: DATASETS: must be a dict from names to functions of the study"])
+    for name, function in found.items():
+        where = f"{path}: DATASETS: {name!r}"
+        if not isinstance(name, str) or not re.fullmatch("[a-z_]+", name):
+            raise StudyError([f"{where}: a name must be of the letters a to z and _"])
+        if not callable(function):
+            raise StudyError([f"{where}: must be a function of the study, not {function!r:.40}"])
+    return {f"{name}.nc": function for name, function in found.items()}
+
+
+def dataset_key(study: Study, function: Any) -> str:
+    """Key of the code of a function that makes a dataset.
+
+    A function of another module depends on that module only: the rest of the code may be edited.
+    Everything else, such as a closure, depends on all of the code.
+    """
+    assert study.claims_code is not None, "datasets come from there"
+    code, name = study.claims_code, getattr(function, "__qualname__", "")
+    module = sys.modules.get(getattr(function, "__module__", None) or "")
+    if isinstance(function, FunctionType) and vars(module).get(name) is function:
+        assert module is not None
+        if (inner := inner_name(module.__name__, code)) is not None:
+            return f"{name} {code.part(inner).key}"
+    return code.key
+
+
+def check_modules(study: Study) -> None:
+    """Import the code that a study names, so that its faults are reported first.
+
+    Raises
+    ------
+    StudyError
+        If it cannot be imported, or does not hold what it must.
+    """
+    own_datasets(study)
+    if study.claims_code is not None:
+        _claims_in(study.claims_code)
+    if study.report_code is not None:
+        _sections_in(study.report_code)
+
+
+def make_dataset(study: Study, file: str, function: Callable[[Study], Any]) -> "xr.Dataset":
+    """A dataset that a study's claims module makes."""
+    import xarray as xr
+
+    assert study.claims_module is not None, "datasets come from there"
+    with user_errors(study.claims_module, file, function):
+        made = function(study)
+        if not isinstance(made, xr.Dataset):
+            raise TypeError(
+                f"its function must return an xarray.Dataset, not a {type(made).__name__}"
+            )
+    return made.assign_attrs(title=study.title, study=study.name, study_json=study.json)
+
+
+def decide_claims(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[str, Any]:
+    """The verdicts on a study's claims, from the datasets of its run by their names."""
+    from gapsweep.analysis.claims import Run, counted
+
+    code, path = study.claims_code, study.claims_module
+    assert code is not None
+    assert path is not None, "the stage does not apply without claims"
+    run, decided = Run(datasets), []
+    for claim in _claims_in(code):
+        with user_errors(path, f"claim {claim.id}", claim.find):
+            decided.append(claim.decided(run))
+    return _as_json(study, "claims", path, counted(decided))
+
+
+def draw_sections(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[str, Any]:
+    """A study's own sections of the report, from the datasets of its run by their names."""
+    from gapsweep.analysis.claims import Run
+    from gapsweep.report.parts import rendered
+
+    code, path = study.report_code, study.report_module
+    assert code is not None
+    assert path is not None, "the stage does not apply without sections"
+    sections = _sections_in(code)
+    with user_errors(path, "sections", sections):
+        # Names that no section of gapsweep has.
+        parts = rendered(sections(Run(datasets)))
+        parts = [part | {"anchor": f"own-{part['anchor']}"} for part in parts]
+    return _as_json(study, "report", path, {"sections": parts})
+
+
+def _as_json(study: Study, table: str, path: Path, found: dict[str, Any]) -> dict[str, Any]:
+    """What a module found, with where it comes from, if it can be written as JSON."""
+    with user_errors(path, "claims" if table == "claims" else "sections"):
+        json.dumps(found, ensure_ascii=False, allow_nan=False).encode()  # no half characters
+    return {"study": study.name, f"{table}_module": path.name, **found}
+
+
+def _claims_in(code: Snapshot) -> "list[Claim]":
+    """The claims that a module states."""
+    from gapsweep.analysis.claims import stated
+
+    try:
+        return stated(vars(load_module(code)))
+    except ValueError as error:
+        raise StudyError([f"{code.path}: {error}"]) from None
+
+
+def _sections_in(code: Snapshot) -> "Callable[[Run], Any]":
+    """The function of a module that makes sections of the report."""
+    found: Callable[[Run], Any] | None = getattr(load_module(code), "sections", None)
+    if not callable(found):
+        message = f"{code.path}: no function sections(run), which returns parts of the report"
+        raise StudyError([message])
+    return found

@@ -1,0 +1,135 @@
+"""Change the package at random, a place at a time, and report whether the tests notice.
+
+    python tools/mutations.py --seed 1 --draw 40 --tests tests --limit 90
+
+A mutation flips a comparison, changes a number, swaps and/or, swaps two arguments of a call, or
+deletes a statement. Its tests are the files that name the mutated function, or what calls it, the
+nearest and rarest names first; they run until one fails or until the limit [s] is reached. The
+clone is copied: nothing in it changes. Prints one line for each mutation.
+"""
+
+import argparse
+import ast
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+KERNELS = "integrate"  # every mutation there compiles all kernels again: few are drawn
+PAIRS = "Lt GtE, Gt LtE, Eq NotEq, Is IsNot, In NotIn, And Or"
+FLIPPED = {
+    getattr(ast, one): getattr(ast, other)
+    for pair in PAIRS.split(", ")
+    for one, other in (pair.split(), reversed(pair.split()))
+}
+
+
+def mutate(node):
+    """Change a node in place; the kind of the mutation, or None where there is none."""
+    if isinstance(node, ast.Compare):
+        node.ops[0] = FLIPPED[type(node.ops[0])]()
+        return "comparison"
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        node.value = node.value + 1 if type(node.value) is int else node.value * 1.01 or 0.01
+        return "number"
+    if isinstance(node, ast.BoolOp):
+        node.op = FLIPPED[type(node.op)]()
+        return "and/or"
+    if isinstance(node, ast.Call) and len({*map(ast.dump, node.args[:2])}) == 2:
+        node.args[:2] = node.args[1::-1]
+        return "arguments"
+    is_call = isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
+    return "statement" if is_call or isinstance(node, ast.AugAssign | ast.Raise) else None
+
+
+def sites(source):
+    """Kind, number of the node in `ast.walk`, names of the enclosing class and function."""
+    tree, changed, names = ast.parse(source), ast.parse(source), {}
+    kinds = [mutate(node) for node in list(ast.walk(changed))]
+    for number, (kind, node) in enumerate(zip(kinds, ast.walk(tree), strict=True)):
+        own = (node.name,) if isinstance(node, ast.FunctionDef | ast.ClassDef) else ()
+        names |= dict.fromkeys(ast.iter_child_nodes(node), names.get(node, ()) + own)
+        if kind and names.get(node):
+            yield kind, number, names[node]
+
+
+def mutated(source, number):
+    """The source with this node changed, and its line."""
+    tree = ast.parse(source)
+    node = list(ast.walk(tree))[number]
+    if mutate(node) == "statement":
+        for parent in ast.walk(tree):
+            for _, body in ast.iter_fields(parent):
+                if isinstance(body, list) and node in body:
+                    body[body.index(node)] = ast.copy_location(ast.Pass(), node)
+    return ast.unparse(ast.fix_missing_locations(tree)), node.lineno
+
+
+def ranked(stem, names, functions, tests):
+    """Test files by how near they name the function or its callers, and how rare that name is."""
+    spread = Counter(name for words in tests.values() for name in words)
+    score = Counter({file: 0.2 for file in tests if stem in file.stem})
+    level, seen = set(names[-2:]), set()
+    for weight in (1.0, 0.3, 0.1, 0.03):
+        for name in level - seen:
+            for file, words in tests.items():
+                score[file] += (name in words) * weight / max(1, spread[name]) / len(words) ** 0.5
+        seen |= level
+        level = {name for name, words in functions if words & level}
+    return [file for file, value in score.most_common(10) if value > 0.0]
+
+
+def words_of(text):
+    return set(re.findall(r"\w{4,}", text))
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    for name, default in (("seed", 1), ("draw", 40), ("limit", 90), ("kernels", 2)):
+        parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--tests", type=Path, default=ROOT / "tests")
+    asked = parser.parse_args()
+    copy = Path(tempfile.mkdtemp()) / "clone"
+    ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", "tests")
+    shutil.copytree(ROOT, copy, ignore=ignored)
+    shutil.copytree(asked.tests, copy / "tests")
+    package = copy / "pipeline" / "gapsweep"
+    sources = {path: path.read_text() for path in sorted(package.rglob("*.py"))}
+    nodes = [node for text in sources.values() for node in ast.walk(ast.parse(text))]
+    defined = [node for node in nodes if isinstance(node, ast.FunctionDef)]
+    functions = [(node.name, words_of(ast.unparse(node))) for node in defined]
+    tests = {p: words_of(p.read_text()) for p in sorted((copy / "tests").rglob("test_*.py"))}
+    places = [(path, *site) for path, text in sources.items() for site in sites(text)]
+    draw, drawn = random.Random(asked.seed), []
+    while len(drawn) < asked.draw:
+        kind = draw.choice(sorted({place[1] for place in places}))
+        place = draw.choice([place for place in places if place[1] == kind])
+        n_kernels = sum(KERNELS in path.parts for path, *_ in drawn)
+        if KERNELS not in place[0].parts or n_kernels < asked.kernels:
+            drawn.append(place)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(copy / "pipeline"), str(copy)])}
+    for path, kind, number, names in drawn:
+        text, line = mutated(sources[path], number)
+        path.write_text(text)
+        files = ranked(path.stem, names, functions, tests)
+        command = [sys.executable, "-B", "-m", "pytest", "-q", "-x", "-n", "0", *files]
+        how = {"cwd": copy, "env": environment, "capture_output": True, "text": True}
+        try:
+            done = subprocess.run(command, **how, timeout=asked.limit)
+            failed = re.search(r"^(FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+            found = f"caught by {failed[2]}" if failed else f"ended with {done.returncode}"
+        except subprocess.TimeoutExpired:
+            found = "reached the limit"
+        path.write_text(sources[path])
+        where = f"{path.relative_to(package)}:{line}"
+        print(f"{kind:10} {where} {'.'.join(names)}: {found}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
