@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import brentq
 from tests.figure_texts import overlaps
 
@@ -17,6 +17,7 @@ from gapsweep.analysis.bench.judge import judge, observed
 from gapsweep.analysis.bench.references import motion
 from gapsweep.analysis.bench.scenarios import scenarios
 from gapsweep.analysis.bench.stability import stability
+from gapsweep.execution.isolated import CallError
 from gapsweep.integrate import compiled
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.equilibria import equilibria, linear_stiffness
@@ -37,6 +38,7 @@ HARD = {
 FREE = {"zeta": 0.0, "forcing": 0.0}
 RUNS_AWAY = {"K_c": 1.4e4, "oscillator": {"alpha": -7e9, "forcing": 4e3}, "horizon": 9}
 RTOL = [1e-2, 1e-6, 1e-9]
+LABELS = ("piecewise", "tanh-1e4", "poly-13")
 SOLVER = Solver.of(rtol=1e-9, atol=1e-12)
 
 
@@ -258,10 +260,38 @@ def test_false_wells_of_tanh_vanish_above_the_threshold(K_c, j):
 
 @pytest.fixture(scope="module")
 def mixed():
-    labels = ("piecewise", "tanh-1e4", "poly-13")
     strong = HARD | {"name": "strong", "K_c": 1.4e4, "oscillator": {"forcing": 100.0}, "horizon": 1}
     left_out = HARD | {"name": "without", "without": ["tanh-1e4"]}
-    return stability(study_of(HARD, strong, left_out, labels=labels))
+    return stability(study_of(HARD, strong, left_out, labels=LABELS))
+
+
+def test_processes_compute_the_same_cells_as_this_one(mixed):
+    here = stability(study_of(HARD, labels=LABELS))
+    for name in here.data_vars:
+        assert_array_equal(mixed[name].sel(scene=["hard"]), here[name])
+
+
+def test_a_scenario_that_takes_too_long_is_timed_out_in_all_its_cells(monkeypatch):
+    class Impatient:
+        def __init__(self, timeout):
+            assert timeout == 7.0
+
+        __enter__, __exit__ = (lambda self: self), (lambda *_: None)
+
+        def __call__(self, function, scenario, group):
+            if scenario.name == "slow":
+                raise CallError(Status.TIMED_OUT, "")
+            return function(scenario, group)
+
+    monkeypatch.setattr(cells, "Isolated", Impatient)
+    slow = HARD | {"name": "slow", "without": ["tanh-1e4"]}
+    found = stability(study_of(slow, HARD, labels=["piecewise", "tanh-1e4"]), timeout=7.0)
+    assert (found["status"].sel(scene="hard") == Status.OK).all()
+    lost = found.sel(scene="slow")
+    assert (lost["status"][0] == Status.TIMED_OUT).all()
+    assert (lost["outcome"][0] == Outcome.FAILED).all()
+    assert (lost["status"][1] == Status.NOT_REQUESTED).all()
+    assert atlas(found, tight=True).axes[0].texts[0].get_text() == "T"
 
 
 def test_atlas_shows_the_worst_of_each_range(mixed):

@@ -295,8 +295,8 @@ def _scene(scene: dict[str, Any]) -> str:
 def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
     """Measure error, cost and status of methods.
 
-    Every method of the study's [bench] on every one of its scenes, in one process; laws of your
-    own in another, so that they can harm nothing.
+    Every method of the study's [bench] runs on every scene. Costs are measured in one process,
+    errors of several scenes in as many as there are processors; user laws run in others.
 
     \b
     Example:

@@ -138,14 +138,15 @@ class Isolated:
 
     def _end(self, patience: float = 0.0) -> None:
         """Let the process clean up for some seconds, then end all that it has started."""
-        if self._process is not None:
+        # Another thread whose call this ends comes here too, and finds no process.
+        process, self._process = self._process, None
+        if process is not None:
             self._pipe.close()
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(patience)
+                process.wait(patience)
             with suppress(ProcessLookupError):  # nothing is left of its group
-                os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
-            self._process = None
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
 
 
 def time_limit(timeout: float) -> float:

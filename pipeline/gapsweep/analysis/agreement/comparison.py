@@ -1,8 +1,8 @@
-"""How well each representation agrees with the exact law: ``agreement.nc``.
+"""Agreement of each representation with the exact law: ``agreement.nc``.
 
-Every representation, exact ones with other solver settings included, is compared with the one
-labelled ``piecewise``: start by start, attractor by attractor, and summed up per scene. What
-each variable means stands in `gapsweep.analysis.agreement.metrics`.
+Every representation, the exact law with other solver settings included, is compared with the
+one labelled ``piecewise``: by point, by attractor, and in summaries of each scene. Variables are
+defined in `gapsweep.analysis.agreement.metrics`.
 """
 
 import json
@@ -108,7 +108,7 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
         for r in swept:
             here = {**at, REPRESENTATION: r}
             ours = exact if labels[r] == EXACT else law_table(responses, attractors, here)
-            # Infinity and NaN are what comes of a response that ran away, or of none.
+            # Infinity and NaN result from responses that diverged or are missing.
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 symmetric = is_symmetric and law_of(labels[r]) not in uneven
                 for name, values in _compared(ours, exact, width, symmetric=symmetric):
@@ -118,10 +118,10 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
 
 
 def _width(gap: float, exact: LawTable) -> float:
-    """Scale of lengths [m]: the width of the gap, but no more than the largest range of a motion.
+    """Scale of lengths [m]: the width of the gap, at most the largest range of a motion.
 
-    For a wall that nothing comes near to says nothing of errors. Where there is no gap, the median
-    range of what moves; where nothing moves, twice the distance of the farthest place of rest.
+    Distant walls do not affect the scale of errors. Without a gap: the median range of motions;
+    without motions: twice the distance of the farthest equilibrium from zero.
     """
     amplitude, noise = exact.amplitude[exact.exists], exact.noise[exact.exists]
     moving = amplitude[(amplitude > 0.0) & ~(amplitude <= DEVIATIONS * noise)]
@@ -146,7 +146,7 @@ def _compared(
 
 
 def _set_floors(tables: Tables, floors: list[int]) -> None:
-    """The worst of the exact-against-exact values, where there are any."""
+    """Set the variables ``_floor``: the worst values of the exact law against itself."""
     for name, metric in _VARIABLES.items():
         if floors and f"{name}_floor" in tables:
             values = tables[name][floors]

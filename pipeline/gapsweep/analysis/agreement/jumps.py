@@ -1,7 +1,7 @@
-"""Where the amplitude jumps along frequency, and how far that is from the exact jump (A5).
+"""Jumps of the amplitude along frequency, and their shifts from the exact law's jumps (A5).
 
-Found between neighbouring frequencies of one start (a sweep up or down, or a fixed state), so
-known to half the frequency step either way.
+A jump lies between neighbouring frequencies of one initial condition (a sweep up or down, or a
+fixed state): its frequency is known to half a frequency step.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from gapsweep.analysis.dimensions import Array, Ints
 
 # A jump is at least this share of the larger amplitude (or of half the gap) ...
 JUMP = 0.02
-# ... and this many times the steps next to it, so that a steep flank is none.
+# ... and this many times the steps next to it, so that a steep flank is not a jump.
 STEEPER = 3.0
 # Farther apart [Hz] than this, two jumps are not the same.
 WINDOW = 1.0
@@ -54,9 +54,10 @@ def jumps(table: LawTable, start: int, along: Ints, half_gap: float) -> Jumps:
 
 
 def breaks(curve: Array) -> Ints:
-    """Positions in a curve before which a line is broken, as no line joins two branches.
+    """Positions in a curve before which a drawn line is broken, so that it joins no two branches.
 
-    As of `jumps`, but a step's neighbours may lie near either end: one value may be on a branch.
+    The rule of `jumps`, but the neighbours of a step may lie near either of its ends: a branch
+    may have a single value.
     """
     if len(curve) < 3:  # a single step has no measure
         return np.empty(0, int)

@@ -1,7 +1,7 @@
-"""From points and frequencies to one number per scene, with its confidence interval.
+"""Summaries of metrics over the points and frequencies of a scene, with confidence intervals.
 
-Periodic and chaotic motion apart: a point belongs to the regime of the exact response there; a
-frequency is chaotic if any exact response at it is, periodic if all are.
+Periodic and chaotic motions have summaries of their own. A point has the regime of the exact
+response; a frequency is chaotic if any of its exact responses is, periodic if all are.
 """
 
 from collections.abc import Iterator
@@ -61,7 +61,7 @@ def _spread(
     found: list[tuple[Array, Array]] = []
     for regime in regimes:
         at = np.nonzero(known & regime)
-        # Where all motion is periodic, the first two regimes are one.
+        # If all motions are periodic, the first two regimes are equal.
         same = found and len(at[0]) == np.count_nonzero(known)
         found.append(found[0] if same else quantiles(np.abs(values[at]), block[at[0]], q))
     for i, statistic in enumerate(statistics):

@@ -1,7 +1,7 @@
-"""Which representations compare the exact law with itself: the floor of every metric.
+"""Representations that compare the exact law with itself: the reproducibility limit of metrics.
 
-Two runs of the exact law differ too, where rounding chooses among attractors or samples chaos. A
-study that defines protocols for it, such as ::
+Two runs of the exact law differ where rounding selects among attractors or samples chaos. A study
+can define protocols that measure this, such as ::
 
     [protocol.half]
     rtol = 5e-10
@@ -9,8 +9,8 @@ study that defines protocols for it, such as ::
     [protocol.jitter]
     start_jitter = 1e-9
 
-and sweeps ``piecewise@half`` and ``piecewise@jitter``, gets the worst of their values beside every
-metric: a smaller difference between two laws means nothing.
+and sweep ``piecewise@half`` and ``piecewise@jitter``. The worst of their values is then stored with
+every metric; smaller differences between two laws are not significant.
 """
 
 import json
@@ -19,15 +19,15 @@ from typing import Any
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.labels import EXACT
 
-# A start moved by more [m] is another start.
+# Largest shift [m] of an initial displacement that counts as noise.
 _LARGEST_JITTER = 1e-8
 
 
 def floor_labels(study_json: str, labels: list[str]) -> list[str]:
-    """Labels ``piecewise@NAME`` that are meant as a floor.
+    """Labels ``piecewise@NAME`` that measure reproducibility.
 
-    The protocol NAME differs from ``[solver]`` by nothing but tolerances that are tighter, or a
-    `start_jitter` of at most 1e-8 m. Others, such as a looser one, are representations like any.
+    The protocol NAME differs from ``[solver]`` only in tighter tolerances or a `start_jitter` of at
+    most 1e-8 m. Labels with any other protocol are ordinary representations.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def _is_floor(plain: dict[str, Any], protocol: dict[str, Any]) -> bool:
         usual.restart,
     )
     not_looser = other.rtol <= usual.rtol and other.atol <= usual.atol
-    # A protocol that changes nothing names the same points: a floor of 0 that means nothing.
+    # A protocol that changes nothing has the same points, whose differences are 0 by definition.
     changed = other != usual or jitter != usual_jitter
     return same_method and not_looser and changed and abs(jitter) <= _LARGEST_JITTER
 

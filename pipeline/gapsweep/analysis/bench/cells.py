@@ -187,9 +187,10 @@ def _computed(
 
     with ExitStack() as stack:
         threads = stack.enter_context(ThreadPoolExecutor(n_processes))
-        stack.callback(threads.shutdown, wait=False, cancel_futures=True)
         for _ in range(n_processes):
             idle.put(stack.enter_context(Isolated(timeout)))
+        # On an interrupt: cancel what has not begun, end the processes, wait for the threads.
+        stack.callback(threads.shutdown, wait=False, cancel_futures=True)
         yield from threads.map(call, tasks)
 
 

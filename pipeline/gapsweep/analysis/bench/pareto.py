@@ -1,15 +1,15 @@
-"""What is worth its cost: the front of error against cost, and the cheapest way to an error."""
+"""The Pareto front of error and cost, and the cheapest method that meets an error."""
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-# Errors that reports are asked for.
+# Errors for which reports name the cheapest method.
 TARGETS = (1e-2, 1e-3, 1e-6, 1e-9)
 
 
 def on_front(error: ArrayLike, cost: ArrayLike) -> NDArray[np.bool_]:
-    """Which points no other beats: none has less of one quantity and no more of the other.
+    """Points on the Pareto front: no other has less of one quantity and no more of the other.
 
     Parameters
     ----------
@@ -35,15 +35,15 @@ def on_front(error: ArrayLike, cost: ArrayLike) -> NDArray[np.bool_]:
 
 
 def cheapest(bench: xr.Dataset, target: float) -> xr.DataArray:
-    """What each method costs at its cheapest tolerance that meets an error, per scene.
+    """Cost of each method at its cheapest tolerance that meets an error, per scene.
 
     Parameters
     ----------
     bench : Dataset
         As stored in ``work_precision.nc``.
     target : float
-        Error against the exact law [-]. A point too close to the truth to be measured has the
-        largest error that it can have.
+        Error against the exact law [-]. A point whose error is too small to be measured has
+        the largest error that it can have.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def cheapest(bench: xr.Dataset, target: float) -> xr.DataArray:
 
 
 def corners(bench: xr.Dataset, target: float) -> list[tuple[float, str, xr.DataArray]]:
-    """Per contact stiffness and gap: geometric mean over its scenes of what `cheapest` finds.
+    """Geometric mean of `cheapest` over the scenes of each contact stiffness and gap.
 
     Returns
     -------

@@ -25,7 +25,7 @@ _GAP = COORDINATES["gap"][1]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """One motion that every method is asked for.
+    """One motion that every method computes.
 
     Attributes
     ----------
@@ -37,17 +37,17 @@ class Scenario:
     omega : float
         Forcing frequency [Hz].
     x_0, v_0 : float
-        Start [m], [m/s].
+        Initial state [m], [m/s].
     n_periods : int
-        Forcing periods that it is followed.
+        Forcing periods of the motion.
     expected : str or None
-        By what a right answer is known; None for work-precision.
+        How the right answer is known; None for work-precision.
     fit_range : float
         Half-width of the range of fits [m].
     without : tuple of str
-        Labels of methods that are not asked for.
+        Labels of methods that do not compute it.
     own : mapping of str to OwnLaw
-        The user's own laws by label.
+        User laws by label.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Method:
 
     @property
     def own(self) -> str:
-        """The law that it solves: not locating contacts leaves the law what it is."""
+        """The law that it solves: the exact one also without located contacts."""
         return EXACT if self.representation == "piecewise-noevents" else self.representation
 
 

@@ -1,7 +1,7 @@
-"""What each representation costs, from the costs stored with its points.
+"""Costs of each representation, from the costs stored with its points.
 
-Processor times of different machines are never mixed: the machine that computed most
-points of a study is the one reported, the others' points are only counted.
+Processor times of different machines are never mixed: costs are those of the machine that computed
+most points of a study; points of other machines are counted only.
 """
 
 import warnings
@@ -58,7 +58,7 @@ def _busiest(host: xr.DataArray) -> int:
 def quantile(values: xr.DataArray, q: float) -> xr.DataArray:
     """Quantile over frequencies and starts; NaN entries do not count."""
     with warnings.catch_warnings():
-        # numpy warns where no entry is left: NaN is what we want there.
+        # numpy warns if no entry is left; the result NaN is right.
         warnings.simplefilter("ignore", RuntimeWarning)
         return values.quantile(q, swept(values)).drop_vars("quantile")
 
@@ -71,7 +71,7 @@ def mean(values: xr.DataArray) -> xr.DataArray:
 
 
 def repeatability(ratios: Array) -> float:
-    """How far the ratio of equal quantities is from 1 by chance, in 95 % of cases, as a logarithm.
+    """Half-width of the 95 % interval of the logarithm of ratios of equal quantities.
 
     Parameters
     ----------
